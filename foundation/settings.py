@@ -179,6 +179,18 @@ def misfit(values: Mapping[str, Any], kinds: Mapping[str, Any], prefix: str = ""
     return None
 
 
+def merged(values: Mapping[str, Any], others: Mapping[str, Any]) -> dict[str, Any]:
+    """Return nested values with others on top of them, paths as texts."""
+    result = dict(values)
+    for key, value in others.items():
+        if isinstance(value, Mapping):
+            before = result.get(key)
+            result[key] = merged(before if isinstance(before, Mapping) else {}, value)
+        else:
+            result[key] = str(value) if isinstance(value, Path) else value
+    return result
+
+
 def shortened(text: str, most: int = 120) -> str:
     """Shorten a text for an error message: a long one is cut in the middle.
 

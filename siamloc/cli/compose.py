@@ -13,11 +13,11 @@ from typing import Any
 
 from omegaconf import DictConfig, OmegaConf
 
-from foundation.settings import shortened
+from foundation.settings import merged, shortened
 from siamloc.cli.help import job_of
 from siamloc.cli.words import values_of
 from siamloc.errors import ConfigError, SiamlocError, check_known, hint
-from siamloc.jobs.job import Given, Job, merged
+from siamloc.jobs.job import Given, Job
 from siamloc.jobs.options import choices, config_folder, groups, options
 from siamloc.jobs.sweep import Sweep
 from siamloc.runs import runs_in

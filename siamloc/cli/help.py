@@ -81,14 +81,14 @@ def keys_of(job: type[Job]) -> dict[str, tuple[dict[str, str], list[str]]]:
     """
     if not job.BY_HYDRA:
         return {"keys": ({}, job.key_names())}
-    from siamloc.jobs.options import choices, values_of
+    from siamloc.jobs.options import choices, option
 
     found: dict[str, tuple[dict[str, str], list[str]]] = {}
     defaults = job.defaults()
     for group in job.GROUPS:
         options, section = choices(group), group.replace("/", ".")
         held: dict[str, Any] = job.MORE.get(group, {})
-        inside = {key for name in options for key in _flat({**values_of(group, name), **held}, f"{section}.")}
+        inside = {key for name in options for key in _flat({**option(group, name).values, **held}, f"{section}.")}
         found[group] = (options, sorted(inside))
     if job.SHARED:
         found["experiment"] = (choices("experiment"), [])

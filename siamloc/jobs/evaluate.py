@@ -23,7 +23,7 @@ from siamloc.jobs.choices import OF_A_RUN, DescriptorChoice
 from siamloc.jobs.inherit import map_file, map_known
 from siamloc.jobs.job import Say, quiet
 from siamloc.jobs.opening import RunJob, files_in
-from siamloc.jobs.options import choices, values_of
+from siamloc.jobs.options import choices, option
 from siamloc.jobs.sweep import of_layer, of_results, own_folder, sweep_suffix, swept, with_swept
 from siamloc.jobs.tasks import BuildingsTask, RobustnessTask, Task
 from siamloc.maps import Built, VisualMap
@@ -191,7 +191,7 @@ class Evaluate(RunJob):
         """Return the descriptor that a name or the folder of a run stands for, and its label."""
         if (Path(named) / "run.json").is_file():
             return DescriptorChoice.of({"name": "network", "run": named}), f"network-{real_path(named).name}"
-        chosen = DescriptorChoice.of(values_of("descriptor", named))
+        chosen = DescriptorChoice.of(option("descriptor", named).values)
         return chosen, chosen.title
 
     def _hierarchical(self, say: Say, task: Any, settings: Hierarchical, common: Mapping[str, Any]) -> Result:
@@ -222,7 +222,7 @@ class Evaluate(RunJob):
         known, images, roles = self._known(say, "query")
         other, clusters = task.clusters, None
         if other is not None and other != self.descriptor.title:
-            chosen = DescriptorChoice.of(values_of("descriptor", other))
+            chosen = DescriptorChoice.of(option("descriptor", other).values)
             clusters = maps.build(self.make_descriptor(chosen), images, known.frames)
         return evaluation.compact(
             known, images, roles["query"], clusters=clusters, name=self._grouped, settings=settings, **common
@@ -316,7 +316,7 @@ class Evaluate(RunJob):
                 continue
             started = name == "untrained" and self.here.settings["model"].get("weights") is not None
             label = "before_training" if started else name  # it had learned elsewhere
-            found[label] = self.make_descriptor(DescriptorChoice.of(values_of("descriptor", name)))
+            found[label] = self.make_descriptor(DescriptorChoice.of(option("descriptor", name).values))
         return found
 
 

@@ -12,11 +12,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, is_dataclass
-from pathlib import Path
-from typing import Any, ClassVar, TypeVar
+from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
 
-from foundation.settings import Settings, defaults_of, fields_of
+from foundation.settings import Settings, defaults_of, fields_of, merged
 from siamloc.errors import ConfigError, check_known
+
+if TYPE_CHECKING:
+    from siamloc.jobs.options import Option
 
 Kind = TypeVar("Kind", bound="Job")
 Say = Callable[[str], None]
@@ -80,10 +82,9 @@ class Job(Settings):
         Raises:
             ConfigError: an unknown key, a missing key without a default, or a value of the wrong type or out of range.
         """
-        check_known(values, cls.key_names(), "")
-        whole = with_options(cls, values)
-        whole = cls.completed(whole, given or Given([key for key, _ in leaves(values)]))
-        if missing := sorted(key for key, value in leaves(whole) if value == "???"):
+        check_known(values, [*cls.key_names(), *(["experiment"] if cls.SHARED else [])], "")
+        whole = cls.completed(with_options(cls, values), given or given_by(cls, values))
+        if missing := sorted(key for key, value in leaves(whole) if isinstance(value, str) and value == "???"):
             raise ConfigError(f"{missing[0]} is not set: give it as {missing[0]}=VALUE")
         return super().of({_FIELD.get(key, key): value for key, value in whole.items()})
 
@@ -123,51 +124,85 @@ class Job(Settings):
         return _KEY.get(name, name)
 
 
-def with_options(kind: type[Job], values: Mapping[str, Any]) -> dict[str, Any]:
-    """Return values of a job with the values of the options that they name, and of those that are chosen by default.
+def given_by(kind: type[Job], values: Mapping[str, Any]) -> Given:
+    """Return which keys and groups a mapping of values sets."""
+    groups = [group for group in (*kind.GROUPS, "experiment") if isinstance(_at(values, group), str)]
+    return Given([key for key, _ in leaves(values)], [group.replace("/", ".") for group in groups])
 
-    A mapping that does not say of which option its keys are, by `kind` or `name`, changes the option chosen by default.
+
+def with_options(kind: type[Job], values: Mapping[str, Any]) -> dict[str, Any]:
+    """Return values of a job on top of its defaults and of the options that they name or that are chosen by default.
+
+    A mapping of keys in place of an option's name changes the option that its `kind` or `name` says, or else the one
+    that is chosen by default. Options and experiments choose options of other groups, as in their files.
 
     Raises:
         ConfigError: an unknown option, or another value in place of a group.
     """
-    whole = merged({}, values)
     if not kind.GROUPS:
-        return whole
-    from siamloc.jobs.options import values_of  # the robot has no YAML
+        return merged(kind.defaults(), values)
+    from siamloc.jobs.options import Option, choices, option  # the robot has no YAML
 
-    for group, usual in kind.GROUPS.items():
-        *above, last = group.split("/")
-        part = whole
-        for name in above:
-            part = part.setdefault(name, {})
-            _check_group(part, name)
-        chosen = part.get(last, usual)
-        if isinstance(chosen, str):
-            part[last] = merged(values_of(group, chosen), kind.MORE.get(group, {}))
-        _check_group(part[last], group)
-        option = values_of(group, usual)
-        tag = "kind" if "kind" in option else "name"
-        if tag in option and part[last].get(tag, option[tag]) == option[tag]:
-            part[last] = merged(option, part[last])
-    return whole
+    own = dict(values)
+    name = own.pop("experiment", None)
+    experiment = Option({}, "") if name is None else option("experiment", name)
+    chosen = _with_choices(kind.GROUPS, experiment.chooses or {})
+    named: dict[str, str] = {}
+    for group in kind.GROUPS:
+        given = _at(own, group)
+        if isinstance(given, str):
+            named[group] = given
+            own = merged(own, _nested(group, {}))
+        elif given is not None:
+            _check_group(given, group)
+            tag = next((given[key] for key in ("kind", "name") if key in given), None)
+            if isinstance(tag, str) and tag in choices(group) and not _fits(given, option(group, chosen[group])):
+                named[group] = tag
+    chosen = _with_choices(chosen, named)
+    whole: dict[str, Any] = {}
+    for group in kind.GROUPS:
+        if _fits(_at(own, group) or {}, option(group, chosen[group])):
+            whole = merged(whole, _nested(group, option(group, chosen[group]).values))
+    whole = merged(whole, kind.defaults())
+    whole = merged(whole, {key: value for key, value in experiment.values.items() if key in kind.key_names()})
+    return merged(whole, own)
+
+
+def _with_choices(chosen: Mapping[str, str], named: Mapping[str, str]) -> dict[str, str]:
+    """Return the options chosen by group, together with others and what these choose in other groups."""
+    from siamloc.jobs.options import option
+
+    further: dict[str, str] = {}
+    for group, name in named.items():
+        further |= option(group, name).chooses or {}
+    return {**chosen, **further, **named}
+
+
+def _fits(given: Mapping[str, Any], option: Option) -> bool:
+    """Return whether keys that are given may be those of an option, by its kind or names or else by its keys."""
+    tag = next((key for key in ("kind", "name", "names") if key in option.values), None)
+    return set(given) <= set(option.values) if tag is None else given.get(tag, option.values[tag]) == option.values[tag]
+
+
+def _at(values: Mapping[str, Any], group: str) -> Any:
+    """Return what the values hold for a group, such as "model/branch"; None if nothing."""
+    *above, last = group.split("/")
+    for name in above:
+        values = values.get(name, {})
+        _check_group(values, name)
+    return values.get(last)
+
+
+def _nested(group: str, values: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the values of a group such as "model/branch" inside the mappings of a job."""
+    for name in reversed(group.split("/")):
+        values = {name: values}
+    return dict(values)
 
 
 def _check_group(values: Any, group: str) -> None:
     if not isinstance(values, Mapping):
         raise ConfigError(f"{group} is a group of keys: set them one by one, such as {group}.KEY=VALUE")
-
-
-def merged(values: Mapping[str, Any], others: Mapping[str, Any]) -> dict[str, Any]:
-    """Return nested values with others on top of them, paths as texts."""
-    result = dict(values)
-    for key, value in others.items():
-        if isinstance(value, Mapping):
-            before = result.get(key)
-            result[key] = merged(before if isinstance(before, Mapping) else {}, value)
-        else:
-            result[key] = str(value) if isinstance(value, Path) else value
-    return result
 
 
 def leaves(values: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:

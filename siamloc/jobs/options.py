@@ -14,7 +14,7 @@ from typing import Any
 
 import yaml
 
-from foundation.settings import Settings, defaults_of
+from foundation.settings import Settings, defaults_of, merged
 from siamloc.errors import ConfigError, hint
 
 
@@ -219,22 +219,29 @@ def choices(group: str) -> dict[str, str]:
     return dict(sorted(found.items()))
 
 
-def values_of(group: str, name: str) -> dict[str, Any]:
-    """Return the values of an option, from its registry or from its file and the option that the file starts from.
+def option(group: str, name: str) -> Option:
+    """Return an option, from its registry or from its file and the options that the file starts from.
 
     Raises:
         ConfigError: an unknown option.
     """
     if name in options().get(group, {}):
-        return dict(options()[group][name].values)
+        return options()[group][name]
     path = config_folder() / group / f"{name}.yaml"
     if not path.is_file():
         raise ConfigError(f"unknown {group} {name!r}: {hint(name, choices(group))}")
-    held = yaml.safe_load(path.read_text(encoding="utf-8"))
-    begun: dict[str, Any] = {}
-    for entry in held.pop("defaults", []):
+    own = yaml.safe_load(path.read_text(encoding="utf-8"))
+    values: dict[str, Any] = {}
+    chooses: dict[str, str] = {}
+    for entry in own.pop("defaults", []):
         if isinstance(entry, str):
-            begun |= values_of(group, entry) if entry != "_self_" else {}
-        elif node := entry.get("/settings@_here_"):
-            begun |= options()["settings"][node].values
-    return begun | held
+            if entry != "_self_":
+                start = option(group, entry)
+                values, chooses = merged(values, start.values), {**chooses, **(start.chooses or {})}
+            continue
+        for words, chosen in entry.items():
+            if words == "/settings@_here_":
+                values = merged(values, options()["settings"][chosen].values)
+            else:  # such as "override /unwrap@_global_.unwrap"
+                chooses[words.removeprefix("override /").partition("@")[0]] = chosen
+    return Option(merged(values, own), "", chooses)

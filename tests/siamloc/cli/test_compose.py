@@ -6,8 +6,8 @@ from siamloc.cli import main
 from siamloc.cli.compose import composed
 from siamloc.data import Protocol
 from siamloc.errors import ConfigError
-from siamloc.jobs import Evaluate, Report, Train
-from siamloc.jobs.options import choices, config_folder, groups, values_of
+from siamloc.jobs import Evaluate, MapFrames, Prepare, Pretrain, Preview, Report, Train
+from siamloc.jobs.options import choices, config_folder, groups, option
 
 
 @pytest.mark.slow
@@ -48,12 +48,55 @@ def test_every_option_of_every_group_composes(override):
             Evaluate,
             {
                 "data": {"kind": "folder", "name": "folder", "root": Path("x")},
-                "descriptor": {**values_of("descriptor", "hog"), "bins": 8},
+                "descriptor": {**option("descriptor", "hog").values, "bins": 8},
                 "task": "absolute",
                 "distance": "cosine",
             },
         ),
         ("report", ["runs=[a,b]"], Report, {"runs": ["a", "b"]}),
+        ("pretrain", [], Pretrain, {}),
+        ("pretrain", ["loss.sigma=1.5"], Pretrain, {"loss": {"sigma": 1.5}}),
+        ("augment preview", ["data.image_size=[32,128]"], Preview, {"data": {"image_size": [32, 128]}}),
+        # Options that choose options of other groups: how images unwrap, and which drives have which role.
+        ("prepare", ["data=cold", "data.root=x"], Prepare, {"data": {"kind": "cold", "root": "x"}}),
+        (
+            "evaluate",
+            ["data=freiburg_sim", "descriptor=hog", "protocol.map.every=7", "unwrap=polar"],
+            Evaluate,
+            {
+                "data": "freiburg_sim",
+                "descriptor": {"name": "hog"},
+                "protocol": {"map": {"every": 7}},
+                "unwrap": "polar",
+            },
+        ),
+        (
+            "map",
+            ["data=freiburg_sim", "descriptor=hog", "build=spectral", "build.nodes=9"],
+            MapFrames,
+            {"data": "freiburg_sim", "descriptor": "hog", "build": {"name": "spectral", "nodes": 9}},
+        ),
+        (
+            "evaluate",
+            ["data=freiburg_sim", "descriptor=hog", "task=compact", "task.nodes=[3]"],
+            Evaluate,
+            {"data": "freiburg_sim", "descriptor": "hog", "task": {"names": ["compact"], "nodes": [3]}},
+        ),
+        (
+            "train",
+            ["experiment=demo", "data.root=x", "pairs.near=0.5", "model/branch=simple1", "epochs=2"],
+            Train,
+            {
+                **{"experiment": "demo", "data": {"root": "x"}, "pairs": {"near": 0.5}, "epochs": 2},
+                "model": {"branch": "simple1"},
+            },
+        ),
+        (
+            "train",
+            ["experiment=thesis_augmented", "data.root=x"],
+            Train,
+            {"experiment": "thesis_augmented", "data": {"root": "x"}},
+        ),
     ],
 )
 def test_a_notebook_makes_the_same_job(command, words, kind, values):
