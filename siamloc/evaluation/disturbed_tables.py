@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from foundation.columns import Rows
 from siamloc.data.frames import FrameTable
 from siamloc.errors import ConfigError, DataError
 from siamloc.evaluation.columns import room_names
@@ -18,7 +19,7 @@ from siamloc.results import Columns
 
 
 @dataclass(frozen=True)
-class Answer:
+class Answer(Rows):
     """Answers of a descriptor for a batch of images.
 
     Attributes:
@@ -37,11 +38,6 @@ class Answer:
         for name in ("heading", "heading_nearest"):
             if getattr(self, name) is None:
                 object.__setattr__(self, name, np.full(len(self.nearest), np.nan))
-
-    @staticmethod
-    def concatenate(parts: Sequence[Answer]) -> Answer:
-        """Join the answers for consecutive batches of queries."""
-        return Answer(*(np.concatenate([getattr(part, one.name) for part in parts]) for one in fields(Answer)))
 
 
 def answers(
