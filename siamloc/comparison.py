@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -13,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 from foundation.calls import typed
 from foundation.files import write_text
 from siamloc.errors import ConfigError
+from siamloc.tables import Column, Table
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -58,15 +57,20 @@ class Comparison:
         folder = self.best[self.measured[-1]]
         if math.isnan(self.best[self.by]):
             return f"best: none, {self.by} is not known of any"
-        said = [f"{name}={_shown(self.best[name])}" for name in self.differing]
-        return f"best: {', '.join([*said, f'{self.by} {_shown(self.best[self.by])}'])}, in {folder}"
+        cells = dict(zip(self.columns, self.summary().cells[0], strict=True))
+        said = [f"{name}={cells[name]}" for name in self.differing]
+        return f"best: {', '.join([*said, f'{self.by} {cells[self.by]}'])}, in {folder}"
+
+    def summary(self) -> Table:
+        """Return the rows as a table, labelled by the settings."""
+        columns = [Column(name) for name in self.differing]
+        columns += [Column(name, form="short") for name in self.measured[:-1]]
+        rows = (tuple(row[name] for name in self.columns) for row in self.rows)
+        return Table("comparison", (*columns, Column(self.measured[-1])), tuple(rows))
 
     def table(self) -> str:
-        """Return the rows as text, columns aligned."""
-        cells = [self.columns, *([_shown(row[name]) for name in self.columns] for row in self.rows)]
-        widths = [max(map(len, column)) for column in zip(*cells, strict=True)]
-        lines = ("  ".join(map(str.ljust, line, widths)).rstrip() for line in cells)
-        return "\n".join(lines)
+        """Return the rows as text."""
+        return self.summary().text()
 
     @typed
     def save(self, path: str | Path) -> Path:
@@ -75,12 +79,7 @@ class Comparison:
         Raises:
             StorageError: the disk refuses.
         """
-        text = io.StringIO()
-        writer = csv.writer(text, lineterminator="\n")
-        writer.writerow(self.columns)
-        for row in self.rows:
-            writer.writerow(["" if row[name] is None or row[name] != row[name] else row[name] for name in self.columns])
-        write_text(Path(path), text.getvalue())
+        write_text(Path(path), self.summary().csv())
         return Path(path)
 
     @typed
@@ -161,9 +160,3 @@ def files_named(folders: str | Path | Iterable[str | Path], name: str) -> list[P
             raise ConfigError(f"there is no folder {folder}: name that of a sweep, such as runs/sweep")
         found |= dict.fromkeys(sorted(folder.rglob(name)))
     return list(found)
-
-
-def _shown(value: Any) -> str:
-    if isinstance(value, float):
-        return "" if math.isnan(value) else f"{value:.4g}"
-    return "" if value is None else str(value)

@@ -39,10 +39,3 @@ def test_notebooks_are_kept_without_outputs():
     for path in NOTEBOOKS:
         code = [cell for cell in nbformat.read(path, as_version=4).cells if cell.cell_type == "code"]
         assert not [cell for cell in code if cell.outputs or cell.execution_count], path.name
-
-
-def test_a_table_is_text_in_a_notebook_too(monkeypatch):
-    from siamloc.evaluation import tables
-
-    monkeypatch.setattr("rich.console._is_jupyter", lambda: True)
-    assert "method" in tables._text(tables._table("method", "mean"))

@@ -9,13 +9,14 @@ from typing import TYPE_CHECKING, Any
 from foundation.calls import typed
 from foundation.files import atomic_files, plain, storage_errors
 from siamloc.errors import DataError, FormatError
-from siamloc.results import Columns, read_results, read_rows, tables_of, write_results
+from siamloc.results import REMARKS, Columns, read_results, read_rows, tables_of, write_results
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from siamloc.maps.error_model import ErrorModel
     from siamloc.maps.refinement import Refinement
+    from siamloc.tables import Table
 
 _KEPT = (
     "config",
@@ -113,23 +114,31 @@ class Result:
             return shown
         return f'{shown}<img src="data:image/png;base64,{b64encode(picture.getvalue()).decode()}">'
 
-    def table(self) -> str:
-        """Return the measures as text: a table by method and lighting, and the numbers behind it.
+    def summaries(self) -> list[Table]:
+        """Return the measures as tables: by method and lighting, and what a query costs.
 
         Raises:
             FormatError: incomplete measures, as from an altered file.
         """
-        from rich.errors import ConsoleError
-
-        from siamloc.evaluation.tables import text_of
+        from siamloc.summaries import tables_of
 
         baselines = {method: other.parts for method, other in self.baselines.items()}
-        costs = {one.name: one.cost for one in (self, *self.baselines.values()) if one.cost}
-        located = len(self.tables["located"]["path"]) if "located" in self.tables else 0
+        costs = {one.name: one.cost for one in (self, *self.baselines.values())}
         try:
-            return text_of(self.name, self.parts, baselines, self.skipped, located, costs)
-        except (KeyError, TypeError, ValueError, IndexError, AttributeError, ConsoleError) as error:
+            return tables_of(self.name, self.parts, baselines, costs)
+        except (KeyError, TypeError, ValueError, IndexError, AttributeError) as error:
             raise FormatError(f"the measures of {self.name} are not whole ({error!r}): evaluate again") from error
+
+    def table(self) -> str:
+        """Return the measures as text: the tables of `summaries`, and what could not be measured.
+
+        Raises:
+            FormatError: incomplete measures, as from an altered file.
+        """
+        lines = [reason if what in REMARKS else f"{what} left out: {reason}" for what, reason in self.skipped.items()]
+        if "located" in self.tables:
+            lines.append(f"located without a score: {len(self.tables['located']['path'])} queries, in located.csv")
+        return "\n\n".join(filter(None, [*(table.text() for table in self.summaries()), "\n".join(lines)]))
 
     def plot(self, name: str | None = None) -> Figure:
         """Return a picture of the result: the first one available, or the one with this name, such as "error_curve".

@@ -1,6 +1,6 @@
 """The tables printed after an evaluation."""
 
-from siamloc.evaluation.tables import text_of
+from siamloc.evaluation import Result
 
 
 def measured(told):
@@ -17,7 +17,8 @@ def measured(told):
 
 
 def said(first, **others):
-    return text_of("hog", first, others, {}).splitlines()
+    baselines = {name: Result(name, parts, {}) for name, parts in others.items()}
+    return Result("hog", first, {}, baselines=baselines).table().splitlines()
 
 
 def test_headings_of_some_queries_say_how_many():
@@ -25,7 +26,7 @@ def test_headings_of_some_queries_say_how_many():
     assert [line.split()[-2:] for line in lines if line.startswith(("hog", "fs", "thumbnail"))] == [
         ["2.1", "32"],
         ["2.1", "32"],
-        ["-", "32"],
+        ["–", "32"],
     ]
     assert [line for line in lines if line.startswith("heading,")] == [
         "heading, hog: 10 of 32 queries, where theta is known on both sides"

@@ -1,0 +1,172 @@
+"""`Table`: columns with names, units and formats, as text, Markdown or CSV; the report shows the same table as HTML."""
+
+from __future__ import annotations
+
+import csv
+import io
+import math
+import textwrap
+from dataclasses import dataclass
+from typing import Any, Literal
+
+NOTHING = "–"
+WIDTH = 116
+_NARROW = 7  # characters, within which a heading is not broken
+
+Form = int | Literal["text", "short", "count", "percent", "share"]
+
+
+@dataclass(frozen=True)
+class Column:
+    """A column of a table.
+
+    Attributes:
+        name: its heading.
+        unit: the unit of its values, shown with the heading; "" for none.
+        form: how its values are shown: a number with that many decimals; "count", a whole number; "percent", a share in
+            percent; "share", two counts (hits, all) as their ratio; "short", a number with four digits; or "text".
+        part: the name of another column whose values are a part of these, which the report draws as a bar.
+    """
+
+    name: str
+    unit: str = ""
+    form: Form = "text"
+    part: str = ""
+
+    @property
+    def heading(self) -> str:
+        """The name with the unit."""
+        return f"{self.name} [{self.unit}]" if self.unit else self.name
+
+    def shown(self, value: Any) -> str:
+        """Return a value as text; a dash if it is None or NaN."""
+        if self.form == "share" and value is not None:
+            hits, every = value
+            return f"{percent(hits / every if every else None)} ({count(hits)}/{count(every)})"
+        if isinstance(self.form, int):
+            return number(value, self.form)
+        if self.form == "percent":
+            return percent(value)
+        if value is None or value != value:
+            return NOTHING
+        if self.form == "count":
+            return count(value)
+        return f"{value:.4g}" if isinstance(value, float) else value if isinstance(value, str) else str(value)
+
+
+@dataclass(frozen=True)
+class Table:
+    """Rows of plain values under named columns.
+
+    Attributes:
+        name: what the table is about, in one word.
+        columns: its columns. The first ones with the form "text" label the rows.
+        rows: a value for each column; None or NaN if it is unknown.
+        title: a heading.
+        notes: sentences that belong to the table.
+        upright: whether the table, which then has one row, is shown as a list of names and values.
+
+    Example:
+        >>> columns = (Column("method"), Column("mean", "m", 2), Column("hit rate", form="percent"))
+        >>> table = Table("errors", columns, (("hog", 0.251, 0.5), ("gist", 1.5, None)))
+        >>> print(table.text())
+                mean     hit
+        method   [m]    rate
+        hog     0.25  50.0 %
+        gist    1.50       –
+        >>> print(table.csv())
+        method,mean [m],hit rate
+        hog,0.251,0.5
+        gist,1.5,
+        <BLANKLINE>
+    """
+
+    name: str
+    columns: tuple[Column, ...]
+    rows: tuple[tuple[Any, ...], ...]
+    title: str = ""
+    notes: tuple[str, ...] = ()
+    upright: bool = False
+
+    @property
+    def labels(self) -> int:
+        """The number of columns that label the rows."""
+        return next((i for i, column in enumerate(self.columns) if column.form != "text"), len(self.columns))
+
+    @property
+    def cells(self) -> list[list[str]]:
+        """All values as text, row by row."""
+        return [[column.shown(value) for column, value in zip(self.columns, row, strict=True)] for row in self.rows]
+
+    def text(self, width: int = WIDTH) -> str:
+        """Return the table as aligned text; columns that do not fit into the width follow below, with the labels."""
+        if self.upright:
+            names = [column.heading for column in self.columns]
+            lines = [f"{name:{max(map(len, names))}}  {cell}" for name, cell in zip(names, self.cells[0], strict=True)]
+        else:
+            lines = _blocks(self._justified(), self.labels, width)
+        return "\n".join([*filter(None, [self.title]), *lines, *self.notes])
+
+    def markdown(self) -> str:
+        """Return the table in Markdown."""
+        rules = ["---" if column.form == "text" else "---:" for column in self.columns]
+        lines = [[column.heading for column in self.columns], rules, *self.cells]
+        return "\n".join(f"| {' | '.join(line)} |" for line in lines)
+
+    def csv(self) -> str:
+        """Return the table as CSV: numbers in full precision, unknown values empty."""
+        text = io.StringIO()
+        writer = csv.writer(text, lineterminator="\n")
+        writer.writerow(column.heading for column in self.columns)
+        for row in self.rows:
+            plain = (value[0] / max(value[1], 1) if isinstance(value, tuple) else value for value in row)
+            writer.writerow("" if value is None or value != value else value for value in plain)
+        return text.getvalue()
+
+    def _justified(self) -> list[list[str]]:
+        """Return the lines of each column, equally long: heading, unit, and cells."""
+        heads, cells = [], [list(column) for column in zip(*self.cells, strict=True)] or [[] for _ in self.columns]
+        for column, values in zip(self.columns, cells, strict=True):
+            widest = max(_NARROW, *map(len, (*column.name.split(), *values)))
+            heads.append([*textwrap.wrap(column.name, widest), *([f"[{column.unit}]"] if column.unit else [])])
+        lines = [
+            [""] * (max(map(len, heads)) - len(head)) + head + values for head, values in zip(heads, cells, strict=True)
+        ]
+        widths = [max(map(len, column)) for column in lines]
+        return [
+            [line.ljust(width) if column.form == "text" else line.rjust(width) for line in own]
+            for column, own, width in zip(self.columns, lines, widths, strict=True)
+        ]
+
+
+def _blocks(columns: list[list[str]], labels: int, width: int) -> list[str]:
+    """Return the lines of a table whose columns are put below each other if they are wider than `width`."""
+    widths = [len(column[0]) + 2 for column in columns]
+    while labels > 1 and sum(widths[:labels]) > width // 2:
+        labels -= 1
+    blocks, used = [columns[:labels]], sum(widths[:labels])
+    for column, own in zip(columns[labels:], widths[labels:], strict=True):
+        if used + own - 2 > width and len(blocks[-1]) > labels:
+            blocks.append(columns[:labels])
+            used = sum(widths[:labels])
+        blocks[-1].append(column)
+        used += own
+    lines: list[str] = []
+    for block in blocks:
+        lines += [""] * bool(lines) + ["  ".join(line).rstrip() for line in zip(*block, strict=True)]
+    return lines
+
+
+def number(value: float | None, digits: int = 3) -> str:
+    """Return a number with `digits` decimals; a dash if it is unknown."""
+    return NOTHING if value is None or not math.isfinite(value) else f"{value:.{digits}f}"
+
+
+def percent(share: float | None) -> str:
+    """Return a share in percent with one decimal; a dash if it is unknown."""
+    return NOTHING if share is None or not math.isfinite(share) else f"{100 * share:.1f} %"
+
+
+def count(value: int) -> str:
+    """Return a count with thousands separators."""
+    return f"{value:,}"

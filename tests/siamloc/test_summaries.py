@@ -1,0 +1,42 @@
+"""The tables of results: what they hold, and how they are shown."""
+
+import csv
+import io
+
+import pytest
+
+from siamloc.tables import WIDTH, Column, Table
+
+
+@pytest.fixture
+def wide():
+    columns = (Column("method"), Column("lighting"), *(Column(f"figure {i}", "m", 3, part="") for i in range(30)))
+    return Table("wide", columns, tuple((name, "all", *range(30)) for name in ("hog", "x" * 40)), "title", ("note",))
+
+
+def test_a_table_is_never_wider_than_the_console_and_repeats_its_labels(wide):
+    lines = wide.text().splitlines()
+    assert max(map(len, lines)) <= WIDTH
+    assert (lines[0], lines[-1]) == ("title", "note")
+    rows = [line.split() for line in lines if line.startswith("hog")]
+    assert len(rows) > 1
+    assert all(row[1] == "all" for row in rows)
+    assert [cell for row in rows for cell in row[2:]] == [f"{i}.000" for i in range(30)]
+
+
+def test_one_table_is_the_same_as_text_markdown_and_csv():
+    columns = (Column("method"), Column("mean", "m", 2), Column("right", form="share"), Column("time", "ms", "short"))
+    table = Table("t", columns, (("hog", 1 / 3, (3, 4), 0.001234), ("fs", None, (0, 0), float("nan"))))
+    assert [line.split() for line in table.text().splitlines()[-2:]] == [
+        ["hog", "0.33", "75.0", "%", "(3/4)", "0.001234"],
+        ["fs", "–", "–", "(0/0)", "–"],
+    ]
+    assert table.markdown().splitlines() == [
+        "| method | mean [m] | right | time [ms] |",
+        "| --- | ---: | ---: | ---: |",
+        "| hog | 0.33 | 75.0 % (3/4) | 0.001234 |",
+        "| fs | – | – (0/0) | – |",
+    ]
+    rows = list(csv.DictReader(io.StringIO(table.csv())))
+    assert rows[0] == {"method": "hog", "mean [m]": repr(1 / 3), "right": "0.75", "time [ms]": "0.001234"}
+    assert (rows[1]["mean [m]"], rows[1]["time [ms]"]) == ("", "")
