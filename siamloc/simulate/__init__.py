@@ -14,7 +14,7 @@ or, step by step, without files:
 
 The modules, from a building's YAML file to a panorama: `layout` (what a building consists of), `parse` and `load` (its
 file), `floor_plans`, `furnishing`, `route` and `draw` (a building drawn from a seed), `plan` (free space), `trajectory`
-and `run` (one drive), `mesh`, `shell`, `furniture`, `fittings`, `textures` and `prints` (what is visible), `sky` and
+and `run` (one drive), `mesh`, `shell`, `furniture`, `items`, `textures` and `prints` (what is visible), `sky` and
 `light` (light sources), `scene` (all of these), `camera` and `render` (images), `views` (many images, quickly),
 `config` and `produce` (the data set). Rendering needs the package embreex, installed by the extra "simulate".
 """

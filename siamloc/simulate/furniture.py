@@ -13,15 +13,17 @@ from typing import Any
 import numpy as np
 
 from siamloc.simulate.layout import Item
-from siamloc.simulate.mesh import MeshBuilder
+from siamloc.simulate.mesh import WHITE, MeshBuilder, Point
 from siamloc.simulate.prints import BOOK_ROWS, SCREENS
 
 Rng = np.random.Generator
-Builder = Callable[[MeshBuilder, Item, Rng], None]
+Build = Callable[[MeshBuilder, Item, Rng], None]
 Colour = tuple[float, float, float]
 
 BLACKISH = (0.035, 0.035, 0.04)
 STEEL = (0.55, 0.56, 0.58)
+_DUSK = (0.12, 0.1, 0.09)
+_CARDBOARD = np.array((0.42, 0.29, 0.16))
 SEATS: tuple[Colour, ...] = (
     (0.05, 0.08, 0.22), (0.03, 0.03, 0.035), (0.25, 0.04, 0.04), (0.05, 0.16, 0.10), (0.30, 0.15, 0.04),
     (0.14, 0.15, 0.17),
@@ -47,7 +49,7 @@ class Kind:
         options: further keys that the building file may give.
     """
 
-    build: Builder
+    build: Build
     size: tuple[float, float, float]
     z: float = 0.0
     blocks: bool = True
@@ -59,71 +61,105 @@ class Kind:
 def colour_of(item: Item, rng: Rng, palette: tuple[Colour, ...]) -> Colour:
     """Return the item's own colour if the file gives one, else one from the palette."""
     drawn = palette[int(rng.integers(len(palette)))]
-    own: Any = item.options.get("colour")
-    return (float(own[0]), float(own[1]), float(own[2])) if own is not None else drawn
+    red, green, blue = item.options.get("colour") or drawn
+    return float(red), float(green), float(blue)
 
 
-def _legs(b: MeshBuilder, w: float, d: float, top: float, colour: Colour, thick: float = 0.05) -> None:
+def wood_of(item: Item, usual: str = "beech") -> str:
+    """Return the texture that the file gives the item's woodwork, else the usual one."""
+    return str(item.options.get("wood", usual))
+
+
+def fill(b: MeshBuilder, item: Item, z: Point, texture: str, tint: Point = WHITE, skip: str = "", **faces: str) -> None:
+    """Add a box over the whole width and depth of an item, between two heights; see `MeshBuilder.box`."""
+    w, d, _ = item.size
+    b.box((-w / 2, -d / 2, z[0]), (w / 2, d / 2, z[1]), texture, tint, skip, **faces)
+
+
+def front(b: MeshBuilder, item: Item, z: Point, texture: str, tint: Point = WHITE, **more: Any) -> None:
+    """Add a panel over the whole front of an item, between two heights; see `MeshBuilder.panel`."""
+    w, d, _ = item.size
+    b.panel((-w / 2, w / 2), z, d / 2, texture, tint, **more)
+
+
+def sides(item: Item, thick: float) -> tuple[float, float]:
+    """Return where boxes of a thickness begin in x, for the left and the right end of an item."""
+    return -item.size[0] / 2, item.size[0] / 2 - thick
+
+
+def middles(width: float, count: int) -> list[float]:
+    """Return the middles of equal parts of an item in x."""
+    return [width * ((i + 0.5) / count - 0.5) for i in range(count)]
+
+
+def _legs(b: MeshBuilder, item: Item, top: float, colour: Colour, thick: float = 0.05) -> None:
+    w, d, _ = item.size
     for x in (-w / 2 + 0.04, w / 2 - 0.04 - thick):
         for y in (-d / 2 + 0.04, d / 2 - 0.04 - thick):
-            b.box((x, y, 0), (x + thick, y + thick, top), "metal", colour, skip=("bottom", "top"))
+            b.box((x, y, 0), (x + thick, y + thick, top), "metal", colour, "bottom top")
+
+
+def _clutter(b: MeshBuilder, item: Item, rng: Rng, y: Point) -> None:
+    """Put one to three things on an item, at depths between two limits."""
+    w, _, h = item.size
+    for _ in range(int(rng.integers(1, 4))):
+        x = float(rng.uniform(-w / 2 + 0.2, w / 2 - 0.2))
+        clutter(b, x, float(rng.uniform(*y)) if y[0] < y[1] else 0.0, h, rng)
 
 
 def desk(b: MeshBuilder, item: Item, rng: Rng) -> None:
     """A desk: people sit at its front, the screens are at its back."""
     w, d, h = item.size
-    wood = str(item.options.get("wood", "beech"))
-    b.box((-w / 2, -d / 2, h - 0.035), (w / 2, d / 2, h), wood)
-    _legs(b, w, d, h - 0.035, STEEL)
+    wood = wood_of(item)
+    fill(b, item, (h - 0.035, h), wood)
+    _legs(b, item, h - 0.035, STEEL)
     b.box((-w / 2 + 0.1, -d / 2 + 0.05, 0.35), (w / 2 - 0.1, -d / 2 + 0.07, h - 0.035), wood, (0.8, 0.8, 0.8))
     if item.options.get("drawers", True):
-        side = 1 if rng.random() < 0.5 else -1
-        x = side * (w / 2 - 0.32)
-        b.box((x - 0.21, -d / 2 + 0.1, 0.05), (x + 0.21, d / 2 - 0.08, h - 0.1), "plain", (0.6, 0.6, 0.6),
-              skip=("bottom",), faces={"front": "drawers"})  # fmt: skip
+        x = (1 if rng.random() < 0.5 else -1) * (w / 2 - 0.32)
+        low, high = (x - 0.21, -d / 2 + 0.1, 0.05), (x + 0.21, d / 2 - 0.08, h - 0.1)
+        b.box(low, high, "plain", (0.6, 0.6, 0.6), "bottom", front="drawers")
     screens = int(item.options.get("screens", 1))
     for i in range(screens):
         x = (i - (screens - 1) / 2) * 0.56 + rng.uniform(-0.05, 0.05)
         with b.at(x, -d / 2 + 0.22, h, float(rng.uniform(-12, 12))):
-            monitor(b, rng)
+            _monitor(b, rng)
     if screens:
-        x = float(rng.uniform(-0.12, 0.12))
-        y = d / 2 - 0.28
-        b.quad((x + 0.22, y + 0.08, h + 0.02), (x - 0.22, y + 0.08, h + 0.02), (x - 0.22, y - 0.08, h + 0.025),
-               (x + 0.22, y - 0.08, h + 0.025), "keyboard")  # fmt: skip
-        b.box((x + 0.27, y - 0.04, h), (x + 0.33, y + 0.06, h + 0.03), "plastic", BLACKISH, skip=("bottom",))
-    for _ in range(int(rng.integers(1, 4))):
-        clutter(b, float(rng.uniform(-w / 2 + 0.2, w / 2 - 0.2)), float(rng.uniform(-d / 2 + 0.15, 0)), h, rng)
+        x, y = float(rng.uniform(-0.12, 0.12)), d / 2 - 0.28
+        back, ahead = (y + 0.08, h + 0.02), (y - 0.08, h + 0.025)
+        b.quad((x + 0.22, *back), (x - 0.22, *back), (x - 0.22, *ahead), (x + 0.22, *ahead), "keyboard")
+        b.box((x + 0.27, y - 0.04, h), (x + 0.33, y + 0.06, h + 0.03), "plastic", BLACKISH, "bottom")
+    _clutter(b, item, rng, (-d / 2 + 0.15, 0))
 
 
-def monitor(b: MeshBuilder, rng: Rng) -> None:
-    """A flat screen, on or off; its front faces along y."""
-    on = rng.random() < 0.75
-    b.box((-0.26, -0.02, 0.11), (0.26, 0.02, 0.45), "plastic", BLACKISH)
-    face = ((0.25, 0.022, 0.12), (-0.25, 0.022, 0.12), (-0.25, 0.022, 0.44), (0.25, 0.022, 0.44))
-    if on:
-        b.quad(*face, f"screen{rng.integers(SCREENS)}", (0.3, 0.3, 0.3), (1.1, 1.15, 1.25))
+def screen(b: MeshBuilder, rng: Rng, x: Point, z: Point, y: float, lit: float, light: Colour) -> None:
+    """Add the face of a screen, which shines with the probability `lit`."""
+    if rng.random() < lit:
+        b.panel(x, z, y, f"screen{rng.integers(SCREENS)}", (0.3, 0.3, 0.3), emission=light)
     else:
-        b.quad(*face, "plastic", BLACKISH)
-    b.box((-0.03, -0.03, 0.0), (0.03, 0.0, 0.2), "plastic", BLACKISH, skip=("bottom", "top"))
-    b.box((-0.12, -0.1, 0.0), (0.12, 0.08, 0.015), "plastic", BLACKISH, skip=("bottom",))
+        b.panel(x, z, y, "plastic", BLACKISH)
+
+
+def _monitor(b: MeshBuilder, rng: Rng) -> None:
+    """Add a flat screen that faces along y."""
+    b.box((-0.26, -0.02, 0.11), (0.26, 0.02, 0.45), "plastic", BLACKISH)
+    screen(b, rng, (-0.25, 0.25), (0.12, 0.44), 0.022, 0.75, (1.1, 1.15, 1.25))
+    b.box((-0.03, -0.03, 0.0), (0.03, 0.0, 0.2), "plastic", BLACKISH, "bottom top")
+    b.box((-0.12, -0.1, 0.0), (0.12, 0.08, 0.015), "plastic", BLACKISH, "bottom")
 
 
 def clutter(b: MeshBuilder, x: float, y: float, z: float, rng: Rng) -> None:
-    """A sheet of paper, a stack of books, a cup or a lamp on a table top."""
+    """Add a sheet of paper, a stack of books, a cup or a lamp on a table top."""
     kind = int(rng.integers(5))
     with b.at(x, y, z, float(rng.uniform(-40, 40))):
         if kind <= 1:
             stack = 0.004 if kind == 0 else float(rng.uniform(0.03, 0.12))
-            b.box((-0.11, -0.15, 0), (0.11, 0.15, stack), "plain", skip=("bottom",),
-                  faces={"top": f"sheet{rng.integers(4)}"})  # fmt: skip
+            b.box((-0.11, -0.15, 0), (0.11, 0.15, stack), "plain", WHITE, "bottom", top=f"sheet{rng.integers(4)}")
         elif kind == 2:
             for level in range(int(rng.integers(2, 5))):
-                colour = tuple(rng.uniform(0.03, 0.5, 3))
-                b.box((-0.09, -0.12, 0.03 * level), (0.09, 0.12, 0.03 * level + 0.028), "plain", colour,
-                      skip=("bottom",))  # fmt: skip
+                low, high = (-0.09, -0.12, 0.03 * level), (0.09, 0.12, 0.03 * level + 0.028)
+                b.box(low, high, "plain", rng.uniform(0.03, 0.5, 3), "bottom")
         elif kind == 3:
-            b.prism(0, 0, (0, 0.1), 0.04, "plastic", tuple(rng.uniform(0.1, 0.9, 3)), sides=6)
+            b.prism(0, 0, (0, 0.1), 0.04, "plastic", rng.uniform(0.1, 0.9, 3), sides=6)
         else:
             b.prism(0, 0, (0, 0.02), 0.08, "metal", BLACKISH, sides=6)
             b.box((-0.01, -0.01, 0.02), (0.01, 0.01, 0.42), "metal", BLACKISH)
@@ -136,14 +172,14 @@ def chair(b: MeshBuilder, item: Item, rng: Rng) -> None:
     b.box((-0.24, -0.22, 0.43), (0.24, 0.24, 0.51), "fabric", colour)
     b.box((-0.22, -0.28, 0.60), (0.22, -0.22, 1.0), "fabric", colour)
     b.box((-0.03, -0.27, 0.45), (0.03, -0.24, 0.62), "plastic", BLACKISH)
-    b.box((-0.03, -0.03, 0.08), (0.03, 0.03, 0.43), "metal", BLACKISH, skip=("top", "bottom"))
+    b.box((-0.03, -0.03, 0.08), (0.03, 0.03, 0.43), "metal", BLACKISH, "top bottom")
     for i in range(5):
         with b.at(0, 0, 0, i * 72):
             b.box((-0.025, 0.0, 0.05), (0.025, 0.30, 0.09), "plastic", BLACKISH)
-            b.box((-0.025, 0.25, 0.0), (0.025, 0.30, 0.05), "plastic", BLACKISH, skip=("bottom",))
+            b.box((-0.025, 0.25, 0.0), (0.025, 0.30, 0.05), "plastic", BLACKISH, "bottom")
     for x in (-0.29, 0.25):
         b.box((x, -0.15, 0.66), (x + 0.04, 0.14, 0.69), "plastic", BLACKISH)
-        b.box((x, -0.03, 0.45), (x + 0.04, 0.02, 0.66), "plastic", BLACKISH, skip=("top",))
+        b.box((x, -0.03, 0.45), (x + 0.04, 0.02, 0.66), "plastic", BLACKISH, "top")
 
 
 def visitor_chair(b: MeshBuilder, item: Item, rng: Rng) -> None:
@@ -152,24 +188,23 @@ def visitor_chair(b: MeshBuilder, item: Item, rng: Rng) -> None:
     w, d, h = item.size
     b.box((-w / 2, -d / 2 + 0.04, 0.43), (w / 2, d / 2, 0.47), "fabric", colour)
     b.box((-w / 2, -d / 2, 0.55), (w / 2, -d / 2 + 0.03, h), "fabric", colour)
-    _legs(b, w, d, 0.43, STEEL, 0.03)
-    for x in (-w / 2, w / 2 - 0.03):
+    _legs(b, item, 0.43, STEEL, 0.03)
+    for x in sides(item, 0.03):
         b.box((x, -d / 2, 0.43), (x + 0.03, -d / 2 + 0.03, 0.56), "metal", STEEL)
 
 
 def table(b: MeshBuilder, item: Item, rng: Rng) -> None:
     """A table with things on it."""
-    w, d, h = item.size
-    b.box((-w / 2, -d / 2, h - 0.04), (w / 2, d / 2, h), str(item.options.get("wood", "beech")))
-    _legs(b, w, d, h - 0.04, STEEL, 0.06)
-    for _ in range(int(rng.integers(1, 4))):
-        clutter(b, float(rng.uniform(-w / 2 + 0.2, w / 2 - 0.2)), float(rng.uniform(-d / 4, d / 4)), h, rng)
+    _, d, h = item.size
+    fill(b, item, (h - 0.04, h), wood_of(item))
+    _legs(b, item, h - 0.04, STEEL, 0.06)
+    _clutter(b, item, rng, (-d / 4, d / 4))
 
 
 def round_table(b: MeshBuilder, item: Item, rng: Rng) -> None:
     """A round table on one foot."""
     radius, h = item.size[0] / 2, item.size[2]
-    b.prism(0, 0, (h - 0.04, h), radius, str(item.options.get("wood", "beech")), sides=12)
+    b.prism(0, 0, (h - 0.04, h), radius, wood_of(item), sides=12)
     b.prism(0, 0, (0.03, h - 0.04), 0.05, "metal", STEEL, sides=6)
     b.prism(0, 0, (0, 0.03), radius * 0.55, "metal", STEEL, sides=8)
     for _ in range(2):
@@ -180,35 +215,34 @@ def sofa(b: MeshBuilder, item: Item, rng: Rng) -> None:
     """A sofa with cushions."""
     w, d, h = item.size
     colour = colour_of(item, rng, SEATS)
-    lighter = (colour[0] * 1.3, colour[1] * 1.3, colour[2] * 1.3)
-    b.box((-w / 2, -d / 2, 0.08), (w / 2, d / 2, 0.30), "fabric", colour)
-    b.box((-w / 2, -d / 2, 0.30), (w / 2, -d / 2 + 0.2, h), "fabric", colour, skip=("bottom",))
-    for x in (-w / 2, w / 2 - 0.16):
-        b.box((x, -d / 2 + 0.2, 0.30), (x + 0.16, d / 2, 0.58), "fabric", colour, skip=("bottom",))
+    fill(b, item, (0.08, 0.30), "fabric", colour)
+    b.box((-w / 2, -d / 2, 0.30), (w / 2, -d / 2 + 0.2, h), "fabric", colour, "bottom")
+    for x in sides(item, 0.16):
+        b.box((x, -d / 2 + 0.2, 0.30), (x + 0.16, d / 2, 0.58), "fabric", colour, "bottom")
     for x0, x1 in ((-w / 2 + 0.17, -0.01), (0.01, w / 2 - 0.17)):
-        b.box((x0, -d / 2 + 0.2, 0.30), (x1, d / 2, 0.44), "fabric", lighter, skip=("bottom",))
+        b.box((x0, -d / 2 + 0.2, 0.30), (x1, d / 2, 0.44), "fabric", [1.3 * value for value in colour], "bottom")
 
 
 def bench(b: MeshBuilder, item: Item, _: Rng) -> None:
     """A bench without a back."""
-    w, d, h = item.size
-    b.box((-w / 2, -d / 2, h - 0.05), (w / 2, d / 2, h), str(item.options.get("wood", "wood")))
-    _legs(b, w, d, h - 0.05, BLACKISH)
+    h = item.size[2]
+    fill(b, item, (h - 0.05, h), wood_of(item, "wood"))
+    _legs(b, item, h - 0.05, BLACKISH)
 
 
 def shelf(b: MeshBuilder, item: Item, rng: Rng) -> None:
     """An open shelf with rows of books or binders."""
     w, d, h = item.size
-    wood = str(item.options.get("wood", "beech"))
+    wood = wood_of(item)
     levels = max(1, round(h / 0.38))
     content = str(item.options.get("content", "mixed"))
     t = 0.025
-    b.box((-w / 2, -d / 2, 0), (-w / 2 + t, d / 2, h), wood, skip=("bottom", "back"))
-    b.box((w / 2 - t, -d / 2, 0), (w / 2, d / 2, h), wood, skip=("bottom", "back"))
-    b.box((-w / 2 + t, -d / 2, 0), (w / 2 - t, -d / 2 + 0.01, h), wood, (0.75, 0.75, 0.75), skip=("bottom", "top"))
+    b.box((-w / 2, -d / 2, 0), (-w / 2 + t, d / 2, h), wood, WHITE, "bottom back")
+    b.box((w / 2 - t, -d / 2, 0), (w / 2, d / 2, h), wood, WHITE, "bottom back")
+    b.box((-w / 2 + t, -d / 2, 0), (w / 2 - t, -d / 2 + 0.01, h), wood, (0.75, 0.75, 0.75), "bottom top")
     for level in range(levels + 1):
         z = level * (h - t) / levels
-        b.box((-w / 2 + t, -d / 2, z), (w / 2 - t, d / 2, z + t), wood, skip=("left", "right", "back"))
+        b.box((-w / 2 + t, -d / 2, z), (w / 2 - t, d / 2, z + t), wood, WHITE, "left right back")
         if level == levels:
             break
         top = z + t + (h - t) / levels * 0.88
@@ -216,62 +250,52 @@ def shelf(b: MeshBuilder, item: Item, rng: Rng) -> None:
         if kind == "empty" or rng.random() < 0.06:
             continue
         end = w / 2 - t - (0 if rng.random() < 0.7 else rng.uniform(0.1, 0.45) * w)
-        b.box((-w / 2 + t, -d / 2 + 0.01, z + t), (end, d / 2 - 0.06, top), "plain", (0.12, 0.1, 0.09),
-              skip=("bottom", "back", "left"), faces={"front": f"{kind}{rng.integers(BOOK_ROWS)}"})  # fmt: skip
+        low, high = (-w / 2 + t, -d / 2 + 0.01, z + t), (end, d / 2 - 0.06, top)
+        b.box(low, high, "plain", _DUSK, "bottom back left", front=f"{kind}{rng.integers(BOOK_ROWS)}")
 
 
 def shelf_board(b: MeshBuilder, item: Item, rng: Rng) -> None:
     """A board on the wall with one row of books."""
     w, d, _ = item.size
-    b.box((-w / 2, -d / 2, 0), (w / 2, d / 2, 0.025), str(item.options.get("wood", "beech")))
-    b.box((-w / 2 + 0.05, -d / 2, 0.025), (w / 2 - 0.2, d / 2 - 0.05, 0.31), "plain", (0.12, 0.1, 0.09),
-          skip=("bottom", "back"), faces={"front": f"books{rng.integers(BOOK_ROWS)}"})  # fmt: skip
+    fill(b, item, (0, 0.025), wood_of(item))
+    low, high = (-w / 2 + 0.05, -d / 2, 0.025), (w / 2 - 0.2, d / 2 - 0.05, 0.31)
+    b.box(low, high, "plain", _DUSK, "bottom back", front=f"books{rng.integers(BOOK_ROWS)}")
 
 
 def cabinet(b: MeshBuilder, item: Item, rng: Rng) -> None:
-    """A closed cabinet with two doors."""
+    """A closed cabinet with two doors, perhaps with cartons on top."""
     w, d, h = item.size
     colour = colour_of(item, rng, FRONTS)
-    b.box((-w / 2, -d / 2, 0.06), (w / 2, d / 2, h), "plain", colour, skip=("bottom", "front"))
-    front = ((w / 2, d / 2, 0.06), (-w / 2, d / 2, 0.06), (-w / 2, d / 2, h), (w / 2, d / 2, h))
-    b.quad(*front, "cabinet_doors", colour)
-    b.box((-w / 2 + 0.03, -d / 2, 0), (w / 2 - 0.03, d / 2 - 0.04, 0.06), "plain", BLACKISH, skip=("bottom", "top"))
-    if rng.random() < 0.5 and h < 2.1:
-        clutter_boxes(b, w, d, h, rng)
-
-
-def clutter_boxes(b: MeshBuilder, w: float, d: float, h: float, rng: Rng) -> None:
-    """Cartons on top of a cabinet."""
+    fill(b, item, (0.06, h), "plain", colour, "bottom front")
+    front(b, item, (0.06, h), "cabinet_doors", colour)
+    b.box((-w / 2 + 0.03, -d / 2, 0), (w / 2 - 0.03, d / 2 - 0.04, 0.06), "plain", BLACKISH, "bottom top")
+    if rng.random() >= 0.5 or h >= 2.1:
+        return
     x = -w / 2 + 0.03
     while x < w / 2 - 0.3:
         width, height = rng.uniform(0.22, 0.4), rng.uniform(0.15, 0.35)
         width = min(width, w / 2 - 0.02 - x)
         if rng.random() < 0.7:
-            shade = rng.uniform(0.7, 1.0)
-            b.box((x, -d / 2 + 0.04, h), (x + width, d / 2 - 0.06, h + height), "plain",
-                  (0.42 * shade, 0.29 * shade, 0.16 * shade), skip=("bottom",))  # fmt: skip
+            low, high = (x, -d / 2 + 0.04, h), (x + width, d / 2 - 0.06, h + height)
+            b.box(low, high, "plain", rng.uniform(0.7, 1.0) * _CARDBOARD, "bottom")
         x += width + 0.04
 
 
 def sideboard(b: MeshBuilder, item: Item, rng: Rng) -> None:
     """A low cabinet with things on it."""
-    w, d, h = item.size
+    h = item.size[2]
     colour = colour_of(item, rng, FRONTS)
-    wood = str(item.options.get("wood", "beech"))
-    b.box((-w / 2, -d / 2, 0.04), (w / 2, d / 2, h - 0.03), "plain", colour, skip=("bottom", "front", "top"))
-    front = ((w / 2, d / 2, 0.04), (-w / 2, d / 2, 0.04), (-w / 2, d / 2, h - 0.03), (w / 2, d / 2, h - 0.03))
-    b.quad(*front, "cabinet_doors", colour)
-    b.box((-w / 2, -d / 2, h - 0.03), (w / 2, d / 2, h), wood)
-    for _ in range(int(rng.integers(1, 4))):
-        clutter(b, float(rng.uniform(-w / 2 + 0.2, w / 2 - 0.2)), 0.0, h, rng)
+    fill(b, item, (0.04, h - 0.03), "plain", colour, "bottom front top")
+    front(b, item, (0.04, h - 0.03), "cabinet_doors", colour)
+    fill(b, item, (h - 0.03, h), wood_of(item))
+    _clutter(b, item, rng, (0, 0))
 
 
 def lockers(b: MeshBuilder, item: Item, rng: Rng) -> None:
     """A block of steel lockers."""
-    w, d, h = item.size
     colour = colour_of(item, rng, FRONTS)
-    b.box((-w / 2, -d / 2, 0), (w / 2, d / 2, h), "metal", colour, skip=("bottom", "front"))
-    b.quad((w / 2, d / 2, 0), (-w / 2, d / 2, 0), (-w / 2, d / 2, h), (w / 2, d / 2, h), "lockers", colour)
+    fill(b, item, (0, item.size[2]), "metal", colour, "bottom front")
+    front(b, item, (0, item.size[2]), "lockers", colour)
 
 
 def coat_rack(b: MeshBuilder, item: Item, rng: Rng) -> None:
@@ -291,12 +315,9 @@ def waste_bin(b: MeshBuilder, item: Item, rng: Rng) -> None:
 
 def carton(b: MeshBuilder, item: Item, rng: Rng) -> None:
     """A cardboard box."""
-    w, d, h = item.size
-    shade = rng.uniform(0.8, 1.1)
-    b.box((-w / 2, -d / 2, 0), (w / 2, d / 2, h), "plain", (0.42 * shade, 0.29 * shade, 0.16 * shade),
-          skip=("bottom",))  # fmt: skip
-    b.quad((-0.04, -d / 2, h + 0.003), (0.04, -d / 2, h + 0.003), (0.04, d / 2, h + 0.003), (-0.04, d / 2, h + 0.003),
-           "plain", (0.6, 0.5, 0.35))  # fmt: skip
+    _, d, h = item.size
+    fill(b, item, (0, h), "plain", rng.uniform(0.8, 1.1) * _CARDBOARD, "bottom")
+    b.slab((-0.04, 0.04), (-d / 2, d / 2), h + 0.003, "plain", (0.6, 0.5, 0.35))
 
 
 def plant(b: MeshBuilder, item: Item, rng: Rng) -> None:
@@ -308,9 +329,10 @@ def plant(b: MeshBuilder, item: Item, rng: Rng) -> None:
         with b.at(0, 0, float(rng.uniform(0.35, 0.7) * h), float(rng.uniform(0, 360))):
             reach, rise = rng.uniform(0.28, 0.48) * w * 1.4, rng.uniform(0.1, 0.35) * h
             half = rng.uniform(0.06, 0.13)
-            b.quad((-half, 0.03, 0), (half, 0.03, 0), (half * 0.7, reach, rise), (-half * 0.7, reach, rise), "leaf")
-            b.quad((-half * 0.7, reach, rise), (half * 0.7, reach, rise), (half * 0.2, reach * 1.5, rise * 0.7),
-                   (-half * 0.2, reach * 1.5, rise * 0.7), "leaf")  # fmt: skip
+            left, right = (-half * 0.7, reach, rise), (half * 0.7, reach, rise)
+            b.quad((-half, 0.03, 0), (half, 0.03, 0), right, left, "leaf")
+            tip = (reach * 1.5, rise * 0.7)
+            b.quad(left, right, (half * 0.2, *tip), (-half * 0.2, *tip), "leaf")
 
 
 def floor_lamp(b: MeshBuilder, item: Item, _: Rng) -> None:
@@ -324,15 +346,12 @@ def floor_lamp(b: MeshBuilder, item: Item, _: Rng) -> None:
 def bed(b: MeshBuilder, item: Item, rng: Rng) -> None:
     """A bed with its head at its back."""
     w, d, h = item.size
-    colour = colour_of(item, rng, SEATS)
-    wood = str(item.options.get("wood", "beech"))
-    b.box((-w / 2, -d / 2, 0), (w / 2, -d / 2 + 0.05, h), wood, skip=("bottom",))
-    b.box((-w / 2, -d / 2 + 0.05, 0.12), (w / 2, d / 2, 0.3), wood, skip=("bottom",))
+    colour, wood = colour_of(item, rng, SEATS), wood_of(item)
+    b.box((-w / 2, -d / 2, 0), (w / 2, -d / 2 + 0.05, h), wood, WHITE, "bottom")
+    b.box((-w / 2, -d / 2 + 0.05, 0.12), (w / 2, d / 2, 0.3), wood, WHITE, "bottom")
     b.box((-w / 2 + 0.03, -d / 2 + 0.05, 0.3), (w / 2 - 0.03, d / 2 - 0.02, 0.48), "fabric", (0.8, 0.8, 0.78))
-    b.box((-w / 2, -d / 2 + 0.65, 0.32), (w / 2, d / 2, 0.53), "fabric", colour, skip=("bottom",))
-    count = 2 if w > 1.3 else 1
-    for i in range(count):
-        x = w * ((i + 0.5) / count - 0.5)
+    b.box((-w / 2, -d / 2 + 0.65, 0.32), (w / 2, d / 2, 0.53), "fabric", colour, "bottom")
+    for x in middles(w, 2 if w > 1.3 else 1):
         b.box((x - 0.3, -d / 2 + 0.1, 0.48), (x + 0.3, -d / 2 + 0.5, 0.58), "fabric", (0.85, 0.85, 0.85))
 
 
@@ -340,54 +359,45 @@ def armchair(b: MeshBuilder, item: Item, rng: Rng) -> None:
     """An armchair."""
     w, d, h = item.size
     colour = colour_of(item, rng, SEATS)
-    b.box((-w / 2, -d / 2, 0.1), (w / 2, d / 2, 0.4), "fabric", colour, skip=("bottom",))
-    b.box((-w / 2, -d / 2, 0.4), (w / 2, -d / 2 + 0.2, h), "fabric", colour, skip=("bottom",))
-    for x in (-w / 2, w / 2 - 0.15):
-        b.box((x, -d / 2 + 0.2, 0.4), (x + 0.15, d / 2, 0.6), "fabric", colour, skip=("bottom",))
+    fill(b, item, (0.1, 0.4), "fabric", colour, "bottom")
+    b.box((-w / 2, -d / 2, 0.4), (w / 2, -d / 2 + 0.2, h), "fabric", colour, "bottom")
+    for x in sides(item, 0.15):
+        b.box((x, -d / 2 + 0.2, 0.4), (x + 0.15, d / 2, 0.6), "fabric", colour, "bottom")
 
 
 def rug(b: MeshBuilder, item: Item, rng: Rng) -> None:
     """A rug with a border; a robot drives over it."""
     w, d, _ = item.size
     colour = np.array(colour_of(item, rng, SEATS))
-    border = tuple(np.clip(colour * rng.uniform(0.3, 2.5, 3), 0.01, 0.9))
-    b.quad(
-        (-w / 2, -d / 2, 0.004), (w / 2, -d / 2, 0.004), (w / 2, d / 2, 0.004), (-w / 2, d / 2, 0.004), "fabric", border
-    )
+    border = np.clip(colour * rng.uniform(0.3, 2.5, 3), 0.01, 0.9)
+    b.slab((-w / 2, w / 2), (-d / 2, d / 2), 0.004, "fabric", border)
     x, y = w / 2 - 0.12, d / 2 - 0.12
-    b.quad((-x, -y, 0.006), (x, -y, 0.006), (x, y, 0.006), (-x, y, 0.006), "fabric", tuple(colour))
+    b.slab((-x, x), (-y, y), 0.006, "fabric", colour)
 
 
-def wardrobe(b: MeshBuilder, item: Item, rng: Rng) -> None:
+def wardrobe(b: MeshBuilder, item: Item, _: Rng) -> None:
     """A wooden wardrobe with doors."""
     w, d, h = item.size
-    wood = str(item.options.get("wood", "beech"))
-    b.box((-w / 2, -d / 2, 0), (w / 2, d / 2, h), wood, skip=("bottom", "back"))
+    fill(b, item, (0, h), wood_of(item), WHITE, "bottom back")
     count = max(2, round(w / 0.5))
     for i in range(1, count):
         x = w * (i / count - 0.5)
-        b.box(
-            (x - 0.005, d / 2, 0.08), (x + 0.005, d / 2 + 0.004, h - 0.05), "plain", (0.05, 0.05, 0.05), skip=("back",)
-        )
+        b.box((x - 0.005, d / 2, 0.08), (x + 0.005, d / 2 + 0.004, h - 0.05), "plain", (0.05, 0.05, 0.05), "back")
         if i % 2:
-            b.box((x + 0.03, d / 2, 0.95), (x + 0.05, d / 2 + 0.03, 1.2), "metal", skip=("back",))
-    b.box((-w / 2, -d / 2, h), (w / 2, d / 2 + 0.03, h + 0.04), wood)
+            b.box((x + 0.03, d / 2, 0.95), (x + 0.05, d / 2 + 0.03, 1.2), "metal", WHITE, "back")
+    b.box((-w / 2, -d / 2, h), (w / 2, d / 2 + 0.03, h + 0.04), wood_of(item))
 
 
 def bathtub(b: MeshBuilder, item: Item, _: Rng) -> None:
     """A bathtub."""
     w, d, h = item.size
     white = (0.88, 0.88, 0.88)
-    b.box((-w / 2, -d / 2, 0), (w / 2, d / 2, h), "plastic", white, skip=("bottom", "top"))
+    fill(b, item, (0, h), "plastic", white, "bottom top")
     x, y = w / 2 - 0.08, d / 2 - 0.08
-    for low, high in (
-        ((-w / 2, -d / 2), (w / 2, -y)),
-        ((-w / 2, y), (w / 2, d / 2)),
-        ((-w / 2, -y), (-x, y)),
-        ((x, -y), (w / 2, y)),
-    ):
-        b.quad((*low, h), (high[0], low[1], h), (*high, h), (low[0], high[1], h), "plastic", white)
-    b.quad((-x, -y, h - 0.3), (x, -y, h - 0.3), (x, y, h - 0.3), (-x, y, h - 0.3), "plastic", (0.7, 0.7, 0.7))
+    whole, inner, left, right = (-w / 2, w / 2), (-y, y), (-w / 2, -x), (x, w / 2)
+    for across, along in ((whole, (-d / 2, -y)), (whole, (y, d / 2)), (left, inner), (right, inner)):
+        b.slab(across, along, h, "plastic", white)
+    b.slab((-x, x), inner, h - 0.3, "plastic", (0.7, 0.7, 0.7))
     b.box((-w / 2 + 0.1, -0.03, h), (-w / 2 + 0.14, 0.03, h + 0.2), "metal")
 
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from siamloc.errors import SiamlocError, installing
 
 Array = NDArray[Any]
-Point = Sequence[float]
+Point = Sequence[float] | Array
 WHITE = (1.0, 1.0, 1.0)
 BLACK = (0.0, 0.0, 0.0)
 
@@ -130,23 +130,30 @@ class MeshBuilder:
         self._corners.append(corners @ self._axes + self._origin)
         self._rows.append((index, repeat, tuple(phase), tuple(tint), tuple(emission), self.room, lamp))
 
-    def box(
-        self,
-        low: Point,
-        high: Point,
-        texture: str,
-        tint: Point = WHITE,
-        skip: Sequence[str] = (),
-        faces: dict[str, str] | None = None,
-        emission: Point = BLACK,
-    ) -> None:
-        """Add a box between two corners; `faces` gives some faces another texture, `skip` leaves faces out."""
+    def slab(self, x: Point, y: Point, z: float, texture: str, tint: Point = WHITE) -> None:
+        """Add a level rectangle, visible from above, between x[0] < x[1] and y[0] < y[1]."""
+        self.quad((x[0], y[0], z), (x[1], y[0], z), (x[1], y[1], z), (x[0], y[1], z), texture, tint)
+
+    def panel(self, x: Point, z: Point, y: float, texture: str, tint: Point = WHITE, **more: Any) -> None:
+        """Add an upright rectangle, visible from the front (+y), between x[0] < x[1] and z[0] < z[1]."""
+        self.quad((x[1], y, z[0]), (x[0], y, z[0]), (x[0], y, z[1]), (x[1], y, z[1]), texture, tint, **more)
+
+    def box(self, low: Point, high: Point, texture: str, tint: Point = WHITE, skip: str = "", **faces: str) -> None:
+        """Add a box between two corners.
+
+        Args:
+            low: corner with the smallest coordinates.
+            high: corner with the largest coordinates.
+            texture: of all faces.
+            tint: colour of the faces with that texture.
+            skip: names of the faces to leave out, such as "back bottom".
+            faces: other textures, by the name of the face.
+        """
         start, extent = np.asarray(low, dtype=np.float64), np.asarray(high, dtype=np.float64) - np.asarray(low)
         for name, unit in _CORNERS.items():
             if name not in skip:
                 a, b, c, d = start + unit * extent
-                own = (faces or {}).get(name)
-                self.quad(a, b, c, d, own or texture, WHITE if own else tint, emission)
+                self.quad(a, b, c, d, faces.get(name, texture), WHITE if name in faces else tint)
 
     def prism(
         self,

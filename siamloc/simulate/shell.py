@@ -106,7 +106,7 @@ def leaf_segment(building: Building, opening: Opening, angle: float) -> Array:
 
 def _slabs(b: MeshBuilder, room: Room) -> None:
     (x0, x1), (y0, y1) = room.inner()
-    b.quad((x0, y0, 0), (x1, y0, 0), (x1, y1, 0), (x0, y1, 0), room.floor)
+    b.slab((x0, x1), (y0, y1), 0, room.floor)
     h = room.height
     b.quad((x0, y1, h), (x1, y1, h), (x1, y0, h), (x0, y0, h), room.ceiling)
 
@@ -117,7 +117,7 @@ def _panel(b: MeshBuilder, x: Point, z: Point, y: float, texture: str, tint: Poi
         return
     tile = b.textures[texture][1]
     phase = (-x[1] / tile[0], z[0] / tile[1]) if tile else (0.0, 0.0)
-    b.quad((x[1], y, z[0]), (x[0], y, z[0]), (x[0], y, z[1]), (x[1], y, z[1]), texture, tint, phase=phase)
+    b.panel(x, z, y, texture, tint, phase=phase)
 
 
 def _wall(b: MeshBuilder, building: Building, room: Room, side: str, fixtures: Fixtures, style: Style) -> None:
@@ -211,11 +211,11 @@ def _doorway(
     if opening.kind == "open" and opening.width > 1.6:
         return
     c, out = _CASING, 0.03
-    b.box((left - c, 0, z0), (left, out, z1 + c), "plain", style.frame, skip=("back", "bottom"))
-    b.box((right, 0, z0), (right + c, out, z1 + c), "plain", style.frame, skip=("back", "bottom"))
-    b.box((left, 0, z1), (right, out, z1 + c), "plain", style.frame, skip=("back", "left", "right"))
+    b.box((left - c, 0, z0), (left, out, z1 + c), "plain", style.frame, skip="back bottom")
+    b.box((right, 0, z0), (right + c, out, z1 + c), "plain", style.frame, skip="back bottom")
+    b.box((left, 0, z1), (right, out, z1 + c), "plain", style.frame, skip="back left right")
     if opening.kind == "pane":
-        b.box((left, 0, z0 - c), (right, out, z0), "plain", style.frame, skip=("back", "left", "right"))
+        b.box((left, 0, z0 - c), (right, out, z0), "plain", style.frame, skip="back left right")
         if owner:
             count = max(1, round((right - left) / 0.9))
             for i in range(1, count):
@@ -272,7 +272,7 @@ def _lamps(b: MeshBuilder, room: Room) -> list[Lamp]:
                 z = room.height - (0.04 if kind == "panel" else 0.16)
                 rim = 0.025
                 low, high = (x - w / 2 - rim, y - d / 2 - rim), (x + w / 2 + rim, y + d / 2 + rim)
-                b.box((*low, z), (*high, z + 0.05), "metal", (0.7, 0.7, 0.7), skip=("bottom",))
+                b.box((*low, z), (*high, z + 0.05), "metal", (0.7, 0.7, 0.7), skip="bottom")
                 b.quad((low[0], high[1], z), (high[0], high[1], z), (*high[:1], low[1], z), (*low, z), "plain")
                 under = z - 0.004
                 b.quad(
@@ -281,7 +281,7 @@ def _lamps(b: MeshBuilder, room: Room) -> list[Lamp]:
                     "plain", lamp=1.0,
                 )  # fmt: skip
                 if kind == "tube":
-                    b.box((x - 0.01, y - 0.01, z + 0.05), (x + 0.01, y + 0.01, room.height), "metal", skip=("top",))
+                    b.box((x - 0.01, y - 0.01, z + 0.05), (x + 0.01, y + 0.01, room.height), "metal", skip="top")
                 area = w * d
             lamps.append(Lamp(x, y, z - 0.02, area, WHITE, room.name))
     return lamps
