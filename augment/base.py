@@ -247,8 +247,8 @@ class Effect(ABC):
             rows = np.flatnonzero(changed)
             if len(rows):
                 some = effect.brushes({key: value[rows] for key, value in own.items()}, height, width)
-                for row, strokes in zip(rows.tolist(), some, strict=True):
-                    brushes[row].extend(strokes)
+                for row, brush in zip(rows.tolist(), some, strict=True):
+                    brushes[row].append(brush)
         paint(frames.numpy(), brushes)
         return frames
 
@@ -368,13 +368,15 @@ class Effect(ABC):
         """Return the drawn parameters of `count` frames, together with those that follow from them."""
         return params
 
-    def brushes(self, params: Params, height: int, width: int) -> list[Sequence[Brush]]:
-        """Return for each frame the brushes that alter it in place, as 8-bit levels; `render` by default."""
-        values = self.tensors(params, height, width)
-        return [
-            [partial(self._paint, {name: value[frame : frame + 1] for name, value in values.items()})]
-            for frame in range(_count(params))
-        ]
+    def brushes(self, params: Params, height: int, width: int) -> list[Brush]:
+        """Return for each frame the function that alters it in place; `paint` with its own parameters by default."""
+        return [partial(self.paint, values) for values in by_frame(params)]
+
+    def paint(self, params: Mapping[str, float], frame: Frame) -> None:
+        """Alter one frame in place, as 8-bit levels, with parameters in plain numbers; by default as `render` does."""
+        values = self.tensors({name: torch.tensor([value]) for name, value in params.items()}, *frame.shape[1:])
+        done = self.render(torch.from_numpy(frame)[None].float().div_(255), values)[0]
+        frame[:] = done.mul(255).round_().clamp_(0, 255).to(torch.uint8).numpy()
 
     @abstractmethod
     def render(self, batch: Tensor, values: Mapping[str, Tensor]) -> Tensor:
@@ -394,10 +396,6 @@ class Effect(ABC):
             name: torch.from_numpy(np.atleast_2d(value).T.astype(np.float32))[..., None, None]
             for name, value in numbers.items()
         }
-
-    def _paint(self, values: Mapping[str, Tensor], frame: Frame) -> None:
-        done = self.render(torch.from_numpy(frame)[None].float().div_(255), values)[0]
-        frame[:] = done.mul(255).round_().clamp_(0, 255).to(torch.uint8).numpy()
 
     def checked(self, params: Mapping[str, Any], count: int, height: int, width: int) -> Params:
         """Return parameters as tensors (B,) in main memory.
@@ -527,6 +525,12 @@ def places_in(height: int, width: int, device: torch.device) -> tuple[Tensor, Te
     """Return the numbers of rows (1, 1, H, 1) and columns (1, 1, 1, W), float32; kept for further batches."""
     rows, columns = (torch.arange(count, device=device, dtype=torch.float32) for count in (height, width))
     return rows.view(1, 1, -1, 1), columns.view(1, 1, 1, -1)
+
+
+def by_frame(params: Mapping[str, Tensor]) -> list[dict[str, Any]]:
+    """Return the parameters of each frame as plain numbers."""
+    columns = [value.tolist() for value in params.values()]
+    return [dict(zip(params, each, strict=True)) for each in zip(*columns, strict=True)]
 
 
 def as_numbers(params: Mapping[str, Tensor]) -> Numbers:

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from functools import partial
+from collections.abc import Mapping
 from math import ceil, floor, pi
 from typing import ClassVar
 
@@ -12,8 +11,8 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from augment.base import Effect, Numbers, Params, Range, as_numbers, places_in
-from augment.brushes import Brush, Frame
+from augment.base import Effect, Numbers, Params, Range, places_in
+from augment.brushes import Frame
 
 _MOST = 4  # bars
 _PLACES = tuple(f"place{number}" for number in range(_MOST))
@@ -55,9 +54,9 @@ class Rotate(Effect):
         """Any shift, and the heading."""
         return {"shift": Range(0, 0, whole=True), "heading": Range(0, 0)}
 
-    def brushes(self, params: Params, height: int, width: int) -> list[Sequence[Brush]]:
-        """Return for each frame the move of its columns."""
-        return [[partial(_turn, int(shift) % width)] if int(shift) % width else [] for shift in params["shift"]]
+    def paint(self, params: Mapping[str, float], frame: Frame) -> None:
+        """Move the columns of a frame."""
+        frame[:] = np.roll(frame, int(params["shift"]), axis=2)
 
     def coefficients(self, params: Numbers, height: int, width: int) -> Numbers:
         """The shift within one turn."""
@@ -95,11 +94,13 @@ class Occlude(Effect):
         column = Range(0, width - 1 if self.circular else 0, whole=True)
         return {"column": column, **{place: Range(0, 1, minimum=0, maximum=1) for place in _PLACES}}
 
-    def brushes(self, params: Params, height: int, width: int) -> list[Sequence[Brush]]:
-        """Return for each frame what fills its bars."""
-        starts, lengths = (value.T.astype(int).tolist() for value in _bars(as_numbers(params), width))
-        frames = zip(starts, lengths, params["level"].tolist(), strict=True)
-        return [[partial(_fill, list(zip(start, length, strict=True)), level)] for start, length, level in frames]
+    def paint(self, params: Mapping[str, float], frame: Frame) -> None:
+        """Fill the bars of a frame."""
+        width = frame.shape[2]
+        bars = _bars({key: np.array([value]) for key, value in params.items()}, width)
+        for start, length in np.concatenate(bars, axis=1).astype(int).tolist():
+            frame[:, :, start : start + length] = params["level"]
+            frame[:, :, : max(start + length - width, 0)] = params["level"]
 
     def coefficients(self, params: Numbers, height: int, width: int) -> Numbers:
         """The bars."""
@@ -118,10 +119,6 @@ def wrapped(angle: Tensor) -> Tensor:
     return pi - (pi - angle) % (2 * pi)
 
 
-def _turn(shift: int, frame: Frame) -> None:
-    frame[:] = np.concatenate([frame[:, :, -shift:], frame[:, :, :-shift]], axis=2)
-
-
 def _bars(params: Numbers, width: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return the first column and the width of each bar, whole numbers (4, B); absent bars have width 0."""
     bars, number = params["bars"], np.arange(_MOST)[:, None]
@@ -131,11 +128,3 @@ def _bars(params: Numbers, width: int) -> tuple[NDArray[np.float64], NDArray[np.
     length = np.minimum(np.floor(params["share"] * width / bars + 0.5), room)
     start = sector + np.minimum(np.floor(place * (room - length + 1)), room - length)
     return (start + params["column"]) % width, np.where(number < bars, length, 0)
-
-
-def _fill(bars: list[tuple[int, int]], level: int, frame: Frame) -> None:
-    width = frame.shape[2]
-    for start, length in bars:
-        frame[:, :, start : start + length] = level
-        if start + length > width:
-            frame[:, :, : start + length - width] = level

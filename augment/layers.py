@@ -7,7 +7,7 @@ here; lamps and reflections are in `spots`.
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping
 from functools import partial
 from math import asin, atan, ceil, floor, hypot, pi
 from typing import Any, ClassVar
@@ -18,7 +18,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from augment.base import Effect, Numbers, Params, Range, places_in
+from augment.base import Effect, Numbers, Params, Range, by_frame, places_in
 from augment.brushes import Brush, Frame
 
 _SUN = (1.0, 0.93, 0.78)  # colour of sunlight: red, green, blue
@@ -60,12 +60,12 @@ class Layer(Effect):
         """
         return 0, height, 0, width
 
-    def brushes(self, params: Params, height: int, width: int) -> list[Sequence[Brush]]:
+    def brushes(self, params: Params, height: int, width: int) -> list[Brush]:
         """Return for each frame the application of its layer."""
-        plain = _of_frames({name: value.tolist() for name, value in params.items()})
-        values = _of_frames(self.tensors(params, height, width))
-        boxes = [self.box(each, height, width) for each in plain]
-        return [[partial(self._lay, *both)] for both in zip(boxes, values, strict=True)]
+        values = self.tensors(params, height, width)
+        frames = [dict(zip(values, each, strict=True)) for each in zip(*values.values(), strict=True)]
+        boxes = [self.box(each, height, width) for each in by_frame(params)]
+        return [partial(self._lay, *both) for both in zip(boxes, frames, strict=True)]
 
     def render(self, batch: Tensor, values: Mapping[str, Tensor]) -> Tensor:
         """Return the batch with its layers applied."""
@@ -277,7 +277,3 @@ def _smooth(step: Tensor) -> Tensor:
 def start_of(params: Numbers, width: int) -> NDArray[np.float64]:
     """Return where `Layer.offset` begins to count for the parameter `column`."""
     return params["column"] - width // 2
-
-
-def _of_frames(values: Mapping[str, Iterable[Any]]) -> list[dict[str, Any]]:
-    return [dict(zip(values, each, strict=True)) for each in zip(*values.values(), strict=True)]

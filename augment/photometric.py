@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from functools import cached_property, partial
 from typing import Any, ClassVar
 
@@ -24,12 +24,12 @@ class PointEffect(Effect):
     def curve(self, level: Tensor, values: Mapping[str, Tensor]) -> Tensor:
         """Return the new level for levels in [0, 1], (B, 3, H, W) or (1, 1, 1, 256); values as for `render`."""
 
-    def brushes(self, params: Params, height: int, width: int) -> list[Sequence[Brush]]:
+    def brushes(self, params: Params, height: int, width: int) -> list[Brush]:
         """Return for each frame the lookup of its table."""
         levels = (torch.arange(256, dtype=torch.float32) / 255).view(1, 1, 1, 256)
         curves = self.curve(levels, self.tensors(params, height, width))
         tables = (curves.clamp(0, 1) * 255).round().to(torch.uint8).squeeze(2).numpy()
-        return [[partial(_look_up, table)] for table in tables]
+        return [partial(_look_up, table) for table in tables]
 
     def render(self, batch: Tensor, values: Mapping[str, Tensor]) -> Tensor:
         """Return the curve of every value."""
@@ -68,9 +68,12 @@ class Brighten(Tone):
         """The sum."""
         return _tone(offset=params["amount"] * (self.sign / 255))
 
-    def brushes(self, params: Params, height: int, width: int) -> list[Sequence[Brush]]:
-        """Return for each frame a saturating addition, which is faster than the table."""
-        return [[partial(_add, self.sign * int(amount))] for amount in params["amount"].tolist()]
+    brushes = Effect.brushes  # a saturating addition is faster than the table
+
+    def paint(self, params: Mapping[str, float], frame: Frame) -> None:
+        """Add to the levels of a frame, or subtract from them."""
+        change = cv2.add if self.sign > 0 else cv2.subtract
+        change(flat(frame), int(params["amount"]), dst=flat(frame))  # type: ignore[call-overload]
 
 
 class Darken(Brighten):
@@ -102,10 +105,12 @@ class Contrast(Tone):
         """The slope, and what keeps the pivot."""
         return _tone(gain=params["factor"], offset=(1 - params["factor"]) * params["pivot"] / 255)
 
-    def brushes(self, params: Params, height: int, width: int) -> list[Sequence[Brush]]:
-        """Return for each frame a saturating scaling, which is faster than the table."""
-        pairs = zip(params["factor"].tolist(), params["pivot"].tolist(), strict=True)
-        return [[partial(_scale, factor, pivot * (1 - factor))] for factor, pivot in pairs]
+    brushes = Effect.brushes  # a saturating scaling is faster than the table
+
+    def paint(self, params: Mapping[str, float], frame: Frame) -> None:
+        """Scale the levels of a frame."""
+        factor = params["factor"]
+        cv2.addWeighted(flat(frame), factor, flat(frame), 0, params["pivot"] * (1 - factor), dst=flat(frame))
 
 
 class Gamma(Tone):
@@ -196,9 +201,16 @@ class Equalize(Effect):
     name = "equalize"
     RANGES: ClassVar[Mapping[str, Range]] = {"strength": Range(1, 1, minimum=0, maximum=1, neutral=0)}
 
-    def brushes(self, params: Params, height: int, width: int) -> list[Sequence[Brush]]:
-        """Return for each frame the lookup of the tables that its histograms give."""
-        return [[partial(_equalize, strength)] for strength in params["strength"].tolist()]
+    def paint(self, params: Mapping[str, float], frame: Frame) -> None:
+        """Look up the levels of a frame in the tables that its histograms give."""
+        tables = np.empty((3, 256), dtype=np.uint8)
+        levels = np.arange(256)
+        for channel in range(3):
+            counts = cv2.calcHist([frame[channel]], [0], None, [256], [0, 256]).ravel().astype(np.int64)
+            step = (counts.sum() - counts[np.flatnonzero(counts)[-1]]) // 255
+            table = np.minimum((counts.cumsum() - counts + step // 2) // max(step, 1), 255)
+            tables[channel] = np.rint(levels + params["strength"] * (step > 0) * (table - levels))
+        _look_up(tables, frame)
 
     def render(self, batch: Tensor, values: Mapping[str, Tensor]) -> Tensor:
         """Return the lookup, mixed by strength; a channel of one level stays as it is."""
@@ -225,9 +237,19 @@ class Saturate(Effect):
     name = "saturate"
     RANGES: ClassVar[Mapping[str, Range]] = {"factor": Range(0.2, 2.0, minimum=0, maximum=20, neutral=1)}
 
-    def brushes(self, params: Params, height: int, width: int) -> list[Sequence[Brush]]:
-        """Return for each frame the formula on its three planes."""
-        return [[partial(_saturate, factor)] for factor in params["factor"].tolist()]
+    def paint(self, params: Mapping[str, float], frame: Frame) -> None:
+        """Apply the formula to the three planes of a frame."""
+        factor, value = params["factor"], np.maximum(np.maximum(frame[0], frame[1]), frame[2])
+        if factor < 1:
+            for channel in range(3):
+                cv2.addWeighted(value, 1 - factor, frame[channel], factor, 0, dst=frame[channel])
+            return
+        least = np.minimum(np.minimum(frame[0], frame[1]), frame[2])
+        scale = np.divide(value, np.maximum(value - least, 1), dtype=np.float32)
+        np.minimum(scale, np.float32(factor), out=scale)
+        for channel in range(3):
+            below = cv2.multiply(value - frame[channel], scale, dtype=cv2.CV_8U)
+            np.subtract(value, below, out=frame[channel])
 
     def render(self, batch: Tensor, values: Mapping[str, Tensor]) -> Tensor:
         """Return the formula, in a form that leaves grey exactly as it is."""
@@ -243,37 +265,3 @@ def _look_up(table: NDArray[np.uint8], frame: Frame) -> None:
         return
     for channel, levels in zip(frame, table, strict=True):
         cv2.LUT(channel, levels, dst=channel)
-
-
-def _scale(factor: float, offset: float, frame: Frame) -> None:
-    cv2.addWeighted(flat(frame), factor, flat(frame), 0, offset, dst=flat(frame))
-
-
-def _add(amount: int, frame: Frame) -> None:
-    add = cv2.add if amount >= 0 else cv2.subtract
-    add(flat(frame), abs(amount), dst=flat(frame))  # type: ignore[call-overload]
-
-
-def _equalize(strength: float, frame: Frame) -> None:
-    tables = np.empty((3, 256), dtype=np.uint8)
-    levels = np.arange(256)
-    for channel in range(3):
-        counts = cv2.calcHist([frame[channel]], [0], None, [256], [0, 256]).ravel().astype(np.int64)
-        step = (counts.sum() - counts[np.flatnonzero(counts)[-1]]) // 255
-        table = np.minimum((counts.cumsum() - counts + step // 2) // max(step, 1), 255)
-        tables[channel] = np.rint(levels + strength * (step > 0) * (table - levels))
-    _look_up(tables, frame)
-
-
-def _saturate(factor: float, frame: Frame) -> None:
-    value = np.maximum(np.maximum(frame[0], frame[1]), frame[2])
-    if factor < 1:
-        for channel in range(3):
-            cv2.addWeighted(value, 1 - factor, frame[channel], factor, 0, dst=frame[channel])
-        return
-    least = np.minimum(np.minimum(frame[0], frame[1]), frame[2])
-    scale = np.divide(value, np.maximum(value - least, 1), dtype=np.float32)
-    np.minimum(scale, np.float32(factor), out=scale)
-    for channel in range(3):
-        below = cv2.multiply(value - frame[channel], scale, dtype=cv2.CV_8U)
-        np.subtract(value, below, out=frame[channel])

@@ -6,7 +6,7 @@ pixel by 2^(s / 2.2).
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from functools import partial
 from math import ceil, floor, pi
 from typing import Any, ClassVar
@@ -79,14 +79,12 @@ class Relight(Layer):
         level, slope, colour = self._of_columns(columns, values, width)
         return torch.exp2(level + slope * _above(rows, height)) * colour
 
-    def brushes(self, params: Params, height: int, width: int) -> list[Sequence[Brush]]:
+    def brushes(self, params: Params, height: int, width: int) -> list[Brush]:
         """Return for each frame the multiplication with its gains; those of columns come from the whole batch."""
         columns = torch.arange(width, dtype=torch.float32).view(1, 1, 1, -1)
         parts = (part.numpy() for part in self._of_columns(columns, self.tensors(params, height, width), width))
         above = _above(torch.arange(height, dtype=torch.float32).view(-1, 1), height).numpy()
-        return [
-            [partial(_relight, level[0], slope[0], colour, above)] for level, slope, colour in zip(*parts, strict=True)
-        ]
+        return [partial(_relight, above, *part) for part in zip(*parts, strict=True)]
 
     def _of_columns(self, columns: Tensor, values: Mapping[str, Any], width: int) -> tuple[Tensor, Tensor, Tensor]:
         """Return powers of two: of the middle row and their growth upwards (b, 1, 1, w); and gains (b, 3, 1, w)."""
@@ -153,10 +151,15 @@ class Windows(Effect):
         "strength": Range(1, 1, minimum=0, maximum=1, neutral=0),
     }
 
-    def brushes(self, params: Params, height: int, width: int) -> list[Sequence[Brush]]:
-        """Return for each frame the change of its brightest pixels."""
-        values = zip(*(params[key].tolist() for key in ("share", "level", "strength")), strict=True)
-        return [[partial(_black_out, *value)] for value in values]
+    def paint(self, params: Mapping[str, float], frame: Frame) -> None:
+        """Change the brightest pixels of a frame."""
+        share, level, strength = (np.float32(params[key]) for key in ("share", "level", "strength"))
+        bright = frame.sum(axis=0, dtype=np.uint16)
+        reached = np.bincount(bright.ravel(), minlength=_WHITE + 2)[::-1].cumsum()[::-1]
+        threshold = int((reached > share * bright.size).sum())
+        rows, columns = np.nonzero(bright >= threshold)
+        old = frame[:, rows, columns].astype(np.float32)
+        frame[:, rows, columns] = np.rint(old + strength * (level - old)).clip(0, 255)
 
     def coefficients(self, params: Numbers, height: int, width: int) -> Numbers:
         """The number of pixels that must be darker than the threshold."""
@@ -178,16 +181,7 @@ def _above(rows: Tensor, height: int) -> Tensor:
     return 1 - rows * (2 / max(height - 1, 1))
 
 
-def _relight(level: Floats, slope: Floats, colour: Floats, above: Floats, frame: Frame) -> None:
-    gain = np.exp2(level + slope * above)
+def _relight(above: Floats, level: Floats, slope: Floats, colour: Floats, frame: Frame) -> None:
+    gain = np.exp2(level[0] + slope[0] * above)
     for channel, tint in zip(frame, colour, strict=True):
         cv2.multiply(channel, gain * tint, dst=channel, dtype=cv2.CV_8U)
-
-
-def _black_out(share: float, level: float, strength: float, frame: Frame) -> None:
-    bright = frame.sum(axis=0, dtype=np.uint16)
-    reached = np.bincount(bright.ravel(), minlength=_WHITE + 2)[::-1].cumsum()[::-1]
-    threshold = int((reached > np.float32(share) * bright.size).sum())
-    rows, columns = np.nonzero(bright >= threshold)
-    old = frame[:, rows, columns].astype(np.float32)
-    frame[:, rows, columns] = np.rint(old + np.float32(strength) * (np.float32(level) - old)).clip(0, 255)

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from functools import lru_cache, partial
+from collections.abc import Mapping
+from functools import lru_cache
 from typing import ClassVar
 
 import cv2
@@ -11,8 +11,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from augment.base import Effect, Numbers, Params, Range
-from augment.brushes import Brush, Frame, flat
+from augment.base import Effect, Numbers, Range
+from augment.brushes import Frame, flat
 from augment.columns import Rotate
 from augment.compression import QUANTA, compressed
 
@@ -40,10 +40,14 @@ class Noise(Effect):
             "column": Range(0, 0, whole=True),
         }
 
-    def brushes(self, params: Params, height: int, width: int) -> list[Sequence[Brush]]:
-        """Return for each frame the addition of its noise."""
-        stretches = zip(*(params[key].tolist() for key in ("variance", "first", "second", "column")), strict=True)
-        return [[partial(_add_noise, *stretch)] for stretch in stretches]
+    def paint(self, params: Mapping[str, float], frame: Frame) -> None:
+        """Add its noise to a frame."""
+        scale, stretches = 255 * (params["variance"] / 2) ** 0.5, _stretches("cpu", frame.size)
+        a, b = (stretches[int(params[start])].view(flat(frame).shape).numpy() for start in ("first", "second"))
+        noise = cv2.addWeighted(a, scale, b, scale, 0)
+        if params["column"]:
+            noise = np.roll(noise, int(params["column"]), axis=1)
+        cv2.add(flat(frame), noise, dst=flat(frame), dtype=cv2.CV_8U)
 
     def coefficients(self, params: Numbers, height: int, width: int) -> Numbers:
         """The scale of the sum; the turn is left out where no frame has one."""
@@ -79,10 +83,13 @@ class Jpeg(Effect):
         "strength": Range(1, 1, minimum=0, maximum=1, neutral=0),
     }
 
-    def brushes(self, params: Params, height: int, width: int) -> list[Sequence[Brush]]:
-        """Return for each frame the pass through the codec."""
-        pairs = zip(params["quality"].tolist(), params["strength"].tolist(), strict=True)
-        return [[partial(_compress, int(quality), strength)] for quality, strength in pairs]
+    def paint(self, params: Mapping[str, float], frame: Frame) -> None:
+        """Pass a frame through the codec."""
+        quality, strength = int(params["quality"]), params["strength"]
+        packed = cv2.imencode(".jpg", cv2.merge(list(frame[::-1])), [cv2.IMWRITE_JPEG_QUALITY, quality])[1]
+        planes = cv2.split(np.asarray(cv2.imdecode(packed, cv2.IMREAD_COLOR)))[::-1]
+        for channel, plane in zip(frame, planes, strict=True):
+            channel[:] = plane if strength == 1 else cv2.addWeighted(channel, 1 - strength, plane, strength, 0)
 
     def coefficients(self, params: Numbers, height: int, width: int) -> Numbers:
         """The steps of the coefficients of brightness and of colour, as libjpeg scales them."""
@@ -96,7 +103,7 @@ class Jpeg(Effect):
         if batch.device.type == "cpu":
             frames = (batch * 255).round().to(torch.uint8).numpy()
             for frame, quality in zip(frames, values["quality"].flatten().tolist(), strict=True):
-                _compress(int(quality), 1.0, frame)
+                self.paint({"quality": quality, "strength": 1}, frame)
             done = torch.from_numpy(frames).float() / 255
         else:
             done = compressed(batch, values["brightness"], values["colour"])
@@ -109,19 +116,3 @@ def _stretches(device: str, length: int) -> Tensor:
     normal = torch.randn(_TABLE, generator=torch.Generator().manual_seed(20230705), device="cpu")
     longer = normal.repeat(2 + length // _TABLE)[: _TABLE + length - 1]
     return longer.to(device).unfold(0, length, 1)
-
-
-def _add_noise(variance: float, first: int, second: int, column: int, frame: Frame) -> None:
-    scale, stretches = 255 * (variance / 2) ** 0.5, _stretches("cpu", frame.size)
-    a, b = (stretches[int(start)].view(flat(frame).shape).numpy() for start in (first, second))
-    noise = cv2.addWeighted(a, scale, b, scale, 0)
-    if column:
-        noise = np.roll(noise, column, axis=1)
-    cv2.add(flat(frame), noise, dst=flat(frame), dtype=cv2.CV_8U)
-
-
-def _compress(quality: int, strength: float, frame: Frame) -> None:
-    packed = cv2.imencode(".jpg", cv2.merge(list(frame[::-1])), [cv2.IMWRITE_JPEG_QUALITY, quality])[1]
-    planes = cv2.split(np.asarray(cv2.imdecode(packed, cv2.IMREAD_COLOR)))[::-1]
-    for channel, plane in zip(frame, planes, strict=True):
-        channel[:] = plane if strength == 1 else cv2.addWeighted(channel, 1 - strength, plane, strength, 0)

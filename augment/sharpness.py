@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from functools import partial
 from typing import Any, ClassVar
 
@@ -12,8 +12,8 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from augment.base import Effect, Numbers, Params, Range, places_in
-from augment.brushes import Brush, Frame
+from augment.base import Effect, Numbers, Range, places_in
+from augment.brushes import Frame
 from augment.errors import AugmentError
 
 _WHOLE = 1 << 20  # steps from black to white
@@ -31,13 +31,11 @@ class Sharpen(Effect):
     name = "sharpen"
     RANGES: ClassVar[Mapping[str, Range]] = {"strength": Range(1, 1, minimum=0, maximum=10, neutral=0)}
 
-    def brushes(self, params: Params, height: int, width: int) -> list[Sequence[Brush]]:
-        """Return for each frame the convolution with its mask."""
-        brushes: list[Sequence[Brush]] = []
-        for s in params["strength"].tolist():
-            mask = np.array([[0, -s, 0], [-s, 1 + 4 * s, -s], [0, -s, 0]], dtype=np.float32)
-            brushes.append([partial(_filtered, _convolution(mask), 1, self.circular)])
-        return brushes
+    def paint(self, params: Mapping[str, float], frame: Frame) -> None:
+        """Filter a frame with its mask."""
+        s = params["strength"]
+        mask = np.array([[0, -s, 0], [-s, 1 + 4 * s, -s], [0, -s, 0]], dtype=np.float32)
+        _filter(frame, _convolution(mask), 1, self.circular)
 
     def render(self, batch: Tensor, values: Mapping[str, Tensor]) -> Tensor:
         """Return the batch with its scaled Laplacian added."""
@@ -67,16 +65,13 @@ class Blur(Effect):
         if isinstance(size, bool) or not isinstance(size, int) or size < 1 or size % 2 == 0:
             raise AugmentError(f"size of {self.name} must be an odd number of pixels, got {size!r}")
 
-    def brushes(self, params: Params, height: int, width: int) -> list[Sequence[Brush]]:
-        """Return for each frame the box filter, or the mixture of it with the original in one mask."""
-        size = self.options["size"]
-        brushes: list[Sequence[Brush]] = []
-        for strength in params["strength"].tolist():
-            mask = np.full((size, size), strength / size**2, dtype=np.float32)
-            mask[size // 2, size // 2] += 1 - strength
-            work = _box(size, size) if strength == 1 else _convolution(mask)
-            brushes.append([partial(_filtered, work, size // 2, self.circular)])
-        return brushes
+    def paint(self, params: Mapping[str, float], frame: Frame) -> None:
+        """Filter a frame with a box, or with the mixture of the box and the original in one mask."""
+        size, strength = self.options["size"], params["strength"]
+        mask = np.full((size, size), strength / size**2, dtype=np.float32)
+        mask[size // 2, size // 2] += 1 - strength
+        work = _box(size, size) if strength == 1 else _convolution(mask)
+        _filter(frame, work, size // 2, self.circular)
 
     def render(self, batch: Tensor, values: Mapping[str, Tensor]) -> Tensor:
         """Return the mean of the neighbours, mixed by strength."""
@@ -97,10 +92,10 @@ class MotionBlur(Effect):
     name = "motion_blur"
     RANGES: ClassVar[Mapping[str, Range]] = {"length": Range(3, 15, minimum=1, maximum=255, neutral=1)}
 
-    def brushes(self, params: Params, height: int, width: int) -> list[Sequence[Brush]]:
-        """Return for each frame a box filter along its rows."""
-        lengths = [_odd(length, width) for length in params["length"].tolist()]
-        return [[partial(_filtered, _box(length, 1), length // 2, self.circular)] for length in lengths]
+    def paint(self, params: Mapping[str, float], frame: Frame) -> None:
+        """Filter a frame with a box along its rows."""
+        length = _odd(params["length"], frame.shape[2])
+        _filter(frame, _box(length, 1), length // 2, self.circular)
 
     def coefficients(self, params: Numbers, height: int, width: int) -> Numbers:
         """r."""
@@ -134,7 +129,7 @@ def _extended(batch: Tensor, columns: int, rows: int, circular: bool) -> Tensor:
     return F.pad(batch, (0, 0, rows, rows), mode="replicate") if rows else batch
 
 
-def _filtered(work: Callable[[Frame], Any], columns: int, circular: bool, frame: Frame) -> None:
+def _filter(frame: Frame, work: Callable[[Frame], Any], columns: int, circular: bool) -> None:
     """Filter the channels of a frame, extended on both sides by columns beyond the seam, or by repeating the edge."""
     border = cv2.BORDER_WRAP if circular else cv2.BORDER_REPLICATE
     for channel in frame:
