@@ -80,7 +80,11 @@ def mapping(known: VisualMap, built: Built, *, name: str | None = None, settings
             "layer": built.layer.made,
             "edges": built.layer.edges,
         },
-        settings={"task": settings.plain(), "data": known.made.get("data", {})},
+        settings={
+            "task": settings.plain(),
+            "data": known.made.get("data", {}),
+            **({"protocol": {"map": known.made["role"]}} if "role" in known.made else {}),
+        },
     )
 
 

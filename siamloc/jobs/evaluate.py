@@ -13,7 +13,7 @@ from foundation.files import real_path
 from foundation.settings import Text
 from siamloc import evaluation, maps
 from siamloc.data import FrameTable, PanoramaLibrary, Protocol, Role
-from siamloc.errors import ConfigError, hint
+from siamloc.errors import ConfigError, SiamlocError, hint
 from siamloc.evaluation import Result
 from siamloc.evaluation.compact_maps import Compact
 from siamloc.evaluation.hierarchy import Hierarchical
@@ -142,11 +142,18 @@ class Evaluate(RunJob):
             return
         if self.out is not None:
             raise ConfigError(f"{folder} holds results already: choose another out=, or replace them by overwrite=true")
-        before = read_results(folder)["config"].get("protocol")
-        if before is not None and Protocol.of(before) != self.protocol:
+        wanted = _frames_measured(self.protocol, {key: getattr(self.data, key) for key in _PLACES})
+        try:
+            config = read_results(folder).get("config", {})
+            before = _frames_measured(Protocol.of(config.get("protocol") or {}), config.get("data", {}))
+        except SiamlocError:
+            return  # no result that could be read
+        names = ("protocol.map", "data") if isinstance(self.task, MapMeasures) else tuple(wanted)
+        names = names if config.get("protocol") else ("data",)
+        if other := [name for name in names if before[name] != wanted[name]]:
             raise ConfigError(
-                f"{folder} holds results of other frames (protocol.*): write to another folder with out=FOLDER, or "
-                "replace them with overwrite=true"
+                f"{folder} holds results of other frames ({', '.join(other)}): write to another folder with "
+                "out=FOLDER, or replace them with overwrite=true"
             )
 
     def _measure(self, say: Say) -> Result:
@@ -326,6 +333,27 @@ def _size_of(name: str, run: Run) -> list[int] | None:
         return list(PRETRAINED_SIZE)
     size = run.settings["model"].get("image_size") if name in OF_A_RUN else None
     return None if size is None else list(size)
+
+
+_PLACES = ("manifest", "root", "places")
+"""Settings of the data that say where they are."""
+
+
+def _frames_measured(protocol: Protocol, data: Mapping[str, Any]) -> dict[str, Any]:
+    """Return what decides which frames are located in which map, by the keys that set it."""
+    known = protocol.train if protocol.map == Role() else protocol.map
+    roles = {"map": known.plain(), "query": protocol.query.plain()}
+    rest = {key: value for key, value in protocol.plain().items() if key not in ("train", "validation", *roles)}
+    return {
+        **{
+            f"protocol.{name}": {
+                key: sorted(value) if isinstance(value, list) else value for key, value in role.items()
+            }
+            for name, role in roles.items()
+        },
+        **{f"protocol.{key}": value for key, value in rest.items()},
+        "data": [str(real_path(data[key])) for key in _PLACES if data.get(key) is not None],
+    }
 
 
 def _saved_maps(named: Any, label: str, described: Descriptor) -> list[VisualMap]:

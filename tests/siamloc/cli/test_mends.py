@@ -67,7 +67,8 @@ def test_other_data_on_the_command_line_win_or_are_refused(manifest, tmp_path, c
     named = ["evaluate", "descriptor=thumbnail", f"run={tmp_path / 'run'}", "protocol.query.sequences=[second]", *quick]
     assert main(named) == 0
     assert str(manifest) in capsys.readouterr().out
-    assert main([*named, "data=manifest", f"data.manifest={other}", "data.image_size=[32,128]"]) == 2
+    other_data = ["data=manifest", f"data.manifest={other}", "data.image_size=[32,128]", "overwrite=true"]
+    assert main([*named, *other_data]) == 2
     assert "24 of the map's 24 frames are not in the data" in capsys.readouterr().err
 
 
@@ -216,8 +217,14 @@ def test_results_of_other_queries_are_not_replaced_in_silence(manifest, tmp_path
     other = [*given, "protocol.query.every=2"]
     capsys.readouterr()
     assert main(other) == 2
-    assert "holds results of other frames (protocol.*)" in capsys.readouterr().err
+    assert "holds results of other frames (protocol.query)" in capsys.readouterr().err
     assert path.read_bytes() == before
+    copied = tmp_path / "copied"
+    shutil.copytree(manifest.parent, copied)
+    assert main([word.replace(str(manifest.parent), str(copied)) for word in given]) == 2
+    assert "holds results of other frames (data)" in capsys.readouterr().err
+    assert main([*given, "protocol.validation.sequences=[first]"]) == 0  # the same queries in the same map
+    before = path.read_bytes()
     assert main([*other, f"out={tmp_path / 'half'}"]) == 0
     assert path.read_bytes() == before
     assert (tmp_path / "half/results.json").is_file()
@@ -228,3 +235,5 @@ def test_results_of_other_queries_are_not_replaced_in_silence(manifest, tmp_path
     assert len(list((tmp_path / "both").glob("*/results.json"))) == 2
     assert main([*other, "overwrite=true"]) == 0
     assert path.read_bytes() != before
+    path.write_bytes(before[:100])  # cut short: nothing to lose
+    assert main(given) == 0
