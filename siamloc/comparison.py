@@ -93,7 +93,7 @@ class Comparison:
             ConfigError: a setting that is not in `differing`.
             DataError: nothing differs, or nothing was measured.
         """
-        from siamloc.report.draw.swept import swept_curves
+        from siamloc.report.draw.curves import swept_curves
 
         return swept_curves(self.rows, self.differing, self.by, against, highest=self.highest)
 

@@ -1,4 +1,4 @@
-"""Cumulative errors: the share of queries up to each error."""
+"""Errors of queries: cumulative, by what was found first, and against the expected ones."""
 
 from __future__ import annotations
 
@@ -11,14 +11,19 @@ from numpy.typing import NDArray
 from siamloc.report.draw.look import (
     DASHES,
     FLOOR,
+    GRID,
+    INK,
+    MARKS,
     SERIES,
+    SOFT,
     Picture,
-    error_limits,
+    column,
     lighting_colours,
     method_look,
     panels,
     require_rows,
     scale_errors,
+    shared_legend,
     style,
 )
 from siamloc.results import rows_by_label
@@ -26,6 +31,17 @@ from siamloc.results import rows_by_label
 _MOST_POINTS = 120  # of a curve; more make no visible difference
 _SIZE, _LARGE_SIZE = (3.6, 3.2), (4.6, 3.4)  # of a panel in inches: three in a row, and two
 _LONG = 22  # characters from which a label gets its own line in the legend
+
+_ALL = "all queries"
+# The marks of a row of mean errors: label, path of the mean in a group of measures, and look.
+_MEANS: tuple[tuple[str, tuple[str, ...], dict[str, Any]], ...] = (
+    ("floor", ("floor",), {"color": SOFT, "marker": "|", "markersize": 11, "markeredgewidth": 2.5}),
+    ("whole map", ("absolute", "error"), {"color": SERIES[0], "marker": "s"}),
+    ("perfect nodes", ("perfect_coarse", "error"), {"color": SERIES[4], "marker": "D"}),
+    ("right node", ("given_right", "error"), {"color": SERIES[3], "marker": "^"}),
+    ("wrong node", ("given_wrong", "error"), {"color": SERIES[5], "marker": "v"}),
+    ("hierarchical", ("error",), {"color": INK, "marker": "o", "markersize": 8}),
+)
 
 # A curve: its label, the errors, and how it looks.
 Curve = tuple[str, NDArray, dict[str, Any]]
@@ -51,18 +67,15 @@ def error_curve(columns: Mapping[str, NDArray], unit: str = "m", name: str = "me
     """
     require_rows(columns)
     error, floor, groups = columns["error"], columns["floor"], rows_by_label(columns["lighting"])
-    curves: list[Curve] = []
-    if len(groups) != 1:
-        curves.append(("all queries", error, method_look(0)))
+    curves: list[Curve] = [(_ALL, error, method_look(0))] if len(groups) != 1 else []
     for (label, rows), colour in zip(groups.items(), lighting_colours(groups), strict=True):
         curves.append((label, error[rows], {"color": colour, "zorder": 3}))
     charts = [(f"{name} by lighting" if len(groups) > 1 else name, curves, floor)]
     others = {key.removeprefix("baseline_").replace("_", " "): key for key in columns if key.startswith("baseline_")}
-    if others:
-        keys = {name: "error", **others}
-        for label, rows in (groups or {"all queries": np.arange(len(error))}).items():
-            curves = [(method, columns[key][rows], method_look(i)) for i, (method, key) in enumerate(keys.items())]
-            charts.append((f"methods, {label}", curves, floor[rows]))
+    keys = {name: "error", **others}
+    for label, rows in (groups or {_ALL: np.arange(len(error))}).items() if others else ():
+        curves = [(method, columns[key][rows], method_look(i)) for i, (method, key) in enumerate(keys.items())]
+        charts.append((f"methods, {label}", curves, floor[rows]))
     return _drawn(charts, unit)
 
 
@@ -80,16 +93,13 @@ def estimate_curve(columns: Mapping[str, NDArray], estimate: str, unit: str = "m
     """
     require_rows(columns)
     error, other, floor = columns["error"], columns[f"{estimate}_error"], columns["floor"]
-    groups = rows_by_label(columns["lighting"]) or {"all queries": np.arange(len(error))}
+    groups = rows_by_label(columns["lighting"]) or {_ALL: np.arange(len(error))}
     single = {"color": SERIES[5], "linestyle": DASHES[1], "zorder": 3}
-    return _drawn(
-        [
-            (label, [(estimate, other[rows], method_look(0)), ("single frame", error[rows], single)], floor[rows])
-            for label, rows in groups.items()
-        ],
-        unit,
-        shared=True,
-    )
+    charts = []
+    for label, rows in groups.items():
+        curves: list[Curve] = [(estimate, other[rows], method_look(0)), ("single frame", error[rows], single)]
+        charts.append((label, curves, floor[rows]))
+    return _drawn(charts, unit, shared=True)
 
 
 @style()
@@ -104,32 +114,92 @@ def compared_curves(tables: Mapping[str, Mapping[str, NDArray]], unit: str = "m"
         DataError: an evaluation without queries.
     """
     require_rows(*tables.values())
-    groups = {title: rows_by_label(columns["lighting"]) for title, columns in tables.items()}
-    labels = list(dict.fromkeys(label for rows in groups.values() for label in rows))
-    chosen: dict[str, dict[str, NDArray]] = {
-        "all queries": {title: np.arange(len(columns["error"])) for title, columns in tables.items()}
-    }
-    for label in labels if len(labels) > 1 else []:
-        chosen[label] = {title: rows[label] for title, rows in groups.items() if label in rows}
+    lightings = {title: rows_by_label(columns["lighting"]) for title, columns in tables.items()}
+    labels = list(dict.fromkeys(label for rows in lightings.values() for label in rows))
+    order = [SERIES[i] for i in (0, 5, 3, 2, 1, 4, 6, 7)]
     charts = []
-    looks = {title: _compared_look(i) for i, title in enumerate(tables)}
-    for label, members in chosen.items():
-        curves = [(title, tables[title]["error"][rows], looks[title]) for title, rows in members.items()]
-        floors = [tables[title]["floor"][rows] for title, rows in members.items()]
+    for chart in [_ALL, *(labels if len(labels) > 1 else ())]:
+        curves: list[Curve] = []
+        floors = []
+        for i, (title, columns) in enumerate(tables.items()):
+            rows = np.arange(len(columns["error"])) if chart == _ALL else lightings[title].get(chart)
+            if rows is not None:
+                look = {"color": order[i % len(order)], "linestyle": DASHES[i % len(DASHES)]}
+                curves.append((title, columns["error"][rows], look))
+                floors.append(columns["floor"][rows])
         same = all(np.array_equal(floors[0], floor) for floor in floors)
-        charts.append((label, curves, floors[0] if same else None))
+        charts.append((chart, curves, floors[0] if same else None))
     return _drawn(charts, unit)
 
 
-def _compared_look(rank: int) -> dict[str, Any]:
-    return {"color": SERIES[(0, 5, 3, 2, 1, 4, 6, 7)[rank % 8]], "linestyle": DASHES[rank % len(DASHES)]}
+@style()
+def calibration_curve(found: Mapping[str, Any], unit: str = "m") -> Picture:
+    """Draw the true mean error of each tenth of the queries against their expected error.
+
+    Args:
+        found: `measures.calibration` of `results.json`.
+        unit: of the errors.
+    """
+    colours = dict(zip(found["lighting"], lighting_colours(found["lighting"]), strict=True))
+    groups = found["lighting"] if len(colours) == 1 else {**found["lighting"], _ALL: found["overall"]}
+    groups = {label: group["curve"] for label, group in groups.items() if group["curve"]}
+    figure, (axes,) = panels(1, 4.6, 3.6)
+    curves = []
+    for i, (label, curve) in enumerate(groups.items()):
+        curves += [column(curve, "predicted"), column(curve, "observed")]
+        look = method_look(0) | {"marker": MARKS[i % len(MARKS)], "markersize": 5}
+        look |= {"linestyle": "-" if label == list(groups)[-1] else "none"}
+        axes.plot(*curves[-2:], label=label, **look | ({"color": colours[label]} if label in colours else {}))
+    limits = scale_errors(axes.xaxis, curves, f"expected error [{unit}]", lowest=0)
+    scale_errors(axes.yaxis, curves, f"true error, mean [{unit}]", lowest=0)
+    axes.plot(limits, limits, label="equal", **FLOOR)
+    axes.legend(loc="upper left")
+    return figure
+
+
+@style()
+def node_errors(found: Mapping[str, Any]) -> Picture:
+    """Draw the mean errors of hierarchical localization in a row for each lighting, and one for all queries.
+
+    Args:
+        found: `measures.hierarchical` of `results.json`.
+    """
+    groups = dict(found["lighting"])
+    if len(groups) != 1:
+        groups[_ALL] = found["overall"]
+    figure, (axes,) = panels(1, 9.0, 0.36 * len(groups) + 1.2)
+    values = [[mean(group, path) for _, path, _ in _MEANS] for group in groups.values()]
+    known = [[value for value in row if value is not None] for row in values]
+    for place, row in enumerate(known):
+        axes.plot([min(row), max(row)], [place, place], color=GRID, linewidth=4, solid_capstyle="round", zorder=1)
+    for i, (label, _, look) in enumerate(_MEANS):
+        points = [(row[i], place) for place, row in enumerate(values) if row[i] is not None]
+        x, y = zip(*points, strict=True) if points else ((), ())
+        axes.plot(x, y, label=label, linestyle="none", **{"markersize": 7, "markeredgewidth": 0, "zorder": 3, **look})
+    scale_errors(axes.xaxis, known, f"mean error [{found['unit']}]", lowest=0)
+    axes.set_yticks(range(len(groups)), list(groups))
+    axes.set_ylim(len(groups) - 0.4, -0.6)
+    axes.grid(False, axis="y")
+    axes.tick_params(axis="y", length=0)
+    axes.spines["left"].set_visible(False)
+    shared_legend(figure, len(_MEANS))
+    return figure
+
+
+def mean(group: Mapping[str, Any], path: tuple[str, ...]) -> float | None:
+    """Return a mean of a group of measures, such as ("given_right", "error"); None if there is none."""
+    value: Any = group
+    for key in path:
+        value = value[key]
+    return None if value["mean"] is None else float(value["mean"])
 
 
 def _drawn(charts: Sequence[tuple[str, Sequence[Curve], NDArray | None]], unit: str, shared: bool = False) -> Picture:
     """Draw a panel for each chart: its title, its curves, and the floor if they share one."""
-    figure, every, across = panels(len(charts), *(_LARGE_SIZE if len(charts) in (1, 2, 4) else _SIZE), sharey=True)
+    size = _LARGE_SIZE if len(charts) in (1, 2, 4) else _SIZE
+    figure, every = panels(len(charts), *size, sharey=True, ylabel="queries with at most this error [%]")
     common = [error for _, curves, _ in charts for _, error, _ in curves] if shared else []
-    for number, (axes, (title, curves, floor)) in enumerate(zip(every, charts, strict=True)):
+    for axes, (title, curves, floor) in zip(every, charts, strict=True):
         if floor is not None:
             curves = [*curves, ("floor", floor, {**FLOOR, "zorder": 2})]
         alike = len({len(error) for _, error, _ in curves}) == 1
@@ -138,12 +208,8 @@ def _drawn(charts: Sequence[tuple[str, Sequence[Curve], NDArray | None]], unit: 
             count = "" if alike else f", n = {len(error):,}"
             labels.append(f"{label}: {error.mean():.2f} {unit}{count}")
             axes.plot(*_cumulative(error), label=labels[-1], **look)
-        limits = error_limits(common or [error for _, error, _ in curves])
-        scale_errors(axes.xaxis, limits, f"error [{unit}]")
+        scale_errors(axes.xaxis, common or [error for _, error, _ in curves], f"error [{unit}]")
         axes.set(title=title + f", n = {len(curves[0][1]):,}" * alike, ylim=(0, 101.5))
-        axes.grid(True)
-        if number % across == 0:
-            axes.set_ylabel("queries with at most this error [%]")
         columns = 1 if max(map(len, labels)) > _LONG else 2
         place: dict[str, Any] = {"loc": "upper left", "bbox_to_anchor": (-0.02, -0.24)}
         axes.legend(**place, ncols=columns, borderpad=0, columnspacing=1.2, fontsize=7.5, handlelength=2.2)

@@ -7,13 +7,13 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import matplotlib
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from foundation.files import atomic_path
 from siamloc.errors import DataError
@@ -28,30 +28,24 @@ FLOOR: dict[str, Any] = {"color": SOFT, "linestyle": (0, (1.2, 1.6)), "linewidth
 
 _LIGHTINGS = {"cloudy": SERIES[0], "night": SERIES[1], "sunny": SERIES[2]}
 _STYLE: dict[str, Any] = {
+    **dict.fromkeys(("axes.edgecolor", "xtick.color", "ytick.color"), SOFT),
+    **dict.fromkeys(("axes.labelcolor", "axes.titlecolor", "text.color"), INK),
+    **dict.fromkeys(("xtick.labelcolor", "ytick.labelcolor", "legend.labelcolor"), TEXT),
     "font.family": "sans-serif",
     "font.size": 9,
     "axes.titlesize": 9,
+    "axes.labelsize": 9,
     "axes.titleweight": "bold",
     "axes.titlelocation": "left",
-    "axes.labelsize": 9,
     "axes.spines.top": False,
     "axes.spines.right": False,
     "axes.axisbelow": True,
-    "axes.edgecolor": SOFT,
-    "axes.labelcolor": INK,
-    "axes.titlecolor": INK,
     "axes.linewidth": 0.7,
-    "xtick.color": SOFT,
-    "ytick.color": SOFT,
-    "xtick.labelcolor": TEXT,
-    "ytick.labelcolor": TEXT,
-    "text.color": INK,
     "grid.color": GRID,
     "grid.linewidth": 0.7,
     "lines.linewidth": 1.5,
     "legend.fontsize": 8,
     "legend.frameon": False,
-    "legend.labelcolor": TEXT,
     "figure.constrained_layout.use": True,
     "figure.constrained_layout.h_pad": 0.08,
     "figure.constrained_layout.w_pad": 0.08,
@@ -97,9 +91,16 @@ def save(figure: Figure, path: str | Path) -> Path:
 
 
 def panels(
-    count: int, width: float, height: float, across: int = 3, margin: tuple[float, float] = (0.0, 0.0), **shared: Any
-) -> tuple[Picture, list[Axes], int]:
-    """Return a figure with `count` panels in rows, their axes, and the number of panels per row.
+    count: int,
+    width: float,
+    height: float,
+    *,
+    across: int = 3,
+    margin: tuple[float, float] = (0.0, 0.0),
+    ylabel: str = "",
+    **options: Any,
+) -> tuple[Picture, list[Axes]]:
+    """Return a figure with panels in rows, and the axes of the panels, which have a grid.
 
     Args:
         count: number of panels, at least one.
@@ -107,17 +108,32 @@ def panels(
         height: height of each panel in inches.
         across: maximum number of panels per row; four become two by two.
         margin: extra width and height of the figure in inches, for what surrounds the panels.
-        shared: `sharex`, `sharey`.
+        ylabel: label of the vertical axis of the first panel of each row.
+        options: further arguments of `Figure.subplots`, such as `sharey`.
     """
     columns = 2 if count == 4 and across == 3 else min(count, across)
     rows = -(-count // columns)
     figure = Picture(figsize=(columns * width + margin[0], rows * height + margin[1]))
-    every: list[Axes] = figure.subplots(rows, columns, squeeze=False, **shared).ravel().tolist()
+    every: list[Axes] = figure.subplots(rows, columns, squeeze=False, **options).ravel().tolist()
     for axes in every[count:]:
         axes.remove()
     for axes in every[max(count - columns, 0) : count]:
         axes.tick_params(labelbottom=True)  # also if the panel below is missing
-    return figure, every[:count], columns
+    for axes in every[:count:columns]:
+        axes.set_ylabel(ylabel)
+    for axes in every[:count]:
+        axes.grid(True)
+    return figure, every[:count]
+
+
+def shared_legend(
+    figure: Picture,
+    columns: int,
+    place: Literal["outside upper center", "outside lower center"] = "outside lower center",
+) -> None:
+    """Add one legend for all panels: the lines of the first panel, above or below all of them."""
+    handles, labels = figure.axes[0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc=place, ncols=columns)
 
 
 def lighting_colours(labels: Sequence[str] | Mapping[str, Any]) -> list[str]:
@@ -138,6 +154,12 @@ def method_look(rank: int) -> dict[str, Any]:
     return {"color": SERIES[(rank + 2) % 8], "linestyle": DASHES[rank % len(DASHES)], "zorder": 3}
 
 
+def series_look(rank: int) -> dict[str, Any]:
+    """Return the colour, marks and dash of one of several lines of equal importance."""
+    dash = DASHES[rank // len(SERIES) % len(DASHES)]
+    return {"color": SERIES[rank % 8], "marker": MARKS[rank % 8], "markersize": 4, "linestyle": dash}
+
+
 def series_1_2_5(low: float, high: float) -> list[float]:
     """Return the numbers 1, 2 and 5 times a power of ten from `low` (rounded up) to the first not below `high`.
 
@@ -146,72 +168,49 @@ def series_1_2_5(low: float, high: float) -> list[float]:
         [0.05, 0.1, 0.2, 0.5, 1.0]
     """
     low = max(low, 1e-12)
-    found = []
-    for power in range(math.floor(math.log10(low)), 320):
-        for step in (1, 2, 5):
-            value = float(f"{step}e{power}")
-            if value >= low * (1 - 1e-9):
-                found.append(value)
-                if value >= high * (1 - 1e-9):
-                    return found
-    return found
+    powers = range(math.floor(math.log10(low)), math.floor(math.log10(max(low, high))) + 2)
+    values = [float(f"{step}e{power}") for power in powers for step in (1, 2, 5)]
+    series = [value for value in values if value >= low * (1 - 1e-9)]
+    return series[: 1 + sum(value < high * (1 - 1e-9) for value in series)]
 
 
-def error_limits(errors: Sequence[ArrayLike], lowest: float = 5) -> tuple[float, float] | None:
-    """Return the limits of a logarithmic axis, from the smallest errors shown to the largest error.
+def scale_errors(
+    axis: Any, errors: Sequence[NDArray | Sequence[float]], label: str, lowest: float = 5
+) -> tuple[float, float]:
+    """Turn an axis into an error axis, logarithmic with round numbers, and return its limits.
 
-    None if no error is above zero.
-
-    Args:
-        errors: the errors of each line.
-        lowest: lowest percentile of a line's errors that is shown.
-    """
-    columns = [np.asarray(error, dtype=np.float64) for error in errors]
-    largest = max(float(error.max()) for error in columns)
-    if largest <= 0:
-        return None
-    low = min(float(np.percentile(error, lowest)) for error in columns)
-    # Errors of zero have no place on the axis: their share is where the curve begins.
-    low = min(max(low, largest / 1000), largest / 10)
-    below = [value for value in series_1_2_5(low / 10, low) if value <= low * (1 + 1e-9)]
-    return below[-1], series_1_2_5(largest, largest)[-1]
-
-
-def scale_errors(axis: Any, limits: tuple[float, float] | None, label: str) -> None:
-    """Turn an axis into an error axis: logarithmic with round numbers, or from 0 to 1 if there are no limits.
+    The axis begins at the smallest errors shown and ends at the largest error. It goes from 0 to 1 if no error is above
+    zero.
 
     Args:
         axis: `axes.xaxis` or `axes.yaxis`.
-        limits: as returned by `error_limits`.
+        errors: the errors of each line.
         label: label of the axis.
+        lowest: lowest percentile of a line's errors that is shown.
     """
-    name = axis.axis_name
-    axes = axis.axes
-    if limits is None:
-        axes.set(**{f"{name}lim": (0, 1), f"{name}label": label})
-        return
-    low, high = limits
-    ticks = [value for value in series_1_2_5(low, high) if value <= high * (1 + 1e-9)]
+    name, axes = axis.axis_name, axis.axes
+    axes.set(**{f"{name}label": label})
+    largest = max(float(np.max(error)) for error in errors)
+    if largest <= 0:
+        axes.set(**{f"{name}lim": (0, 1)})
+        return 0, 1
+    low = min(float(np.percentile(error, lowest)) for error in errors)
+    # Errors of zero have no place on the axis: their share is where the curve begins.
+    low = min(max(low, largest / 1000), largest / 10)
+    low = [value for value in series_1_2_5(low / 10, low) if value <= low * (1 + 1e-9)][-1]
+    ticks = series_1_2_5(low, largest)
+    limits = low, ticks[-1]
     if len(ticks) > 9:
         ticks = [value for value in ticks if math.isclose(10 ** round(math.log10(value)), value)]
-    axes.set(**{f"{name}scale": "log", f"{name}lim": limits, f"{name}label": label})
+    axes.set(**{f"{name}scale": "log", f"{name}lim": limits})
     axis.set_ticks(ticks, [f"{value:g}" for value in ticks])
     axis.set_ticks([], minor=True)
-
-
-def percent(share: float) -> str:
-    """Return a share in percent, with a decimal if rounding would hide that it is not quite 0 or 100.
-
-    Example:
-        >>> percent(93.4), percent(99.8), percent(0.2), percent(100)
-        ('93', '99.8', '0.2', '100')
-    """
-    return f"{share:.0f}" if 1 <= share <= 99 or share == 100 else f"{share:.1f}"
+    return limits
 
 
 def column(entries: Sequence[Mapping[str, Any]], name: str) -> NDArray[np.float64]:
     """Return a measure of several entries (n,), NaN if unknown."""
-    return np.array([np.nan if entry[name] is None else entry[name] for entry in entries], dtype=np.float64)
+    return np.array([entry[name] for entry in entries], dtype=np.float64)
 
 
 def require_rows(*tables: Mapping[str, NDArray]) -> None:

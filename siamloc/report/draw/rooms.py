@@ -11,7 +11,7 @@ from matplotlib.patches import Rectangle
 from numpy.typing import ArrayLike, NDArray
 
 from siamloc.errors import DataError
-from siamloc.report.draw.look import GRID, INK, PAPER, SERIES, SOFT, Picture, panels, percent, style
+from siamloc.report.draw.look import GRID, INK, PAPER, SERIES, SOFT, Picture, panels, style
 
 _CELL = 0.52  # inches; room for a share and a count
 _LARGEST = 9.0  # largest matrix in inches
@@ -49,8 +49,9 @@ def confusion(
     names = [f"{label}\n(not in map)" if label in missing else label for label in labels]
     alone, longest = len(matrices) == 1, max(map(len, labels))
     margin = (0.35 + 0.075 * (longest + (11 if alone else 0)), 0.45 + 0.055 * longest)
-    figure, every, across = panels(len(matrices), side + 0.15, side + 0.5, sharex=True, sharey=True, margin=margin)
-    for place, (axes, (title, part)) in enumerate(zip(every, matrices.items(), strict=True)):
+    look: dict[str, Any] = {"sharex": True, "sharey": True, "margin": margin, "ylabel": f"true {what} of the query"}
+    figure, every = panels(len(matrices), side + 0.15, side + 0.5, **look)
+    for axes, (title, part) in zip(every, matrices.items(), strict=True):
         _matrix(axes, part, fits, n <= _MOST_TEXTS)
         total = int(part.sum())
         right = f"{100 * np.trace(part) / total:.1f} % of {total:,} right" if total else "no queries"
@@ -58,8 +59,6 @@ def confusion(
         axes.set_xticks(range(n), names, rotation=45, ha="right", rotation_mode="anchor")
         rows = [f"{name}  (n = {rows:,})" for name, rows in zip(names, part.sum(axis=1), strict=True)]
         axes.set_yticks(range(n), rows if alone else names)
-        if place % across == 0:
-            axes.set_ylabel(f"true {what} of the query")
     figure.supxlabel(f"{what} of the match", fontsize=9)
     return figure
 
@@ -73,14 +72,25 @@ def _matrix(axes: Axes, counts: NDArray, with_counts: bool, with_shares: bool) -
         axes.add_patch(Rectangle(place, 1, 1, facecolor=SERIES[0], alpha=max(share, 0.02), linewidth=0))
         if not with_shares:
             continue
-        words = f"{percent(100 * share)} %\n{counts[row, column]:,}" if with_counts else percent(100 * share)
+        words = f"{_percent(100 * share)} %\n{counts[row, column]:,}" if with_counts else _percent(100 * share)
         look: dict[str, Any] = {"ha": "center", "va": "center", "fontsize": 7 if with_counts else 5.5}
         axes.text(column, row, words, color=PAPER if share > 0.55 else INK, linespacing=1.05, **look)
     for i in range(n):
         axes.add_patch(Rectangle((i - 0.5, i - 0.5), 1, 1, fill=False, edgecolor=SOFT, linewidth=0.8))
+    axes.grid(False)
     for edge in np.arange(n + 1) - 0.5:
         axes.axhline(edge, color=GRID, linewidth=0.6, zorder=0)
         axes.axvline(edge, color=GRID, linewidth=0.6, zorder=0)
     axes.set(xlim=(-0.5, n - 0.5), ylim=(n - 0.5, -0.5), aspect="equal")
     axes.tick_params(length=0)
     axes.spines[:].set_visible(False)
+
+
+def _percent(share: float) -> str:
+    """Return a share in percent, with a decimal if rounding would hide that it is not quite 0 or 100.
+
+    Example:
+        >>> _percent(93.4), _percent(99.8), _percent(0.2), _percent(100)
+        ('93', '99.8', '0.2', '100')
+    """
+    return f"{share:.0f}" if 1 <= share <= 99 or share == 100 else f"{share:.1f}"

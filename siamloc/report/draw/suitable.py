@@ -7,17 +7,13 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from siamloc.report.draw.calibration import calibration_curve
-from siamloc.report.draw.compact import compact_curves
+from siamloc.report.draw.curves import compact_curves, pair_curves, robustness_curves
 from siamloc.report.draw.decision import explain, instructive
-from siamloc.report.draw.errors import error_curve, estimate_curve
+from siamloc.report.draw.errors import calibration_curve, error_curve, estimate_curve, node_errors
 from siamloc.report.draw.floor_plan import floor_plan
 from siamloc.report.draw.growth import animate, read_story
 from siamloc.report.draw.look import Picture, save
-from siamloc.report.draw.node_errors import node_errors
 from siamloc.report.draw.nodes import node_plan, nodes_on_plan
-from siamloc.report.draw.pairs import pair_curves
-from siamloc.report.draw.robustness import robustness_curves
 from siamloc.report.draw.rooms import confusion
 from siamloc.results import FURTHER, Columns, finest, read_results, read_rows
 

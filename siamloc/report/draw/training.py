@@ -42,19 +42,15 @@ def training_curves(columns: Mapping[str, NDArray[np.float64]]) -> Picture:
         if slash and np.isfinite(values).any():
             metrics.setdefault(metric, {})[part] = values
     order = sorted(metrics, key=lambda name: (name != "loss", name != "accuracy", name))
-    figure, every, _ = panels(max(len(order), 1), 3.6, 2.3)
+    figure, every = panels(max(len(order), 1), 3.6, 2.3)
     for axes, metric in zip(every, order, strict=False):
         lines = metrics[metric]
         for i, part in enumerate(sorted(lines, key=lambda name: (name != "train", name != "val", name))):
             what, colour = _PARTS.get(part, (part, SERIES[3 + i % 5]))
             last = lines[part][np.isfinite(lines[part])][-1]
-            look: dict[str, Any] = {
-                "color": colour,
-                "linestyle": DASHES[1] if part == "train" else "-",
-                "marker": MARKS[i],
-                "ms": 3,
-            }
-            axes.plot(epoch, lines[part], label=f"{what}, last {last:.3g}", **look)
+            look: dict[str, Any] = {"color": colour, "marker": MARKS[i], "markersize": 3}
+            dash = DASHES[1] if part == "train" else "-"
+            axes.plot(epoch, lines[part], label=f"{what}, last {last:.3g}", linestyle=dash, **look)
         values = np.concatenate([line[np.isfinite(line)] for line in lines.values()])
         largest = float(values.max())
         top = 1.0 if metric in _SHARES else series_1_2_5(largest, largest)[-1] if largest > 0 else 1.0
@@ -63,6 +59,5 @@ def training_curves(columns: Mapping[str, NDArray[np.float64]]) -> Picture:
         axes.set(xlim=(low - 0.02 * (high - low), high + 0.02 * (high - low)))
         axes.set_ylim(min(0.0, float(values.min())), 1.03 * top)
         axes.xaxis.set_major_locator(MaxNLocator(integer=True))
-        axes.grid(True)
         axes.legend(loc="best")
     return figure

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from siamloc.report.draw.compact import WAYS
+from siamloc.report.draw.curves import WAYS
 from siamloc.report.page import tables
 from siamloc.report.page.markup import Content, Markup, count, number, section, tag
 from siamloc.report.page.parts import Part

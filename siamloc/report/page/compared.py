@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from siamloc.report.draw.curves import robustness_curves
 from siamloc.report.draw.errors import compared_curves
-from siamloc.report.draw.robustness import robustness_curves
 from siamloc.report.page import tables
 from siamloc.report.page.gathered import Evaluation
 from siamloc.report.page.inline import inline

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from siamloc.report.draw.node_errors import mean
+from siamloc.report.draw.errors import mean
 from siamloc.report.page import tables
 from siamloc.report.page.gathered import Evaluation
 from siamloc.report.page.markup import NOTHING, Content, Markup, count, number, percent, section, tag

@@ -9,10 +9,8 @@ import numpy as np
 import pytest
 
 from siamloc.errors import DataError
-from siamloc.report.draw.calibration import calibration_curve
-from siamloc.report.draw.node_errors import node_errors
-from siamloc.report.draw.pairs import pair_curves
-from siamloc.report.draw.robustness import robustness_curves
+from siamloc.report.draw.curves import pair_curves, robustness_curves
+from siamloc.report.draw.errors import calibration_curve, node_errors
 from siamloc.report.draw.rooms import confusion
 from siamloc.results import read_results
 from tests.siamloc.report import rich

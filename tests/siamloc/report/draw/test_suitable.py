@@ -16,7 +16,7 @@ from siamloc.maps import VisualMap
 from siamloc.report.draw import pictures, save_all
 from siamloc.report.draw.errors import compared_curves, error_curve, estimate_curve
 from siamloc.report.draw.floor_plan import floor_plan, is_line
-from siamloc.report.draw.look import Picture, error_limits, lighting_colours, save
+from siamloc.report.draw.look import Picture, lighting_colours, save
 from siamloc.report.draw.rooms import confusion
 from siamloc.report.draw.training import training_curves
 from siamloc.results import read_results, read_rows
@@ -204,7 +204,6 @@ def test_another_estimate_and_several_evaluations() -> None:
 
 def test_a_query_set_without_any_error() -> None:
     columns = {"error": np.zeros(3), "floor": np.zeros(3), "lighting": np.array([""] * 3)}
-    assert error_limits([columns["error"]]) is None
     assert error_curve(columns).axes[0].get_xlim() == (0, 1)
     place = {name: np.zeros(3) for name in ("x", "y", "est_x", "est_y")}
     plan = floor_plan({**columns, **place}, {"x": np.zeros(1), "y": np.zeros(1), "room": np.array([""])})

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from siamloc.errors import ConfigError, DataError
-from siamloc.report.draw.swept import swept_curves
+from siamloc.report.draw.curves import swept_curves
 
 ROWS = [
     {"distance": distance, "seed": seed, "bins": bins, "error": bins / 10 + seed + len(distance)}

@@ -1,0 +1,250 @@
+"""Measures drawn against a setting: nodes of a compact map, a threshold, a disturbance, or a swept setting."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.ticker import MultipleLocator
+
+from siamloc.errors import ConfigError, DataError, hint
+from siamloc.report.draw.look import (
+    DASHES,
+    FLOOR,
+    INK,
+    SERIES,
+    SOFT,
+    Picture,
+    column,
+    method_look,
+    panels,
+    series_look,
+    shared_legend,
+    style,
+)
+
+WAYS = {"spectral": "spectral clustering", "som": "self-organizing map", "sample": "plain sampling"}
+
+_PAIRS: tuple[tuple[str, str, dict[str, Any]], ...] = (
+    ("same", "pairs of one room", {"color": SERIES[0], "linestyle": DASHES[1]}),
+    ("different", "pairs of two rooms", {"color": SERIES[5], "linestyle": DASHES[2]}),
+    ("overall", "all pairs", {"color": INK, "linewidth": 2.0}),
+)
+_STRENGTHS = {
+    "noise": "variance of the noise",
+    "occlusion": "columns behind bars [%]",
+    "turn": "turned left by [degrees]",
+    "effect": "strength",
+}
+_DISTURBANCES_ACROSS = 4
+_NOISE_TICKS = (0, 0.1, 0.4, 1)  # of the largest variance: evenly spaced on a square-root axis
+_LOG_FROM = 8  # ratio of the largest to the smallest setting from which the axis is logarithmic
+_LINES_ACROSS = 3  # legend entries per row
+
+
+@style()
+def compact_curves(found: Mapping[str, Any]) -> Picture:
+    """Draw three panels against the number of nodes: errors, silhouettes, and search time.
+
+    As in [C] figures 6-8, 16-18, 20 and 21.
+
+    Args:
+        found: `measures.compact` of `results.json`.
+
+    Raises:
+        DataError: no compact map.
+    """
+    curves, unit = found["curves"], found["unit"]
+    if not curves:
+        raise DataError("there is nothing to draw: the results hold no compact map")
+    figure, (errors, shape, took) = panels(3, 3.2, 3.9, width_ratios=[1.5, 1, 1])
+    top = 0.0
+    for i, way in enumerate(dict.fromkeys(one["way"] for one in curves)):
+        entries = sorted((one for one in curves if one["way"] == way), key=lambda one: one["nodes"])
+        nodes, look = column(entries, "nodes"), series_look(i)
+        fine: dict[str, Any] = {"color": look["color"], "linestyle": DASHES[1], "linewidth": 1.1}
+        for key, words, drawn in (("error", "position of the node", look), ("error_frames", "best frame in it", fine)):
+            mean = column([one[key] for one in entries], "mean")
+            errors.plot(nodes, mean, label=f"{WAYS[way]}: to the {words}", **drawn)
+            top = max(top, float(np.nanmax(mean)))
+        shape.plot(nodes, column(entries, "silhouette"), **look)
+        shape.plot(nodes, column(entries, "descriptor_silhouette"), **fine)
+        took.plot(nodes, 1000 * column(entries, "search_ms"), **look)
+        errors.plot(nodes, column(entries, "floor"), label="floor: nearest node" if not i else None, **FLOOR)
+    errors.set(title="mean error", ylabel=f"[{unit}]", ylim=(0, 1.06 * top or 1))
+    shape.set(title="silhouette", ylabel="full: positions, dashed: descriptors")
+    took.set(title="time of a search", ylabel="[µs a query]", ylim=(0, None))
+    for axes in (errors, shape, took):
+        axes.set_xlabel("nodes")
+    shared_legend(figure, 2)
+    return figure
+
+
+@style()
+def pair_curves(found: Mapping[str, Any]) -> Picture:
+    """Draw the share of pairs judged correctly against the threshold: all pairs, and those of each lighting.
+
+    Args:
+        found: `measures.room_pairs` of `results.json`.
+    """
+    groups = {"all pairs": {**found["overall"], "curve": found["curve"]}}
+    by_lighting = {label: group for label, group in found["lighting"].items() if "curve" in group}
+    groups |= by_lighting if len(by_lighting) > 1 else {}
+    shared: dict[str, Any] = {"sharex": True, "sharey": True, "margin": (0.3, 0.6), "ylabel": "judged right [%]"}
+    figure, every = panels(len(groups), 3.0, 2.3, **shared)
+    for axes, (label, group) in zip(every, groups.items(), strict=True):
+        for name, words, look in _PAIRS:
+            axes.plot(column(group["curve"], "threshold"), 100 * column(group["curve"], name), label=words, **look)
+        axes.axvline(found["threshold"], color=SOFT, linewidth=0.8, linestyle=(0, (4, 3)), zorder=1)
+        auc = "" if group.get("auc") is None else f", AUC {group['auc']:.3f}"
+        axes.set(title=f"{label}{auc}", xlim=(0, 1), ylim=(0, 101.5))
+    figure.supxlabel("threshold of the dissimilarity", fontsize=9)
+    shared_legend(figure, len(_PAIRS), "outside upper center")
+    return figure
+
+
+@style()
+def robustness_curves(found: Mapping[str, Any]) -> Picture:
+    """Draw panels for each disturbance: mean and median error, the share within the radius, and heading errors.
+
+    Headings are computed against the retrieved frame and, dashed, against the geometrically nearest one; they have a
+    panel if any are known.
+
+    Args:
+        found: `measures.robustness` of `results.json`.
+
+    Raises:
+        DataError: no disturbances or methods.
+    """
+    kinds, methods, unit = found["disturbances"], found["methods"], found["unit"]
+    if not kinds or not methods:
+        raise DataError("there is nothing to draw: the results hold no disturbance or no method")
+    entries = [entry for curves in methods.values() for one in curves.values() for entry in one]
+    names = [f"error [{unit}]", f"within {found['radius']:g} {unit} [%]", "heading [deg]\ndashed: nearest"]
+    keys = (("mean", "median"), ("share",), ("heading", "heading_nearest"))
+    tops = [1.06 * np.nan_to_num([column(entries, key) for key in row]).max() for row in keys]
+    tops[1] = 104
+    high = 3 if tops[2] > 0 else 2
+    columns = min(len(kinds), _DISTURBANCES_ACROSS)
+    blocks = -(-len(kinds) // columns)
+    size = 2.5, (4.0 if high == 2 else 5.6) / high
+    ratios = ([1.25] + [1] * (high - 1)) * blocks
+    figure = Picture(figsize=(size[0] * columns + 0.9, size[1] * high * blocks + 0.9))
+    every = figure.subplots(high * blocks, columns, squeeze=False, height_ratios=ratios)
+    for place in range(blocks * columns):
+        block, at = divmod(place, columns)
+        stack: list[Axes] = every[high * block : high * (block + 1), at].tolist()
+        if place >= len(kinds):
+            for axes in stack:
+                axes.remove()
+            continue
+        _disturbance(stack, kinds[place], methods)
+        for axes, label, top in zip(stack, names, tops, strict=False):
+            axes.set_ylim(0, top or 1)
+            axes.set_ylabel(label if not at else "")
+            axes.tick_params(labelleft=not at)
+    shared_legend(figure, min(2 * len(methods) + 1, 5))
+    return figure
+
+
+def _disturbance(stack: Sequence[Axes], kind: Mapping[str, Any], methods: Mapping[str, Any]) -> None:
+    levels, floor = np.empty(0), np.empty(0)
+    for i, (method, curves) in enumerate(methods.items()):
+        entries = sorted(curves[kind["name"]], key=lambda entry: entry["level"])
+        levels = column(entries, "level") * (100 if kind["kind"] == "occlusion" else 1)
+        look: dict[str, Any] = series_look(i) | method_look(i) | {"linestyle": "-"}
+        dashed = {**look, "linestyle": DASHES[1], "linewidth": 1.0, "marker": "", "alpha": 0.8}
+        shown = method.replace("_", " ")
+        stack[0].plot(levels, column(entries, "mean"), label=f"{shown}, mean", **look)
+        stack[0].plot(levels, column(entries, "median"), label=f"{shown}, median", **dashed)
+        stack[1].plot(levels, 100 * column(entries, "share"), **look)
+        for key, line in (("heading", look), ("heading_nearest", dashed)) if len(stack) > 2 else ():
+            if np.isfinite(column(entries, key)).any():
+                stack[2].plot(levels, column(entries, key), **line)
+        floor = column(entries, "floor")
+    stack[0].plot(levels, floor, label="floor, mean", zorder=2, **FLOOR)
+    name = kind["name"].replace("_", " ")
+    stack[0].set_title(name if kind["kind"] != "effect" else f"effect: {name}")
+    largest = max(kind["levels"])
+    for axes in stack:
+        axes.tick_params(labelbottom=axes is stack[-1])
+        axes.grid(True)
+        if kind["kind"] == "turn" and largest >= 90:
+            axes.xaxis.set_major_locator(MultipleLocator(45 if largest <= 270 else 90))
+        if kind["kind"] == "noise":
+            # The eye sees deviations, not variances; the published levels would otherwise crowd on the left.
+            axes.set_xscale("function", functions=(_root, np.square))
+            axes.set_xticks([round((largest or 1.0) * part, 6) for part in _NOISE_TICKS])
+            axes.xaxis.set_major_formatter("{x:g}")
+            axes.set_xlim(0, 1.08 * (largest or 1.0))
+    stack[-1].set_xlabel(_STRENGTHS.get(kind["kind"], kind.get("unit", "level")))
+
+
+def _root(values: Any) -> Any:
+    return np.sqrt(np.maximum(values, 0))
+
+
+@style()
+def swept_curves(
+    rows: Sequence[Mapping[str, Any]],
+    settings: Sequence[str],
+    by: str,
+    against: str | None = None,
+    *,
+    highest: bool = False,
+) -> Picture:
+    """Draw a measure of a sweep against a setting, with a line for each combination of the others and the best marked.
+
+    Args:
+        rows: for each training or evaluation, its settings and the measure; NaN if unknown.
+        settings: names of the settings that differ.
+        by: name of the measure.
+        against: the setting on the x axis; if None, the first numeric one other than a seed, or else the first.
+        highest: whether the highest value is the best.
+
+    Raises:
+        ConfigError: a setting that does not differ.
+        DataError: no setting differs, or the measure is unknown for all rows.
+
+    Example:
+        >>> rows = [{"bins": 8, "error": 0.4}, {"bins": 16, "error": 0.3}]
+        >>> swept_curves(rows, ["bins"], "error").axes[0].get_xlabel()
+        'bins'
+    """
+    usable = [row for row in rows if np.isfinite(row[by])]
+    if not settings or not usable:
+        what = f"{by} is not known of any" if settings else "there is no setting in which they differ"
+        raise DataError(f"there is nothing to draw: {what}")
+    numbers = [name for name in settings if all(type(row[name]) in (int, float) for row in rows)]
+    if against is None:
+        against = min(numbers or settings[:1], key=lambda name: name.endswith("seed"))
+    elif against not in settings:
+        raise ConfigError(f"{against!r} does not differ: {hint(against, settings)}")
+    numeric = against in numbers
+    values: list[Any] = sorted({row[against] if numeric else _shown(row[against]) for row in usable})
+    places = {_shown(value): value if numeric else number for number, value in enumerate(values)}
+    others = [name for name in settings if name != against]
+    lines: dict[str, list[tuple[Any, float]]] = {}
+    for row in sorted(usable, key=lambda row: [_shown(row[name]) for name in others]):
+        label = ", ".join(f"{name}={_shown(row[name])}" for name in others)
+        lines.setdefault(label, []).append((places[_shown(row[against])], row[by]))
+    figure, (axes,) = panels(1, 6.4, 4.0 + 0.2 * (len(lines) // _LINES_ACROSS))
+    for i, (label, points) in enumerate(lines.items()):
+        axes.plot(*zip(*sorted(points), strict=True), label=label, **series_look(i))
+    best = (max if highest else min)(usable, key=lambda row: row[by])
+    ring: dict[str, Any] = {"marker": "o", "markersize": 10, "markerfacecolor": "none", "markeredgecolor": INK}
+    axes.plot([places[_shown(best[against])]], [best[by]], linestyle="none", label=f"best: {best[by]:.4g}", **ring)
+    if numeric and min(values) > 0 and max(values) >= _LOG_FROM * min(values):
+        axes.set_xscale("log")
+        axes.set_xticks([], minor=True)
+    if not numeric or len(values) <= 12:
+        axes.set_xticks(list(places.values()), [_shown(value) for value in values])
+    axes.set(xlabel=against, ylabel=f"{by} ({'higher' if highest else 'lower'} is better)")
+    shared_legend(figure, _LINES_ACROSS)
+    return figure
+
+
+def _shown(value: Any) -> str:
+    return f"{value:g}" if isinstance(value, float) else "none" if value is None else str(value)
