@@ -17,13 +17,12 @@ from siamloc.pretraining.rendering import Renderer, Wanted
 from siamloc.pretraining.settings import ViewSettings
 from siamloc.progress import track
 from siamloc.simulate.views import Views, camera_of
-from siamloc.training.batches import BatchAugmentation, EpochDataModule
+from siamloc.training.batches import BatchAugmentation, DriveBatches, EpochDataModule
 from siamloc.training.place_batches import origins_of
 
 _SEEDS = 1 << 30  # of the training buildings; those of the validation follow
 _STEP = 1_000_003
 _VALIDATION_BUILDINGS, _VALIDATION_POSES = 3, 120
-_DESCRIBED_AT_ONCE = 64
 
 
 def building_seed(seed: int, number: int) -> int:
@@ -140,10 +139,7 @@ class ViewBatches(Dataset[dict[str, Any]]):
         return [held[one][0] for one in chosen], frames, sampler.batch(number, self._rank)
 
     def __getitem__(self, number: tuple[int, int]) -> dict[str, Any]:
-        epoch, batch = number
-        if not 0 <= batch < len(self):
-            raise IndexError(f"batch {batch} of {len(self)}")
-        views, frames, rows = self.drawn(epoch, batch)
+        views, frames, rows = self.drawn(*number)
         first = np.cumsum([0, *(len(one) for one in views)])
         which = np.searchsorted(first, rows, side="right") - 1
         pictures = np.stack([views[one].images[row - first[one]] for one, row in zip(which, rows, strict=True)])
@@ -157,42 +153,31 @@ class ViewBatches(Dataset[dict[str, Any]]):
         return item
 
 
-class ViewValidation(Dataset[dict[str, Any]]):
-    """Panoramas of drives through buildings that are not used for training.
+def validation_views(renderer: Renderer, image_size: Sequence[int]) -> DriveBatches:
+    """Render panoramas of drives through three buildings that are not used for training.
 
     Each building is mapped with its first drive in cloudy light, and queried with its second drive in every lighting.
 
     Args:
-        renderer: renders them.
+        renderer: renders the buildings.
         image_size: rows and columns of the images.
     """
-
-    def __init__(self, renderer: Renderer, image_size: Sequence[int]) -> None:
-        # Ordinary cameras are left out: the head of panoramas is not used for their images.
-        seeds = (_SEEDS + number for number in count() if camera_of(_SEEDS + number, image_size).wraps)
-        wanted = [(seed, tuple(image_size), 2, 3, _VALIDATION_POSES) for seed in islice(seeds, _VALIDATION_BUILDINGS)]
-        for one in wanted:
-            renderer.begin(one)
-        views = [renderer.views(one) for one in track(wanted, len(wanted), "rendering buildings to validate with")]
+    # Ordinary cameras are left out: the head of panoramas is not used for their images.
+    seeds = (_SEEDS + number for number in count() if camera_of(_SEEDS + number, image_size).wraps)
+    wanted = [(seed, tuple(image_size), 2, 3, _VALIDATION_POSES) for seed in islice(seeds, _VALIDATION_BUILDINGS)]
+    for one in wanted:
+        renderer.begin(one)
+    images, frames, known = [], [], []
+    for number, one in enumerate(track(wanted, len(wanted), "rendering buildings to validate with")):
+        views = renderer.views(one)
         # One light of the first drive is the map, and all lights of the second drive are queries.
-        known = [one.light == one.lighting[:3].index("cloudy") for one in views]
-        taken = [np.flatnonzero(of_map | (one.light >= 3)) for one, of_map in zip(views, known, strict=True)]
-        frames = [
-            frames_of(one, f"building {n}").take(rows) for n, (one, rows) in enumerate(zip(views, taken, strict=True))
-        ]
-        self._images = np.concatenate([one.images[rows] for one, rows in zip(views, taken, strict=True)])
-        self._columns = origins_of(*frames)
-        self._columns["known"] = torch.from_numpy(
-            np.concatenate([of_map[rows] for of_map, rows in zip(known, taken, strict=True)])
-        )
-
-    def __len__(self) -> int:
-        return -(-len(self._images) // _DESCRIBED_AT_ONCE)
-
-    def __getitem__(self, number: tuple[int, int]) -> dict[str, Any]:
-        rows = slice(number[1] * _DESCRIBED_AT_ONCE, (number[1] + 1) * _DESCRIBED_AT_ONCE)
-        columns = {name: value[rows] for name, value in self._columns.items()}
-        return {"images": torch.from_numpy(self._images[rows]), **columns}
+        of_map = views.light == views.lighting[:3].index("cloudy")
+        rows = np.flatnonzero(of_map | (views.light >= 3))
+        images.append(views.images[rows])
+        frames.append(frames_of(views, f"building {number}").take(rows))
+        known.append(of_map[rows])
+    columns = {"images": torch.from_numpy(np.concatenate(images)), **origins_of(*frames)}
+    return DriveBatches({**columns, "known": torch.from_numpy(np.concatenate(known))})
 
 
 class ViewDataModule(EpochDataModule):
@@ -219,10 +204,7 @@ class ViewDataModule(EpochDataModule):
         self._size = tuple(image_size)
         self._renderer = Renderer(views.processes)
         self._stream: BuildingStream | None = None
-        self._validation: ViewValidation | None = None
-
-    def check_processes(self, processes: int) -> None:
-        """Accept any number of processes: each has its own buildings."""
+        self._validation: DriveBatches | None = None
 
     def batches(self) -> ViewBatches:
         """Return the batches of this process."""
@@ -237,17 +219,13 @@ class ViewDataModule(EpochDataModule):
     def val_dataloader(self) -> DataLoader[Any]:
         """Make the loader of the validation images, which are rendered once."""
         if self._validation is None:
-            self._validation = ViewValidation(self._renderer, self._size)
+            self._validation = validation_views(self._renderer, self._size)
         return self.loader(self._validation, None)
 
     def paths(self, epoch: int, batch: int) -> dict[str, NDArray[np.str_]]:
         """Return the names of the images of a training batch."""
         _, frames, rows = self.batches().drawn(epoch, batch)
         return {"images": frames.path[rows]}
-
-    def needed(self) -> list[FrameTable]:
-        """Return no frames, since nothing is in a library."""
-        return []
 
     def teardown(self, stage: str) -> None:
         """End the rendering processes."""

@@ -1,4 +1,4 @@
-"""Base of all training batches: their numbers, augmentation, and transfer to the device."""
+"""Base of all training batches: their images, their augmentation, and the transfer to the device."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from torch import Tensor
 from torch.utils.data import DataLoader, Dataset, DistributedSampler
 
@@ -18,11 +18,14 @@ from augment.torchvision_compat import ensure_torchvision
 from siamloc.data.frames import FrameTable
 from siamloc.data.library import PanoramaLibrary
 from siamloc.errors import ConfigError
-from siamloc.training.resident import Resident, room_for
 
 ensure_torchvision()
 from lightning.pytorch import LightningDataModule  # noqa: E402
 
+SHARE = 0.25
+"""Share of a GPU's free memory that panoramas may take."""
+_COPIED_AT_ONCE = 256
+_DESCRIBED_AT_ONCE = 64
 _PLACES = 0xA07  # separates the draws for batches of places from others
 
 
@@ -76,10 +79,97 @@ class BatchAugmentation:
         params = self.draw((*batch, _PLACES), count * world_size, image_shape, mine)
         if "theta" in item and "heading" in params:
             item["theta"] = item["theta"] + params["heading"].to(item["theta"].dtype)
+        self.apply(item, params, image_shape)
+
+    def apply(self, item: dict[str, Any], params: dict[str, Tensor], image_shape: tuple[int, ...]) -> None:
+        """Augment the images of a batch with drawn parameters, or add what augments them on the device."""
         if self.where == "gpu":
             item["change"] = self.effect.program(params, *image_shape[1:])
         else:
             item["images"] = self.effect.apply(item["images"], params)
+
+
+class Resident:
+    """Hold some panoramas of a library on a device, as 8-bit numbers.
+
+    Args:
+        library: decoded panoramas.
+        rows: the required rows of the library, in any order; repeats are allowed.
+        device: where to hold them; each process has its own copy.
+
+    Attributes:
+        images: (N, 3, H, W) uint8.
+        numbers: index of each row of the library among the images, (len(library),); -1 for rows that are not held.
+
+    Example:
+        >>> import cv2, tempfile
+        >>> from pathlib import Path
+        >>> folder = Path(tempfile.mkdtemp())
+        >>> paths = [folder / f"{number}.png" for number in range(4)]
+        >>> for number, path in enumerate(paths):
+        ...     _ = cv2.imwrite(str(path), np.full((8, 16, 3), number, np.uint8))
+        >>> library = PanoramaLibrary(FrameTable(path=paths), folder / "cache", image_size=(8, 16))
+        >>> resident = Resident(library, [3, 1], torch.device("cpu"))
+        >>> resident.images[torch.from_numpy(resident.numbers[[1, 1, 3]]), 0, 0, 0]
+        tensor([1, 1, 3], dtype=torch.uint8)
+    """
+
+    def __init__(self, library: PanoramaLibrary, rows: ArrayLike, device: torch.device) -> None:
+        needed: NDArray[np.int64] = np.unique(np.asarray(rows, dtype=np.int64))
+        self.numbers = np.full(len(library), -1, dtype=np.int64)
+        self.numbers[needed] = np.arange(len(needed))
+        self.images = torch.empty((len(needed), *library.image_shape), dtype=torch.uint8, device=device)
+        for start in range(0, len(needed), _COPIED_AT_ONCE):
+            part = torch.from_numpy(library.batch(needed[start : start + _COPIED_AT_ONCE]))
+            self.images[start : start + len(part)].copy_(part)
+
+
+def room_for(device: torch.device) -> int:
+    """Return how many bytes panoramas may take on a device: a quarter of a GPU's free memory, 0 elsewhere."""
+    if device.type != "cuda":
+        return 0  # the library is in the same memory
+    return int(SHARE * torch.cuda.mem_get_info(device)[0])
+
+
+class Panoramas:
+    """The panoramas of a table of frames, as a part of a batch.
+
+    Args:
+        library: decoded panoramas.
+        frames: some of its frames.
+        numbers: of the library's rows on the device, `Resident.numbers`; None if images are gathered from the library.
+    """
+
+    def __init__(self, library: PanoramaLibrary, frames: FrameTable, numbers: NDArray[np.int64] | None = None) -> None:
+        self.shape = library.image_shape
+        self._library, self._rows, self._numbers = library, library.rows(frames), numbers
+
+    def of(self, frames: Any) -> dict[str, Tensor]:
+        """Return the `images` (B, 3, H, W) of some frames, or their numbers on the device as `rows` (B,)."""
+        rows = self._rows[frames]
+        if self._numbers is not None:
+            return {"rows": torch.from_numpy(self._numbers[rows])}
+        return {"images": torch.from_numpy(self._library.batch(rows))}
+
+
+class DriveBatches(Dataset[dict[str, Any]]):
+    """Map frames, then queries, in batches; every process has all of them.
+
+    Args:
+        columns: what a batch has of each frame, such as `xy` (n, 2) and `known` (n,), True for map frames.
+        panoramas: the images of the frames; None if they are among the columns.
+    """
+
+    def __init__(self, columns: dict[str, Tensor], panoramas: Panoramas | None = None) -> None:
+        self._columns, self._panoramas = columns, panoramas
+
+    def __len__(self) -> int:
+        return -(-len(self._columns["known"]) // _DESCRIBED_AT_ONCE)
+
+    def __getitem__(self, number: tuple[int, int]) -> dict[str, Any]:
+        rows = slice(number[1] * _DESCRIBED_AT_ONCE, (number[1] + 1) * _DESCRIBED_AT_ONCE)
+        images = {} if self._panoramas is None else self._panoramas.of(rows)
+        return {**images, **{name: value[rows] for name, value in self._columns.items()}}
 
 
 class EpochSampler(DistributedSampler):  # type: ignore[type-arg]
@@ -157,7 +247,6 @@ class EpochDataModule(LightningDataModule):
 
     def check_processes(self, processes: int) -> None:
         """Raise ConfigError unless there is enough to learn from for this number of processes."""
-        raise NotImplementedError
 
     def notes(self) -> list[str]:
         """Return notes on what the frames lack for the requested batches, a sentence each."""
@@ -168,8 +257,8 @@ class EpochDataModule(LightningDataModule):
         raise NotImplementedError
 
     def needed(self) -> list[FrameTable]:
-        """Return the frames of all batches."""
-        raise NotImplementedError
+        """Return the frames of the library in all batches."""
+        return []
 
     def numbers(self, augmentation: BatchAugmentation | None) -> NDArray[np.int64] | None:
         """Return the indices of the library's rows on the device of the trainer; None if images are gathered here.
@@ -203,21 +292,11 @@ class EpochDataModule(LightningDataModule):
         """Gather and augment the images, if that is done on the device."""
         if "rows" in batch:
             assert self._resident is not None
-            batch = {**self.parts(self._resident.batch(batch.pop("rows"))), **batch}
+            batch["images"] = self._resident.images.index_select(0, batch.pop("rows"))
         if "change" in batch:
             assert self.augmentation is not None
-            images = self.augmentation.effect.play(self.whole(batch), batch.pop("change"))
-            batch |= self.parts(images)
+            batch["images"] = self.augmentation.effect.play(batch["images"], batch.pop("change"))
         return batch
-
-    def parts(self, images: Tensor) -> dict[str, Tensor]:
-        """Return the images of a batch by their names in it."""
-        return {"images": images}
-
-    def whole(self, batch: dict[str, Any]) -> Tensor:
-        """Return all images of a batch."""
-        images: Tensor = batch["images"]
-        return images
 
     def loader(self, batches: Dataset[Any], epoch: int | None) -> DataLoader[Any]:
         """Make the loader of whole batches, where item (epoch, i) is one batch; see `EpochSampler`."""

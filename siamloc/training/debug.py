@@ -78,7 +78,7 @@ def _one_batch(module: NetworkModule, data: EpochDataModule, make_trainer: Calla
 
 def _overfit(module: NetworkModule, data: EpochDataModule, make_trainer: Callable[..., Trainer]) -> None:
     data.augmentation = None
-    batch: Any = next(iter(data.train_dataloader()))
+    batch = data.on_after_batch_transfer(next(iter(data.train_dataloader())), 0)
     losses = _Losses()
     trainer = make_trainer(callbacks=[losses], max_epochs=1, limit_val_batches=0)
     steps: Any = [batch] * _STEPS["overfit"]

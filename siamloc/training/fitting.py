@@ -47,7 +47,7 @@ from siamloc.training.checks import (
 from siamloc.training.compiled import compiles
 from siamloc.training.debug import Debug, debug_training
 from siamloc.training.pair_batches import PairDataModule
-from siamloc.training.place_batches import PlaceDataModule, ValidationDrive, rooms_of
+from siamloc.training.place_batches import PlaceDataModule, rooms_of, validation_drive
 from siamloc.training.run_folder import (
     KEPT,
     check_folder,
@@ -320,7 +320,7 @@ def _parts(
         return places, PlaceModule(network, cast("BatchLoss | None", loss), settings.optimizer, settings.recall_radius)
     check_loss(loss, 3)
     if validated is not None and settings.monitor not in ("loss", "auto"):
-        common["drive"] = ValidationDrive(images, train, validated)
+        common["drive"] = validation_drive(images, train, validated)
     pairs = PairDataModule(images, train, validated, pairs=settings.pairs, batch_size=settings.batch_size, **common)
     chosen = ContrastiveLoss(settings.margin) if loss is None else cast(Loss, loss)
     return pairs, SiameseModule(network, chosen, settings.optimizer, settings.recall_radius)

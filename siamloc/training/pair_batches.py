@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sized
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any, cast
 
 import numpy as np
@@ -12,113 +12,72 @@ from numpy.typing import NDArray
 from torch import Tensor
 from torch.utils.data import DataLoader, Dataset
 
-from augment.torchvision_compat import ensure_torchvision
 from foundation.calls import typed
+from foundation.settings import Count
 from siamloc.data.frames import FrameTable
 from siamloc.data.library import PanoramaLibrary
-from siamloc.data.pairs import Pairs, PairSampler, PairSettings
+from siamloc.data.pairs import PairSampler, PairSettings
 from siamloc.errors import ConfigError, SiamlocError
-from siamloc.training.batches import BatchAugmentation, EpochDataModule
-
-ensure_torchvision()
+from siamloc.training.batches import BatchAugmentation, EpochDataModule, Panoramas
 
 _STREAM = 0xA06  # separates the draws of the augmentation from those of the pairs
 _DRAWN_AT_ONCE = 1024  # pairs, whatever the size of a batch and the number of processes
 
 
+@dataclass(eq=False)
 class PairBatches(Dataset[dict[str, Any]]):
-    """The batches of every epoch: item (epoch, i) is a whole batch, gathered at once from the library.
+    """The batches of every epoch: item (epoch, i) is a whole batch.
 
-    Each item is a dictionary: `first` and `second` (B, 3, H, W) uint8, `label` (B,) float32, `same` (B,) bool. If the
-    panoramas are on the device, the images are replaced by their numbers there, those of both: `rows` (2 B,).
+    Each item is a dictionary: `images` (2 B, 3, H, W) uint8, the first images of the pairs and then the second ones,
+    or `rows` (2 B,) as in `Panoramas.of`; `label` (B,) float32 and `same` (B,) bool.
 
-    Args:
-        library: decoded panoramas.
+    Attributes:
+        panoramas: of the sampler's frames.
         sampler: draws the pairs.
         batch_size: pairs in a batch; the last batch may be smaller.
         augmentation: of the images, if any.
         rank: number of this process among those that train together.
         world_size: number of those processes. All get the same number of pairs, and no two the same pair.
-        numbers: of the library's rows on the device, `Resident.numbers`; None if images are gathered here.
-
-    Raises:
-        ConfigError: fewer pairs than processes.
     """
 
-    def __init__(
-        self,
-        library: PanoramaLibrary,
-        sampler: PairSampler,
-        batch_size: int,
-        augmentation: BatchAugmentation | None = None,
-        rank: int = 0,
-        world_size: int = 1,
-        numbers: NDArray[np.int64] | None = None,
-    ) -> None:
-        check_pairs_of_each(len(sampler), world_size)
-        self._pairs_of_each = len(sampler) // world_size
-        self._library = library
-        self._sampler = sampler
-        self._rows = library.rows(sampler.frames)
-        self._batch_size = batch_size
-        self._augmentation = augmentation
-        self._rank, self._world_size = rank, world_size
-        self._numbers = numbers
+    panoramas: Panoramas
+    sampler: PairSampler
+    batch_size: int
+    augmentation: BatchAugmentation | None = None
+    rank: int = 0
+    world_size: int = 1
+
+    def __post_init__(self) -> None:
+        self._pairs_of_each = len(self.sampler) // self.world_size
         self._epoch = -1
         self._blocks: dict[tuple[int, int, int], dict[str, Tensor]] = {}  # parameters for blocks of pairs
 
     def __len__(self) -> int:
-        return -(-self._pairs_of_each // self._batch_size)
+        return -(-self._pairs_of_each // self.batch_size)
 
     def __getitem__(self, number: tuple[int, int]) -> dict[str, Any]:
         epoch, batch = number
-        if not 0 <= batch < len(self):
-            raise IndexError(f"batch {batch} of {len(self)}")
         if epoch != self._epoch:
-            self._draw(epoch)
-        rows = slice(batch * self._batch_size, (batch + 1) * self._batch_size)
+            drawn = self.sampler.epoch(epoch, self.rank, self.world_size)
+            self._pairs, self._epoch = drawn.take(slice(self._pairs_of_each)), epoch
+        rows = slice(batch * self.batch_size, (batch + 1) * self.batch_size)
         pairs = self._pairs.take(rows)
-        wanted = self._rows[np.concatenate([pairs.first, pairs.second])]
         item: dict[str, Any] = {"label": torch.from_numpy(pairs.label), "same": torch.from_numpy(pairs.same)}
-        params: dict[str, Tensor] = {}
-        if self._augmentation is not None:
-            params = self._drawn(epoch, rows)
-            if self._augmentation.where == "gpu":
-                item["change"] = self._augmentation.effect.program(params, *self._library.image_shape[1:])
-        if self._numbers is not None:
-            return {**item, "rows": torch.from_numpy(self._numbers[wanted])}
-        images = torch.from_numpy(self._library.batch(wanted))
-        if self._augmentation is not None and self._augmentation.where == "cpu":
-            images = self._augmentation.effect.apply(images, params)
-        first, second = images.chunk(2)
-        return {**item, "first": first, "second": second}
-
-    def _draw(self, epoch: int) -> None:
-        self._pairs: Pairs = self._sampler.epoch(epoch, self._rank, self._world_size).take(slice(self._pairs_of_each))
-        self._epoch = epoch
+        item |= self.panoramas.of(np.concatenate([pairs.first, pairs.second]))
+        if self.augmentation is not None:
+            self.augmentation.apply(item, self._drawn(epoch, rows), self.panoramas.shape)
+        return item
 
     def _drawn(self, epoch: int, rows: slice) -> dict[str, Tensor]:
         """Return the augmentation parameters for the first images of some pairs, and then for their second images."""
-        assert self._augmentation is not None
-        draw, shape = self._augmentation.draw, self._library.image_shape
-        blocks, numbers = np.divmod(
-            np.arange(*rows.indices(self._pairs_of_each)) * self._world_size + self._rank, _DRAWN_AT_ONCE
-        )
+        assert self.augmentation is not None
+        draw, shape = self.augmentation.draw, self.panoramas.shape
+        mine = np.arange(*rows.indices(self._pairs_of_each)) * self.world_size + self.rank
+        blocks, numbers = np.divmod(mine, _DRAWN_AT_ONCE)
         keys = [(epoch, side, block) for side in (0, 1) for block in np.unique(blocks).tolist()]
         self._blocks = {key: self._blocks.get(key) or draw((*key, _STREAM), _DRAWN_AT_ONCE, shape) for key in keys}
         parts = [(params, torch.from_numpy(numbers[blocks == key[2]])) for key, params in self._blocks.items()]
         return {name: torch.cat([params[name][some] for params, some in parts]) for name in parts[0][0]}
-
-
-def check_pairs_of_each(
-    pairs: int, processes: int, what: str = "pairs", more: str = "request more with pairs.epoch_pairs"
-) -> None:
-    """Raise ConfigError if there are fewer pairs than processes."""
-    if pairs < processes:
-        raise ConfigError(
-            f"{pairs} {what} are fewer than the {processes} processes that train together: {more}, or train with fewer "
-            "processes (trainer.devices, trainer.num_nodes)"
-        )
 
 
 class PairDataModule(EpochDataModule):
@@ -131,12 +90,10 @@ class PairDataModule(EpochDataModule):
     Args:
         library: decoded panoramas of all frames.
         train: training frames, among those of the library.
-        validation: validation frames, or None.
+        validation: validation frames, or None; as many pairs of them are drawn, the same in every epoch.
         pairs: which pairs to draw, for both; the defaults of `PairSettings` if None.
         batch_size: pairs in a batch.
-        drive: map frames and queries that are described after the validation pairs, such as a `ValidationDrive`.
-        validation_pairs: number of validation pairs, which are the same in every epoch; as many as there are
-            validation frames if None.
+        drive: map frames and queries that are described after the validation pairs, such as `validation_drive` makes.
         workers: processes that gather batches; 0 gathers in the training process, which is fastest on a CPU.
         augmentation: of the training images; none if None.
         seed: of the pairs.
@@ -155,26 +112,21 @@ class PairDataModule(EpochDataModule):
         validation: FrameTable | None = None,
         *,
         pairs: PairSettings | None = None,
-        batch_size: int = 16,
+        batch_size: Count = 16,
         drive: Dataset[Any] | None = None,
-        validation_pairs: int | None = None,
         workers: int = 0,
         augmentation: BatchAugmentation | None = None,
         seed: int = 0,
     ) -> None:
         super().__init__(library, workers, augmentation)
-        if int(batch_size) < 1:
-            raise ConfigError(f"batch_size must be a whole number from 1, got {batch_size}")
-        self._batch_size = int(batch_size)
-        self._drive = drive
+        self._batch_size, self._drive = batch_size, drive
         self.sampler = PairSampler(train, pairs, seed=seed)
         self.validation_sampler: PairSampler | None = None
         if validation is not None:
             # Labels mean the same in both: distances are divided by the same scale.
-            scale = self.sampler.scale if self.sampler.label == "distance" else None
-            settings = replace(
-                self.sampler.settings, label=self.sampler.label, epoch_pairs=validation_pairs, scale=scale
-            )
+            label = self.sampler.label
+            scale = self.sampler.scale if label == "distance" else None
+            settings = replace(self.sampler.settings, label=label, epoch_pairs=None, scale=scale)
             if settings.same_room_share is None and len(set(validation.place.tolist())) == 1:
                 settings = replace(settings, same_room_share=1.0)  # it has no others
             try:
@@ -184,20 +136,34 @@ class PairDataModule(EpochDataModule):
 
     def check_processes(self, processes: int) -> None:
         """Raise ConfigError if there are fewer pairs than processes."""
-        check_pairs_of_each(len(self.sampler), processes)
-        if self.validation_sampler is not None:
-            check_pairs_of_each(len(self.validation_sampler), processes, "validation pairs", "give more frames")
+        for sampler, what, more in (
+            (self.sampler, "pairs", "request more with pairs.epoch_pairs"),
+            (self.validation_sampler, "validation pairs", "give more frames"),
+        ):
+            if sampler is not None and len(sampler) < processes:
+                raise ConfigError(
+                    f"{len(sampler)} {what} are fewer than the {processes} processes that train together: {more}, or "
+                    "train with fewer processes (trainer.devices, trainer.num_nodes)"
+                )
 
     def train_dataloader(self) -> DataLoader[Any]:
         """Make the loader of the training batches."""
-        return self.loader(self._pair_batches(self.sampler, self.augmentation), self.next_epoch())
+        return self.loader(self._batches(self.sampler, self.augmentation), self.next_epoch())
 
     def val_dataloader(self) -> DataLoader[Any] | list[Any]:
         """Make the loader of the validation batches; an empty list if there are no validation frames."""
         if self.validation_sampler is None:
             return []
-        pairs = self._pair_batches(self.validation_sampler, None)
+        pairs = self._batches(self.validation_sampler, None)
         return self.loader(pairs if self._drive is None else _InTurn(pairs, self._drive), None)
+
+    def on_after_batch_transfer(self, batch: dict[str, Any], dataloader_idx: int) -> dict[str, Any]:
+        """Gather and augment the images if that is done on the device, and part them into `first` and `second`."""
+        batch = super().on_after_batch_transfer(batch, dataloader_idx)
+        if "known" in batch:  # of a drive
+            return batch
+        first, second = batch.pop("images").chunk(2)
+        return {**batch, "first": first, "second": second}
 
     def paths(self, epoch: int, batch: int) -> dict[str, NDArray[np.str_]]:
         """Return the files of the first and the second images of a training batch."""
@@ -213,30 +179,22 @@ class PairDataModule(EpochDataModule):
         samplers = (self.sampler, self.validation_sampler)
         return [sampler.frames for sampler in samplers if sampler is not None]
 
-    def parts(self, images: Tensor) -> dict[str, Tensor]:
-        """Return the first and the second images."""
-        first, second = images.chunk(2)
-        return {"first": first, "second": second}
-
-    def whole(self, batch: dict[str, Any]) -> Tensor:
-        """Return the first images, followed by the second ones."""
-        return torch.cat([batch["first"], batch["second"]])
-
-    def _pair_batches(self, sampler: PairSampler, augmentation: BatchAugmentation | None) -> PairBatches:
-        numbers = self.numbers(augmentation)
-        return PairBatches(self.library, sampler, self._batch_size, augmentation, *self.share(), numbers)
+    def _batches(self, sampler: PairSampler, augmentation: BatchAugmentation | None) -> PairBatches:
+        panoramas = Panoramas(self.library, sampler.frames, self.numbers(augmentation))
+        return PairBatches(panoramas, sampler, self._batch_size, augmentation, *self.share())
 
 
+@dataclass(eq=False)
 class _InTurn(Dataset[dict[str, Any]]):
-    """All batches of one data set, then those of another."""
+    """All batches of pairs, then those of a drive."""
 
-    def __init__(self, first: PairBatches, second: Dataset[Any]) -> None:
-        self._first, self._second = first, second
+    pairs: PairBatches
+    drive: Dataset[Any]
 
     def __len__(self) -> int:
-        return len(self._first) + len(cast(Sized, self._second))
+        return len(self.pairs) + len(cast(Sized, self.drive))
 
     def __getitem__(self, number: tuple[int, int]) -> dict[str, Any]:
         epoch, batch = number
-        before = len(self._first)
-        return self._first[number] if batch < before else self._second[epoch, batch - before]
+        before = len(self.pairs)
+        return self.pairs[number] if batch < before else self.drive[epoch, batch - before]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -15,101 +16,62 @@ from foundation.calls import typed
 from siamloc.data.frames import FrameTable, concatenate
 from siamloc.data.library import PanoramaLibrary
 from siamloc.data.places import PlaceSampler, PlaceSettings, places_of
-from siamloc.training.batches import BatchAugmentation, EpochDataModule
+from siamloc.training.batches import BatchAugmentation, DriveBatches, EpochDataModule, Panoramas
 
-_DESCRIBED_AT_ONCE = 64
 _VALIDATED_WITH = 500  # map frames, and queries, at most
 
 
+@dataclass(eq=False)
 class PlaceBatches(Dataset[dict[str, Any]]):
-    """The batches of every epoch: item (epoch, i) is a whole batch, gathered at once from the library.
+    """The batches of every epoch: item (epoch, i) is a whole batch.
 
-    Each item is a dictionary: `images` (N, 3, H, W) uint8, `xy` (N, 2) float32, `building`, `room` and `frame` (N,).
-    If the panoramas are on the device, the images are replaced by their numbers there, `rows` (N,).
+    Each item is a dictionary: `images` (N, 3, H, W) uint8, or `rows` (N,) as in `Panoramas.of`; `xy` (N, 2) float32;
+    `building`, `room` and `frame` (N,), whole numbers; and `theta` (N,) float32.
 
-    Args:
-        library: decoded panoramas.
+    Attributes:
+        panoramas: of the sampler's frames.
         sampler: draws the frames.
         augmentation: of the images, if any.
         rank: number of this process among those that train together.
         world_size: number of those processes.
-        numbers: of the library's rows on the device, `Resident.numbers`; None if images are gathered here.
-
-    Raises:
-        ConfigError: more places than frames.
     """
 
-    def __init__(
-        self,
-        library: PanoramaLibrary,
-        sampler: PlaceSampler,
-        augmentation: BatchAugmentation | None = None,
-        rank: int = 0,
-        world_size: int = 1,
-        numbers: NDArray[np.int64] | None = None,
-    ) -> None:
-        sampler.check_processes(world_size)
-        self._library = library
-        self._sampler = sampler
-        self._rows = library.rows(sampler.frames)
-        self._origins = origins_of(sampler.frames, by=sampler.settings.by)
-        self._augmentation = augmentation
-        self._rank, self._world_size = rank, world_size
-        self._numbers = numbers
+    panoramas: Panoramas
+    sampler: PlaceSampler
+    augmentation: BatchAugmentation | None = None
+    rank: int = 0
+    world_size: int = 1
+
+    def __post_init__(self) -> None:
+        self._origins = origins_of(self.sampler.frames, by=self.sampler.settings.by)
 
     def __len__(self) -> int:
-        return len(self._sampler)
+        return len(self.sampler)
 
     def __getitem__(self, number: tuple[int, int]) -> dict[str, Any]:
-        epoch, batch = number
-        if not 0 <= batch < len(self):
-            raise IndexError(f"batch {batch} of {len(self)}")
-        rows = self._sampler.batch(epoch, batch, self._rank, self._world_size)
-        item: dict[str, Any] = dict(_images(self._library, self._rows[rows], self._numbers))
+        rows = self.sampler.batch(*number, self.rank, self.world_size)
+        item: dict[str, Any] = dict(self.panoramas.of(rows))
         item |= {name: value[rows] for name, value in self._origins.items()}
-        if self._augmentation is not None:
-            self._augmentation.add(item, number, self._library.image_shape, self._rank, self._world_size)
+        if self.augmentation is not None:
+            self.augmentation.add(item, number, self.panoramas.shape, self.rank, self.world_size)
         return item
 
 
-class ValidationDrive(Dataset[dict[str, Any]]):
-    """Map frames, then queries, in batches; every process has all of them.
+def validation_drive(
+    library: PanoramaLibrary, known: FrameTable, queries: FrameTable, numbers: NDArray[np.int64] | None = None
+) -> DriveBatches:
+    """Make the batches of a validation drive: at most 500 map frames, then at most 500 queries, evenly spaced.
 
     Args:
         library: decoded panoramas of all frames.
         known: map frames.
-        queries: frames to search in the map. At most 500 of both are used, evenly spaced.
-        numbers: of the library's rows on the device, as for `PlaceBatches`.
+        queries: frames to search in the map.
+        numbers: of the library's rows on the device, as for `Panoramas`.
     """
-
-    def __init__(
-        self,
-        library: PanoramaLibrary,
-        known: FrameTable,
-        queries: FrameTable,
-        numbers: NDArray[np.int64] | None = None,
-    ) -> None:
-        rooms = rooms_of(known)
-        known, queries = _evenly(known), _evenly(queries)
-        self._library, self._numbers = library, numbers
-        self._rows = np.concatenate([library.rows(known), library.rows(queries)])
-        parts = origins_of(known, queries, rooms=rooms)
-        self._columns = {**parts, "known": torch.arange(len(self._rows)) < len(known)}
-
-    def __len__(self) -> int:
-        return -(-len(self._rows) // _DESCRIBED_AT_ONCE)
-
-    def __getitem__(self, number: tuple[int, int]) -> dict[str, Any]:
-        rows = slice(number[1] * _DESCRIBED_AT_ONCE, (number[1] + 1) * _DESCRIBED_AT_ONCE)
-        images = _images(self._library, self._rows[rows], self._numbers)
-        return {**images, **{name: value[rows] for name, value in self._columns.items()}}
-
-
-def _images(library: PanoramaLibrary, rows: NDArray[np.int64], numbers: NDArray[np.int64] | None) -> dict[str, Tensor]:
-    """Return the images, or their numbers if they are on the device."""
-    if numbers is not None:
-        return {"rows": torch.from_numpy(numbers[rows])}
-    return {"images": torch.from_numpy(library.batch(rows))}
+    drive = [_evenly(known), _evenly(queries)]
+    columns = origins_of(*drive, rooms=rooms_of(known))
+    columns["known"] = torch.arange(sum(map(len, drive))) < len(drive[0])
+    return DriveBatches(columns, Panoramas(library, concatenate(drive), numbers))
 
 
 class PlaceDataModule(EpochDataModule):
@@ -157,16 +119,15 @@ class PlaceDataModule(EpochDataModule):
 
     def train_dataloader(self) -> DataLoader[Any]:
         """Make the loader of the training batches."""
-        numbers = self.numbers(self.augmentation)
-        batches = PlaceBatches(self.library, self.sampler, self.augmentation, *self.share(), numbers)
-        return self.loader(batches, self.next_epoch())
+        panoramas = Panoramas(self.library, self.sampler.frames, self.numbers(self.augmentation))
+        return self.loader(PlaceBatches(panoramas, self.sampler, self.augmentation, *self.share()), self.next_epoch())
 
     def val_dataloader(self) -> DataLoader[Any] | list[Any]:
         """Make the loader of the validation; an empty list if there are no validation frames."""
         if self._validation is None:
             return []
-        numbers = self.numbers(None)
-        return self.loader(ValidationDrive(self.library, self.sampler.frames, self._validation, numbers), None)
+        frames, numbers = self.sampler.frames, self.numbers(None)
+        return self.loader(validation_drive(self.library, frames, self._validation, numbers), None)
 
     def paths(self, epoch: int, batch: int) -> dict[str, NDArray[np.str_]]:
         """Return the files of the images of a training batch."""

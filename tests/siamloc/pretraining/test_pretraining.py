@@ -254,7 +254,7 @@ def test_the_command_trains_and_says_how_to_go_on(rendered, tmp_path, capsys, mo
 
 def test_the_validation_is_of_panoramas(rendered, monkeypatch):
     monkeypatch.setattr(view_batches, "_VALIDATION_POSES", 3)
-    view_batches.ViewValidation(Renderer(0), SIZE)
+    view_batches.validation_views(Renderer(0), SIZE)
     assert len(rendered) == 3
     assert all(camera_of(seed, SIZE).wraps for seed in rendered)
     between = range(min(rendered), max(rendered))

@@ -11,7 +11,7 @@ from siamloc.data.frames import FrameTable
 from siamloc.data.library import PanoramaLibrary
 from siamloc.data.pairs import PairSampler, PairSettings
 from siamloc.errors import ConfigError
-from siamloc.training.batches import BatchAugmentation
+from siamloc.training.batches import BatchAugmentation, Panoramas
 from siamloc.training.pair_batches import PairBatches, PairDataModule
 
 ensure_torchvision()
@@ -51,25 +51,23 @@ def sampled(frames, **settings):
 def test_batches_hold_the_pairs_of_the_epoch(library):
     frames = library.frames.take(slice(None, None, -1))
     sampler = sampled(frames, epoch_pairs=7)
-    batches = PairBatches(library, sampler, batch_size=3)
+    batches = PairBatches(Panoramas(library, frames), sampler, batch_size=3)
     assert len(batches) == 3
     for epoch in (0, 2):
         pairs = sampler.epoch(epoch)
         joined = [batches[epoch, number] for number in range(3)]
         assert [len(batch["label"]) for batch in joined] == [3, 3, 1]
-        assert grey(torch.cat([batch["first"] for batch in joined])) == frames.x[pairs.first].tolist()
-        assert grey(torch.cat([batch["second"] for batch in joined])) == frames.x[pairs.second].tolist()
+        sides = [batch["images"].chunk(2) for batch in joined]
+        for side, rows in ((0, pairs.first), (1, pairs.second)):
+            assert grey(torch.cat([parts[side] for parts in sides])) == frames.x[rows].tolist()
         assert torch.cat([batch["label"] for batch in joined]).tolist() == pairs.label.tolist()
         assert torch.cat([batch["same"] for batch in joined]).tolist() == pairs.same.tolist()
-    with pytest.raises(IndexError):
-        batches[0, 3]
 
 
 def test_fewer_pairs_than_processes_are_refused(library):
-    with pytest.raises(
-        ConfigError, match=r"3 pairs are fewer than the 4 processes .* request more with pairs\.epoch_pairs"
-    ):
-        PairBatches(library, sampled(library.frames, epoch_pairs=3), batch_size=1, world_size=4)
+    few = PairDataModule(library, library.frames, pairs=PairSettings(label="room", epoch_pairs=3))
+    with pytest.raises(ConfigError, match=r"3 pairs are fewer than the 4 processes .* more with pairs\.epoch_pairs"):
+        few.check_processes(4)
     train, validation = library.frames.take(slice(0, 8)), library.frames.take(slice(8, None))
     data = PairDataModule(library, train, validation, pairs=ROOM)
     data.check_processes(3)
@@ -126,7 +124,7 @@ def test_validation_pairs_share_label_and_scale(library):
     train, validation = library.frames.take(slice(0, 6)), library.frames.take(slice(6, None))
     data = PairDataModule(library, train, validation, pairs=PairSettings(label="distance"), batch_size=4)
     batch = next(iter(data.val_dataloader()))
-    first, second = (torch.tensor(grey(batch[name])) for name in ("first", "second"))
+    first, second = torch.tensor(grey(batch["images"])).chunk(2)
     expected = torch.where(batch["same"], (first - second).abs() / data.sampler.scale, 1).clamp(max=1)
     torch.testing.assert_close(batch["label"], expected.float())
 
@@ -164,8 +162,11 @@ def test_augmentation_changes_training_images_only(library):
     options = {"pairs": ROOM, "batch_size": 4}
     data = PairDataModule(library, library.frames, library.frames, augmentation=augmentation, **options)
     plain = PairDataModule(library, library.frames, library.frames, **options)
-    assert not torch.equal(next(iter(data.train_dataloader()))["first"], next(iter(plain.train_dataloader()))["first"])
-    assert torch.equal(next(iter(data.val_dataloader()))["first"], next(iter(plain.val_dataloader()))["first"])
+    changed, as_it_was = (
+        [next(iter(one)) for one in (d.train_dataloader(), d.val_dataloader())] for d in (data, plain)
+    )
+    assert not torch.equal(changed[0]["images"], as_it_was[0]["images"])
+    assert torch.equal(changed[1]["images"], as_it_was[1]["images"])
 
 
 def test_augmentation_after_the_transfer_is_the_same(library):

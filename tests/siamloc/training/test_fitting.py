@@ -25,7 +25,7 @@ from siamloc.models import PlaceModule, SiameseModule, as_descriptor, build, loa
 from siamloc.runs import Run
 from siamloc.training import PairSettings, Training, fit
 from siamloc.training.checks import monitored
-from siamloc.training.place_batches import ValidationDrive
+from siamloc.training.place_batches import validation_drive
 from siamloc.training.run_folder import check_folder, progress
 from tests.drawn import write_manifest
 
@@ -117,7 +117,7 @@ def test_the_best_weights_are_kept_not_the_last(train, frames):
 def test_pairs_are_located_as_places_are(images, frames, day):
     """Both kinds of training are judged by the same figures."""
     night = frames.select(sequence="night1")
-    drive = ValidationDrive(images, day, night)
+    drive = validation_drive(images, day, night)
     modules = [made(build("simple1", "fc500_500_5", SIZE), recall_radius=2.0) for made in (SiameseModule, PlaceModule)]
     figures = []
     for module in modules:

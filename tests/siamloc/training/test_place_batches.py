@@ -18,7 +18,7 @@ from siamloc.errors import ConfigError, DataError
 from siamloc.models import build
 from siamloc.models.origins import Origins
 from siamloc.training import callbacks
-from siamloc.training.batches import BatchAugmentation
+from siamloc.training.batches import BatchAugmentation, Panoramas
 from siamloc.training.checks import check_batches
 from siamloc.training.place_batches import PlaceBatches, origins_of
 from tests.siamloc.training.conftest import SIZE
@@ -33,7 +33,7 @@ def network(seed=0):
 def test_batches_hold_the_images_of_their_frames_and_where_those_come_from(images):
     frames = images.frames.take(slice(None, None, -1))
     sampler = PlaceSampler(frames, PlaceSettings(places=3, images=2), seed=2)
-    item = PlaceBatches(images, sampler)[1, 0]
+    item = PlaceBatches(Panoramas(images, frames), sampler)[1, 0]
     rows = sampler.batch(1, 0)
     assert np.array_equal(item["images"].numpy(), images.batch(images.rows(frames)[rows]))
     assert np.allclose(item["xy"].numpy(), frames.xy[rows] - frames.xy.mean(axis=0))
@@ -53,10 +53,11 @@ def test_unknown_rooms_are_negative_and_tables_share_their_numbers():
 def test_augmentation_follows_from_the_numbers_of_the_batch_and_is_shared_by_processes(images):
     sampler = PlaceSampler(images.frames, PlaceSettings(places=4, images=2))
     change = BatchAugmentation(augment.effect("noise", variance=0.01), seed=3)
-    whole = PlaceBatches(images, PlaceSampler(images.frames, PlaceSettings(places=8, images=2)), change)[2, 1]["images"]
-    shares = [PlaceBatches(images, sampler, change, rank, 2)[2, 1]["images"] for rank in (0, 1)]
+    panoramas, both = Panoramas(images, images.frames), PlaceSampler(images.frames, PlaceSettings(places=8, images=2))
+    whole = PlaceBatches(panoramas, both, change)[2, 1]["images"]
+    shares = [PlaceBatches(panoramas, sampler, change, rank, 2)[2, 1]["images"] for rank in (0, 1)]
     assert torch.equal(torch.cat(shares), whole)
-    assert not torch.equal(PlaceBatches(images, sampler, change, 0, 2)[1, 1]["images"], shares[0])
+    assert not torch.equal(PlaceBatches(panoramas, sampler, change, 0, 2)[1, 1]["images"], shares[0])
 
 
 def test_a_training_learns_where_pictures_were_taken(images, drives, tmp_path, capfd):

@@ -10,7 +10,7 @@ import siamloc
 from siamloc.data.frames import FrameTable, concatenate
 from siamloc.errors import ConfigError, DataError, FormatError
 from siamloc.models import CrossEntropyLoss, as_descriptor, build
-from siamloc.training.place_batches import ValidationDrive, origins_of, rooms_of
+from siamloc.training.place_batches import origins_of, rooms_of, validation_drive
 from tests.siamloc.training.conftest import SIZE
 
 BATCHES = {"by": "sequence", "places": 8, "images": 1, "radius": 0.0, "epoch_batches": 6}
@@ -118,7 +118,7 @@ def test_rooms_of_the_validation_have_the_numbers_of_the_training(images, drives
             relabelled(tuesday.take(slice(12, None)), ""),
         ]
     )
-    batch = ValidationDrive(images, monday, asked)[0, 0]
+    batch = validation_drive(images, monday, asked)[0, 0]
     room, known = batch["room"], batch["known"]
     assert torch.equal(room[known], origins_of(monday)["room"])
     assert rooms_of(monday) == ["a", "b"]
