@@ -21,6 +21,7 @@ from torch import Tensor
 
 from augment.brushes import Brush, Frame, paint
 from augment.errors import AugmentError, hint
+from foundation.settings import checked, shortened
 
 Params = dict[str, Tensor]
 Numbers = dict[str, NDArray[np.float64]]
@@ -73,18 +74,17 @@ class Range:
             AugmentError: neither a number nor a pair, out of order, or beyond minimum and maximum.
         """
         pair = value if isinstance(value, Sequence) and not isinstance(value, str) else (value, value)
-        if len(pair) != 2 or not all(isinstance(end, Real) and not isinstance(end, bool) for end in pair):
-            raise AugmentError(f"{what} must be a number or a pair (low, high), got {value!r}")
-        low, high = float(pair[0]), float(pair[1])
-        if not (math.isfinite(low) and math.isfinite(high)):
-            raise AugmentError(f"{what} must be finite, got {value!r}")
-        if low > high:
-            raise AugmentError(f"{what} is out of order: {low:g} must not exceed {high:g}")
-        if low < self.minimum or high > self.maximum:
-            raise AugmentError(f"{what} must lie in [{self.minimum:g}, {self.maximum:g}], got {value!r}")
-        if self.whole and (low != int(low) or high != int(high)):
-            raise AugmentError(f"{what} must be a whole number or a pair of them, got {value!r}")
-        return replace(self, low=low, high=high)
+        fits = len(pair) == 2 and all(
+            isinstance(end, Real) and not isinstance(end, bool) and math.isfinite(end) for end in pair
+        )
+        if not fits or (self.whole and any(end % 1 for end in pair)):
+            kind = "whole number" if self.whole else "number"
+            raise AugmentError(f"{what} must be a {kind} or a pair of them (low, high), got {value!r}")
+        if not self.minimum <= pair[0] <= pair[1] <= self.maximum:
+            raise AugmentError(
+                f"{what} must lie in [{self.minimum:g}, {self.maximum:g}], the lower number first, got {value!r}"
+            )
+        return replace(self, low=float(pair[0]), high=float(pair[1]))
 
     def at(self, strength: float) -> float:
         """Return the value for a strength in [-1, 1]: 0 is neutral, 1 the far end, -1 the end on the other side."""
@@ -161,8 +161,7 @@ class Effect(ABC):
             for key, base in self.RANGES.items()
         }
         self.options: dict[str, Any] = {key: params.get(key, value) for key, value in options.items()}
-        if not isinstance(self.options["circular"], bool):
-            raise AugmentError(f"circular of {self.name} must be true or false, got {self.options['circular']!r}")
+        checked(self.options["circular"], bool, f"circular of {self.name}", AugmentError)
         self.stages = [[0]]
         self._spans: dict[tuple[int, int], dict[str, Range]] = {}
         self._limits: dict[tuple[int, int], tuple[dict[str, Range], Tensor, Tensor]] = {}
@@ -236,14 +235,14 @@ class Effect(ABC):
         """
         check_batch(batch)
         height, width = batch.shape[2:]
-        checked = self.checked(params, len(batch), height, width)
+        fitting = self.checked(params, len(batch), height, width)
         if len(batch) == 0:
             return batch.clone()
         if batch.dtype != torch.uint8 or batch.device.type != "cpu":
-            return self.play(batch, self.program(checked, height, width))
+            return self.play(batch, self.program(fitting, height, width))
         frames = batch.clone(memory_format=torch.contiguous_format)
         brushes: list[list[Brush]] = [[] for _ in frames]
-        for effect, own, changed in self.parts(checked):
+        for effect, own, changed in self.parts(fitting):
             rows = np.flatnonzero(changed)
             if len(rows):
                 some = effect.brushes({key: value[rows] for key, value in own.items()}, height, width)
@@ -335,24 +334,6 @@ class Effect(ABC):
         """Return the numbers in the formula of the effect, for frames with these parameters; by default these."""
         return params
 
-    def shift(self, params: Mapping[str, Tensor]) -> Tensor | None:
-        """Return by how many columns each frame moves to the right (B,) int64; None for an effect that moves nothing.
-
-        Anything that marks places in the image, such as a mask, has to move with it.
-        """
-        return None
-
-    def turned(self, params: Mapping[str, Tensor], columns: int, width: int) -> Params:
-        """Return the parameters that have the same effect on the batch shifted right by a number of columns."""
-        return {
-            key: (value + columns) % width if key.rpartition(".")[2] == "column" else value
-            for key, value in params.items()
-        }
-
-    def describe(self, params: Mapping[str, Tensor]) -> list[str]:
-        """Return what happens to each frame, in words."""
-        return [self.name] * _count(params)
-
     def spans(self, height: int, width: int) -> dict[str, Range]:
         """Return what each parameter is drawn from, for frames of this size."""
         key = (height, width)
@@ -407,22 +388,17 @@ class Effect(ABC):
         for key in params:
             if key not in valid:
                 raise AugmentError(f"{self.name} has no parameter {key!r}: {hint(key, valid)}")
-        checked = {}
-        for key, span in valid.items():
-            if key not in params:
-                raise AugmentError(f"the parameters of {self.name} lack {key!r}: they need {', '.join(valid)}")
-            checked[key] = self._values(key, params[key], span, count)
-        if count and checked:
-            together = torch.cat(list(checked.values())).view(len(checked), count)
+        if lacking := [key for key in valid if key not in params]:
+            raise AugmentError(f"the parameters of {self.name} lack {lacking[0]!r}: they need {', '.join(valid)}")
+        values = {key: self._values(key, params[key], span, count) for key, span in valid.items()}
+        if count and values:
+            together = torch.cat(list(values.values())).view(len(values), count)
             fits = ((together >= low) & (together <= high)).all(1)  # NaN fits nowhere
             if not fits.all():
-                key = list(checked)[fits.tolist().index(False)]
-                least, most = _ends(valid[key])
-                raise AugmentError(
-                    f"parameter {key!r} of {self.name} must lie in [{least:.7g}, {most:.7g}], "
-                    f"got {checked[key].tolist()}"
-                )
-        return checked
+                key = list(values)[fits.tolist().index(False)]
+                ends, got = "{:.7g}, {:.7g}".format(*_ends(valid[key])), values[key].tolist()
+                raise AugmentError(f"parameter {key!r} of {self.name} must lie in [{ends}], got {got}")
+        return values
 
     def limits(self, height: int, width: int) -> dict[str, Range]:
         """Return the parameters that `draw` returns; `apply` takes values from their minimum to their maximum."""
@@ -441,17 +417,22 @@ class Effect(ABC):
         """Return one parameter as a tensor (B,): int64 for whole numbers, else float32."""
         try:
             value = torch.as_tensor(given, device="cpu")
-        except (TypeError, ValueError, RuntimeError) as error:
-            raise AugmentError(f"parameter {key!r} of {self.name} must be a list of numbers, got {given!r}") from error
-        if value.shape != (count,):
-            raise AugmentError(
-                f"parameter {key!r} of {self.name} has shape {tuple(value.shape)}, expected ({count},): "
-                "one value for each frame of the batch"
-            )
-        if value.is_complex() or (span.whole and value.is_floating_point() and not value.equal(value.floor())):
+        except (TypeError, ValueError, RuntimeError):
+            value = torch.zeros(0, 0)
+        broken = span.whole and value.is_floating_point() and not value.equal(value.floor())
+        if value.shape != (count,) or value.is_complex() or broken:
             kind = "whole" if span.whole else "real"
-            raise AugmentError(f"parameter {key!r} of {self.name} must be {kind} numbers, got {value.tolist()}")
+            raise AugmentError(
+                f"parameter {key!r} of {self.name} must be {kind} numbers ({count},), one for each frame of the batch, "
+                f"got {shortened(repr(given))}"
+            )
         return value.long() if span.whole else value.float()
+
+
+def seeded(*words: int) -> torch.Generator:
+    """Return a generator that depends only on some whole numbers, such as a seed and the number of a frame."""
+    state = np.random.SeedSequence(words).generate_state(1, np.uint64)
+    return torch.Generator("cpu").manual_seed(int(state[0] >> np.uint64(1)))
 
 
 def spread(uniform: Tensor, ranges: Mapping[str, Range]) -> dict[str, Tensor]:

@@ -46,10 +46,6 @@ class Rotate(Effect):
         """Add the heading."""
         return {**params, "heading": wrapped(params["shift"] * (2 * pi / width))}
 
-    def shift(self, params: Mapping[str, Tensor]) -> Tensor:
-        """Return the shift."""
-        return params["shift"]
-
     def limits(self, height: int, width: int) -> dict[str, Range]:
         """Any shift, and the heading."""
         return {"shift": Range(0, 0, whole=True), "heading": Range(0, 0)}

@@ -7,12 +7,12 @@ from dataclasses import dataclass
 from itertools import combinations_with_replacement
 from typing import Any
 
-import numpy as np
 import torch
 
-from augment.base import Params
+from augment.base import Params, seeded
 from augment.compose import Policy
 from augment.errors import AugmentError
+from foundation.settings import Count, checked
 
 Tree = dict[str, Any]
 
@@ -56,12 +56,8 @@ class Variant:
             frames: numbers of the frames.
             size: rows and columns of the images.
         """
-        generator, count = torch.Generator("cpu"), len(self.policy.spans(*size))
-        rows = []
-        for frame in frames:
-            state = np.random.SeedSequence([seed, frame, self.number]).generate_state(1, np.uint64)
-            generator.manual_seed(int(state[0] >> np.uint64(1)))
-            rows.append(torch.rand(count, generator=generator, device="cpu"))
+        count = len(self.policy.spans(*size))
+        rows = [torch.rand(count, generator=seeded(seed, frame, self.number), device="cpu") for frame in frames]
         return self.policy.values(torch.stack(rows), *size)
 
 
@@ -91,8 +87,7 @@ def variants(depth: int, circular: bool = True) -> list[Variant]:
         >>> [variant.label for variant in variants(18)[15:]]
         ['rotate', 'bulb light + rotate', 'bulb dark + rotate']
     """
-    if isinstance(depth, bool) or not isinstance(depth, int) or depth < 1:
-        raise AugmentError(f"depth must be a whole number of variants per frame, at least 1, got {depth!r}")
+    checked(depth, Count, "depth", AugmentError)
     listed = combinations()
     policies = {label: Policy({"all_of": steps}, name=label, circular=circular) for label, steps in listed.items()}
     labels = list(listed)

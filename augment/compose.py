@@ -6,7 +6,6 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from difflib import SequenceMatcher
 from functools import lru_cache
-from numbers import Real
 from typing import Any
 
 import numpy as np
@@ -18,6 +17,7 @@ from augment.base import Effect, Params, Range
 from augment.columns import wrapped
 from augment.errors import AugmentError, hint
 from augment.registry import EFFECTS, effect
+from foundation.settings import NotNegative, Share, checked
 
 _KINDS = ("effect", "all_of", "one_of")
 _UNIT = Range(0, 1)
@@ -72,8 +72,8 @@ class Policy(Effect):
         >>> lamp = {"effect": "bulb", "tone": "light", "probability": 0.5}
         >>> policy = augment.Policy({"all_of": [night, lamp]}, name="night")
         >>> params = policy.draw(torch.Generator().manual_seed(0), torch.zeros(3, 3, 128, 512))
-        >>> policy.describe(params)
-        ['exposure + bulb light', 'exposure', 'exposure + bulb light']
+        >>> params["1.bulb.on"]
+        tensor([ True, False,  True])
     """
 
     name = "policy"
@@ -128,35 +128,6 @@ class Policy(Effect):
             if "heading" in own:
                 heading = heading + own["heading"] * taken[slot]
         return {**done, "heading": wrapped(heading)}
-
-    def at(self, strength: float, batch: Tensor) -> Params:
-        """Return the parameters of every effect at one strength. See `Effect.at`."""
-        params = super().at(strength, batch)
-        for prefix, _ in self._prefixed:
-            params[f"{prefix}.on"] = torch.ones(len(batch), dtype=torch.bool, device="cpu")
-        return params
-
-    def shift(self, params: Mapping[str, Tensor]) -> Tensor | None:
-        """Return the columns that all rotations together move each frame. See `Effect.shift`."""
-        total: Tensor | None = None
-        for own, inner in zip(self._owns(params), self.effects, strict=True):
-            moved = inner.shift(own)
-            if moved is not None:
-                moved = moved * own["on"]
-                total = moved if total is None else total + moved
-        return total
-
-    def describe(self, params: Mapping[str, Tensor]) -> list[str]:
-        """Return what happens to each frame: "darken + bulb light + rotate", or "original"."""
-        words: list[list[str]] = [[] for _ in range(len(params["heading"]))]
-        for own, inner in zip(self._owns(params), self.effects, strict=True):
-            on = torch.as_tensor(own["on"])
-            if not on.any():
-                continue
-            texts = inner.describe(own)
-            for frame in on.nonzero()[:, 0].tolist():
-                words[frame].append(texts[frame])
-        return [" + ".join(some) or "original" for some in words]
 
     def parts(self, params: Mapping[str, Tensor]) -> list[tuple[Effect, Params, NDArray[np.bool_]]]:
         """Return effect, parameters and changed frames of each slot. See `Effect.parts`."""
@@ -251,8 +222,8 @@ def _step(tree: Any, circular: bool, slots: Iterator[int], where: str) -> Step:
         )
     kind = kinds[0]
     content = rest.pop(kind)
-    probability = _number(rest.pop("probability", 1.0), f"a probability of policy {where}", 0, 1)
-    weight = _number(rest.pop("weight", 1.0), f"a weight of policy {where}", 0, 1e9)
+    probability = checked(rest.pop("probability", 1.0), Share, f"a probability of policy {where}", AugmentError)
+    weight = checked(rest.pop("weight", 1.0), NotNegative, f"a weight of policy {where}", AugmentError)
     if kind == "effect":
         if any(not isinstance(key, str) for key in rest):
             raise AugmentError(f"the parameters of {content} in policy {where} must have names, got {[*rest]}")
@@ -262,19 +233,11 @@ def _step(tree: Any, circular: bool, slots: Iterator[int], where: str) -> Step:
         built = effect(content, **{"circular": circular, **rest})
         return Step(kind, (), built, slot, probability, weight, f"{slot}.{content}")
     if rest:
-        raise AugmentError(
-            f"{kind} in policy {where} has no key {next(iter(rest))!r}: "
-            f"{hint(next(iter(rest)), (kind, 'probability', 'weight'))}"
-        )
+        key = next(iter(rest))
+        raise AugmentError(f"{kind} in policy {where} has no key {key!r}: {hint(key, (kind, 'probability', 'weight'))}")
     if not isinstance(content, Sequence) or isinstance(content, str):
         raise AugmentError(f"{kind} in policy {where} must be a list of steps, got {content!r}")
     steps = tuple(_step(child, circular, slots, where) for child in content)
     if kind == "one_of" and not sum(step.weight for step in steps) > 0:
         raise AugmentError(f"one_of in policy {where} needs at least one step with a weight above 0")
     return Step(kind, steps, None, -1, probability, weight)
-
-
-def _number(value: Any, what: str, low: float, high: float) -> float:
-    if isinstance(value, Real) and not isinstance(value, bool) and low <= float(value) <= high:
-        return float(value)
-    raise AugmentError(f"{what} must be a number in [{low:g}, {high:g}], got {value!r}")

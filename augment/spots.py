@@ -58,10 +58,6 @@ class Spot(Layer):
             "light": Range(low, high, minimum=0, maximum=1, neutral=neutral, whole=True),
         }
 
-    def describe(self, params: Mapping[str, Tensor]) -> list[str]:
-        """Return name and tone of each frame's spot."""
-        return [f"{self.name} {'light' if light else 'dark'}" for light in params["light"].tolist()]
-
     @cached_property
     def renderer(self) -> Effect:
         """The shapes of this module, in one formula."""

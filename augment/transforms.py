@@ -5,14 +5,14 @@ from __future__ import annotations
 from math import prod
 from typing import Any
 
-import numpy as np
 import torch
 from torch import Tensor
 from torch.utils.data import get_worker_info
 
-from augment.base import Effect, Params
+from augment.base import Effect, Params, seeded
 from augment.errors import AugmentError
 from augment.torchvision_compat import ensure_torchvision
+from foundation.settings import Seed, checked
 
 ensure_torchvision()
 from torchvision import tv_tensors  # noqa: E402
@@ -27,9 +27,9 @@ class Augment(v2.Transform):
 
     Images are tensors (..., 3, H, W), uint8, or floating point in [0, 1], `tv_tensors.Image` or `tv_tensors.Video`,
     or RGB images of Pillow; type, shape and dtype stay the same. A sample may be nested, as for all transforms of
-    torchvision; all images in it, such as the two of a stereo camera, get the same parameters. A rotation also moves
-    `tv_tensors.Mask`, and refuses boxes and key points, which may lie across the seam. Everything else in a sample
-    stays as it is, as do plain tensors after the first image. To repeat a draw, keep the parameters: call
+    torchvision; all images in it, such as the two of a stereo camera, get the same parameters. A rotation refuses
+    masks, boxes and key points, which may lie across the seam. Everything else in a sample stays as it is, as do plain
+    tensors after the first image. To repeat a draw, keep the parameters: call
     `make_params([picture])` once, and `transform(picture, params)` as often as needed.
 
     Draws depend only on `seed` and the number of earlier calls, not on torch's global generator. A copy draws what
@@ -38,7 +38,7 @@ class Augment(v2.Transform):
 
     Args:
         effect: an effect from `augment.effect`, `augment.policy` or `Policy`.
-        seed: seed of the draws, 0 or more.
+        seed: seed of the draws.
 
     Attributes:
         effect: as given.
@@ -62,10 +62,8 @@ class Augment(v2.Transform):
         super().__init__()
         if not isinstance(effect, Effect):
             raise AugmentError(f"Augment takes an effect or a policy, such as augment.policy('thesis'), got {effect!r}")
-        if isinstance(seed, bool) or not isinstance(seed, int) or seed < 0:
-            raise AugmentError(f"seed of Augment must be a whole number, 0 or more, got {seed!r}")
         self.effect = effect
-        self.seed = seed
+        self.seed = checked(seed, Seed, "seed of Augment", AugmentError)
         self.calls = 0
 
     def extra_repr(self) -> str:
@@ -87,44 +85,26 @@ class Augment(v2.Transform):
             raise AugmentError(f"the images of one sample must have the same number and size, got {sorted(shapes)}")
         count, height, width = shapes.pop()
         params = self.effect.draw(self._generator(), torch.empty(count, 3, height, width, device="meta"))
-        if self._moves(params):
-            for item in flat_inputs:
-                if not _is_picture(item):
-                    _check_movable(item, count, width)
+        marks = [type(item).__name__ for item in flat_inputs if not _is_picture(item)]
+        if marks and "heading" in params and params["heading"].any():
+            raise AugmentError(f"a rotation cannot move {marks[0]}, which may lie across the seam: leave it out")
         return params
 
     def transform(self, inpt: Any, params: Params) -> Any:
         """Apply parameters to one item of a sample."""
-        if _is_picture(inpt):
-            return self._augmented(inpt, params)
-        if isinstance(inpt, tv_tensors.Mask) and params and self._moves(params):
-            shifts, mask = self.effect.shift(params), inpt.as_subclass(Tensor)
-            assert shifts is not None
-            frames = [mask] if len(shifts) == 1 else mask.unbind()
-            moved = [frame.roll(shift, -1) for frame, shift in zip(frames, shifts.tolist(), strict=True)]
-            return tv_tensors.wrap(torch.stack(moved).view_as(mask), like=inpt)
-        return inpt
+        return self._augmented(inpt, params) if _is_picture(inpt) else inpt
 
     def _augmented(self, picture: Any, params: Params) -> Any:
         if not isinstance(picture, Tensor):
             return functional.to_pil_image(self._augmented(functional.pil_to_tensor(picture), params))
         batch = picture.as_subclass(Tensor).reshape(-1, *picture.shape[-3:])
-        if batch.is_floating_point():
-            out = self.effect.apply(batch.float(), params).to(picture.dtype)
-        else:
-            out = self.effect.apply(batch, params)
+        out = self.effect.apply(batch.float() if batch.is_floating_point() else batch, params).to(picture.dtype)
         return tv_tensors.wrap(out.reshape(picture.shape), like=picture)
 
-    def _moves(self, params: Params) -> bool:
-        shift = self.effect.shift(params)
-        return shift is not None and bool(shift.any())
-
     def _generator(self) -> torch.Generator:
-        worker = get_worker_info()
-        words = [self.seed, self.calls, *([] if worker is None else [worker.seed])]
+        worker, call = get_worker_info(), self.calls
         self.calls += 1
-        state = np.random.SeedSequence(words).generate_state(1, np.uint64)
-        return torch.Generator().manual_seed(int(state[0] >> np.uint64(1)))
+        return seeded(self.seed, call, *([] if worker is None else [worker.seed]))
 
 
 def _is_picture(item: Any) -> bool:
@@ -141,14 +121,3 @@ def _shape(picture: Any) -> tuple[int, int, int]:
     if picture.ndim < 3 or picture.shape[-3] != 3:
         raise AugmentError(f"an image has shape (..., 3, H, W), got {tuple(picture.shape)}")
     return prod(picture.shape[:-3]), picture.shape[-2], picture.shape[-1]
-
-
-def _check_movable(item: Any, count: int, width: int) -> None:
-    """Raise AugmentError if an item that marks places in an image cannot be rotated with it."""
-    if not isinstance(item, tv_tensors.Mask):
-        raise AugmentError(f"a rotation cannot move {type(item).__name__}, which may lie across the seam: leave it out")
-    if item.shape[-1] != width or (count > 1 and item.shape[0] != count):
-        raise AugmentError(
-            f"a mask of shape {tuple(item.shape)} cannot be rotated with {count} images of {width} columns: "
-            "it needs as many columns, and a mask for each image of a batch"
-        )

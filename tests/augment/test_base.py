@@ -45,17 +45,15 @@ def test_a_number_is_a_range_of_one_value():
 @pytest.mark.parametrize(
     ("name", "params", "message"),
     [
-        ("bulb", {"radius": (40, 15)}, "radius of bulb is out of order: 40 must not exceed 15"),
-        ("bulb", {"intensity": 300}, r"intensity of bulb must lie in \[0, 255\], got 300"),
-        ("gamma", {"gamma": 0}, r"gamma of gamma must lie in \[0.05, 20\], got 0"),
-        ("gamma", {"gamma": "high"}, r"gamma of gamma must be a number or a pair .low, high., got 'high'"),
+        ("bulb", {"radius": (40, 15)}, r"radius of bulb must lie in .*, the lower number first, got \(40, 15\)"),
+        ("bulb", {"intensity": 300}, r"intensity of bulb must lie in \[0, 255\], .*, got 300"),
+        ("gamma", {"gamma": "high"}, "gamma of gamma must be a number or a pair of them .low, high., got 'high'"),
         ("gamma", {"gamma": (1, 2, 3)}, "must be a number or a pair"),
         ("gamma", {"gamma": True}, "must be a number or a pair"),
-        ("gamma", {"gamma": float("nan")}, "gamma of gamma must be finite"),
-        ("brighten", {"amount": 3.5}, "amount of brighten must be a whole number or a pair of them, got 3.5"),
-        ("occlude", {"share": (0, 1.5)}, r"share of occlude must lie in \[0, 1\]"),
+        ("gamma", {"gamma": float("nan")}, "must be a number or a pair"),
+        ("brighten", {"amount": 3.5}, "amount of brighten must be a whole number or a pair of them .*, got 3.5"),
+        ("occlude", {"bars": 5}, r"bars of occlude must lie in \[1, 4\], .* got 5"),
         ("blur", {"size": 4}, "size of blur must be an odd number of pixels, got 4"),
-        ("blur", {"size": True}, "size of blur must be an odd number of pixels, got True"),
         ("blur", {"circular": 1}, "circular of blur must be true or false, got 1"),
     ],
 )

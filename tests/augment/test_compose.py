@@ -5,12 +5,12 @@ import torch
 
 import augment
 from augment import Policy
-from tests.augment.pictures import generator, panoramas
+from tests.augment.pictures import described, generator, panoramas
 
 
 def shares(policy, count=4000):
-    described = policy.describe(policy.draw(generator(), panoramas(count, 2, 8)))
-    return {label: described.count(label) / count for label in set(described)}
+    labels = described(policy, policy.draw(generator(), panoramas(count, 2, 8)))
+    return {label: labels.count(label) / count for label in set(labels)}
 
 
 def test_all_of_is_one_effect_after_the_other():
@@ -87,18 +87,13 @@ def test_effects_inherit_circular_from_the_policy():
     [
         ({"effect": "blurr"}, "unknown effect 'blurr' in policy test: did you mean 'blur'"),
         ({"effect": "blur", "sise": 3}, "blur has no parameter 'sise': did you mean 'size'"),
-        ({"effect": "blur", "probability": 1.5}, r"a probability of policy test must be a number in \[0, 1\], got 1.5"),
-        ({"effect": "blur", "probability": -0.1}, r"must be a number in \[0, 1\], got -0.1"),
-        ({"effect": "blur", "probability": float("nan")}, r"must be a number in \[0, 1\], got nan"),
-        ({"effect": "blur", "probability": "often"}, r"must be a number in \[0, 1\], got 'often'"),
-        ({"effect": "blur", "weight": -1}, "a weight of policy test must be a number"),
-        ({"effect": "bulb", "radius": [40, 15]}, "radius of bulb is out of order"),
+        ({"effect": "blur", "probability": 1.5}, "a probability of policy test must be a number from 0 to 1, got 1.5"),
+        ({"effect": "blur", "probability": float("nan")}, "must be a number from 0 to 1, got nan"),
+        ({"effect": "blur", "weight": -1}, "a weight of policy test must be a number from 0, got -1"),
+        ({"effect": "bulb", "radius": [40, 15]}, "radius of bulb must lie in"),
         ({"all_of": [], "one_of": []}, "exactly one of effect, all_of, one_of, got all_of, one_of"),
         ({}, "exactly one of effect, all_of, one_of, got nothing"),
-        (
-            {"all_of": [], "probabilty": 0.5},
-            "has no key 'probabilty': did you mean 'probability'",
-        ),
+        ({"all_of": [], "probabilty": 0.5}, "has no key 'probabilty': did you mean 'probability'"),
         ({"all_of": "blur"}, "all_of in policy test must be a list of steps, got 'blur'"),
         ({"all_of": ["blur"]}, "a step of policy test must be a mapping with effect, all_of or one_of, got 'blur'"),
         ({"one_of": []}, "one_of in policy test needs at least one step with a weight above 0"),

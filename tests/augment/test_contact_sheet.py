@@ -1,14 +1,17 @@
+from itertools import pairwise
+
 import numpy as np
 import pytest
 import torch
 
 import augment
+import augment.contact_sheet
 from tests.augment.pictures import panoramas
 
 
 @pytest.mark.parametrize("dtype", [torch.uint8, torch.float32])
 def test_a_sheet_shows_every_effect_at_three_strengths(dtype):
-    sheet = augment.preview(panoramas(2, 32, 128, dtype=dtype), columns=6, cell=64)
+    sheet = augment.preview(panoramas(2, 32, 128, dtype=dtype), cell=64)
     assert sheet.dtype == np.uint8
     assert sheet.shape[2] == 3
     band = sheet[:, 36:100].reshape(len(sheet), -1)  # the first column of pictures, below 36 pixels of margin
@@ -18,14 +21,15 @@ def test_a_sheet_shows_every_effect_at_three_strengths(dtype):
     assert len(starts) >= rows
 
 
-def test_any_size_and_a_single_panorama():
-    assert augment.preview(panoramas(1, 16, 48), columns=3, cell=48).shape[1] == 2 * 36 + 3 * 48 + 2 * 10
+def test_an_effect_of_ones_own_is_shown_at_three_strengths_of_its_ranges(monkeypatch):
+    monkeypatch.setattr("augment.contact_sheet.EFFECTS", ("gamma",))
+    monkeypatch.setattr("augment.contact_sheet.POLICIES", ("none",))
+    monkeypatch.delitem(augment.contact_sheet._SHOTS, "gamma")
+    sheet = augment.preview(panoramas(1, 16, 48), cell=48)
+    places = [sheet[-46 - 16 : -46 - 2, 36 + 58 * column : 84 + 58 * column] for column in range(4)]
+    assert all((one != other).any() for one, other in pairwise(places))
 
 
 def test_what_cannot_be_shown():
     with pytest.raises(augment.AugmentError, match="a preview needs at least one panorama"):
         augment.preview(panoramas(0))
-    with pytest.raises(augment.AugmentError, match="columns of a preview must be a multiple of 3, got 4"):
-        augment.preview(panoramas(1), columns=4)
-    with pytest.raises(augment.AugmentError, match="a batch has shape"):
-        augment.preview(torch.zeros(3, 8, 8))

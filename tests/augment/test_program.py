@@ -13,6 +13,11 @@ from tests.augment.pictures import generator, panoramas
 SPOTS = [{"effect": "bulb"}, {"effect": "square"}, {"effect": "trapezoid"}]
 
 
+def all_on(policy, batch):
+    params = policy.at(1, batch)
+    return {key: torch.ones(len(batch)) if key.endswith(".on") else value for key, value in params.items()}
+
+
 def names(policy):
     return [sorted({policy.effects[slot].name for slot in stage}) for stage in policy.stages]
 
@@ -64,7 +69,7 @@ def test_parameters_by_hand_may_take_effects_that_exclude_each_other():
     one_by_one = batch
     for effect in policy.effects:
         one_by_one = effect.apply(one_by_one, effect.at(1, batch))
-    assert torch.allclose(policy.apply(batch, policy.at(1, batch)), one_by_one, atol=1e-6)
+    assert torch.allclose(policy.apply(batch, all_on(policy, batch)), one_by_one, atol=1e-6)
 
 
 def test_parameters_by_hand_may_take_alternatives_whose_steps_are_in_another_order():
@@ -72,7 +77,7 @@ def test_parameters_by_hand_may_take_alternatives_whose_steps_are_in_another_ord
     policy = Policy({"one_of": [{"effect": "blur"}, late]})
     assert names(policy) == [["darken"], ["contrast"], ["blur"]]
     batch = panoramas(2)
-    params = policy.at(1, batch)
+    params = all_on(policy, batch)
     apart = policy.apply(batch / 255, params) * 255 - policy.apply(batch, params)
     assert apart.abs().max() <= 0.5 * 1.5 + 0.5 + 1e-3  # painting rounds the blur, and contrast scales that
 

@@ -70,10 +70,3 @@ def test_published_ranges():
 def test_unknown_tone():
     with pytest.raises(augment.AugmentError, match="unknown tone 'lihgt' of bulb: did you mean 'light'"):
         augment.effect("bulb", tone="lihgt")
-
-
-@pytest.mark.parametrize("name", ["bulb", "square", "trapezoid"])
-def test_describes_tone(name):
-    effect = augment.effect(name)
-    params = effect.draw(generator(), panoramas(20, 8, 8))
-    assert set(effect.describe(params)) == {f"{name} light", f"{name} dark"}

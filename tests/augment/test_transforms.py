@@ -129,32 +129,11 @@ def test_a_sample_of_pictures_and_other_things():
     assert build("rotate")([mask])[0] is mask
 
 
-@pytest.mark.parametrize("name", ["rotate", "strong"])
-def test_masks_turn_with_the_picture(name):
-    picture = tv_tensors.Image(panoramas(1)[0])
-    masks = tv_tensors.Mask(torch.arange(2 * 24 * 64).view(2, 24, 64))
-    transform = build(name)
-    params = transform.make_params([picture, masks])
-    columns = int(transform.effect.shift(params))
-    turned = build(name)(picture, masks)[1]
-    assert type(turned) is tv_tensors.Mask
-    assert columns % 64
-    assert torch.equal(turned, masks.roll(columns, -1))
-
-
-def test_masks_of_a_batch_turn_each_with_its_picture():
-    pictures = tv_tensors.Image(panoramas(6, dtype=torch.float32))
-    out, masks = build("rotate")(pictures, tv_tensors.Mask((pictures[:, 0] * 255).to(torch.uint8)))
-    assert torch.equal(masks, (out[:, 0] * 255).to(torch.uint8))
-
-
 def test_what_cannot_be_turned():
     picture = tv_tensors.Image(panoramas(1)[0])
     box = tv_tensors.BoundingBoxes([[1, 1, 4, 4]], format="XYXY", canvas_size=(24, 64))
     with pytest.raises(augment.AugmentError, match="a rotation cannot move BoundingBoxes, which may lie across"):
         build("rotate")(picture, box)
-    with pytest.raises(augment.AugmentError, match=r"a mask of shape \(24, 32\) cannot be rotated with 1 "):
-        build("rotate")(picture, tv_tensors.Mask(torch.zeros(24, 32)))
 
 
 @pytest.mark.parametrize(
@@ -177,7 +156,7 @@ def test_arguments_that_make_no_sense():
     with pytest.raises(augment.AugmentError, match=r"Augment takes an effect or a policy, such as .*, got 'thesis'"):
         Augment("thesis")
     for seed in (-1, 1.5, True):
-        with pytest.raises(augment.AugmentError, match="seed of Augment must be a whole number, 0 or more, got"):
+        with pytest.raises(augment.AugmentError, match="seed of Augment must be a whole number from 0 to"):
             Augment(augment.effect("blur"), seed=seed)
 
 
