@@ -29,7 +29,9 @@ from foundation.errors import ConfigError, FormatError, StorageError
 
 PICTURES = (".jpg", ".jpeg", ".png", ".webp")
 """Endings of the pictures that are written."""
-_HOST = f"{zlib.crc32(platform.node().encode()):08x}"  # may share a folder with other machines
+_NUMBERS = Path("/proc/self/ns/pid")  # containers may share a host's name, but not the numbers of their processes
+_SPACE = str(_NUMBERS.readlink()) if _NUMBERS.is_symlink() else ""
+_HOST = f"{zlib.crc32(f'{platform.node()}{_SPACE}'.encode()):08x}"  # may share a folder with other machines
 _TEMPORARY = re.compile(r"\..+\.(?P<host>[0-9a-f]{8})-(?P<process>\d+)-\d+\.tmp(?:\.[^.]+)?")
 _numbers, _clearing, _cleared = count(), threading.Lock(), set[Path]()
 

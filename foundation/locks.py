@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -17,22 +18,30 @@ LOCK = ".lock"
 def locked(file: Path, *, wait: bool = True) -> Iterator[bool]:
     """Hold a lock file, which is removed at the end, and yield whether that succeeded.
 
+    Where the file system has no locks, as in some network folders, nothing is locked, and it yields True.
+
     Args:
         file: the lock file, in an existing folder.
         wait: wait until no other process holds it; otherwise yield False if one does.
 
     Raises:
-        StorageError: the disk refuses, or its file system has no locks.
+        StorageError: the disk refuses.
     """
     from filelock import FileLock, Timeout  # a robot, which locks nothing, need not have it
 
     lock = FileLock(file, mode=0o666)
+    lockable = True
     with storage_errors(file), suppress(Timeout):
-        lock.acquire(timeout=-1 if wait else 0)
+        try:
+            lock.acquire(timeout=-1 if wait else 0)
+        except OSError as error:
+            if error.errno not in (errno.ENOLCK, errno.ENOTSUP):
+                raise
+            lockable = False
     try:
-        yield lock.is_locked
+        yield lock.is_locked or not lockable
     finally:
-        if lock.is_locked:
+        if lock.is_locked or not lockable:
             file.unlink(missing_ok=True)  # a process that waits for it makes a new one
         lock.release()
 

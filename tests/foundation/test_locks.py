@@ -1,3 +1,4 @@
+import errno
 import subprocess
 import sys
 
@@ -54,3 +55,13 @@ def test_a_lock_needs_its_folder(tmp_path):
     (tmp_path / "file").touch()
     with pytest.raises(StorageError), locked(tmp_path / "file" / LOCK):
         pass
+
+
+def test_a_folder_without_locks_is_used_without(tmp_path, monkeypatch):
+    def refused(*_):
+        raise OSError(errno.ENOLCK, "No locks available")
+
+    monkeypatch.setattr("fcntl.flock", refused)
+    with alone(tmp_path / "run"):
+        (tmp_path / "run/a").write_text("a")
+    assert [path.name for path in (tmp_path / "run").iterdir()] == ["a"]
