@@ -126,7 +126,7 @@ def read_results(folder: str | Path) -> dict[str, Any]:
     """Read `results.json`. NaN was written as null and comes back as None.
 
     Raises:
-        FormatError: the file is missing, cut short, something else, or of a newer version.
+        FormatError: the file is missing, cut short, something else, or of another version.
     """
     path = Path(folder) / "results.json"
     results = read_json(path)
@@ -160,7 +160,7 @@ def read_rows(folder: str | Path, table: str = "queries") -> Columns:
 
     Raises:
         ConfigError: the results have no such table.
-        FormatError: a file is missing, cut short, altered, or of a newer version.
+        FormatError: a file is missing, cut short, altered, or of another version.
     """
     tables = read_results(folder).get("tables", {})
     if table not in tables:

@@ -71,7 +71,7 @@ def open_store(
     Raises:
         ConfigError: a camera that does not fit the images, or a number of workers that makes no sense.
         DataError: no readable image, or an unreadable one if `on_error` is "raise".
-        FormatError: the store was written by a newer version.
+        FormatError: the store was written by another version.
         StorageError: the disk is full, cannot be written to, or does not support locks.
     """
     if workers is not None and workers < 1:
@@ -101,7 +101,7 @@ def _load(folder: Path, total: int) -> Store | None:
     """Open a store of `total` images, or return None if there is no complete one.
 
     Raises:
-        FormatError: the store was written by a newer version.
+        FormatError: the store was written by another version.
     """
     try:
         record = parsed_json((folder / "store.json").read_text(encoding="utf-8"))

@@ -12,7 +12,7 @@ from typing import Any
 
 from foundation.settings import fields_of
 from siamloc.data.protocol import Protocol
-from siamloc.errors import ConfigError, FormatError
+from siamloc.errors import ConfigError
 from siamloc.jobs.choices import OF_A_RUN
 from siamloc.jobs.job import Given
 from siamloc.jobs.sweep import of_map, own_folder
@@ -66,7 +66,6 @@ def with_settings_of_the_run(
     record = trained.settings if needed or trained.record.is_file() else {}
     made = None if resumed else _map_made(run, values)
     kept = _kept(record, made, resumed=resumed, replaces_map=replaces_map)
-    _check_literal(kept, run)
     chosen = {part for group in given.groups for part in _CHOOSES.get(group, (group,))}
     said = {key: _select(values, key) for key in given.keys if key not in given.groups and _has(values, key)}
     result = dict(values)
@@ -128,19 +127,6 @@ def _hint_at_maps(folder: Path) -> None:
             f"{folder} holds no trained network, only maps by {', '.join(made)}: choose the descriptor, such as "
             f"descriptor={made[0].partition('-')[0]}, or train with `siamloc train run={folder}`"
         )
-
-
-def _check_literal(stored: Any, run: Run) -> None:
-    """Refuse texts that OmegaConf would look up in the environment of whoever opens somebody else's run.
-
-    Raises:
-        FormatError: there is such a text.
-    """
-    if isinstance(stored, Mapping | list | tuple):
-        for value in stored.values() if isinstance(stored, Mapping) else stored:
-            _check_literal(value, run)
-    elif isinstance(stored, str) and "${" in stored:
-        raise FormatError(f"{run.folder} holds the setting {stored!r}, which would be looked up elsewhere: train again")
 
 
 def _kept(

@@ -153,7 +153,7 @@ class Localizer:
             "CPUExecutionProvider").
 
     Raises:
-        FormatError: not a bundle, an altered one, or one of a newer version.
+        FormatError: not a bundle, an altered one, or one of another version.
         ConfigError: a bundle without a map, or without the requested coarse layer, top or threads below 1, or a
             provider that this onnxruntime lacks.
     """
