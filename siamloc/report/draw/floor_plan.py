@@ -41,18 +41,22 @@ def floor_plan(columns: Table, map_columns: Table, unit: str = "m") -> Picture:
     """
     require_rows(columns, map_columns)
     groups = rows_by_label(columns["lighting"]) or {"": np.arange(len(columns["error"]))}
-    return (_along_line if is_line(columns, map_columns) else _on_plan)(columns, map_columns, groups, unit)
+    axis = along(columns, map_columns)
+    if axis is None:
+        return _on_plan(columns, map_columns, groups, unit)
+    return _along_line(columns, map_columns, groups, unit, axis)
 
 
-def is_line(columns: Table, map_columns: Table) -> bool:
-    """Whether all frames lie on a line parallel to an axis, at the resolution of a plot."""
-    extent = _extent(columns, map_columns)
-    return bool(extent.min() <= _FLATTEST * extent.max())
+def along(*tables: Table) -> str | None:
+    """Return the axis, "x" or "y", along which all positions lie at the resolution of a plot; None for a plan."""
+    extent = {axis: float(np.ptp(np.concatenate([table[axis] for table in tables]))) for axis in ("x", "y")}
+    longer = "x" if extent["x"] >= extent["y"] else "y"
+    return longer if min(extent.values()) <= _FLATTEST * extent[longer] else None
 
 
 def _on_plan(columns: Table, map_columns: Table, groups: Mapping[str, NDArray], unit: str) -> Picture:
     """Draw one plan per lighting with a common colour scale, which ends at the 95th percentile of the errors."""
-    width, height = np.maximum(_extent(columns, map_columns), 1e-9)
+    width, height = (max(float(np.ptp([*columns[axis], *map_columns[axis]])), 1e-9) for axis in "xy")
     # Panels are side by side if the building is tall, stacked if it is wide.
     across = width <= 1.6 * height or len(groups) == 1
     rows, cols = (1, len(groups)) if across else (len(groups), 1)
@@ -89,9 +93,8 @@ def _on_plan(columns: Table, map_columns: Table, groups: Mapping[str, NDArray], 
     return figure
 
 
-def _along_line(columns: Table, map_columns: Table, groups: Mapping[str, NDArray], unit: str) -> Picture:
-    """Draw the estimated against the true position along the longer axis, and the error below."""
-    axis = "xy"[int(np.argmax(_extent(columns, map_columns)))]
+def _along_line(columns: Table, map_columns: Table, groups: Mapping[str, NDArray], unit: str, axis: str) -> Picture:
+    """Draw the estimated against the true position along an axis, and the error below."""
     figure = Picture(figsize=(6.6, 5.0))
     upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=[2.2, 1])
     known = map_columns[axis]
@@ -113,10 +116,6 @@ def _along_line(columns: Table, map_columns: Table, groups: Mapping[str, NDArray
     lower.set_ylim(bottom=0)
     figure.legend(loc="outside upper center", ncols=3 if len(groups) == 1 else 2)
     return figure
-
-
-def _extent(columns: Table, map_columns: Table) -> NDArray[np.float64]:
-    return np.array([np.ptp(np.concatenate([columns[name], map_columns[name]])) for name in ("x", "y")])
 
 
 def _name_rooms(axes: Axes, map_columns: Table) -> None:

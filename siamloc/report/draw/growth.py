@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import io
-from bisect import bisect_right
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.collections import LineCollection
 from matplotlib.colors import to_rgb, to_rgba_array
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
@@ -18,8 +17,8 @@ from numpy.typing import NDArray
 from foundation.files import atomic_path, parsed_json
 from siamloc.errors import FormatError
 from siamloc.report.draw.look import INK, style
-from siamloc.report.draw.node_colours import NO_NODE, POOL, ink, neighbouring, node_colours
-from siamloc.report.draw.nodes import NodePlan, counted, dress, plan_size, spread_out
+from siamloc.report.draw.node_colours import NO_NODE, POOL, neighbouring, node_colours
+from siamloc.report.draw.nodes import NodePlan, add_graph, counted, dress, frame_colours, plan_size, points_per_unit
 
 PICTURES = 80
 _EACH, _LAST = 110, 4000  # milliseconds that each picture and the last one are shown
@@ -27,10 +26,8 @@ _DOTS_PER_INCH = 110
 _SIZE = (7.6, (2.4, 5.4))
 _NODE_POINTS = 12
 _MOST_NUMBERED = 60
-_NUMBER: dict[str, Any] = {
-    "ha": "center", "va": "center_baseline", "fontsize": 6.5, "fontweight": "bold", "zorder": 8,
-}  # fmt: skip
 _NEWS = "#9A3B00"
+_CHANGES = {"NEW_NODE": ("new node", ""), "NODES_MERGED": ("two nodes merged", "into ")}
 _FLASH = 3  # number of pictures for which a change of the map is announced
 
 
@@ -138,107 +135,71 @@ def _ever(story: Story) -> dict[int, NDArray[np.int64]]:
 
 @style()
 def _drawn(story: Story) -> list[NDArray[np.uint8]]:
-    pictures = []
+    """Return the pictures (H, W, 3): the map at some moments above the curves of its size up to then."""
     width, height = plan_size(story.plan.xy, *_SIZE)
     figure = Figure(figsize=(width + 0.6, height + 1.6), dpi=_DOTS_PER_INCH)
     canvas = FigureCanvasAgg(figure)
-    stage = _Stage(figure, story, height)
-    canvas.draw()
-    figure.set_layout_engine("none")  # the layout is fixed, so that nothing jumps
-    for events in moments(len(story.events)):
-        stage.show(events)
+    axes, strip = figure.subplots(2, 1, height_ratios=[height, 0.85])
+    (nodes,) = strip.plot([], [], color=INK, linewidth=1.5, drawstyle="steps-post")
+    strip.set(xlim=(0, len(story.plan.node)), ylim=(0, 1.15 * max(len(story.colours), 1)))
+    strip.set(xlabel="frames", ylabel="nodes")
+    area = strip.twinx()
+    (lost,) = area.plot([], [], color="0.6", linewidth=1.2)
+    area.set(ylim=(0, 105), yticks=[0, 50, 100])
+    area.set_ylabel("in no node [%]", color="0.45")
+    area.tick_params(colors="0.45")
+    area.spines["right"].set(visible=True, color="0.7")
+    pictures: list[NDArray[np.uint8]] = []
+    curves: list[tuple[int, int, float]] = []
+    shown = moments(len(story.events))
+    for number, events in enumerate(shown):
+        labels = story.labels(events)
+        axes.clear()
+        _draw_map(axes, story, labels, story.events[events - 1]["frames"][-1])
+        count = len(np.unique(labels[labels >= 0]))
+        axes.set_title(f"frame {len(labels)} of {len(story.plan.xy)}: {counted(count, 'node')}", loc="left")
+        news = _news(story, shown[max(0, number - _FLASH)] if number else 0, events)
+        axes.set_title(news, loc="right", color=_NEWS)
+        curves.append((len(labels), count, 100 * float((labels < 0).mean())))
+        taken, counts, shares = zip(*curves, strict=True)
+        nodes.set_data(taken, counts)
+        lost.set_data(taken, shares)
+        if not pictures:
+            canvas.draw()
+            figure.set_layout_engine("none")  # the layout is fixed, so that nothing jumps
         canvas.draw()
         pictures.append(np.asarray(canvas.buffer_rgba())[..., :3].copy())
     return pictures
 
 
-class _Stage:
-    """The changing parts of the animation: frames, nodes, the robot, the counts."""
+def _draw_map(axes: Axes, story: Story, labels: NDArray[np.int64], last: int) -> None:
+    """Draw the map when its first frames (n,) had these nodes, by the mapper's names, and the robot at a frame."""
+    from analytic.mapper.graph import edges
 
-    def __init__(self, figure: Any, story: Story, height: float) -> None:
-        self.story, plan = story, story.plan
-        self.ends = np.cumsum([len(event["frames"]) for event in story.events]).tolist()
-        self.axes, strip = figure.subplots(2, 1, height_ratios=[height, 0.85])
-        self.frames = self.axes.scatter(*plan.xy.T, s=14, c=[NO_NODE] * len(plan.xy), linewidths=0, zorder=3)
-        (self.robot,) = self.axes.plot([], [], "o", ms=11, mfc="none", mec=INK, mew=1.6, zorder=9)
-        self.few = len(story.colours) <= _MOST_NUMBERED
-        self.ways = LineCollection([], colors=INK, linewidths=1.1, alpha=0.85, zorder=6)
-        self.axes.add_collection(self.ways, autolim=False)
-        self.dots = self.axes.scatter([], [], edgecolors=INK, linewidths=1, zorder=7)
-        self.names = {
-            name: self.axes.text(0, 0, str(number), color=ink(story.colours[name]), visible=False, **_NUMBER)
-            for name, number in (story.numbers if self.few else {}).items()
-        }
-        width, _ = plan_size(plan.xy, *_SIZE)
-        self.dot = 1.15 * _NODE_POINTS / 72 * 1.1 * float(np.ptp(plan.xy[:, 0])) / width  # in units of the plan
-        dress(self.axes, plan)
-        self.axes.set(xlabel="", ylabel="", xticks=[], yticks=[])
-        self.axes.spines[:].set_visible(False)
-        self.axes.set_title(" ", loc="left")
-        self.axes.set_title(" ", loc="right")
-        self.taken: list[int] = []
-        self.counts: list[int] = []
-        self.lost: list[float] = []
-        (self.line,) = strip.plot([], [], color=INK, linewidth=1.5, drawstyle="steps-post")
-        self.area = strip.twinx()
-        (self.grey,) = self.area.plot([], [], color="0.6", linewidth=1.2)
-        strip.set(xlim=(0, len(plan.node)), ylim=(0, 1.15 * max(len(story.colours), 1)), xlabel="frames")
-        strip.set_ylabel("nodes")
-        self.area.set_ylim(0, 105)
-        self.area.set_yticks([0, 50, 100])
-        self.area.set_ylabel("in no node [%]", color="0.45")
-        self.area.tick_params(colors="0.45")
-        self.area.spines["right"].set(visible=True, color="0.7")
+    xy, present = story.plan.xy[: len(labels)], np.unique(labels[labels >= 0])
+    node = np.where(labels >= 0, np.searchsorted(present, labels), -1)
+    colours = [story.colours[name] for name in present.tolist()]
+    axes.scatter(xy[:, 0], xy[:, 1], s=14, c=frame_colours(colours, node), linewidths=0, zorder=3)
+    axes.plot(*xy[last], "o", ms=11, mfc="none", mec=INK, mew=1.6, zorder=9)
+    places = np.array([xy[labels == name].mean(axis=0) for name in present]).reshape(-1, 2)
+    few = len(story.colours) <= _MOST_NUMBERED
+    names = [str(story.numbers.get(name, "")) if few else "" for name in present.tolist()]
+    scale = points_per_unit(story.plan.xy, plan_size(story.plan.xy, *_SIZE)[0])
+    add_graph(axes, places, list(edges(node)), colours, names, _NODE_POINTS, scale)
+    dress(axes, story.plan)
+    axes.set(xlabel="", ylabel="", xticks=[], yticks=[])
+    axes.spines[:].set_visible(False)
 
-    def show(self, events: int) -> None:
-        """Show the map after the first `events` events."""
-        story, labels = self.story, self.story.labels(events)
-        taken, xy = len(labels), self.story.plan.xy
-        present = sorted(set(labels[labels >= 0].tolist()))
-        colours = [story.colours.get(int(name), NO_NODE) for name in labels]
-        faces = np.zeros((len(xy), 4))
-        faces[:taken] = to_rgba_array(colours)
-        self.frames.set_facecolors(faces)
-        last = story.events[events - 1]["frames"][-1]
-        self.robot.set_data([xy[last, 0]], [xy[last, 1]])
-        self._draw_graph(labels, present)
-        self.axes.set_title(f"frame {taken} of {len(xy)}: {counted(len(present), 'node')}", loc="left")
-        self.axes.set_title(self._change(events), loc="right", color=_NEWS)
-        self.taken.append(taken)
-        self.counts.append(len(present))
-        self.lost.append(100 * float((labels < 0).mean()))
-        self.line.set_data(self.taken, self.counts)
-        self.grey.set_data(self.taken, self.lost)
 
-    def _draw_graph(self, labels: NDArray[np.int64], present: list[int]) -> None:
-        from analytic.mapper.graph import edges
-
-        xy = self.story.plan.xy[: len(labels)]
-        means = np.array([xy[labels == name].mean(axis=0) for name in present]).reshape(-1, 2)
-        places = dict(zip(present, spread_out(means, self.dot if self.few else 0), strict=True))
-        self.ways.set_segments([[places[a], places[b]] for a, b in edges(labels)])
-        self.dots.set_offsets(np.array([places[name] for name in present]).reshape(-1, 2))
-        self.dots.set_facecolors([self.story.colours[name] for name in present])
-        numbered = [self.few and name in self.story.numbers for name in present]
-        self.dots.set_sizes([_NODE_POINTS**2 if big else 0.3 * _NODE_POINTS**2 for big in numbered])
-        for name, text in self.names.items():
-            text.set_visible(name in places)
-            if name in places:
-                text.set_position(places[name])
-
-    def _change(self, events: int) -> str:
-        """Return the latest change of the map during the last few pictures."""
-        shown = moments(len(self.story.events))
-        before = shown[max(0, bisect_right(shown, events) - 1 - _FLASH)]
-        for event in reversed(self.story.events[before if before < events else 0 : events]):
-            for change in reversed(event["changes"]):
-                number = self.story.numbers.get(change["node"])
-                name = f" {number}" if number is not None else ""
-                if change["reason"] == "NEW_NODE":
-                    return f"new node{name}"
-                if change["reason"] == "NODES_MERGED":
-                    return f"two nodes merged into{name}" if name else "two nodes merged"
-        return ""
+def _news(story: Story, before: int, events: int) -> str:
+    """Return the latest change of the map between two numbers of events, in words."""
+    for event in reversed(story.events[before:events]):
+        for change in reversed(event["changes"]):
+            if change["reason"] in _CHANGES:
+                words, joint = _CHANGES[change["reason"]]
+                number = story.numbers.get(change["node"])
+                return words if number is None else f"{words} {joint}{number}"
+    return ""
 
 
 def _indexed(pictures: list[NDArray[np.uint8]]) -> list[Any]:
@@ -253,10 +214,8 @@ def _indexed(pictures: list[NDArray[np.uint8]]) -> list[Any]:
 
 def _palette() -> NDArray[np.uint8]:
     """Return the colours used, and shades between each of them and white and ink (n, 3)."""
-    white, ink_colour = np.ones(3), np.array(to_rgb(INK))
-    colours = [white, *(white * grey for grey in np.linspace(0, 1, 24)[1:-1])]
-    for drawn in (*POOL, NO_NODE, _NEWS):
-        colour = np.array(to_rgb(drawn))
-        colours += [colour, *(colour + share * (white - colour) for share in (0.25, 0.5, 0.75))]
-        colours += [colour + share * (ink_colour - colour) for share in (0.33, 0.67)]
-    return np.round(255 * np.array(colours)).astype(np.uint8)
+    greys = np.linspace(0, 1, 24)[1:, None] * np.ones(3)
+    drawn = to_rgba_array([*POOL, NO_NODE, _NEWS])[:, :3]
+    shades = [drawn + share * (1 - drawn) for share in (0, 0.25, 0.5, 0.75)]
+    shades += [drawn + share * (np.array(to_rgb(INK)) - drawn) for share in (0.33, 0.67)]
+    return np.round(255 * np.concatenate([greys, *shades])).astype(np.uint8)

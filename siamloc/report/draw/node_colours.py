@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from functools import cache
 
+import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -17,8 +18,6 @@ NO_NODE = "#CFCFCF"
 _ENOUGH = 30.0  # distance in CIELAB from which two colours count as clearly different
 _REACH = 1 / 25  # of the plan's longer side: nodes with frames this close are neighbours
 
-_TO_XYZ = np.array([[0.4124, 0.3576, 0.1805], [0.2126, 0.7152, 0.0722], [0.0193, 0.1192, 0.9505]])
-_WHITE = _TO_XYZ.sum(axis=1)
 # Linear RGB as the colour-blind see it (Machado, Oliveira and Fernandes 2009, severity 1).
 _SIGHTS = (
     np.eye(3),
@@ -98,6 +97,5 @@ def ink(colour: str) -> str:
 def _lab(colour: str, sight: int) -> NDArray[np.float64]:
     rgb = np.array([int(colour[i : i + 2], 16) for i in (1, 3, 5)]) / 255
     linear = np.where(rgb <= 0.04045, rgb / 12.92, ((rgb + 0.055) / 1.055) ** 2.4)
-    relative = _TO_XYZ @ np.clip(_SIGHTS[sight] @ linear, 0, 1) / _WHITE
-    root = np.where(relative > 0.008856, np.cbrt(relative), 7.787 * relative + 16 / 116)
-    return np.array([116 * root[1] - 16, 500 * (root[0] - root[1]), 200 * (root[1] - root[2])])
+    seen = np.array([[np.clip(_SIGHTS[sight] @ linear, 0, 1)]], dtype=np.float32)
+    return np.asarray(cv2.cvtColor(seen, cv2.COLOR_LRGB2Lab)[0, 0], dtype=np.float64)

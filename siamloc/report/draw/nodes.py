@@ -2,26 +2,27 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 from matplotlib.lines import Line2D
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from siamloc.errors import DataError, FormatError
-from siamloc.report.draw.look import INK, PAPER, Picture, style
+from siamloc.report.draw.floor_plan import along
+from siamloc.report.draw.look import INK, Picture, panels, style
 from siamloc.report.draw.node_colours import NO_NODE, ink, neighbouring, node_colours
 
 WRONG = "#CC0000"
 _WIDTH = 8.0  # inches of the plan
 _HEIGHTS = (2.2, 7.0)
 _MOST_DOTS = 400
-_FLATTEST = 0.02  # below this ratio of the extents, frames are drawn along a line
+_MOST_NUMBERED = 120
+_SMALL = 0.55  # size of a dot without a name
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,12 +56,6 @@ class NodePlan:
         """Which closures join frames within the radius (c,)."""
         ends = self.xy[self.closures]
         return np.linalg.norm(ends[:, 0] - ends[:, 1], axis=1) <= self.radius
-
-    @property
-    def along(self) -> int | None:
-        """The axis along which all frames lie, at the resolution of a plot; None for a plan."""
-        extent = np.ptp(self.xy, axis=0)
-        return int(extent.argmax()) if extent.min() <= _FLATTEST * extent.max() else None
 
 
 def node_plan(
@@ -96,11 +91,10 @@ def node_plan(
 
 
 def _passages(node: NDArray[np.int64], sequence: NDArray[np.str_]) -> NDArray[np.int64]:
-    """Return the pairs of nodes (e, 2) that the robot moved between; frames in no node are skipped."""
-    pairs: set[tuple[int, int]] = set()
-    for name in dict.fromkeys(sequence.tolist()):
-        passed = node[(sequence == name) & (node >= 0)].tolist()
-        pairs.update((min(a, b), max(a, b)) for a, b in pairwise(passed) if a != b)
+    """Return the pairs of nodes (e, 2) that the robot moved between in a drive; frames in no node are skipped."""
+    from analytic.mapper.graph import edges
+
+    pairs = {pair for name in np.unique(sequence) for pair in edges(node[sequence == name])}
     return np.array(sorted(pairs), dtype=np.int64).reshape(-1, 2)
 
 
@@ -108,43 +102,63 @@ def _passages(node: NDArray[np.int64], sequence: NDArray[np.str_]) -> NDArray[np
 def nodes_on_plan(plan: NodePlan) -> Picture:
     """Draw frames coloured by node, with the graph of the nodes and the loop closures on top.
 
-    Frames that lie on a line are drawn along it, one row of the plot for each node.
+    Frames that lie on a line are drawn along it, one row of the plot for each node, without loop closures.
 
     Raises:
         DataError: no frames or no nodes.
     """
-    if not len(plan.node) or not len(plan.places):
+    k = len(plan.places)
+    if not len(plan.node) or not k:
         raise DataError("there is nothing to draw: the map has no frames or no nodes")
-    if plan.along is not None:
-        return _along_line(plan, plan.along)
-    width, height = plan_size(plan.xy)
-    figure = Picture(figsize=(width + 0.9, height + 1.15))
-    axes, known = figure.add_subplot(), plan.node >= 0
+    line, frames, places = along(dict(zip("xy", plan.xy.T, strict=True))), plan.xy, plan.places
+    size, margin = plan_size(plan.xy), (0.9, 1.15)
+    if line is not None:
+        axis = "xy".index(line)
+        frames, places = np.column_stack([frames[:, axis], plan.node]), np.column_stack([places[:, axis], range(k)])
+        size, margin = (8.0, min(max(0.16 * k + 1.6, 2.6), 8.0)), (0.0, 0.0)
+    figure, (axes,) = panels(1, *size, margin=margin)
+    known = plan.node >= 0
+    colours = [plan.colours[node] for node in range(k)]
     # Thousands of dots are rasterized inside an SVG, which would otherwise be large.
     dots: dict[str, Any] = {"linewidths": 0, "rasterized": len(known) > _MOST_DOTS}
-    axes.scatter(plan.xy[~known, 0], plan.xy[~known, 1], s=13, color=NO_NODE, zorder=2, **dots)
-    axes.scatter(plan.xy[known, 0], plan.xy[known, 1], s=20, c=frame_colours(plan)[known], zorder=3, **dots)
-    add_arcs(axes, plan)
-    add_graph(axes, plan)
-    dress(axes, plan)
-    axes.set_title(plan.title, loc="left")
+    axes.scatter(frames[~known, 0], frames[~known, 1], s=13, color=NO_NODE, zorder=2, **dots)
+    shades = frame_colours(colours, plan.node[known])
+    axes.scatter(frames[known, 0], frames[known, 1], s=20, c=shades, zorder=3, **dots)
     handles = _legend(plan)
+    if line is None:
+        _add_arcs(axes, plan)
+        names = list(map(str, range(k))) if k <= _MOST_NUMBERED else [""] * k
+        add_graph(axes, places, plan.edges, colours, names, 15 if k <= 40 else 11, points_per_unit(plan.xy, size[0]))
+        dress(axes, plan)
+    else:
+        handles = handles[: 2 if known.all() else 3]
+        add_graph(axes, places, plan.edges, colours, [""] * k, 11)
+        rows = [*range(0, k, max(1, k // 20)), *([] if known.all() else [-1])]
+        axes.set_yticks(rows, ["none" if row < 0 else str(row) for row in rows])
+        axes.set(xlabel=f"{line} [{plan.unit}]", ylabel="node")
+    axes.set_title(plan.title, loc="left")
     columns = len(handles) if len(handles) < 5 else 3
     figure.legend(handles=handles, loc="outside lower center", ncols=columns, columnspacing=1.6)
     return figure
 
 
-def frame_colours(plan: NodePlan) -> NDArray[np.str_]:
-    """Return the colour of each frame's node (n,)."""
-    table = np.array([plan.colours[node] for node in range(len(plan.places))] + [NO_NODE])
-    return table[plan.node]
+def frame_colours(colours: Sequence[str], node: NDArray[np.int64]) -> NDArray[np.str_]:
+    """Return the colour of each frame (n,): that of its node, or grey for frames in no node (-1)."""
+    return np.array([*colours, NO_NODE])[node]
 
 
-def plan_size(xy: NDArray[np.float64], width: float = _WIDTH, heights: tuple[float, float] = _HEIGHTS) -> list[float]:
+def plan_size(
+    xy: NDArray[np.float64], width: float = _WIDTH, heights: tuple[float, float] = _HEIGHTS
+) -> tuple[float, float]:
     """Return width and height in inches of a plan with equal scales and at most the given size."""
     extent = 1.1 * np.maximum(np.ptp(xy, axis=0), 1e-9)
     scale = min(width / extent[0], heights[1] / extent[1])
-    return [max(scale * extent[0], 3.5), max(scale * extent[1], heights[0])]
+    return max(scale * extent[0], 3.5), max(scale * extent[1], heights[0])
+
+
+def points_per_unit(xy: NDArray[np.float64], width: float) -> float:
+    """Return the points (72 an inch) that a unit of the positions takes on a plan of a width in inches."""
+    return 72 * width / (1.1 * max(float(np.ptp(xy[:, 0])), 1e-9))
 
 
 def dress(axes: Axes, plan: NodePlan) -> None:
@@ -157,35 +171,46 @@ def dress(axes: Axes, plan: NodePlan) -> None:
     axes.grid(True)
 
 
-def add_arcs(axes: Axes, plan: NodePlan) -> None:
-    """Draw loop closures as thin arcs, wrong ones dashed in red on top."""
-    arcs, right = _arcs(plan.xy[plan.closures]), plan.right
+def _add_arcs(axes: Axes, plan: NodePlan) -> None:
+    """Draw loop closures as thin arcs that bulge to the left by a tenth of their length, wrong ones dashed in red."""
+    first, last = (plan.xy[plan.closures[:, end], None] for end in (0, 1))
+    t = np.linspace(0, 1, 15)[:, None]
+    bulge = 0.4 * (last - first)[..., ::-1] * np.array([-1.0, 1.0])
+    arcs, right = first + t * (last - first) + t * (1 - t) * bulge, plan.right
     axes.add_collection(LineCollection(list(arcs[right]), colors=INK, linewidths=0.5, alpha=0.55, zorder=4))
     wrong = LineCollection(list(arcs[~right]), colors=WRONG, linewidths=0.8, linestyles=(0, (4, 2)), zorder=5)
     axes.add_collection(wrong)
 
 
-def add_graph(axes: Axes, plan: NodePlan) -> None:
-    """Draw nodes as numbered dots and their connections as lines; dots that would overlap are moved apart."""
-    k = len(plan.places)
-    points = 15.0 if k <= 40 else 11.0 if k <= 120 else 6.0
-    width, _ = plan_size(plan.xy)
-    per_unit = 72 * width / (1.1 * max(float(np.ptp(plan.xy[:, 0])), 1e-9))
-    places = spread_out(plan.places, 1.1 * points / per_unit)
-    segments = [places[list(edge)] for edge in plan.edges]
-    axes.add_collection(LineCollection(segments, colors=INK, linewidths=1.2, alpha=0.85, zorder=6))
-    colours = [plan.colours[node] for node in range(k)]
-    axes.scatter(places[:, 0], places[:, 1], s=points**2, c=colours, edgecolors=INK, linewidths=1.1, zorder=7)
-    if points < 10:
-        return
-    for node, (x, y) in enumerate(places):
-        look: dict[str, Any] = {
-            "color": ink(colours[node]),
-            "fontsize": 0.5 * points,
-            "fontweight": "bold",
-            "zorder": 8,
-        }
-        axes.text(x, y, str(node), ha="center", va="center_baseline", **look)
+def add_graph(
+    axes: Axes,
+    places: NDArray[np.float64],
+    edges: ArrayLike,
+    colours: Sequence[str],
+    names: Sequence[str],
+    points: float,
+    scale: float | None = None,
+) -> None:
+    """Draw nodes as dots with their names, and the ways between nodes as lines.
+
+    Args:
+        axes: where to draw.
+        places: positions of the nodes (k, 2).
+        edges: pairs of nodes (e, 2).
+        colours: colour of each node (k,).
+        names: name of each node (k,); a dot without a name is smaller.
+        points: diameter of a dot with a name, in points.
+        scale: points per unit of the positions; dots that would overlap are moved apart. None leaves them in place.
+    """
+    sizes = np.where([bool(name) for name in names], points, _SMALL * points)
+    if scale is not None:
+        places = spread_out(places, 1.1 * float(sizes.max(initial=0)) / scale)
+    segments = list(places[np.array(edges, dtype=np.int64).reshape(-1, 2)])
+    axes.add_collection(LineCollection(segments, colors=INK, linewidths=1.2, alpha=0.85, zorder=6), autolim=False)
+    axes.scatter(places[:, 0], places[:, 1], s=sizes**2, c=list(colours), edgecolors=INK, linewidths=1.1, zorder=7)
+    look: dict[str, Any] = {"fontsize": 0.5 * points, "fontweight": "bold", "ha": "center", "va": "center_baseline"}
+    for (x, y), name, colour in zip(places, names, colours, strict=True):
+        axes.text(x, y, name, color=ink(colour), zorder=8, **look)
 
 
 def spread_out(points: NDArray[np.float64], least: float) -> NDArray[np.float64]:
@@ -205,59 +230,27 @@ def spread_out(points: NDArray[np.float64], least: float) -> NDArray[np.float64]
     return moved
 
 
-def _arcs(ends: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return arcs (c, 15, 2) between pairs of points (c, 2, 2), bulging to the left by a fifth of their length."""
-    first, last = ends[:, None, 0], ends[:, None, 1]
-    along = last - first
-    bulge = 0.4 * along[..., ::-1] * np.array([-1.0, 1.0])
-    t = np.linspace(0, 1, 15)[None, :, None]
-    return first + t * along + t * (1 - t) * bulge
-
-
-def _along_line(plan: NodePlan, axis: int) -> Picture:
-    k = len(plan.places)
-    figure = Picture(figsize=(8.0, min(max(0.16 * k + 1.6, 2.6), 8.0)))
-    axes = figure.add_subplot()
-    known = plan.node >= 0
-    axes.scatter(plan.xy[~known, axis], plan.node[~known], s=12, color=NO_NODE, linewidths=0, zorder=2)
-    axes.scatter(plan.xy[known, axis], plan.node[known], s=16, c=frame_colours(plan)[known], linewidths=0, zorder=3)
-    for a, b in plan.edges:
-        axes.plot(plan.places[[a, b], axis], [a, b], color=INK, linewidth=0.9, zorder=4)
-    axes.scatter(plan.places[:, axis], range(k), s=40, color=PAPER, edgecolors=INK, linewidths=1, zorder=5)
-    rows = [-1, *range(0, k, max(1, k // 20))] if (~known).any() else list(range(0, k, max(1, k // 20)))
-    axes.set_yticks(rows, ["none" if row < 0 else str(row) for row in rows])
-    axes.set(xlabel=f"{'xy'[axis]} [{plan.unit}]", ylabel="node")
-    axes.grid(True)
-    axes.set_title(plan.title, loc="left")
-    figure.legend(handles=_legend(plan)[:3], loc="outside lower center", ncols=3)
-    return figure
-
-
 def _legend(plan: NodePlan) -> list[Any]:
-    lost, n = int((plan.node < 0).sum()), len(plan.node)
-    right = int(plan.right.sum())
+    lost, n, right = int((plan.node < 0).sum()), len(plan.node), int(plan.right.sum())
     wrong = len(plan.closures) - right
+    within = f"{plan.radius:g} {plan.unit}"
     dot: dict[str, Any] = {"marker": "o", "linestyle": "none"}
-    handles = [
-        Line2D([], [], **dot, markersize=8, color=plan.colours[0], markeredgecolor=INK,
-               label=f"{counted(len(plan.places), 'node')}, {counted(n - lost, 'frame')}"),
-        Line2D([], [], color=INK, linewidth=1.4, label=counted(len(plan.edges), "way", " between nodes")),
-    ]  # fmt: skip
-    if lost:
-        label = f"{counted(lost, 'frame')} in no node ({100 * lost / n:.1f} %)"
-        handles.insert(1, Line2D([], [], **dot, markersize=4.5, color=NO_NODE, markeredgewidth=0, label=label))
-    if right:
-        label = counted(right, "loop closure", f" within {plan.radius:g} {plan.unit}")
-        handles.append(Line2D([], [], color=INK, linewidth=0.6, alpha=0.7, label=label))
-    if wrong:
-        label = counted(wrong, "loop closure", f" beyond {plan.radius:g} {plan.unit}")
-        handles.append(Line2D([], [], color=WRONG, linewidth=0.9, linestyle=(0, (4, 2)), label=label))
-    return handles
+    node = dot | {"markersize": 8, "color": plan.colours[0], "markeredgecolor": INK}
+    grey = dot | {"markersize": 4.5, "color": NO_NODE, "markeredgewidth": 0}
+    dashed = {"color": WRONG, "linewidth": 0.9, "linestyle": (0, (4, 2))}
+    entries: list[tuple[int, str, dict[str, Any]]] = [
+        (1, f"{counted(len(plan.places), 'node')}, {counted(n - lost, 'frame')}", node),
+        (lost, f"{counted(lost, 'frame')} in no node ({100 * lost / n:.1f} %)", grey),
+        (1, f"{counted(len(plan.edges), 'way')} between nodes", {"color": INK, "linewidth": 1.4}),
+        (right, f"{counted(right, 'loop closure')} within {within}", {"color": INK, "linewidth": 0.6, "alpha": 0.7}),
+        (wrong, f"{counted(wrong, 'loop closure')} beyond {within}", dashed),
+    ]
+    return [Line2D([], [], label=label, **look) for number, label, look in entries if number]
 
 
-def counted(number: int, word: str, rest: str = "") -> str:
+def counted(number: int, word: str) -> str:
     """Return "1 node", "2 nodes"."""
-    return f"{number} {word}{'s' if number != 1 else ''}{rest}"
+    return f"{number} {word}{'s' if number != 1 else ''}"
 
 
 def _title(measures: Mapping[str, Any], name: str) -> str:

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from siamloc.report.draw.floor_plan import is_line
+from siamloc.report.draw.floor_plan import along
 from siamloc.report.draw.look import series_1_2_5
 from siamloc.report.page.gathered import Evaluation
 from siamloc.results import Columns, finest, rows_by_label
@@ -46,10 +46,7 @@ class Plan:
     @property
     def along(self) -> str | None:
         """The axis that all frames lie along, "x" or "y"; None if they spread over a plan."""
-        if not is_line(self.queries, self.known):
-            return None
-        extent = {name: np.ptp(np.concatenate([self.queries[name], self.known[name]])) for name in ("x", "y")}
-        return "x" if extent["x"] >= extent["y"] else "y"
+        return along(self.queries, self.known)
 
     @property
     def worst(self) -> NDArray[np.int64]:

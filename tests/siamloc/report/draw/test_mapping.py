@@ -128,7 +128,8 @@ def test_the_plan_shows_what_was_measured(runs: dict) -> None:
     assert measures["closures"]["right"] in right
     assert wrong == [measures["closures"]["closures"] - measures["closures"]["right"]]
     dots = figure.axes[0].collections[1]
-    expected = matplotlib.colors.to_rgba_array(nodes.frame_colours(shown)[shown.node >= 0])
+    known = shown.node[shown.node >= 0].tolist()
+    expected = matplotlib.colors.to_rgba_array([shown.colours[node] for node in known])
     np.testing.assert_array_equal(dots.get_facecolors(), expected)
     np.testing.assert_array_equal(dots.get_offsets(), shown.xy[shown.node >= 0])
 

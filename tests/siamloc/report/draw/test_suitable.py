@@ -15,7 +15,7 @@ from siamloc.evaluation.room_retrieval import evaluate_rooms
 from siamloc.maps import VisualMap
 from siamloc.report.draw import pictures, save_all
 from siamloc.report.draw.errors import compared_curves, error_curve, estimate_curve
-from siamloc.report.draw.floor_plan import floor_plan, is_line
+from siamloc.report.draw.floor_plan import along, floor_plan
 from siamloc.report.draw.look import Picture, lighting_colours, save
 from siamloc.report.draw.rooms import confusion
 from siamloc.report.draw.training import training_curves
@@ -134,7 +134,7 @@ def test_a_corridor_is_drawn_along_its_line(axis: str) -> None:
     frames = corridor(axis)
     descriptors = np.column_stack([frames.xy, np.ones(111)])
     result = evaluate_absolute(VisualMap(descriptors, frames, unit="frames"), descriptors[::-1], frames)
-    assert is_line(result.columns, result.tables["map"])
+    assert along(result.columns, result.tables["map"]) == axis
     figure = floor_plan(result.columns, result.tables["map"], "frames")
     assert {axes.get_ylabel() for axes in figure.axes} == {f"estimated {axis} [frames]", "error [frames]"}
     np.testing.assert_array_equal(figure.axes[0].collections[0].get_offsets(), [[i, 110 - i] for i in range(111)])
@@ -143,7 +143,7 @@ def test_a_corridor_is_drawn_along_its_line(axis: str) -> None:
 def test_a_building_is_no_line() -> None:
     queries = scenes.frames(2, 60)
     result = evaluate_absolute(scenes.visual_map(), scenes.describe(queries), queries)
-    assert not is_line(result.columns, result.tables["map"])
+    assert along(result.columns, result.tables["map"]) is None
 
 
 def lines_of(axes) -> dict:
