@@ -11,13 +11,14 @@ from numpy.typing import NDArray
 
 from siamloc.report.draw.curves import robustness_curves
 from siamloc.report.draw.errors import compared_curves
-from siamloc.report.page import tables
 from siamloc.report.page.gathered import Evaluation
 from siamloc.report.page.inline import inline
-from siamloc.report.page.markup import Markup, count, section, tag
+from siamloc.report.page.markup import Markup, grid, section, tag
 from siamloc.report.page.parts import Part
-from siamloc.report.page.robustness import robustness_section
+from siamloc.report.page.tasks import robustness_section
 from siamloc.results import Columns, finest
+from siamloc.summaries import middle_recall
+from siamloc.tables import NOTHING, Column, Table, count, percent
 
 _MOST_METHODS = 8
 
@@ -68,11 +69,67 @@ def _localization(parts: list[Part]) -> Markup:
     ]
     return section(
         "Comparison",
-        tables.comparison({part.title: (part.evaluation, part.anchor) for part in parts}),
+        grid(_compared(parts)),
         *(tag("p.note", note) for note in notes),
         *curves,
         name="compared",
     )
+
+
+def _compared(parts: list[Part]) -> Table:
+    """Return a table with a row for each evaluation: errors of its finest estimates, over all queries and by lighting.
+
+    Columns in which the evaluations do not differ, such as the protocol, are left out.
+    """
+    lightings = list(dict.fromkeys(label for part in parts for label in part.evaluation.lightings))
+    units = list(dict.fromkeys(part.evaluation.unit for part in parts if part.evaluation.absolute is not None))
+    unit = units[0] if len(units) == 1 else ""
+    columns = (
+        *(Column("run"), Column("map", form="count"), Column("queries", form="count")),
+        *(Column("protocol"), Column("unit"), Column("estimate"), Column("mean", unit, 3)),
+        *(Column(f"mean, {label}", form=3) for label in lightings),
+        *(Column(name, unit, 3) for name in ("median", "95 %", "floor", "excess")),
+        *(Column("recall@1"), Column("heading", "deg", 1), Column("room retrieved", form="percent")),
+    )
+    rows = [_row(part, lightings) for part in parts]
+    finer = any(part.evaluation.finest[1] for part in parts)
+    hidden = {
+        *(["protocol"] if len({row[3] for row in rows}) == 1 else []),
+        *(["unit"] if len(units) < 2 else []),
+        *([] if finer else ["estimate"]),
+    }
+    used = [i for i, column in enumerate(columns) if column.name not in hidden]
+    shown = tuple(tuple(row[i] for i in used) for row in rows)
+    return Table("comparison", tuple(columns[i] for i in used), shown)
+
+
+def _row(part: Part, lightings: list[str]) -> list[Any]:
+    """Return the row of an evaluation in the table of all."""
+    evaluation = part.evaluation
+    absolute, rooms, (finest_, estimate) = evaluation.absolute, evaluation.rooms, evaluation.finest
+    overall: Mapping[str, Any] = (finest_ or {}).get("overall", {})
+    by_lighting = (finest_ or {}).get("lighting", {})
+    queries = (overall or (rooms or {}).get("overall", {})).get("queries", 0)
+    recall = middle_recall(overall)
+
+    def mean(group: Mapping[str, Any], key: str = "error", which: str = "mean") -> float | None:
+        return group.get(key, {}).get(which)
+
+    return [
+        tag("a", part.title, href=f"#{part.anchor}"),
+        (absolute or {}).get("map_frames"),
+        queries,
+        str(evaluation.results.get("protocol") or NOTHING).replace("_", " "),
+        evaluation.unit if absolute else None,
+        estimate or "single frame",
+        mean(overall),
+        *(mean(by_lighting.get(label, {})) for label in lightings),
+        *(mean(overall, which=which) for which in ("median", "p95")),
+        *(mean(overall, key) for key in ("floor", "excess")),
+        recall and f"{percent(recall['recall'])}, {recall['radius']:g} {evaluation.unit}",
+        mean(overall, "heading_error"),
+        rooms and rooms["overall"]["accuracy"],
+    ]
 
 
 def _robustness(evaluations: Mapping[str, Evaluation]) -> Markup | None:

@@ -13,10 +13,11 @@ from numpy.typing import NDArray
 
 from foundation.files import real_path
 from siamloc.errors import ConfigError, DataError, FormatError
-from siamloc.results import FINEST, FURTHER, Columns, read_results, read_rows, rows_by_label
+from siamloc.results import FINEST, Columns, read_results, read_rows, rows_by_label
 from siamloc.runs import Run, run_with, runs_in
+from siamloc.summaries import methods_of, own_tables
+from siamloc.tables import Table
 
-ALL = "all"
 _KINDS = ("localization", "hierarchical", "robustness", "mapping", "compact", "buildings")
 _EVALUATIONS = ("evaluation/*/results.json", "evaluation/*/*/results.json")  # those of sweeps are one level deeper
 _TABLES = ("queries", "map", "rooms", "frames", "nodes")
@@ -64,17 +65,14 @@ class Evaluation:
         return f"{self.name}, {self.kind} over {nodes}{of}{' by vote' if by == 'vote' else ''}"
 
     @property
-    def methods(self) -> dict[str, dict[str, Any]]:
+    def methods(self) -> dict[str, Any]:
         """The measures of the descriptor, of its further estimates and of its baselines by name, its own first."""
-        own = dict(self.results["measures"])
-        if self.absolute is not None:
-            own["absolute"] = self.absolute
-        further = {
-            f"{self.name} + {sign}": {"absolute": own[f"absolute_{name}"]}
-            for name, sign in FURTHER.items()
-            if f"absolute_{name}" in own
-        }
-        return {self.name: own, **further, **self.results.get("baselines", {})}
+        return dict(methods_of(self.name, self.results["measures"], self.results.get("baselines", {})))
+
+    @cached_property
+    def own_tables(self) -> dict[str, list[Table]]:
+        """The tables of what was measured for this descriptor only, by kind, such as "mapping"."""
+        return own_tables(self.name, self.results["measures"])
 
     @property
     def absolute(self) -> dict[str, Any] | None:

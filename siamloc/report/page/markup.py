@@ -1,13 +1,14 @@
-"""Build HTML that is always escaped, and format numbers for people."""
+"""Build HTML that is always escaped, and show tables as HTML."""
 
 from __future__ import annotations
 
 import html
 import json
-import math
+from collections.abc import Iterable
 from typing import Any
 
-NOTHING = "–"
+from siamloc.summaries import ALL
+from siamloc.tables import Table, count
 
 
 class Markup(str):
@@ -68,21 +69,70 @@ def script_data(identifier: str, value: Any) -> Markup:
     return Markup(f'<script type="application/json" id="{html.escape(identifier)}">{text}</script>')
 
 
-def number(value: float | None, digits: int = 3) -> str:
-    """Return a number with `digits` decimals, or a dash if there is none."""
-    return NOTHING if value is None or not math.isfinite(value) else f"{value:.{digits}f}"
-
-
-def percent(share: float | None) -> str:
-    """Return a share in percent with one decimal, or a dash if there is none."""
-    return NOTHING if share is None or not math.isfinite(share) else f"{100 * share:.1f} %"
-
-
-def count(value: int) -> str:
-    """Return a count with thousands separators."""
-    return f"{value:,}"
-
-
 def plural(value: int, what: str, many: str | None = None) -> str:
     """Return a count with its noun: "1 query", "1,887 queries"."""
-    return f"{value:,} {what if value == 1 else many or what + 's'}"
+    return f"{count(value)} {what if value == 1 else many or what + 's'}"
+
+
+def key_values(pairs: Iterable[tuple[str, Content]]) -> Markup:
+    """Return a table of two columns."""
+    rows = (tag("tr", tag("th", key, scope="row"), tag("td", value)) for key, value in pairs)
+    return tag("table.pairs", tag("tbody", *rows))
+
+
+def grid(table: Table) -> Markup:
+    """Return a table with its notes; it scrolls by itself if the page is too narrow for it.
+
+    Rows with the same first label stand together, and rows of all queries are marked. In a column of which another is
+    a part, bars show that part and the rest, and the smallest of several methods is bold.
+    """
+    headings, cells, labels = [column.heading for column in table.columns], table.cells, table.labels
+    if table.upright:
+        return key_values(zip(headings, cells[0], strict=True))
+    bars = {i: _bars(table, i) for i, column in enumerate(table.columns) if column.part}
+    blocks: dict[str, list[int]] = {}
+    for i, row in enumerate(cells):
+        blocks.setdefault(row[0] if labels > 1 else "", []).append(i)
+    bodies = []
+    for first, rows in blocks.items():
+        lines = []
+        for i in rows:
+            own = [tag("th", cells[i][j], scope="row") for j in range(labels - 1 if labels > 1 else 0, labels)]
+            if labels > 1 and i == rows[0]:
+                own.insert(0, tag("th", first, scope="rowgroup", rowspan=len(rows)))
+            own += [tag("td.n", bars[j][i] if j in bars else cells[i][j]) for j in range(labels, len(headings))]
+            lines.append(tag("tr", *own, class_="all" if cells[i][labels - 1] == ALL else None))
+        bodies.append(tag("tbody", *lines, data_method=first or None))
+    head = tag(
+        "tr", *(tag("th" if j < labels else "th.n", _unbroken(text), scope="col") for j, text in enumerate(headings))
+    )
+    made = tag("table", tag("thead", head), *bodies, class_=f"grid {table.name}")
+    return join(tag("div.scroll", made, tabindex=0), *(tag("p.caption", note) for note in table.notes))
+
+
+def _bars(table: Table, column: int) -> list[Markup]:
+    """Return the cells of a column with bars below the numbers."""
+    part = next((j for j, one in enumerate(table.columns) if one.name == table.columns[column].part), column)
+    whole = [row[column] for row in table.rows]
+    longest = max((value for value in whole if value is not None), default=0)
+    smallest: dict[str, float] = {}
+    if table.labels > 1 and len({row[0] for row in table.rows}) > 1:
+        for row in table.rows:
+            if row[column] is not None:
+                label = row[table.labels - 1]
+                smallest[label] = min(row[column], smallest.get(label, row[column]))
+    made = []
+    for row, cells in zip(table.rows, table.cells, strict=True):
+        value, text = row[column], cells[column]
+        shown = tag("b", text) if value is not None and value == smallest.get(row[table.labels - 1]) else join(text)
+        if longest > 0:
+            shares = {"floor": row[part] or 0, "excess": max((value or 0) - (row[part] or 0), 0)}
+            bits = (tag(f"i.{kind}", style=f"width:{100 * share / longest:.1f}%") for kind, share in shares.items())
+            shown = join(shown, tag("span.bar", *bits, aria_hidden="true"))
+        made.append(shown)
+    return made
+
+
+def _unbroken(text: str) -> str:
+    """Return a text whose unit is not separated from its number or name by a line break."""
+    return text.replace(" ", "\u00a0") if len(text) < 12 else text

@@ -12,9 +12,10 @@ from siamloc.report.draw.look import Picture
 from siamloc.report.draw.suitable import name_of, pictures
 from siamloc.report.page.gathered import Evaluation, RunFiles
 from siamloc.report.page.inline import inline
-from siamloc.report.page.markup import Markup, count, plural
+from siamloc.report.page.markup import Markup, plural
 from siamloc.report.page.pictures import Decoder, Sheets, make_large, make_sheets
 from siamloc.report.page.plan import Plan, make_plan
+from siamloc.tables import count
 
 _MOST_QUERIES = 12_000  # on all plans of a page together; their numbers take 1.3 MB
 _MOST_SMALL = 1500  # small images on a page; they take about 3 MB

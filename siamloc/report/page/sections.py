@@ -1,4 +1,4 @@
-"""The sections of a report page, one function each."""
+"""The sections of a report page: headline figures, summary, floor plan, worst queries, training, configuration."""
 
 from __future__ import annotations
 
@@ -8,19 +8,15 @@ from typing import Any
 import numpy as np
 
 from siamloc.report.draw.training import training_curves
-from siamloc.report.page import tables
-from siamloc.report.page.gathered import ALL, Evaluation, RunFiles
+from siamloc.report.page.gathered import Evaluation, RunFiles
 from siamloc.report.page.inline import inline
-from siamloc.report.page.markup import Content, Markup, count, join, number, percent, plural, section, tag
+from siamloc.report.page.markup import Content, Markup, grid, join, key_values, plural, section, tag
 from siamloc.report.page.parts import Part
 from siamloc.report.page.plan import Plan, error_classes
-from siamloc.results import FURTHER, REMARKS, Columns
+from siamloc.results import REMARKS
+from siamloc.summaries import ALL, errors, middle_recall, rooms
+from siamloc.tables import count, number, percent
 
-_KNOWN_MEASURES = (
-    *("absolute", "room_retrieval", "room_pairs", "hierarchical", "robustness", "calibration", "mapping", "compact"),
-    "buildings",
-    *(f"absolute_{name}" for name in FURTHER),
-)
 _LED_TO = {
     None: "the estimated ones",
     "refined": "those by comparison with map frames",
@@ -31,42 +27,34 @@ _PICTURES = ("query", "match", "nearest map frame")
 
 def key_figures(evaluation: Evaluation) -> Markup | None:
     """Return the headline numbers; None if none of them was measured."""
+    measures, unit = evaluation.results["measures"], evaluation.unit
+    absolute, found = evaluation.absolute, evaluation.rooms
     tiles: list[tuple[str, str]] = []
-    absolute, rooms, unit = evaluation.absolute, evaluation.rooms, evaluation.unit
     if absolute is not None:
         finest, estimate = evaluation.finest
         overall = (finest or absolute)["overall"]
         tiles.append((f"{number(overall['error']['mean'], 2)} {unit}", f"mean error{_comma(estimate or '')}"))
         tiles.append((f"{number(overall['floor']['mean'], 2)} {unit}", "floor: distance to the nearest map frame"))
-        middle = tables.middle_recall(overall)
-        if middle is not None:
+        if (middle := middle_recall(overall)) is not None:
             tiles.append((percent(middle["recall"]), f"of the queries within {middle['radius']:g} {unit}"))
-    if absolute is not None and "comparisons" in absolute["overall"]:
-        tiles.append((percent(absolute["overall"]["comparisons"]["share"]), "of the comparisons of a full search"))
-    if rooms is not None:
-        tiles.append((percent(rooms["overall"]["accuracy"]), "of the rooms correct"))
+        if "comparisons" in absolute["overall"]:
+            share = absolute["overall"]["comparisons"]["share"]
+            tiles.append((percent(share), "of the comparisons of a full search"))
+    if found is not None:
+        tiles.append((percent(found["overall"]["accuracy"]), "of the rooms correct"))
     if absolute is not None:
         tiles.append((count(absolute["overall"]["queries"]), f"queries, {count(absolute['map_frames'])} map frames"))
-    elif rooms is not None:
-        tiles.append((count(rooms["overall"]["queries"]), "queries"))
-    tiles += _other_figures(evaluation.results["measures"])
-    return (
-        tag("ul.figures", *(tag("li", tag("b", value), tag("span", text)) for value, text in tiles)) if tiles else None
-    )
-
-
-def _other_figures(measures: Mapping[str, Any]) -> list[tuple[str, str]]:
-    """Return the numbers of a compact map, or of a choice between buildings."""
-    mapped, chosen = measures.get("mapping"), measures.get("buildings")
-    tiles = []
-    if mapped is not None:
+    elif found is not None:
+        tiles.append((count(found["overall"]["queries"]), "queries"))
+    if (mapped := measures.get("mapping")) is not None:
         tiles.append((count(mapped["nodes"]), f"nodes over {count(mapped['frames'])} frames"))
         tiles.append((percent(mapped["unassigned"]["share"]), "of the frames in no node"))
         tiles.append((percent(mapped["purity"]["overall"]), "of the frames in a node of their room"))
-    if chosen is not None:
+    if (chosen := measures.get("buildings")) is not None:
         tiles.append((percent(chosen["overall"]["accuracy"]), "of the buildings correct"))
         tiles.append((count(chosen["overall"]["queries"]), "queries"))
-    return tiles
+    items = [tag("li", tag("b", value), tag("span", text)) for value, text in tiles]
+    return tag("ul.figures", *items) if items else None
 
 
 def unscored(evaluation: Evaluation) -> Markup | None:
@@ -82,23 +70,30 @@ def unscored(evaluation: Evaluation) -> Markup | None:
 
 
 def summary(evaluation: Evaluation) -> Markup | None:
-    """Return the summary tables, and notes on what is missing; None if there is nothing to summarize."""
-    if evaluation.absolute is None and evaluation.rooms is None:
+    """Return the tables of errors and rooms, and notes on what is missing; None if neither was measured."""
+    if not evaluation.measured:
         return None
-    rooms = (evaluation.absolute or evaluation.rooms or {}).get("room", {})
-    by_room = tag("details", tag("summary", "By room"), tables.summary(evaluation, "room")) if len(rooms) > 1 else None
-    skipped = evaluation.results.get("skipped") or {}
+    methods = evaluation.methods
+    by_lighting, by_room = (map(grid, [*errors(methods, by), *rooms(methods, by)]) for by in ("lighting", "room"))
+    several = len((evaluation.absolute or evaluation.rooms or {}).get("room", {})) > 1
     notes = [
-        tag("p.caption", reason if name in REMARKS else f"{name.replace('_', ' ')} left out: {reason}")
-        for name, reason in skipped.items()
+        reason if name in REMARKS else f"{name.replace('_', ' ')} left out: {reason}"
+        for name, reason in (evaluation.results.get("skipped") or {}).items()
     ]
-    floor = (
-        "The floor is the distance to the nearest map frame, which no retrieval can beat; the excess is the rest. "
-        "Bars show both, grey and orange, as parts of the mean."
-        + (" The smallest mean of each lighting is bold." if len(evaluation.methods) > 1 else "")
+    if evaluation.absolute:
+        notes.insert(
+            0,
+            "The floor is the distance to the nearest map frame, which no retrieval can beat; the excess is the rest. "
+            "Bars show both, grey and orange, as parts of the mean."
+            + (" The smallest mean of each lighting is bold." if len(methods) > 1 else ""),
+        )
+    return section(
+        "Summary",
+        *by_lighting,
+        *(tag("p.caption", note) for note in notes),
+        tag("details", tag("summary", "By room"), *by_room) if several else None,
+        name="summary",
     )
-    caption = tag("p.caption", floor) if evaluation.absolute else None
-    return section("Summary", tables.summary(evaluation), caption, *notes, by_room, name="summary")
 
 
 def floor_plan(evaluation: Evaluation, plan: Plan | None, number_: int, notes: Sequence[str]) -> Markup | None:
@@ -178,19 +173,6 @@ def worst(plan: Plan | None, uris: Mapping[str, str]) -> Markup | None:
     return section(f"Worst {plural(len(rows), 'query', 'queries')}", tag("ol.triples", *items), name="worst")
 
 
-def further(evaluation: Evaluation) -> Markup | None:
-    """Return all measures without a section of their own, as plain tables."""
-    others = {k: v for k, v in evaluation.results["measures"].items() if k not in _KNOWN_MEASURES and v}
-    if not others:
-        return None
-    parts = [
-        tag("details", tag("summary", name.replace("_", " ")), tables.key_values(tables.flattened(value)))
-        for name, value in others.items()
-        if isinstance(value, (dict, list))
-    ]
-    return section("Further measures", *parts, name="further")
-
-
 def training(run: RunFiles, number_: int) -> Markup | None:
     """Return the training curves; None if nothing was trained."""
     if run.curves is None:
@@ -210,7 +192,7 @@ def configuration(run: RunFiles) -> Markup:
         facts: list[tuple[str, Content]] = [("measured", results.get("created"))]
         facts += [(name, str(version)) for name, version in results.get("versions", {}).items()]
         config = tag("pre", _yaml(results["config"]))
-        parts.append(tag("details", tag("summary", f"Measured with{which}"), config, tables.key_values(facts)))
+        parts.append(tag("details", tag("summary", f"Measured with{which}"), config, key_values(facts)))
     return section("Configuration and versions", *parts, name="configuration")
 
 
@@ -250,11 +232,14 @@ def _class_boxes(limits: Sequence[float]) -> list[Markup]:
 def _worst_item(plan: Plan, row: int, rank: int, uris: Mapping[str, str]) -> Markup:
     columns, known = plan.queries, plan.known
     match, nearest = int(columns["match"][row]), int(plan.nearest[row])
-    lines = [_place(columns, row), _place(known, match), _place(known, nearest)]
     apart = np.hypot(known["x"][match] - columns["x"][row], known["y"][match] - columns["y"][row])
-    distances = [apart, columns["floor"][row]]
-    lines[1] = f"{number(float(distances[0]), 2)} {plan.unit} away{_comma(lines[1])}"
-    lines[2] = f"{number(float(distances[1]), 2)} {plan.unit} away{_comma(lines[2])}"
+    lines = [
+        str(columns["room"][row]),
+        *(
+            f"{number(float(away), 2)} {plan.unit} away{_comma(str(known['room'][frame]))}"
+            for away, frame in ((apart, match), (columns["floor"][row], nearest))
+        ),
+    ]
     pictures = [
         tag("figure", _image(uris.get(path), what, path), tag("figcaption", tag("b", what), tag("span", text)))
         for what, text, path in zip(_PICTURES, lines, plan.triple(row), strict=True)
@@ -272,10 +257,6 @@ def _image(uri: str | None, what: str, path: str) -> Markup:
     if uri is None:
         return tag("div.missing", "no picture", title=path)
     return tag("img", src=uri, alt=what, title=path)
-
-
-def _place(columns: Columns, row: int) -> str:
-    return str(columns["room"][row])
 
 
 def _comma(text: str) -> str:

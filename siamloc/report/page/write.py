@@ -11,17 +11,12 @@ from foundation.calls import typed
 from foundation.files import write_text
 from siamloc import __version__
 from siamloc.errors import ConfigError
-from siamloc.report.page import rooms, sections
-from siamloc.report.page.compact import compact
+from siamloc.report.page import sections, tasks
 from siamloc.report.page.compared import comparison
-from siamloc.report.page.estimates import expected_errors, further_estimate
 from siamloc.report.page.gathered import Evaluation, RunFiles, gather
-from siamloc.report.page.hierarchical import hierarchical
-from siamloc.report.page.mapping import mapping
 from siamloc.report.page.markup import Markup, join, plural, script_data, tag
 from siamloc.report.page.parts import Part, large_pictures, notes_on, parts_of, sheets_of
 from siamloc.report.page.pictures import Sheets
-from siamloc.report.page.robustness import robustness
 from siamloc.results import FURTHER
 
 _ASSETS = Path(__file__).parent / "assets"
@@ -128,19 +123,18 @@ def _evaluation(part: Part, large: dict[tuple[int, str], str], sheets: list[Shee
     notes = notes_on(part, uris, sheets)
     sections_ = {
         "summary": sections.summary(evaluation),
-        "nodes": hierarchical(part),
-        "compact map": mapping(part),
-        "compact maps": compact(part),
-        "buildings": rooms.buildings(part),
+        "nodes": tasks.hierarchical(part),
+        "compact map": tasks.mapping(part),
+        "compact maps": tasks.compact(part),
+        "buildings": tasks.buildings(part),
         "floor plan": sections.floor_plan(evaluation, part.plan, part.number, notes),
         "cumulative errors": sections.cumulative(part),
-        **{sign: further_estimate(part, name) for name, sign in FURTHER.items()},
-        "expected errors": expected_errors(part),
+        **{sign: tasks.further_estimate(part, name) for name, sign in FURTHER.items()},
+        "expected errors": tasks.expected_errors(part),
         "worst queries": sections.worst(part.plan, uris),
-        "rooms": rooms.confusion(part),
-        "pairs": rooms.pairs(part),
-        "robustness": robustness(part),
-        "further measures": sections.further(evaluation),
+        "rooms": tasks.confusion(part),
+        "pairs": tasks.pairs(part),
+        "robustness": tasks.robustness(part),
     }
     found = {name: made for name, made in sections_.items() if made is not None}
     places = {name: f"{part.anchor}-{name.replace(' ', '-')}" for name in found}

@@ -59,7 +59,7 @@ def test_images_that_are_gone_leave_placeholders_and_a_count(tmp_path: Path) -> 
 
 def test_without_any_image_the_numbers_stand(tmp_path: Path) -> None:
     page = report(tmp_path, pages.write_run(tmp_path / "run"))
-    assert len(rows_of(page.one("table", class_="by-lighting"))) == 8
+    assert len(rows_of(page.all("table", class_="errors")[0])) == 8
     assert set(pages.data_of(page, "data-0")["query"]["picture"]) == {-1}
     assert not page.all("img")
     assert "could not be read" in notes(page)
@@ -82,7 +82,7 @@ def test_thousands_of_queries_stay_under_five_megabytes(tmp_path: Path) -> None:
     assert len(data["query"]["x"]) <= 12_000
     assert set(np.argsort(-error, kind="stable")[:20]) <= set(data["query"]["row"])
     assert "of 20,000 queries, the worst among them" in notes(page)
-    assert rows_of(page.one("table", class_="by-lighting"))[-1][-1] == "20,000"
+    assert rows_of(page.all("table", class_="errors")[0])[-1][-1] == "20,000"
 
 
 @pytest.mark.parametrize(
@@ -103,10 +103,10 @@ def test_without_rooms_headings_baselines_or_lightings(tmp_path: Path, columns: 
         "worst",
         "configuration",
     ]
-    (row,) = rows_of(page.one("table", class_="by-lighting"))
+    (row,) = rows_of(page.all("table", class_="errors")[0])
     assert row[:2] == ["network", "night" if lightings else "all"]
     assert not page.all("input", type="radio")
-    assert "mean [frame]" in page.one("table", class_="by-lighting").text
+    assert "mean [frame]" in page.all("table", class_="errors")[0].text
     assert len(page.one("section", class_="curves").all("figure")) == 1
 
 
@@ -127,17 +127,6 @@ def test_rooms_alone(tmp_path: Path) -> None:
     assert len(page.one("section", class_="rooms").all("figure")) == 2
     assert [s.attributes["class"] for s in page.all("section")] == ["summary", "rooms", "configuration"]
     assert not notes(page)
-
-
-def test_measures_without_a_part_of_their_own_are_listed(tmp_path: Path) -> None:
-    run = pages.write_run(tmp_path / "run")
-    path = run / "evaluation" / "network" / "results.json"
-    results = read_json(path)
-    results["measures"]["sequence_filter"] = {"overall": {"error": {"mean": 0.125, "max": None}}, "lags": [1, 2]}
-    write_json(path, results)
-    table = report(tmp_path, run).one("section", class_="further").one("table")
-    rows = [[cell.text for cell in row.children] for row in table.all("tr")]
-    assert rows == [["overall.error.mean", "0.125"], ["overall.error.max", "–"], ["lags", "1, 2"]]
 
 
 def test_several_runs_are_compared_first(run: Path, tmp_path: Path) -> None:

@@ -49,7 +49,7 @@ def test_nothing_is_loaded_from_elsewhere(run: Path, page: pages.Element) -> Non
 def test_the_summary_says_what_the_results_say(run: Path, page: pages.Element) -> None:
     results = read_results(run / "evaluation" / "network")
     methods = {"network": results["measures"], **results["baselines"]}
-    expected = []
+    expected, found = [], []
     for method, measures in methods.items():
         for label in ("cloudy", "night", "sunny", "all"):
             absolute, rooms = measures["absolute"], measures.get("room_retrieval")
@@ -57,13 +57,18 @@ def test_the_summary_says_what_the_results_say(run: Path, page: pages.Element) -
             row = [method, label]
             row += [f"{group['error'][key]:.3f}" for key in ("mean", "median", "p95")]
             row += [f"{group[key]['mean']:.3f}" for key in ("floor", "excess")]
+            row.append(f"{100 * group['hit_rate'][0]['rate']:.1f} %")
             row += [f"{100 * item['recall']:.1f} %" for item in group["recall"] if item["k"] == 1]
             row.append(f"{group['heading_error']['mean']:.1f}" if "heading_error" in group else "–")
-            right = rooms and (rooms["overall"] if label == "all" else rooms["lighting"][label])
-            row += [f"{100 * right['accuracy']:.1f} %" if right else "–", str(group["queries"])]
-            expected.append(row)
-    assert rows_of(page.one("table", class_="by-lighting")) == expected
-    assert {row[1] for row in rows_of(page.one("table", class_="by-room"))} == {"CR-A", "KT-A", "ST-A", "all"}
+            expected.append([*row, str(group["queries"])])
+            if rooms is not None:
+                right = rooms["overall"] if label == "all" else rooms["lighting"][label]
+                shares = (right["accuracy"], right["top"]["5"], right["mean_average_precision"], right["chance"])
+                found.append([method, label, *(f"{100 * share:.1f} %" for share in shares), str(right["queries"])])
+    errors, by_room = page.all("table", class_="errors")
+    assert rows_of(errors) == expected
+    assert rows_of(page.all("table", class_="rooms")[0]) == found
+    assert {row[1] for row in rows_of(by_room)} == {"CR-A", "KT-A", "ST-A", "all"}
 
 
 def test_the_plan_holds_every_query_and_its_right_answer(run: Path, page: pages.Element) -> None:

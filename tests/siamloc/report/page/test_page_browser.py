@@ -97,7 +97,9 @@ def test_the_page_itself_forbids_requests(page: Browser) -> None:
 
 
 def test_tables_are_filled(run: Path, page: Browser) -> None:
-    rows = page.run("return [...document.querySelectorAll('.by-lighting tbody tr')].map((row) => row.innerText)")
+    rows = page.run(
+        "return [...document.querySelectorAll('.summary > .scroll > .errors tbody tr')].map((row) => row.innerText)"
+    )
     assert len(rows) == 8
     overall = read_results(run / "evaluation" / "network")["measures"]["absolute"]["overall"]
     assert f"{overall['error']['mean']:.3f}" in rows[3]

@@ -1,0 +1,229 @@
+"""The sections of a report page about what a task measured: its tables, its picture, and what they mean."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from siamloc.report.page.markup import Content, Markup, grid, key_values, plural, section, tag
+from siamloc.report.page.parts import Part
+from siamloc.summaries import pairs as pairs_table
+from siamloc.summaries import robustness as robustness_tables
+from siamloc.tables import count, percent
+
+_MOST_CELLS = 40  # rooms; a larger matrix would be unreadable
+_ESTIMATES = {
+    "filtered": "Sequence filter",
+    "interpolated": "Interpolation between map frames",
+    "refined": "Compared with map frames",
+    "tracked": "Between map frames, followed along the sequence",
+}
+
+
+def further_estimate(part: Part, name: str) -> Markup | None:
+    """Return the curve of another estimate of the same queries, and how it is made; None if there is none.
+
+    Args:
+        part: part of the page.
+        name: one of `siamloc.results.FURTHER`.
+    """
+    results = part.evaluation.results
+    if f"absolute_{name}" not in results["measures"]:
+        return None
+    return section(
+        _ESTIMATES[name],
+        tag("p.caption", _how_made(name, results.get("estimates") or {}, part.evaluation.unit)),
+        part.figure(f"{name}_curve", f"cumulative errors, {name} and of single frames"),
+        name=f"estimate {name}",
+    )
+
+
+def expected_errors(part: Part) -> Markup | None:
+    """Return how accurate the expected errors are, as a calibration curve; None if there are none."""
+    found = part.evaluation.results["measures"].get("calibration")
+    if found is None:
+        return None
+    sequences = ((part.evaluation.results.get("estimates") or {}).get("error_model") or {}).get("sequences", [])
+    learned = f" The model was learned on {', '.join(sequences)}." if sequences else ""
+    text = (
+        "Each point is a tenth of the queries of its kind: their expected error and their true error. On the dotted "
+        "line both are equal; the gap is the mean distance from it. A query is called lost if its expected error is "
+        f"above {found['overall']['lost']['lost_above']:g} {part.evaluation.unit}, or if it shows nothing of what the "
+        f"map shows; it is truly lost if its error is above that value.{learned}"
+    )
+    figure = tag("div.beside", part.figure("calibration", "calibration"), *_grids(part, "calibration"))
+    return section("Expected errors", figure, tag("p.caption", text), name="expected")
+
+
+def hierarchical(part: Part) -> Markup | None:
+    """Return the table by lighting and the plot of the errors; None for another task."""
+    results = part.evaluation.results
+    found = results["measures"].get("hierarchical")
+    if found is None:
+        return None
+    layer, settings = results.get("layer") or {}, (results.get("config") or {}).get("task") or {}
+    nodes = results["denominators"].get("nodes")
+    what = f"{nodes} {layer['name']} nodes" if nodes and "name" in layer else "The nodes"
+    tried = f", the best {settings['candidates']} of them searched" if "candidates" in settings else ""
+    text = (
+        f"{what} over {count(found['map_frames'])} map frames{tried}. Errors are means. A node is found if the one "
+        "that the nearest map frame belongs to is among those searched; right and wrong node refer to this. Perfect "
+        "nodes means always searching the right one. The loss is relative to a search of the whole map; the last two "
+        "columns are shares of its comparisons, without and with those of the nodes."
+    )
+    return section(
+        "Nodes first, then the frames in them",
+        *_grids(part, "hierarchical"),
+        tag("p.caption", text),
+        part.figure("node_errors", "mean errors with the right node and with a wrong one"),
+        name="hierarchical",
+    )
+
+
+def mapping(part: Part) -> Markup | None:
+    """Return the measures of a compact map and its plan; None for another task."""
+    if not (grids := _grids(part, "mapping")):
+        return None
+    figure = part.figure("nodes", "the nodes on the floor plan")
+    return section("Compact map", tag("div.beside", *(tag("div", one) for one in grids)), figure, name="mapping")
+
+
+def compact(part: Part) -> Markup | None:
+    """Return curves, and a table row for each compact map; None for another task."""
+    if not (grids := _grids(part, "compact")):
+        return None
+    text = (
+        "A query is located at the node whose mean descriptor is most similar to its own or, with the frames kept, at "
+        "the most similar frame inside that node. With plain sampling, one frame stands for each run of frames."
+    )
+    figure = part.figure("compact", "error against the number of nodes")
+    return section("Compact maps", tag("p.caption", text), figure, *grids, name="compact")
+
+
+def robustness(part: Part) -> Markup | None:
+    """Return curves and a table for each disturbance; None for another task."""
+    found = part.evaluation.results["measures"].get("robustness")
+    figure = part.figure("robustness", "errors of disturbed queries")
+    return None if found is None else robustness_section("Robustness", found, figure)
+
+
+def robustness_section(title: str, found: Mapping[str, Any], figure: Markup | None) -> Markup:
+    """Return the section about the robustness of one or several methods.
+
+    Args:
+        title: title of the section.
+        found: `measures.robustness` of `results.json`.
+        figure: the curves.
+    """
+    text = (
+        "Queries with disturbed images, in a map of undisturbed frames. Solid lines are mean errors, dashed ones "
+        "medians; for headings, solid lines refer to the retrieved frame, dashed ones to the geometrically nearest map "
+        "frame."
+    )
+    blocks = (tag("div", tag("h4", table.title), grid(table)) for table in robustness_tables(found))
+    return section(title, tag("p.caption", text), figure, tag("div.disturbances", *blocks), name="robustness")
+
+
+def confusion(part: Part) -> Markup | None:
+    """Return the confusion matrices of rooms, of all queries and by lighting; None if rooms were not retrieved."""
+    rooms = part.evaluation.rooms
+    if rooms is None:
+        return None
+    labels, counts = rooms["confusion"]["labels"], rooms["confusion"]["counts"]
+    right, total = int(np.trace(counts)), int(np.sum(counts))
+    text = (
+        f"{count(right)} of {count(total)} queries ({percent(right / total if total else None)}) in the right room. "
+        "Rows are true rooms, columns are retrieved rooms; shares are of the queries in a row."
+    )
+    shown = _mistakes(labels, counts) if len(labels) > _MOST_CELLS else _matrices(part, "rooms")
+    return section("Confusion of rooms", shown, tag("p.caption", text), name="rooms")
+
+
+def buildings(part: Part) -> Markup | None:
+    """Return how often the right building was chosen; None if there was no choice."""
+    if not (grids := _grids(part, "buildings")):
+        return None
+    text = "A query is assigned to the building whose map holds the most similar image."
+    matrices = _matrices(part, "buildings")
+    return section("Choosing the building", *grids, tag("p.caption", text), matrices, name="buildings")
+
+
+def pairs(part: Part) -> Markup | None:
+    """Return how well pairs of one room are distinguished from pairs of two; None if pairs were not judged."""
+    found = part.evaluation.results["measures"].get("room_pairs")
+    if found is None:
+        return None
+    text = (
+        f"The dissimilarity of a pair is its distance divided by {found['margin']:g}, limited to 1; a pair below "
+        f"{found['threshold']:g} (vertical lines) counts as one room. The AUC needs no threshold: if a pair of one "
+        "room is compared with a pair of two rooms, it is how often the former is less dissimilar."
+    )
+    figure = part.figure("pairs", "pairs judged correctly at each threshold")
+    grids = map(grid, pairs_table(part.evaluation.methods))
+    return section("Pairs of images: one room or two", *grids, tag("p.caption", text), figure, name="pair-curves")
+
+
+def _grids(part: Part, kind: str) -> list[Markup]:
+    return [grid(table) for table in part.evaluation.own_tables.get(kind, [])]
+
+
+def _how_made(name: str, made: Mapping[str, Any], unit: str) -> str:
+    """Return how a further estimate is made."""
+    settings = made.get({"filtered": "filter", "interpolated": "interpolation", "refined": "refinement"}.get(name, ""))
+    found: Mapping[str, Any] = (made.get("tracking") if name == "tracked" else settings) or {}
+    several = plural(found["neighbours"], "map frame") if "neighbours" in found else "map frames"
+    if name == "interpolated":
+        return (
+            f"The position is the mean of the {several} that look most similar and belong to one place, weighted by "
+            "similarity; it can be closer than the nearest map frame, so errors below the floor are possible."
+        )
+    if name == "refined":
+        return (
+            f"The network compares the query with the {several} that look most similar, and estimates where it was "
+            "taken relative to each. The position is the one on which the most certain answers agree; it can be closer "
+            "than the nearest map frame, so errors below the floor are common."
+        )
+    if name == "tracked" and "radius" in found:
+        return (
+            "The position is the mean of where the robot may be according to the sequence filter, within "
+            f"{found['radius']:g} {unit} of the most probable map frame."
+        )
+    if name == "tracked":
+        moved = f", {found['step']:.2f} {unit} between two queries" if "step" in found else ""
+        return (
+            f"The poses are tracked along each sequence: the robot is assumed to keep moving as before{moved}, and a "
+            "pose that does not fit must be confirmed by those that follow. Only earlier frames are used, never later "
+            "ones."
+        )
+    text = (
+        "The filter follows the robot through each sequence and weighs what it sees by where it can have driven; only "
+        "earlier frames are used, never later ones."
+    )
+    if "temperature" in found:
+        tuned = found.get("tuned")
+        how = f"chosen on {plural(tuned['queries'], 'validation frame')}" if tuned else "learned from the map"
+        text += (
+            f" Temperature {found['temperature']:.3g} ({how}), probability of being anywhere "
+            f"{found['kidnapping']:g}, {found['step']:.2f} {unit} driven between two queries."
+        )
+    return text
+
+
+def _matrices(part: Part, what: str) -> Markup:
+    """Return the confusion matrix of all queries, and one for each lighting if there are several."""
+    every = part.figure("confusion", f"confusion of {what}")
+    return tag("div.side", every, part.figure("confusion_by_lighting", f"confusion of {what} by lighting"))
+
+
+def _mistakes(labels: Sequence[str], counts: Sequence[Sequence[int]]) -> Markup:
+    """Return the most frequent mistakes among very many rooms."""
+    wrong = [
+        (value, labels[i], labels[j]) for i, row in enumerate(counts) for j, value in enumerate(row) if i != j and value
+    ]
+    wrong.sort(key=lambda item: (-item[0], item[1], item[2]))
+    rows: list[tuple[str, Content]] = [
+        (f"{true} taken for {taken}", plural(value, "query", "queries")) for value, true, taken in wrong[:30]
+    ]
+    return key_values(rows or [(f"{len(labels)} rooms", "no mistakes")])
