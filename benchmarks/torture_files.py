@@ -237,13 +237,6 @@ def _read_analytic(path: Path) -> Any:
     return located, bundle.summary(), bundle.thumbnail(0)
 
 
-def _write_archive(path: Path) -> Path:
-    images, monday = _frames()
-    network = siamloc.models.build("simple1", "flat", images.image_shape[1:], outputs=8)
-    known = siamloc.maps.build(network, images, monday, progress=False)
-    return siamloc.runtime.export(network, known, path.with_suffix(".zip")).path
-
-
 def _fitting(known: siamloc.maps.VisualMap) -> siamloc.maps.ErrorModel:
     return siamloc.maps.ErrorModel("ratio", 1.0, 5, (0.1, 0.5), (0.2, 1.0), 30, 1.0, known.digest)
 
@@ -293,8 +286,5 @@ FILES: dict[str, Kind] = {
     "bundle's short map": Kind(_write_analytic("map.npz"), _read_analytic),
     "bundle's layer": Kind(_write_analytic("layer.npz"), _read_analytic),
     "bundle's pictures": Kind(_write_analytic("thumbnails.npz"), _read_analytic),
-    "bundle's archive": Kind(
-        _write_archive, lambda path: siamloc.runtime.Localizer(path).locate(np.full((32, 128, 3), 90, np.uint8))
-    ),
     "building": Kind(_write_building, _read_building),
 }

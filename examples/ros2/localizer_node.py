@@ -2,7 +2,7 @@
 
 It needs ROS 2 with rclpy, and siamloc as installed by `pip install .` in its folder, without torch.
 
-    python localizer_node.py --ros-args -p bundle:=robot.zip -r image:=/camera/image_raw -r pose:=/siamloc/pose
+    python localizer_node.py --ros-args -p bundle:=robot -r image:=/camera/image_raw -r pose:=/siamloc/pose
 """
 
 from __future__ import annotations

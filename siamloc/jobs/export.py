@@ -27,7 +27,7 @@ class Export(RunJob):
     with task.refine its poses are refined in the same way, finer than the map.
 
         run=FOLDER              the run
-        bundle=FOLDER           output folder; inside the run if not given; robot.zip makes one file
+        bundle=FOLDER           output folder; inside the run if not given
         descriptor=hog          another map of the run: of an analytic descriptor, or of the network that ships with
                                 siamloc, descriptor=pretrained
         precision=int8          8-bit numbers, for a smaller and faster bundle; float16 for a smaller map only;

@@ -72,7 +72,7 @@ class Localize(Robot):
 
         images=[a.jpeg,folder]   files, folders, videos, or cameras such as camera:0
         run=FOLDER               the run whose bundle is used
-        bundle=FOLDER            another bundle, or FILE.zip
+        bundle=FOLDER            another bundle
         top=3                    number of map frames to list
         track=true               follow the robot from image to image; each folder, video and camera is a drive
         format=table|jsonl|csv   readable lines, or output for other programs
@@ -155,7 +155,7 @@ class Watch(Robot):
     and visible only from this machine unless host= says otherwise. Needs the extra `live`: `pip install '.[live]'`.
 
         images=[drive.mp4]   files, folders, videos, or cameras such as camera:0
-        bundle=FOLDER        the bundle, or FILE.zip; export it with thumbnails=true to see the map images
+        bundle=FOLDER        the bundle; export it with thumbnails=true to see the map images
         run=FOLDER           or the run whose bundle is used
         track=true           follow the robot from image to image
         fps=5                images per second at most, 0 for full speed; cameras keep their own rate

@@ -1,4 +1,4 @@
-"""The bundle: one folder or archive with everything a robot needs, and its description in `bundle.json`."""
+"""The bundle: one folder with everything a robot needs, and its description in `bundle.json`."""
 
 from __future__ import annotations
 
@@ -8,13 +8,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, TypeVar
 
 from foundation.calls import typed
-from foundation.files import check_version, parsed_json
+from foundation.files import check_version, file_hash, read_json
 from foundation.settings import Count, misfit
 from siamloc.data.decoding import Preprocessing
 from siamloc.errors import ConfigError, FormatError
 from siamloc.maps.heading import is_analytic
 from siamloc.maps.packing import Precision
-from siamloc.runtime.parts import Archive, Folder
 from siamloc.runtime.thumbnails import Thumbnails
 
 if TYPE_CHECKING:
@@ -49,6 +48,7 @@ _KEYS: dict[str, Any] = {
     "precisions": list,
 }
 """What each key must hold."""
+_SPARE, _DENSEST = 64_000_000, 100  # bytes that any file may have, and for each byte that it takes on the disk
 _MAY_LACK = ("heading", "refinement", "search", "errors", "precisions", "unit")
 
 
@@ -57,7 +57,7 @@ class Bundle:
     """An opened bundle; `siamloc.runtime.export` writes one.
 
     Attributes:
-        path: a folder, or a zip archive.
+        path: its folder.
         about: the content of `bundle.json`: `preprocessing`, `identity` (of the network or analytic descriptor),
             `parity` (how far the exported descriptors are from the original's), `precision`, `heading` and `errors`
             (where they come from, None without), `refinement` (how poses are made finer than the map, None if they are
@@ -65,13 +65,11 @@ class Bundle:
             accuracy in each precision, if one was chosen), `figures` (of its evaluation, None without), `sha256` by
             file.
         preprocessing: how an image becomes a panorama.
-        parts: the bundle's files.
     """
 
     path: Path
     about: dict[str, Any]
     preprocessing: Preprocessing
-    parts: Folder | Archive
 
     def __repr__(self) -> str:
         return f"Bundle({str(self.path)!r}: {', '.join(self.files)})"
@@ -134,7 +132,7 @@ class Bundle:
 
         if LAYER not in self.files:
             return None
-        return CoarseLayer.read(self.parts.source(LAYER), f"{self.path}/{LAYER}"), self._map(COARSE)
+        return CoarseLayer.load(self.path / LAYER), self._map(COARSE)
 
     def thumbnail(self, row: int) -> bytes | None:
         """Return a thumbnail of a map frame as JPEG; None if the bundle has none.
@@ -176,23 +174,19 @@ class Bundle:
     def open(cls, path: str | Path) -> Bundle:
         """Open a bundle and check that its files are the ones it was written with.
 
-        Nothing in it is executed, and nothing is written to disk, not even for an archive.
+        Nothing in it is executed, and nothing is written to disk.
 
         Args:
-            path: the bundle's folder, or a zip archive of it.
+            path: the bundle's folder.
 
         Raises:
             FormatError: not a bundle, or one of another version, with missing or altered files, or with links.
         """
         path = Path(path)
-        parts = Archive(path, {DESCRIPTION, *PARTS}, DESCRIPTION) if path.is_file() else Folder(path)
-        if not parts.holds(DESCRIPTION):
+        described = path / DESCRIPTION
+        if not _holds(described):
             raise FormatError(f"{path} is not a bundle, it holds no {DESCRIPTION}: write one with `siamloc export`")
-        described = f"{path}/{DESCRIPTION}"
-        try:
-            about = parsed_json(parts.read(DESCRIPTION).decode())
-        except ValueError as error:
-            raise FormatError(f"{described} is incomplete or invalid JSON ({error}): export again") from error
+        about = read_json(described)
         if not isinstance(about, dict) or about.get("format") != FORMAT:
             raise FormatError(f"{described} was not written by `siamloc export`: export again")
         check_version(about.get("version"), VERSION, f"the bundle {path}", "export again")
@@ -207,24 +201,24 @@ class Bundle:
         for name, digest in about["sha256"].items():
             if name not in PARTS:
                 raise FormatError(f"{described} lists {name!r}, which no bundle has: export again")
-            if not parts.holds(name) or parts.digest(name) != digest:
+            if not _holds(path / name) or file_hash(path / name) != digest:
                 raise FormatError(f"{path}/{name} is missing or not the file the bundle was written with: export again")
         try:
             preprocessing = Preprocessing.of(about["preprocessing"])
         except (ConfigError, TypeError) as error:
             raise FormatError(f"{described} is altered in preprocessing ({error}): export again") from error
-        return cls(path, about, preprocessing, parts)
+        return cls(path, about, preprocessing)
 
     @property
     def bytes(self) -> int:
         """Total size of its files in bytes."""
-        return sum(self.parts.size(name) for name in (DESCRIPTION, *self.files))
+        return sum((self.path / name).stat().st_size for name in (DESCRIPTION, *self.files))
 
     @cached_property
     def _thumbnails(self) -> Thumbnails | None:
         if THUMBNAILS not in self.files:
             return None
-        return Thumbnails(self.parts.read(THUMBNAILS), f"{self.path}/{THUMBNAILS}")
+        return Thumbnails(self.path / THUMBNAILS)
 
     @property
     def _unit(self) -> str:
@@ -235,13 +229,25 @@ class Bundle:
 
         if name not in self.files:
             return None
-        return VisualMap.read(self.parts.source(name), f"{self.path}/{name}")
+        return VisualMap.load(self.path / name)
 
     def _learned(self, kind: type[_Kind], name: str) -> _Kind | None:
         if name not in self.files:
             return None
-        try:
-            values = parsed_json(self.parts.read(name).decode())
-        except ValueError as error:
-            raise FormatError(f"{self.path}/{name} is incomplete or invalid JSON ({error}): export again") from error
-        return kind.from_dict(values, f"{self.path}/{name}")
+        return kind.from_dict(read_json(self.path / name), f"{self.path}/{name}")
+
+
+def _holds(file: Path) -> bool:
+    """Return whether there is such a regular file.
+
+    Raises:
+        FormatError: it is a link, or claims to be longer than what it takes on the disk.
+    """
+    if file.is_symlink():
+        raise FormatError(f"{file} is a link, which could lead anywhere: copy the file itself into the bundle")
+    if not file.is_file():
+        return False
+    about = file.stat()
+    if about.st_size > _SPARE + _DENSEST * 512 * getattr(about, "st_blocks", about.st_size):
+        raise FormatError(f"{file} claims to be far longer than what it holds: export again")
+    return True

@@ -44,8 +44,6 @@ class Describer:
                 raise ConfigError(f"this onnxruntime has no provider {provider!r}: {hint(provider, there)}")
         options = onnxruntime.SessionOptions()
         options.log_severity_level = 3
-        # The folder that weights in files of their own may be in; onnxruntime refuses those that lead out of it.
-        options.add_session_config_entry("session.model_external_initializers_file_folder_path", str(bundle.path))
         options.enable_mem_pattern = False  # a block for all steps of an image costs memory and saves no time
         if threads is not None:
             options.intra_op_num_threads = threads
@@ -53,10 +51,8 @@ class Describer:
         def session(name: str) -> Any:
             if name not in bundle.files:
                 return None
-            source = bundle.parts.source(name)
             try:
-                model = source if isinstance(source, bytes) else str(source)
-                return onnxruntime.InferenceSession(model, options, providers=list(providers))
+                return onnxruntime.InferenceSession(str(bundle.path / name), options, providers=list(providers))
             except Exception as error:  # onnxruntime's exceptions have no common base
                 raise FormatError(
                     f"onnxruntime cannot run {bundle.path}/{name} ({type(error).__name__}): export again"

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import shutil
-import zipfile
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -14,10 +12,10 @@ import numpy as np
 
 from analytic import Descriptor
 from foundation.calls import typed
-from foundation.files import atomic_folder, atomic_path, file_hash, plain, read_json, scratch_folder, write_json
+from foundation.files import atomic_folder, file_hash, plain, read_json, write_json
 from foundation.settings import checked
 from siamloc.data.decoding import Preprocessing
-from siamloc.errors import ConfigError, FormatError, SiamlocError
+from siamloc.errors import ConfigError, SiamlocError
 from siamloc.maps import Built, CoarseLayer, LayerSearch, VisualMap, match
 from siamloc.maps.describing import descriptor_from
 from siamloc.maps.heading import is_analytic
@@ -38,7 +36,6 @@ from siamloc.runtime.bundle import (
     Bundle,
 )
 from siamloc.runtime.localizer import Localizer
-from siamloc.runtime.parts import Archive
 from siamloc.runtime.precision import CALIBRATION, Measured, measured, smallest, spread
 from siamloc.runtime.quantization import quantize
 from siamloc.runtime.thumbnails import save_thumbnails
@@ -85,7 +82,7 @@ def export(
             name is enough, as for `siamloc.maps.build`.
         known: its map; None for a network alone, which only describes images. If the map has a heading part, the robot
             gets headings.
-        folder: where to write the bundle; a name that ends in .zip becomes one archive.
+        folder: where to write the bundle.
         errors: the model of the expected error, learned on this map; None for none.
         refinement: how poses are made finer than the map, learned on this map, such as `Result.refinement`; None for
             the poses of the nearest map frames.
@@ -141,7 +138,7 @@ def export(
 
         given = as_descriptor(on_cpu(given.module), None)  # as the robot computes
     made = _Ingredients(about, given, known, errors, refinement, layer, coarse_map, images, thumbnails)
-    with _written(folder) as fresh:
+    with atomic_folder(folder) as fresh:
         if precision != "auto":
             made.write(fresh, precision)
         else:
@@ -229,23 +226,6 @@ class _Ingredients:
             assert self.known is not None
             quantize(fresh / MODEL, spread(self.images, self.known.frames, CALIBRATION)[0])
         return parity
-
-
-@contextmanager
-def _written(path: Path) -> Iterator[Path]:
-    """Yield a folder to fill, which becomes the bundle: a folder or an archive."""
-    if path.suffix != ".zip":
-        with atomic_folder(path) as fresh:
-            yield fresh
-        return
-    with scratch_folder(path) as fresh:
-        yield fresh
-        with atomic_path(path) as temporary, zipfile.ZipFile(temporary, "w") as archive:
-            for file in sorted(fresh.iterdir()):
-                # A fixed date makes the archive depend on its content only; weights and descriptors do not compress.
-                entry = zipfile.ZipInfo(file.name, date_time=(1980, 1, 1, 0, 0, 0))
-                with archive.open(entry, "w", force_zip64=True) as member, file.open("rb") as held:
-                    shutil.copyfileobj(held, member, 1 << 20)
 
 
 def _check_alike(
@@ -389,15 +369,8 @@ def _check_replaceable(path: Path) -> None:
     """Check that the path does not exist, or is an empty folder, or holds an older bundle and nothing else."""
     if not path.exists():
         return
-    if path.is_file() and path.suffix == ".zip":
-        try:
-            Archive(path, {DESCRIPTION, *PARTS}, DESCRIPTION)
-        except FormatError as error:
-            raise ConfigError(f"{path} is not a bundle: name another file") from error
-        return
-    if not path.is_dir() or path.suffix == ".zip":
-        what = "a folder" if path.is_dir() else "a file"
-        raise ConfigError(f"{path} is {what}: name another folder, or an archive .zip, for the bundle")
+    if not path.is_dir():
+        raise ConfigError(f"{path} is a file: name a folder for the bundle")
     names = {file.name for file in path.iterdir()}
     others = sorted(names - {DESCRIPTION, *PARTS})
     if others or (names and DESCRIPTION not in names):

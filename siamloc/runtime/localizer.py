@@ -145,7 +145,7 @@ class Localizer:
     most. If these hold fewer frames than the estimates need, the whole map is searched.
 
     Args:
-        bundle_path: the bundle's folder or archive.
+        bundle_path: the bundle's folder.
         top: how many candidates a location lists.
         hierarchical: whether to search the coarse layer first; if None, only if the bundle has one.
         threads: number of onnxruntime threads; its own choice if None.

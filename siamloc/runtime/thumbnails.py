@@ -23,23 +23,22 @@ class Thumbnails:
     """JPEG thumbnails by row of the map.
 
     Args:
-        content: content of the file that `save_thumbnails` wrote.
-        source: its name in error messages.
+        path: of the file that `save_thumbnails` wrote.
 
     Raises:
         FormatError: the file is damaged.
     """
 
-    def __init__(self, content: bytes, source: str) -> None:
+    def __init__(self, path: Path) -> None:
         try:
-            arrays = read_arrays(content)
+            arrays = read_arrays(path)
             self._bytes, self._ends = arrays["jpeg"], arrays["ends"]
             right = self._bytes.dtype == np.uint8 and self._ends.dtype == np.int64 and self._bytes.ndim == 1
             steps = np.diff(self._ends, prepend=0)
             if not right or self._ends.ndim != 1 or (steps < 0).any() or steps.sum() != len(self._bytes):
                 raise ValueError("arrays that do not fit together")
         except DAMAGE as error:
-            raise FormatError(f"{source} holds no pictures, or not all of them: export again") from error
+            raise FormatError(f"{path} holds no pictures, or not all of them: export again") from error
 
     def __len__(self) -> int:
         return len(self._ends)

@@ -54,7 +54,7 @@ def network():
 def test_every_analytic_descriptor_locates_as_its_map_does(world, tmp_path, name):
     images, monday, tuesday = world
     known = maps.build(described(name), images, monday, progress=False)
-    bundle = runtime.export(described(name), known, tmp_path / "bundle.zip")
+    bundle = runtime.export(described(name), known, tmp_path / "bundle")
     localizer = runtime.Localizer(bundle.path)
     queries = maps.describe(known, images, tuesday)
     seen = analytic.Description.concatenate(list(queries))
@@ -156,7 +156,7 @@ def test_pictures_of_the_map_come_along(world, network, tmp_path):
     images, monday, _ = world
     known = maps.build(network, images, monday, progress=False)
     assert runtime.export(network, known, tmp_path / "none").thumbnail(0) is None
-    bundle = runtime.export(network, known, tmp_path / "b.zip", images=images, thumbnails=True)
+    bundle = runtime.export(network, known, tmp_path / "b", images=images, thumbnails=True)
     for row, panorama in enumerate(next(images.batches(monday))):
         picture = cv2.imdecode(np.frombuffer(bundle.thumbnail(row), np.uint8), cv2.IMREAD_COLOR)
         assert picture.shape == (32, 64, 3)
