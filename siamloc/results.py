@@ -196,6 +196,23 @@ def rows_by_label(labels: NDArray) -> dict[str, NDArray[np.int64]]:
     return {str(name) or UNLABELLED: np.flatnonzero(inverse == i) for i, name in enumerate(names)}
 
 
+def by_label(
+    columns: Mapping[str, NDArray], measure: Callable[[NDArray[np.int64]], Any], *names: str
+) -> dict[str, Any]:
+    """Return the measure of all rows of a table, and that of the rows with each label.
+
+    Args:
+        columns: columns of equal length.
+        measure: returns the measure of some rows.
+        names: columns of labels.
+
+    Returns:
+        "overall", and for each of the names the measures by label.
+    """
+    groups = {name: {label: measure(rows) for label, rows in rows_by_label(columns[name]).items()} for name in names}
+    return {"overall": measure(np.arange(_length(columns))), **groups}
+
+
 def versions() -> dict[str, str]:
     """Return the software versions that results depend on; torch only if it is loaded."""
     found = {"python": platform.python_version(), "siamloc": __version__, "numpy": np.__version__}
@@ -251,5 +268,5 @@ def _parse(kind: str, cells: tuple[str, ...]) -> NDArray:
     return np.array([parse(cell) for cell in cells], dtype=dtype)
 
 
-def _length(columns: Columns) -> int:
+def _length(columns: Mapping[str, NDArray]) -> int:
     return len(next(iter(columns.values())))

@@ -12,11 +12,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from siamloc.data.frames import FrameTable
 from siamloc.errors import ConfigError, DataError
-from siamloc.evaluation.columns import map_columns, retrieve, room_names
+from siamloc.evaluation.columns import heading_errors, map_columns, retrieve, room_names
 from siamloc.evaluation.metrics import (
     error_floor,
     first_rank_within,
-    heading_error,
     localization_error,
     one_percent,
     recall_from_ranks,
@@ -26,7 +25,7 @@ from siamloc.evaluation.offsets import implausible_offsets
 from siamloc.evaluation.result import Result
 from siamloc.maps.search import Retrieval
 from siamloc.maps.visual_map import VisualMap
-from siamloc.results import Columns, rows_by_label
+from siamloc.results import Columns, by_label, rows_by_label
 
 
 def evaluate_absolute(
@@ -55,10 +54,9 @@ def evaluate_absolute(
         excluded: (n, m) map frames that a query was not compared with; the error floor leaves them out, too.
 
     Raises:
-        ConfigError: no radii or ks, or values that repeat or are out of range.
         DataError: frames without positions, or descriptors that do not match the frames or the map.
     """
-    radii, ks = check_recalls(radii, ks)
+    radii, ks = tuple(map(float, radii)), tuple(ks)
     _require_positions(frames, "queries")
     _require_positions(visual_map.frames, "map frames")
     k = most_neighbours(neighbours(ks, len(visual_map)), len(visual_map), excluded)
@@ -68,14 +66,8 @@ def evaluate_absolute(
     known = visual_map.frames
     columns = _columns(known, frames, found, excluded)
     if headings is not None:
-        estimated = np.asarray(headings, dtype=np.float64)
-        if estimated.shape != (len(frames),):
-            raise DataError(f"{len(frames)} queries need as many headings, got shape {estimated.shape}")
-        columns["est_theta"] = estimated
-        known_heading = np.isfinite(frames.theta) & np.isfinite(estimated)
-        error = np.full(len(frames), np.nan)
-        error[known_heading] = heading_error(estimated[known_heading], frames.theta[known_heading])
-        columns["heading_error"] = np.degrees(error)
+        columns["est_theta"] = np.asarray(headings, dtype=np.float64)
+        columns["heading_error"] = heading_errors(headings, frames)
     for radius in radii:
         columns[rank_column(radius)] = first_rank_within(found.indices[:, :k], known.xy, frames.xy, radius)
     counts = {
@@ -84,7 +76,7 @@ def evaluate_absolute(
     aside = list(implausible_offsets(known, frames, found.indices[:, 0]))
     return Result(
         name="absolute",
-        parts={"absolute": measures_of(columns, radii, ks, len(known), visual_map.unit)},
+        parts={"absolute": pose_measures(columns, radii, ks, len(known), visual_map.unit)},
         tables={"queries": columns, "map": map_columns(known, frames)},
         denominators={"queries": len(frames), "map_frames": len(known), **counts},
         skipped={"positions": " ".join(aside)} if aside else {},
@@ -104,7 +96,7 @@ def with_baseline(result: Result, name: str, baseline: Result) -> Result:
     held = result.parts["absolute"]
     parts = {
         **result.parts,
-        "absolute": measures_of(columns, held["radii"], held["ks"], held["map_frames"], held["unit"]),
+        "absolute": pose_measures(columns, held["radii"], held["ks"], held["map_frames"], held["unit"]),
     }
     return replace(
         result,
@@ -131,10 +123,10 @@ def most_neighbours(k: int, map_frames: int, excluded: NDArray[np.bool_] | None)
     return min(k, most)
 
 
-def measures_of(
+def pose_measures(
     columns: Mapping[str, NDArray], radii: Sequence[float], ks: Sequence[int], map_frames: int, unit: str
 ) -> dict[str, Any]:
-    """Return all measures, pooled over queries, from the columns of `queries.csv`.
+    """Return all measures of localization, pooled over queries, from the columns of `queries.csv`.
 
     Returns:
         unit, map_frames, radii, ks, the groups "overall", "lighting" (by label) and "room" (by label), and
@@ -147,19 +139,84 @@ def measures_of(
     """
 
     def group(rows: NDArray[np.int64]) -> dict[str, Any]:
-        return _group({name: column[rows] for name, column in numbers.items()}, radii, ks, map_frames)
+        numbers = {name: column[rows] for name, column in columns.items() if column.dtype.kind in "iuf"}
+        floor = numbers["floor"]
+        ranks = {radius: numbers[rank_column(radius)] for radius in radii}
+        baselines = {name: {"error": summarize(numbers[f"baseline_{name}"])} for name in baseline_names(numbers)}
+        return {
+            "queries": len(rows),
+            **{name: summarize(numbers[name]) for name in ("error", "floor", "excess")},
+            "hit_rate": [_hit_rate(numbers["excess"], one) for one in dict.fromkeys((0.0, *radii))],
+            "recall": _recalls(ranks, floor, ks),
+            "recall_at_one_percent": _recalls(ranks, floor, [one_percent(map_frames)]),
+            "baselines": baselines,
+            **_heading(numbers.get("heading_error")),
+        }
 
-    numbers = {name: column for name, column in columns.items() if column.dtype.kind in "iuf"}
     return {
-        "unit": unit,
-        "map_frames": int(map_frames),
-        "radii": list(radii),
-        "ks": list(ks),
-        "overall": group(np.arange(len(columns["error"]))),
-        "lighting": {label: group(rows) for label, rows in rows_by_label(columns["lighting"]).items()},
-        "room": {label: group(rows) for label, rows in rows_by_label(columns["room"]).items()},
+        **{"unit": unit, "map_frames": int(map_frames), "radii": list(radii), "ks": list(ks)},
+        **by_label(columns, group, "lighting", "room"),
         "room_by_lighting": _room_by_lighting(columns),
     }
+
+
+def estimate_measures(
+    columns: Mapping[str, NDArray], name: str, radii: Sequence[float], map_frames: int, unit: str
+) -> dict[str, Any]:
+    """Return the measures of a further estimate of each query, from the columns of `queries.csv`.
+
+    Returns:
+        The measures of `pose_measures`, but with the recall only for the estimate itself (k = 1). The excess is
+        relative to the nearest map frame, and negative if an estimate between frames is nearer. `inside` is the share
+        of true positions inside the 90 % ellipse, if the estimate has one.
+    """
+
+    def group(rows: NDArray[np.int64]) -> dict[str, Any]:
+        error, floor = columns[f"{name}_error"][rows], columns["floor"][rows]
+        found = {
+            "queries": len(rows),
+            "error": summarize(error),
+            "floor": summarize(floor),
+            "excess": summarize(error - floor),
+            "recall": _recalls({radius: (error <= radius).astype(np.int64) for radius in radii}, floor, [1]),
+        }
+        if f"{name}_inside" in columns:
+            inside = columns[f"{name}_inside"][rows]
+            found["inside"] = float(np.nanmean(inside)) if np.isfinite(inside).any() else float("nan")
+        turned = columns.get(f"{name}_heading_error")
+        return {**found, **_heading(None if turned is None else turned[rows])}
+
+    return {
+        **{"unit": unit, "map_frames": int(map_frames), "radii": list(radii), "ks": [1]},
+        **by_label(columns, group, "lighting", "room"),
+    }
+
+
+def estimate_columns(
+    name: str, estimated_xy: ArrayLike, frames: FrameTable, headings: ArrayLike | None = None
+) -> Columns:
+    """Return the columns of a further estimate of each query.
+
+    Args:
+        name: prefix of the columns' names.
+        estimated_xy: (n, 2).
+        frames: the queries (n), all with positions.
+        headings: estimated headings (n,), rad, NaN where unknown.
+
+    Returns:
+        `<name>_est_x`, `<name>_est_y`, `<name>_error`; with headings also `<name>_est_theta` and
+        `<name>_heading_error` in degrees, NaN if one of the two headings is unknown.
+
+    Raises:
+        DataError: arrays that do not match each other, or unknown positions.
+    """
+    xy = np.asarray(estimated_xy, dtype=np.float64)
+    error = localization_error(xy, frames.xy)
+    columns: Columns = {f"{name}_est_x": xy[:, 0], f"{name}_est_y": xy[:, 1], f"{name}_error": error}
+    if headings is not None:
+        columns[f"{name}_est_theta"] = np.asarray(headings, dtype=np.float64)
+        columns[f"{name}_heading_error"] = heading_errors(headings, frames)
+    return columns
 
 
 def _room_by_lighting(columns: Mapping[str, NDArray]) -> dict[str, dict[str, Any]]:
@@ -211,24 +268,9 @@ def _columns(
     }
 
 
-def _group(
-    numbers: Mapping[str, NDArray], radii: Sequence[float], ks: Sequence[int], map_frames: int
-) -> dict[str, Any]:
-    floor = numbers["floor"]
-
-    def recalls(counts: Sequence[int]) -> list[dict[str, Any]]:
-        ranks = {radius: numbers[rank_column(radius)] for radius in radii}
-        return [dict(vars(recall_from_ranks(ranks[radius], floor, radius, k))) for radius in radii for k in counts]
-
-    return {
-        "queries": len(floor),
-        **{name: summarize(numbers[name]) for name in ("error", "floor", "excess")},
-        "hit_rate": [_hit_rate(numbers["excess"], one) for one in dict.fromkeys((0.0, *radii))],
-        "recall": recalls(ks),
-        "recall_at_one_percent": recalls([one_percent(map_frames)]),
-        "baselines": {name: {"error": summarize(numbers[f"baseline_{name}"])} for name in baseline_names(numbers)},
-        **_heading(numbers),
-    }
+def _recalls(ranks: Mapping[float, NDArray], floor: NDArray, ks: Sequence[int]) -> list[dict[str, Any]]:
+    """Return the recall for each radius and k; `ranks` holds the first rank within each radius."""
+    return [dict(vars(recall_from_ranks(rank, floor, radius, k))) for radius, rank in ranks.items() for k in ks]
 
 
 def _hit_rate(excess: NDArray[np.float64], tolerance: float) -> dict[str, Any]:
@@ -242,26 +284,22 @@ def _hit_rate(excess: NDArray[np.float64], tolerance: float) -> dict[str, Any]:
     return {"tolerance": float(tolerance), "rate": rate, "hits": hits, "queries": len(excess)}
 
 
-def _heading(numbers: Mapping[str, NDArray]) -> dict[str, Any]:
+def _heading(errors: NDArray | None) -> dict[str, Any]:
     """Return the summary of the heading errors in degrees; empty if none is known."""
-    if "heading_error" not in numbers:
-        return {}
-    known = numbers["heading_error"][np.isfinite(numbers["heading_error"])]
+    known = np.empty(0) if errors is None else errors[np.isfinite(errors)]
     return {"heading_error": summarize(known)} if len(known) else {}
 
 
-def check_recalls(radii: Sequence[float], ks: Sequence[int]) -> tuple[tuple[float, ...], tuple[int, ...]]:
-    """Return the radii and ks of recalls as plain numbers.
+def check_recalls(radii: Sequence[float], ks: Sequence[int]) -> None:
+    """Check the radii and ks of recalls, beyond the range of each.
 
     Raises:
-        ConfigError: no values, or values that are out of range or appear twice.
+        ConfigError: no values, or values that appear twice, or an infinite radius.
     """
-    radii, ks = tuple(float(radius) for radius in radii), tuple(ks)
-    if not radii or not all(0 <= radius < np.inf for radius in radii) or len(set(radii)) < len(radii):
+    if not radii or math.inf in radii or len(set(radii)) < len(radii):
         raise ConfigError(f"the recall needs radii that are not negative and differ, got {list(radii)}")
-    if not ks or not all(k == int(k) and k >= 1 for k in ks) or len(set(ks)) < len(ks):
+    if not ks or len(set(ks)) < len(ks):
         raise ConfigError(f"the recall needs whole numbers k >= 1 that differ, got {list(ks)}")
-    return radii, tuple(int(k) for k in ks)
 
 
 def _require_positions(frames: FrameTable, what: str) -> None:

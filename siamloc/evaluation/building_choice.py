@@ -15,11 +15,11 @@ from siamloc.data.frames import FrameTable
 from siamloc.data.library import PanoramaLibrary
 from siamloc.data.protocol import Protocol
 from siamloc.errors import ConfigError, DataError
-from siamloc.evaluation.metrics import confusion_matrix
+from siamloc.evaluation.columns import confusions
 from siamloc.evaluation.result import Result
 from siamloc.evaluation.session import Session, as_protocol, cost
 from siamloc.maps import CoarseLayer, VisualMap, match
-from siamloc.results import Columns, rows_by_label
+from siamloc.results import Columns, by_label
 from siamloc.stopwatch import Stopwatch
 
 
@@ -244,13 +244,13 @@ def evaluate_buildings(
         columns[f"distance_{label}"] = distance[:, number]
     return Result(
         name="buildings",
-        parts={"buildings": measures_of(columns, known)},
+        parts={"buildings": building_measures(columns, known)},
         tables={"queries": columns},
         denominators={"queries": len(frames), "maps": len(known)},
     )
 
 
-def measures_of(columns: Columns, labels: Sequence[str]) -> dict[str, Any]:
+def building_measures(columns: Columns, labels: Sequence[str]) -> dict[str, Any]:
     """Return the accuracies and the confusion of buildings, from the columns of `queries.csv`.
 
     Returns:
@@ -258,26 +258,16 @@ def measures_of(columns: Columns, labels: Sequence[str]) -> dict[str, Any]:
         true `building`; and `confusion` with the `labels`, the `counts` of all queries (row = true building, column =
         building of the nearest map) and the counts by `lighting`.
     """
-    true, predicted = columns["building"], columns["predicted_building"]
+    true = columns["building"]
 
     def group(rows: NDArray[np.int64]) -> dict[str, Any]:
         parts = {label: rows[true[rows] == label] for label in labels}
         by_building = {label: _share(columns, part) for label, part in parts.items() if len(part)}
         return {**_share(columns, rows), "building": by_building}
 
-    def confused(rows: NDArray[np.int64]) -> list[list[int]]:
-        counts: list[list[int]] = confusion_matrix(true[rows], predicted[rows], labels).tolist()
-        return counts
-
-    every, by_lighting = np.arange(len(true)), rows_by_label(columns["lighting"])
     return {
-        "overall": group(every),
-        "lighting": {label: group(rows) for label, rows in by_lighting.items()},
-        "confusion": {
-            "labels": list(labels),
-            "counts": confused(every),
-            "lighting": {label: confused(rows) for label, rows in by_lighting.items()},
-        },
+        **by_label(columns, group, "lighting"),
+        "confusion": {"labels": list(labels), **confusions(columns, "building", labels)},
     }
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from siamloc.errors import ConfigError, DataError
-from siamloc.results import rows_by_label
+from siamloc.results import by_label
 
 
 def calibration_curve(predicted: ArrayLike, error: ArrayLike, bins: int = 10) -> list[dict[str, Any]]:
@@ -78,7 +78,7 @@ def lost_measures(
     }
 
 
-def measures_of(columns: Mapping[str, NDArray], lost_above: float, bins: int = 10) -> dict[str, Any]:
+def calibration_measures(columns: Mapping[str, NDArray], lost_above: float, bins: int = 10) -> dict[str, Any]:
     """Return how well column `error_m` of `queries.csv` predicts column `error`: overall, by lighting and by room.
 
     The column `lost`, if there is one, holds which queries were called lost.
@@ -106,11 +106,7 @@ def measures_of(columns: Mapping[str, NDArray], lost_above: float, bins: int = 1
             "lost": lost_measures(predicted, error, lost_above, columns["lost"][rows] if "lost" in columns else None),
         }
 
-    return {
-        "overall": group(np.arange(len(columns["error"]))),
-        "lighting": {label: group(rows) for label, rows in rows_by_label(columns["lighting"]).items()},
-        "room": {label: group(rows) for label, rows in rows_by_label(columns["room"]).items()},
-    }
+    return by_label(columns, group, "lighting", "room")
 
 
 def _pair(predicted: ArrayLike, error: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

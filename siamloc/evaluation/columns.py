@@ -2,14 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
+from typing import Any
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from siamloc.data.frames import FrameTable
 from siamloc.errors import DataError
+from siamloc.evaluation.metrics import confusion_matrix, heading_error
+from siamloc.maps.error_model import ErrorModel
+from siamloc.maps.refinement import RefinedPoses
 from siamloc.maps.search import Retrieval
 from siamloc.maps.visual_map import VisualMap
-from siamloc.results import Columns
+from siamloc.results import Columns, by_label
 
 
 def room_names(*tables: FrameTable) -> list[NDArray[np.str_]]:
@@ -37,14 +43,40 @@ def missing_rooms(known: FrameTable, queries: FrameTable) -> str:
     )
 
 
-def check_retrieval(found: Retrieval, frames: FrameTable) -> None:
-    """Check that a retrieval has one row for each query.
+def confusions(columns: Mapping[str, NDArray], what: str, labels: Sequence[str]) -> dict[str, Any]:
+    """Return the confusion matrices of rooms or buildings, as lists of rows.
+
+    Args:
+        columns: the true label of each query in the column `what`, and the other one in `predicted_<what>`.
+        what: "room" or "building".
+        labels: all labels, in the order of the rows and columns.
+
+    Returns:
+        `counts` of all queries (row = true label, column = predicted label), and those by `lighting`.
+    """
+
+    def counts(rows: NDArray[np.int64]) -> list[list[int]]:
+        made: list[list[int]] = confusion_matrix(
+            columns[what][rows], columns[f"predicted_{what}"][rows], labels
+        ).tolist()
+        return made
+
+    found = by_label(columns, counts, "lighting")
+    return {"counts": found["overall"], "lighting": found["lighting"]}
+
+
+def heading_errors(estimated: ArrayLike, frames: FrameTable) -> NDArray[np.float64]:
+    """Return the errors of headings (n,) in degrees; NaN if the estimated or the true heading is unknown.
 
     Raises:
-        DataError: the retrieval has fewer or more rows than there are queries.
+        DataError: not one heading for each frame.
     """
-    if len(found) != len(frames):
-        raise DataError(f"the retrieval must be that of the {len(frames)} queries, got one of {len(found)}")
+    theta = np.asarray(estimated, dtype=np.float64)
+    if theta.shape != (len(frames),):
+        raise DataError(f"{len(frames)} queries need as many headings, got shape {theta.shape}")
+    known, error = np.isfinite(theta) & np.isfinite(frames.theta), np.full(len(frames), np.nan)
+    error[known] = np.degrees(heading_error(theta[known], frames.theta[known]))
+    return error
 
 
 def retrieve(
@@ -58,7 +90,8 @@ def retrieve(
     if not len(frames):
         raise DataError("there are no queries to evaluate")
     if retrieval is not None:
-        check_retrieval(retrieval, frames)
+        if len(retrieval) != len(frames):
+            raise DataError(f"the retrieval must be that of the {len(frames)} queries, got one of {len(retrieval)}")
         return retrieval
     if descriptors is None:
         raise DataError("queries need descriptors or a retrieval to be evaluated: give one of the two")
@@ -66,3 +99,51 @@ def retrieve(
     if values.ndim != 2 or len(values) != len(frames):
         raise DataError(f"{len(frames)} queries need descriptors of shape ({len(frames)}, D), got {values.shape}")
     return visual_map.search(values, k)
+
+
+def located_columns(
+    known: VisualMap,
+    frames: FrameTable,
+    found: Retrieval,
+    headings: ArrayLike | None = None,
+    errors: ErrorModel | None = None,
+    poses: tuple[str, RefinedPoses] | None = None,
+) -> Columns:
+    """Return the estimated poses of queries whose true poses are unknown: the columns of `located.csv`.
+
+    Args:
+        known: a map of m frames, all with positions.
+        frames: the queries (n).
+        found: the nearest map frames of each query.
+        headings: estimated headings (n,), rad.
+        errors: the error model, with a threshold for lost queries.
+        poses: prefix of the columns' names, and poses finer than the map.
+
+    Raises:
+        DataError: a retrieval of too few frames for the error model.
+    """
+    match = found.indices[:, 0]
+    known_rooms, rooms = room_names(known.frames, frames)
+    columns: Columns = {
+        "query": np.arange(len(frames)),
+        "path": frames.path,
+        "sequence": frames.sequence,
+        "lighting": frames.lighting,
+        "room": rooms,
+        "match": match,
+        "match_path": known.frames.path[match],
+        "match_room": known_rooms[match],
+        "est_x": known.frames.x[match],
+        "est_y": known.frames.y[match],
+        "descriptor_distance": found.distances[:, 0],
+    }
+    if headings is not None:
+        columns["est_theta"] = np.asarray(headings, dtype=np.float64)
+    if poses is not None:
+        name, finer = poses
+        columns |= {f"{name}_est_x": finer.xy[:, 0], f"{name}_est_y": finer.xy[:, 1], f"{name}_est_theta": finer.theta}
+    if errors is not None:
+        expected, lost = errors.judged(found, known.frames.xy, None if poses is None else poses[1])
+        assert lost is not None
+        columns |= {"error_m": expected, "lost": lost}
+    return columns

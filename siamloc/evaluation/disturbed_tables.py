@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 from foundation.columns import Rows
 from siamloc.data.frames import FrameTable
 from siamloc.errors import ConfigError, DataError
-from siamloc.evaluation.columns import room_names
+from siamloc.evaluation.columns import heading_errors, room_names
 from siamloc.evaluation.disturbance import Disturbance
-from siamloc.evaluation.metrics import error_floor, heading_error, localization_error, recall_from_ranks, summarize
+from siamloc.evaluation.metrics import error_floor, localization_error, recall_from_ranks, summarize
 from siamloc.results import Columns
 
 
@@ -84,8 +84,8 @@ def answers(
                 "match_path": known.path[row],
                 "error": error,
                 "floor": np.minimum(floor, error),
-                "heading_error": np.degrees(_turned_wrongly(answer.heading, queries.theta)),
-                "heading_error_nearest": np.degrees(_turned_wrongly(answer.heading_nearest, queries.theta)),
+                "heading_error": heading_errors(answer.heading, queries),
+                "heading_error_nearest": heading_errors(answer.heading_nearest, queries),
             }
         )
     return concatenated(parts)
@@ -170,13 +170,6 @@ def measures(
 def concatenated(parts: Sequence[Mapping[str, NDArray]]) -> Columns:
     """Join tables with the same columns."""
     return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
-
-
-def _turned_wrongly(estimated: NDArray[np.float64], theta: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the errors of headings (n,) in rad, NaN if the estimated or the true one is unknown."""
-    error, known = np.full(len(theta), np.nan), np.isfinite(estimated) & np.isfinite(theta)
-    error[known] = heading_error(estimated[known], theta[known])
-    return error
 
 
 def _mean(values: NDArray[np.float64]) -> float:

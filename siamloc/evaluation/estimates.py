@@ -12,9 +12,8 @@ from foundation.settings import Count, NotNegative, Positive, Probability, Setti
 from siamloc.data.checks import wrong_headings
 from siamloc.data.frames import FrameTable
 from siamloc.errors import ConfigError, DataError
-from siamloc.evaluation import calibration
-from siamloc.evaluation.absolute import most_neighbours
-from siamloc.evaluation.estimate_columns import estimate_columns, measures_of
+from siamloc.evaluation.absolute import estimate_columns, estimate_measures, most_neighbours
+from siamloc.evaluation.calibration import calibration_measures
 from siamloc.evaluation.metrics import localization_error
 from siamloc.evaluation.result import Result
 from siamloc.evaluation.session import Search, Session
@@ -204,7 +203,7 @@ def with_estimates(
         }
         result = replace(
             result,
-            parts={**result.parts, "calibration": calibration.measures_of(judged, settings.lost_above)},
+            parts={**result.parts, "calibration": calibration_measures(judged, settings.lost_above)},
             tables={**result.tables, "queries": columns},
             about={**result.about, "estimates": {**result.about.get("estimates", {}), "error_model": about}},
             error_model=model,
@@ -362,7 +361,7 @@ def _interval(frames: FrameTable) -> float | None:
 def _with_columns(result: Result, name: str, columns: Columns, about: dict[str, Any]) -> Result:
     """Return a result with a further estimate of each query: its columns, measures and parameters."""
     table, held = {**result.tables["queries"], **columns}, result.parts["absolute"]
-    measures = measures_of(table, name, held["radii"], held["map_frames"], held["unit"])
+    measures = estimate_measures(table, name, held["radii"], held["map_frames"], held["unit"])
     return replace(
         result,
         parts={**result.parts, f"absolute_{name}": measures},

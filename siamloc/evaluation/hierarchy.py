@@ -17,10 +17,8 @@ from siamloc.data.frames import FrameTable
 from siamloc.data.library import PanoramaLibrary
 from siamloc.data.protocol import Protocol
 from siamloc.errors import DataError
-from siamloc.evaluation import absolute
-from siamloc.evaluation.absolute import check_recalls, evaluate_absolute, neighbours
-from siamloc.evaluation.columns import missing_rooms
-from siamloc.evaluation.estimate_columns import located_columns
+from siamloc.evaluation.absolute import check_recalls, evaluate_absolute, neighbours, pose_measures
+from siamloc.evaluation.columns import located_columns, missing_rooms
 from siamloc.evaluation.metrics import localization_error, summarize
 from siamloc.evaluation.result import Result
 from siamloc.evaluation.session import Session, cost
@@ -28,7 +26,7 @@ from siamloc.maps import Built, Retrieval, VisualMap, headings, match
 from siamloc.maps.coarse import UNASSIGNED, CoarseLayer
 from siamloc.maps.hierarchy import HierarchicalRetrieval, HierarchicalSearch, Ranking
 from siamloc.maps.ranking import NodeRanking, rank_by_position
-from siamloc.results import Columns, rows_by_label
+from siamloc.results import Columns, by_label
 from siamloc.stopwatch import Stopwatch
 
 
@@ -234,7 +232,7 @@ def evaluate_hierarchical(
     }
     map_columns = {**base.tables["map"], "node": layer.labels}
     held = base.parts["absolute"]
-    measures = measures_of(columns, held["radii"], held["ks"], held["map_frames"], held["unit"])
+    measures = node_measures(columns, held["radii"], held["ks"], held["map_frames"], held["unit"])
     return replace(
         base,
         name="hierarchical",
@@ -244,22 +242,23 @@ def evaluate_hierarchical(
     )
 
 
-def measures_of(
+def node_measures(
     columns: Mapping[str, NDArray], radii: Sequence[float], ks: Sequence[int], map_frames: int, unit: str
 ) -> dict[str, Any]:
-    """Return all measures, pooled over queries, from the columns of `queries.csv`.
+    """Return all measures of hierarchical localization, pooled over queries, from the columns of `queries.csv`.
 
     Returns:
-        The measures of `siamloc.evaluation.absolute.measures_of`. Each group also holds `coarse` (accuracy, correct,
+        The measures of `siamloc.evaluation.absolute.pose_measures`. Each group also holds `coarse` (accuracy, correct,
         queries); `given_right`, `given_wrong`, `perfect_coarse` and `absolute`, each with `queries` and the summary
         `error`; `loss`, the share by which the mean error exceeds that of the search in the whole map; and
         `comparisons` (mean, max, share of the map, frames_share without the comparisons with the coarse layer).
     """
-    measures = absolute.measures_of(columns, radii, ks, map_frames, unit)
-    measures["overall"].update(_coarse(columns, np.arange(len(columns["error"])), map_frames))
+    measures = pose_measures(columns, radii, ks, map_frames, unit)
+    more = by_label(columns, lambda rows: _coarse(columns, rows, map_frames), "lighting", "room")
+    measures["overall"].update(more["overall"])
     for by in ("lighting", "room"):
-        for label, rows in rows_by_label(columns[by]).items():
-            measures[by][label].update(_coarse(columns, rows, map_frames))
+        for label, group in more[by].items():
+            measures[by][label].update(group)
     return measures
 
 

@@ -18,8 +18,7 @@ from siamloc.data.protocol import Protocol
 from siamloc.errors import ConfigError, DataError, SiamlocError
 from siamloc.evaluation import room_retrieval
 from siamloc.evaluation.absolute import check_recalls, evaluate_absolute, most_neighbours, neighbours, with_baseline
-from siamloc.evaluation.columns import missing_rooms
-from siamloc.evaluation.estimate_columns import located_columns
+from siamloc.evaluation.columns import located_columns, missing_rooms
 from siamloc.evaluation.estimates import (
     ESTIMATES,
     MATCHES,

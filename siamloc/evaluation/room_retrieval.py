@@ -12,12 +12,12 @@ from numpy.typing import ArrayLike, NDArray
 
 from siamloc.data.frames import FrameTable
 from siamloc.errors import ConfigError, DataError
-from siamloc.evaluation.columns import map_columns, retrieve, room_names
-from siamloc.evaluation.metrics import confusion_matrix, pair_accuracy, pair_dissimilarity, pair_threshold_curve
+from siamloc.evaluation.columns import confusions, map_columns, retrieve, room_names
+from siamloc.evaluation.metrics import pair_accuracy, pair_dissimilarity, pair_threshold_curve
 from siamloc.evaluation.result import Result
 from siamloc.maps.search import Retrieval
 from siamloc.maps.visual_map import VisualMap
-from siamloc.results import Columns, rows_by_label
+from siamloc.results import Columns, by_label
 
 TOP = (1, 5, 10)  # numbers of retrieved frames among which the right room must be
 DEPTH = 100  # retrieved frames used for average precision
@@ -32,24 +32,18 @@ def pair_measures(columns: Mapping[str, NDArray], margin: float, threshold: floa
         for each threshold. Each group by lighting has its own `curve`.
     """
 
-    def accuracy(rows: NDArray) -> tuple[dict[str, Any], list[dict[str, float]]]:
+    names = ("threshold", "same", "different", "overall")
+
+    def group(rows: NDArray[np.int64]) -> dict[str, Any]:
         distance, same = columns["distance"][rows], columns["same"][rows]
         curve = pair_threshold_curve(distance, same, margin)
         parts = (curve.thresholds.tolist(), curve.same.tolist(), curve.different.tolist(), curve.overall.tolist())
         points = [dict(zip(names, values, strict=True)) for values in zip(*parts, strict=True)]
-        return {**asdict(pair_accuracy(distance, same, margin, threshold)), "auc": curve.auc}, points
+        return {**asdict(pair_accuracy(distance, same, margin, threshold)), "auc": curve.auc, "curve": points}
 
-    names = ("threshold", "same", "different", "overall")
-    overall, curve = accuracy(np.arange(len(columns["same"])))
-    by_lighting = {label: accuracy(rows) for label, rows in rows_by_label(columns["lighting"]).items()}
-    return {
-        "margin": margin,
-        "threshold": threshold,
-        "overall": overall,
-        "lighting": {label: {**shares, "curve": points} for label, (shares, points) in by_lighting.items()},
-        "auc": overall["auc"],
-        "curve": curve,
-    }
+    groups = by_label(columns, group, "lighting")
+    curve = groups["overall"].pop("curve")
+    return {"margin": margin, "threshold": threshold, **groups, "auc": groups["overall"]["auc"], "curve": curve}
 
 
 def room_measures(columns: Mapping[str, NDArray], labels: Sequence[str], missing: Sequence[str]) -> dict[str, Any]:
@@ -67,7 +61,6 @@ def room_measures(columns: Mapping[str, NDArray], labels: Sequence[str], missing
         `labels`, the `counts` of all queries (row = true room, column = room of the match) and those by `lighting`;
         and `rooms_missing_in_map`.
     """
-    room, predicted = columns["room"], columns["predicted_room"]
 
     def group(rows: NDArray) -> dict[str, Any]:
         hits, n, rank = int(columns["correct"][rows].sum()), len(rows), columns["first_rank"][rows]
@@ -80,20 +73,9 @@ def room_measures(columns: Mapping[str, NDArray], labels: Sequence[str], missing
             "chance": float(columns["chance"][rows].mean()) if n else math.nan,
         }
 
-    def confused(rows: NDArray) -> list[list[int]]:
-        counts: list[list[int]] = confusion_matrix(room[rows], predicted[rows], labels).tolist()
-        return counts
-
-    by_lighting, every = rows_by_label(columns["lighting"]), np.arange(len(room))
     return {
-        "overall": group(every),
-        "room": {label: group(rows) for label, rows in rows_by_label(room).items()},
-        "lighting": {label: group(rows) for label, rows in by_lighting.items()},
-        "confusion": {
-            "labels": list(labels),
-            "counts": confused(every),
-            "lighting": {label: confused(rows) for label, rows in by_lighting.items()},
-        },
+        **by_label(columns, group, "room", "lighting"),
+        "confusion": {"labels": list(labels), **confusions(columns, "room", labels)},
         "rooms_missing_in_map": list(missing),
     }
 

@@ -12,7 +12,7 @@ import pytest
 import analytic
 from foundation.files import plain
 from siamloc.cli import main
-from siamloc.evaluation.building_choice import measures_of
+from siamloc.evaluation.building_choice import building_measures
 from siamloc.maps import CoarseLayer
 from siamloc.results import read_results, read_rows
 from tests.drawn import altered, write_manifest, write_rows
@@ -63,7 +63,7 @@ def test_the_files_alone_give_the_measures(table, maps, tmp_path, capsys):
     folder = tmp_path / "evaluation" / "buildings-hog"
     results, columns = read_results(folder), read_rows(folder)
     found = results["measures"]["buildings"]
-    again = plain(measures_of(columns, found["confusion"]["labels"]))
+    again = plain(building_measures(columns, found["confusion"]["labels"]))
     assert json.dumps({key: found[key] for key in again}) == json.dumps(again)
     assert found["confusion"]["labels"] == ["north", "south"]
     assert set(found["lighting"]) == {"cloudy", "night"}

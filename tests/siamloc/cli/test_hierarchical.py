@@ -7,7 +7,7 @@ import pytest
 
 from foundation.files import plain
 from siamloc.cli import main
-from siamloc.evaluation import absolute, calibration, estimates, hierarchy
+from siamloc.evaluation import absolute, calibration, hierarchy
 from siamloc.maps import CoarseLayer, ErrorModel
 from siamloc.results import read_results, read_rows
 from tests.drawn import altered, write_manifest
@@ -59,7 +59,7 @@ def test_the_files_alone_give_the_measures(manifest, tmp_path, build, nodes, cap
     written = read_results(folder)
     measures, known = written["measures"]["hierarchical"], read_rows(folder, "map")
     columns = read_rows(folder)
-    again = hierarchy.measures_of(columns, measures["radii"], measures["ks"], len(known["path"]), measures["unit"])
+    again = hierarchy.node_measures(columns, measures["radii"], measures["ks"], len(known["path"]), measures["unit"])
     assert json.dumps(plain(again)) == json.dumps(measures)
     assert set(measures["lighting"]) == {"cloudy", "night"}
     table = read_rows(folder, "nodes")
@@ -180,11 +180,11 @@ def test_estimates_beside_the_single_frame_one(manifest, tmp_path, capsys):
 
     radii, frames = measures["absolute"]["radii"], measures["absolute"]["map_frames"]
     again = {
-        "absolute": absolute.measures_of(columns, radii, measures["absolute"]["ks"], frames, "m"),
-        "absolute_filtered": estimates.measures_of(columns, "filtered", radii, frames, "m"),
-        "absolute_tracked": estimates.measures_of(columns, "tracked", radii, frames, "m"),
-        "absolute_interpolated": estimates.measures_of(columns, "interpolated", radii, frames, "m"),
-        "calibration": calibration.measures_of({**columns, "error": columns["interpolated_error"]}, 0.5),
+        "absolute": absolute.pose_measures(columns, radii, measures["absolute"]["ks"], frames, "m"),
+        "absolute_filtered": absolute.estimate_measures(columns, "filtered", radii, frames, "m"),
+        "absolute_tracked": absolute.estimate_measures(columns, "tracked", radii, frames, "m"),
+        "absolute_interpolated": absolute.estimate_measures(columns, "interpolated", radii, frames, "m"),
+        "calibration": calibration.calibration_measures({**columns, "error": columns["interpolated_error"]}, 0.5),
     }
     assert json.dumps(plain(again)) == json.dumps(measures)
     known = read_rows(folder, "map")

@@ -54,7 +54,7 @@ def test_rooms_named_by_the_classifier_come_first(run, candidates, capsys):
     assert "network-rooms-classifier" in capsys.readouterr().out
     folder = run / "evaluation" / "hierarchical-network-rooms-classifier"
     columns, measures = read_rows(folder), read_results(folder)["measures"]["hierarchical"]
-    again = hierarchy.measures_of(columns, measures["radii"], measures["ks"], 36, measures["unit"])
+    again = hierarchy.node_measures(columns, measures["radii"], measures["ks"], 36, measures["unit"])
     assert again["overall"]["coarse"] == measures["overall"]["coarse"]
     assert measures["overall"]["coarse"]["accuracy"] > 0.8
     np.testing.assert_array_equal(columns["comparisons"] - columns["frames_compared"], 3)

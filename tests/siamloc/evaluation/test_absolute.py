@@ -11,7 +11,8 @@ from foundation.files import plain
 from siamloc.data.frames import FrameTable
 from siamloc.errors import ConfigError, DataError
 from siamloc.evaluation import metrics
-from siamloc.evaluation.absolute import evaluate_absolute, measures_of, with_baseline
+from siamloc.evaluation.absolute import evaluate_absolute, pose_measures, with_baseline
+from siamloc.evaluation.localize import Localization
 from siamloc.maps import VisualMap
 from siamloc.results import read_results, read_rows, write_results
 from tests.siamloc.evaluation import scenes
@@ -89,7 +90,7 @@ def test_the_files_alone_give_the_same_measures(tmp_path: Path) -> None:
         {"map": result.tables["map"]},
     )
     written = read_results(tmp_path)["measures"]["absolute"]
-    again = measures_of(
+    again = pose_measures(
         read_rows(tmp_path), written["radii"], written["ks"], len(read_rows(tmp_path, "map")["path"]), written["unit"]
     )
     assert json.dumps(plain(again)) == json.dumps(written)
@@ -171,12 +172,12 @@ def test_errors() -> None:
         evaluate_absolute(known, descriptors[:5], queries)
     with pytest.raises(DataError, match="no queries"):
         evaluate_absolute(known, descriptors[:0], FrameTable(path=np.array([], dtype=str)))
-    for radii in ((), (-1,), (1, 1), (math.inf,)):
-        with pytest.raises(ConfigError, match="the recall needs radii"):
-            evaluate_absolute(known, descriptors, queries, radii)
-    for ks in ((), (0,), (1, 1), (1.5,)):
-        with pytest.raises(ConfigError, match="the recall needs whole numbers"):
-            evaluate_absolute(known, descriptors, queries, ks=ks)
+    for wrong in ({"radii": radii} for radii in ((), (-1,), (1, 1), (math.inf,))):
+        with pytest.raises(ConfigError, match="radii"):
+            Localization(**wrong)
+    for wrong in ({"ks": ks} for ks in ((), (0,), (1, 1), (1.5,))):
+        with pytest.raises(ConfigError, match="ks|whole numbers k"):
+            Localization(**wrong)
     result = evaluate_absolute(known, descriptors, queries)
     other = evaluate_absolute(known, descriptors[::-1], queries.take(slice(None, None, -1)))
     with pytest.raises(DataError, match="baseline 'hog' answered other queries"):

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from foundation.files import plain
 from siamloc.errors import ConfigError, DataError
-from siamloc.evaluation.calibration import calibration_curve, lost_measures, measures_of
+from siamloc.evaluation.calibration import calibration_curve, calibration_measures, lost_measures
 from siamloc.results import read_results, read_rows, write_results
 from tests.oracles import calibration as oracle
 
@@ -53,14 +53,14 @@ def test_perfect_reversed_and_shuffled_predictions() -> None:
     rng = np.random.default_rng(0)
     error = rng.exponential(1, 2000)
     columns = {"error": error, "lighting": np.full(2000, ""), "room": np.full(2000, "")}
-    perfect = measures_of({**columns, "error_m": error}, 1.0)["overall"]
+    perfect = calibration_measures({**columns, "error_m": error}, 1.0)["overall"]
     assert perfect["gap"] == 0
     assert (perfect["lost"]["precision"], perfect["lost"]["recall"]) == (1, 1)
     ranks = np.argsort(np.argsort(error))
-    turned = measures_of({**columns, "error_m": np.sort(error)[::-1][ranks]}, 1.0)["overall"]
+    turned = calibration_measures({**columns, "error_m": np.sort(error)[::-1][ranks]}, 1.0)["overall"]
     assert turned["gap"] > 1
     assert turned["lost"]["both"] < 0.2 * turned["lost"]["lost"]
-    shuffled = measures_of({**columns, "error_m": rng.permutation(error)}, 1.0)["overall"]
+    shuffled = calibration_measures({**columns, "error_m": rng.permutation(error)}, 1.0)["overall"]
     share = shuffled["lost"]["lost"] / 2000
     assert shuffled["lost"]["precision"] == pytest.approx(share, abs=0.07)
 
@@ -73,14 +73,14 @@ def test_the_files_alone_give_the_same_measures(tmp_path: Path) -> None:
         "lighting": rng.choice(["cloudy", "night"], 80),
         "room": rng.choice(["KT-A", ""], 80),
     }
-    measures = measures_of(columns, 1.5, 4)
+    measures = calibration_measures(columns, 1.5, 4)
     assert list(measures["lighting"]) == ["cloudy", "night"]
     assert list(measures["room"]) == ["(unlabelled)", "KT-A"]
     night = columns["lighting"] == "night"
     assert measures["lighting"]["night"]["observed"] == columns["error"][night].mean()
     assert measures["lighting"]["night"]["queries"] == night.sum()
     write_results(tmp_path, {"config": {}, "measures": measures, "denominators": {}}, columns)
-    again = plain(measures_of(read_rows(tmp_path), 1.5, 4))
+    again = plain(calibration_measures(read_rows(tmp_path), 1.5, 4))
     assert json.dumps(again) == json.dumps(read_results(tmp_path)["measures"])
 
 

@@ -12,7 +12,7 @@ from foundation.files import plain
 from siamloc.errors import ConfigError, DataError
 from siamloc.evaluation import metrics
 from siamloc.evaluation.absolute import evaluate_absolute, neighbours
-from siamloc.evaluation.hierarchy import CoarseRanking, evaluate_hierarchical, measures_of
+from siamloc.evaluation.hierarchy import CoarseRanking, evaluate_hierarchical, node_measures
 from siamloc.evaluation.result import Result
 from siamloc.maps import VisualMap
 from siamloc.maps.coarse import CoarseLayer
@@ -119,7 +119,7 @@ def test_the_files_alone_give_the_same_measures(tmp_path: Path) -> None:
     write_results(tmp_path, results, result.columns, {"map": result.tables["map"], "nodes": result.tables["nodes"]})
     written = read_results(tmp_path)["measures"]["it"]
     map_frames = len(read_rows(tmp_path, "map")["path"])
-    again = measures_of(read_rows(tmp_path), written["radii"], written["ks"], map_frames, written["unit"])
+    again = node_measures(read_rows(tmp_path), written["radii"], written["ks"], map_frames, written["unit"])
     assert json.dumps(plain(again)) == json.dumps(written)
 
 

@@ -10,9 +10,8 @@ import numpy as np
 
 from siamloc.data.frames import FrameTable
 from siamloc.evaluation import calibration, disturbed
-from siamloc.evaluation.absolute import evaluate_absolute, neighbours
+from siamloc.evaluation.absolute import estimate_columns, estimate_measures, evaluate_absolute, neighbours
 from siamloc.evaluation.disturbance import Disturbance
-from siamloc.evaluation.estimate_columns import estimate_columns, measures_of
 from siamloc.evaluation.hierarchy import evaluate_hierarchical
 from siamloc.evaluation.result import Result
 from siamloc.evaluation.room_retrieval import evaluate_pairs, evaluate_rooms
@@ -58,8 +57,8 @@ def write_localization(folder: Path, known: VisualMap, queries: FrameTable) -> N
     columns |= {"error_m": 0.1 + 0.8 * columns["error"], "lost": columns["error"] > 0.8}
     parts = dict(result.parts)
     for name in found:
-        parts[f"absolute_{name}"] = measures_of(columns, name, (0.5, 1.0), len(known), known.unit)
-    parts["calibration"] = calibration.measures_of(columns, 1.0)
+        parts[f"absolute_{name}"] = estimate_measures(columns, name, (0.5, 1.0), len(known), known.unit)
+    parts["calibration"] = calibration.calibration_measures(columns, 1.0)
     result = replace(result, parts=parts, tables={**result.tables, "queries": columns})
     result = result.joined(evaluate_rooms(known, descriptors, queries)).joined(pairs(queries))
     details = {
@@ -78,7 +77,7 @@ def write_refined(folder: Path) -> Path:
     off = np.where(np.arange(len(queries)) == 0, 0.5, 0.05)
     finer = estimate_columns("refined", queries.xy + np.column_stack([off, 0 * off]), queries)
     columns = {**result.columns, **finer, "refined_match": result.columns["match"]}
-    found = measures_of(columns, "refined", (0.5, 1.0), len(known), visual_map.unit)
+    found = estimate_measures(columns, "refined", (0.5, 1.0), len(known), visual_map.unit)
     result = replace(
         result, parts={**result.parts, "absolute_refined": found}, tables={**result.tables, "queries": columns}
     )
