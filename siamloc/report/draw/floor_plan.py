@@ -15,7 +15,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patheffects import withStroke
 from numpy.typing import NDArray
 
-from siamloc.report.draw.look import PALE, PAPER, SOFT, TEXT, Picture, lighting_colours, require_rows, style
+from siamloc.report.draw.look import PALE, PAPER, SOFT, TEXT, Picture, lighting_colours, panels, require_rows, style
 from siamloc.results import rows_by_label
 
 Table = Mapping[str, NDArray]
@@ -58,15 +58,15 @@ def _on_plan(columns: Table, map_columns: Table, groups: Mapping[str, NDArray], 
     """Draw one plan per lighting with a common colour scale, which ends at the 95th percentile of the errors."""
     width, height = (max(float(np.ptp([*columns[axis], *map_columns[axis]])), 1e-9) for axis in "xy")
     # Panels are side by side if the building is tall, stacked if it is wide.
-    across = width <= 1.6 * height or len(groups) == 1
-    rows, cols = (1, len(groups)) if across else (len(groups), 1)
-    panel = min(11.0 / cols, 7.0)
-    figure = Picture(figsize=(panel * cols + 0.9, max(min(panel * height / width, 6.5), 1.6) * rows + 0.9))
+    across = len(groups) if width <= 1.6 * height else 1
+    panel = min(11.0 / across, 7.0)
+    size = panel, max(min(panel * height / width, 6.5), 1.6)
+    shared: dict[str, Any] = {"sharex": True, "sharey": True, "margin": (0.9, 0.9), "ylabel": f"y [{unit}]"}
+    figure, plans = panels(len(groups), *size, across=across, **shared)
     # Large errors are dark and stand out; the palest end of the colours would vanish on white.
     colours = ListedColormap(colormaps["YlOrRd"](np.linspace(0.3, 1, 256)))
     top = float(np.percentile(columns["error"], 95)) or 1.0
     shade = ScalarMappable(Normalize(0, top), colours)
-    plans = figure.subplots(rows, cols, sharex=True, sharey=True, squeeze=False).ravel()
     for axes, (label, members) in zip(plans, groups.items(), strict=True):
         members = members[np.argsort(columns["error"][members], kind="stable")]
         part = {name: columns[name][members] for name in ("x", "y", "est_x", "est_y", "error")}
@@ -75,18 +75,17 @@ def _on_plan(columns: Table, map_columns: Table, groups: Mapping[str, NDArray], 
         rgba = shade.to_rgba(part["error"])
         segments = np.stack([true, estimated], axis=1)
         axes.add_collection(LineCollection(list(segments), colors=rgba, linewidths=0.7, alpha=0.5, zorder=2))
-        axes.scatter(*true.T, s=9, c=rgba, linewidths=0, zorder=3)
+        axes.scatter(true[:, 0], true[:, 1], s=9, c=rgba, linewidths=0, zorder=3)
         _name_rooms(axes, map_columns)
+        axes.grid(False)
         axes.set_aspect("equal")
         axes.margins(0.06)
         mean = f"{len(members):,} queries, mean error {part['error'].mean():.2f} {unit}"
         axes.set_title(f"{label}: " * bool(label) + mean)
-    for axes in plans if not across else plans[:1]:
-        axes.set_ylabel(f"y [{unit}]")
-    for axes in plans if across else plans[-1:]:
+    for axes in plans[-across:]:
         axes.set_xlabel(f"x [{unit}]")
     extend = "max" if columns["error"].max() > top else "neither"
-    bar = figure.colorbar(shade, ax=list(plans), extend=extend, shrink=0.85, pad=0.015, aspect=30)
+    bar = figure.colorbar(shade, ax=plans, extend=extend, shrink=0.85, pad=0.015, aspect=30)
     bar.set_label(f"error [{unit}]")
     bar.outline.set_visible(False)  # type: ignore[operator]
     figure.legend(handles=_legend(), loc="outside lower center", ncols=3)
@@ -95,8 +94,7 @@ def _on_plan(columns: Table, map_columns: Table, groups: Mapping[str, NDArray], 
 
 def _along_line(columns: Table, map_columns: Table, groups: Mapping[str, NDArray], unit: str, axis: str) -> Picture:
     """Draw the estimated against the true position along an axis, and the error below."""
-    figure = Picture(figsize=(6.6, 5.0))
-    upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=[2.2, 1])
+    figure, (upper, lower) = panels(2, 6.6, 2.5, across=1, sharex=True, height_ratios=[2.2, 1])
     known = map_columns[axis]
     ends = [min(known.min(), columns[axis].min()), max(known.max(), columns[axis].max())]
     upper.plot(ends, ends, color=PALE, linewidth=0.9, label="right answer", zorder=1)
@@ -109,8 +107,6 @@ def _along_line(columns: Table, map_columns: Table, groups: Mapping[str, NDArray
         lower.scatter(place, error, s=8, color=colour, linewidths=0, zorder=3)
     order = np.argsort(columns[axis], kind="stable")
     lower.plot(columns[axis][order], columns["floor"][order], "--", color=SOFT, linewidth=0.9, label="floor", zorder=4)
-    for axes in (upper, lower):
-        axes.grid(True)
     upper.set_ylabel(f"estimated {axis} [{unit}]")
     lower.set(xlabel=f"true {axis} [{unit}]", ylabel=f"error [{unit}]")
     lower.set_ylim(bottom=0)

@@ -20,6 +20,11 @@ from siamloc.results import FURTHER, Columns, finest, read_results, read_rows
 Made = dict[str, Callable[[], Picture]]
 
 _TABLES = ("queries", "map", "frames", "nodes")
+_FROM_MEASURES = {
+    "room_pairs": ("pairs", pair_curves),
+    "robustness": ("robustness", robustness_curves),
+    "compact": ("compact", compact_curves),
+}
 # Other errors of the same queries in hierarchical results.
 _OTHER_SEARCHES = {"baseline_whole map": "error_absolute", "baseline_perfect nodes": "error_perfect_coarse"}
 
@@ -63,12 +68,9 @@ def pictures(
     for key, what in (("room_retrieval", "room"), ("buildings", "building")):
         if key in measures:
             made |= _of_confusion(measures[key], what)
-    if "room_pairs" in measures:
-        made["pairs"] = partial(pair_curves, measures["room_pairs"])
-    if "robustness" in measures:
-        made["robustness"] = partial(robustness_curves, measures["robustness"])
-    if "compact" in measures:
-        made["compact"] = partial(compact_curves, measures["compact"])
+    for part, (key, draw) in _FROM_MEASURES.items():
+        if part in measures:
+            made[key] = partial(draw, measures[part])
     if "mapping" in measures and {"frames", "nodes"} <= set(tables):
         plan = node_plan(measures["mapping"], tables["frames"], tables["nodes"], name)
         made["nodes"] = partial(nodes_on_plan, plan)
@@ -109,7 +111,7 @@ def name_of(results: Mapping[str, Any]) -> str:
     if "mapping" in results["measures"] and "name" in layer:
         version = layer.get("version")
         return f"map by {layer['name']}" if version is None else f"incremental map, version {version}"
-    chosen = (results.get("config") or {}).get("descriptor")
+    chosen = results.get("config", {}).get("descriptor")
     chosen = chosen if isinstance(chosen, Mapping) else {}
     return str(chosen.get("label") or chosen.get("name") or (results.get("descriptor") or {}).get("name", "measured"))
 
@@ -131,10 +133,8 @@ def _of_localization(measures: Mapping[str, Any], tables: Mapping[str, Columns],
 
 
 def _of_confusion(found: Mapping[str, Any], what: str) -> Made:
-    labels, counts = found["confusion"]["labels"], {"all queries": found["confusion"]["counts"]}
-    by_lighting = found["confusion"].get("lighting", {})
+    labels, by_lighting = found["confusion"]["labels"], found["confusion"].get("lighting", {})
     missing = found.get("rooms_missing_in_map", [])
-    made: Made = {"confusion": partial(confusion, labels, counts, missing, what)}
-    if len(by_lighting) > 1:
-        made["confusion_by_lighting"] = partial(confusion, labels, by_lighting, missing, what)
-    return made
+    counts = {"confusion": {"all queries": found["confusion"]["counts"]}}
+    counts |= {"confusion_by_lighting": by_lighting} if len(by_lighting) > 1 else {}
+    return {key: partial(confusion, labels, part, missing, what) for key, part in counts.items()}
