@@ -10,7 +10,7 @@ import numpy as np
 from siamloc.errors import DataError
 from siamloc.simulate.floor_plans import Cell, Plan, draw_plan
 from siamloc.simulate.furnishing import USES, Room, furnish
-from siamloc.simulate.layout import SIDES, Array, Building, seeded
+from siamloc.simulate.layout import SIDES, Array, Building, seeded, shared_wall, side_at
 from siamloc.simulate.parse import parse_building
 from siamloc.simulate.plan import blocked_points, check_paths
 from siamloc.simulate.route import FreeSpace, visits
@@ -71,17 +71,13 @@ def _drawn(seed: int, rng: Rng) -> Entry:
 def _walled(plan: Plan, doors: list[Entry]) -> list[Entry]:
     """Add to each door the wall that it is in, for both of its rooms."""
     by_name = {cell.name: cell for cell in plan.cells}
-    found = []
+    walled = []
     for door in doors:
         one, other = (by_name[name] for name in door["between"])
-        shared = one.shared(other)
+        shared = shared_wall(one, other)
         assert shared is not None
-        across = "y" if shared[0] == "x" else "x"
-        high, low = ("north", "south") if shared[0] == "x" else ("east", "west")
-        first_below = getattr(one, across)[1] == shared[1]
-        walls = {one.name: high if first_below else low, other.name: low if first_below else high}
-        found.append({**door, "wall": walls})
-    return found
+        walled.append({**door, "wall": {cell.name: side_at(cell, *shared[:2]) for cell in (one, other)}})
+    return walled
 
 
 def _materials(rng: Rng) -> Any:

@@ -7,10 +7,11 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from siamloc.simulate.layout import Interval
+from siamloc.simulate.layout import SIDES, Interval, shared_wall
 
 #: Smallest distance in metres of a door from the ends of the wall that two cells share.
 _MARGIN = 0.22
+_NARROWEST = 0.95
 
 
 @dataclass(frozen=True)
@@ -34,29 +35,25 @@ class Cell:
         """Area in square metres."""
         return (self.x[1] - self.x[0]) * (self.y[1] - self.y[0])
 
-    def shared(self, other: Cell) -> tuple[str, float, Interval] | None:
-        """Return the axis of the wall shared with another cell, its other coordinate and its ends; None without one."""
-        for along, across in (("x", "y"), ("y", "x")):
-            mine, theirs = getattr(self, across), getattr(other, across)
-            for level in (mine[1],) if mine[1] == theirs[0] else (mine[0],) if mine[0] == theirs[1] else ():
-                a, b = getattr(self, along), getattr(other, along)
-                span = (max(a[0], b[0]), min(a[1], b[1]))
-                if span[1] > span[0]:
-                    return along, level, span
-        return None
-
     def outside(self, side: str, others: list[Cell]) -> list[Interval]:
         """Return the parts of one of its walls that have no other cell behind them."""
-        along, across = ("x", "y") if side in ("north", "south") else ("y", "x")
-        level = getattr(self, across)[1 if side in ("north", "east") else 0]
-        parts = [getattr(self, along)]
+        wall = SIDES[side]
+        parts = [wall.span(self)]
         for other in others:
-            found = None if other is self else self.shared(other)
-            if found is not None and found[0] == along and found[1] == level:
-                low, high = found[2]
+            shared = None if other is self else shared_wall(self, other)
+            if shared is not None and shared[:2] == (wall.along, wall.level(self)):
+                low, high = shared[2]
                 cut = [[(a, min(b, low)), (max(a, high), b)] for a, b in parts]
                 parts = [(a, b) for pair in cut for a, b in pair if b - a > 1e-6]
         return parts
+
+
+def _room_for_a_door(a: Cell, b: Cell) -> Interval | None:
+    """Return between which ends of the wall that two cells share a door may lie; None if none fits."""
+    shared = shared_wall(a, b)
+    if shared is None or shared[2][1] - shared[2][0] < _NARROWEST + 2 * _MARGIN:
+        return None
+    return shared[2][0] + _MARGIN, shared[2][1] - _MARGIN
 
 
 @dataclass
@@ -79,22 +76,19 @@ class Plan:
         self.cells.append(cell)
         return cell
 
-    def join(self, a: Cell, b: Cell, kind: str) -> bool:
+    def join(self, a: Cell, b: Cell, kind: str) -> None:
         """Join two cells with a door, if they share enough of a wall for one."""
-        found = a.shared(b)
-        if found is None or found[2][1] - found[2][0] < 0.95 + 2 * _MARGIN:
-            return False
-        self.doors.append((a.name, b.name, kind))
-        return True
+        if _room_for_a_door(a, b):
+            self.doors.append((a.name, b.name, kind))
 
     def place_doors(self, rng: np.random.Generator) -> list[dict[str, object]]:
         """Return the doors in the form of a building file, each somewhere in the wall that its two cells share."""
         by_name = {cell.name: cell for cell in self.cells}
         doors: list[dict[str, object]] = []
         for one, other, kind in self.doors:
-            found = by_name[one].shared(by_name[other])
-            assert found is not None
-            low, high = found[2][0] + _MARGIN, found[2][1] - _MARGIN
+            ends = _room_for_a_door(by_name[one], by_name[other])
+            assert ends is not None
+            low, high = ends
             widest = rng.uniform(1.2, 3.2) if kind == "open" else rng.uniform(0.95, 1.3)
             width = min(float(widest), high - low)
             at = low + width / 2 + rng.random() * max(high - low - width, 0.0)
@@ -136,22 +130,16 @@ def _row(
     depths: Interval,
 ) -> float:
     """Add rooms along one side of a corridor, each with a door, and return where the row ends."""
-    at = start
+    at, wall = start, SIDES[side]
+    level = wall.level(corridor)
     depth = float(rng.uniform(*depths))
     for use in uses:
         width = float(rng.uniform(*widths)) * (1.6 if use == "classroom" else 1.0)
         deep = max(2.4, depth + float(rng.uniform(-0.8, 0.4)) * (rng.random() < 0.4))
         along = (at, at + width)
-        if side in ("north", "south"):
-            level = corridor.y[1] if side == "north" else corridor.y[0]
-            across = (level, level + deep) if side == "north" else (level - deep, level)
-            room = plan.add(use, along, across)
-        else:
-            level = corridor.x[1] if side == "east" else corridor.x[0]
-            across = (level, level + deep) if side == "east" else (level - deep, level)
-            room = plan.add(use, across, along)
+        room = plan.add(use, *wall.plan(along, (level, level + deep) if wall.end else (level - deep, level)))
         plan.join(corridor, room, _leaf(rng))
-        at = (room.x if side in ("north", "south") else room.y)[1]
+        at = wall.span(room)[1]
         if rng.random() < 0.15:
             at += float(rng.uniform(0.3, 1.8))
     return at
@@ -225,12 +213,7 @@ def home(rng: np.random.Generator) -> Plan:
     size = (float(rng.uniform(7.5, 12.5)), float(rng.uniform(6.5, 10.5)))
     boxes = _split((0.0, size[0]), (0.0, size[1]), float(rng.uniform(9.0, 20.0)), rng)
     cells = [Cell(str(number), "", x, y) for number, (x, y) in enumerate(boxes)]
-    touching = {
-        (i, j): found[2][1] - found[2][0]
-        for i, a in enumerate(cells)
-        for j, b in enumerate(cells)
-        if i != j and (found := a.shared(b)) and found[2][1] - found[2][0] > 0.95 + 2 * _MARGIN
-    }
+    touching = [(i, j) for i, a in enumerate(cells) for j, b in enumerate(cells) if i != j and _room_for_a_door(a, b)]
     if any(not any(pair[0] == i for pair in touching) for i in range(len(cells))):
         return home(rng)
     central = max(range(len(cells)), key=lambda i: (sum(pair[0] == i for pair in touching), -cells[i].area))

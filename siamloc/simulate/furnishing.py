@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -10,10 +9,11 @@ import numpy as np
 
 from siamloc.simulate.floor_plans import Cell
 from siamloc.simulate.items import KINDS
-from siamloc.simulate.layout import HALF_WALL, SIDES, Interval
+from siamloc.simulate.layout import HALF_WALL, SIDES, Interval, Rectangle
 
 Rng = np.random.Generator
 Entry = dict[str, Any]
+Size = tuple[float, float, float]
 _WOODS = ("beech", "wood", "walnut", "plain", "planks")
 #: Depth in metres of the area in front of a door that is kept free.
 _THRESHOLD = 1.05
@@ -37,252 +37,188 @@ class Use:
     code: str
     floors: tuple[str, ...]
     walls: tuple[str, ...]
-    middle: tuple[str, ...] = ()
-    hung: tuple[str, ...] = ()
-    density: float = 4.0
+    middle: tuple[str, ...]
+    hung: tuple[str, ...]
+    density: float
 
 
-_SOFT = ("carpet", "carpet_red", "carpet_gray", "parquet", "linoleum", "planks")
-_HARD = ("linoleum", "linoleum_green", "tiles_floor", "terrazzo", "checker", "concrete", "marble")
-_CLEAN = ("tiles_floor", "checker", "linoleum_green", "terrazzo")
+def _use(code: str, floors: str, walls: str, middle: str = "", hung: str = "", density: float = 4.0) -> Use:
+    """Return a use of rooms whose floors and items are words separated by spaces."""
+    floor, wall, centre, hanging = (tuple(words.split()) for words in (floors, walls, middle, hung))
+    return Use(code, floor, wall, centre, hanging, density)
 
+
+_SOFT = "carpet carpet_red carpet_gray parquet linoleum planks"
+_HARD = "linoleum linoleum_green tiles_floor terrazzo checker concrete marble"
+_CLEAN = "tiles_floor checker linoleum_green terrazzo"
 USES: dict[str, Use] = {
-    "corridor": Use(
-        "CR{}-A",
-        ("linoleum", "linoleum_green", "carpet_gray", "parquet", "terrazzo", "tiles_floor", "carpet", "planks"),
-        ("plant", "bench", "lockers", "cabinet", "copier", "vending_machine", "bin", "shelf", "coat_rack", "column"),
-        hung=("blind_door", "blind_door", "extinguisher", "room_sign", "notice_board", "elevator", "exit_sign"),
-        density=1.2,
+    "corridor": _use(
+        "CR{}-A", "linoleum linoleum_green carpet_gray parquet terrazzo tiles_floor carpet planks",
+        "plant bench lockers cabinet copier vending_machine bin shelf coat_rack column",
+        hung="blind_door blind_door extinguisher room_sign notice_board elevator exit_sign", density=1.2,
     ),
-    "office": Use(
-        "{}PO-A",
-        _SOFT,
-        ("desk", "desk", "desk", "shelf", "shelf", "cabinet", "sideboard", "plant", "bin", "coat_rack", "lockers"),
-        ("desk_pair", "round_table"),
-        ("whiteboard", "notice_board"),
+    "office": _use(
+        "{}PO-A", _SOFT, "desk desk desk shelf shelf cabinet sideboard plant bin coat_rack lockers",
+        "desk_pair round_table", "whiteboard notice_board",
     ),
-    "open_office": Use(
-        "LO{}-A",
-        _SOFT,
-        ("shelf", "cabinet", "sideboard", "plant", "copier", "desk", "desk", "coat_rack"),
-        ("desk_pair", "desk_pair", "desk_pair", "column", "round_table"),
-        ("whiteboard",),
-        3.0,
+    "open_office": _use(
+        "LO{}-A", _SOFT, "shelf cabinet sideboard plant copier desk desk coat_rack",
+        "desk_pair desk_pair desk_pair column round_table", "whiteboard", 3.0,
     ),
-    "kitchen": Use(
-        "KT{}-A",
-        _CLEAN,
-        ("kitchen_counter", "kitchen_counter", "fridge", "sideboard", "bin", "visitor_chair"),
-        ("dining", "round_table"),
-        ("notice_board",),
+    "kitchen": _use(
+        "KT{}-A", _CLEAN, "kitchen_counter kitchen_counter fridge sideboard bin visitor_chair",
+        "dining round_table", "notice_board",
     ),
-    "printer": Use(
-        "PA{}-A", _HARD, ("copier", "printer_table", "pigeonholes", "shelf", "cabinet", "carton", "bin"), (), ()
+    "printer": _use("PA{}-A", _HARD, "copier printer_table pigeonholes shelf cabinet carton bin"),
+    "meeting": _use(
+        "CNR{}-A", _SOFT, "sideboard plant visitor_chair cabinet",
+        "conference conference", "whiteboard whiteboard television", 2.0,
     ),
-    "meeting": Use(
-        "CNR{}-A",
-        _SOFT,
-        ("sideboard", "plant", "visitor_chair", "cabinet"),
-        ("conference", "conference"),
-        ("whiteboard", "whiteboard", "television"),
-        2.0,
+    "toilet": _use("TL{}-A", _CLEAN, "stall stall stall basins urinals bin", "", "dryer mirror", 5.0),
+    "storage": _use("SR{}-A", _HARD, "shelf shelf lockers carton carton cabinet shelf", "carton", "", 7.0),
+    "laboratory": _use(
+        "RL{}-A", _HARD, "table table desk shelf cabinet lockers printer_table carton",
+        "table desk_pair", "whiteboard shelf_board", 5.0,
     ),
-    "toilet": Use(
-        "TL{}-A", _CLEAN, ("stall", "stall", "stall", "basins", "urinals", "bin"), (), ("dryer", "mirror"), 5.0
+    "lounge": _use(
+        "LG{}-A", _SOFT, "sofa armchair vending_machine plant shelf floor_lamp",
+        "seating round_table rug", "television",
     ),
-    "storage": Use(
-        "SR{}-A", _HARD, ("shelf", "shelf", "lockers", "carton", "carton", "cabinet", "shelf"), ("carton",), (), 7.0
+    "library": _use(
+        "LB{}-A", _SOFT, "shelf shelf shelf shelf shelf shelf desk armchair plant", "stacks round_table", "", 6.0,
     ),
-    "laboratory": Use(
-        "RL{}-A",
-        _HARD,
-        ("table", "table", "desk", "shelf", "cabinet", "lockers", "printer_table", "carton"),
-        ("table", "desk_pair"),
-        ("whiteboard", "shelf_board"),
-        5.0,
+    "classroom": _use(
+        "TR{}-A", _HARD, "cabinet shelf lockers desk bin", "benches benches", "whiteboard whiteboard", 1.5,
     ),
-    "lounge": Use(
-        "LG{}-A",
-        _SOFT,
-        ("sofa", "armchair", "vending_machine", "plant", "shelf", "floor_lamp"),
-        ("seating", "round_table", "rug"),
-        ("television",),
+    "living": _use(
+        "LR{}-A", "parquet planks carpet carpet_red terrazzo marble",
+        "sofa armchair shelf sideboard plant floor_lamp wardrobe television_set",
+        "seating dining rug", "television shelf_board",
     ),
-    "library": Use("LB{}-A", _SOFT, ("shelf",) * 6 + ("desk", "armchair", "plant"), ("stacks", "round_table"), (), 6.0),
-    "classroom": Use(
-        "TR{}-A",
-        _HARD,
-        ("cabinet", "shelf", "lockers", "desk", "bin"),
-        ("benches", "benches"),
-        ("whiteboard",) * 2,
-        1.5,
+    "bedroom": _use(
+        "BR{}-A", "parquet planks carpet carpet_red linoleum",
+        "bed bed wardrobe sideboard desk armchair floor_lamp shelf", "rug", "mirror shelf_board",
     ),
-    "living": Use(
-        "LR{}-A",
-        ("parquet", "planks", "carpet", "carpet_red", "terrazzo", "marble"),
-        ("sofa", "armchair", "shelf", "sideboard", "plant", "floor_lamp", "wardrobe", "television_set"),
-        ("seating", "dining", "rug"),
-        ("television", "shelf_board"),
+    "bath": _use("BT{}-A", _CLEAN, "basins bathtub stall cabinet bin", "", "mirror", 5.0),
+    "study": _use("ST{}-A", _SOFT, "desk shelf shelf armchair cabinet plant", "rug", "shelf_board"),
+    "entrance": _use(
+        "HL{}-A", "parquet planks tiles_floor checker terrazzo marble",
+        "wardrobe sideboard coat_rack bench plant shelf", "rug", "mirror coats", 2.0,
     ),
-    "bedroom": Use(
-        "BR{}-A",
-        ("parquet", "planks", "carpet", "carpet_red", "linoleum"),
-        ("bed", "bed", "wardrobe", "sideboard", "desk", "armchair", "floor_lamp", "shelf"),
-        ("rug",),
-        ("mirror", "shelf_board"),
+    "foyer": _use(
+        "FY{}-A", "terrazzo marble tiles_floor checker concrete parquet",
+        "bench plant vending_machine sofa lockers sideboard", "column column seating plant_island rug",
+        "elevator notice_board blind_door exit_sign", 2.0,
     ),
-    "bath": Use("BT{}-A", _CLEAN, ("basins", "bathtub", "stall", "cabinet", "bin"), (), ("mirror",), 5.0),
-    "study": Use(
-        "ST{}-A", _SOFT, ("desk", "shelf", "shelf", "armchair", "cabinet", "plant"), ("rug",), ("shelf_board",)
+    "workshop": _use(
+        "WS{}-A", "concrete linoleum tiles_floor", "table table cabinet lockers shelf carton carton bin",
+        "table table column carton", "extinguisher whiteboard blind_door shelf_board",
     ),
-    "entrance": Use(
-        "HL{}-A",
-        ("parquet", "planks", "tiles_floor", "checker", "terrazzo", "marble"),
-        ("wardrobe", "sideboard", "coat_rack", "bench", "plant", "shelf"),
-        ("rug",),
-        ("mirror", "coats"),
-        2.0,
+    "canteen": _use(
+        "CT{}-A", _HARD, "kitchen_counter vending_machine sideboard fridge plant bin",
+        "dining dining dining round_table column", "notice_board exit_sign", 2.5,
     ),
-    "foyer": Use(
-        "FY{}-A",
-        ("terrazzo", "marble", "tiles_floor", "checker", "concrete", "parquet"),
-        ("bench", "plant", "vending_machine", "sofa", "lockers", "sideboard"),
-        ("column", "column", "seating", "plant_island", "rug"),
-        ("elevator", "notice_board", "blind_door", "exit_sign"),
-        2.0,
-    ),
-    "workshop": Use(
-        "WS{}-A",
-        ("concrete", "linoleum", "tiles_floor"),
-        ("table", "table", "cabinet", "lockers", "shelf", "carton", "carton", "bin"),
-        ("table", "table", "column", "carton"),
-        ("extinguisher", "whiteboard", "blind_door", "shelf_board"),
-        4.0,
-    ),
-    "canteen": Use(
-        "CT{}-A",
-        _HARD,
-        ("kitchen_counter", "vending_machine", "sideboard", "fridge", "plant", "bin"),
-        ("dining", "dining", "dining", "round_table", "column"),
-        ("notice_board", "exit_sign"),
-        2.5,
-    ),
-}
+}  # fmt: skip
 
 
 class Room:
-    """A cell that is being furnished: what stands in it, and where there is still space."""
+    """A cell that is being furnished: what stands in it, and where there is still space.
+
+    Attributes:
+        cell: the cell.
+        height: height of the ceiling in metres.
+        windows: its windows, in the form of a building file.
+        x: extent between the walls in metres.
+        y: extent between the walls in metres.
+        items: the items so far, in the form of a building file.
+    """
 
     def __init__(self, cell: Cell, height: float, doors: list[Entry], windows: list[Entry]) -> None:
         self.cell, self.height, self.windows = cell, height, windows
+        self.x, self.y = ((low + HALF_WALL, high - HALF_WALL) for low, high in (cell.x, cell.y))
         self.items: list[Entry] = []
-        self.x = (cell.x[0] + HALF_WALL, cell.x[1] - HALF_WALL)
-        self.y = (cell.y[0] + HALF_WALL, cell.y[1] - HALF_WALL)
-        self.gaps = {side: list(self._gaps(side, doors)) for side in SIDES}
-        self._taken = [self._threshold(side, gap) for side, gaps in self.gaps.items() for gap in gaps]
+        self._taken: list[Rectangle] = []  # where something stands on the floor
         self._hung: dict[str, list[tuple[Interval, Interval]]] = {side: [] for side in SIDES}
-
-    def _gaps(self, side: str, doors: list[Entry]) -> Iterator[Interval]:
         for door in doors:
-            if door["wall"].get(self.cell.name) == side:
-                yield door["at"] - door["width"] / 2, door["at"] + door["width"] / 2
-
-    def _threshold(self, side: str, gap: Interval) -> tuple[float, float, float, float]:
-        low, high = gap[0] - 0.12, gap[1] + 0.12
-        deep = max(_THRESHOLD, gap[1] - gap[0] + 0.1 if gap[1] - gap[0] < 1.4 else 0.6)
-        inwards = -deep if side in ("north", "east") else deep
-        edge = {"north": self.y[1], "south": self.y[0], "east": self.x[1], "west": self.x[0]}[side]
-        across = (min(edge, edge + inwards), max(edge, edge + inwards))
-        return (low, high, *across) if side in ("north", "south") else (*across, low, high)
+            if side := door["wall"].get(cell.name):
+                low, high = door["at"] - door["width"] / 2, door["at"] + door["width"] / 2
+                deep = max(_THRESHOLD, high - low + 0.1 if high - low < 1.4 else 0.6)
+                self._taken.append(self._against(side, (low - 0.12, high + 0.12), deep))
+                self._hung[side].append(((low - 0.1, high + 0.1), (0.0, 2.4)))
+        for window in windows:
+            at, half = window["at"], window["width"] / 2
+            rise = (window["sill"] - 0.05, window["head"])
+            self._hung[window["wall"]].append(((at - half - 0.08, at + half + 0.08), rise))
 
     def span(self, side: str) -> Interval:
         """Return the start and end of a wall."""
-        return self.x if side in ("north", "south") else self.y
+        return SIDES[side].span(self)
 
-    def stand(self, side: str, at: float, size: tuple[float, float, float], entry: Entry) -> bool:
-        """Put an item against a wall, if there is room for it."""
+    def _against(self, side: str, along: Interval, deep: float) -> Rectangle:
+        """Return the rectangle between two ends along a wall that reaches `deep` metres into the room."""
+        edge = SIDES[side].level(self)
+        other = edge + SIDES[side].inwards * deep
+        return Rectangle(*SIDES[side].plan(along, (min(edge, other), max(edge, other))))
+
+    def _add(self, entry: Entry, size: Size, **where: Any) -> bool:
+        """Add an item and return True."""
+        self.items.append({**entry, **where, "size": [round(float(value), 2) for value in size]})
+        return True
+
+    def stand(self, side: str, at: float, size: Size, entry: Entry) -> bool:
+        """Put an item against a wall, if there is room for it, and return whether it was put there."""
         w, d, h = size
-        low, high = self.span(side)
-        if at - w / 2 < low or at + w / 2 > high or h > self.height - 0.05:
+        ends = (at - w / 2, at + w / 2)
+        box = self._against(side, ends, d)
+        if h > self.height - 0.05 or not self._free(box):
             return False
-        if side in ("north", "south"):
-            y = (self.y[1] - d, self.y[1]) if side == "north" else (self.y[0], self.y[0] + d)
-            box = (at - w / 2, at + w / 2, *y)
-        else:
-            x = (self.x[1] - d, self.x[1]) if side == "east" else (self.x[0], self.x[0] + d)
-            box = (*x, at - w / 2, at + w / 2)
+        if ends[0] < self.span(side)[0] or ends[1] > self.span(side)[1]:
+            return False
         if h > _TALL and any(
             window["wall"] == side and abs(window["at"] - at) < (window["width"] + w) / 2 for window in self.windows
         ):
             return False
-        if not self._free(box, 0.02):
-            return False
         self._taken.append(box)
         if h > 0.9:
-            self._hung[side].append(((at - w / 2, at + w / 2), (0.0, h)))
-        self.items.append({**entry, "against": side, "at": round(at, 2), "size": [round(float(v), 2) for v in size]})
-        return True
+            self._hung[side].append((ends, (0.0, h)))
+        return self._add(entry, size, against=side, at=round(at, 2))
 
-    def place(self, x: float, y: float, facing: float, size: tuple[float, float, float], entry: Entry) -> bool:
-        """Put an item anywhere, if there is room for it."""
+    def place(self, x: float, y: float, facing: float, size: Size, entry: Entry) -> bool:
+        """Put an item anywhere, if there is room for it, and return whether it was put there."""
         w, d, h = size
         turn = np.radians(facing - 90)
         half_x = abs(np.cos(turn)) * w / 2 + abs(np.sin(turn)) * d / 2
         half_y = abs(np.sin(turn)) * w / 2 + abs(np.cos(turn)) * d / 2
-        box = (x - half_x, x + half_x, y - half_y, y + half_y)
-        if box[0] < self.x[0] or box[1] > self.x[1] or box[2] < self.y[0] or box[3] > self.y[1]:
+        box = Rectangle((x - half_x, x + half_x), (y - half_y, y + half_y))
+        if box.x[0] < self.x[0] or box.x[1] > self.x[1] or box.y[0] < self.y[0] or box.y[1] > self.y[1]:
             return False
-        flat = not KINDS[entry["kind"]].blocks
-        if h > self.height - 0.05 or not (flat or self._free(box, 0.02)):
+        blocks = KINDS[entry["kind"]].blocks
+        if h > self.height - 0.05 or (blocks and not self._free(box)):
             return False
-        if not flat:
+        if blocks:
             self._taken.append(box)
-        self.items.append(
-            {
-                **entry,
-                "at": [round(float(x), 2), round(float(y), 2)],
-                "facing": round(float(facing), 1),
-                "size": [round(float(v), 2) for v in size],
-            }
-        )
-        return True
+        return self._add(entry, size, at=[round(float(x), 2), round(float(y), 2)], facing=round(float(facing), 1))
 
-    def hang(self, side: str, at: float, size: tuple[float, float, float], z: float, entry: Entry) -> bool:
+    def hang(self, side: str, at: float, size: Size, z: float, entry: Entry) -> bool:
         """Hang an item on a wall, if doors, windows, furniture and what already hangs there leave room for it."""
         w, _, h = size
         low, high = self.span(side)
         across = (at - w / 2 - 0.04, at + w / 2 + 0.04)
         if across[0] < low or across[1] > high or z + h > self.height - 0.05:
             return False
-        doors = [((a - 0.1, b + 0.1), (0.0, 2.4)) for a, b in self.gaps[side]]
-        windows = [
-            (
-                (one["at"] - one["width"] / 2 - 0.08, one["at"] + one["width"] / 2 + 0.08),
-                (one["sill"] - 0.05, one["head"]),
-            )
-            for one in self.windows
-            if one["wall"] == side
-        ]
-        for span, rise in (*doors, *windows, *self._hung[side]):
+        for span, rise in self._hung[side]:
             if across[0] < span[1] and across[1] > span[0] and z < rise[1] and z + h > rise[0]:
                 return False
         self._hung[side].append((across, (z, z + h)))
-        self.items.append(
-            {
-                **entry,
-                "against": side,
-                "at": round(at, 2),
-                "z": round(z, 2),
-                "size": [round(float(v), 2) for v in size],
-            }
-        )
-        return True
+        return self._add(entry, size, against=side, at=round(at, 2), z=round(z, 2))
 
-    def _free(self, box: tuple[float, float, float, float], margin: float) -> bool:
-        a, b, c, d = box
+    def _free(self, box: Rectangle, margin: float = 0.02) -> bool:
         return all(
-            b + margin <= x0 or a - margin >= x1 or d + margin <= y0 or c - margin >= y1
-            for x0, x1, y0, y1 in self._taken
+            box.x[1] + margin <= taken.x[0]
+            or box.x[0] - margin >= taken.x[1]
+            or box.y[1] + margin <= taken.y[0]
+            or box.y[0] - margin >= taken.y[1]
+            for taken in self._taken
         )
 
 
@@ -329,7 +265,7 @@ def _colour(rng: Rng) -> tuple[float, float, float]:
     return float(red), float(green), float(blue)
 
 
-def _sized(kind: str, rng: Rng) -> tuple[float, float, float]:
+def _sized(kind: str, rng: Rng) -> Size:
     w, d, h = KINDS[kind].size
     scale = rng.uniform(0.85, 1.2, 3)
     if kind in ("chair", "visitor_chair", "person", "copier", "fridge", "vending_machine", "stall", "elevator"):
@@ -368,15 +304,9 @@ def _along_a_wall(room: Room, kind: str, side: str, at: float, common: Entry, rn
     if not room.stand(side, at, size, _entry(kind, common, rng)):
         return False
     if kind == "desk":
-        facing = SIDES[side]
-        away = size[1] + 0.35
-        x, y = {
-            "north": (at, room.y[1] - away),
-            "south": (at, room.y[0] + away),
-            "east": (room.x[1] - away, at),
-            "west": (room.x[0] + away, at),
-        }[side]
-        room.place(x, y, facing + 180, _sized("chair", rng), _entry("chair", common, rng))
+        wall = SIDES[side]
+        x, y = wall.plan(at, wall.level(room) + wall.inwards * (size[1] + 0.35))
+        room.place(x, y, wall.facing + 180, _sized("chair", rng), _entry("chair", common, rng))
     return True
 
 
@@ -391,7 +321,7 @@ def _in_the_middle(room: Room, kind: str, common: Entry, rng: Rng) -> None:
     ahead = np.array([np.cos(np.radians(turn)), np.sin(np.radians(turn))])
     across = np.array([-ahead[1], ahead[0]])
 
-    def put(name: str, forwards: float, sideways: float, facing: float, size: tuple[float, float, float]) -> bool:
+    def put(name: str, forwards: float, sideways: float, facing: float, size: Size) -> bool:
         place = (x, y) + forwards * ahead + sideways * across
         inside = x0 + 0.75 < place[0] < x1 - 0.75 and y0 + 0.75 < place[1] < y1 - 0.75
         if not inside and name not in ("rug", "chair", "visitor_chair"):
@@ -438,11 +368,10 @@ def _in_the_middle(room: Room, kind: str, common: Entry, rng: Rng) -> None:
         put(kind, 0, 0, 0, _sized(kind, rng))
 
 
-def _on_a_wall(room: Room, kind: str, side: str, at: float, rng: Rng) -> bool:
+def _on_a_wall(room: Room, kind: str, side: str, at: float, rng: Rng) -> None:
     known = KINDS[kind]
-    scale = (
-        float(rng.uniform(0.7, 1.4)) if kind in ("poster", "picture", "notice_board", "whiteboard", "mirror") else 1.0
-    )
+    varies = kind in ("poster", "picture", "notice_board", "whiteboard", "mirror")
+    scale = float(rng.uniform(0.7, 1.4)) if varies else 1.0
     w, d, h = known.size
     z = known.z + float(rng.uniform(-0.1, 0.25)) * (known.z > 0.6)
     entry: Entry = {"kind": kind}
@@ -450,4 +379,4 @@ def _on_a_wall(room: Room, kind: str, side: str, at: float, rng: Rng) -> bool:
         entry["picture"] = int(rng.integers(1000))
     if kind == "blind_door":
         entry["wood"] = str(rng.choice(_WOODS))
-    return room.hang(side, at, (w * scale, d, h * scale), z, entry)
+    room.hang(side, at, (w * scale, d, h * scale), z, entry)

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, NamedTuple
 from zlib import crc32
 
 import numpy as np
@@ -33,8 +32,74 @@ def seeded(*keys: int | str) -> np.random.Generator:
 HALF_WALL = 0.06
 #: Depth in metres of a window's reveal in an outer wall.
 OUTER_WALL = 0.30
-#: Sides of a room on the floor plan, +y being north, and the direction in degrees that faces away from each wall.
-SIDES = {"north": -90.0, "south": 90.0, "east": 180.0, "west": 0.0}
+
+
+class Rectangle(NamedTuple):
+    """A rectangle on the floor plan: its extents in metres along x and y."""
+
+    x: Interval
+    y: Interval
+
+
+class Side(NamedTuple):
+    """A side of a room on the floor plan, +y being north.
+
+    Its methods take a room, or anything else that has the extents `x` and `y`.
+
+    Attributes:
+        along: axis along the wall, "x" or "y".
+        across: the other axis.
+        end: 1 if the wall is at the upper end of the room's extent across, else 0.
+        facing: direction in degrees, counter-clockwise from +x, that faces away from the wall.
+    """
+
+    along: str
+    across: str
+    end: int
+    facing: float
+
+    @property
+    def inwards(self) -> int:
+        """Sign of the direction into the room: -1 if the wall is at the upper end, else 1."""
+        return 1 - 2 * self.end
+
+    def span(self, room: Any) -> Interval:
+        """Return where the wall begins and ends along its axis."""
+        return getattr(room, self.along)  # type: ignore[no-any-return]
+
+    def level(self, room: Any) -> float:
+        """Return the wall's coordinate on the other axis."""
+        return getattr(room, self.across)[self.end]  # type: ignore[no-any-return]
+
+    def plan(self, along: Any, across: Any) -> tuple[Any, Any]:
+        """Return the values for x and y of two values along and across the wall; or the reverse."""
+        return (along, across) if self.along == "x" else (across, along)
+
+
+SIDES = {
+    "north": Side("x", "y", 1, -90.0),
+    "south": Side("x", "y", 0, 90.0),
+    "east": Side("y", "x", 1, 180.0),
+    "west": Side("y", "x", 0, 0.0),
+}
+
+
+def shared_wall(a: Any, b: Any) -> tuple[str, float, Interval] | None:
+    """Return the wall between two rooms: the axis it runs along, its other coordinate and its ends; None without one.
+
+    The rooms are objects with the extents `x` and `y`.
+    """
+    for side in SIDES.values():
+        opposite = getattr(b, side.across)[1 - side.end]
+        low, high = max(side.span(a)[0], side.span(b)[0]), min(side.span(a)[1], side.span(b)[1])
+        if abs(side.level(a) - opposite) < 1e-6 and high > low:
+            return side.along, (opposite, side.level(a))[side.end], (low, high)
+    return None
+
+
+def side_at(room: Any, along: str, level: float) -> str:
+    """Return the name of the side of a room whose wall runs along an axis at a coordinate of the other axis."""
+    return next(name for name, side in SIDES.items() if side.along == along and abs(side.level(room) - level) < 1e-6)
 
 
 @dataclass(frozen=True)
@@ -155,10 +220,10 @@ class Room:
         """Middle of the floor."""
         return (self.x[0] + self.x[1]) / 2, (self.y[0] + self.y[1]) / 2
 
-    def inner(self, margin: float = 0.0) -> tuple[Interval, Interval]:
+    def inner(self, margin: float = 0.0) -> Rectangle:
         """Return the x and y extents between the inner faces, reduced by a margin."""
         inset = HALF_WALL + margin
-        return (self.x[0] + inset, self.x[1] - inset), (self.y[0] + inset, self.y[1] - inset)
+        return Rectangle((self.x[0] + inset, self.x[1] - inset), (self.y[0] + inset, self.y[1] - inset))
 
 
 @dataclass(frozen=True)
@@ -212,15 +277,20 @@ class Building:
         """Return a room's position in the building's order."""
         return list(self.rooms).index(name)
 
-    def openings_of(self, room: str) -> Iterator[Opening]:
-        """Yield the openings in a room's walls."""
-        return (opening for opening in self.openings if room in opening.rooms)
+    def openings_in(self, room: Room, side: str) -> list[tuple[int, Opening]]:
+        """Return the openings in one wall of a room, each with its position in `openings`."""
+        return [
+            (index, opening)
+            for index, opening in enumerate(self.openings)
+            if room.name in opening.rooms and side_at(room, opening.along, opening.level) == side
+        ]
 
     def neighbours(self, room: str) -> list[str]:
         """Return the rooms that light can reach directly from a room, starting with the room itself."""
         found = [room]
-        for opening in self.openings_of(room):
-            found += [other for other in opening.rooms if other and other not in found]
+        for opening in self.openings:
+            if room in opening.rooms:
+                found += [other for other in opening.rooms if other and other not in found]
         return found
 
     @property

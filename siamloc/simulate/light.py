@@ -11,9 +11,9 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from siamloc.simulate.layout import Array, Building
+from siamloc.simulate.layout import SIDES, Array, Building, side_at
 from siamloc.simulate.mesh import Caster, QuadMesh
-from siamloc.simulate.shell import Lamp, wall_frame
+from siamloc.simulate.shell import Lamp
 from siamloc.simulate.sky import Sky
 from siamloc.simulate.textures import sample
 
@@ -200,12 +200,9 @@ def _portals(building: Building) -> list[tuple[Array, Array, float, str]]:
         if opening.kind != "window":
             continue
         room = building.rooms[opening.rooms[0]]
-        high = getattr(room, "y" if opening.along == "x" else "x")[1] == opening.level
-        side = ("north" if high else "south") if opening.along == "x" else ("east" if high else "west")
-        x, y, turn, _, _ = wall_frame(room, side)
-        radians = np.radians(turn + 90)
+        side = SIDES[side_at(room, opening.along, opening.level)]
+        radians = np.radians(side.facing)
         axis = np.array([np.cos(radians), np.sin(radians), 0.0])
-        inner = y if opening.along == "x" else x
         columns = max(1, round(opening.width / 0.8))
         rows = max(1, round((opening.top - opening.bottom) / 0.8))
         area = opening.width * (opening.top - opening.bottom) / (columns * rows)
@@ -213,7 +210,7 @@ def _portals(building: Building) -> list[tuple[Array, Array, float, str]]:
             for j in range(rows):
                 along = opening.interval[0] + (i + 0.5) / columns * opening.width
                 z = opening.bottom + (j + 0.5) / rows * (opening.top - opening.bottom)
-                plan = (along, inner) if opening.along == "x" else (inner, along)
+                plan = side.plan(along, side.level(room.inner()))
                 pieces.append((np.array([*plan, z]), axis, area, room.name))
     return pieces
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from siamloc.errors import DataError
 from siamloc.simulate.items import KINDS
-from siamloc.simulate.layout import HALF_WALL, Array, Building, Item, Room
+from siamloc.simulate.layout import HALF_WALL, SIDES, Array, Building, Item, Room
 
 
 def room_at(building: Building, points: Array) -> Array:
@@ -56,21 +56,15 @@ def obstacles(building: Building, items: Iterable[Item] | None = None) -> tuple[
 
 
 def _wall_segments(building: Building, room: Room) -> list[Array]:
-    (x0, x1), (y0, y1) = room.inner()
+    """Return a room's inner faces as segments (2, 2), with gaps where a robot may drive through."""
     pieces: list[Array] = []
-    sides = (("x", room.y[0], y0, x0, x1), ("x", room.y[1], y1, x0, x1), ("y", room.x[0], x0, y0, y1),
-             ("y", room.x[1], x1, y0, y1))  # fmt: skip
-    for along, level, face, low, high in sides:
-        cursor = low
-        gaps = sorted(
-            opening.interval
-            for opening in building.openings_of(room.name)
-            if opening.passable and opening.along == along and abs(opening.level - level) < 1e-6
-        )
+    for name in ("south", "north", "west", "east"):
+        side = SIDES[name]
+        (cursor, high), face = side.span(room.inner()), side.level(room.inner())
+        gaps = sorted(opening.interval for _, opening in building.openings_in(room, name) if opening.passable)
         for start, end in [*gaps, (high, high)]:
             if start > cursor:
-                ends = [(cursor, face), (start, face)] if along == "x" else [(face, cursor), (face, start)]
-                pieces.append(np.array(ends))
+                pieces.append(np.array([side.plan(cursor, face), side.plan(start, face)]))
             cursor = end
     return pieces
 

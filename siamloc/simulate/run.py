@@ -163,7 +163,7 @@ def draw_light(building: Building, lighting: str, rng: np.random.Generator) -> L
 
 
 def _has_window(building: Building, room: Room) -> bool:
-    return any(opening.kind == "window" for opening in building.openings_of(room.name))
+    return any(opening.kind == "window" and room.name in opening.rooms for opening in building.openings)
 
 
 def _lamp_light(room: Room, level: float, warmth: float) -> tuple[float, float, float]:

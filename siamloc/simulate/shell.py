@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from siamloc.simulate.layout import HALF_WALL, OUTER_WALL, SIDES, Array, Building, Opening, Room
+from siamloc.simulate.layout import HALF_WALL, OUTER_WALL, SIDES, Array, Building, Opening, Room, side_at
 from siamloc.simulate.mesh import WHITE, MeshBuilder, Point
 
 SKIRTING = 0.09
@@ -83,12 +83,10 @@ def wall_frame(room: Room, side: str) -> tuple[float, float, float, float, float
 
     In the wall's frame, y points into the room and x = sign * (coordinate along the wall - its middle).
     """
-    (x0, x1), (y0, y1) = room.inner()
-    cx, cy = room.centre
-    turn = SIDES[side] - 90
-    if side in ("north", "south"):
-        return cx, (y1 if side == "north" else y0), turn, (x1 - x0) / 2, (-1 if side == "north" else 1)
-    return (x1 if side == "east" else x0), cy, turn, (y1 - y0) / 2, (1 if side == "east" else -1)
+    wall = SIDES[side]
+    low, high = wall.span(room.inner())
+    x, y = wall.plan(wall.plan(*room.centre)[0], wall.level(room.inner()))
+    return x, y, wall.facing - 90, (high - low) / 2, wall.inwards if wall.along == "x" else -wall.inwards
 
 
 def leaf_segment(building: Building, opening: Opening, angle: float) -> Array:
@@ -96,7 +94,7 @@ def leaf_segment(building: Building, opening: Opening, angle: float) -> Array:
     room = building.rooms[opening.into]
     low, high = opening.interval
     hinge, tip = (low, high) if opening.hinge == "low" else (high, low)
-    into = 1.0 if getattr(room, "y" if opening.along == "x" else "x")[0] >= opening.level - 1e-6 else -1.0
+    into = SIDES[side_at(room, opening.along, opening.level)].inwards
     start = np.array(opening.point(hinge, into * HALF_WALL))
     closed = np.array(opening.point(tip, into * HALF_WALL)) - start
     inwards = np.array(opening.point(0.0, 1.0)) - np.array(opening.point(0.0, 0.0))
@@ -122,14 +120,11 @@ def _panel(b: MeshBuilder, x: Point, z: Point, y: float, texture: str, tint: Poi
 
 def _wall(b: MeshBuilder, building: Building, room: Room, side: str, fixtures: Fixtures, style: Style) -> None:
     x, y, turn, half, sign = wall_frame(room, side)
-    along = "x" if side in ("north", "south") else "y"
-    level = getattr(room, "y" if along == "x" else "x")[1 if side in ("north", "east") else 0]
-    middle = room.centre[0 if along == "x" else 1]
+    middle = SIDES[side].plan(*room.centre)[0]
     found = []
-    for index, opening in enumerate(building.openings):
-        if opening.along == along and abs(opening.level - level) < 1e-6 and room.name in opening.rooms:
-            ends = sorted(sign * (end - middle) for end in opening.interval)
-            found.append((ends[0], ends[1], index, opening))
+    for index, opening in building.openings_in(room, side):
+        left, right = sorted(sign * (end - middle) for end in opening.interval)
+        found.append((left, right, index, opening))
     found.sort(key=lambda entry: entry[0])
     with b.at(x, y, 0, turn):
         cursor = -half

@@ -11,6 +11,7 @@ from siamloc.simulate.draw import draw_building
 from siamloc.simulate.floor_plans import PLANS, Cell, draw_plan
 from siamloc.simulate.furnishing import USES
 from siamloc.simulate.items import KINDS
+from siamloc.simulate.layout import shared_wall
 from siamloc.simulate.parse import parse_building
 from siamloc.simulate.plan import clearance, obstacles, room_at
 from siamloc.simulate.route import FreeSpace
@@ -73,10 +74,10 @@ def test_what_a_room_may_hold_exists() -> None:
 
 def test_walls_that_look_outside() -> None:
     left, right = Cell("a", "office", (0.0, 4.0), (0.0, 3.0)), Cell("b", "office", (4.0, 8.0), (1.0, 3.0))
-    assert left.shared(right) == ("y", 4.0, (1.0, 3.0))
+    assert shared_wall(left, right) == ("y", 4.0, (1.0, 3.0))
     assert left.outside("east", [left, right]) == [(0.0, 1.0)]
     assert left.outside("north", [left, right]) == [(0.0, 4.0)]
-    assert right.shared(Cell("c", "office", (9.0, 10.0), (0.0, 3.0))) is None
+    assert shared_wall(right, Cell("c", "office", (9.0, 10.0), (0.0, 3.0))) is None
 
 
 def test_a_way_keeps_off_what_stands_there() -> None:

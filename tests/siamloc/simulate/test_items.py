@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from typing import get_args
+from contextlib import nullcontext
 
 import numpy as np
 import pytest
 
+from siamloc.errors import DataError
 from siamloc.simulate.items import KINDS, add_items
 from siamloc.simulate.layout import Building, Item
 from siamloc.simulate.mesh import MeshBuilder, QuadMesh
-from siamloc.simulate.parse import OPTIONS
+from siamloc.simulate.parse import Options
 from siamloc.simulate.prints import print_textures
 from siamloc.simulate.textures import base_textures
 
@@ -34,9 +35,10 @@ def test_every_kind_builds_within_its_size(textures: dict, mini: Building, kind:
     assert len(mesh)
     width, depth, _ = KINDS[kind].size
     assert (np.abs(mesh.corners[..., :2]) < np.array([width, depth]) / 2 + 0.5).all()
-    assert set(KINDS[kind].options) <= set(OPTIONS)
+    assert set(KINDS[kind].options) <= set(vars(Options()))
 
 
 @pytest.mark.parametrize("wood", ["oak", "plastic", "cork", "walnut"])
 def test_every_wood_that_a_file_may_name_is_a_texture(textures: dict, wood: str) -> None:
-    assert (wood in get_args(OPTIONS["wood"])) == (wood in textures)
+    with pytest.raises(DataError) if wood not in textures else nullcontext():
+        Options(wood=wood)
