@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
+from itertools import compress
 
 import numpy as np
 from numpy.typing import NDArray
 
 from analytic.descriptors.base import Description, Descriptor
-from analytic.mapper.node import Node
+from analytic.mapper.node import Node, every_few
 
 Array = NDArray[np.float64]
 Rows = NDArray[np.int64]
@@ -61,49 +62,37 @@ def point_of(description: Description) -> Array:
     return description.position[0].astype(np.float64)
 
 
-def node_level(point: Array, nodes: Sequence[Node], two_sided: bool) -> NodeLevel:
-    """Compare a position descriptor (D,) with nodes (eq. 3); ties between modes go to the older."""
-    return _by_best_mode(
-        np.array([mode.metric.distance(point) for node in nodes for mode in node.modes]), nodes, two_sided
-    )
+def node_level(point: Array, nodes: Sequence[Node], two_sided: bool, most: float = np.inf) -> NodeLevel:
+    """Compare a position descriptor (D,) with nodes (eq. 3); ties between modes go to the older.
 
-
-def node_levels(points: Array, nodes: Sequence[Node], two_sided: bool) -> list[NodeLevel]:
-    """Compare each position descriptor (n, D) with nodes (eq. 3)."""
-    distances = np.array([mode.metric.distances(points) for node in nodes for mode in node.modes])
-    return [_by_best_mode(column, nodes, two_sided) for column in distances.T]
-
-
-def within_reach(nodes: Sequence[Node], point: Array, found: NodeLevel, near: Array, y: float) -> list[Node]:
-    """Return the nodes that may close by eq. 11 with a point (D,) near another one, so that few are compared with it.
-
-    The Mahalanobis distance is a norm: those of two points differ by at most the distance between the points, which is
-    at most their Euclidean distance over the root of the least variance.
+    With a limit, modes that cannot close with it are left out, except the one that seems nearest: few remain in a large
+    map. The Mahalanobis distance of some numbers of a descriptor, which takes little time, is at most that of all.
 
     Args:
-        nodes: as many nodes as in `found`.
-        point: (D,) compared with the nodes before.
-        found: that comparison; the nodes that have changed since then may be returned or not.
-        near: (D,) the other point.
-        y: of eq. 11.
+        point: (D,).
+        nodes: at least one.
+        two_sided: whether a distance below the usual one is a deviation, too.
+        most: the largest x with which nodes are to close.
     """
-    least = np.sqrt([node.modes[0].metric.least for node in nodes])
-    nearest = np.sqrt(found.distances) - np.linalg.norm(near - point) / least
-    far = nearest > np.sqrt(found.means + y * found.stds) * (1 + _MARGIN)
-    return [node for node, away in zip(nodes, far.tolist(), strict=True) if not away or len(node.modes) > 1]
-
-
-def _by_best_mode(distances: Array, nodes: Sequence[Node], two_sided: bool) -> NodeLevel:
-    """Return the comparison with nodes from the distances to all their modes, one mode after the other."""
-    means, stds = np.array([mode.usual for node in nodes for mode in node.modes]).T
+    places = [(node.id, index, mode) for node in nodes for index, mode in enumerate(node.modes)]
+    means, stds = np.array([mode.usual for *_, mode in places]).T
+    if np.isfinite(most):
+        few = every_few(len(point))
+        away = point[few] - np.array([mode.mean[few] for *_, mode in places])
+        bounds = np.array([mode.metric.bound for *_, mode in places])
+        least = np.square((bounds @ away[:, :, None])[:, :, 0]).sum(axis=1)
+        possible = least <= (means + most * stds) * (1 + _MARGIN)
+        possible[np.argmin(least)] = True
+        places, means, stds = list(compress(places, possible)), means[possible], stds[possible]
+    distances = np.array([mode.metric.distances(point[None])[0] for *_, mode in places])
     deviations = np.abs(distances - means) if two_sided else np.maximum(distances - means, 0.0)
     deviations[deviations <= _ROUNDING * means] = 0.0
     ratios = np.divide(deviations, stds, out=np.where(deviations == 0, 0.0, np.inf), where=stds > 0)
-    counts = [len(node.modes) for node in nodes]
-    starts = np.cumsum([0, *counts[:-1]])
-    best = np.lexsort((ratios, np.repeat(starts, counts)))[starts]
-    ids = np.array([node.id for node in nodes])
-    return NodeLevel(ids, best - starts, *(part[best] for part in (distances, means, stds, deviations, ratios)))
+    ids, modes = np.array([place[:2] for place in places]).T
+    # The rows of a node are consecutive: sorted by ratio within each node, its first row is its best mode.
+    _, first, number = np.unique(ids, return_index=True, return_inverse=True)
+    best = np.lexsort((ratios, first[number]))[np.sort(first)]
+    return NodeLevel(*(part[best] for part in (ids, modes, distances, means, stds, deviations, ratios)))
 
 
 @dataclass(frozen=True)

@@ -188,7 +188,7 @@ def replay(events: Iterable[str | Mapping[str, Any]]) -> NDArray[np.int64]:
         events: lines of JSON, or their contents; a header may come first, and empty lines are skipped.
 
     Raises:
-        AnalyticError: a line that is not an event, frames out of order, or a log of a newer version.
+        AnalyticError: a line that is not an event, frames out of order, or a log of another version.
 
     Examples:
         >>> line = '{"frames": [0], "poses": [null], "node": 3, "reason": "ASSIGNED", "scores": {}, "changes": []}'

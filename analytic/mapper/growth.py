@@ -1,18 +1,103 @@
-"""How a map grows: new nodes ([I] 4.5; [T] 4.6), re-evaluated frames ([T] 4.6), merging ([I] 4.6)."""
+"""A map between two frames, and how it grows.
+
+New nodes: [I] 4.5 and [T] 4.6; frames evaluated again: [T] 4.6; merging: [I] 4.6.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from analytic.descriptors.base import Description, Descriptor
-from analytic.mapper.closure import NodeLevel, image_level, node_level, node_levels, point_of, within_reach
-from analytic.mapper.decision import NONE, Reason
-from analytic.mapper.node import Node
-from analytic.mapper.state import State
+from analytic.mapper.closure import NodeLevel, image_level, node_level, point_of
+from analytic.mapper.decision import NONE, Change, Reason
+from analytic.mapper.node import Mode, Node
+from analytic.mapper.parameters import Parameters
+
+
+@dataclass
+class State:
+    """A map between two frames. A frame is added to a copy, which replaces the map if everything succeeds.
+
+    Attributes:
+        rules: the parameters of the map.
+        nodes: by id. Their order has no meaning.
+        parked: candidates of version 1, the oldest first.
+        labels: (n,) node of each frame, -1 for none.
+        matches: (n,) the frame that each was most similar to when it was added, -1 for none.
+        recent: the last frames and their descriptions.
+        pending: the consecutive frames without a node up to the last one.
+        next_id: id of the next node.
+        changes: changes made while a frame was added.
+        calls: number of successful calls of `add` and `maintain`.
+    """
+
+    rules: Parameters
+    nodes: dict[int, Node] = field(default_factory=dict)
+    parked: tuple[Node, ...] = ()
+    labels: NDArray[np.int64] = field(default_factory=lambda: np.empty(0, dtype=np.int64))
+    matches: NDArray[np.int64] = field(default_factory=lambda: np.empty(0, dtype=np.int64))
+    recent: tuple[tuple[int, Description], ...] = ()
+    pending: tuple[int, ...] = ()
+    next_id: int = 0
+    changes: tuple[Change, ...] = ()
+    calls: int = 0
+
+    def copy(self) -> State:
+        """Return a working copy; nodes and descriptions are immutable and shared."""
+        return replace(self, nodes=dict(self.nodes), labels=self.labels.copy(), changes=())
+
+    def ordered(self) -> list[Node]:
+        """Return the nodes from the oldest id to the newest."""
+        return [self.nodes[key] for key in sorted(self.nodes)]
+
+    def append(self, description: Description, label: int, match: int) -> int:
+        """Add a frame and return its number."""
+        frame = len(self.labels)
+        self.labels = np.append(self.labels, label)
+        self.matches = np.append(self.matches, match)
+        self.recent = (*self.recent, (frame, description))[-self.rules.memory :]
+        return frame
+
+    def descriptions(self, frames: Sequence[int]) -> list[Description]:
+        """Return the descriptions of recent frames."""
+        known = dict(self.recent)
+        return [known[frame] for frame in frames]
+
+    def form(self, frames: Sequence[int]) -> Node:
+        """Return a node of recent frames, with the next id, that is not yet part of the map."""
+        node = Node(self.next_id, (Mode.of(self.rules, frames, self.descriptions(frames)),))
+        self.next_id += 1
+        return node
+
+    def leave(self, frames: Sequence[int]) -> list[int]:
+        """Take frames from their nodes and return them.
+
+        A frame stays if its node would be left with too few frames or, where exemplars are bounded, with none to
+        compare images with.
+        """
+        left = []
+        for label in np.unique(self.labels[list(frames)]).tolist():
+            leaving = [frame for frame in frames if self.labels[frame] == label]
+            if label != NONE:
+                node = self.nodes[label]
+                if len(node) - len(leaving) < self.rules.smallest_node:
+                    continue
+                kept = node.remove(leaving)
+                if not all(len(mode.gallery) for mode in kept.modes):
+                    continue
+                self.nodes[label] = kept
+                self.labels[leaving] = NONE
+            left += leaving
+        return sorted(left)
+
+    def note(self, reason: Reason, node: int | None, frames: Sequence[int], **scores: float | bool | str) -> None:
+        """Record a change for the decision and the log."""
+        self.changes = (*self.changes, Change(reason, node, tuple(int(frame) for frame in frames), scores))
 
 
 def grow_version_1(state: State) -> Node | None:
@@ -47,11 +132,12 @@ def join_parked(state: State, frame: int, description: Description) -> tuple[int
     """
     if not state.parked or not state.nodes:
         return None
-    found = node_level(point_of(description), state.parked, state.rules.two_sided)
-    fitting = found.closing(state.rules.x(len(state.nodes)))
+    x = state.rules.x(len(state.nodes))
+    found = node_level(point_of(description), state.parked, state.rules.two_sided, x)
+    fitting = found.closing(x)
     if not len(fitting):
         return None
-    row = found.best(fitting)
+    row = [node.id for node in state.parked].index(found.nodes[found.best(fitting)])
     parked = state.parked[row]
     parked = parked.with_mode(0, parked.modes[0].add(frame, description))
     measured, distinct = distinctness(parked.modes[0].centre, state.ordered())
@@ -131,18 +217,23 @@ def reconsider(state: State, descriptor: Descriptor, created: int) -> None:
     without a node, it goes to the most similar of all, so that no gaps are left before a new node. All frames are
     evaluated before any moves.
     """
-    rules = state.rules
+    rules, x = state.rules, state.rules.x(len(state.nodes))
     first = min(state.nodes[created].frames)
-    known = {frame: one for frame, one in state.recent if frame >= first - rules.window}
-    inside = [frame for frame in known if state.labels[frame] == created]
-    open_to = dict(zip(inside, _open_to(state, [known[frame] for frame in inside]), strict=True))
+    known = {frame: description for frame, description in state.recent if frame >= first - rules.window}
     moves: dict[tuple[int, int], list[int]] = {}
     for frame, description in known.items():
         own = int(state.labels[frame])
-        options = sorted(set(state.nodes) if own == NONE else {own, created} | open_to.get(frame, set()))
-        goal = options[0]
+        options = set(state.nodes) if own == NONE else {own, created}
+        if own == created:
+            point = point_of(description)
+            found = node_level(point, state.ordered(), rules.two_sided, x)
+            for row in found.closing(x):
+                mode = state.nodes[int(found.nodes[row])].modes[found.modes[row]]
+                if mode.shift(point) <= mode.reach:
+                    options.add(int(found.nodes[row]))
+        goal = created
         if len(options) > 1:
-            nodes = [state.nodes[option] for option in options]
+            nodes = [state.nodes[option] for option in sorted(options)]
             means = image_level(descriptor, description, nodes, rules.distance, leave_out=frame).means()
             goal = min(means, key=lambda node: (-means[node], node != own, node))
         if goal != own:
@@ -156,18 +247,6 @@ def reconsider(state: State, descriptor: Descriptor, created: int) -> None:
             state.note(Reason.REASSIGNED, goal, moved, came_from=own)
 
 
-def _open_to(state: State, descriptions: Sequence[Description]) -> list[set[int]]:
-    """Return, for each frame, the nodes whose node-level and centroid conditions (eq. 4 and 9) it passes."""
-    points = np.array([point_of(description) for description in descriptions])
-    open_to = []
-    for point, found in zip(points, node_levels(points, state.ordered(), state.rules.two_sided), strict=True):
-        rows = found.closing(state.rules.x(len(state.nodes)))
-        places = zip(found.nodes[rows].tolist(), found.modes[rows].tolist(), strict=True)
-        modes = {node: state.nodes[node].modes[mode] for node, mode in places}
-        open_to.append({node for node, mode in modes.items() if mode.shift(point) <= mode.reach})
-    return open_to
-
-
 def join(state: State, frame: int, description: Description, goal: int, mode: int | None = None) -> None:
     """Put a frame into a node: into the mode given, or the one that it fits best."""
     node = state.nodes[goal]
@@ -177,29 +256,20 @@ def join(state: State, frame: int, description: Description, goal: int, mode: in
     state.labels[frame] = goal
 
 
-def merge_alike(state: State, node: int, known: tuple[NDArray[np.float64], NodeLevel] | None = None) -> None:
+def merge_alike(state: State, node: int) -> None:
     """Merge a node that has changed with the nodes that are similar to it (eq. 10-11).
 
     The changed node's representative is compared with every other node; the one with the smallest deviation for its
     spread comes first; ties go to the older. The older id is kept. The merged node is compared with the rest again.
-
-    Args:
-        state: the map.
-        node: id of the node that has changed.
-        known: the frame that joined the node and its comparison with all nodes, which saves most others.
     """
     changed, alike = state.nodes[node], []
-    for own, mode in enumerate(changed.modes):
-        nodes = state.ordered()
-        if known is not None:
-            nodes = within_reach(nodes, known[0], known[1], mode.centre, state.rules.y)
-        others = [other for other in nodes if other is not changed]
-        if others:
-            found = node_level(mode.centre, others, state.rules.two_sided)
-            rows = found.closing(state.rules.y)
-            if len(rows):
-                row = found.best(rows)
-                alike.append((float(found.ratios[row]), int(found.nodes[row]), own, row, found))
+    others = [other for other in state.ordered() if other is not changed]
+    for own, mode in enumerate(changed.modes if others else ()):
+        found = node_level(mode.centre, others, state.rules.two_sided, state.rules.y)
+        rows = found.closing(state.rules.y)
+        if len(rows):
+            row = found.best(rows)
+            alike.append((float(found.ratios[row]), int(found.nodes[row]), own, row, found))
     if alike:
         *_, own, row, found = min(alike, key=lambda one: one[:3])
         merge_alike(state, merge(state, changed, own, found, row))

@@ -16,9 +16,9 @@ from analytic.errors import AnalyticError
 from analytic.linear_algebra import one_thread
 from analytic.mapper import graph, storage
 from analytic.mapper.decision import Decision, EventLog, Location, header, line_of
+from analytic.mapper.growth import State
 from analytic.mapper.node import Node
-from analytic.mapper.parameters import parameters
-from analytic.mapper.state import State
+from analytic.mapper.parameters import Parameters
 from analytic.mapper.steps import locate, maintain, step
 
 LARGEST_VALUE = 1e38
@@ -70,7 +70,7 @@ class IncrementalMapper:
                 f"the mapper takes a descriptor, such as analytic.descriptor('hog') returns, got {descriptor!r}"
             )
         self.descriptor = descriptor
-        self.parameters = parameters({"version": version, **others})
+        self.parameters = Parameters.of({"version": version, **others})
         self.extendable = True
         self._state = State(self.parameters)
         self._poses: list[Any] = []
@@ -198,7 +198,7 @@ class IncrementalMapper:
             log: as for the class; it receives the whole run.
 
         Raises:
-            AnalyticError: a path that cannot be read, a file that is cut short, not a map or of a newer version, a
+            AnalyticError: a path that cannot be read, a file that is cut short, not a map or of another version, a
                 descriptor other than the map's, or none for a map whose descriptor is not in `analytic.DESCRIPTORS`.
         """
         state, poses, identity, lines = storage.load(path)

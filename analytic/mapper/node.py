@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from analytic.descriptors.base import Description
 from analytic.errors import AnalyticError
-from analytic.mapper.gallery import Gallery
 from analytic.mapper.parameters import Parameters
 
 Array = NDArray[np.float64]
@@ -19,6 +19,7 @@ Array = NDArray[np.float64]
 _LEAST_SHRINKAGE = 1e-6  # two frames, or frames on one line, have intensity 0 and a covariance without inverse
 _LEAST_VARIANCE = 1e-12  # of equal frames, relative to their mean square
 _NO_VARIANCE = 1e-30  # of frames that are all zero
+_FEW = 32  # values of a descriptor in the lower bound of a distance
 
 
 @dataclass(frozen=True)
@@ -27,31 +28,35 @@ class Mahalanobis:
 
     A node has few frames for the numbers of its descriptor, so its covariance S is shrunk towards a multiple of the
     identity: C = (1 - a) S + c I, where c is the intensity a times the mean variance, and a is that of Ledoit and Wolf
-    (2004) by default. With Y (n, D), the frames about their mean, and s = (1 - a) / n, that is C = s Y^T Y + c I. The
-    matrix M is the inverse Cholesky factor of C, and the distance of z = d - mean is z^T C^-1 z = |M z|^2.
+    (2004) by default. With Y (n, D), the frames about their mean, and s = (1 - a) / n, that is C = s Y^T Y + c I. With
+    L the Cholesky factor of C, the distance of z = d - mean is z^T C^-1 z = |L^-1 z|^2.
 
-    While n is at most D / 2, a smaller matrix (n, D) does, by Woodbury's identity: with L the Cholesky factor of
-    s Y Y^T + c I and M = L^-1 sqrt(s) Y, the distance is (|z|^2 - |M z|^2) / c.
+    While n is at most D / 2, a smaller matrix (n, n) does, by Woodbury's identity: with L the Cholesky factor of
+    s Y Y^T + c I, the distance is (|z|^2 - |L^-1 sqrt(s) Y z|^2) / c.
 
     Attributes:
         mean: (D,).
-        matrix: M (D, D) or (n, D).
+        factor: L (D, D) or (n, n).
+        rows: sqrt(s) Y (n, D) for the smaller matrix, else None.
         least: c, the least variance of any direction.
+        bound: (k, k) inverse Cholesky factor of the covariance of every few numbers of the descriptor. Their distance
+            is at most that of all numbers.
     """
 
     mean: Array
-    matrix: Array
+    factor: Array
+    rows: Array | None
     least: float
+    bound: Array
 
     @staticmethod
-    def of(mean: Array, product: Array, squares: Array, away: Array | None, shrinkage: str | float) -> Mahalanobis:
+    def of(mean: Array, away: Array, scatter: Array | None, shrinkage: str | float) -> Mahalanobis:
         """Prepare the distances to n frames.
 
         Args:
             mean: (D,) mean of the frames.
-            product: Y^T Y (D, D), or Y Y^T (n, n) for few frames.
-            squares: (n,) the |y|^2 of the frames.
-            away: Y (n, D) for few frames, else None.
+            away: Y (n, D), the frames about their mean.
+            scatter: Y^T Y (D, D); None for few frames.
             shrinkage: "ledoit_wolf" or a fixed intensity.
 
         Raises:
@@ -59,39 +64,34 @@ class Mahalanobis:
         """
         from scipy.linalg import lapack
 
-        count, size = len(squares), len(mean)
+        count, size = away.shape
+        product = away @ away.T if scatter is None else scatter
+        squares = np.einsum("nd,nd->n", away, away)
         intensity = ledoit_wolf(product, squares, size) if isinstance(shrinkage, str) else float(shrinkage)
         least = intensity * max(
             float(np.trace(product)) / (count * size), _LEAST_VARIANCE * float(np.mean(mean**2)), _NO_VARIANCE
         )
-        weight = (1 - intensity) / count
-        shrunk = weight * product
-        shrunk[np.diag_indices(len(shrunk))] += least
-        factor, failed = lapack.dpotrf(shrunk.T, lower=1, overwrite_a=1)
-        if failed:
-            raise AnalyticError(
-                "the covariance of a node cannot be inverted: its descriptors differ too little for their size; choose "
-                "a larger fixed shrinkage"
-            )
-        inverse = lapack.dtrtri(factor, lower=1, overwrite_c=1)[0]
-        return Mahalanobis(mean, inverse if away is None else inverse @ (np.sqrt(weight) * away), least)
-
-    def distance(self, point: Array) -> float:
-        """Return the squared distance of a point (D,)."""
-        away = point - self.mean
-        inside = self.matrix.dot(away)
-        if len(self.matrix) == len(self.mean):
-            return float(inside.dot(inside))
-        return max(float(away.dot(away) - inside.dot(inside)), 0.0) / self.least
+        weight, few = (1 - intensity) / count, every_few(size)
+        part = away[:, few].T @ away[:, few] if scatter is None else scatter[few, few]
+        bound = lapack.dtrtri(_cholesky(weight * part, least), lower=1)[0]
+        rows = np.sqrt(weight) * away if scatter is None else None
+        return Mahalanobis(mean, _cholesky(weight * product, least), rows, least, bound)
 
     def distances(self, points: Array) -> Array:
         """Return the squared distances (n,) of points (n, D)."""
-        away = points - self.mean
-        inside = away @ self.matrix.T
-        squares = np.einsum("nd,nd->n", inside, inside)
-        if len(self.matrix) == len(self.mean):
+        from scipy.linalg import lapack
+
+        away = (points - self.mean).T
+        inside = lapack.dtrtrs(self.factor, away if self.rows is None else self.rows @ away, lower=1)[0]
+        squares = np.einsum("dn,dn->n", inside, inside)
+        if self.rows is None:
             return squares
-        return np.maximum(np.einsum("nd,nd->n", away, away) - squares, 0.0) / self.least
+        return np.maximum(np.einsum("dn,dn->n", away, away) - squares, 0.0) / self.least
+
+
+def every_few(size: int) -> slice:
+    """Return which of `size` numbers of a descriptor are used in the lower bound of a distance."""
+    return slice(None, None, -(-size // _FEW))
 
 
 def ledoit_wolf(product: Array, squares: Array, size: int) -> float:
@@ -112,9 +112,88 @@ def ledoit_wolf(product: Array, squares: Array, size: int) -> float:
     return max(error / excess, _LEAST_SHRINKAGE) if error > 0 and excess > 0 else _LEAST_SHRINKAGE
 
 
-def squared_distances(points: Array, centre: Array) -> Array:
-    """Return the squared Euclidean distances (n,) of points (n, D) to a centre (D,), in one pass over the points."""
-    return np.maximum(np.einsum("nd,nd->n", points, points) - 2 * (points @ centre) + centre @ centre, 0.0)
+def _cholesky(covariance: Array, least: float) -> Array:
+    """Return the lower Cholesky factor of a covariance plus `least` times the identity."""
+    from scipy.linalg import lapack
+
+    covariance[np.diag_indices(len(covariance))] += least
+    factor, failed = lapack.dpotrf(covariance.T, lower=1, overwrite_a=1)
+    if failed:
+        raise AnalyticError(
+            "the covariance of a node cannot be inverted: its descriptors differ too little for their size; choose a "
+            "larger fixed shrinkage"
+        )
+    return factor
+
+
+@dataclass(frozen=True)
+class Gallery:
+    """The frames of a mode that images are compared with. Immutable: methods return another gallery.
+
+    The spectrum of each frame is computed once, on its own, so that its values depend on no other frame.
+
+    Attributes:
+        frames: (n,) numbers of the frames, in the order in which they were added.
+        shown: their descriptions.
+    """
+
+    frames: NDArray[np.int64]
+    shown: Description
+
+    @staticmethod
+    def of(frames: Sequence[int] | NDArray[np.int64], descriptions: Sequence[Description]) -> Gallery:
+        """Return the gallery of frames, given their descriptions."""
+        shown = Description.concatenate(descriptions)
+        if shown.orientation is not None:
+            shown.kept("spectrum", lambda _: np.concatenate([part.spectrum for part in descriptions], axis=1))
+        return Gallery(np.array(frames, dtype=np.int64), shown)
+
+    def __len__(self) -> int:
+        return len(self.frames)
+
+    def keep(self, rows: Any) -> Gallery:
+        """Return the gallery of some rows, given as an index array or a mask."""
+        shown = self.shown.take(rows)
+        if shown.orientation is not None:
+            shown.kept("spectrum", lambda _: self.shown.spectrum[:, rows])
+        return Gallery(self.frames[rows], shown)
+
+    def join(self, other: Gallery) -> Gallery:
+        """Return the gallery of the frames of two galleries."""
+        return Gallery.of(np.append(self.frames, other.frames), [self.shown, other.shown])
+
+    def spread(self, other: Gallery, limit: int | None) -> Gallery:
+        """Add one frame to a gallery of at most `limit` frames.
+
+        A full gallery takes the frame only if it is further from all others than the closest two are from each other;
+        the later of those two then goes. The frames that stay cover the node as evenly as a single pass over the frames
+        allows.
+        """
+        if limit is None or len(self) < limit:
+            return self.join(other)
+        least, later = self.closest
+        apart = self.shown.position.astype(np.float64) - other.shown.position
+        if np.sqrt(np.square(apart).sum(axis=1).min()) <= least:
+            return self
+        return self.keep(np.arange(len(self)) != later).join(other)
+
+    def thin(self, limit: int | None) -> Gallery:
+        """Remove the later frame of the closest pair until at most `limit` frames are left."""
+        gallery = self
+        while limit is not None and len(gallery) > limit:
+            gallery = gallery.keep(np.arange(len(gallery)) != gallery.closest[1])
+        return gallery
+
+    @cached_property
+    def closest(self) -> tuple[float, int]:
+        """The least distance between two frames, and the row of the later one of them."""
+        from scipy.spatial.distance import cdist
+
+        points = self.shown.position.astype(np.float64)
+        apart = cdist(points, points)
+        apart[np.tril_indices(len(self))] = np.inf
+        first, second = np.unravel_index(np.argmin(apart), apart.shape)
+        return float(apart[first, second]), int(second)
 
 
 @dataclass(frozen=True)
@@ -166,7 +245,6 @@ class Mode:
     def add(self, frame: int, description: Description) -> Mode:
         """Return the mode with one more frame."""
         x = description.position[0].astype(np.float64)
-        count = len(self) + 1
         held = self.rules.holds_out(int(self.held.sum()), len(self))
         points, flags = np.vstack([self.points, x]), np.append(self.held, held)
         mean, scatter = self.mean, self.scatter
@@ -178,16 +256,9 @@ class Mode:
                 scatter = _scatter(points[~flags], mean)
             else:
                 scatter = scatter + np.outer(away, away * ((modelled - 1) / modelled))
-        return replace(
-            self,
-            frames=np.append(self.frames, frame),
-            held=flags,
-            points=points,
-            centre=self.centre + (x - self.centre) / count,
-            mean=mean,
-            scatter=scatter,
-            gallery=self.gallery.spread(Gallery.of([frame], [description]), self.rules.exemplars),
-        )
+        centre = self.centre + (x - self.centre) / (len(self) + 1)
+        gallery = self.gallery.spread(Gallery.of([frame], [description]), self.rules.exemplars)
+        return Mode(self.rules, np.append(self.frames, frame), flags, points, centre, mean, scatter, gallery)
 
     def remove(self, frames: Sequence[int]) -> Mode:
         """Return the mode without some of its frames; some must be left."""
@@ -201,24 +272,15 @@ class Mode:
         return Mode.from_points(self.rules, self.frames[left], held, self.points[left], gallery)
 
     def merge(self, other: Mode) -> Mode:
-        """Return the mode of the frames of both."""
-        return Mode.from_points(
-            self.rules,
-            np.append(self.frames, other.frames),
-            np.append(self.held, other.held),
-            np.concatenate([self.points, other.points]),
-            self.gallery.join(other.gallery).thin(self.rules.exemplars),
-        )
+        """Return the mode of the frames of two modes."""
+        frames, held = np.append(self.frames, other.frames), np.append(self.held, other.held)
+        gallery = self.gallery.join(other.gallery).thin(self.rules.exemplars)
+        return Mode.from_points(self.rules, frames, held, np.concatenate([self.points, other.points]), gallery)
 
     @cached_property
     def metric(self) -> Mahalanobis:
         """The distances of eq. 3."""
-        if self.scatter is not None:
-            squares = squared_distances(self.points, self.mean)[~self.held]
-            return Mahalanobis.of(self.mean, self.scatter, squares, None, self.rules.shrinkage)
-        away = self.points[~self.held] - self.mean
-        product = away @ away.T
-        return Mahalanobis.of(self.mean, product, np.diagonal(product), away, self.rules.shrinkage)
+        return Mahalanobis.of(self.mean, self.points[~self.held] - self.mean, self.scatter, self.rules.shrinkage)
 
     @cached_property
     def usual(self) -> tuple[float, float]:
@@ -228,13 +290,10 @@ class Mode:
         `exemplars` are bounded, every second, fourth, ... of the held-out frames is used.
         """
         rows = np.flatnonzero(self.held)
-        step = 1
-        while self.rules.exemplars is not None and -(-len(rows) // step) > self.rules.exemplars:
-            step *= 2
-        distances = self.metric.distances(self.points[rows[::step]])
-        if len(distances) < 2:
-            return float(distances.sum()), 0.0
-        return float(distances.mean()), float(distances.std(ddof=1))
+        while self.rules.exemplars is not None and len(rows) > self.rules.exemplars:
+            rows = rows[::2]
+        distances = self.metric.distances(self.points[rows])
+        return float(distances.sum() / max(len(rows), 1)), float(distances.std(ddof=1)) if len(rows) > 1 else 0.0
 
     def shift(self, x: Array) -> float:
         """Return the left side of eq. 9: how far the representative would move with one more frame (D,)."""
@@ -243,10 +302,8 @@ class Mode:
     @cached_property
     def reach(self) -> float:
         """The right side of eq. 9: how far the representative would move without its most distant frame."""
-        if len(self) < 2:
-            return 0.0
-        furthest = self.points[np.argmax(squared_distances(self.points, self.centre))]
-        return float(np.linalg.norm(furthest - self.centre)) / (len(self) - 1)
+        away = self.points - self.centre
+        return float(np.sqrt(np.einsum("nd,nd->n", away, away).max())) / max(len(self) - 1, 1)
 
 
 def _split(rules: Parameters, count: int) -> NDArray[np.bool_]:

@@ -8,9 +8,16 @@ from typing import Any
 from analytic.descriptors.base import Description, Descriptor
 from analytic.mapper.closure import NodeLevel, Similarity, image_level, node_level, point_of, prominences_of
 from analytic.mapper.decision import NONE, Decision, Location, Reason
-from analytic.mapper.growth import grow_version_1, grow_version_2, join, join_parked, merge_alike, reconsider
+from analytic.mapper.growth import (
+    State,
+    grow_version_1,
+    grow_version_2,
+    join,
+    join_parked,
+    merge_alike,
+    reconsider,
+)
 from analytic.mapper.node import Mode, Node
-from analytic.mapper.state import State
 
 
 @dataclass
@@ -23,7 +30,6 @@ class Placement:
         mode: index of the mode in the node.
         match: the most similar frame, or -1.
         scores: what was measured.
-        found: the comparison of the frame with every node.
     """
 
     reason: Reason
@@ -31,7 +37,6 @@ class Placement:
     mode: int = 0
     match: int = NONE
     scores: dict[str, Any] = field(default_factory=dict)
-    found: NodeLevel | None = None
 
 
 def step(state: State, descriptor: Descriptor, description: Description) -> Decision:
@@ -45,11 +50,10 @@ def step(state: State, descriptor: Descriptor, description: Description) -> Deci
     rules = state.rules
     placement = place(state, descriptor, description) if state.nodes else Placement(Reason.FIRST_FRAMES)
     frame = state.append(description, NONE, placement.match)
-    created, known = None, None
+    created = None
     if placement.node != NONE:
         join(state, frame, description, placement.node, placement.mode)
         state.pending = ()
-        known = None if placement.found is None else (point_of(description), placement.found)
     if rules.version == 1 and (joined := placement.node == NONE and join_parked(state, frame, description)):
         placement.reason = Reason.JOINED_PARKED
         placement.scores["parked"], created = joined
@@ -58,13 +62,11 @@ def step(state: State, descriptor: Descriptor, description: Description) -> Deci
         state.pending = (*state.pending, frame)
     if created is None:
         created = (grow_version_1 if rules.version == 1 or not state.nodes else grow_version_2)(state)
-    if created is not None:
-        if rules.version == 2 and len(state.nodes) > 1:
-            reconsider(state, descriptor, created.id)
-        known = None
+    if created is not None and rules.version == 2 and len(state.nodes) > 1:
+        reconsider(state, descriptor, created.id)
     changed = placement.node if created is None else created.id
     if changed != NONE and (rules.merge == "changed" or (rules.merge == "created" and created is not None)):
-        merge_alike(state, changed, known)
+        merge_alike(state, changed)
     reason = placement.reason
     for change in state.changes:  # the last one that moved the frame; merging moves those of the node that disappears
         if frame in change.frames and change.reason is not Reason.PARKED_FORGOTTEN:
@@ -77,7 +79,7 @@ def place(state: State, descriptor: Descriptor, description: Description) -> Pla
     """Find where a frame belongs ([I] algorithm 1), without changing the state, which has at least one node."""
     rules = state.rules
     point = point_of(description)
-    found = node_level(point, state.ordered(), rules.two_sided)
+    found = node_level(point, state.ordered(), rules.two_sided, rules.x(len(state.nodes)))
     closing, scores = _closing(state, found)
     if not closing:
         return Placement(Reason.NO_CANDIDATE_NODE, scores=scores)
@@ -99,7 +101,7 @@ def place(state: State, descriptor: Descriptor, description: Description) -> Pla
     scores |= {"centroid_shift": mode.shift(point), "most_centroid_shift": mode.reach}
     if mode.shift(point) > mode.reach:  # eq. 9
         return Placement(Reason.MOVES_CENTROID, match=match, scores=scores)
-    return Placement(Reason.ASSIGNED, node, index, match, scores, found)
+    return Placement(Reason.ASSIGNED, node, index, match, scores)
 
 
 def locate(state: State, descriptor: Descriptor, description: Description, poses: list[Any]) -> Location:

@@ -15,11 +15,10 @@ from numpy.typing import NDArray
 from analytic.descriptors.base import Description, Descriptor
 from analytic.descriptors.registry import DESCRIPTORS, descriptor
 from analytic.errors import AnalyticError
-from analytic.mapper.gallery import Gallery
 from analytic.mapper.graph import write
-from analytic.mapper.node import Mode, Node
-from analytic.mapper.parameters import Parameters, parameters
-from analytic.mapper.state import State
+from analytic.mapper.growth import State
+from analytic.mapper.node import Gallery, Mode, Node
+from analytic.mapper.parameters import Parameters
 from foundation.arrays import DAMAGE, read_arrays
 
 FORMAT = "analytic.mapper"
@@ -115,7 +114,7 @@ def descriptor_of(identity: Mapping[str, Any], path: str | Path) -> Descriptor:
 
 
 def _state(head: Mapping[str, Any], arrays: Arrays, calls: int) -> State:
-    rules = parameters(head["parameters"])
+    rules = Parameters.of(head["parameters"])
     nodes = [
         Node(key, tuple(_mode(rules, arrays, f"node{key}.{index}") for index in range(modes)))
         for key, modes in head["nodes"]

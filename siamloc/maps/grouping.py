@@ -76,16 +76,12 @@ class SelfOrganizing(Settings):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Incremental(Parameters, Settings):
+class Incremental(Parameters):
     """The incremental mapper, which adds nodes while the robot drives ([I] 4, [T] 4.3, 4.6); see its `Parameters`."""
 
     WHERE = "build"
 
-    version: int = 2
-
-    def __post_init__(self) -> None:
-        Settings.__post_init__(self)
-        super().__post_init__()
+    version: Literal[1, 2] = 2
 
 
 WAYS: dict[str, type[Settings]] = {
@@ -173,7 +169,7 @@ class Built:
         """Read what `save` wrote, except the mapper: that is `analytic.IncrementalMapper.load(folder / "mapper.npz")`.
 
         Raises:
-            FormatError: a file is missing, truncated, of another kind, or of a newer version.
+            FormatError: a file is missing, truncated, of another kind, or of another version.
         """
         folder = Path(folder)
         layer, placing = CoarseLayer.load(folder / "layer.npz"), read_json(folder / "placing.json")

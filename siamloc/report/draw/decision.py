@@ -176,7 +176,7 @@ def _similarity(
     from analytic.descriptors.base import Description
     from analytic.mapper.closure import Similarity as Compared
     from analytic.mapper.closure import image_level
-    from analytic.mapper.gallery import Gallery
+    from analytic.mapper.node import Gallery
 
     if query.orientation is None:
         others = Description(others.position)

@@ -4,9 +4,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from analytic.mapper import IncrementalMapper, steps
-from analytic.mapper.growth import distinctness, merge_alike
-from tests.analytic.mapper.world import World, corridor_drive, rows
+from analytic.mapper.growth import distinctness
 
 
 def node(*centres):
@@ -33,20 +31,3 @@ def test_mean_distances_are_those_of_all_pairs(most_modes):
     measured, distinct = distinctness(centre, nodes)
     assert list(measured.values()) == pytest.approx([away, among], rel=1e-12)
     assert distinct == (away >= among)
-
-
-@pytest.mark.parametrize("size", [16, 64])
-def test_what_is_merged_is_the_same_without_anything_known(size, monkeypatch):
-    world = World(size=size, steps=0, reach=6.0, seed=2)
-    frames = rows(world.at(corridor_drive(400, seed=5, rooms=6), noise=0.2, seed=3))
-
-    def events():
-        mapper = IncrementalMapper(world, 2, y=2.5)
-        for frame in frames:
-            mapper.add(frame)
-        return mapper.events
-
-    found = events()
-    monkeypatch.setattr(steps, "merge_alike", lambda state, changed, known: merge_alike(state, changed))
-    assert events() == found
-    assert any("NODES_MERGED" in event and "NEW_NODE" not in event for event in found)

@@ -6,7 +6,7 @@ from sklearn.covariance import ledoit_wolf
 
 from analytic import AnalyticError
 from analytic.descriptors.base import Description
-from analytic.mapper.node import Mode
+from analytic.mapper.node import Mode, every_few
 from analytic.mapper.parameters import Parameters
 from tests.analytic.mapper.world import World, corridor_drive, rows
 
@@ -41,7 +41,10 @@ def check(mode, points, tolerance=1e-9):
     queries = np.concatenate([points, points + 1])
     rtol = tolerance + 16 * np.finfo(float).eps * np.linalg.cond(covariance)
     np.testing.assert_allclose(mode.metric.distances(queries), distances(queries), rtol=rtol)
-    np.testing.assert_allclose([mode.metric.distance(query) for query in queries], distances(queries), rtol=rtol)
+    found = [mode.metric.distances(query[None])[0] for query in queries]
+    np.testing.assert_allclose(found, distances(queries), rtol=rtol)
+    away, bound = (queries - mode.mean)[:, every_few(size)], mode.metric.bound
+    assert (np.square(away @ bound.T).sum(axis=1) <= distances(queries) * (1 + rtol)).all()
     assert mode.usual[0] == pytest.approx(distances(held).mean(), rel=rtol)
     assert mode.usual[1] == pytest.approx(distances(held).std(ddof=1), abs=4 * rtol * distances(held).max())
     assert 0 < mode.metric.least <= np.linalg.eigvalsh(covariance)[0] * (1 + rtol)
@@ -121,7 +124,7 @@ def test_frames_that_are_nearly_equal_keep_their_model_when_others_leave(size, n
     left = mode_of(points).remove(range(40))
     assert np.isfinite(left.usual).all()
     for x in points[40:][~left.held]:
-        assert left.metric.distance(x) <= left.metric.distance(x + 0.1)
+        assert np.diff(left.metric.distances(np.stack([x, x + 0.1])))[0] >= 0
 
 
 def test_a_full_gallery_keeps_frames_apart_and_their_spectra():
