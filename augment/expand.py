@@ -2,7 +2,7 @@
 
 Paths go in and images come out; the caller decides on the folder layout. The parameters of an image depend only on
 (seed, frame, variant) and the image's size, so any order of work, any number of threads and any interruption give the
-same files.
+same files. A run that was killed may leave a table with an incomplete last line; resuming removes it.
 """
 
 from __future__ import annotations
@@ -10,13 +10,12 @@ from __future__ import annotations
 import csv
 import json
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import partial
+from io import StringIO
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
-import cv2
 import numpy as np
 import torch
 from numpy.typing import NDArray
@@ -24,10 +23,18 @@ from torch import Tensor
 
 from augment.combinations import Variant, variants
 from augment.errors import AugmentError
-from augment.expansion_files import COLUMNS, TABLE, Row, name_in, prepare, write_table
-from foundation.files import write_bytes
+from foundation.files import is_temporary, read_json, write_json, write_picture, write_text
+from foundation.locks import LOCK
+from foundation.threads import in_order
 
-Job = tuple[int, Path, list[Path], list[Variant]]  # frame, source, its outputs, the variants to be made
+TABLE = "augmentation.csv"
+SETTINGS = "augmentation.json"
+COLUMNS = ("image", "source", "frame", "variant", "label", "heading", "parameters")
+VERSION = 1
+
+Row = dict[str, str]
+Job = tuple[int, Path, list[Path], list[Variant]]
+"""Number of a frame, its image, its outputs, and the variants to be made."""
 Progress = Callable[[Iterable[Any], int, str], Iterable[Any]]
 Reader = Callable[[Path], NDArray[np.uint8]]
 
@@ -51,25 +58,27 @@ class Expansion:
 
 def expand(
     images: Sequence[str | Path],
-    outputs: Sequence[Sequence[str | Path]],
+    outputs: Sequence[Sequence[Path]],
     folder: str | Path,
+    read: Reader,
     *,
     seed: int = 0,
     circular: bool = True,
     resume: bool = False,
     threads: int = 2,
-    on_error: Literal["skip", "raise"] = "skip",
+    on_error: str = "skip",
     progress: Progress | None = None,
-    read: Reader | None = None,
     reading: Mapping[str, Any] | None = None,
 ) -> Expansion:
     """Write the variants of images, each file whole or not at all.
 
     Args:
-        images: the n source images.
-        outputs: for each source the files to write (n, depth), all inside the folder; the suffix sets the format.
+        images: the n source images, at least one.
+        outputs: for each source the files to write (n, depth), all different, and inside the folder; the suffix sets
+            the format.
         folder: folder of the expanded data set. The table and the settings are written here; it has to be empty or
             absent, unless `resume`.
+        read: returns the image (3, H, W), uint8, RGB, of a source, or raises AugmentError; called from several threads.
         seed: seed of all parameters.
         circular: whether columns wrap around.
         resume: continue what an earlier call with the same sources, outputs and seed left unfinished; images in its
@@ -77,60 +86,46 @@ def expand(
         threads: frames processed at once.
         on_error: "skip" reports a source that cannot be read and continues; "raise" stops.
         progress: for a progress bar; called with (items, total, what), yields the items.
-        read: returns the image (3, H, W), uint8, RGB, of a source, or raises AugmentError; called from several
-            threads. If None, the image file is read as it is.
         reading: settings that decide what `read` returns, as JSON values; resuming with other ones is refused.
 
     Raises:
-        AugmentError: no images, outputs that do not fit or coincide, a folder that is not empty, a resume with other
-            settings, or, under "raise", a source that cannot be read.
-        OSError: the disk cannot be read or written.
+        AugmentError: a folder that is not empty, a resume with other settings, or, under "raise", a source that cannot
+            be read.
+        FormatError: a folder to resume whose settings are damaged.
+        StorageError: the disk is full or cannot be written to.
 
     Example:
         >>> import tempfile
         >>> from pathlib import Path
         >>> folder = Path(tempfile.mkdtemp())
-        >>> _ = cv2.imwrite(str(folder / "frame.png"), np.full((32, 128, 3), 90, np.uint8))
-        >>> outputs = [[folder / "out" / f"{variant}.png" for variant in range(16)]]
-        >>> expand([folder / "frame.png"], outputs, folder / "out", seed=0).written
+        >>> outputs = [[folder / f"{variant}.png" for variant in range(16)]]
+        >>> expand(["frame"], outputs, folder, read=lambda path: np.full((3, 32, 128), 90, np.uint8)).written
         16
     """
-    folder, sources = Path(folder), [Path(image) for image in images]
-    targets = [[output if isinstance(output, Path) else Path(output) for output in row] for row in outputs]
-    depth = _checked_depth(sources, targets, folder, on_error)
-    if seed < 0:
-        raise AugmentError(f"seed must be 0 or more, got {seed}")
+    folder, sources, depth = Path(folder), [Path(image) for image in images], len(outputs[0])
     listed = variants(depth, circular)
     options = {"seed": int(seed), "depth": depth, "circular": circular, "reading": dict(reading or {})}
-    done = prepare(folder, sources, targets, options, resume)
+    rows = _prepared(folder, sources, outputs, options, resume)
     work: list[Job] = []
-    for frame, (source, row) in enumerate(zip(sources, targets, strict=True)):
-        missing = listed
-        if done:
-            missing = [v for v in listed if name_in(row[v.number], folder) not in done or not row[v.number].is_file()]
+    for frame, (source, row) in enumerate(zip(sources, outputs, strict=True)):
+        missing = [v for v in listed if _name(row[v.number], folder) not in rows or not row[v.number].is_file()]
         if missing:
-            work.append((frame, source, row, missing))
-    kept = len(sources) * depth - sum(len(missing) for *_, missing in work)
-    rows, failed, written = dict(done), [], 0
+            work.append((frame, source, list(row), missing))
+    written, failed = 0, []
     with (folder / TABLE).open("a", newline="", encoding="utf-8") as file:
         table = csv.DictWriter(file, COLUMNS, lineterminator="\n")
-        with ThreadPoolExecutor(max(int(threads), 1)) as pool:
-            results = _bounded(
-                pool, partial(_expand_frame, folder, int(seed), read or read_picture), work, 2 * max(int(threads), 1)
-            )
-            for source, made, reason in (
-                progress(results, len(work), "augmenting frames") if progress and work else results
-            ):
-                if reason and on_error == "raise":
-                    raise AugmentError(reason)
-                if reason:
-                    failed.append((source, reason))
-                table.writerows(made)
-                file.flush()
-                rows.update((row["image"], row) for row in made)
-                written += len(made)
-    order = sorted(rows.values(), key=lambda row: (int(row["frame"]), int(row["variant"])))
-    write_table(folder / TABLE, order)
+        results: Iterable[Any] = in_order(partial(_expand_frame, folder, int(seed), read), work, int(threads))
+        for source, made, reason in progress(results, len(work), "augmenting frames") if progress else results:
+            if reason and on_error == "raise":
+                raise AugmentError(reason)
+            if reason:
+                failed.append((source, reason))
+            table.writerows(made)
+            file.flush()
+            rows.update((row["image"], row) for row in made)
+            written += len(made)
+    _write_table(folder / TABLE, sorted(rows.values(), key=lambda row: (int(row["frame"]), int(row["variant"]))))
+    kept = len(sources) * depth - sum(len(missing) for *_, missing in work)
     return Expansion(folder / TABLE, written, kept, tuple(failed))
 
 
@@ -180,21 +175,68 @@ def replay(row: Row, picture: Tensor, circular: bool = True) -> Tensor:
     return variant.policy.apply(picture, {key: [value] for key, value in json.loads(row["parameters"]).items()})
 
 
-def read_picture(path: Path) -> NDArray[np.uint8]:
-    """Read an image file as (3, H, W), uint8, RGB.
+def read_table(path: str | Path) -> list[Row]:
+    """Return the rows of an expansion's table; a last line cut short by an interruption is left out.
 
     Raises:
-        AugmentError: the file is missing or not an image.
+        AugmentError: the file is not such a table.
+
+    Example:
+        >>> import tempfile
+        >>> path = Path(tempfile.mkdtemp()) / "augmentation.csv"
+        >>> lines = [",".join(COLUMNS), "a.png,in.png,0,0,original,0.0,{}", "b.png,in.p"]
+        >>> _ = path.write_text("\\n".join(lines))
+        >>> [row["image"] for row in read_table(path)]
+        ['a.png']
     """
-    image = cv2.imread(str(path), cv2.IMREAD_COLOR) if path.is_file() else None
-    if image is None:
-        raise AugmentError(f"{path} {'is not a readable image' if path.is_file() else 'does not exist'}")
-    return np.ascontiguousarray(image[:, :, ::-1].transpose(2, 0, 1), dtype=np.uint8)
+    content = Path(path).read_bytes()
+    if (",".join(COLUMNS) + "\n").encode().startswith(content):  # killed before the header was written
+        return []
+    whole = content[: content.rfind(b"\n") + 1].decode("utf-8", errors="replace")
+    reader = csv.DictReader(StringIO(whole, newline=""))
+    if tuple(reader.fieldnames or ()) != COLUMNS:
+        raise AugmentError(f"{path} is not a table of augment.expand: its columns must be {', '.join(COLUMNS)}")
+    return [row for row in reader if None not in row.values()]
+
+
+def _prepared(
+    folder: Path, sources: list[Path], outputs: Sequence[Sequence[Path]], options: dict[str, Any], resume: bool
+) -> dict[str, Row]:
+    """Prepare the folder and return the rows of the images that an earlier call finished, by image."""
+    wanted = json.loads(json.dumps({"schema": VERSION, **options, "frames": len(sources)}))  # as it will be read again
+    table, settings = folder / TABLE, folder / SETTINGS
+    if folder.exists() and not all(is_temporary(path) or path.name == LOCK for path in folder.iterdir()):
+        if not resume:
+            raise AugmentError(f"{folder} is not empty: choose another folder, or go on with resume=true")
+        if not settings.is_file():
+            raise AugmentError(f"{folder} has no {SETTINGS}, so there is nothing to resume: choose another folder")
+        there = read_json(settings)
+        for key, value in wanted.items():
+            found = there.get(key) if isinstance(there, dict) else None
+            if found != value:
+                raise AugmentError(
+                    f"{folder} was expanded with {key}={found}, now asked for {value}: "
+                    "resume with the same settings, or choose another folder"
+                )
+    rows = read_table(table) if table.is_file() else []
+    asked = {}
+    if rows:
+        named = zip(sources, outputs, strict=True)
+        asked = {_name(target, folder): str(source) for source, row in named for target in row}
+    for row in rows:
+        if asked.get(row["image"]) != row["source"]:
+            raise AugmentError(
+                f"{table} says that {row['image']} was made of {row['source']}, which is not what is asked for now: "
+                "resume with the same images and outputs, or choose another folder"
+            )
+    write_json(settings, wanted)
+    _write_table(table, rows)  # drops an incomplete line, so that further lines can be appended
+    return {row["image"]: row for row in rows}
 
 
 def _expand_frame(folder: Path, seed: int, read: Reader, job: Job) -> tuple[Path, list[Row], str]:
     """Write the missing images of one frame; return its source, their rows in the table, and what went wrong."""
-    frame, source, row, missing = job
+    frame, source, outputs, missing = job
     try:
         picture = torch.from_numpy(read(source))[None]
     except AugmentError as error:
@@ -202,57 +244,23 @@ def _expand_frame(folder: Path, seed: int, read: Reader, job: Job) -> tuple[Path
     made = []
     for variant in missing:
         params = variant.parameters(seed, [frame], (picture.shape[2], picture.shape[3]))
-        result = variant.policy.apply(picture, params)[0].permute(1, 2, 0).numpy()[:, :, ::-1]
-        target = row[variant.number]
-        _write_image(target, np.ascontiguousarray(result))
+        output = outputs[variant.number]
+        write_picture(output, variant.policy.apply(picture, params)[0].permute(1, 2, 0).numpy(), quality=95)
         values = {key: value.item() for key, value in params.items()}
-        made.append(
-            {
-                "image": name_in(target, folder),
-                "source": str(source),
-                "frame": str(frame),
-                "variant": str(variant.number),
-                "label": variant.label,
-                "heading": repr(values["heading"]),
-                "parameters": json.dumps(values),
-            }
-        )
+        heading, parameters = repr(values["heading"]), json.dumps(values)
+        cells = (_name(output, folder), source, frame, variant.number, variant.label, heading, parameters)
+        made.append(dict(zip(COLUMNS, map(str, cells), strict=True)))
     return source, made, ""
 
 
-def _checked_depth(sources: list[Path], targets: list[list[Path]], folder: Path, on_error: str) -> int:
-    if on_error not in ("skip", "raise"):
-        raise AugmentError(f"on_error must be skip or raise, got {on_error!r}")
-    if not sources:
-        raise AugmentError("there is no image to expand")
-    if len(targets) != len(sources):
-        raise AugmentError(f"{len(sources)} images need as many rows of outputs, got {len(targets)}")
-    depth = len(targets[0])
-    if depth < 1 or any(len(row) != depth for row in targets):
-        raise AugmentError("every image needs the same number of outputs, at least one")
-    every = [path for row in targets for path in row]
-    if len(set(every)) != len(every) or not set(sources).isdisjoint(every):
-        raise AugmentError("outputs must differ from each other and from the images they are made of")
-    for parent in {path.parent for path in every}:  # far fewer than files
-        if not parent.is_relative_to(folder) or ".." in parent.relative_to(folder).parts:
-            raise AugmentError(f"{parent} lies outside the folder {folder}")
-    for path in every:
-        if path.suffix.lower() not in (".jpeg", ".jpg", ".png", ".webp", ".bmp"):
-            raise AugmentError(f"{path} does not end like an image: use .jpeg or .png")
-    return depth
+def _name(path: Path, folder: Path) -> str:
+    """Return the name of an image in the table: its path inside the folder."""
+    return path.relative_to(folder).as_posix()
 
 
-def _bounded(pool: ThreadPoolExecutor, work: Callable[[Any], Any], items: list[Any], ahead: int) -> Iterable[Any]:
-    """Yield results in order with only a few items in progress at once, so that memory stays bounded."""
-    waiting = []
-    for item in items:
-        waiting.append(pool.submit(work, item))
-        if len(waiting) >= ahead:
-            yield waiting.pop(0).result()
-    for future in waiting:
-        yield future.result()
-
-
-def _write_image(path: Path, image: NDArray[np.uint8]) -> None:
-    quality = [cv2.IMWRITE_JPEG_QUALITY, 95] if path.suffix.lower() in (".jpeg", ".jpg") else []
-    write_bytes(path, cv2.imencode(path.suffix.lower(), image, quality)[1].tobytes())
+def _write_table(path: Path, rows: Iterable[Row]) -> None:
+    text = StringIO()
+    writer = csv.DictWriter(text, COLUMNS, lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(rows)
+    write_text(path, text.getvalue())

@@ -199,8 +199,10 @@ def is_picture(path: str | Path) -> bool:
     return Path(path).suffix.lower() in PICTURES
 
 
-def write_picture(path: str | Path, picture: NDArray[np.uint8]) -> None:
+def write_picture(path: str | Path, picture: NDArray[np.uint8], quality: int = 88) -> None:
     """Write an image (rows, columns, 3), uint8, RGB, atomically, in the format given by the file name's ending.
+
+    `quality` is that of a JPEG, 0 to 100.
 
     Raises:
         ConfigError: an ending other than those of JPEG, PNG or WebP.
@@ -211,8 +213,8 @@ def write_picture(path: str | Path, picture: NDArray[np.uint8]) -> None:
     path = Path(path)
     if not is_picture(path):
         raise ConfigError(f"{path} must be a picture, with one of the endings {' '.join(PICTURES)}")
-    quality = [cv2.IMWRITE_JPEG_QUALITY, 88] if path.suffix.lower() in (".jpg", ".jpeg") else []
-    encoded = cv2.imencode(path.suffix.lower(), np.ascontiguousarray(picture[:, :, ::-1]), quality)[1]
+    how = [cv2.IMWRITE_JPEG_QUALITY, quality] if path.suffix.lower() in (".jpg", ".jpeg") else []
+    encoded = cv2.imencode(path.suffix.lower(), np.ascontiguousarray(picture[:, :, ::-1]), how)[1]
     write_bytes(path, encoded.tobytes())
 
 

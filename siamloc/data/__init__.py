@@ -23,7 +23,7 @@ from siamloc.data.reading import READERS, DataSettings, read
 from siamloc.lazy import lazy
 
 if TYPE_CHECKING:
-    from siamloc.data.enlarge import Expanded, expand
+    from siamloc.data.expansion import Expanded, expand
 
 __all__ = [
     "READERS",
@@ -51,6 +51,6 @@ __all__ = [
 ]
 
 # These need torch, which nothing else here loads.
-_HOMES = {"Expanded": "enlarge", "expand": "enlarge"}
+_HOMES = {"Expanded": "expansion", "expand": "expansion"}
 
 __getattr__, __dir__ = lazy(__name__, _HOMES)

@@ -1,4 +1,4 @@
-"""File names of the images of an expanded data set, and the lists next to them, in the layout of the original.
+"""`expand`: write an augmented data set in the layout of the one it is made from ([T] 5.3.2, table 5.18).
 
 The pose and the labels of an image are those of its frame; a rotation only adds to the heading. Readers thus read an
 expanded data set like any other.
@@ -8,27 +8,158 @@ from __future__ import annotations
 
 import csv
 import math
-from collections.abc import Callable
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from io import StringIO
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from foundation.files import write_json, write_text
+from augment.errors import AugmentError
+from augment.expand import expand as write_variants
+from augment.expand import headings
+from foundation.calls import typed
+from foundation.files import real_path, storage_errors, write_json, write_text
+from foundation.locks import alone
+from foundation.settings import Count, Seed, Thousand
+from siamloc.data.decoding import Preprocessing, UnreadableImageError
 from siamloc.data.frames import FrameTable
 from siamloc.data.manifest import COLUMNS
 from siamloc.data.names import NamedPose, format_name, name_sequence, parse_name
-from siamloc.errors import DataError
+from siamloc.data.panorama import OmnidirectionalCamera
+from siamloc.errors import ConfigError, DataError, check_policy
+from siamloc.progress import track
 
 MANIFEST = "manifest.csv"
 _TICK = 1e-6  # s, between the times of two variants in names that carry the time
 _KEPT = (".jpeg", ".jpg", ".png")
 
 
-def outputs(
-    kind: str, frames: FrameTable, root: str | Path, folder: str | Path, headings: NDArray[np.float64]
-) -> list[list[Path]]:
+@dataclass(frozen=True)
+class Expanded:
+    """An expanded data set on disk.
+
+    Attributes:
+        folder: folder of the data set.
+        kind: kind of data for `siamloc.data.read`.
+        frames: number of frames expanded.
+        depth: number of images per frame.
+        written: number of images written by this call.
+        kept: number of images that were already there.
+        failed: why images were left out, one sentence each.
+    """
+
+    folder: Path
+    kind: str
+    frames: int
+    depth: int
+    written: int
+    kept: int
+    failed: tuple[str, ...]
+
+    @property
+    def source(self) -> dict[str, Any]:
+        """Arguments with which `siamloc.data.read` reads it: `read(**expanded.source)`."""
+        where = {"manifest": self.folder / MANIFEST} if self.kind == "manifest" else {"root": self.folder}
+        return {"kind": self.kind, **{key: str(path) for key, path in where.items()}}
+
+    def summary(self) -> str:
+        """Report what was written, what was left out, and how to train with it."""
+        lines = []
+        if self.failed:
+            total = self.frames + len(self.failed)
+            lines.append(f"left out: {len(self.failed)} of {total} images, the first: {self.failed[0]}")
+        before = f", {self.kept} were there" if self.kept else ""
+        count = self.written + self.kept
+        lines.append(f"{self.folder}: {count} images of {self.frames} frames, {self.depth} each{before}")
+        where = next(f"data.{key}={value}" for key, value in self.source.items() if key != "kind")
+        unwrap = " unwrap=none" if self.kind == "cold" else ""
+        lines.append(f"train with: siamloc train data={self.kind} {where}{unwrap}")
+        return "\n".join(lines)
+
+
+@typed
+def expand(
+    frames: FrameTable,
+    out: str | Path,
+    *,
+    depth: Count = 16,
+    image_size: Sequence[int] = (128, 512),
+    unwrap: OmnidirectionalCamera | Mapping[str, Any] | None = None,
+    circular: bool = True,
+    seed: Seed = 0,
+    resume: bool = False,
+    workers: Thousand = 2,
+    on_error: str = "skip",
+) -> Expanded:
+    """Write several images of every frame: the original, spots, global light, blur, rotations and their combinations.
+
+    Args:
+        frames: the frames to expand, as returned by a reader: the layout is that of the data set they were read from.
+        out: folder of the expanded data set, outside the data.
+        depth: number of images per frame; 16, 44, 128, 129 and 246 in the thesis.
+        image_size: rows and columns of the images, which are panoramas.
+        unwrap: camera of omnidirectional images; see `PanoramaLibrary`.
+        circular: whether the columns wrap around.
+        seed: seed of all random draws.
+        resume: continue an interrupted expansion in the same folder; only what is missing is made.
+        workers: number of images processed at once.
+        on_error: "skip" leaves unreadable images out and reports them, "raise" stops at the first.
+
+    Raises:
+        ConfigError: frames that do not come from a reader, a folder inside the data, or another process that writes
+            there.
+        DataError: no image can be read.
+        AugmentError: a folder in use, or a folder to resume that holds another expansion.
+        StorageError: the disk is full or cannot be written to.
+    """
+    check_policy(on_error)
+    folder, source = Path(out), frames.source
+    kind = str(source.get("kind", ""))
+    if kind not in ("cold", "folder", "manifest"):
+        raise ConfigError("an expanded data set keeps the layout of its source: give frames from siamloc.data.read")
+    if not len(frames):
+        raise DataError("there are no frames to expand: the table is empty")
+    root = Path(source["root"]) if "root" in source else Path(source.get("manifest") or source["places"]).parent
+    _check_apart(folder, root, kind, frames)
+    decode = Preprocessing.checked(image_size, unwrap)
+    turns = headings(len(frames), depth, seed, (decode.view.height, decode.view.width), circular)
+    theta = turned_headings(frames, turns)
+    pictures = outputs(kind, frames, root, folder, theta)
+
+    def read(path: Path) -> NDArray[np.uint8]:
+        try:
+            return decode.panorama(path)
+        except UnreadableImageError as error:
+            raise AugmentError(f"{path}: {error}") from error
+
+    with alone(folder), storage_errors(folder):
+        done = write_variants(
+            frames.path.tolist(),
+            pictures,
+            folder,
+            read,
+            seed=seed,
+            circular=circular,
+            resume=resume,
+            threads=workers,
+            on_error=on_error,
+            progress=track,
+            reading=decode.parameters(),
+        )
+    lost = {str(source) for source, _ in done.failed}
+    made = np.array([path not in lost for path in frames.path.tolist()])
+    if not made.any():
+        raise DataError(f"none of the {len(frames)} images could be read, the first: {done.failed[0][1]}")
+    left = [row for row, there in zip(pictures, made, strict=True) if there]
+    write_lists(kind, frames.take(made), left, folder, theta[made])
+    reasons = tuple(reason for _, reason in done.failed)
+    return Expanded(folder, kind, int(made.sum()), depth, done.written, done.kept, reasons)
+
+
+def outputs(kind: str, frames: FrameTable, root: Path, folder: Path, theta: NDArray[np.float64]) -> list[list[Path]]:
     """Return the file of every image (frames, depth).
 
     - cold: `<sequence folder>/<camera>/t<time>_x<x>_y<y>_a<theta>.jpeg`; the variants of a frame are a microsecond
@@ -41,64 +172,106 @@ def outputs(
         frames: n frames.
         root: the folder that the frames were read from; for a manifest, the folder of the table.
         folder: folder of the expanded data set.
-        headings: amount that each image's rotation adds to the heading (n, depth), rad.
+        theta: heading of each image (n, depth), rad.
 
     Raises:
         DataError: two images would have the same name, or the folder's own name would rename a sequence.
     """
-    places = _cold(frames, Path(root), Path(folder)) if kind == "cold" else _PLACES[kind](frames, Path(root))
-    turned = turned_headings(frames, headings)
+    above = _sequence_folders(frames, root, folder) if kind == "cold" else {}
     rows = []
-    for row, frame in enumerate(frames):
-        parent, stem, suffix = places[row]
-        pose = parse_name(f"{stem}{suffix}") if kind != "manifest" else None
-        names = [
-            f"{stem}_v{variant:03d}{suffix}"
-            if pose is None
-            else format_name(NamedPose(frame["time"] + variant * _TICK, frame["x"], frame["y"], theta), suffix)
-            for variant, theta in enumerate(turned[row].tolist())
-        ]
-        rows.append([Path(folder) / parent / name for name in names])
-    _check_distinct(rows, frames)
+    for frame, turned in zip(frames, theta.tolist(), strict=True):
+        path = Path(frame["path"])
+        if kind == "cold":
+            parent = above[frame["sequence"]] / path.parent.name
+        elif kind == "folder":
+            parent = Path(frame["sequence"]) / frame["room"]
+        elif path.is_relative_to(root) and ".." not in path.relative_to(root).parts:
+            parent = path.relative_to(root).parent
+        else:
+            parent = Path("images") / (frame["sequence"] or "frames")
+        suffix = path.suffix if path.suffix.lower() in _KEPT else ".png"
+        if kind == "manifest" or parse_name(f"{path.stem}{suffix}") is None:
+            names = [f"{path.stem}_v{variant:03d}{suffix}" for variant in range(len(turned))]
+        else:
+            time, x, y = frame["time"], frame["x"], frame["y"]
+            poses = [NamedPose(time + variant * _TICK, x, y, angle) for variant, angle in enumerate(turned)]
+            names = [format_name(pose, suffix) for pose in poses]
+        rows.append([folder / parent / name for name in names])
+    seen: dict[Path, str] = {}
+    for original, row in zip(frames.path.tolist(), rows, strict=True):
+        for target in row:
+            if target in seen:
+                raise DataError(
+                    f"{original} and {seen[target]} would both be expanded to {target}: give them different names or "
+                    "times, or expand fewer sequences at once"
+                )
+            seen[target] = original
     return rows
 
 
-def turned_headings(frames: FrameTable, headings: NDArray[np.float64]) -> NDArray[np.float64]:
+def turned_headings(frames: FrameTable, turns: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the heading of every image (frames, depth), rad; those of rotated images lie in (-pi, pi]."""
-    theta = frames.theta[:, None] + headings
-    return np.where(headings != 0, math.pi - (math.pi - theta) % (2 * math.pi), theta)
+    theta = frames.theta[:, None] + turns
+    return np.where(turns != 0, math.pi - (math.pi - theta) % (2 * math.pi), theta)
 
 
 def write_lists(
-    kind: str, frames: FrameTable, pictures: list[list[Path]], folder: str | Path, headings: NDArray[np.float64]
-) -> list[Path]:
-    """Write the files that a reader needs next to the images and return them: COLD's lists of rooms, or the manifest.
+    kind: str, frames: FrameTable, pictures: list[list[Path]], folder: Path, theta: NDArray[np.float64]
+) -> None:
+    """Write the files that a reader needs next to the images: COLD's lists of rooms, or the manifest.
 
     Args:
         kind: "cold", "folder" (which needs nothing) or "manifest".
-        frames: the frames whose images were made.
+        frames: the n frames whose images were made.
         pictures: image files of each frame (n, depth).
         folder: folder of the expanded data set.
-        headings: as for `outputs` (n, depth), rad.
+        theta: heading of each image (n, depth), rad.
 
     Raises:
         StorageError: the disk cannot be written to.
     """
     if kind == "cold":
-        return _write_places(frames, pictures)
-    if kind == "manifest":
-        return [_write_manifest(frames, pictures, Path(folder), turned_headings(frames, headings))]
-    return []
+        for rows in frames.rows_by("sequence").values():
+            sequence = pictures[rows[0]][0].parents[1]
+            # Without this note, the COLD reader would take the panoramas for images of the mirror and unwrap them.
+            write_json(sequence / "camera.json", {"images": "panorama"})
+            lines = [f"{picture.name} {frames.room[row]}\n" for row in rows for picture in pictures[row]]
+            if any(frames.room[rows].tolist()):
+                write_text(sequence / "localization" / "places.lst", "".join(lines))
+    elif kind == "manifest":
+        text = StringIO()
+        writer = csv.writer(text, lineterminator="\n")
+        writer.writerow(COLUMNS)
+        for frame, row, turned in zip(frames, pictures, theta.tolist(), strict=True):
+            for picture, angle in zip(row, turned, strict=True):
+                values = {**frame, "theta": angle, "image": picture.relative_to(folder).as_posix()}
+                writer.writerow("" if values[column] != values[column] else values[column] for column in COLUMNS)
+        write_text(folder / MANIFEST, text.getvalue())
 
 
-def _cold(frames: FrameTable, root: Path, folder: Path) -> list[tuple[Path, str, str]]:
-    """Keep each sequence's folder below the root, with as many of the folders above as its name needs."""
+def _check_apart(folder: Path, root: Path, kind: str, frames: FrameTable) -> None:
+    """Raise ConfigError if the images would end up where they would be read as frames again."""
+    inside = real_path(folder)
+    if kind != "manifest" and inside.is_relative_to(real_path(root)):
+        raise ConfigError(f"out={folder} lies in the data set {root} itself: choose a folder outside it")
+    if any(parent.is_relative_to(inside) for parent in {real_path(path).parent for path in frames.path.tolist()}):
+        raise ConfigError(f"out={folder} holds images that are to be expanded: choose a folder outside the data")
+
+
+def _sequence_folders(frames: FrameTable, root: Path, folder: Path) -> dict[str, Path]:
+    """Return where each sequence goes: its folder below the root, or enough of the folders above for its name.
+
+    Raises:
+        DataError: the name of the expanded data set's own folder would rename a sequence.
+    """
     above: dict[str, Path] = {}
     for sequence, rows in frames.rows_by("sequence").items():
-        camera = Path(frames.path[rows[0]]).parent
-        rooms = frames.room[rows].tolist()
-        for relative in _candidates(camera.parent, root, sequence):
-            if name_sequence(folder / relative, relative.as_posix(), rooms).sequence == sequence:
+        old = Path(frames.path[rows[0]]).parent.parent
+        below = [old.relative_to(root)] if old.is_relative_to(root) else []
+        tails = [Path(*old.absolute().parts[-count:]) for count in (1, 2, 3) if len(old.absolute().parts) > count]
+        for relative in [*(path for path in [*below, *tails] if path.parts), Path(sequence)]:
+            named = name_sequence(folder / relative, relative.as_posix(), frames.room[rows].tolist())
+            if named.sequence == sequence:
                 above[sequence] = relative
                 break
         else:
@@ -106,80 +279,4 @@ def _cold(frames: FrameTable, root: Path, folder: Path) -> list[tuple[Path, str,
                 f"below {folder} the sequence {sequence} would be read as one of another building: choose a folder "
                 "whose name contains no building and no part"
             )
-    return [
-        (above[frame["sequence"]] / Path(frame["path"]).parent.name, *_stem(Path(frame["path"]))) for frame in frames
-    ]
-
-
-def _candidates(sequence_folder: Path, root: Path, sequence: str) -> list[Path]:
-    parts = sequence_folder.absolute().parts
-    below = [sequence_folder.relative_to(root)] if sequence_folder.is_relative_to(root) else []
-    tails = [Path(*parts[-count:]) for count in (1, 2, 3) if len(parts) > count]
-    return [path for path in [*below, *tails] if path.parts] + [Path(sequence)]
-
-
-def _folder(frames: FrameTable, root: Path) -> list[tuple[Path, str, str]]:
-    return [(Path(frame["sequence"]) / frame["room"], *_stem(Path(frame["path"]))) for frame in frames]
-
-
-def _manifest(frames: FrameTable, root: Path) -> list[tuple[Path, str, str]]:
-    """Keep the images' own folders if they lie below the table's folder, else gather them by sequence."""
-    places = []
-    for frame in frames:
-        path = Path(frame["path"])
-        inside = path.is_relative_to(root) and ".." not in path.relative_to(root).parts
-        parent = path.relative_to(root).parent if inside else Path("images") / (frame["sequence"] or "frames")
-        places.append((parent, *_stem(path)))
-    return places
-
-
-_PLACES: dict[str, Callable[[FrameTable, Path], list[tuple[Path, str, str]]]] = {
-    "folder": _folder,
-    "manifest": _manifest,
-}
-
-
-def _stem(path: Path) -> tuple[str, str]:
-    return path.stem, path.suffix if path.suffix.lower() in _KEPT else ".png"
-
-
-def _check_distinct(rows: list[list[Path]], frames: FrameTable) -> None:
-    seen: dict[Path, str] = {}
-    for frame, row in zip(frames, rows, strict=True):
-        for path in row:
-            if path in seen:
-                raise DataError(
-                    f"{frame['path']} and {seen[path]} would both be expanded to {path}: give them different names or "
-                    "times, or expand fewer sequences at once"
-                )
-            seen[path] = frame["path"]
-
-
-def _write_places(frames: FrameTable, pictures: list[list[Path]]) -> list[Path]:
-    written = []
-    for rows in frames.rows_by("sequence").values():
-        sequence = pictures[rows[0]][0].parents[1]
-        # Without this note, the COLD reader would take the panoramas for images of the mirror and unwrap them.
-        write_json(sequence / "camera.json", {"images": "panorama"})
-        if not any(frames.room[rows].tolist()):
-            continue
-        lines = [f"{picture.name} {frames.room[row]}\n" for row in rows for picture in pictures[row]]
-        target = sequence / "localization" / "places.lst"
-        target.parent.mkdir(parents=True, exist_ok=True)
-        write_text(target, "".join(lines))
-        written.append(target)
-    return written
-
-
-def _write_manifest(
-    frames: FrameTable, pictures: list[list[Path]], folder: Path, headings: NDArray[np.float64]
-) -> Path:
-    text = StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(COLUMNS)
-    for row, frame in enumerate(frames):
-        for picture, theta in zip(pictures[row], headings[row].tolist(), strict=True):
-            values = {**frame, "theta": theta, "image": picture.relative_to(folder).as_posix()}
-            writer.writerow("" if values[column] != values[column] else values[column] for column in COLUMNS)
-    write_text(folder / MANIFEST, text.getvalue())
-    return folder / MANIFEST
+    return above

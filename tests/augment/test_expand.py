@@ -1,6 +1,7 @@
 import json
 import subprocess
 import sys
+from pathlib import Path
 
 import cv2
 import numpy as np
@@ -8,8 +9,8 @@ import pytest
 import torch
 
 import augment
-from augment.expand import expand, headings, replay
-from augment.expansion_files import COLUMNS, read_table
+from augment.expand import COLUMNS, expand, headings, read_table, replay
+from foundation.errors import FormatError
 from foundation.files import is_temporary
 from tests.augment.pictures import panoramas
 
@@ -32,14 +33,20 @@ def contents(folder):
     return {path.relative_to(folder).as_posix(): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
 
 
+def read(path):
+    image = cv2.imread(str(path)) if path.is_file() else None
+    if image is None:
+        raise augment.AugmentError(f"{path} cannot be read")
+    return np.ascontiguousarray(image[:, :, ::-1].transpose(2, 0, 1))
+
+
 def load(path):
-    image = cv2.imread(str(path))[:, :, ::-1]
-    return torch.from_numpy(np.ascontiguousarray(image.transpose(2, 0, 1)))[None]
+    return torch.from_numpy(read(Path(path)))[None]
 
 
 def test_writes_every_variant_and_a_table_that_repeats_it(images, tmp_path):
     out = tmp_path / "out"
-    done = expand(images, outputs(out, 3, 16), out, seed=7)
+    done = expand(images, outputs(out, 3, 16), out, read, seed=7)
     assert (done.written, done.kept, done.failed) == (48, 0, ())
     rows = read_table(done.table)
     assert [(int(row["frame"]), int(row["variant"])) for row in rows] == [(f, v) for f in range(3) for v in range(16)]
@@ -53,8 +60,8 @@ def test_writes_every_variant_and_a_table_that_repeats_it(images, tmp_path):
 
 def test_parameters_follow_from_seed_frame_and_variant_alone(images, tmp_path):
     first, second = tmp_path / "a", tmp_path / "b"
-    expand(images, outputs(first, 3, 16), first, seed=1, threads=1)
-    expand(images, outputs(second, 3, 16), second, seed=1, threads=3)
+    expand(images, outputs(first, 3, 16), first, read, seed=1, threads=1)
+    expand(images, outputs(second, 3, 16), second, read, seed=1, threads=3)
     assert contents(first) == contents(second)
     variant = augment.variants(16)[2]
     both, other = (variant.parameters(seed, [0, 1], (16, 32))["0.bulb.radius"] for seed in (1, 2))
@@ -64,7 +71,7 @@ def test_parameters_follow_from_seed_frame_and_variant_alone(images, tmp_path):
 
 def test_headings_are_known_before_any_picture_is_made(images, tmp_path):
     out = tmp_path / "out"
-    done = expand(images, outputs(out, 3, 20), out, seed=3)
+    done = expand(images, outputs(out, 3, 20), out, read, seed=3)
     known = headings(3, 20, 3, (16, 32))
     assert known.shape == (3, 20)
     for row in read_table(done.table):
@@ -90,49 +97,29 @@ def test_headings_of_many_variants_show_their_progress():
 
 def test_resuming_makes_only_what_is_missing(images, tmp_path):
     out, targets = tmp_path / "out", outputs(tmp_path / "out", 3, 16)
-    expand(images, targets, out)
+    expand(images, targets, out, read)
     whole = contents(out)
     targets[0][3].unlink()
     targets[2][15].unlink()
     kept = targets[1][1].stat().st_mtime_ns
-    done = expand(images, targets, out, resume=True)
+    done = expand(images, targets, out, read, resume=True)
     assert (done.written, done.kept) == (2, 46)
     assert contents(out) == whole
     assert targets[1][1].stat().st_mtime_ns == kept
 
 
-def test_resuming_after_an_interruption_in_the_middle_of_a_line(images, tmp_path):
-    out, targets = tmp_path / "out", outputs(tmp_path / "out", 3, 16)
-    expand(images, targets, out)
-    whole = contents(out)
-    table = out / "augmentation.csv"
+@pytest.mark.parametrize("cut", [0, 5, 59, 60, 400, -1, "ü"])
+def test_resuming_from_a_table_that_a_killed_run_cut_anywhere(images, tmp_path, cut):
+    images = [path.rename(path.with_name(f"büro {path.name}")) for path in images]
+    out, targets = tmp_path / "out", outputs(tmp_path / "out", 3, 4)
+    expand(images, targets, out, read)
+    whole, table = contents(out), out / "augmentation.csv"
     text = table.read_bytes()
-    table.write_bytes(text[: len(text) // 2])
-    lines = text[: len(text) // 2].count(b"\n") - 1
-    done = expand(images, targets, out, resume=True)
-    assert done.kept in (lines, lines + 1)
-    assert contents(out) == whole
-
-
-@pytest.mark.parametrize("length", [0, 5, 59, 60, 400, -1])
-def test_resuming_from_a_table_that_a_killed_run_cut_anywhere(images, tmp_path, length):
-    images = [path.rename(path.with_name(f"büro {path.name}")) for path in images]
-    out, targets = tmp_path / "out", outputs(tmp_path / "out", 3, 4)
-    expand(images, targets, out)
-    whole, table = contents(out), out / "augmentation.csv"
-    table.write_bytes(table.read_bytes()[:length])
-    done = expand(images, targets, out, resume=True)
+    left = text[: text.rindex("ü".encode()) + 1 if cut == "ü" else cut]
+    table.write_bytes(left)
+    done = expand(images, targets, out, read, resume=True)
     assert done.written + done.kept == 12
-    assert contents(out) == whole
-
-
-def test_resuming_from_a_table_cut_within_a_letter(images, tmp_path):
-    images = [path.rename(path.with_name(f"büro {path.name}")) for path in images]
-    out, targets = tmp_path / "out", outputs(tmp_path / "out", 3, 4)
-    expand(images, targets, out)
-    whole, table = contents(out), out / "augmentation.csv"
-    table.write_bytes(table.read_bytes()[: table.read_bytes().rindex("ü".encode()) + 1])
-    assert expand(images, targets, out, resume=True).kept == 11
+    assert done.kept == max(left.count(b"\n") - 1, 0)
     assert contents(out) == whole
 
 
@@ -150,7 +137,7 @@ def test_a_run_killed_before_its_settings_were_written_leaves_an_empty_folder(im
     out = tmp_path / "out"
     subprocess.run([sys.executable, "-c", KILLED, str(out / "augmentation.json")], check=False)
     assert len(list(out.iterdir())) == 1
-    assert expand(images, outputs(out, 3, 1), out, resume=resume).written == 3
+    assert expand(images, outputs(out, 3, 1), out, read, resume=resume).written == 3
     assert not [path for path in out.rglob("*") if is_temporary(path)]
 
 
@@ -163,8 +150,8 @@ def test_a_stopped_expansion_keeps_what_it_made(images, tmp_path):
         raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        expand(images, targets, out, threads=1, progress=stop)
-    done = expand(images, targets, out, resume=True)
+        expand(images, targets, out, read, threads=1, progress=stop)
+    done = expand(images, targets, out, read, resume=True)
     assert done.kept == 4
     assert done.written == 8
     assert len(read_table(done.table)) == 12
@@ -176,9 +163,9 @@ def test_a_folder_that_is_not_empty_is_refused(images, tmp_path):
     out.mkdir()
     (out / "mine.txt").write_text("mine")
     with pytest.raises(augment.AugmentError, match=r"is not empty: choose another folder, or go on with resume=true"):
-        expand(images, outputs(out, 3, 1), out)
+        expand(images, outputs(out, 3, 1), out, read)
     with pytest.raises(augment.AugmentError, match=r"has no augmentation.json, so there is nothing to resume"):
-        expand(images, outputs(out, 3, 1), out, resume=True)
+        expand(images, outputs(out, 3, 1), out, read, resume=True)
     assert contents(out) == {"mine.txt": b"mine"}
 
 
@@ -187,93 +174,60 @@ def test_a_folder_that_is_not_empty_is_refused(images, tmp_path):
     [
         ({"seed": 1}, "was expanded with seed=0, now asked for 1"),
         ({"circular": False}, "was expanded with circular=True, now asked for False"),
+        ({"depth": 3}, "was expanded with depth=2, now asked for 3"),
+        ({"order": -1}, "which is not what is asked for now"),
+        ({"reading": {"size": (32, 64)}}, r"was expanded with reading=.*32.*, now asked for .*64"),
     ],
 )
 def test_resuming_with_other_settings_is_refused(images, tmp_path, change, message):
-    out, targets = tmp_path / "out", outputs(tmp_path / "out", 3, 2)
-    expand(images, targets, out)
+    def ask(depth=2, order=1, resume=True, **options):
+        targets = outputs(tmp_path / "out", 3, depth)
+        how = {"reading": {"size": (16, 32)}, "resume": resume, **options}
+        return expand(images[::order], targets, tmp_path / "out", read, **how)
+
+    ask(resume=False)
+    assert ask().kept == 6
     with pytest.raises(augment.AugmentError, match=message):
-        expand(images, targets, out, resume=True, **change)
-    with pytest.raises(augment.AugmentError, match="was expanded with depth=2, now asked for 3"):
-        expand(images, outputs(out, 3, 3), out, resume=True)
-    with pytest.raises(augment.AugmentError, match="which is not what is asked for now"):
-        expand(images[::-1], targets, out, resume=True)
+        ask(**change)
 
 
-def test_resuming_with_another_way_of_reading_is_refused(images, tmp_path):
+@pytest.mark.parametrize(
+    ("name", "text", "error", "message"),
+    [
+        ("csv", "a,b\n1,2\n", augment.AugmentError, r"is not a table of augment.expand: its columns must be image, "),
+        ("json", '{"seed": ', FormatError, "is incomplete or invalid JSON"),
+        ("json", "[]", augment.AugmentError, "was expanded with schema=None"),
+    ],
+)
+def test_settings_or_table_that_are_none(images, tmp_path, name, text, error, message):
     out, targets = tmp_path / "out", outputs(tmp_path / "out", 3, 2)
-    expand(images, targets, out, reading={"size": (16, 32)})
-    expand(images, targets, out, reading={"size": (16, 32)}, resume=True)
-    with pytest.raises(augment.AugmentError, match=r"was expanded with reading=.*32.*, now asked for .*64"):
-        expand(images, targets, out, reading={"size": (32, 64)}, resume=True)
-
-
-def test_settings_or_table_that_are_none(images, tmp_path):
-    out, targets = tmp_path / "out", outputs(tmp_path / "out", 3, 2)
-    expand(images, targets, out)
-    (out / "augmentation.csv").write_text("a,b\n1,2\n")
-    with pytest.raises(augment.AugmentError, match=r"is not a table of augment.expand: its columns must be image, "):
-        expand(images, targets, out, resume=True)
-    (out / "augmentation.json").write_text('{"seed": ')
-    with pytest.raises(augment.AugmentError, match="is incomplete or invalid JSON"):
-        expand(images, targets, out, resume=True)
-    (out / "augmentation.json").write_text("[]")
-    with pytest.raises(augment.AugmentError, match="contains no settings"):
-        expand(images, targets, out, resume=True)
+    expand(images, targets, out, read)
+    (out / f"augmentation.{name}").write_text(text)
+    with pytest.raises(error, match=message):
+        expand(images, targets, out, read, resume=True)
 
 
 def test_an_image_that_cannot_be_read_is_reported_and_left_out(images, tmp_path):
     images[1].write_bytes(b"no picture")
     images[2].unlink()
     out = tmp_path / "out"
-    done = expand(images, outputs(out, 3, 4), out)
+    done = expand(images, outputs(out, 3, 4), out, read)
     assert done.written == 4
-    assert [reason for _, reason in done.failed] == [
-        f"{images[1]} is not a readable image",
-        f"{images[2]} does not exist",
-    ]
-    with pytest.raises(augment.AugmentError, match=r"1.png is not a readable image"):
-        expand(images, outputs(tmp_path / "strict", 3, 4), tmp_path / "strict", on_error="raise")
+    assert done.failed == tuple((path, f"{path} cannot be read") for path in images[1:])
+    with pytest.raises(augment.AugmentError, match=r"1.png cannot be read"):
+        expand(images, outputs(tmp_path / "strict", 3, 4), tmp_path / "strict", read, on_error="raise")
 
 
 def test_jpeg_outputs_have_quality_95(images, tmp_path):
     out = tmp_path / "out"
-    expand(images, outputs(out, 3, 1, ".jpeg"), out)
+    expand(images, outputs(out, 3, 1, ".jpeg"), out, read)
     packed = cv2.imencode(".jpg", cv2.imread(str(images[0])), [cv2.IMWRITE_JPEG_QUALITY, 95])[1]
     assert (out / "v000/0.jpeg").read_bytes() == packed.tobytes()
 
 
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        (lambda i, o: ([], [], o), "there is no image to expand"),
-        (lambda i, o: (i, outputs(o, 2, 2), o), "3 images need as many rows of outputs, got 2"),
-        (lambda i, o: (i, [[o / "a.png"], [], []], o), "every image needs the same number of outputs"),
-        (lambda i, o: (i, [[o / "a.png"]] * 3, o), "outputs must differ from each other and from the images"),
-        (lambda i, o: (i, [[p] for p in i], o.parent), "outputs must differ from each other and from the images"),
-        (lambda i, o: (i, outputs(o / "..", 3, 1), o / "deeper"), "lies outside the folder"),
-        (lambda i, o: (i, outputs(o / "in" / ".." / "..", 3, 1), o), "lies outside the folder"),
-        (lambda i, o: (i, outputs(o, 3, 1, ".txt"), o), "does not end like an image: use .jpeg or .png"),
-    ],
-)
-def test_paths_that_make_no_sense(images, tmp_path, arguments, message):
-    with pytest.raises(augment.AugmentError, match=message):
-        expand(*arguments(images, tmp_path / "out"))
-    assert not (tmp_path / "out").exists()
-
-
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [({"on_error": "stop"}, "on_error must be skip or raise, got 'stop'"), ({"seed": -1}, "seed must be 0 or more")],
-)
-def test_options_that_make_no_sense(images, tmp_path, options, message):
-    with pytest.raises(augment.AugmentError, match=message):
-        expand(images, outputs(tmp_path / "out", 3, 1), tmp_path / "out", **options)
-
-
 def test_table_is_plain(images, tmp_path):
     out = tmp_path / "out"
-    done = expand(images, outputs(out, 3, 2), out)
+    done = expand(images, outputs(out, 3, 2), out, read)
     text = done.table.read_text(encoding="utf-8")
     assert text.splitlines()[0] == ",".join(COLUMNS)
     row = read_table(done.table)[1]

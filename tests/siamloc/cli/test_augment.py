@@ -8,8 +8,7 @@ import pytest
 import torch
 
 import augment
-from augment.expand import replay
-from augment.expansion_files import read_table
+from augment.expand import read_table, replay
 from siamloc import data
 from siamloc.cli import main
 from tests.drawn import write_manifest

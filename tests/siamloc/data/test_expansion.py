@@ -1,12 +1,15 @@
 import math
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+from foundation import files
+from foundation.files import write_picture
 from siamloc import data
 from siamloc.data.expansion import outputs, turned_headings, write_lists
 from siamloc.data.frames import FrameTable
-from siamloc.errors import DataError
+from siamloc.errors import ConfigError, DataError
 from tests.drawn import write_manifest
 
 TURNS = np.array([[0.0, 0.5], [0.0, -3.0], [0.0, 3.0]])
@@ -26,47 +29,46 @@ def cold_frames(folder="/cold/freiburg/part_a/seq2_cloudy3", rooms=("CR-A", "CR-
     )
 
 
-def touch(paths):
-    for row in paths:
-        for path in row:
-            path.parent.mkdir(parents=True, exist_ok=True)
-            path.touch()
+def expanded(kind, frames, root, folder, turns=TURNS):
+    """Make the files of an expanded data set, empty ones, and return them."""
+    theta = turned_headings(frames, turns)
+    files = outputs(kind, frames, Path(root), folder, theta)
+    for path in (path for row in files for path in row):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.touch()
+    write_lists(kind, frames, files, folder, theta)
+    return files
 
 
 @pytest.mark.parametrize("root", ["/cold", "/cold/freiburg", "/cold/freiburg/part_a/seq2_cloudy3"])
 def test_an_expanded_cold_data_set_reads_as_the_frames_with_turned_headings(tmp_path, root):
     frames = cold_frames()
-    files = outputs("cold", frames, root, tmp_path, TURNS)
-    touch(files)
-    (listed,) = write_lists("cold", frames, files, tmp_path, TURNS)
-    assert listed.name == "places.lst"
+    files = expanded("cold", frames, root, tmp_path)
     found = data.read("cold", root=tmp_path, on_error="raise")
     assert set(found.sequence.tolist()) == {"freiburg_a_seq2_cloudy3"}
     assert found.room.tolist() == ["CR-A"] * 4 + ["KT-A"] * 2
     np.testing.assert_allclose(found.xy, np.repeat(frames.xy, 2, axis=0))
-    expected = [0.25, 0.75, -1.0, -4.0 + 2 * math.pi, 3.0, 6.0 - 2 * math.pi]
-    np.testing.assert_allclose(found.theta, expected, atol=1e-6)
+    angles = [0.25, 0.75, -1.0, -4.0 + 2 * math.pi, 3.0, 6.0 - 2 * math.pi]
+    np.testing.assert_allclose(found.theta, angles, atol=1e-6)
     assert found.path.tolist() == [str(path) for row in files for path in row]
 
 
 def test_a_folder_whose_name_would_rename_the_sequence_is_refused(tmp_path):
     frames = cold_frames("/drives/seq2_cloudy3").with_columns(sequence=["seq2_cloudy3"] * 3)
     with pytest.raises(DataError, match="seq2_cloudy3 would be read as one of another building: choose a folder"):
-        outputs("cold", frames, "/drives/seq2_cloudy3", tmp_path / "freiburg_part_b" / "cold-freiburg_part_b", TURNS)
+        expanded("cold", frames, "/drives/seq2_cloudy3", tmp_path / "freiburg_part_b" / "cold-freiburg_part_b")
 
 
 def test_sequences_without_rooms_get_no_list(tmp_path):
-    frames = cold_frames(rooms=("", "", ""))
-    files = outputs("cold", frames, "/cold", tmp_path, TURNS)
-    touch(files)
-    assert write_lists("cold", frames, files, tmp_path, TURNS) == []
+    expanded("cold", cold_frames(rooms=("", "", "")), "/cold", tmp_path)
+    assert not list(tmp_path.rglob("places.lst"))
     assert len(data.read("cold", root=tmp_path)) == 6
 
 
 def test_frames_that_would_share_a_name_are_an_error(tmp_path):
     frames = cold_frames(times=(10.5, 11.0, 11.0)).take([1, 2]).with_columns(theta=[3.0, 3.0])
     with pytest.raises(DataError, match=r"would both be expanded to .*give them different names or times"):
-        outputs("cold", frames, "/cold", tmp_path, np.zeros((2, 2)))
+        expanded("cold", frames, "/cold", tmp_path, np.zeros((2, 2)))
 
 
 def test_an_expanded_manifest_reads_as_the_frames(tmp_path):
@@ -74,10 +76,8 @@ def test_an_expanded_manifest_reads_as_the_frames(tmp_path):
     frames = data.read("manifest", manifest=table)
     turns = np.zeros((len(frames), 3))
     turns[:, 2] = 1.0
-    files = outputs("manifest", frames, table.parent, tmp_path / "out", turns)
-    touch(files)
-    (manifest,) = write_lists("manifest", frames, files, tmp_path / "out", turns)
-    found = data.read("manifest", manifest=manifest, on_error="raise")
+    expanded("manifest", frames, table.parent, tmp_path / "out", turns)
+    found = data.read("manifest", manifest=tmp_path / "out/manifest.csv", on_error="raise")
     for column in ("x", "y", "room", "sequence", "lighting", "time"):
         assert np.array_equal(getattr(found, column), np.repeat(getattr(frames, column), 3)), column
     np.testing.assert_allclose(np.cos(found.theta), np.cos(np.repeat(frames.theta, 3) + turns.ravel()))
@@ -86,12 +86,9 @@ def test_an_expanded_manifest_reads_as_the_frames(tmp_path):
 
 def test_images_beside_the_manifests_folder_are_gathered_in_it(tmp_path):
     frames = FrameTable(path=["/elsewhere/a.tif", "/data/x/../b.png"], sequence=["one", ""])
-    files = outputs("manifest", frames, "/data/x", tmp_path, np.zeros((2, 1)))
-    assert [row[0].relative_to(tmp_path).as_posix() for row in files] == [
-        "images/one/a_v000.png",
-        "images/frames/b_v000.png",
-    ]
-    write_lists("manifest", frames, files, tmp_path, np.zeros((2, 1)))
+    files = expanded("manifest", frames, "/data/x", tmp_path, np.zeros((2, 1)))
+    names = [row[0].relative_to(tmp_path).as_posix() for row in files]
+    assert names == ["images/one/a_v000.png", "images/frames/b_v000.png"]
     assert "nan" not in (tmp_path / "manifest.csv").read_text()
 
 
@@ -101,10 +98,7 @@ def test_an_expanded_image_folder_reads_as_the_frames(tmp_path):
         (root / name).parent.mkdir(parents=True)
         (root / name).touch()
     frames = data.read("folder", root=root)
-    turns = np.tile([0.0, 0.5], (2, 1))
-    files = outputs("folder", frames, root, tmp_path / "out", turns)
-    touch(files)
-    assert write_lists("folder", frames, files, tmp_path / "out", turns) == []
+    expanded("folder", frames, root, tmp_path / "out", np.tile([0.0, 0.5], (2, 1)))
     found = data.read("folder", root=tmp_path / "out")
     for column in ("room", "sequence", "lighting"):
         assert sorted(getattr(found, column).tolist()) == sorted(np.repeat(getattr(frames, column), 2).tolist())
@@ -113,8 +107,54 @@ def test_an_expanded_image_folder_reads_as_the_frames(tmp_path):
 
 
 def test_a_heading_that_was_not_turned_stays_as_it_was_written():
-    frames = cold_frames().with_columns(theta=[4.0, math.nan, 3.0])
-    turned = turned_headings(frames, TURNS)
+    turned = turned_headings(cold_frames().with_columns(theta=[4.0, math.nan, 3.0]), TURNS)
     assert turned[0, 0] == 4.0
     assert np.isnan(turned[1]).all()
     assert (np.abs(turned[2]) <= math.pi).all()
+
+
+@pytest.fixture
+def frames(tmp_path):
+    images = data.example(frames=2)
+    lines = [f"{one['path']},{one['x']},0,0.5,{one['room']},{one['sequence']}" for one in images.frames]
+    manifest = tmp_path / "robot.csv"
+    manifest.write_text("image,x,y,theta,room,sequence\n" + "\n".join(lines) + "\n")
+    return data.read("manifest", manifest=manifest)
+
+
+def test_what_was_expanded_is_read_back(frames, tmp_path):
+    done = data.expand(frames, tmp_path / "out", depth=3, image_size=(16, 64))
+    again = data.read(**done.source)
+    assert (len(again), done.written, done.kept) == (12, 12, 0)
+    assert set(again.room) == set(frames.room)
+    assert f"siamloc train data=manifest data.manifest={tmp_path / 'out' / 'manifest.csv'}" in done.summary()
+
+
+def test_a_single_list_of_cold_is_expanded(tmp_path):
+    drive = tmp_path / "in" / "seq1_night2"
+    picture, name = drive / "omni_cam" / "t1.0_x0.0_y0.0_a0.5.jpeg", "t1.000000_x0.000000_y0.000000_a0.500000.jpeg"
+    write_picture(picture, np.zeros((32, 32, 3), np.uint8))
+    (drive / "places.lst").write_text(f"{picture.name} CR-A\n")
+    frames = data.read("cold", places=drive / "places.lst")
+    done = data.expand(frames, tmp_path / "out", depth=1, image_size=(16, 64))
+    assert [path.name for path in done.folder.rglob("*.jpeg")] == [name]
+    assert data.read(**done.source).sequence.tolist() == ["seq1_night2"]
+
+
+def test_what_a_killed_run_left_of_the_list_goes_and_foreign_files_stay(frames, tmp_path, monkeypatch):
+    out = tmp_path / "out"
+    data.expand(frames, out, depth=2, image_size=(16, 64))
+    (out / "manifest.csv").unlink()
+    (out / f".manifest.csv.{files._HOST}-999999999-0.tmp.csv").write_text("cut")
+    (out / ".notes.tmp").write_text("mine")
+    monkeypatch.setattr("foundation.files._cleared", set())  # as in another process
+    assert data.expand(frames, out, depth=2, image_size=(16, 64), resume=True).kept == 8
+    assert not list(out.glob(".manifest*"))
+    assert (out / ".notes.tmp").read_text() == "mine"
+
+
+def test_frames_that_cannot_be_expanded(frames, tmp_path):
+    with pytest.raises(ConfigError, match=r"give frames from siamloc\.data\.read"):
+        data.expand(data.example(frames=2).frames, tmp_path / "out")
+    with pytest.raises(DataError, match="there are no frames to expand"):
+        data.expand(frames.take([]), tmp_path / "out")
