@@ -11,8 +11,8 @@ from foundation.settings import Rule, Seed, Text, Thousand
 from siamloc.data.frames import image_files
 from siamloc.errors import DataError
 from siamloc.jobs.choices import Folder
-from siamloc.jobs.data_job import DataJob
 from siamloc.jobs.job import Say, quiet
+from siamloc.jobs.run_job import DataJob
 
 Depth = Annotated[int, Rule("a whole number from 1 to 10,000", lambda value: 1 <= value <= 10_000)]
 Picture = Annotated[str, Rule(f"a picture's name, ending {' '.join(PICTURES)}", is_picture)]

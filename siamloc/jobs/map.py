@@ -6,9 +6,8 @@ from dataclasses import dataclass
 
 from siamloc import maps
 from siamloc.jobs.choices import OF_A_RUN
-from siamloc.jobs.inherit import map_of_job
 from siamloc.jobs.job import Say, quiet
-from siamloc.jobs.opening import RunJob, files_in
+from siamloc.jobs.run_job import RunJob, files_in, map_of_job
 from siamloc.jobs.sweep import of_layer, own_folder, swept
 from siamloc.maps import VisualMap
 

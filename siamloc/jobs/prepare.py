@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from siamloc.data import PanoramaLibrary, check, summary
-from siamloc.jobs.data_job import DataJob
 from siamloc.jobs.job import Say, quiet
+from siamloc.jobs.run_job import DataJob
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -11,10 +11,8 @@ from siamloc.data.pairs import PairSettings
 from siamloc.data.places import PlaceSettings
 from siamloc.errors import ConfigError
 from siamloc.jobs.choices import Augment, Folder, Loader, Loss, Model, TrainerKeys
-from siamloc.jobs.data_job import DataJob
-from siamloc.jobs.inherit import with_settings_of_the_run
 from siamloc.jobs.job import Given, Job, Say, quiet
-from siamloc.jobs.opening import of_job
+from siamloc.jobs.run_job import DataJob, of_job, with_settings_of_the_run
 from siamloc.jobs.sweep import sweep_suffix
 from siamloc.models.registry import LOSSES, Optimizer
 from siamloc.pretraining.settings import RECIPE, ViewSettings
