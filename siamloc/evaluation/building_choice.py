@@ -187,7 +187,11 @@ def _nearest(
 
 
 def evaluate_buildings(
-    frames: FrameTable, labels: Sequence[str], apart: ArrayLike, nearest: ArrayLike, names: Sequence[ArrayLike]
+    frames: FrameTable,
+    labels: Sequence[str],
+    apart: NDArray[np.float64],
+    nearest: NDArray[np.int64],
+    names: Sequence[ArrayLike],
 ) -> Result:
     """Predict the building of each query as that of the nearest representative, the first of equally near ones.
 
@@ -197,33 +201,11 @@ def evaluate_buildings(
         apart: distance of each query's descriptor to the nearest representative of each building (n, B).
         nearest: row of that representative in its map (n, B).
         names: names of the representatives of each building.
-
-    Raises:
-        DataError: fewer than two buildings, a building that is named twice, no queries, queries whose building is
-            unknown or has no map, or distances of the wrong shape.
     """
-    known, distance = tuple(map(str, labels)), np.asarray(apart, dtype=np.float64)
-    rows = np.asarray(nearest, dtype=np.int64)
-    if len(known) < 2 or len(set(known)) < len(known):
-        raise DataError(f"choosing a building needs maps of at least two different ones, got {', '.join(known)}")
-    if not len(frames):
-        raise DataError("there are no queries to evaluate")
-    if distance.shape != (len(frames), len(known)) or rows.shape != distance.shape:
-        raise DataError(
-            f"{len(frames)} queries and {len(known)} buildings need distances of shape {(len(frames), len(known))}, "
-            f"got {distance.shape} and rows of {rows.shape}"
-        )
-    lost = np.flatnonzero(~np.isin(frames.building, known))
-    if len(lost):
-        first = str(frames.building[lost[0]]) or "(unknown)"
-        raise DataError(
-            f"{len(lost)} of {len(frames)} queries are in a building that has no map, the first in {first!r}: the "
-            f"maps are of {', '.join(known)}"
-        )
-    every = np.arange(len(frames))
-    chosen = distance.argmin(axis=1)
-    others = distance.copy()
+    known, every, chosen = np.array(labels), np.arange(len(frames)), apart.argmin(axis=1)
+    rows, others = nearest[every, chosen], apart.astype(np.float64)
     others[every, chosen] = np.inf
+    match_names = [str(np.asarray(names[b])[row]) for b, row in zip(chosen, rows, strict=True)]
     columns: Columns = {
         "query": every,
         "path": frames.path,
@@ -231,22 +213,19 @@ def evaluate_buildings(
         "lighting": frames.lighting,
         "room": frames.room,
         "building": frames.building,
-        "predicted_building": np.array(known)[chosen],
-        "correct": np.array(known)[chosen] == frames.building,
-        "match": rows[every, chosen],
-        "match_name": np.array(
-            [str(np.asarray(names[b])[row]) for b, row in zip(chosen, rows[every, chosen], strict=True)], dtype=np.str_
-        ),
-        "descriptor_distance": distance[every, chosen],
+        "predicted_building": known[chosen],
+        "correct": known[chosen] == frames.building,
+        "match": rows,
+        "match_name": np.array(match_names, dtype=np.str_),
+        "descriptor_distance": apart[every, chosen],
         "next_distance": others.min(axis=1),
+        **{f"distance_{label}": apart[:, number] for number, label in enumerate(labels)},
     }
-    for number, label in enumerate(known):
-        columns[f"distance_{label}"] = distance[:, number]
     return Result(
         name="buildings",
-        parts={"buildings": building_measures(columns, known)},
+        parts={"buildings": building_measures(columns, labels)},
         tables={"queries": columns},
-        denominators={"queries": len(frames), "maps": len(known)},
+        denominators={"queries": len(frames), "maps": len(labels)},
     )
 
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from siamloc.errors import ConfigError, DataError
+from siamloc.evaluation.metrics.arrays import column_of
 from siamloc.results import by_label
 
 
@@ -25,12 +25,9 @@ def calibration_curve(predicted: ArrayLike, error: ArrayLike, bins: int = 10) ->
         For each bin, in order of the prediction: `count`, and the means `predicted` and `observed`.
 
     Raises:
-        ConfigError: bins below 1.
-        DataError: other shapes, or values that are not finite.
+        DataError: another shape, or values that are not finite.
     """
-    if int(bins) != bins or bins < 1:
-        raise ConfigError(f"a calibration curve needs a whole number of bins >= 1, got {bins}")
-    expected, observed = _pair(predicted, error)
+    expected, observed = column_of(predicted, "predicted errors"), column_of(error, "observed errors")
     if not len(expected):
         return []
     edges = np.unique(np.quantile(expected, np.arange(1, int(bins)) / bins, method="lower"))
@@ -56,16 +53,9 @@ def lost_measures(
     Returns:
         lost_above; `called`, `lost` and `both`, numbers of queries; `precision`, both / called; `recall`, both / lost;
         NaN if the denominator is zero.
-
-    Raises:
-        ConfigError: a threshold that is not positive.
-        DataError: other shapes, or values that are not finite.
     """
-    if not 0 < lost_above < math.inf:
-        raise ConfigError(f"the threshold of being lost must be a positive error, got {lost_above}")
-    expected, observed = _pair(predicted, error)
-    verdict = expected > lost_above if called is None else np.asarray(called, dtype=bool)
-    lost = observed > lost_above
+    verdict = np.asarray(predicted) > lost_above if called is None else np.asarray(called, dtype=bool)
+    lost = np.asarray(error) > lost_above
     both = int((verdict & lost).sum())
     n_called, n_lost = int(verdict.sum()), int(lost.sum())
     return {
@@ -88,9 +78,6 @@ def calibration_measures(columns: Mapping[str, NDArray], lost_above: float, bins
         `observed`, the means; `gap`, the difference between predicted and observed error in a query's bin of the
         calibration curve, averaged over queries; `curve`, as from `calibration_curve`; and `lost`, as from
         `lost_measures`.
-
-    Raises:
-        ConfigError, DataError: as for `calibration_curve` and `lost_measures`.
     """
 
     def group(rows: NDArray[np.int64]) -> dict[str, Any]:
@@ -107,13 +94,3 @@ def calibration_measures(columns: Mapping[str, NDArray], lost_above: float, bins
         }
 
     return by_label(columns, group, "lighting", "room")
-
-
-def _pair(predicted: ArrayLike, error: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    expected, observed = np.asarray(predicted, dtype=np.float64), np.asarray(error, dtype=np.float64)
-    if expected.ndim != 1 or expected.shape != observed.shape:
-        raise DataError(f"as many predicted as observed errors are needed, got {expected.shape} and {observed.shape}")
-    bad = int((~(np.isfinite(expected) & np.isfinite(observed))).sum())
-    if bad:
-        raise DataError(f"{bad} of {len(expected)} predicted or observed errors are not finite")
-    return expected, observed

@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 
 from foundation.columns import Rows
 from siamloc.data.frames import FrameTable
-from siamloc.errors import ConfigError, DataError
 from siamloc.evaluation.columns import heading_errors, room_names
 from siamloc.evaluation.disturbance import Disturbance
 from siamloc.evaluation.metrics import error_floor, localization_error, recall_from_ranks, summarize
@@ -59,10 +58,8 @@ def answers(
         excluded: (n, m) map frames that a query was not compared with; the error floor leaves them out, too.
 
     Raises:
-        DataError: no queries, no answers, or frames without positions.
+        DataError: frames without positions.
     """
-    if not len(queries) or not found:
-        raise DataError("robustness needs at least one query and one disturbance")
     known_rooms, rooms = room_names(known, queries)
     if by_room:
         findable = known_rooms[None, :] == rooms[:, None]
@@ -105,12 +102,7 @@ def curves(columns: Mapping[str, NDArray], radius: float, map_frames: int) -> Co
         mean errors in degrees of the headings from the most similar and from the geometrically nearest map frame, NaN
         if no heading is known; radius, within (queries), share (of all queries), answerable (queries with a map frame
         within the radius).
-
-    Raises:
-        ConfigError: a negative radius.
     """
-    if not radius >= 0:
-        raise ConfigError(f"the radius must not be negative, got {radius}")
     keys = list(zip(*(columns[name].tolist() for name in ("method", "disturbance", "level")), strict=True))
     number = {key: i for i, key in enumerate(dict.fromkeys(keys))}
     group = np.array([number[key] for key in keys])

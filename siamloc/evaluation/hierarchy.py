@@ -201,14 +201,8 @@ def evaluate_hierarchical(
         headings: estimated headings of the queries (n,), rad; evaluated where the true heading is known.
 
     Raises:
-        ConfigError: as for `evaluate_absolute`.
-        DataError: as for `evaluate_absolute`, a layer of another map, or retrievals of other queries.
+        DataError: as for `evaluate_absolute`.
     """
-    if len(layer.labels) != len(visual_map):
-        raise DataError(f"the layer has labels for {len(layer.labels)} frames, the map has {len(visual_map)}")
-    for what, count in (("perfect coarse layer", len(perfect)), ("whole map", len(whole))):
-        if count != len(frames):
-            raise DataError(f"the retrieval with the {what} must be that of the {len(frames)} queries, got {count}")
     base = evaluate_absolute(visual_map, None, frames, radii, ks, found.found, headings)
     known = visual_map.frames.xy
     true = rank_by_position(frames.xy, known, layer.labels).nodes[:, 0]

@@ -14,7 +14,6 @@ from analytic import Descriptor
 from analytic.measures.closures import ClosureScores, closure_scores
 from foundation.calls import takes
 from foundation.settings import Count, NotNegative, Settings
-from siamloc.errors import ConfigError, DataError
 from siamloc.evaluation.columns import room_names
 from siamloc.evaluation.result import Result
 from siamloc.maps import Built
@@ -107,17 +106,7 @@ def evaluate_mapping(
         gap: number of frames that a closure has to span.
         seconds: time for placing each frame (n,), or all of them (1,); not measured if None.
         reasons: reasons of an incremental mapper, for each frame (n,).
-
-    Raises:
-        ConfigError: a radius or gap out of range.
-        DataError: a layer of another map.
     """
-    if not (radius >= 0 and math.isfinite(radius)):
-        raise ConfigError(f"the radius of loop closures must not be negative, got {radius}")
-    if gap < 1:
-        raise ConfigError(f"the gap of loop closures must be at least 1 frame, got {gap}")
-    if len(layer.labels) != len(known):
-        raise DataError(f"the layer has {len(layer.labels)} frames and the map {len(known)}: build the layer again")
     frames = known.frames
     rooms = room_names(frames)[0]
     took = np.full(len(known), np.nan) if seconds is None else np.asarray(seconds, dtype=np.float64)
@@ -134,9 +123,7 @@ def evaluate_mapping(
     }
     if reasons is not None:
         columns["reason"] = np.asarray(reasons, dtype=np.str_)
-    silhouette = math.nan
-    if not descriptor.aligned:
-        silhouette = _silhouette(known.descriptors, layer.labels, "nearest")
+    silhouette = math.nan if descriptor.aligned else _silhouette(known.descriptors, layer.labels, "nearest")
     sizes = {"representatives": layer.representatives.nbytes, "descriptors": known.descriptors.nbytes}
     measures = {
         **mapping_measures(columns, float(radius), int(gap)),

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from siamloc.data.frames import FrameTable
-from siamloc.errors import ConfigError, DataError
+from siamloc.errors import DataError
 from siamloc.evaluation.columns import confusions, map_columns, retrieve, room_names
 from siamloc.evaluation.metrics import pair_accuracy, pair_dissimilarity, pair_threshold_curve
 from siamloc.evaluation.result import Result
@@ -101,17 +101,11 @@ def evaluate_pairs(
         labels: more columns for `pairs.csv`, such as the two paths and rooms.
 
     Raises:
-        ConfigError: a margin or threshold out of range, or a further column whose name is taken.
+        ConfigError: a margin or threshold out of range.
         DataError: arrays that do not match each other, or descriptors that are not finite.
     """
     a, b = np.asarray(first, dtype=np.float64), np.asarray(second, dtype=np.float64)
-    if a.ndim != 2 or a.shape != b.shape or not len(a):
-        raise DataError(f"pairs need two sets of descriptors of one shape (n, D), got {a.shape} and {b.shape}")
-    distance = np.sqrt(np.square(a - b).sum(axis=1))
-    if not np.isfinite(distance).all():
-        raise DataError(f"{int((~np.isfinite(distance)).sum())} of {len(a)} pairs hold values that are not finite")
-    truth = np.asarray(same)
-    pair_accuracy(distance, truth, margin, threshold)  # checks all arguments first
+    distance, truth = np.sqrt(np.square(a - b).sum(axis=1)), np.asarray(same)
     dissimilarity = pair_dissimilarity(distance, margin)
     columns: Columns = {
         "pair": np.arange(len(a)),
@@ -121,14 +115,8 @@ def evaluate_pairs(
         "dissimilarity": dissimilarity,
         "predicted_same": dissimilarity < threshold,
         "correct": (dissimilarity < threshold) == truth,
+        **{name: np.asarray(values) for name, values in (labels or {}).items()},
     }
-    for name, values in (labels or {}).items():
-        if name in columns:
-            raise ConfigError(f"the column {name!r} of a pair is taken: {', '.join(columns)}")
-        columns[name] = np.asarray(values)
-    for name, column in columns.items():
-        if column.shape != (len(a),):
-            raise DataError(f"column {name!r} of the pairs has shape {column.shape}, expected ({len(a)},)")
     return Result(
         name="room_pairs",
         parts={"room_pairs": pair_measures(columns, float(margin), float(threshold))},

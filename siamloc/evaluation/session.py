@@ -21,7 +21,7 @@ from siamloc.maps.describing import descriptor_from
 from siamloc.maps.packing import shares_values
 from siamloc.stopwatch import Stopwatch
 
-Baselines = Mapping[str, Descriptor] | Sequence[str | Descriptor] | str | str | Descriptor
+Baselines = Mapping[str, Descriptor] | Sequence[str | Descriptor] | str | Descriptor
 
 
 @dataclass
@@ -123,16 +123,8 @@ class Session:
         name: str | None = None,
         seed: int = 0,
     ) -> None:
-        for what, value, kind in (
-            ("known", known, VisualMap),
-            ("images", images, PanoramaLibrary),
-            ("queries", queries, FrameTable),
-        ):
-            if not isinstance(value, kind):
-                raise ConfigError(f"{what} must be a {kind.__name__}, got {type(value).__name__}")
         self.known, self.images, self.seed = known, images, seed
         self.protocol = as_protocol(protocol)
-        _check_kinds(known, images, queries)
         self.name = name or known.descriptor.name
         self.queries = _readable(images, queries, "queries")
         self.validation = None if validation is None else _readable(images, validation, "validation frames")
@@ -324,15 +316,6 @@ def as_protocol(protocol: Protocol | Mapping[str, Any] | str) -> Protocol:
     if isinstance(protocol, Protocol):
         return protocol
     return Protocol.of({"kind": protocol} if isinstance(protocol, str) else protocol)
-
-
-def _check_kinds(known: object, images: object, queries: object) -> None:
-    """Refuse arguments of the wrong type, such as two in the wrong order, with a short message."""
-    for what, value, kind in (("known", known, VisualMap), ("images", images, PanoramaLibrary)):
-        if not isinstance(value, kind):
-            raise ConfigError(f"{what} must be a {kind.__name__}, got {value!r}: the order is known, images, queries")
-    if not isinstance(queries, FrameTable):
-        raise ConfigError(f"queries must be a FrameTable, got {queries!r}: the order is known, images, queries")
 
 
 def _named(baselines: Baselines, circular: bool) -> dict[str, Descriptor]:

@@ -173,10 +173,10 @@ def test_errors() -> None:
     with pytest.raises(DataError, match="no queries"):
         evaluate_absolute(known, descriptors[:0], FrameTable(path=np.array([], dtype=str)))
     for wrong in ({"radii": radii} for radii in ((), (-1,), (1, 1), (math.inf,))):
-        with pytest.raises(ConfigError, match="radii"):
+        with pytest.raises(ConfigError, match=r"task\.radii|needs radii"):
             Localization(**wrong)
     for wrong in ({"ks": ks} for ks in ((), (0,), (1, 1), (1.5,))):
-        with pytest.raises(ConfigError, match="ks|whole numbers k"):
+        with pytest.raises(ConfigError, match=r"task\.ks|whole numbers k"):
             Localization(**wrong)
     result = evaluate_absolute(known, descriptors, queries)
     other = evaluate_absolute(known, descriptors[::-1], queries.take(slice(None, None, -1)))

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from foundation.files import plain
-from siamloc.errors import ConfigError, DataError
+from siamloc.errors import DataError
 from siamloc.evaluation.calibration import calibration_curve, calibration_measures, lost_measures
 from siamloc.results import read_results, read_rows, write_results
 from tests.oracles import calibration as oracle
@@ -85,11 +85,5 @@ def test_the_files_alone_give_the_same_measures(tmp_path: Path) -> None:
 
 
 def test_errors() -> None:
-    with pytest.raises(ConfigError, match="bins >= 1, got 0"):
-        calibration_curve([1.0], [1.0], 0)
-    with pytest.raises(ConfigError, match="must be a positive error, got 0"):
-        lost_measures([1.0], [1.0], 0)
-    with pytest.raises(DataError, match=r"got \(1,\) and \(2,\)"):
-        lost_measures([1.0], [1.0, 2.0], 1)
-    with pytest.raises(DataError, match="1 of 2 predicted or observed errors are not finite"):
+    with pytest.raises(DataError, match="1 of 2 predicted errors are not finite"):
         calibration_curve([1.0, np.nan], [1.0, 2.0])

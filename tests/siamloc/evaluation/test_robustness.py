@@ -151,12 +151,8 @@ def test_a_perfect_search_stays_at_the_floor() -> None:
 
 def test_errors() -> None:
     known = frames([0, 1])
-    with pytest.raises(DataError, match="at least one query"):
-        answers("a", known, frames([]), {("turn", 0.0): Answer(np.zeros(0, dtype=int))})
     with pytest.raises(DataError, match="unknown or not finite"):
         answers("a", known, frames([np.nan]), {("turn", 0.0): Answer(np.zeros(1, dtype=int))})
-    with pytest.raises(ConfigError, match="radius"):
-        curves(answers("a", known, known, {("turn", 0.0): Answer(np.arange(2))}), -1, 2)
 
 
 def test_the_published_levels() -> None:

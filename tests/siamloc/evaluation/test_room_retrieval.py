@@ -142,15 +142,9 @@ def test_errors() -> None:
     with pytest.raises(DataError, match="that of the 4 queries, got one of 2"):
         evaluate_rooms(known, descriptors, queries, known.search(descriptors[:2]))
     same = np.array([True, False])
-    with pytest.raises(DataError, match=r"one shape \(n, D\), got \(2, 3\) and \(2, 4\)"):
-        evaluate_pairs(np.ones((2, 3)), np.ones((2, 4)), same)
-    with pytest.raises(DataError, match="1 of 2 pairs hold values that are not finite"):
+    with pytest.raises(DataError, match="1 of 2 distances are not finite"):
         evaluate_pairs([[1.0], [np.nan]], [[1.0], [1.0]], same)
     with pytest.raises(DataError, match="one True or False per pair"):
         evaluate_pairs(np.ones((2, 3)), np.ones((2, 3)), np.array([1, 0]))
-    with pytest.raises(DataError, match=r"column 'lighting' of the pairs has shape \(1,\), expected \(2,\)"):
-        evaluate_pairs(np.ones((2, 3)), np.ones((2, 3)), same, lighting=["night"])
-    with pytest.raises(ConfigError, match="the column 'same' of a pair is taken"):
-        evaluate_pairs(np.ones((2, 3)), np.ones((2, 3)), same, labels={"same": [1, 2]})
     with pytest.raises(ConfigError, match="margin must be positive"):
         evaluate_pairs(np.ones((2, 3)), np.ones((2, 3)), same, margin=-1)

@@ -215,7 +215,7 @@ def test_compact_maps_and_choices_of_buildings_have_parts_of_their_own(tmp_path:
     found = evaluate_buildings(
         FrameTable(["0.png", "1.png"], building=["a", "b"], lighting=["night", "night"]),
         ["a", "b"],
-        [[1, 2], [1, 2]],
+        np.array([[1.0, 2.0], [1.0, 2.0]]),
         np.zeros((2, 2), dtype=int),
         (["p"], ["q"]),
     )
