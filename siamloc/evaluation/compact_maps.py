@@ -120,7 +120,12 @@ def compact(
         _located(known, clusters, scored, described, way, nodes, seed)
         for way, nodes in track(asked, len(asked), "compact maps")
     ]
-    curves = [row for one in made for row in one.rows(known)]
+    groups = {"all": np.arange(len(scored)), **rows_by_label(scored.lighting)}
+    curves = {
+        label: [{**measures, **_errors(label, answers, rows)} for answers, measures in made]
+        for label, rows in groups.items()
+    }
+    rows = [_flat(one) for of_map in zip(*curves.values(), strict=True) for one in of_map]
     return Result(
         name=session.name,
         parts={
@@ -130,16 +135,13 @@ def compact(
                 "map_frames": len(known),
                 "clustered": clusters.descriptor.name,
                 "distance": known.distance,
-                "curves": [_nested(row) for row in curves if row["lighting"] == "all"],
-                "lighting": {
-                    label: [_nested(row) for row in curves if row["lighting"] == label]
-                    for label in rows_by_label(scored.lighting)
-                },
+                "curves": curves.pop("all"),
+                "lighting": curves,
             }
         },
         tables={
-            "compact": {key: np.array([row[key] for row in curves]) for key in curves[0]},
-            "answers": {key: np.concatenate([one.answers[key] for one in made]) for key in made[0].answers},
+            "compact": {key: np.array([row[key] for row in rows]) for key in rows[0]},
+            "answers": {key: np.concatenate([answers[key] for answers, _ in made]) for key in made[0][0]},
         },
         denominators={"queries": len(scored), "map_frames": len(known), "maps": len(made)},
         skipped=session.skipped,
@@ -161,36 +163,23 @@ def _check(settings: Compact, known: VisualMap, clusters: VisualMap) -> None:
             )
 
 
-@dataclass(frozen=True)
-class _Located:
-    """Results of the queries in one compact map."""
-
-    answers: Columns
-    measures: dict[str, Any]
-
-    def rows(self, known: VisualMap) -> list[dict[str, Any]]:
-        """Return a row for all queries, and one for each lighting."""
-        groups = {"all": np.arange(len(self.answers["error"])), **rows_by_label(self.answers["lighting"])}
-        return [{**self.measures, **self._errors(label, rows)} for label, rows in groups.items()]
-
-    def _errors(self, label: str, rows: NDArray[np.int64]) -> dict[str, Any]:
-        errors = {name: summarize(self.answers[name][rows]) for name in ("error", "error_frames")}
-        return {
-            "lighting": label,
-            "queries": len(rows),
-            **{key: errors["error"][key] for key in ("mean", "median", "p95")},
-            "floor": float(self.answers["floor"][rows].mean()),
-            "mean_frames": errors["error_frames"]["mean"],
-            "median_frames": errors["error_frames"]["median"],
-        }
+def _errors(lighting: str, answers: Columns, rows: NDArray[np.int64]) -> dict[str, Any]:
+    """Return the errors of some queries in one compact map."""
+    error, in_frames = (summarize(answers[name][rows]) for name in ("error", "error_frames"))
+    return {
+        "lighting": lighting,
+        "queries": len(rows),
+        "floor": float(answers["floor"][rows].mean()),
+        "error": {key: error[key] for key in ("mean", "median", "p95")},
+        "error_frames": {key: in_frames[key] for key in ("mean", "median")},
+    }
 
 
-def _nested(row: Mapping[str, Any]) -> dict[str, Any]:
-    """Return a row of the table in the nested form of `results.json`."""
-    errors = {key: row[key] for key in ("mean", "median", "p95")}
-    frames = {key: row[f"{key}_frames"] for key in ("mean", "median")}
-    flat = (*errors, *(f"{key}_frames" for key in frames))
-    return {**{key: value for key, value in row.items() if key not in flat}, "error": errors, "error_frames": frames}
+def _flat(row: Mapping[str, Any]) -> dict[str, Any]:
+    """Return measures in the form of the table "compact", without nested ones."""
+    frames = {f"{key}_frames": value for key, value in row["error_frames"].items()}
+    plain = {key: value for key, value in row.items() if key not in ("error", "error_frames", "floor")}
+    return {**plain, **row["error"], "floor": row["floor"], **frames}
 
 
 def _located(
@@ -201,7 +190,8 @@ def _located(
     way: str,
     nodes: int,
     seed: int,
-) -> _Located:
+) -> tuple[Columns, dict[str, Any]]:
+    """Return the answers of the queries in one compact map, and the measures of that map."""
     clock = Stopwatch()
     with clock.of("build", len(known)):
         labels = _labels(clusters, way, nodes, seed)
@@ -241,7 +231,7 @@ def _located(
         "numbers": int(numbers),
         **_compactness(known, clusters, labels),
     }
-    return _Located(answers, measures)
+    return answers, measures
 
 
 def _nearest(search: Callable[[], Retrieval], clock: Stopwatch, queries: int) -> NDArray[np.int64]:
