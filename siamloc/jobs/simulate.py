@@ -5,8 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from siamloc.jobs.job import Job, Say, quiet
-from siamloc.simulate.config import SimulateConfig
-from siamloc.simulate.produce import Summary, simulate
+from siamloc.simulate.produce import SimulateConfig, Summary, simulate
 
 
 @dataclass(frozen=True)
@@ -32,7 +31,7 @@ class Simulate(SimulateConfig, Job):
 
     def run(self, say: Say = quiet) -> Summary:
         """Render the building."""
-        summary = simulate(self)
+        summary = simulate(settings=self)
         for path in summary.files:
             say(f"picture: {path}")
         for sequence, count in summary.sequences.items():

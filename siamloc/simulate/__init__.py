@@ -16,13 +16,12 @@ The modules, from a building's YAML file to a panorama: `layout` (what a buildin
 file), `floor_plans`, `furnishing`, `route` and `draw` (a building drawn from a seed), `plan` (free space), `trajectory`
 and `run` (one drive), `mesh`, `shell`, `furniture`, `items`, `textures` and `prints` (what is visible), `sky` and
 `light` (light sources), `scene` (all of these), `camera` and `render` (images), `views` (many images, quickly),
-`config` and `produce` (the data set). Rendering needs the package embreex, installed by the extra "simulate".
+`produce` (the data set). Rendering needs the package embreex, installed by the extra "simulate".
 """
 
-from siamloc.simulate.config import STANDARD_RUNS, SimulateConfig
 from siamloc.simulate.load import building_names, load_building
 from siamloc.simulate.preview import panoramas
-from siamloc.simulate.produce import Summary, simulate
+from siamloc.simulate.produce import STANDARD_RUNS, SimulateConfig, Summary, simulate
 from siamloc.simulate.render import render
 from siamloc.simulate.run import Run
 from siamloc.simulate.scene import Scene, build_scene, relit

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from io import BytesIO
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 from foundation.calls import typed
 from foundation.files import atomic_path
 from foundation.settings import Thousand
-from siamloc.simulate.config import SimulateConfig
 from siamloc.simulate.items import KINDS
 from siamloc.simulate.layout import Array, Building
 from siamloc.simulate.load import load_building
@@ -22,22 +21,18 @@ from siamloc.simulate.scene import build_scene
 from siamloc.simulate.shell import leaf_segment
 from siamloc.simulate.trajectory import Track
 
-#: The files that a preview consists of.
-PICTURES = ("contact_sheet.png", "floor_plan.png")
 _COLOURS = {"cloudy": "#5b8fd6", "night": "#3b3b6d", "sunny": "#e8a013"}
 
 
-def write_preview(building: Building, config: SimulateConfig, folder: Path) -> tuple[Path, ...]:
-    """Write `contact_sheet.png` and `floor_plan.png` and return their paths."""
-    runs = {run.lighting: run for run in reversed(config.drives())}
-    drives = [runs[lighting] for lighting in LIGHTINGS if lighting in runs]
-    paths = tuple(folder / name for name in PICTURES)
-    for path, picture in zip(
-        paths, (contact_sheet(building, drives), floor_plan(building, config.drives())), strict=True
-    ):
-        with atomic_path(path) as temporary:
-            temporary.write_bytes(picture)
-    return paths
+def write_preview(building: Building, runs: list[Run], folder: Path) -> tuple[Path, ...]:
+    """Write `contact_sheet.png` and `floor_plan.png` of some runs and return their paths."""
+    first = {run.lighting: run for run in reversed(runs)}
+    drives = [first[lighting] for lighting in LIGHTINGS if lighting in first]
+    figures = {"contact_sheet.png": contact_sheet(building, drives), "floor_plan.png": floor_plan(building, runs)}
+    for name, figure in figures.items():
+        with atomic_path(folder / name) as temporary:
+            figure.savefig(temporary, format="png")
+    return tuple(folder / name for name in figures)
 
 
 def viewpoints(building: Building, track: Track) -> Array:
@@ -63,8 +58,8 @@ def panoramas(count: Thousand = 6, building: str = "freiburg_like") -> NDArray[n
     return np.ascontiguousarray(render(build_scene(loaded, run), poses).transpose(0, 3, 1, 2))
 
 
-def contact_sheet(building: Building, runs: list[Run]) -> bytes:
-    """Return a PNG with one panorama for each room (rows) and lighting (columns)."""
+def contact_sheet(building: Building, runs: list[Run]) -> Any:
+    """Return a matplotlib figure with one panorama for each room (rows) and lighting (columns)."""
     from matplotlib.figure import Figure
 
     first = draw_run(building, runs[0]).track
@@ -81,11 +76,11 @@ def contact_sheet(building: Building, runs: list[Run]) -> bytes:
             if column == 0:
                 axis.set_ylabel(first.codes[row], fontsize=10)
         axes[0, column].set_title(f"{run.lighting} ({_clock(scene.state.light.hour)})", fontsize=11)
-    return _png(figure)
+    return figure
 
 
-def floor_plan(building: Building, runs: list[Run]) -> bytes:
-    """Return a PNG of the plan: walls, doors, windows, furniture, room codes and the paths of the runs."""
+def floor_plan(building: Building, runs: list[Run]) -> Any:
+    """Return a matplotlib figure of the plan: walls, doors, windows, furniture, room codes and the runs' paths."""
     from matplotlib.figure import Figure
     from matplotlib.patches import Polygon, Rectangle
 
@@ -120,15 +115,9 @@ def floor_plan(building: Building, runs: list[Run]) -> bytes:
     axis.set_xlabel("x in m")
     axis.set_ylabel("y in m")
     axis.set_title(f"{building.name}, seed {building.seed}")
-    return _png(figure)
+    return figure
 
 
 def _clock(hour: float) -> str:
     minutes = round(hour * 60) % 1440
     return f"{minutes // 60:02d}:{minutes % 60:02d}"
-
-
-def _png(figure: object) -> bytes:
-    buffer = BytesIO()
-    figure.savefig(buffer, format="png")  # type: ignore[attr-defined]
-    return buffer.getvalue()

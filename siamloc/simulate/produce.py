@@ -2,25 +2,25 @@
 
 from __future__ import annotations
 
-import os
 import time
+from collections import Counter
 from collections.abc import Iterator
 from concurrent.futures import as_completed
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import asdict, dataclass
-from inspect import Signature, signature
+from functools import lru_cache
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, Literal
 
 import cv2
 
-from foundation.calls import typed
+from foundation.calls import takes
 from foundation.files import content_key, read_json, storage_errors, write_bytes, write_json, write_text
-from siamloc.data.names import parse_name
+from foundation.settings import Count, Rule, Seed, Settings, Text, Thousand
+from siamloc.data.names import lighting_in, parse_name
 from siamloc.errors import ConfigError, DataError, FormatError
 from siamloc.progress import track
-from siamloc.simulate.camera import HEIGHT, Exposure, OmnidirectionalCamera, PanoramaCamera, make_camera
-from siamloc.simulate.config import SimulateConfig
+from siamloc.simulate.camera import HEIGHT, Exposure, OmnidirectionalCamera, make_camera
 from siamloc.simulate.layout import Array, Building
 from siamloc.simulate.load import load_building
 from siamloc.simulate.mesh import embree
@@ -31,8 +31,73 @@ from siamloc.simulate.run import Run, draw_run
 from siamloc.simulate.scene import Scene, build_scene
 from siamloc.simulate.trajectory import Track
 
+#: The standard benchmark: path 2 under three lightings.
+STANDARD_RUNS = ("cloudy1", "cloudy2", "cloudy3", "night1", "night2", "sunny1", "sunny2", "sunny3")
 _SCHEMA = 1
 _BATCH = 16
+_Spacing = Annotated[float, Rule("a number of metres from 0.005", lambda value: 0.005 <= value < 1e6)]
+_Quality = Annotated[int, Rule("a whole number from 1 to 100", lambda value: 1 <= value <= 100)]
+
+
+@dataclass(frozen=True, kw_only=True)
+class SimulateConfig(Settings):
+    """The settings of `simulate`; an invalid value raises a ConfigError.
+
+    Attributes:
+        out: output folder, which receives `<building>/part_a/seq2_cloudy1/...`.
+        building: name of a built-in building, "random", or a YAML file.
+        seed: seed of all random draws; equal seeds give equal bytes.
+        path: name of one of the building's paths.
+        runs: lightings with numbers, such as ("cloudy1", "night2").
+        spacing: metres between frames.
+        camera: "omnidirectional" (640 x 480 JPEG) or "panorama" (512 x 128 JPEG).
+        trajectory: a `places.lst`; one image is rendered for each pose, under its listed name, in one run with the
+            lighting that the list's file name contains, unless runs are given. Poses are checked for collisions, but
+            not the ways between them.
+        frames: largest number of frames per run; all if None.
+        workers: number of processes; as many as there are processors (at most 8) if None.
+        quality: quality of the JPEG files, 1 to 100.
+        preview: write a contact sheet and a floor plan instead of the data set.
+        overwrite: replace images in the folder that another configuration rendered; complete images of this
+            configuration are kept.
+
+    >>> SimulateConfig(building="mini", runs=("cloudy1", "night1")).drives()[1].name
+    'seq2_night1'
+    """
+
+    out: Path = Path("data")
+    building: Text = "freiburg_like"
+    seed: Seed = 0
+    path: Text = "path2"
+    runs: tuple[str, ...] = STANDARD_RUNS
+    spacing: _Spacing = 0.15
+    camera: Literal["omnidirectional", "panorama"] = "omnidirectional"
+    trajectory: Path | None = None
+    frames: Count | None = None
+    workers: Thousand | None = None
+    quality: _Quality = 92
+    preview: bool = False
+    overwrite: bool = False
+
+    def __post_init__(self) -> None:
+        if isinstance(self.runs, str):
+            object.__setattr__(self, "runs", (self.runs,))
+        for name in ("building", "path"):  # whose names may be numbers, and files
+            if isinstance(value := getattr(self, name), (int, Path)) and not isinstance(value, bool):
+                object.__setattr__(self, name, str(value))
+        super().__post_init__()
+        if not self.runs:
+            raise ConfigError("simulate needs at least one run, such as runs=[cloudy1]")
+        names = [run.name for run in self.drives()]
+        if len(set(names)) < len(names):
+            raise ConfigError(f"a run is listed twice: {', '.join(self.runs)}")
+
+    def drives(self) -> list[Run]:
+        """Return the runs to render; for a list of poses, the one in its name, unless other runs are given."""
+        if self.trajectory is not None and self.runs == STANDARD_RUNS:
+            lighting = lighting_in(Path(self.trajectory).name) or "cloudy"
+            return [Run.parse(f"{lighting}1", self.path, self.spacing, self.trajectory)]
+        return [Run.parse(name, self.path, self.spacing, self.trajectory) for name in self.runs]
 
 
 @dataclass(frozen=True)
@@ -70,15 +135,14 @@ class Summary:
         return "\n".join(lines)
 
 
-@typed
-def simulate(config: SimulateConfig | None = None, /, **settings: Any) -> Summary:
+@takes(SimulateConfig)
+def simulate(*, settings: SimulateConfig) -> Summary:
     """Render a data set, or resume an interrupted one.
 
     With several workers, processes are spawned: call this under `if __name__ == "__main__":` in a script.
 
     Args:
-        config: all settings at once; by default those of the standard benchmark.
-        settings: the fields of `SimulateConfig` by name; they override those of `config`.
+        settings: by default those of the standard benchmark.
 
     Raises:
         ConfigError: a setting that does not exist, or an invalid value.
@@ -92,99 +156,79 @@ def simulate(config: SimulateConfig | None = None, /, **settings: Any) -> Summar
     >>> summary.rooms
     {'CR-A': 2}
     """
-    config = SimulateConfig.of({**(vars(config) if config else {}), **settings})
     embree()
     begin = time.monotonic()
-    building = load_building(config.building, config.seed)
-    folder = config.out / building.name
-    if config.preview:
-        pictures = write_preview(building, config, folder / "preview")
+    building, drives = load_building(settings.building, settings.seed), settings.drives()
+    folder = settings.out / building.name
+    if settings.preview:
+        pictures = write_preview(building, drives, folder / "preview")
         return Summary(folder, {}, {}, 0, time.monotonic() - begin, pictures)
-    drives = config.drives()
-    tracks = {run.name: draw_run(building, run).track.head(config.frames) for run in drives}
-    work: list[tuple[Run, list[int]]] = []
-    for run in drives:
-        work += _missing(config, building, run, tracks[run.name], folder)
+    tracks = {run.name: draw_run(building, run).track.head(settings.frames) for run in drives}
+    work = [batch for run in drives for batch in _missing(settings, building, run, tracks[run.name])]
     total = sum(len(rows) for _, rows in work)
-    for _ in track(_rendered(config, work), total, f"rendering {building.name}"):
+    for _ in track(_rendered(settings, work), total, f"rendering {building.name}", size=int):
         pass
-    rooms: dict[str, int] = {}
     for run in drives:
-        _finish(_sequence(folder, building, run), tracks[run.name])
-        for code in tracks[run.name].codes:
-            rooms[code] = rooms.get(code, 0) + 1
-    counts = {run.name: len(tracks[run.name]) for run in drives}
+        drive = tracks[run.name]
+        lines = [f"{name} {code}\n" for name, code in zip(drive.names, drive.codes, strict=True)]
+        write_text(_sequence(settings, building, run) / "localization" / "places.lst", "".join(lines))
+    rooms = dict(Counter(code for drive in tracks.values() for code in drive.codes))
+    counts = {name: len(drive) for name, drive in tracks.items()}
     return Summary(folder, counts, rooms, total, time.monotonic() - begin)
 
 
-# Lets help and tab completion show every setting with its type and default.
-simulate.__signature__ = Signature(  # type: ignore[attr-defined]
-    [signature(simulate).parameters["config"], *signature(SimulateConfig).parameters.values()],
-    return_annotation=Summary,
-)
-
-
-def _sequence(folder: Path, building: Building, run: Run) -> Path:
-    return folder / f"part_{building.part}" / run.name
+def _sequence(config: SimulateConfig, building: Building, run: Run) -> Path:
+    return config.out / building.name / f"part_{building.part}" / run.name
 
 
 def _description(config: SimulateConfig, building: Building, run: Run) -> dict[str, Any]:
     """Describe the images of a sequence; equal descriptions mean equal bytes."""
     camera = make_camera(config.camera)
-    lens = camera.view if isinstance(camera, PanoramaCamera) else camera.mirror
-    aside = ("source", "materials") if building.materials == "standard" else ("source",)
-    layout = _without_lines({key: value for key, value in asdict(building).items() if key not in aside})
+    lens = {"mirror": camera.mirror} if isinstance(camera, OmnidirectionalCamera) else {"view": camera.view}
+    layout = asdict(building, dict_factory=_without_lines)
     layout["paths"] = {name: path.points for name, path in building.paths.items()}
+    del layout["source"]
+    if building.materials == "standard":
+        del layout["materials"]
+    poses = run.trajectory
     return {
         "schema": _SCHEMA,
         "images": config.camera,
         "rows": camera.shape[0],
         "columns": camera.shape[1],
         "height": HEIGHT,
-        ("mirror" if isinstance(camera, OmnidirectionalCamera) else "view"): asdict(lens),
+        **{name: asdict(value) for name, value in lens.items()},
         "building": building.name,
         "building_key": content_key(layout),
         "seed": config.seed,
         "run": run.name,
         "path": run.path,
         "spacing": run.spacing,
-        "trajectory": None if run.trajectory is None else Path(run.trajectory).name,
-        "trajectory_key": None if run.trajectory is None else content_key(Path(run.trajectory).read_text("utf-8")),
+        "trajectory": None if poses is None else poses.name,
+        "trajectory_key": None if poses is None else content_key(poses.read_text("utf-8")),
         "quality": config.quality,
     }
 
 
-def _without_lines(value: Any) -> Any:
+def _without_lines(values: list[tuple[str, Any]]) -> dict[str, Any]:
     """Leave out line numbers: a file with one more comment describes the same building."""
-    if isinstance(value, dict):
-        return {key: _without_lines(item) for key, item in value.items() if key != "line"}
-    if isinstance(value, (list, tuple)):
-        return [_without_lines(item) for item in value]
-    return value
+    return {key: value for key, value in values if key != "line"}
 
 
 def _is_whole(path: Path) -> bool:
     """Whether a JPEG file is complete, from start marker to end marker."""
-    with path.open("rb") as file:
-        head = file.read(2)
-        file.seek(0, os.SEEK_END)
-        if file.tell() < 4:
-            return False
-        file.seek(-2, os.SEEK_END)
-        return head == b"\xff\xd8" and file.read() == b"\xff\xd9"
+    content = path.read_bytes()
+    return len(content) >= 4 and content.startswith(b"\xff\xd8") and content.endswith(b"\xff\xd9")
 
 
-def _missing(
-    config: SimulateConfig, building: Building, run: Run, drive: Track, folder: Path
-) -> list[tuple[Run, list[int]]]:
+def _missing(config: SimulateConfig, building: Building, run: Run, drive: Track) -> list[tuple[Run, list[int]]]:
     """Prepare a sequence's folder and return which frames are missing, in batches."""
-    sequence = _sequence(folder, building, run)
-    images = sequence / "omni_cam"
+    sequence = _sequence(config, building, run)
+    images, note = sequence / "omni_cam", sequence / "camera.json"
     wanted = _description(config, building, run)
-    note = sequence / "camera.json"
     present: set[str] = set()
     # Any other files in the folder are the user's own.
-    pictures = [file for file in images.glob("*.jp*g") if parse_name(file.name)] if images.is_dir() else []
+    pictures = [file for file in images.glob("*.jp*g") if parse_name(file.name)]
     if pictures:
         if not note.is_file():
             raise DataError(f"{images} holds images that simulate did not render: choose another out")
@@ -192,16 +236,14 @@ def _missing(
             found = read_json(note)
         except FormatError:
             found = None
-        if found != wanted and not config.overwrite:
-            changed = (
-                sorted(key for key in wanted if (found or {}).get(key) != wanted[key]) if found else ["camera.json"]
-            )
+        if found == wanted:
+            present = {file.name for file in pictures if _is_whole(file)}
+        elif not config.overwrite:
+            changed = sorted(key for key in wanted if found.get(key) != wanted[key]) if found else ["camera.json"]
             raise DataError(
                 f"{sequence} holds images of another simulation (different: {', '.join(changed)}): choose another "
                 "out, or replace them with overwrite=true"
             )
-        if found == wanted:
-            present = {file.name for file in pictures if _is_whole(file)}
         with storage_errors(images):
             if any(name not in present for name in drive.names):
                 # Done first, so that no list ever names a missing image.
@@ -215,32 +257,20 @@ def _missing(
     return [(run, rows[start : start + _BATCH]) for start in range(0, len(rows), _BATCH)]
 
 
-def _finish(sequence: Path, drive: Track) -> None:
-    """Write the list of a sequence once all of its images are there."""
-    lines = [f"{name} {code}\n" for name, code in zip(drive.names, drive.codes, strict=True)]
-    write_text(sequence / "localization" / "places.lst", "".join(lines))
-
-
 def _rendered(config: SimulateConfig, work: list[tuple[Run, list[int]]]) -> Iterator[int]:
-    """Render every batch and yield once for each frame written."""
-    workers = config.workers or min(processors(), 8)
-    workers = min(workers, len(work))
+    """Render the batches of frames and yield the size of each batch when it is written."""
+    workers = min(config.workers or min(processors(), 8), len(work))
     if workers <= 1:
-        global _stage
-        _stage = None  # a file of the same name may describe a different building than in an earlier call
-        try:
-            for run, rows in work:
-                for _ in range(_batch(config, run, rows)):
-                    yield 1
-        finally:
-            _stage = None
+        _stage.cache_clear()  # a file of the same name may describe a different building than in an earlier call
+        for run, rows in work:
+            yield _batch(config, run, rows)
+        _stage.cache_clear()
         return
     with rendering_processes(workers) as pool:
         pending = [pool.submit(_batch, config, run, rows) for run, rows in work]
         try:
             for future in as_completed(pending):
-                for _ in range(future.result()):
-                    yield 1
+                yield future.result()
         except BrokenProcessPool as error:
             raise DataError(
                 "a rendering process died, perhaps for lack of memory: run again with fewer workers, finished images "
@@ -250,35 +280,23 @@ def _rendered(config: SimulateConfig, work: list[tuple[Run, list[int]]]) -> Iter
             pool.shutdown(wait=True, cancel_futures=True)
 
 
-@dataclass(frozen=True)
-class _Stage:
-    key: tuple[Any, ...]
-    scene: Scene
-    drive: Track
-    exposure: Exposure
-
-
-_stage: _Stage | None = None
+@lru_cache(maxsize=1)
+def _stage(building: str, seed: int, run: Run) -> tuple[Scene, Exposure]:
+    """Return the scene of a run and its exposure, which a process keeps for the next batch of frames."""
+    scene = build_scene(load_building(building, seed), run)
+    return scene, meter(scene, scene.state.track)
 
 
 def _batch(config: SimulateConfig, run: Run, rows: list[int]) -> int:
-    """Render some frames of a run in this process, which keeps the scene for the next batch."""
-    global _stage
-    key = (config.building, config.seed, run)
-    if _stage is None or _stage.key != key:
-        _stage = None
-        scene = build_scene(load_building(config.building, config.seed), run)
-        _stage = _Stage(key, scene, scene.state.track, meter(scene, scene.state.track))
-    stage = _stage
-    images = _sequence(config.out / stage.scene.building.name, stage.scene.building, run) / "omni_cam"
-    pictures = frames(stage.scene, stage.drive, make_camera(config.camera), stage.exposure, rows)
+    """Render some frames of a run, and return how many."""
+    scene, exposure = _stage(config.building, config.seed, run)
+    drive, images = scene.state.track, _sequence(config, scene.building, run) / "omni_cam"
+    pictures = frames(scene, drive, make_camera(config.camera), exposure, rows)
     for row, picture in zip(rows, pictures, strict=True):
-        _write(images / stage.drive.names[row], picture, config.quality)
+        _write(images / drive.names[row], picture, config.quality)
     return len(rows)
 
 
 def _write(path: Path, picture: Array, quality: int) -> None:
-    done, coded = cv2.imencode(".jpeg", picture[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, quality])
-    if not done:
-        raise ConfigError(f"OpenCV cannot encode {path.name} as JPEG: its build lacks the codec")
+    coded = cv2.imencode(".jpeg", picture[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, quality])[1]
     write_bytes(path, coded.tobytes())
