@@ -9,7 +9,7 @@ ahead, and the middle of column c has the azimuth (W/2 - c - 1/2) * 2 pi / W. He
 so when the robot turns left by delta rad, the contents of the panorama move right by delta * W / (2 pi) columns.
 
 Axes. An image in a file or in memory (`unwrap`, `Localizer.locate`) is (rows, columns, 3). A batch of panoramas
-(`PanoramaLibrary.batch`, `describe`, networks) is (B, 3, rows, columns).
+(`PanoramaLibrary.batch`, `describe`, networks) is (B, 3, rows, columns). `Localizer.locate_panorama` takes both orders.
 """
 
 from __future__ import annotations

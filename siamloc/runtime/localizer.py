@@ -253,8 +253,18 @@ class Localizer:
 
     @typed
     def locate_panorama(self, panorama: NDArray[np.uint8], tracker: PoseFilter | FrameFilter | None = None) -> Location:
-        """Locate a panorama (3, H, W), uint8, RGB, of the bundle's size; see `locate`."""
+        """Locate a panorama of the bundle's size, uint8, RGB; see `locate`.
+
+        Args:
+            panorama: (3, H, W), as from a library, or (H, W, 3), as from `siamloc.data.unwrap` or a camera.
+            tracker: see `locate`.
+
+        Raises:
+            DataError: another shape or type.
+        """
         start = time.perf_counter()
+        if panorama.ndim == 3 and panorama.shape[0] != 3 == panorama.shape[2]:
+            panorama = np.ascontiguousarray(panorama.transpose(2, 0, 1))
         return self._located(panorama, self.describe(panorama[None]), tracker, start)
 
     @typed

@@ -362,14 +362,15 @@ def test_several_images_at_once_give_the_same_answers(world, network, tmp_path):
         assert other.error_m == pytest.approx(one.error_m, rel=1e-4)
     assert localizer.locate_batch([]) == []
     panorama = images.preprocessing.panorama(paths[0])
-    assert repr(replace(localizer.locate_panorama(panorama), ms=0)) == repr(replace(alone[0], ms=0))
+    for same in (panorama, panorama.transpose(1, 2, 0)):  # as from a library, and as from `siamloc.data.unwrap`
+        assert repr(replace(localizer.locate_panorama(same), ms=0)) == repr(replace(alone[0], ms=0))
 
 
 def test_panoramas_of_another_size_are_one_sentence(world, network, tmp_path):
     images, monday, _ = world
     known = maps.build(network, images, monday, progress=False)
     localizer = runtime.Localizer(runtime.export(network, known, tmp_path / "b").path)
-    for wrong in (np.zeros((3, 16, 64), np.uint8), np.zeros((3, 32, 64)), np.zeros((32, 64, 3), np.uint8)):
+    for wrong in (np.zeros((3, 16, 64), np.uint8), np.zeros((3, 32, 64)), np.zeros((16, 64, 3), np.uint8)):
         with pytest.raises(siamloc.errors.DataError, match=r"a panorama has shape \(3, 32, 64\) and dtype uint8, got"):
             localizer.locate_panorama(wrong)
 
