@@ -148,7 +148,7 @@ class Result:
         """
         from siamloc.report.draw import pictures
 
-        drawn = pictures(plain(self.parts), self.tables, self.layer, self.name)
+        drawn = pictures(plain(self.parts), self.tables, self.name)
         if not drawn or (name is not None and name not in drawn):
             raise DataError(f"there is no picture {name!r} of {self!r}: there is {', '.join(drawn) or 'none'}")
         return drawn[name if name is not None else next(iter(drawn))]()

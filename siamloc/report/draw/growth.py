@@ -38,16 +38,12 @@ class Story:
     Attributes:
         plan: the final map.
         events: one per line of the log, without the header.
-        parameters: parameters of the mapper.
-        descriptor: identity of the descriptor of the frames.
         ids: the mapper's name of each node of the plan (k,).
         colours: colour of every node that ever existed, by the mapper's name; those that remain have the plan's.
     """
 
     plan: NodePlan
     events: tuple[dict[str, Any], ...]
-    parameters: dict[str, Any]
-    descriptor: dict[str, Any]
     ids: tuple[int, ...]
     colours: dict[int, str]
 
@@ -77,8 +73,8 @@ def read_story(log: str | Path, plan: NodePlan) -> Story:
 
     log = Path(log)
     try:
-        header, *events = [parsed_json(line) for line in log.read_text(encoding="utf-8").splitlines() if line]
-        story = Story(plan, tuple(events), dict(header["parameters"]), dict(header["descriptor"]), (), {})
+        _, *events = [parsed_json(line) for line in log.read_text(encoding="utf-8").splitlines() if line]
+        story = Story(plan, tuple(events), (), {})
         final = story.labels(len(events))
     except (OSError, ValueError, KeyError, TypeError, AnalyticError) as error:
         raise FormatError(f"{log} is not the whole log of an incremental map ({error}): build the map again") from error

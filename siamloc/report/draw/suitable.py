@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Any
 
 from siamloc.report.draw.curves import compact_curves, pair_curves, robustness_curves
-from siamloc.report.draw.decision import explain, instructive
 from siamloc.report.draw.errors import calibration_curve, error_curve, estimate_curve, node_errors
 from siamloc.report.draw.floor_plan import floor_plan
 from siamloc.report.draw.growth import animate, read_story
@@ -29,26 +28,23 @@ _FROM_MEASURES = {
 _OTHER_SEARCHES = {"baseline_whole map": "error_absolute", "baseline_perfect nodes": "error_perfect_coarse"}
 
 
-def pictures(
-    measures: Mapping[str, Any], tables: Mapping[str, Columns], layer: str | Path | None = None, name: str = "measured"
-) -> Made:
+def pictures(measures: Mapping[str, Any], tables: Mapping[str, Columns], name: str = "measured") -> Made:
     """Return a drawing function for each plot that suits a result, by file name; nothing is drawn yet.
 
     Args:
         measures: measures of the result, as in `results.json` under "measures".
         tables: tables of the result, as returned by `read_rows`: "queries" and "map" for localization, "frames" and
             "nodes" for a compact map.
-        layer: folder of a coarse layer; its log is used to explain a decision of an incremental map.
         name: name of what was measured, for legends and titles.
 
     Returns:
         Those of "floor_plan", "error_curve", "filtered_curve", "interpolated_curve", "refined_curve", "tracked_curve",
         "refined_plan", "tracked_plan", "calibration", "node_errors", "confusion", "confusion_by_lighting", "pairs",
-        "robustness", "compact", "nodes" and "decision" that there are numbers for, each with a function without
-        arguments that returns a matplotlib figure.
+        "robustness", "compact" and "nodes" that there are numbers for, each with a function without arguments that
+        returns a matplotlib figure.
 
     Raises:
-        FormatError: for a compact map: measures or columns are missing, or the layer is damaged or of another map.
+        FormatError: for a compact map: measures or columns are missing.
 
     Example:
         >>> rooms = {"confusion": {"labels": ["kitchen"], "counts": [[2]]}}
@@ -74,11 +70,6 @@ def pictures(
     if "mapping" in measures and {"frames", "nodes"} <= set(tables):
         plan = node_plan(measures["mapping"], tables["frames"], tables["nodes"], name)
         made["nodes"] = partial(nodes_on_plan, plan)
-        if layer is not None and (Path(layer) / "events.jsonl").is_file():
-            story = read_story(Path(layer) / "events.jsonl", plan)
-            explained = instructive(story, Path(layer) / "mapper.npz")
-            if explained is not None:
-                made["decision"] = partial(explain, explained, story)
     return made
 
 
@@ -87,8 +78,8 @@ def save_all(folder: str | Path, layer: str | Path | None = None) -> list[Path]:
 
     Args:
         folder: result folder of an evaluation, with `results.json` and its tables.
-        layer: folder of the coarse layer that was measured; for an incremental map, `events.jsonl` also gives
-            `growth.gif`, and `mapper.npz` is used to explain a decision.
+        layer: folder of the coarse layer that was measured; the log of an incremental map, `events.jsonl`, gives
+            `growth.gif`.
 
     Raises:
         FormatError: files that are missing, incomplete, or from different maps.
@@ -97,11 +88,12 @@ def save_all(folder: str | Path, layer: str | Path | None = None) -> list[Path]:
     results, target = read_results(folder), Path(folder)
     tables = {table: read_rows(folder, table) for table in _TABLES if table in results["tables"]}
     name = name_of(results)
-    made = pictures(results["measures"], tables, layer, name)
+    made = pictures(results["measures"], tables, name)
     drawn = [save(draw(), target / f"{key}.png") for key, draw in made.items()]
-    if "nodes" in made and layer is not None and (Path(layer) / "events.jsonl").is_file():
+    log = None if layer is None else Path(layer) / "events.jsonl"
+    if "nodes" in made and log is not None and log.is_file():
         plan = node_plan(results["measures"]["mapping"], tables["frames"], tables["nodes"], name)
-        drawn.append(animate(read_story(Path(layer) / "events.jsonl", plan), target / "growth.gif"))
+        drawn.append(animate(read_story(log, plan), target / "growth.gif"))
     return drawn
 
 

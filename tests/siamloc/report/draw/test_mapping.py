@@ -11,13 +11,12 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from analytic.mapper.closure import Similarity, prominences_of
 from benchmarks import sweeps
 from siamloc import evaluation, maps
 from siamloc.data.frames import FrameTable
 from siamloc.errors import DataError, FormatError
 from siamloc.maps import VisualMap
-from siamloc.report.draw import decision, growth, nodes, save_all
+from siamloc.report.draw import growth, nodes, save_all
 from siamloc.report.draw.look import INK
 from siamloc.report.draw.node_colours import NO_NODE, POOL, contrast, ink, neighbouring, node_colours
 from siamloc.report.draw.nodes import NodePlan, node_plan, nodes_on_plan, spread_out
@@ -84,7 +83,7 @@ def log_of(n: int) -> growth.Story:
     shown = plan(node.tolist(), np.column_stack([np.arange(n) / 10, np.sin(np.arange(n) / 30)]))
     colours = node_colours([(i, i + 1) for i in range(n // 20)], range(n // 20 + 1))
     colours |= {name: shown.colours[number] for number, name in enumerate(ids)}
-    return growth.Story(shown, tuple(events), {"version": 2}, {"name": "none"}, tuple(ids), colours)
+    return growth.Story(shown, tuple(events), tuple(ids), colours)
 
 
 def text_of(figure) -> str:
@@ -101,10 +100,9 @@ def test_all_pictures_of_an_incremental_map(runs: dict, version: int, monkeypatc
     target, layer = runs[version]
     monkeypatch.setattr(growth, "PICTURES", 8)
     drawn = save_all(target, layer)
-    assert [path.name for path in drawn] == ["nodes.png", "decision.png", "growth.gif"]
+    assert [path.name for path in drawn] == ["nodes.png", "growth.gif"]
     assert {path.parent for path in drawn} == {target}
     assert whole_png(drawn[0])
-    assert whole_png(drawn[1])
     before = [path.read_bytes() for path in drawn]
     assert [path.read_bytes() for path in save_all(target, layer)] == before
 
@@ -255,43 +253,6 @@ def test_a_story_knows_every_node_that_ever_was(runs: dict) -> None:
     }
 
 
-@pytest.mark.parametrize("version", [1, 2])
-def test_a_decision_is_explained_by_the_numbers_of_the_log(runs: dict, version: int) -> None:
-    story = told(runs[version])
-    found = decision.instructive(story, runs[version][1] / "mapper.npz")
-    assert found is not None
-    scores, apart = found.scores, found.frame - found.scores["match"]
-    assert apart >= 30
-    assert set(found.node.tolist()) == set(scores["candidates"])
-    np.testing.assert_array_equal(found.labels[found.frames], found.node)
-    np.testing.assert_allclose(found.position * found.orientation, found.values)
-    if version == 2:
-        means = {str(name): found.values[found.node == name].mean() for name in scores["candidates"]}
-        assert means == pytest.approx(scores["mean_similarity"], rel=1e-4)
-    else:
-        similarity = Similarity(found.frames, found.values, found.node, 0 * found.node)
-        heights = prominences_of(similarity, found.labels, scores["candidates"])
-        assert heights[found.values.argmax()] == pytest.approx(scores["prominence"], rel=1e-4)
-        assert heights[found.values.argmax()] >= 5 * heights.mean()
-    text = text_of(decision.explain(found, story))
-    assert f"image {found.frame}: " in text
-    assert f"image {scores['match']}" in text
-    assert ("prominence: " in text) == (version == 1)
-    assert ("mean of the node, the highest" in text) == (version == 2)
-
-
-def test_a_curve_that_differs_from_the_log_is_not_shown(runs: dict) -> None:
-    story = told(runs[2])
-    events = [{**e, "scores": {**e["scores"], "similarity": 0.9}} for e in story.events]
-    assert decision.instructive(replace(story, events=tuple(events)), runs[2][1] / "mapper.npz") is None
-
-
-def test_no_decision_no_picture(runs: dict) -> None:
-    story = told(runs[2])
-    events = [{**event, "reason": "NO_CANDIDATE_NODE"} for event in story.events]
-    assert decision.instructive(replace(story, events=tuple(events)), runs[2][1] / "mapper.npz") is None
-
-
 def test_a_story_numbers_nodes_as_the_evaluation_does(runs: dict) -> None:
     for target, layer in runs.values():
         results = json.loads((target / "results.json").read_text())
@@ -316,8 +277,6 @@ def test_errors(runs: dict, tmp_path: Path) -> None:
     (tmp_path / "cut.jsonl").write_text("".join(lines)[:-20])
     with pytest.raises(FormatError, match="not the whole log"):
         growth.read_story(tmp_path / "cut.jsonl", read_plan(target))
-    with pytest.raises(FormatError, match=r"missing\.npz"):
-        decision.instructive(told(runs[2]), tmp_path / "missing.npz")
     with pytest.raises(DataError, match="nothing to draw"):
         nodes_on_plan(replace(plan([0, 0]), node=np.empty(0, dtype=int)))
 

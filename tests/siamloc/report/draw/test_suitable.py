@@ -85,7 +85,7 @@ def test_nothing_is_drawn_before_it_is_asked_for(tmp_path: Path) -> None:
     figure = made["calibration"]()
     assert isinstance(figure, Picture)
     assert figure._repr_png_().startswith(b"\x89PNG"), "notebooks show it"
-    assert not made.keys() & {"nodes", "decision", "robustness"}
+    assert not made.keys() & {"nodes", "robustness"}
 
 
 def test_svg_is_the_same_every_time() -> None:
