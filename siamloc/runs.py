@@ -306,16 +306,18 @@ def _check_curves(curves: Mapping[str, NDArray[np.float64]]) -> None:
 
 
 @typed
-def newest_run(folder: Path = DEFAULT_FOLDER) -> Run:
-    """Find the run under a folder whose record is the newest.
+def newest_run(folder: Path = DEFAULT_FOLDER, *, trained: bool = True) -> Run:
+    """Find the run under a folder that was trained last, or with `trained=False` trained or evaluated last.
 
     Raises:
         ConfigError: there is none.
     """
-    records = sorted(folder.glob("**/run.json"), key=lambda path: path.stat().st_mtime_ns)
-    if not records:
+    found = [(record, record.parent) for record in folder.glob("**/run.json")]
+    if not trained:
+        found += [(results, results.parents[2]) for results in folder.glob("**/evaluation/*/results.json")]
+    if not found:
         raise ConfigError(f"there is no run under {folder}/: train one first, or name it with run=FOLDER")
-    return Run(records[-1].parent)
+    return Run(max(found, key=lambda one: one[0].stat().st_mtime_ns)[1])
 
 
 @typed

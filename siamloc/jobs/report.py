@@ -45,7 +45,7 @@ class Report(Job):
         several = [self.runs] if isinstance(self.runs, str) else list(self.runs or [])
         if several and self.folder is not None:
             raise ConfigError(f"give run={self.folder} or runs=[...], not both")
-        folders = list(map(Path, several)) or [Path(self.folder or newest_run().folder)]
+        folders = list(map(Path, several)) or [Path(self.folder or newest_run(trained=False).folder)]
         default = folders[0] / "report.html" if len(folders) == 1 else Path("report.html")
         out = Path(self.out or default)
         if self.out is not None and sweep_suffix():

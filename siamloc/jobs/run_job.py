@@ -25,6 +25,7 @@ from siamloc.data.reading import DataSettings
 from siamloc.errors import ConfigError
 from siamloc.jobs.choices import OF_A_RUN, Build, DescriptorChoice, Device, Folder, Heading, Model
 from siamloc.jobs.job import Given, Job, Say
+from siamloc.jobs.options import choices, option
 from siamloc.jobs.sweep import of_map, own_folder
 from siamloc.models.registry import PRETRAINED_SIZE, Optimizer, whole_model
 from siamloc.runs import Run, newest_run
@@ -147,6 +148,8 @@ class RunJob(DataJob):
         """Return values together with the settings of the run."""
         chosen = values["descriptor"]
         if values.get("run") is not None:
+            if not any(key.partition(".")[0] == "descriptor" for key in given.keys):
+                values = {**values, "descriptor": _described_by(values["run"]) or chosen}
             values = with_settings_of_the_run(values, given, cls.key_names(), replaces_map=cls.REPLACES_MAP)
         elif chosen.get("name") in OF_A_RUN and chosen.get("run") is None:
             raise ConfigError(f"no run is named: {suggestion()}")
@@ -304,6 +307,15 @@ def suggestion() -> str:
         return f"give run=FOLDER, such as run={newest_run().folder}, the newest one"
     except ConfigError:
         return "train one first with `siamloc train run=FOLDER`, or choose a descriptor that needs none, descriptor=hog"
+
+
+def _described_by(run: Any) -> dict[str, Any] | None:
+    """Return the only descriptor that a folder without a trained network has a map of; None if there are others."""
+    folder = Path(str(run))
+    made = [file.parent.name for file in folder.glob("evaluation/*/map.npz")]
+    if Run(folder).record.is_file() or len(made) != 1 or made[0] not in choices("descriptor"):
+        return None
+    return dict(option("descriptor", made[0]).values)
 
 
 def _hint_at_maps(folder: Path) -> None:

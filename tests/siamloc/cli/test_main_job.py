@@ -228,14 +228,19 @@ def test_analytic_descriptors_need_no_run(flat, tmp_path, monkeypatch):
     assert "margin" in results["skipped"]["room_pairs"]
 
 
-def test_a_folder_with_maps_but_no_network_says_which_descriptor_to_choose(flat, tmp_path, monkeypatch, capsys):
+def test_a_folder_with_maps_but_no_network_takes_the_only_descriptor_or_says_which(flat, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     data = [f"data.manifest={flat}", f"data.cache={flat.parent / 'cache'}", "data.image_size=[32,128]"]
-    siamloc("map", "run=robot", "descriptor=hsv", "protocol.map.sequences=[cloudy1]", *data)
-    assert main(["evaluate", "run=robot", "protocol.query.sequences=[cloudy2]", *data]) == 2
-    assert "robot holds no trained network, only maps by hsv: choose the descriptor, such as descriptor=hsv" in (
-        capsys.readouterr().err
-    )
+    siamloc("map", "run=runs/robot", "descriptor=hsv", "protocol.map.sequences=[cloudy1]", *data)
+    siamloc("evaluate", "run=runs/robot", "protocol.query.sequences=[cloudy2]", "task.plots=false")
+    assert (tmp_path / "runs/robot/evaluation/hsv/results.json").is_file()
+    page = tmp_path / "newest.html"
+    siamloc("report", f"out={page}")  # of the newest run, trained or not
+    assert "hsv" in page.read_text()
+    siamloc("map", "run=runs/robot", "descriptor=thumbnail", "protocol.map.sequences=[cloudy1]", *data)
+    assert main(["evaluate", "run=runs/robot", "protocol.query.sequences=[cloudy2]"]) == 2
+    error = capsys.readouterr().err
+    assert "robot holds no trained network, only maps by hsv, thumbnail: choose the descriptor, such as desc" in error
 
 
 def test_a_trained_run_describes_for_another_folder(finished, tmp_path):
