@@ -13,7 +13,7 @@ Own = TypeVar("Own", bound="Rows")
 
 @dataclass(frozen=True)
 class Rows:
-    """Base of a frozen dataclass whose fields are arrays with n rows, other `Rows` of n rows, or None.
+    """Base of a frozen dataclass whose fields have n rows: arrays, results with `take` and `concatenate`, or None.
 
     Example:
         >>> from dataclasses import dataclass
@@ -33,7 +33,7 @@ class Rows:
         """Return some of the rows, given by index, by a mask or by a slice."""
 
         def taken(value: Any) -> Any:
-            return value.take(rows) if isinstance(value, Rows) else None if value is None else value[rows]
+            return value[rows] if isinstance(value, np.ndarray) else None if value is None else value.take(rows)
 
         return replace(self, **{one.name: taken(getattr(self, one.name)) for one in fields(self)})
 
@@ -43,8 +43,8 @@ class Rows:
 
         def joined(values: list[Any]) -> Any:
             first = values[0]
-            if isinstance(first, Rows):
-                return type(first).concatenate(values)
-            return None if first is None else np.concatenate(values)
+            if first is None:
+                return None
+            return np.concatenate(values) if isinstance(first, np.ndarray) else type(first).concatenate(values)
 
         return cls(**{one.name: joined([getattr(part, one.name) for part in parts]) for one in fields(cls)})

@@ -82,6 +82,23 @@ class Estimates(Settings):
 
 
 @dataclass(frozen=True)
+class Learned:
+    """What is learned for the estimates before the queries are judged.
+
+    Attributes:
+        validation: the validation frames, searched in the map; None if nothing is learned from them.
+        refinement: the method for poses finer than the map, with the learned width of the ellipses; None for none.
+        errors: the error model; None for none.
+        about: the data from which each of them was learned, as plain values.
+    """
+
+    validation: Validation | None
+    refinement: Refinement | None
+    errors: ErrorModel | None
+    about: dict[str, Any]
+
+
+@dataclass(frozen=True)
 class Validation:
     """Validation frames with positions, searched in the map like queries.
 
@@ -96,11 +113,6 @@ class Validation:
     frames: FrameTable
     search: Search
     elsewhere: Search | None = None
-
-
-def needs_validation(settings: Estimates) -> bool:
-    """Whether validation frames are needed for learning."""
-    return settings.error_model or (settings.filter and settings.filter_tune)
 
 
 def search_validation(session: Session, frames: FrameTable | None, settings: Estimates, known: VisualMap) -> Validation:
@@ -158,63 +170,72 @@ def prepared(settings: Estimates, search: Search) -> Search:
     return replace(search, k=k, refinement=finer, with_distances=settings.filter)
 
 
+def learn(session: Session, settings: Estimates, search: Search) -> Learned:
+    """Return what the settings ask to learn for a map.
+
+    Args:
+        session: a session, with validation frames if the settings need them.
+        settings: settings of the task.
+        search: a search that `prepared` returned.
+
+    Raises:
+        ConfigError: there are no validation frames.
+        DataError: validation frames without positions, or too few.
+    """
+    known, finer, errors = search.known, search.refinement, None
+    needed = settings.error_model or (settings.filter and settings.filter_tune)
+    needed |= settings.refine == "relative" and session.validation is not None
+    validation = search_validation(session, session.validation, settings, known) if needed else None
+    about: dict[str, Any] = {}
+    if finer is not None:
+        finer, about[FURTHER[ESTIMATES[finer.method]]] = learned_refinement(finer, validation, session.skipped)
+    if settings.error_model and validation is not None:
+        errors, about["error_model"] = learned_errors(settings, known, validation, session.skipped)
+    return Learned(validation, finer, errors, about)
+
+
 def with_estimates(
-    result: Result, session: Session, settings: Estimates, search: Search, queries: FrameTable
+    result: Result, settings: Estimates, search: Search, queries: FrameTable, learned: Learned
 ) -> Result:
     """Return a result of absolute localization with the further estimates that the settings request.
 
     Args:
         result: result of the single-frame estimates.
-        session: a session, with validation frames if `needs_validation`.
         settings: settings of the task.
         search: a search that `prepared` returned and that has been run.
         queries: the queries of the search (n), all with positions.
-
-    Raises:
-        DataError: validation frames without positions, or too few.
+        learned: what was learned for the map.
     """
-    known, validation = search.known, learned_from(session, settings, search.known)
+    finer, model, made = learned.refinement, learned.errors, dict(learned.about)
     if settings.filter:
-        columns, about, between = filtered(settings, search, queries, validation)
-        result = _with_columns(result, "filtered", columns, {"filter": about})
+        columns, made["filter"], between = filtered(settings, search, queries, learned.validation)
+        result = _with_columns(result, "filtered", columns)
         if settings.refine == "interpolate":
-            about = {"step": about["step"], "kidnapping": about["kidnapping"], "radius": settings.place_radius}
-            columns = estimate_columns("tracked", between, queries)
-            result = _with_columns(result, "tracked", columns, {"tracking": about})
-    if search.refinement is not None:
-        finer, about = learned_refinement(search.refinement, validation, session.skipped)
+            steps = {key: made["filter"][key] for key in ("step", "kidnapping")}
+            made["tracking"] = {**steps, "radius": settings.place_radius}
+            result = _with_columns(result, "tracked", estimate_columns("tracked", between, queries))
+    if finer is not None:
         poses = search.refined.widened(finer.widening)
-        columns = refined(finer, poses, queries)
-        name = ESTIMATES[finer.method]
-        result = _with_columns(result, name, columns, {FURTHER[name]: about})
-        result = replace(result, refinement=finer)
+        result = _with_columns(result, ESTIMATES[finer.method], refined(finer, poses, queries))
         if settings.filter and finer.method == "relative":
-            step = result.about["estimates"]["filter"]["step"]
-            columns, about = tracked(step, settings.filter_settings.kidnapping, queries, poses)
-            result = _with_columns(result, "tracked", columns, {"tracking": about})
-    if settings.error_model and validation is not None:
-        model, about = learned_errors(settings, known, validation, session.skipped)
-        expected, lost = model.judged(search.retrieval, known.frames.xy, search.refined if model.of_poses else None)
-        assert lost is not None
+            step, kidnapping = made["filter"]["step"], settings.filter_settings.kidnapping
+            columns, made["tracking"] = tracked(step, kidnapping, queries, poses)
+            result = _with_columns(result, "tracked", columns)
+    if model is not None:
+        expected, lost = model.judged(
+            search.retrieval, search.known.frames.xy, search.refined if model.of_poses else None
+        )
+        assert lost is not None  # the model has learned the threshold
         columns = {**result.tables["queries"], "error_m": expected, "lost": lost}
-        judged = {
-            **columns,
-            "error": columns[f"{ESTIMATES[model.refine]}_error" if model.refine in ESTIMATES else "error"],
-        }
+        judged = f"{ESTIMATES[model.refine]}_error" if model.refine in ESTIMATES else "error"
+        calibrated = calibration_measures({**columns, "error": columns[judged]}, settings.lost_above)
         result = replace(
             result,
-            parts={**result.parts, "calibration": calibration_measures(judged, settings.lost_above)},
+            parts={**result.parts, "calibration": calibrated},
             tables={**result.tables, "queries": columns},
-            about={**result.about, "estimates": {**result.about.get("estimates", {}), "error_model": about}},
-            error_model=model,
         )
-    return result
-
-
-def learned_from(session: Session, settings: Estimates, known: VisualMap) -> Validation | None:
-    """Return the validation frames, searched in the map; None if nothing is learned from them."""
-    learns = needs_validation(settings) or (settings.refine == "relative" and session.validation is not None)
-    return search_validation(session, session.validation, settings, known) if learns else None
+    about = {**result.about, "estimates": made} if made else result.about
+    return replace(result, about=about, error_model=model, refinement=finer)
 
 
 def filtered(
@@ -358,13 +379,12 @@ def _interval(frames: FrameTable) -> float | None:
     return float(np.median(seconds)) if len(seconds) else None
 
 
-def _with_columns(result: Result, name: str, columns: Columns, about: dict[str, Any]) -> Result:
-    """Return a result with a further estimate of each query: its columns, measures and parameters."""
+def _with_columns(result: Result, name: str, columns: Columns) -> Result:
+    """Return a result with a further estimate of each query: its columns and measures."""
     table, held = {**result.tables["queries"], **columns}, result.parts["absolute"]
     measures = estimate_measures(table, name, held["radii"], held["map_frames"], held["unit"])
     return replace(
         result,
         parts={**result.parts, f"absolute_{name}": measures},
         tables={**result.tables, "queries": table},
-        about={**result.about, "estimates": {**result.about.get("estimates", {}), **about}},
     )

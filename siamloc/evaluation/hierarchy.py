@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from analytic import Description
 from foundation.calls import takes
+from foundation.columns import Rows
 from foundation.settings import Count, Natural, NotNegative, Rule, Settings
 from siamloc.data.frames import FrameTable
 from siamloc.data.library import PanoramaLibrary
@@ -136,23 +137,21 @@ def hierarchical(
         session.skipped["hierarchical, queries"] = f"{text}; located all the same in located.csv"
     if text := missing_rooms(known.frames, session.queries):
         session.skipped["rooms"] = text
-    found = _run(session, search, settings)
+    clock = Stopwatch()
+    found, perfect = _run(session, search, settings, clock)
     result = Result(session.name, {}, {}, {"queries": 0, "nodes": len(layer)})
-    if scored.any():
-        assert found.perfect is not None
+    if perfect is not None:
+        own, frames = found.take(scored), session.queries.take(scored)
+        turned = None if found.headings is None else own.heading
         result = evaluate_hierarchical(
-            known,
-            layer,
-            session.queries.take(scored),
-            found.both.take(scored),
-            found.perfect,
-            found.whole.take(scored),
-            settings.radii,
-            settings.ks,
-            None if found.headings is None else found.headings[scored],
+            known, layer, frames, own.both, perfect, own.whole, settings.radii, settings.ks, turned
         )
     if not scored.all():
-        result = replace(result, tables={**result.tables, "located": _unscored(session, found, ~scored)})
+        own, frames = found.take(~scored), session.queries.take(~scored)
+        turned = None if found.headings is None else own.heading
+        located = located_columns(known, frames, own.both.found, turned)
+        located |= {"node": own.both.node, "comparisons": own.both.compared}
+        result = replace(result, tables={**result.tables, "located": located})
     about = {
         **session.about(),
         "coarse_descriptor": search.coarse.descriptor.identity,
@@ -164,7 +163,7 @@ def hierarchical(
         about=about,
         settings=session.settings(settings),
         skipped=session.skipped,
-        cost=found.cost,
+        cost={**cost(known, clock), "rank_ms": clock.ms("rank"), "whole_search_ms": clock.ms("whole")},
     )
 
 
@@ -259,29 +258,22 @@ def node_measures(
 def _coarse(columns: Mapping[str, NDArray], rows: NDArray[np.int64], map_frames: int) -> dict[str, Any]:
     names = ("error", "coarse_correct", "comparisons", "frames_compared", "error_perfect_coarse", "error_absolute")
     error, right, compared, frames_compared, perfect, whole = (columns[name][rows] for name in names)
-    correct, reference = int(right.sum()), float(whole.mean()) if len(rows) else math.nan
+    parts = {"given_right": error[right], "given_wrong": error[~right], "perfect_coarse": perfect, "absolute": whole}
     return {
-        "coarse": {
-            "accuracy": correct / len(rows) if len(rows) else math.nan,
-            "correct": correct,
-            "queries": len(rows),
-        },
-        "given_right": _error(error[right]),
-        "given_wrong": _error(error[~right]),
-        "perfect_coarse": _error(perfect),
-        "absolute": _error(whole),
-        "loss": float(error.mean()) / reference - 1 if reference > 0 else math.nan,
+        "coarse": {"accuracy": _mean(right), "correct": int(right.sum()), "queries": len(rows)},
+        **{name: {"queries": len(errors), "error": summarize(errors)} for name, errors in parts.items()},
+        "loss": _mean(error) / _mean(whole) - 1 if _mean(whole) > 0 else math.nan,
         "comparisons": {
-            "mean": float(compared.mean()) if len(rows) else math.nan,
-            "max": int(compared.max()) if len(rows) else 0,
-            "share": float(compared.mean()) / map_frames if len(rows) else math.nan,
-            "frames_share": float(frames_compared.mean()) / map_frames if len(rows) else math.nan,
+            "mean": _mean(compared),
+            "max": int(compared.max(initial=0)),
+            "share": _mean(compared) / map_frames,
+            "frames_share": _mean(frames_compared) / map_frames,
         },
     }
 
 
-def _error(errors: NDArray[np.float64]) -> dict[str, Any]:
-    return {"queries": len(errors), "error": summarize(errors)}
+def _mean(values: NDArray) -> float:
+    return float(values.mean()) if len(values) else math.nan
 
 
 def _listed(nodes: list[int]) -> str:
@@ -289,54 +281,50 @@ def _listed(nodes: list[int]) -> str:
 
 
 @dataclass(frozen=True)
-class _Found:
-    """Results of the queries: with both layers, with a perfect coarse layer, and in the whole map."""
+class _Found(Rows):
+    """Results of the queries: with both layers, in the whole map, and headings, NaN where unknown (n,)."""
 
     both: HierarchicalRetrieval
-    perfect: HierarchicalRetrieval | None  # only of queries with positions
     whole: Retrieval
-    headings: NDArray[np.float64] | None
-    cost: dict[str, Any]
+    heading: NDArray[np.float64]
+
+    @property
+    def headings(self) -> NDArray[np.float64] | None:
+        """The headings; None if all are unknown."""
+        return self.heading if np.isfinite(self.heading).any() else None
 
 
-def _run(session: Session, search: HierarchicalSearch, settings: Hierarchical) -> _Found:
-    """Search for all queries, batch by batch if the descriptions are large."""
+def _run(
+    session: Session, search: HierarchicalSearch, settings: Hierarchical, clock: Stopwatch
+) -> tuple[_Found, HierarchicalRetrieval | None]:
+    """Search for all queries, batch by batch if the descriptions are large.
+
+    Returns:
+        The results, and those of the queries with positions in the true node alone; None if no query has a position.
+    """
     known, queries = session.known, session.queries
-    scored, rankings, clock = queries.has_position, None, Stopwatch()
+    scored, rankings = queries.has_position, None
     if search.coarse is not known:
         parts = session.parts_of(search.coarse, queries, f"the queries, {search.coarse.descriptor.name}", clock)
         rankings = NodeRanking.concatenate([_ranked(search, part, clock) for part in parts])
     k = neighbours(settings.ks, len(known))
-    both, perfect, whole, turned, start = [], [], [], [], 0
+    found, perfect, start = [], [], 0
     for part in session.parts_of(known, queries, f"the queries, {session.name}", clock):
         rows = np.arange(start, start + len(part))
         ranking = _ranked(search, part, clock) if rankings is None else rankings.take(rows)
         with clock.of("search", len(part)):
-            both.append(search.search(part, ranking, k))
+            both = search.search(part, ranking, k)
         with clock.of("whole", len(part)):
-            whole.append(match(known, part, 1))
-        turned.append(headings(known, part, both[-1].found))
+            whole = match(known, part, 1)
+        found.append(_Found(both, whole, headings(known, part, both.found)[:, 0]))
         inside = np.flatnonzero(scored[rows])
         if len(inside):
             true = rank_by_position(queries.xy[rows[inside]], known.frames.xy, search.layer.labels)
             perfect.append(search.search(part.take(inside), true, 1))
         start += len(part)
-    by_nearest = np.concatenate(turned)[:, 0]
-    return _Found(
-        HierarchicalRetrieval.concatenate(both),
-        HierarchicalRetrieval.concatenate(perfect) if perfect else None,
-        Retrieval.concatenate(whole),
-        by_nearest if np.isfinite(by_nearest).any() else None,
-        {**cost(known, clock), "rank_ms": clock.ms("rank"), "whole_search_ms": clock.ms("whole")},
-    )
+    return _Found.concatenate(found), HierarchicalRetrieval.concatenate(perfect) if perfect else None
 
 
 def _ranked(search: HierarchicalSearch, part: Description, clock: Stopwatch) -> NodeRanking:
     with clock.of("rank", len(part)):
         return search.rank(part)
-
-
-def _unscored(session: Session, found: _Found, rows: NDArray[np.bool_]) -> Columns:
-    headings = None if found.headings is None else found.headings[rows]
-    columns = located_columns(session.known, session.queries.take(rows), found.both.found.take(rows), headings)
-    return {**columns, "node": found.both.node[rows], "comparisons": found.both.compared[rows]}

@@ -23,9 +23,8 @@ from siamloc.evaluation.estimates import (
     ESTIMATES,
     MATCHES,
     Estimates,
+    learn,
     learned_errors,
-    learned_from,
-    learned_refinement,
     prepared,
     search_validation,
     with_estimates,
@@ -35,7 +34,6 @@ from siamloc.evaluation.result import Result
 from siamloc.evaluation.session import Baselines, Search, Session, cost
 from siamloc.maps import VisualMap
 from siamloc.maps.error_model import ErrorModel
-from siamloc.results import FURTHER
 from siamloc.stopwatch import Stopwatch
 
 
@@ -230,14 +228,16 @@ def _measured(session: Session, settings: Localization, name: str, known: Visual
     for search in searches.values():
         search.clock = clock
     vectors = session.run(known, queries, searches, f"the queries, {name}", clock)
-    result = Result(name, {}, {}, skipped=skipped)
+    result, learned = Result(name, {}, {}, skipped=skipped), None
     if search := searches.get("absolute"):
         placed = queries.take(search.rows)
-        headings = None if search.headings is None else search.headings
         found = evaluate_absolute(
-            search.known, None, placed, settings.radii, settings.ks, search.retrieval, headings, search.excluded
+            search.known, None, placed, settings.radii, settings.ks, search.retrieval, search.headings, search.excluded
         )
-        result = result.joined(with_estimates(found, session, settings, search, placed) if main else found)
+        if main:
+            learned = learn(session, settings, search)
+            found = with_estimates(found, settings, search, placed, learned)
+        result = result.joined(found)
     if search := searches.get("room_retrieval"):
         labelled = queries.take(search.rows)
         found = room_retrieval.evaluate_rooms(search.known, None, labelled, search.retrieval, search.excluded)
@@ -247,7 +247,15 @@ def _measured(session: Session, settings: Localization, name: str, known: Visual
         if main and (text := missing_rooms(known.frames, queries)):
             skipped["rooms"] = text
     if search := searches.get("located"):
-        result = _located(result, session, settings, search, queries.take(bare))
+        if learned is None:
+            learned = learn(session, replace(settings, filter=False, filter_tune=False), search)
+            about = {"estimates": learned.about} if learned.about else {}
+            result = replace(result, about=about, error_model=learned.errors, refinement=learned.refinement)
+        poses = None if search.refinement is None else (ESTIMATES[search.refinement.method], search.refined)
+        columns = located_columns(
+            search.known, queries.take(bare), search.retrieval, search.headings, learned.errors, poses
+        )
+        result = replace(result, tables={**result.tables, "located": columns})
     return replace(result, name=name, skipped={**result.skipped, **skipped}, cost=cost(known, clock))
 
 
@@ -273,26 +281,6 @@ def _search_bare(session: Session, settings: Localization, placed: VisualMap, ro
     excluded = session.excluded(session.queries.take(rows), placed.frames)
     k = most_neighbours(MATCHES if settings.error_model else 1, len(placed), excluded)
     return prepared(replace(settings, filter=False, filter_tune=False), Search(placed, rows, k, excluded=excluded))
-
-
-def _located(result: Result, session: Session, settings: Localization, search: Search, queries: FrameTable) -> Result:
-    """Return the result with the table of queries without a pose."""
-    if "absolute" not in result.parts:  # otherwise, all this was learned there
-        alone = replace(settings, filter=False, filter_tune=False)
-        validation, about = learned_from(session, alone, search.known), {}
-        if search.refinement is not None:
-            finer, learned = learned_refinement(search.refinement, validation, session.skipped)
-            about[FURTHER[ESTIMATES[finer.method]]] = learned
-            result = replace(result, refinement=finer)
-        if settings.error_model and validation is not None:
-            model, about["error_model"] = learned_errors(settings, search.known, validation, session.skipped)
-            result = replace(result, error_model=model)
-        if about:
-            result = replace(result, about={**result.about, "estimates": about})
-    poses = None if search.refinement is None else (ESTIMATES[search.refinement.method], search.refined)
-    errors = result.error_model
-    columns = located_columns(search.known, queries, search.retrieval, search.headings, errors, poses)
-    return replace(result, tables={**result.tables, "located": columns})
 
 
 def _with_pairs(

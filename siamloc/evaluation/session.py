@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -11,6 +12,7 @@ from numpy.typing import NDArray
 
 from analytic import Description, Descriptor
 from foundation.calls import typed
+from foundation.columns import Rows
 from siamloc import maps
 from siamloc.data.frames import FrameTable
 from siamloc.data.library import PanoramaLibrary
@@ -22,6 +24,16 @@ from siamloc.maps.packing import shares_values
 from siamloc.stopwatch import Stopwatch
 
 Baselines = Mapping[str, Descriptor] | Sequence[str | Descriptor] | str | Descriptor
+
+
+@dataclass(frozen=True)
+class _Part(Rows):
+    """Results of a search for some frames: see the properties of `Search`."""
+
+    retrieval: Retrieval
+    heading: NDArray[np.float64]
+    distances: NDArray[np.float64] | None
+    refined: RefinedPoses | None
 
 
 @dataclass
@@ -45,46 +57,48 @@ class Search:
     with_distances: bool = False
     excluded: NDArray[np.bool_] | None = None
     clock: Stopwatch = field(default_factory=Stopwatch)
-    _found: list[Retrieval] = field(default_factory=list)
-    _turned: list[NDArray[np.float64]] = field(default_factory=list)
-    _apart: list[NDArray[np.float64]] = field(default_factory=list)
-    _refined: list[RefinedPoses] = field(default_factory=list)
+    _parts: list[_Part] = field(default_factory=list)
 
     def take_in(self, queries: Description) -> None:
         """Search the map for the next batch of frames, and add the results."""
-        start = sum(map(len, self._found))
+        start = sum(map(len, self._parts))
         barred = None if self.excluded is None else self.excluded[start : start + len(queries)]
         with self.clock.of("search", len(queries)):
             found = match(self.known, queries, self.k, excluded=barred)
-        self._found.append(found)
         with self.clock.of("heading", len(queries)):
-            self._turned.append(headings(self.known, queries, found)[:, 0])
-        if self.refinement is not None:
-            self._refined.append(self.refinement.poses(self.known, queries, found))
-        if self.with_distances:
-            apart = frame_distances(self.known, queries)
-            self._apart.append(apart if barred is None else np.where(barred, np.inf, apart))
+            turned = headings(self.known, queries, found)[:, 0]
+        refined = None if self.refinement is None else self.refinement.poses(self.known, queries, found)
+        apart = frame_distances(self.known, queries) if self.with_distances else None
+        if apart is not None and barred is not None:
+            apart = np.where(barred, np.inf, apart)
+        self._parts.append(_Part(found, turned, apart, refined))
+        self.__dict__.pop("_all", None)
+
+    @cached_property
+    def _all(self) -> _Part:
+        return _Part.concatenate(self._parts)
 
     @property
     def retrieval(self) -> Retrieval:
         """The nearest map frames of each frame that was searched for."""
-        return Retrieval.concatenate(self._found)
+        return self._all.retrieval
 
     @property
     def refined(self) -> RefinedPoses:
         """Poses finer than the map, for each frame that was searched for."""
-        return RefinedPoses.concatenate(self._refined)
+        assert self._all.refined is not None
+        return self._all.refined
 
     @property
     def distances(self) -> NDArray[np.float64]:
         """Distances from the frames that were searched for to all map frames (n, m)."""
-        return np.concatenate(self._apart)
+        assert self._all.distances is not None
+        return self._all.distances
 
     @property
     def headings(self) -> NDArray[np.float64] | None:
         """Headings from the nearest map frame (n,), NaN if unknown; None if all are unknown."""
-        turned = np.concatenate(self._turned)
-        return turned if np.isfinite(turned).any() else None
+        return self._all.heading if np.isfinite(self._all.heading).any() else None
 
 
 class Session:
