@@ -12,10 +12,9 @@ from typing import TYPE_CHECKING
 from siamloc.lazy import lazy
 
 if TYPE_CHECKING:
-    from siamloc.reproduce.catalogue import listing
     from siamloc.reproduce.claims import holds
     from siamloc.reproduce.page import write_report
-    from siamloc.reproduce.recipe_book import Recipe, recipe, recipes
+    from siamloc.reproduce.recipe_book import Recipe, listing, recipe, recipes
     from siamloc.reproduce.reproduction import Reproduction
     from siamloc.reproduce.running import reproduce
 
@@ -23,7 +22,7 @@ _HOMES = {
     "Recipe": "recipe_book",
     "Reproduction": "reproduction",
     "holds": "claims",
-    "listing": "catalogue",
+    "listing": "recipe_book",
     "recipe": "recipe_book",
     "recipes": "recipe_book",
     "reproduce": "running",

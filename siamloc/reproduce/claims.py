@@ -23,45 +23,43 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from itertools import pairwise
-from pathlib import Path
 from statistics import fmean
-from types import MappingProxyType
 from typing import Any
 
-import yaml
-
 from foundation.calls import typed
+from foundation.settings import Settings, Text
 from siamloc.errors import ConfigError, hint
-from siamloc.reproduce.published import Record, Source, published
+from siamloc.reproduce.published import Record, Source, contents, grouped, named, published
 
-_FILE = Path(__file__).with_name("claims.yaml")
 _BOUNDS: dict[str, Callable[[Any, Any], bool]] = {
     "above": operator.gt,
     "below": operator.lt,
     "at_least": operator.ge,
     "at_most": operator.le,
 }
-_PICKS: dict[str, Callable[[Sequence[float]], float]] = {"min": min, "max": max, "mean": fmean}
 _COMMON = {"kind", "measure", "where", "match", "pick"}
-_KEYS = {
-    "order": _COMMON | {"more", "less", "factor"},
-    "trend": _COMMON | {"along", "goes", "within"},
-    "threshold": _COMMON | set(_BOUNDS),
-}
+_PICKS: dict[str, Callable[[Sequence[float]], float]] = {"min": min, "max": max, "mean": fmean}
 
 
 @dataclass(frozen=True)
-class Claim:
-    """A sentence of a document, with the check that represents it."""
+class Claim(Settings):
+    """A sentence of a document, with the check that represents it.
 
-    id: str
+    Attributes:
+        id: id of the claim.
+        source: where the sentence stands.
+        sentence: the claim in our words.
+        check: what numbers must fulfil, see above.
+        entries: ids of the published numbers it refers to; empty if those are in a figure.
+        reading: how the check interprets vague words of the sentence.
+    """
+
+    id: Text
     source: Source
-    sentence: str
-    check: Mapping[str, Any]
-    entries: tuple[str, ...] = ()
-    """Ids of the published numbers it refers to; empty if those are in a figure."""
+    sentence: Text
+    check: dict[str, Any]
+    entries: tuple[Text, ...] = ()
     reading: str = ""
-    """How the check interprets vague words of the sentence."""
 
     def printed(self) -> bool | None:
         """Return whether the document's own numbers support the claim; None if they were not printed."""
@@ -74,10 +72,7 @@ def claim(id: str) -> Claim:
     Raises:
         ConfigError: an unknown id.
     """
-    known = _claims()
-    if id not in known:
-        raise ConfigError(f"there is no claim {id!r}; {hint(id, known)}")
-    return known[id]
+    return named(_claims(), id, "claim")
 
 
 def claims() -> tuple[Claim, ...]:
@@ -99,50 +94,41 @@ def holds(check: Mapping[str, Any], records: Sequence[Record]) -> bool | None:
         >>> holds({"kind": "threshold", "measure": "error", "below": 0.5}, [Record("error", 0.4, {})])
         True
     """
-    kind = check.get("kind")
-    if kind not in _KEYS:
-        raise ConfigError(f"unknown kind of check {kind!r}; {hint(str(kind), _KEYS)}")
-    for key in set(check) - _KEYS[kind]:
-        raise ConfigError(f"a check of kind {kind} has no key {key!r}; {hint(key, sorted(_KEYS[kind]))}")
+    kind = str(check.get("kind"))
+    if kind not in _KINDS:
+        raise ConfigError(f"unknown kind of check {kind!r}; {hint(kind, _KINDS)}")
+    passes, keys = _KINDS[kind][0], _KINDS[kind][1] | _COMMON
+    for key in set(check) - keys:
+        raise ConfigError(f"a check of kind {kind} has no key {key!r}; {hint(key, sorted(keys))}")
     found = [one for one in records if one.measure == check["measure"] and _fits(one, check.get("where", {}))]
-    groups: dict[tuple[Any, ...], list[Record]] = {}
-    for one in found:
-        groups.setdefault(tuple(one.settings.get(name) for name in check.get("match", ())), []).append(one)
-    results = [_KINDS[kind](check, group) for group in groups.values()]
+    results = [passes(check, group) for group in grouped(check.get("match", ()), found).values()]
     decided = [result for result in results if result is not None]
     return all(decided) if decided else None
 
 
 def _order(check: Mapping[str, Any], records: Sequence[Record]) -> bool | None:
-    more, less = _sides(check, records)
+    more = _side(records, check["more"], check["less"])
+    less = _side(records, check["less"], check["more"])
     if not more or not less:
         return None
-    pick = check.get("pick", "each")
-    high, low = (min(more), max(less)) if pick == "each" else (_PICKS[pick](more), _PICKS[pick](less))
+    pick = check.get("pick")
+    high, low = (_PICKS[pick](more), _PICKS[pick](less)) if pick in _PICKS else (min(more), max(less))
     return high >= check["factor"] * low if "factor" in check else high > low
 
 
-def _sides(check: Mapping[str, Any], records: Sequence[Record]) -> tuple[list[float], list[float]]:
-    more, less = check["more"], check["less"]
-    chosen = [_fits(one, less if more == "others" else more) for one in records]
-    if more == "others":
-        inside = [not yes for yes in chosen]
-        outside = chosen
-    else:
-        inside = chosen
-        outside = [not yes if less == "others" else _fits(one, less) for yes, one in zip(chosen, records, strict=True)]
-    return _values(records, inside), _values(records, outside)
+def _side(records: Sequence[Record], wanted: Any, opposite: Any) -> list[float]:
+    """Return the values of one side; the side "others" has all records that do not fit the opposite one."""
+    if wanted == "others":
+        return [one.value for one in records if not _fits(one, opposite)]
+    return [one.value for one in records if _fits(one, wanted)]
 
 
 def _trend(check: Mapping[str, Any], records: Sequence[Record]) -> bool | None:
-    places: dict[Any, list[float]] = {}
-    for one in records:
-        if check["along"] in one.settings:
-            places.setdefault(one.settings[check["along"]], []).append(one.value)
+    along, pick, within = check["along"], _PICKS[check.get("pick", "mean")], check.get("within", 0)
+    places = grouped([along], [one for one in records if along in one.settings])
     if len(places) < 2:
         return None
-    picked = [_PICKS[check.get("pick", "mean")](places[place]) for place in sorted(places)]
-    within = check.get("within", 0)
+    picked = [pick([one.value for one in part]) for part in places.values()]
     if check["goes"] == "flat":
         return max(picked) <= (1 + within) * min(picked)
     sign = 1 if check["goes"] == "up" else -1
@@ -153,17 +139,16 @@ def _threshold(check: Mapping[str, Any], records: Sequence[Record]) -> bool | No
     values = [one.value for one in records]
     if not values:
         return None
-    pick = check.get("pick", "each")
-    picked = values if pick == "each" else [_PICKS[pick](values)]
-    bounds = {name: check[name] for name in _BOUNDS if name in check}
-    return all(_BOUNDS[name](value, bound) for name, bound in bounds.items() for value in picked)
+    picked = [_PICKS[check["pick"]](values)] if check.get("pick") in _PICKS else values
+    return all(_BOUNDS[name](value, check[name]) for name in _BOUNDS if name in check for value in picked)
 
 
-_KINDS = {"order": _order, "trend": _trend, "threshold": _threshold}
-
-
-def _values(records: Sequence[Record], chosen: Sequence[bool]) -> list[float]:
-    return [one.value for one, yes in zip(records, chosen, strict=True) if yes]
+# Each kind of check, with the keys that only it has.
+_KINDS: dict[str, tuple[Callable[[Mapping[str, Any], Sequence[Record]], bool | None], set[str]]] = {
+    "order": (_order, {"more", "less", "factor"}),
+    "trend": (_trend, {"along", "goes", "within"}),
+    "threshold": (_threshold, set(_BOUNDS)),
+}
 
 
 def _fits(record: Record, wanted: Mapping[str, Any]) -> bool:
@@ -173,24 +158,11 @@ def _fits(record: Record, wanted: Mapping[str, Any]) -> bool:
 
 def _equal(value: Any, wanted: Any) -> bool:
     if isinstance(wanted, Mapping):
-        return all(
-            not _equal(value, bound) if name == "not" else _BOUNDS[name](value, bound) for name, bound in wanted.items()
-        )
+        bounds = _BOUNDS | {"not": lambda value, bound: not _equal(value, bound)}
+        return all(bounds[name](value, bound) for name, bound in wanted.items())
     return value in wanted if isinstance(wanted, (list, tuple)) else value == wanted
 
 
 @cache
 def _claims() -> dict[str, Claim]:
-    contents = yaml.safe_load(_FILE.read_text(encoding="utf-8"))
-    return {one["id"]: _claim(one) for one in contents["claims"]}
-
-
-def _claim(one: Mapping[str, Any]) -> Claim:
-    return Claim(
-        **{
-            **one,
-            "source": Source(**one["source"]),
-            "check": MappingProxyType(one["check"]),
-            "entries": tuple(one.get("entries", ())),
-        }
-    )
+    return {one["id"]: Claim.of(one) for one in contents("claims")["claims"]}

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from siamloc.errors import DataError
 from siamloc.report.draw.look import DASHES, INK, MARKS, PAPER, SERIES, SOFT, Picture, style
-from siamloc.reproduce.panels import grouped, names_of, said, shown, title, unit
-from siamloc.reproduce.published import Record
+from siamloc.reproduce.panels import names_of, said, shown, title, unit
+from siamloc.reproduce.published import Record, grouped
 from siamloc.reproduce.recipe_book import axis
 
 _TICKS = 6

@@ -8,11 +8,6 @@ from typing import Any
 from siamloc.reproduce.published import Record, measures
 from siamloc.reproduce.recipe_book import axis
 
-_ORDER: Mapping[str, Sequence[Any]] = {
-    "distance": ("manhattan", "euclidean", "correlation", "cosine"),
-    "method": ("spectral", "som", "sampling", "incremental"),
-}
-
 
 def names_of(figure: Mapping[str, Any], key: str) -> list[str]:
     """Return the settings named by a panel's `series` or `panels`: none, one or several."""
@@ -35,26 +30,6 @@ def shown(figure: Mapping[str, Any], records: Sequence[Record]) -> list[Record]:
         and all(one.settings.get(key) == value for key, value in where.items())
         and all(name in one.settings for name in needed)
     ]
-
-
-def grouped(names: Sequence[str], records: Sequence[Record]) -> dict[tuple[Any, ...], list[Record]]:
-    """Return records grouped by their values of some settings, in drawing order."""
-    groups: dict[tuple[Any, ...], list[Record]] = {}
-    for one in records:
-        groups.setdefault(tuple(one.settings.get(name) for name in names), []).append(one)
-    seen = {name: list(dict.fromkeys(one.settings.get(name) for one in records)) for name in names}
-
-    def rank(key: tuple[Any, ...]) -> list[float]:
-        return [_rank(name, value, seen[name]) for name, value in zip(names, key, strict=True)]
-
-    return {key: groups[key] for key in sorted(groups, key=rank)}
-
-
-def _rank(name: str, value: Any, seen: Sequence[Any]) -> float:
-    if isinstance(value, bool | int | float):
-        return float(value)
-    order = _ORDER.get(name, ())
-    return order.index(value) if value in order else len(order) + seen.index(value)
 
 
 def title(name: str, value: Any) -> str:

@@ -3,30 +3,41 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cache
 from pathlib import Path
-from types import MappingProxyType
-from typing import Any
+from typing import Any, TypeVar
 
 import yaml
 
+from foundation.settings import Settings, Text
 from siamloc.errors import ConfigError, hint
 
-_FILE = Path(__file__).with_name("published.yaml")
+Entry = TypeVar("Entry")
+
 _NUMBER = re.compile(r"([~<>]?)(-?\d+(?:\.\d+)?)")
+_ORDER: Mapping[str, Sequence[Any]] = {
+    "distance": ("manhattan", "euclidean", "correlation", "cosine"),
+    "method": ("spectral", "som", "sampling", "incremental"),
+}
 
 
 @dataclass(frozen=True)
-class Source:
-    """Where something was published, by section instead of page."""
+class Source(Settings):
+    """Where something was published, by section instead of page.
 
-    document: str
-    """"T", "I" or "C", the documents listed in `published.yaml`; "none" if it is not one of them."""
-    section: str
-    table: str | None = None
-    figures: str | None = None
+    Attributes:
+        document: "T", "I" or "C", the documents listed in `published.yaml`; "none" if it is not one of them.
+        section: number of the section.
+        table: number of the table, if it is one.
+        figures: numbers of the figures, if there are any.
+    """
+
+    document: Text
+    section: Text
+    table: Text | None = None
+    figures: Text | None = None
 
     @property
     def place(self) -> str:
@@ -38,82 +49,91 @@ class Source:
 
 
 @dataclass(frozen=True)
-class Column:
-    """A column of a published table: a setting of its rows, or a measure."""
+class Column(Settings):
+    """A column of a published table: a setting of its rows, or a measure.
 
-    name: str
-    unit: str
-    """As printed: one of `units` in `published.yaml`."""
-    measure: str | None = None
-    """What the numbers measure; None for a setting."""
+    Attributes:
+        name: name of the column.
+        unit: unit as printed: one of `units` in `published.yaml`.
+        measure: what the numbers measure; None for a setting.
+        decimals: number of decimals that were printed.
+        at: settings shared by all numbers of the column, such as the lighting.
+        key: the setting's key in siamloc's configuration, if any.
+        names: names in siamloc by printed label.
+    """
+
+    name: Text
+    unit: Text
+    measure: Text | None = None
     decimals: int | None = None
-    at: Mapping[str, Any] = field(default_factory=dict)
-    """Settings shared by all numbers of the column, such as the lighting."""
-    key: str | None = None
-    """The setting's key in siamloc's configuration, if any."""
-    names: Mapping[Any, Any] = field(default_factory=dict)
-    """Names in siamloc by printed label."""
+    at: dict[str, Any] = field(default_factory=dict)
+    key: Text | None = None
+    names: dict[Any, Any] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
 class Record:
-    """One number with everything it depends on; published and measured ones have the same form."""
+    """One number with everything it depends on; published and measured ones have the same form.
+
+    Attributes:
+        measure: name of the measure.
+        value: number in the measure's own unit: m, s, deg, shares instead of percent.
+        settings: what the number depends on, in siamloc's names.
+        entry: id of the published table.
+        printed: the number as printed, in the column's unit; empty for a measured one.
+        relation: "=", or "~", "<", ">" if the number is only approximate, or an upper or lower bound.
+    """
 
     measure: str
     value: float
-    """In the measure's own unit: m, s, deg, shares instead of percent."""
     settings: Mapping[str, Any]
-    """In siamloc's names."""
     entry: str = ""
     printed: str = ""
-    """The number as printed, in the column's unit; empty for a measured one."""
     relation: str = "="
-    """"=", or "~", "<", ">" if the number is only approximate, or an upper or lower bound."""
 
 
 @dataclass(frozen=True)
-class Published:
-    """A published table, or the numbers given in the text of a section."""
+class Published(Settings):
+    """A published table, or the numbers given in the text of a section.
 
-    id: str
-    title: str
+    Attributes:
+        id: id such as "table_5_7".
+        title: what it shows.
+        source: where it was published.
+        data: the images that were used.
+        protocol: `train`, `map` and `query` in a few words.
+        columns: its columns.
+        rows: cells by column, with the labels as printed (in English); a cell that was not printed is missing or None.
+        notes: doubtful points: misprints, and contradictions between text and table.
+        settings: settings that all rows have in common, in siamloc's names.
+    """
+
+    id: Text
+    title: Text
     source: Source
-    data: str
-    protocol: Mapping[str, str]
-    """`train`, `map` and `query` in a few words."""
-    settings: Mapping[str, Any]
-    """Settings that all rows have in common, in siamloc's names."""
+    data: Text
+    protocol: dict[str, str]
     columns: tuple[Column, ...]
-    rows: tuple[Mapping[str, Any], ...]
-    """Cells by column, with the labels as printed (in English); a cell that was not printed is missing or None."""
-    notes: tuple[str, ...]
-    """Doubtful points: misprints, and contradictions between text and table."""
+    rows: tuple[dict[str, Any], ...]
+    notes: tuple[Text, ...]
+    settings: dict[str, Any] = field(default_factory=dict)
 
     def records(self) -> tuple[Record, ...]:
         """Return each number as a record of its own, in siamloc's names and units, to be joined with measured ones."""
         return tuple(record for row in self.rows for record in self._of_row(row))
 
     def _of_row(self, row: Mapping[str, Any]) -> Iterator[Record]:
-        units = _contents()["units"]
-        settings = dict(self.settings)
-        for column in self.columns:
-            cell = row.get(column.name)
-            if column.measure is None and cell is not None:
-                settings[column.name] = _setting(cell, column, units[column.unit])
-        for column in self.columns:
-            cell = row.get(column.name)
-            if column.measure is not None and cell is not None:
+        cells = [(column, row[column.name]) for column in self.columns if row.get(column.name) is not None]
+        factors = {name: unit.get("factor") for name, unit in contents("published")["units"].items()}
+        own = {column.name: _setting(cell, column, factors) for column, cell in cells if column.measure is None}
+        for column, cell in cells:
+            if column.measure is not None:
                 printed = as_printed(cell, column)
-                value, relation = _value(printed)
-                factor = units[column.unit].get("factor", 1)
-                yield Record(
-                    measure=column.measure,
-                    value=round(value * factor, 9),
-                    settings=MappingProxyType({**settings, **column.at}),
-                    entry=self.id,
-                    printed=printed,
-                    relation=relation,
-                )
+                match = _NUMBER.fullmatch(printed)
+                assert match is not None, f"{printed!r} is not a number"
+                value = round(float(match[2]) * (factors[column.unit] or 1), 9)
+                settings = {**self.settings, **own, **column.at}
+                yield Record(column.measure, value, settings, self.id, printed, match[1] or "=")
 
 
 def published(id: str) -> Published:
@@ -126,10 +146,7 @@ def published(id: str) -> Published:
         >>> published("table_5_17").records()[0].settings["same_share"]
         0.8
     """
-    entries = _entries()
-    if id not in entries:
-        raise ConfigError(f"nothing was published as {id!r}; {hint(id, entries)}")
-    return entries[id]
+    return named(_entries(), id, "published table")
 
 
 def published_all() -> tuple[Published, ...]:
@@ -139,7 +156,8 @@ def published_all() -> tuple[Published, ...]:
 
 def measures() -> Mapping[str, Mapping[str, str]]:
     """Return the measures by name, each with its `unit` and description (`says`)."""
-    return MappingProxyType(_contents()["measures"])
+    found: Mapping[str, Mapping[str, str]] = contents("published")["measures"]
+    return found
 
 
 def as_printed(cell: float | str, column: Column) -> str:
@@ -147,51 +165,59 @@ def as_printed(cell: float | str, column: Column) -> str:
     return cell if isinstance(cell, str) else f"{cell:.{column.decimals}f}"
 
 
+def grouped(names: Sequence[str], records: Sequence[Record]) -> dict[tuple[Any, ...], list[Record]]:
+    """Return records grouped by their values of some settings, in drawing order."""
+    groups: dict[tuple[Any, ...], list[Record]] = {}
+    for one in records:
+        groups.setdefault(tuple(one.settings.get(name) for name in names), []).append(one)
+    seen = {name: list(dict.fromkeys(one.settings.get(name) for one in records)) for name in names}
+
+    def rank(key: tuple[Any, ...]) -> list[float]:
+        return [_rank(value, _ORDER.get(name, ()), seen[name]) for name, value in zip(names, key, strict=True)]
+
+    return {key: groups[key] for key in sorted(groups, key=rank)}
+
+
 @cache
-def _contents() -> dict[str, Any]:
-    contents: dict[str, Any] = yaml.safe_load(_FILE.read_text(encoding="utf-8"))
-    return contents
+def contents(name: str) -> dict[str, Any]:
+    """Return the contents of a YAML file of this package, such as "published"; read once."""
+    found: dict[str, Any] = yaml.safe_load(Path(__file__).with_name(f"{name}.yaml").read_text(encoding="utf-8"))
+    return found
+
+
+def named(known: Mapping[str, Entry], id: str, what: str) -> Entry:
+    """Return an entry by its id.
+
+    Raises:
+        ConfigError: an unknown id; the message names similar ones.
+    """
+    if id not in known:
+        raise ConfigError(f"there is no {what} {id!r}; {hint(id, known)}")
+    return known[id]
 
 
 @cache
 def _entries() -> dict[str, Published]:
-    known = _contents()["settings"]
-    return {entry["id"]: _entry(entry, known) for entry in _contents()["published"]}
+    return {entry["id"]: _entry(entry) for entry in contents("published")["published"]}
 
 
-def _entry(entry: Mapping[str, Any], known: Mapping[str, Any]) -> Published:
-    columns = [_column(column, known) for column in entry["columns"]]
-    listed = [column.name for column in columns]
+def _entry(entry: Mapping[str, Any]) -> Published:
+    known, listed = contents("published")["settings"], [column["name"] for column in entry["columns"]]
     rows = [row if isinstance(row, dict) else dict(zip(listed, row, strict=True)) for row in entry["rows"]]
     further = dict.fromkeys(name for row in rows for name in row if name not in listed)  # settings of only a few rows
-    columns += [_column({"name": name}, known) for name in further]
-    return Published(
-        id=entry["id"],
-        title=entry["title"],
-        source=Source(**entry["source"]),
-        data=entry["data"],
-        protocol=MappingProxyType(entry["protocol"]),
-        settings=MappingProxyType(entry.get("settings", {})),
-        columns=tuple(columns),
-        rows=tuple(MappingProxyType(row) for row in rows),
-        notes=tuple(entry["notes"]),
-    )
+    columns = [*entry["columns"], *({"name": name} for name in further)]
+    columns = [{**known.get(column["name"], {}), **column} for column in columns]
+    return Published.of({**entry, "columns": columns, "rows": rows})
 
 
-def _column(column: Mapping[str, Any], known: Mapping[str, Any]) -> Column:
-    return Column(**{**known.get(column["name"], {}), **column})
+def _setting(cell: Any, column: Column, factors: Mapping[str, float | None]) -> Any:
+    if isinstance(cell, list | tuple):
+        return tuple(_setting(one, column, factors) for one in cell)
+    factor = factors[column.unit]
+    return column.names.get(cell, cell) if factor is None else round(cell * factor, 9)
 
 
-def _setting(cell: Any, column: Column, unit: Mapping[str, Any]) -> Any:
-    if isinstance(cell, list):
-        return tuple(_setting(one, column, unit) for one in cell)
-    if "factor" in unit:
-        return round(cell * unit["factor"], 9)
-    return column.names.get(cell, cell)
-
-
-def _value(printed: str) -> tuple[float, str]:
-    match = _NUMBER.fullmatch(printed)
-    if match is None:
-        raise ValueError(f"{printed!r} is not a number")
-    return float(match[2]), match[1] or "="
+def _rank(value: Any, order: Sequence[Any], seen: Sequence[Any]) -> float:
+    if isinstance(value, bool | int | float):
+        return float(value)
+    return order.index(value) if value in order else len(order) + seen.index(value)

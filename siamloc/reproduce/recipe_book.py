@@ -1,4 +1,4 @@
-"""Recipes: the experiments behind a published table or figure, as data (`recipe_book.yaml`), and their jobs.
+"""Recipes: the experiments behind a published table or figure, as data (`recipe_book.yaml`), their jobs, and a list.
 
 An experiment is a call of the library with some settings varied; each combination is a job. Values may be given by
 scale, as in `{full: [1, 2, 4, 8], short: [2, 8]}`: a scale that is not listed uses the next larger one.
@@ -6,25 +6,25 @@ scale, as in `{full: [1, 2, 4, 8], short: [2, 8]}`: a scale that is not listed u
 
 from __future__ import annotations
 
+import textwrap
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from difflib import get_close_matches
 from functools import cache
 from itertools import product
-from pathlib import Path
-from types import MappingProxyType
-from typing import Any
-
-import yaml
+from typing import Any, Literal
 
 from foundation.calls import typed
-from siamloc.errors import ConfigError, hint
-from siamloc.reproduce.published import Source
+from foundation.settings import Settings, Text
+from siamloc.errors import ConfigError
+from siamloc.reproduce.published import Source, contents, named
 
-SCALES = ("smoke", "short", "full")
+Scale = Literal["smoke", "short", "full"]
 """From seconds on a small building, through minutes to hours, to the published experiments."""
+DataName = Literal["cold", "freiburg_sim", "mini"]
+"""Data sets of `recipe_book.yaml`."""
 
-_FILE = Path(__file__).with_name("recipe_book.yaml")
+_SCALES = ("smoke", "short", "full")
 
 
 @dataclass(frozen=True)
@@ -51,76 +51,59 @@ class Job:
 
     def plain(self) -> dict[str, Any]:
         """Return everything that determines the job's records, as plain values."""
-        return {
-            "kind": self.kind,
-            "roles": {name: dict(role) for name, role in self.roles.items()},
-            "options": dict(self.options),
-            "settings": dict(self.settings),
-            "dense": self.dense,
-            "same_run": self.same_run,
-        }
+        return {name: value for name, value in asdict(self).items() if name != "experiment"}
 
 
 @dataclass(frozen=True)
-class Axis:
-    """A setting that an experiment varies.
-
-    Attributes:
-        sets: the option that it sets, with dots, such as "descriptor.rows".
-        to: values, by scale if they differ.
-    """
-
-    sets: str
-    to: Any
-
-
-@dataclass(frozen=True)
-class Experiment:
+class Experiment(Settings):
     """A measurement with some settings varied.
 
     Attributes:
         id: name of the experiment.
         kind: what is measured.
         protocol: name of the protocol, which selects the frames.
-        over: what is varied, by its name in the documents.
+        over: what is varied, by its name in the documents: the option that it `sets`, with dots, such as
+            "descriptor.rows", and the values that the option is set `to`, by scale if they differ.
         options: what stays the same.
         settings: settings that all its records have in common.
         dense: as in `Job`.
         beside: whether it is our own, shown next to the published ones: claims do not refer to it.
     """
 
-    id: str
-    kind: str
-    protocol: str
-    over: Mapping[str, Axis] = field(default_factory=dict)
-    options: Mapping[str, Any] = field(default_factory=dict)
-    settings: Mapping[str, Any] = field(default_factory=dict)
+    id: Text
+    kind: Text
+    protocol: Text
+    over: dict[str, Any] = field(default_factory=dict)
+    options: dict[str, Any] = field(default_factory=dict)
+    settings: dict[str, Any] = field(default_factory=dict)
     dense: bool = False
     beside: bool = False
 
     def jobs(self, scale: str) -> list[Job]:
         """Return one job per combination of the varied settings."""
-        protocol = _contents()["protocols"][self.protocol]
-        roles, same_run = protocol["roles"], bool(protocol.get("same_run"))
-        axes = {name: _at(axis.to, scale) for name, axis in self.over.items()}
-        largest = {
-            name: max(values) for name, values in axes.items() if all(isinstance(v, int | float) for v in values)
-        }
+        protocol = contents("recipe_book")["protocols"][self.protocol]
+        axes = {name: _resolved(axis["to"], scale) for name, axis in self.over.items()}
+        numeric = [name for name, values in axes.items() if all(isinstance(value, int | float) for value in values)]
         made = []
         for combination in product(*axes.values()):
             chosen = dict(zip(axes, combination, strict=True))
             options: dict[str, Any] = _resolved(self.options, scale)
             for name, value in chosen.items():
-                _put(options, self.over[name].sets, value)
+                *path, last = self.over[name]["sets"].split(".")
+                place = options
+                for part in path:
+                    place = place.setdefault(part, {})
+                place[last] = value
             settings = {**self.settings, **chosen}
-            if largest and all(chosen[name] == value for name, value in largest.items()):
+            if numeric and all(chosen[name] == max(axes[name]) for name in numeric):
                 settings["size"] = "largest"
-            made.append(Job(self.id, self.kind, _resolved(roles, scale), options, settings, self.dense, same_run))
+            roles, same_run = _resolved(protocol["roles"], scale), bool(protocol.get("same_run"))
+            made.append(Job(self.id, self.kind, roles, options, settings, self.dense, same_run))
         return made
 
 
 @dataclass(frozen=True)
-class Recipe:
+class Recipe(Settings):
     """How a published table or figure is measured again.
 
     Attributes:
@@ -138,18 +121,18 @@ class Recipe:
         notes: what a reader must know about differences from the published experiment.
     """
 
-    id: str
-    title: str
+    id: Text
+    title: Text
     source: Source
-    experiments: tuple[str, ...]
-    entries: tuple[str, ...] = ()
-    claims: tuple[str, ...] = ()
-    join: tuple[str, ...] | None = None
-    best: str | None = None
-    where: Mapping[str, Any] = field(default_factory=dict)
-    covers: tuple[str, ...] = ()
-    figure: tuple[Mapping[str, Any], ...] = ()
-    notes: tuple[str, ...] = ()
+    experiments: tuple[Text, ...]
+    entries: tuple[Text, ...] = ()
+    claims: tuple[Text, ...] = ()
+    join: tuple[Text, ...] | None = None
+    best: Text | None = None
+    where: dict[str, Any] = field(default_factory=dict)
+    covers: tuple[Text, ...] = ()
+    figure: tuple[dict[str, Any], ...] = ()
+    notes: tuple[Text, ...] = ()
 
     def jobs(self, scale: str) -> list[Job]:
         """Return the jobs of all experiments, each once."""
@@ -157,8 +140,9 @@ class Recipe:
 
     def protocol(self, scale: str = "full") -> Mapping[str, str]:
         """Return a description in words of the frames used as map and queries."""
-        says = _contents()["protocols"][experiment(self.experiments[0]).protocol]["says"]
-        return MappingProxyType(_resolved(says, scale))
+        protocol = experiment(self.experiments[0]).protocol
+        says: dict[str, str] = _resolved(contents("recipe_book")["protocols"][protocol]["says"], scale)
+        return says
 
 
 @typed
@@ -187,7 +171,7 @@ def recipe(id: str) -> Recipe:
 
 def without_measurement() -> Mapping[str, str]:
     """Return the ids of tables and figures without a measurement to repeat, each with what it shows."""
-    return MappingProxyType(_contents()["nothing"])
+    return dict(contents("recipe_book")["nothing"])
 
 
 def recipes() -> tuple[Recipe, ...]:
@@ -201,91 +185,87 @@ def experiment(id: str) -> Experiment:
     Raises:
         ConfigError: an unknown id.
     """
-    known = _experiments()
-    if id not in known:
-        raise ConfigError(f"there is no experiment {id!r}; {hint(id, known)}")
-    return known[id]
+    return named(_experiments(), id, "experiment")
 
 
 def seconds_of(job: Job, scale: str) -> float:
     """Return the approximate time in seconds of a job at a scale, on two processor cores."""
-    takes = _contents()["takes"]
+    takes = contents("recipe_book")["takes"]
     return float(takes["experiment"].get(job.experiment, takes["kind"][job.kind]) * takes["scale"][scale])
 
 
 def axis(name: str) -> Mapping[str, Any]:
     """Return how a setting is labelled in figures: `says`, `short`, `unit`, `factor`."""
-    found: Mapping[str, Any] = _contents()["axes"].get(name, {})
+    found: Mapping[str, Any] = contents("recipe_book")["axes"].get(name, {})
     return found
 
 
 def data_named(name: str) -> Mapping[str, Any]:
-    """Return how to read a data set: `root`, `title`, and its sequences by run name.
-
-    Raises:
-        ConfigError: an unknown name.
-    """
-    known = _contents()["data"]
-    if name not in known:
-        raise ConfigError(f"recipes run on no data set {name!r}; {hint(name, known)}")
-    found: Mapping[str, Any] = known[name]
+    """Return how to read a data set: `root`, `title`, and its sequences by run name."""
+    found: Mapping[str, Any] = contents("recipe_book")["data"][name]
     return found
 
 
-def check_scale_and_data(scale: str, data: str) -> None:
-    """Check that recipes know a scale and a data set.
+@typed
+def listing(data: DataName = "freiburg_sim", scale: Scale = "short") -> str:
+    """Return a list of what can be reproduced: for each id, what it is, what it needs, and roughly how long it takes.
+
+    Args:
+        data: "cold", "freiburg_sim" or "mini".
+        scale: "smoke", "short" or "full".
 
     Raises:
-        ConfigError: an unknown scale or data set; the message lists the known ones.
+        ConfigError: an unknown data set or scale.
     """
-    if scale not in SCALES:
-        raise ConfigError(f"unknown scale {scale!r}: {hint(str(scale), SCALES)}")
-    data_named(data)
+    about = data_named(data)
+    lines = [
+        line for one in recipes() for line in (f"{one.id:<14} {one.title}", f"{'':<14} {_needs(one, data, scale)}")
+    ]
+    covered = [f"{id:<14} is measured by {one.id}" for one in recipes() for id in one.covers]
+    nothing = [f"{id:<14} {reason}" for id, reason in without_measurement().items()]
+    return "\n".join(
+        [
+            f"What can be reproduced, what it needs, and about how long it takes alone at scale={scale} on two cores:",
+            *("", *lines, ""),
+            *("Panels of these, or the same numbers drawn differently:", "", *covered, ""),
+            *("Nothing to measure:", "", *nothing, ""),
+            *textwrap.wrap(f"data={data} is {about['title']}: {about['how']}", 118, break_on_hyphens=False),
+        ]
+    )
 
 
-def _at(value: Any, scale: str) -> Any:
-    """Return the value that applies at a scale."""
-    if not isinstance(value, Mapping) or not value or not set(value) <= set(SCALES):
-        return value
-    return value[next(one for one in SCALES[SCALES.index(scale) :] if one in value)]
+def _needs(one: Recipe, data: str, scale: str) -> str:
+    jobs, about = one.jobs(scale), data_named(data)
+    runs = sorted({run for job in jobs for role in job.roles.values() for run in role["runs"]})
+    trained = sum(job.kind in ("trained", "named_rooms") for job in jobs)
+    seconds = sum(seconds_of(job, scale) for job in jobs)
+    lasting = "seconds" if seconds < 30 else "a minute" if seconds < 90 else f"{seconds / 60:.0f} minutes"
+    lasting = lasting if seconds < 5400 else f"{seconds / 3600:.0f} hours"
+    parts = {
+        f"[{one.source.document}] {one.source.place or 'section ' + one.source.section}": True,
+        f"drives {' '.join(runs)}": True,
+        "frames every 5 cm": bool(about.get("dense")) and any(job.dense for job in jobs),
+        f"the same drive of {about['other']['folder']}": any(job.kind == "buildings" for job in jobs),
+        f"{trained} training{'s' if trained > 1 else ''}": trained,
+        "hours each on a graphics card" if trained and scale == "full" else lasting: True,
+    }
+    return "; ".join(part for part, needed in parts.items() if needed)
 
 
-def _resolved(values: Any, scale: str) -> Any:
-    """Return values with those given by scale resolved, at any depth."""
-    values = _at(values, scale)
-    if isinstance(values, Mapping):
-        return {key: _resolved(value, scale) for key, value in values.items()}
-    return list(values) if isinstance(values, list | tuple) else values
-
-
-def _put(options: dict[str, Any], key: str, value: Any) -> None:
-    *path, last = key.split(".")
-    for part in path:
-        options = options.setdefault(part, {})
-    options[last] = value
-
-
-@cache
-def _contents() -> dict[str, Any]:
-    contents: dict[str, Any] = yaml.safe_load(_FILE.read_text(encoding="utf-8"))
-    return contents
+def _resolved(value: Any, scale: str) -> Any:
+    """Return a value that may be given by scale, at any depth, as it applies at one scale."""
+    if isinstance(value, Mapping) and value and set(value) <= set(_SCALES):
+        value = value[next(one for one in _SCALES[_SCALES.index(scale) :] if one in value)]
+    if isinstance(value, Mapping):
+        return {key: _resolved(inner, scale) for key, inner in value.items()}
+    return list(value) if isinstance(value, list | tuple) else value
 
 
 @cache
 def _experiments() -> dict[str, Experiment]:
-    found = {}
-    for one in _contents()["experiments"]:
-        over = {name: Axis(**axis) for name, axis in one.get("over", {}).items()}
-        found[one["id"]] = Experiment(**{**one, "over": over})
-    return found
+    return {one["id"]: Experiment.of(one) for one in contents("recipe_book")["experiments"]}
 
 
 @cache
 def _recipes() -> dict[str, Recipe]:
-    return {entry["id"]: _of_entry(entry) for entry in _contents()["recipes"]}
-
-
-def _of_entry(entry: Mapping[str, Any]) -> Recipe:
-    lists = ("experiments", "entries", "claims", "covers", "notes", "figure", "join")
-    values = {**entry, **{key: tuple(entry[key]) for key in lists if key in entry}}
-    return Recipe(**{**values, "source": Source(**entry["source"])})
+    return {one["id"]: Recipe.of(one) for one in contents("recipe_book")["recipes"]}

@@ -14,8 +14,8 @@ from foundation.calls import typed
 from foundation.files import write_text
 from siamloc.errors import ConfigError
 from siamloc.reproduce.claims import Claim, claim, holds
-from siamloc.reproduce.panels import grouped, names_of, said, shown, title, unit
-from siamloc.reproduce.published import Record, measures, published
+from siamloc.reproduce.panels import names_of, said, shown, title, unit
+from siamloc.reproduce.published import Record, grouped, measures, published
 from siamloc.reproduce.recipe_book import Recipe, data_named
 
 if TYPE_CHECKING:

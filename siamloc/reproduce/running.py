@@ -17,7 +17,7 @@ from foundation.settings import NotNegative, Text, checked
 from siamloc.errors import ConfigError, DataError, FormatError
 from siamloc.progress import track
 from siamloc.reproduce.published import Record
-from siamloc.reproduce.recipe_book import Job, Recipe, check_scale_and_data, data_named, experiment, recipe
+from siamloc.reproduce.recipe_book import DataName, Job, Recipe, Scale, data_named, experiment, recipe
 from siamloc.reproduce.reproduction import Reproduction
 
 if TYPE_CHECKING:
@@ -31,9 +31,9 @@ _VERSION = 1
 def reproduce(
     id: str | Recipe,
     *,
-    data: str = "freiburg_sim",
+    data: DataName = "freiburg_sim",
     root: str | Path | None = None,
-    scale: str = "short",
+    scale: Scale = "short",
     out: str | Path = "reproduced",
     measure: bool = True,
     progress: bool = True,
@@ -58,10 +58,9 @@ def reproduce(
     Example:
         >>> reproduce("figure_3_11", scale="long")
         Traceback (most recent call last):
-        foundation.errors.ConfigError: unknown scale 'long': valid: smoke, short, full
+        foundation.errors.ConfigError: scale must be smoke or short or full, got 'long'
     """
     chosen = recipe(id) if isinstance(id, str) else id
-    check_scale_and_data(scale, data)
     measured = Path(out) / "measured"
     with storage_errors(measured):
         measured.mkdir(parents=True, exist_ok=True)  # fails here, not after the first job

@@ -1,4 +1,3 @@
-import dataclasses
 import math
 import re
 from itertools import pairwise
@@ -38,7 +37,7 @@ def test_every_id_is_there_once():
 
 
 def test_an_unknown_id_says_which_ones_are_near():
-    with pytest.raises(ConfigError, match=r"^nothing was published as 'table_57'; did you mean 'table_5_7'\?"):
+    with pytest.raises(ConfigError, match=r"^there is no published table 'table_57'; did you mean 'table_5_7'\?"):
         published("table_57")
 
 
@@ -140,14 +139,6 @@ def test_decimals_are_as_printed():
     column = Column("error", "m", measure="error", decimals=4)
     assert as_printed(0.56, column) == "0.5600"
     assert as_printed("1.051", column) == "1.051"
-
-
-def test_nothing_can_be_changed():
-    entry = published("table_5_7")
-    with pytest.raises(dataclasses.FrozenInstanceError):
-        entry.title = ""
-    with pytest.raises(TypeError):
-        entry.rows[0]["overall"] = 1
 
 
 @pytest.mark.parametrize("number", range(7, 15))

@@ -253,7 +253,7 @@ def test_the_listing_says_what_an_id_is_needs_and_takes():
     assert "; the same drive of mini; " in lines[at + 1]
     assert max(map(len, lines)) <= 160
     assert "hours each on a graphics card" in listing("cold", "full")
-    with pytest.raises(ConfigError, match="unknown scale 'long'"):
+    with pytest.raises(ConfigError, match="scale must be smoke or short or full, got 'long'"):
         listing("mini", "long")
 
 
@@ -323,8 +323,8 @@ def test_what_stands_beside_ours_is_left_out_of_claims(root, out):
         ({"id": "table_5_77"}, ConfigError, "there is no recipe 'table_5_77'; did you mean 'table_5_7' or 'table_5_"),
         ({"id": "x"}, ConfigError, "there is no recipe 'x'; `siamloc reproduce --list` lists all"),
         ({"id": "figure_4_16"}, ConfigError, "there is nothing to measure for figure_4_16: it is a drawing"),
-        ({"scale": "long"}, ConfigError, "unknown scale 'long'"),
-        ({"data": "colt"}, ConfigError, "did you mean 'cold'"),
+        ({"scale": "long"}, ConfigError, "scale must be smoke or short or full, got 'long'"),
+        ({"data": "colt"}, ConfigError, "data must be cold or freiburg_sim or mini, got 'colt'"),
         ({"data": "cold"}, ConfigError, "say where COLD Freiburg, part A, path 2 is: root=FOLDER"),
         (
             {"data": "mini", "root": "nowhere"},
