@@ -130,11 +130,15 @@ class Item:
 
     def footprint(self, margin: float = 0.0) -> Array:
         """Return the corners (4, 2) of the rectangle that it covers, counter-clockwise, enlarged by a margin."""
-        half = np.array([self.size[0] / 2 + margin, self.size[1] / 2 + margin])
-        corners = np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)]) * half
+        corners = np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)]) * (np.array(self.size[:2]) / 2 + margin)
         angle = np.radians(self.facing - 90)
         cosine, sine = np.cos(angle), np.sin(angle)
         return corners @ np.array([[cosine, sine], [-sine, cosine]]) + (self.x, self.y)
+
+    def edges(self) -> Array:
+        """Return the edges (4, 2, 2) of the rectangle that it covers."""
+        corners = self.footprint()
+        return np.stack([corners, np.roll(corners, -1, axis=0)], axis=1)
 
 
 @dataclass(frozen=True)
@@ -177,6 +181,13 @@ class Opening:
     def interval(self) -> Interval:
         """Start and end of the opening along the wall."""
         return self.centre - self.width / 2, self.centre + self.width / 2
+
+    def doorway(self, shorter: float = 0.0, deeper: float = 0.0) -> Rectangle:
+        """Return the part of the floor between the rooms, with other ends along and across the wall if wanted."""
+        low, high = self.interval
+        depth = HALF_WALL + deeper
+        span, across = (low + shorter, high - shorter), (self.level - depth, self.level + depth)
+        return Rectangle(span, across) if self.along == "x" else Rectangle(across, span)
 
     def point(self, along: float, off: float) -> tuple[float, float]:
         """Return the plan position at a coordinate along the wall and a signed distance from the wall's middle."""

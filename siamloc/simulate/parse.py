@@ -287,10 +287,10 @@ class _Parser:
             what = f"room {room.name!r}: " + self.choice(entry, entry.get("kind"), KINDS, f"room {room.name!r}: item")
         given = self.entry(_Item, entry, what)
         spec = KINDS[given.kind]
-        options = {key: value for key, value in entry.items() if key in fields_of(Options) and value is not None}
-        for key in options:
-            if key not in spec.options:
+        for key in fields_of(Options):
+            if entry.get(key) is not None and key not in spec.options:
                 raise self.error(entry, f"{what} has no option {key!r}; {hint(key, spec.options)}")
+        options = {key: entry[key] for key in spec.options if entry.get(key) is not None}
         size: Any = _real(given.size or spec.size)
         at: Any = _real(given.at)
         if given.against is None:

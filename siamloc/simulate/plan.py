@@ -8,7 +8,7 @@ import numpy as np
 
 from siamloc.errors import DataError
 from siamloc.simulate.items import KINDS
-from siamloc.simulate.layout import HALF_WALL, SIDES, Array, Building, Item, Room
+from siamloc.simulate.layout import HALF_WALL, SIDES, Array, Building, Interval, Item, Room
 
 
 def room_at(building: Building, points: Array) -> Array:
@@ -16,9 +16,7 @@ def room_at(building: Building, points: Array) -> Array:
     points = np.asarray(points, dtype=np.float64)
     found = np.full(len(points), -1)
     for index, room in enumerate(building.rooms.values()):
-        inside = (points[:, 0] >= room.x[0]) & (points[:, 0] <= room.x[1])
-        inside &= (points[:, 1] >= room.y[0]) & (points[:, 1] <= room.y[1])
-        found[inside & (found < 0)] = index
+        found[_inside_box(points, room.x, room.y) & (found < 0)] = index
     return found
 
 
@@ -38,9 +36,9 @@ def obstacles(building: Building, items: Iterable[Item] | None = None) -> tuple[
     segments: list[Array] = []
     names: list[str] = []
     for room in building.rooms.values():
-        for segment in _wall_segments(building, room):
-            segments.append(segment)
-            names.append(f"a wall of room {room.name!r}")
+        pieces = _wall_segments(building, room)
+        segments += pieces
+        names += [f"a wall of room {room.name!r}"] * len(pieces)
     for opening in building.openings:
         if opening.passable:
             for end in opening.interval:
@@ -48,10 +46,8 @@ def obstacles(building: Building, items: Iterable[Item] | None = None) -> tuple[
                 names.append(f"a door post of room {opening.rooms[0]!r}")
     for item in building.items if items is None else items:
         if KINDS[item.kind].blocks:
-            corners = item.footprint()
-            for a, b in zip(corners, np.roll(corners, -1, axis=0), strict=True):
-                segments.append(np.array([a, b]))
-                names.append(f"the {item.kind} of room {item.room!r}" + (f" (line {item.line})" if item.line else ""))
+            segments += [*item.edges()]
+            names += [f"the {item.kind} of room {item.room!r}" + (f" (line {item.line})" if item.line else "")] * 4
     return np.stack(segments), names
 
 
@@ -77,8 +73,7 @@ def blocked_points(building: Building, points: Array, items: Iterable[Item] | No
         free |= _inside_box(points, *room.inner())
     for opening in building.openings:
         if opening.passable:
-            span, depth = opening.interval, (opening.level - HALF_WALL, opening.level + HALF_WALL)
-            free |= _inside_box(points, *((span, depth) if opening.along == "x" else (depth, span)))
+            free |= _inside_box(points, *opening.doorway())
     for item in building.items if items is None else items:
         if KINDS[item.kind].blocks:
             free &= ~inside_item(item, points)
@@ -90,11 +85,10 @@ def inside_item(item: Item, points: Array, margin: float = 0.0) -> Array:
     angle = np.radians(item.facing - 90)
     cosine, sine = np.cos(angle), np.sin(angle)
     local = (points - (item.x, item.y)) @ np.array([[cosine, -sine], [sine, cosine]])
-    half = np.array([item.size[0] / 2 + margin, item.size[1] / 2 + margin])
-    return (np.abs(local) < half).all(axis=1)
+    return (np.abs(local) < np.array(item.size[:2]) / 2 + margin).all(axis=1)
 
 
-def _inside_box(points: Array, x: tuple[float, float], y: tuple[float, float]) -> Array:
+def _inside_box(points: Array, x: Interval, y: Interval) -> Array:
     inside = (points[:, 0] >= x[0]) & (points[:, 0] <= x[1])
     return inside & (points[:, 1] >= y[0]) & (points[:, 1] <= y[1])
 
@@ -147,7 +141,5 @@ def check_paths(building: Building) -> None:
         if inside.any():
             row = int(np.flatnonzero(inside)[0])
             x, y = path.points[row]
-            room = list(building.rooms.values())[room_at(building, path.points[row : row + 1])[0]]
-            raise DataError(
-                f"{where[row]}path {path.name!r} hits something in room {room.name!r} at ({x:.2f}, {y:.2f})"
-            )
+            room = list(building.rooms)[room_at(building, path.points[row : row + 1])[0]]
+            raise DataError(f"{where[row]}path {path.name!r} hits something in room {room!r} at ({x:.2f}, {y:.2f})")

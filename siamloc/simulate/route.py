@@ -12,7 +12,8 @@ from scipy.sparse.csgraph import dijkstra
 
 from siamloc.errors import DataError
 from siamloc.simulate.items import KINDS
-from siamloc.simulate.layout import HALF_WALL, Array, Building
+from siamloc.simulate.layout import Array, Building, Interval
+from siamloc.simulate.trajectory import resampled
 
 _CELL = 0.1
 #: Distance in metres of the robot's middle from walls and furniture; smoothing may reduce it a little.
@@ -42,19 +43,14 @@ class FreeSpace:
             pixels = (np.asarray(points) - self._origin) * (fine / _CELL) - 0.5
             cv2.fillPoly(free, [np.round(pixels * 16).astype(np.int32)], value, shift=4)
 
-        def box(x: tuple[float, float], y: tuple[float, float]) -> Array:
+        def box(x: Interval, y: Interval) -> Array:
             return np.array([(x[0], y[0]), (x[1], y[0]), (x[1], y[1]), (x[0], y[1])])
 
         for room in building.rooms.values():
             fill(box(*room.inner(0.02)), 255)
         for opening in building.openings:
             if opening.passable:
-                low, high = opening.interval
-                span, across = (
-                    (low + 0.03, high - 0.03),
-                    (opening.level - HALF_WALL - 0.1, opening.level + HALF_WALL + 0.1),
-                )
-                fill(box(*((span, across) if opening.along == "x" else (across, span))), 255)
+                fill(box(*opening.doorway(0.03, 0.1)), 255)
         for item in building.items:
             if KINDS[item.kind].blocks:
                 fill(item.footprint(0.02), 0)
@@ -86,12 +82,10 @@ class FreeSpace:
         joined = (np.concatenate(costs), (np.concatenate(starts), np.concatenate(ends)))
         return coo_array(joined, shape=(count, count)).tocsr()
 
-    def inside(self, x: tuple[float, float], y: tuple[float, float]) -> Array:
+    def inside(self, x: Interval, y: Interval) -> Array:
         """Return the numbers of the cells inside a rectangle."""
-        points = self.points
-        return np.flatnonzero(
-            (points[:, 0] > x[0]) & (points[:, 0] < x[1]) & (points[:, 1] > y[0]) & (points[:, 1] < y[1])
-        )
+        inside = (self.points > (x[0], y[0])) & (self.points < (x[1], y[1]))
+        return np.flatnonzero(inside.all(axis=1))
 
     def reachable(self, start: int) -> Array:
         """Return True for the cells (n,) that a robot can reach."""
@@ -119,19 +113,14 @@ class FreeSpace:
         fits = cv2.erode(fits.astype(np.uint8)[:, None], np.ones((7, 1), np.uint8))[:, 0] > 0
         share = gaussian_filter1d(fits.astype(np.float64), 1.5, mode="nearest")[:, None] * fits[:, None]
         line = share * smooth + (1 - share) * raw
-        length = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(line, axis=0), axis=1))])
-        keep = np.concatenate([[True], np.diff(length) > 1e-6])
-        at = np.linspace(0, length[-1], max(2, round(length[-1] / _SPACING)))
-        return np.stack([np.interp(at, length[keep], line[keep, axis]) for axis in (0, 1)], axis=1)
+        return resampled(line, _SPACING)
 
     def _margin_at(self, points: Array) -> Array:
         pixel = np.rint((points - self._origin) / _CELL - 0.25).astype(int)
         return self.clearance[pixel[:, 1], pixel[:, 0]]
 
 
-def visits(
-    space: FreeSpace, x: tuple[float, float], y: tuple[float, float], seen: Array, rng: np.random.Generator
-) -> list[int]:
+def visits(space: FreeSpace, x: Interval, y: Interval, seen: Array, rng: np.random.Generator) -> list[int]:
     """Choose the spots that a robot visits in a room: well away from obstacles and each other; more in larger rooms.
 
     Args:

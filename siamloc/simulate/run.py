@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass, replace
 from pathlib import Path as FilePath
 
@@ -43,7 +44,7 @@ class Run:
     def __post_init__(self) -> None:
         if self.lighting not in LIGHTINGS:
             raise ConfigError(f"lighting {self.lighting!r} is unknown; {hint(self.lighting, LIGHTINGS)}")
-        if self.number != int(self.number) or self.number < 1:
+        if self.number < 1:
             raise ConfigError(f"a run's number must be a whole number from 1, got {self.number}")
 
     @property
@@ -62,13 +63,12 @@ class Run:
         Raises:
             ConfigError: not a lighting followed by a number.
         """
-        lighting = name.rstrip("0123456789")
-        number = name[len(lighting) :]
-        if lighting not in LIGHTINGS or not number:
+        parts = re.fullmatch(rf"({'|'.join(LIGHTINGS)})([0-9]+)", name)
+        if parts is None:
             raise ConfigError(
-                f"a run is a lighting and a number such as cloudy1, got {name!r}; {hint(lighting, LIGHTINGS)}"
+                f"a run is a lighting and a number such as cloudy1, got {name!r}; {hint(name, LIGHTINGS)}"
             )
-        return cls(lighting, int(number), path, spacing, trajectory)
+        return cls(parts[1], int(parts[2]), path, spacing, trajectory)
 
 
 @dataclass(frozen=True)
@@ -84,9 +84,9 @@ class Walker:
         begin, end = self.times
         if not begin <= time <= end:
             return None
-        point = self.line[0] + (time - begin) / (end - begin) * (self.line[1] - self.line[0])
         step = self.line[1] - self.line[0]
-        return float(point[0]), float(point[1]), float(np.degrees(np.arctan2(step[1], step[0])))
+        x, y = self.line[0] + (time - begin) / (end - begin) * step
+        return float(x), float(y), float(np.degrees(np.arctan2(step[1], step[0])))
 
 
 @dataclass(frozen=True)
@@ -181,10 +181,8 @@ def _door_angles(building: Building, track: Track, rng: np.random.Generator) -> 
         middle = np.array(opening.point(opening.centre, 0.0))
         used = bool((np.linalg.norm(points - middle, axis=1) < opening.width / 2 + 0.25).any())
         wide, ajar, shut = rng.uniform(86, 98), rng.uniform(15, 80), rng.random() < 0.6
-        angle = wide if used else (0.0 if shut else ajar)
-        if not used and clearance(points, leaf_segment(building, opening, angle)[None]).min() < _KEEP_OFF:
-            angle = 0.0
-        angles[index] = float(angle)
+        shut = shut or clearance(points, leaf_segment(building, opening, ajar)[None]).min() < _KEEP_OFF
+        angles[index] = float(wide if used else (0.0 if shut else ajar))
     return angles
 
 
@@ -220,29 +218,23 @@ def _moved_items(building: Building, track: Track, angles: dict[int, float], rng
     placed: list[Item] = []
     for number, item in enumerate(building.items):
         kind = KINDS[item.kind]
-        if kind.moves <= 0 and (kind.turns <= 0 or not kind.blocks):
-            placed.append(item)
-            continue
         others = [*placed, *building.items[number + 1 :]]
-        chosen = item
-        for _ in range(8):
+        placed.append(item)
+        for _ in range(8 if kind.moves > 0 or (kind.turns > 0 and kind.blocks) else 0):
             shift = rng.uniform(-kind.moves, kind.moves, 2)
             turn = rng.uniform(-kind.turns, kind.turns)
             trial = replace(item, x=item.x + shift[0], y=item.y + shift[1], facing=item.facing + turn)
             if _fits(building, trial, others, track, leaves):
-                chosen = trial
+                placed[-1] = trial
                 break
-        placed.append(chosen)
     return placed
 
 
 def _fits(building: Building, item: Item, others: list[Item], track: Track, leaves: list[Array]) -> bool:
-    room = building.rooms[item.room]
-    corners = item.footprint()
-    inner = np.array(room.inner())
+    corners, inner = item.footprint(), np.array(building.rooms[item.room].inner())
     if (corners < inner[:, 0]).any() or (corners > inner[:, 1]).any():
         return False
-    edges = np.stack([corners, np.roll(corners, -1, axis=0)], axis=1)
+    edges = item.edges()
     if clearance(track.poses[:, :2], edges).min() < _KEEP_OFF or inside_item(item, track.poses[:, :2]).any():
         return False
     probe = np.concatenate([corners, edges.mean(axis=1), [[item.x, item.y]]])
@@ -262,19 +254,15 @@ def _standing_people(building: Building, track: Track, rng: np.random.Generator)
     for _ in range(60):
         if len(people) == wanted:
             break
-        room: Room = rooms[int(rng.integers(len(rooms)))]
+        room = rooms[int(rng.integers(len(rooms)))]
         x = rng.uniform(room.x[0] + 0.4, room.x[1] - 0.4)
         y = rng.uniform(room.y[0] + 0.4, room.y[1] - 0.4)
         facing, height = rng.uniform(0, 360), rng.uniform(1.6, 1.9)
         item = Item("person", x, y, facing, (0.5, 0.4, height), 0.0, room.name, {"look": int(rng.integers(1000))})
-        edges = np.stack([item.footprint(), np.roll(item.footprint(), -1, axis=0)], axis=1)
-        blocked = any(inside_item(other, np.array([[x, y]]), 0.3).any() for other in building.items
-                      if other.room == room.name and KINDS[other.kind].blocks)  # fmt: skip
-        if (
-            not blocked
-            and clearance(np.array([[x, y]]), segments)[0] > 0.35
-            and (clearance(track.poses[:, :2], edges).min() > _KEEP_OFF)
-        ):
+        place, near = np.array([[x, y]]), [other for other in building.items if other.room == room.name]
+        blocked = any(KINDS[other.kind].blocks and inside_item(other, place, 0.3).any() for other in near)
+        free = clearance(place, segments)[0] > 0.35
+        if free and not blocked and clearance(track.poses[:, :2], item.edges()).min() > _KEEP_OFF:
             people.append(item)
     return people
 
@@ -284,8 +272,7 @@ def _walkers(building: Building, track: Track, rng: np.random.Generator) -> tupl
     room = max(building.rooms.values(), key=lambda r: max(r.x[1] - r.x[0], r.y[1] - r.y[0]))
     (x0, x1), (y0, y1) = room.inner(0.45)
     along_x = x1 - x0 > y1 - y0
-    lanes = (y0, y1) if along_x else (x0, x1)
-    ends = (x0, x1) if along_x else (y0, y1)
+    ends, lanes = ((x0, x1), (y0, y1)) if along_x else ((y0, y1), (x0, x1))
     duration = float(track.time[-1] - track.time[0])
     walkers = []
     for _ in range(max(1, round(duration / 60))):

@@ -49,12 +49,7 @@ class Track:
 
     def head(self, count: int | None) -> Track:
         """Return the first frames."""
-        if count is None or count >= len(self):
-            return self
-        cut = slice(0, int(count))
-        return Track(
-            self.poses[cut], self.time[cut], self.speed[cut], self.turn_rate[cut], self.names[cut], self.codes[cut]
-        )
+        return Track(*(values[:count] for values in vars(self).values()))
 
 
 def drive(building: Building, path: str, spacing: float, rng: np.random.Generator, start: float) -> Track:
@@ -91,7 +86,9 @@ def drive(building: Building, path: str, spacing: float, rng: np.random.Generato
     speed = np.gradient(travelled, time)
     rate = cv2.blur(np.gradient(heading, time)[:, None], (1, 15), borderType=cv2.BORDER_REPLICATE)[:, 0]
     poses = np.column_stack([line, (heading + np.pi) % (2 * np.pi) - np.pi])[keep]
-    return _track(building, np.round(poses, 6), np.round(start + time[keep], 6), speed[keep], rate[keep])
+    poses, times = np.round(poses, 6), np.round(start + time[keep], 6)
+    names = [format_name(NamedPose(t, *pose)) for t, pose in zip(times.tolist(), poses.tolist(), strict=True)]
+    return Track(poses, times, speed[keep], rate[keep], tuple(names), tuple(room_codes(building, poses[:, :2])))
 
 
 def listed(building: Building, file: FilePath) -> Track:
@@ -138,15 +135,8 @@ def listed(building: Building, file: FilePath) -> Track:
     seconds = np.maximum(np.gradient(values[:, 0]), 0.05) if len(rows) > 1 else np.ones(1)
     speed = np.clip(moved / seconds, 0, 1.0)
     rate = np.clip(turned / seconds, -1.5, 1.5)
-    return _track(building, values[:, 1:4], values[:, 0], speed, rate, tuple(names))
-
-
-def _track(
-    building: Building, poses: Array, time: Array, speed: Array, rate: Array, names: tuple[str, ...] | None = None
-) -> Track:
-    if names is None:
-        names = tuple(format_name(NamedPose(t, *pose)) for t, pose in zip(time.tolist(), poses.tolist(), strict=True))
-    return Track(poses, time, speed, rate, names, tuple(room_codes(building, poses[:, :2])))
+    codes = tuple(room_codes(building, values[:, 1:3]))
+    return Track(values[:, 1:4], values[:, 0], speed, rate, tuple(names), codes)
 
 
 def rounded(points: Array) -> Array:
@@ -154,7 +144,7 @@ def rounded(points: Array) -> Array:
     for _ in range(3):
         inner = np.stack([0.75 * points[:-1] + 0.25 * points[1:], 0.25 * points[:-1] + 0.75 * points[1:]], axis=1)
         points = np.concatenate([points[:1], inner.reshape(-1, 2), points[-1:]])
-    return _even(points)
+    return resampled(points, _STEP)
 
 
 def _check_rounded(building: Building, path: Path, line: Array) -> None:
@@ -170,10 +160,11 @@ def _check_rounded(building: Building, path: Path, line: Array) -> None:
         )
 
 
-def _even(points: Array) -> Array:
+def resampled(points: Array, step: float) -> Array:
+    """Return points (n, 2) in even steps of about the given length along a polygon."""
     length = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
     keep = np.concatenate([[True], np.diff(length) > 1e-9])
-    at = np.linspace(0, length[-1], max(2, round(length[-1] / _STEP)))
+    at = np.linspace(0, length[-1], max(2, round(length[-1] / step)))
     return np.stack([np.interp(at, length[keep], points[keep, axis]) for axis in (0, 1)], axis=1)
 
 
@@ -200,7 +191,7 @@ def _shifted(building: Building, line: Array, rng: np.random.Generator) -> Array
     tangent /= np.maximum(np.linalg.norm(tangent, axis=1, keepdims=True), 1e-12)
     normal = np.stack([-tangent[:, 1], tangent[:, 0]], axis=1)
     smooth = cv2.GaussianBlur(normal, (1, 2 * width + 1), 0.3 / _STEP, borderType=cv2.BORDER_REPLICATE)
-    shifted = _even(line + np.clip(wanted, -room, room)[:, None] * smooth)
+    shifted = resampled(line + np.clip(wanted, -room, room)[:, None] * smooth, _STEP)
     moves = np.stack([shifted[:-1], shifted[1:]], axis=1)
     wall = bool(crossings(moves, segments).any() or blocked_points(building, shifted).any())
     return line if wall else shifted
