@@ -14,15 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from foundation.files import plain
-from siamloc.data.panorama import (
-    CAMERAS,
-    HyperbolicMirror,
-    OmnidirectionalCamera,
-    PanoramaView,
-    PolarRing,
-    camera_from_config,
-    unwrap,
-)
+from foundation.settings import Size, checked
+from siamloc.data.panorama import CAMERAS, OmnidirectionalCamera, PanoramaView, camera_from_config, unwrap
 from siamloc.errors import ConfigError, DataError
 
 
@@ -51,37 +44,24 @@ class Preprocessing:
 
     @classmethod
     def checked(
-        cls,
-        image_size: Sequence[int],
-        unwrap: OmnidirectionalCamera | Mapping[str, Any] | None = None,
-        view: PanoramaView | None = None,
+        cls, image_size: Sequence[int], unwrap: OmnidirectionalCamera | Mapping[str, Any] | None = None
     ) -> Preprocessing:
-        """Check the parts against each other.
+        """Make the preprocessing from settings.
 
         Args:
             image_size: rows and columns (H, W) of a panorama.
             unwrap: the camera, or plain values, see `camera_from_config`; None to resize.
-            view: size and elevations of an unwrapped panorama. Its size has to be `image_size`. If None, the
-                elevations are those among the plain values, or the defaults.
 
         Raises:
-            ConfigError: an impossible size, a view of another size, or a camera whose parameters cannot be read.
+            ConfigError: an impossible size, or a camera whose parameters cannot be read.
         """
-        size = tuple(image_size)
-        if len(size) != 2 or any(int(side) != side for side in size):
-            raise ConfigError(f"image_size is (rows, columns) in whole pixels, got {image_size}")
-        height, width = (int(side) for side in size)
-        camera: Any
-        camera, given = unwrap, PanoramaView(height, width)
+        size = checked(image_size, Size, "image_size")
         if isinstance(unwrap, Mapping):
-            camera, given = camera_from_config(unwrap, (height, width))
-        if view is None:
-            view = given
-        elif (view.height, view.width) != (height, width):
-            raise ConfigError(f"image_size is {height} x {width}, but the view has {view.height} x {view.width} pixels")
-        if camera is not None and not (dataclasses.is_dataclass(camera) and hasattr(camera, "sampling")):
-            raise ConfigError(f"a camera must be a dataclass with a method `sampling`, got {camera!r}")
-        return cls(view, cast("OmnidirectionalCamera | None", camera))
+            camera, view = camera_from_config(unwrap, size)
+            return cls(view, camera)
+        if unwrap is not None and not (dataclasses.is_dataclass(unwrap) and hasattr(unwrap, "sampling")):
+            raise ConfigError(f"a camera must be a dataclass with a method `sampling`, got {unwrap!r}")
+        return cls(PanoramaView(*size), cast("OmnidirectionalCamera | None", unwrap))
 
     @classmethod
     def of(cls, parameters: Mapping[str, Any]) -> Preprocessing:
@@ -91,17 +71,15 @@ class Preprocessing:
             ConfigError: a custom camera, which cannot be rebuilt from plain values, or missing values.
         """
         try:
-            values = dict(parameters)
-            options = values.pop("camera")
-            view = PanoramaView(**values)
-            options = dict(options) if options is not None else None
-            kind = options.pop("kind") if options is not None else None
+            view = PanoramaView(**{key: value for key, value in parameters.items() if key != "camera"})
+            if parameters["camera"] is None:
+                return cls(view, None)
+            options = dict(parameters["camera"])
+            kind = options.pop("kind")
         except (KeyError, TypeError, ValueError) as error:
             raise ConfigError(f"these values do not say how images become panoramas: {parameters}") from error
-        if options is None:
-            return cls(view, None)
-        for camera in (PolarRing, HyperbolicMirror):
-            if camera.__name__ == kind:
+        for camera in CAMERAS.values():
+            if camera is not None and camera.__name__ == kind:
                 return cls(view, camera.of(options))
         raise ConfigError(f"a camera of kind {kind} cannot be made from its parameters: give the camera object itself")
 
@@ -116,8 +94,8 @@ class Preprocessing:
         """Return the camera and the elevations as plain values, which `checked` reads."""
         if self.camera is None:
             return {"kind": "none"}
-        known = [kind for kind, camera in CAMERAS.items() if type(self.camera) is camera]
-        kind = known[0] if known else type(self.camera).__name__
+        own = type(self.camera)
+        kind = next((kind for kind, camera in CAMERAS.items() if camera is own), own.__name__)
         options = dataclasses.asdict(self.camera)  # type: ignore[call-overload]
         return plain({"kind": kind, **options, "top": self.view.top, "bottom": self.view.bottom})
 
@@ -143,13 +121,10 @@ class Preprocessing:
             DataError: an image that cannot be read.
         """
         spread = np.linspace(0, len(paths) - 1, min(count, len(paths))).round().astype(int)
-        found = []
-        for number in spread.tolist():
-            try:
-                found.append(self.panorama(paths[number]))
-            except UnreadableImageError as error:
-                raise DataError(f"{paths[number]} cannot be shown: {error}") from error
-        return np.stack(found)
+        try:
+            return np.stack([self.panorama(path := paths[number]) for number in spread.tolist()])
+        except UnreadableImageError as error:
+            raise DataError(f"{path} cannot be shown: {error}") from error
 
     def prepare(self, pixels: NDArray[np.uint8]) -> NDArray[np.uint8]:
         """Return the panorama (3, H, W) of an image in memory (rows, columns, 3); both uint8, RGB.

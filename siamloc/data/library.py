@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from foundation.calls import typed
 from foundation.files import read_json
+from foundation.settings import Thousand
 from siamloc.data.decoding import Preprocessing
 from siamloc.data.frames import FrameTable
 from siamloc.data.panorama import OmnidirectionalCamera
@@ -72,7 +73,7 @@ class PanoramaLibrary:
         unwrap: OmnidirectionalCamera | Mapping[str, Any] | None = None,
         circular: bool = True,
         on_error: str = "skip",
-        workers: int | None = None,
+        workers: Thousand | None = None,
     ) -> None:
         check_policy(on_error)
         if len(frames) == 0:

@@ -17,14 +17,14 @@ from __future__ import annotations
 from collections.abc import Hashable, Mapping
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any, ClassVar, Protocol
+from typing import Annotated, Any, ClassVar, Protocol
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from foundation.calls import typed
-from foundation.settings import NotNegative, Positive, Settings, checked
+from foundation.settings import Count, NotNegative, Positive, Rule, Settings, checked
 from siamloc.errors import ConfigError, DataError, hint
 
 Array = NDArray[Any]
@@ -44,7 +44,7 @@ def azimuth_column(azimuth: Array | float, width: int) -> Array:
 
 
 @dataclass(frozen=True)
-class PanoramaView:
+class PanoramaView(Settings):
     """Size of a panorama, and the elevations between which its rows lie.
 
     The rows divide a vertical cylinder evenly, so they are evenly spaced in the tangent of the elevation. The defaults
@@ -57,16 +57,15 @@ class PanoramaView:
         bottom: elevation of the lower edge in degrees.
     """
 
-    height: int = 128
-    width: int = 512
+    WHERE: ClassVar[str] = "panorama"
+
+    height: Count = 128
+    width: Annotated[int, Rule("a whole number from 2", lambda value: value >= 2)] = 512
     top: float = 30.0
     bottom: float = -45.0
 
     def __post_init__(self) -> None:
-        for name, kind in (("height", int), ("width", int), ("top", float), ("bottom", float)):
-            checked(getattr(self, name), kind, f"the panorama's {name}")
-        if self.height < 1 or self.width < 2:
-            raise ConfigError(f"a panorama needs at least 1 x 2 pixels, got {self.height} x {self.width}")
+        super().__post_init__()
         if not -90 < self.bottom < self.top < 90:
             raise ConfigError(f"elevations must satisfy -90 < bottom < top < 90 degrees, got {self.bottom}, {self.top}")
 
@@ -123,14 +122,12 @@ class PolarRing(Settings):
         """Return the columns (H, W) and rows (H, W) to sample. See `OmnidirectionalCamera`.
 
         Raises:
-            ConfigError: a ring that is too thin, or of which less than half lies in the image.
+            ConfigError: a ring thinner than a pixel, or of which less than half lies in the image.
         """
         rows, columns = image_size
         cx, cy = self.centre if self.centre is not None else ((columns - 1) / 2, (rows - 1) / 2)
         outer = self.outer if self.outer is not None else min(cx, cy, columns - 1 - cx, rows - 1 - cy)
         inner = self.inner if self.inner is not None else outer / 5
-        if not 0 <= inner < outer:
-            raise ConfigError(f"the ring needs 0 <= inner < outer radius, got inner {inner} and outer {outer} px")
         if outer - inner < 1:
             raise ConfigError(
                 f"the ring from {inner:g} to {outer:g} px is thinner than a pixel: give "

@@ -2,23 +2,21 @@
 
 from __future__ import annotations
 
-import errno
 import os
-from collections import deque
 from collections.abc import Iterator, Sequence
-from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from foundation.files import atomic_folder, content_key, parsed_json, storage_errors, write_json
 from foundation.locks import locked
+from foundation.threads import in_order
 from siamloc.data.decoding import Preprocessing, UnreadableImageError
-from siamloc.errors import ConfigError, DataError, FormatError, leave_out, logger
+from siamloc.errors import DataError, FormatError, leave_out, logger
 from siamloc.progress import track
 
 VERSION = 1
@@ -69,13 +67,11 @@ def open_store(
         workers: decoding threads; one per core, up to 16, if None.
 
     Raises:
-        ConfigError: a camera that does not fit the images, or a number of workers that makes no sense.
+        ConfigError: a camera that does not fit the images.
         DataError: no readable image, or an unreadable one if `on_error` is "raise".
         FormatError: the store was written by another version.
         StorageError: the disk is full, cannot be written to, or does not support locks.
     """
-    if workers is not None and workers < 1:
-        raise ConfigError(f"decoding needs at least one worker, got {workers}")
     folder = Path(cache).expanduser().absolute() / _key(paths, preprocessing)
     store = _load(folder, len(paths))
     if store is None:
@@ -179,26 +175,32 @@ def _write(folder: Path, paths: Sequence[str], preprocessing: Preprocessing, wor
     height, width = preprocessing.view.height, preprocessing.view.width
     rejected: list[dict[str, Any]] = []
     kept = 0
-    with (folder / "panoramas.npy").open("wb", buffering=0) as file:
-        _reserve(file, _HEADER_BYTES + len(paths) * 3 * height * width)
+
+    def decode(path: str) -> NDArray[np.uint8] | UnreadableImageError:
+        try:
+            return preprocessing.panorama(path)
+        except UnreadableImageError as error:
+            return error
+
+    with (folder / "panoramas.npy").open("wb") as file:
         file.seek(_HEADER_BYTES)
-        decoded = _decoded(paths, preprocessing, workers)
+        decoded = in_order(decode, paths, workers)
         for row, result in enumerate(track(decoded, len(paths), "decoding images")):
             if isinstance(result, UnreadableImageError):
                 if on_error == "raise":
                     raise DataError(f"{paths[row]} cannot be read: {result} (on_error=skip leaves it out)")
                 rejected.append({"row": row, "path": paths[row], "reason": str(result)})
             else:
-                _write_all(file, result)
+                file.write(result.data)
                 kept += 1
         if kept == 0:
             first = rejected[0]
             raise DataError(
                 f"none of the {len(paths)} images can be read, the first: {first['path']} ({first['reason']})"
             )
-        file.truncate()
         file.seek(0)
-        _write_all(file, np.frombuffer(_header((kept, 3, height, width)), dtype=np.uint8))
+        file.write(_header((kept, 3, height, width)))
+        file.flush()
         os.fsync(file.fileno())
     record = {
         "version": VERSION,
@@ -208,46 +210,6 @@ def _write(folder: Path, paths: Sequence[str], preprocessing: Preprocessing, wor
         "rejected": rejected,
     }
     write_json(folder / "store.json", record)
-
-
-def _decoded(
-    paths: Sequence[str], preprocessing: Preprocessing, workers: int
-) -> Iterator[NDArray[np.uint8] | UnreadableImageError]:
-    """Yield the panoramas in order; threads decode them only a little ahead."""
-
-    def decode(path: str) -> NDArray[np.uint8] | UnreadableImageError:
-        try:
-            return preprocessing.panorama(path)
-        except UnreadableImageError as error:
-            return error
-
-    pool = ThreadPoolExecutor(workers, thread_name_prefix="decode")
-    try:
-        ahead: deque[Future[NDArray[np.uint8] | UnreadableImageError]] = deque()
-        for path in paths:
-            ahead.append(pool.submit(decode, path))
-            if len(ahead) > 4 * workers:
-                yield ahead.popleft().result()
-        while ahead:
-            yield ahead.popleft().result()
-    finally:
-        pool.shutdown(cancel_futures=True)
-
-
-def _reserve(file: BinaryIO, size: int) -> None:
-    """Reserve all the disk space at once, so that a full disk is noticed before the work is done."""
-    if hasattr(os, "posix_fallocate"):
-        try:
-            os.posix_fallocate(file.fileno(), 0, size)
-        except OSError as error:
-            if error.errno not in (errno.EOPNOTSUPP, errno.EINVAL, errno.ENOSYS, errno.ENODEV):
-                raise
-
-
-def _write_all(file: BinaryIO, array: NDArray[np.uint8]) -> None:
-    data = array.reshape(-1).data
-    while len(data):
-        data = data[file.write(data) :]
 
 
 def _header(shape: tuple[int, ...]) -> bytes:
