@@ -248,7 +248,7 @@ class Run:
             self.folder.rmdir()
 
     def foreign(self, names: Iterable[str]) -> list[str]:
-        """List those of the names that belong to files that siamloc did not write into this run."""
+        """List the names of files that siamloc did not write into this run, among the given names."""
         written = set(self.load_record()["written"]) if self.record.is_file() else set()
         return [name for name in names if (self.folder / name).exists() and name not in written]
 

@@ -76,7 +76,7 @@ class Bundle:
 
     @property
     def files(self) -> tuple[str, ...]:
-        """Names of its files, without `bundle.json`."""
+        """Names of the files in the bundle, without `bundle.json`."""
         return tuple(self.about["sha256"])
 
     @property
@@ -86,7 +86,7 @@ class Bundle:
 
     @property
     def identity(self) -> dict[str, Any]:
-        """All that determines a descriptor: the network or analytic descriptor, and preprocessing; equals the map's."""
+        """Names, parameters and hashes of what makes a descriptor, preprocessing included; equal to those in the map."""
         return {**self.about["identity"], "images": self.about["preprocessing"]}
 
     @property
@@ -103,20 +103,20 @@ class Bundle:
         return self._map(MAP)
 
     def load_errors(self) -> ErrorModel | None:
-        """Read the model of the expected error; None if there is none.
+        """Read the model of the expected error; None if the bundle has no such model.
 
         Raises:
-            FormatError: it is damaged.
+            FormatError: the file is damaged.
         """
         from siamloc.maps import ErrorModel
 
         return self._learned(ErrorModel, ERRORS)
 
     def load_refinement(self) -> Refinement | None:
-        """Read how poses are made finer than the map; None if they are not.
+        """Read the settings that refine poses; None if the robot gives the poses of map frames.
 
         Raises:
-            FormatError: it is damaged.
+            FormatError: the file is damaged.
         """
         from siamloc.maps import Refinement
 
@@ -211,7 +211,7 @@ class Bundle:
 
     @property
     def bytes(self) -> int:
-        """Total size of its files in bytes."""
+        """Total size of the files in bytes."""
         return sum((self.path / name).stat().st_size for name in (DESCRIPTION, *self.files))
 
     @cached_property

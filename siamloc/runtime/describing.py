@@ -69,7 +69,7 @@ class Describer:
 
     @property
     def compares(self) -> bool:
-        """Whether it can estimate where one image was taken relative to another."""
+        """Whether the bundle's network can estimate where one image was taken relative to another."""
         return self._relative is not None
 
     def describe(self, panoramas: NDArray[np.uint8]) -> Description:

@@ -126,17 +126,17 @@ class Live:
 
     @property
     def url(self) -> str:
-        """Address to open in a browser."""
+        """Address of the page."""
         host = "127.0.0.1" if self.host in ("0.0.0.0", "::") else self.host
         return f"http://{f'[{host}]' if ':' in host else host}:{self.port}/"
 
     @property
     def count(self) -> int:
-        """Number of images so far."""
+        """Number of images located so far."""
         return int(self._state["number"])
 
     def join(self, seconds: float | None = None) -> bool:
-        """Wait for the end of the images, and return whether it was reached; the page stays until `close`.
+        """Wait until the last image is located, and return whether it is; the page stays until `close`.
 
         Args:
             seconds: maximum time to wait; without limit if None.

@@ -61,7 +61,7 @@ class Measured:
     located: int = 0
 
     def plain(self) -> dict[str, Any]:
-        """Return it as plain values."""
+        """Return the measures as plain values."""
         return asdict(self)
 
 
@@ -111,7 +111,7 @@ def precision_table(bundle: Bundle) -> str:
 
 
 def measured(bundle: Path, original: Descriptor, panoramas: NDArray[np.uint8], xy: NDArray[np.float64]) -> Measured:
-    """Measure a bundle.
+    """Measure the size, speed and accuracy of a bundle.
 
     Args:
         bundle: its folder.

@@ -36,7 +36,7 @@ COLUMNS = (
 
 @dataclass(frozen=True)
 class Located:
-    """The outcome for one image.
+    """What locating one image gave: its location, or why the image could not be read.
 
     Attributes:
         image: its file; for a video or a camera, followed by the number of the frame, such as "drive.mp4#12".
@@ -58,14 +58,14 @@ class Located:
         return math.hypot(self.location.x - self.pose.x, self.location.y - self.pose.y)
 
     def describe(self, unit: str = "m") -> str:
-        """Return it as one line of text."""
+        """Return the location, or the fault, as one line of text."""
         if self.location is None:
             return f"left out: {self.fault}"
         off = "" if math.isnan(self.off_by) else f"; {self.off_by:.2f} {unit} from the pose in its name"
         return f"{self.image}: {self.location.describe(unit)}{off}"
 
     def row(self) -> dict[str, object]:
-        """Return it as a row with `COLUMNS`; unknown values are ""."""
+        """Return the location as a row of a table, by the names in `COLUMNS`; unknown values are ""."""
         if self.location is None:
             return {**dict.fromkeys(COLUMNS, ""), "image": self.image}
         location, best = self.location, self.location.candidates[0]
@@ -77,7 +77,7 @@ class Located:
         return dict(zip(COLUMNS, map(_cell, values), strict=True))
 
     def as_dict(self) -> dict[str, Any]:
-        """Return it as plain values, ready for a line of JSON; unknown values are None."""
+        """Return the location as plain values for a line of JSON; unknown values are None."""
         told = {} if self.location is None else asdict(self.location)
         pose = None if self.pose is None else self.pose._asdict()
         return plain({"image": self.image, "fault": self.fault or None, **told, "pose": pose, "off_by": self.off_by})
@@ -139,7 +139,7 @@ def pictures(
 
 
 def named(images: str | Path | Sequence[str | Path]) -> list[tuple[str, list[Path] | None]]:
-    """Return the image files that each name stands for; None for a video or a camera.
+    """Return the image files in each file or folder that is named; None for a video or a camera.
 
     Raises:
         ConfigError: no names.
