@@ -86,7 +86,7 @@ class Bundle:
 
     @property
     def identity(self) -> dict[str, Any]:
-        """Names, parameters and hashes of what makes a descriptor, preprocessing included; equal to those in the map."""
+        """Names, parameters and hashes of all that makes a descriptor, preprocessing included; as in the map."""
         return {**self.about["identity"], "images": self.about["preprocessing"]}
 
     @property
