@@ -1,20 +1,23 @@
 from __future__ import annotations
 
-import json
 import math
-from pathlib import Path
 
 import numpy as np
 import pytest
 
-from foundation.files import plain
 from siamloc.data.frames import FrameTable
 from siamloc.errors import ConfigError, DataError
 from siamloc.evaluation import metrics
-from siamloc.evaluation.absolute import evaluate_absolute, pose_measures, with_baseline
+from siamloc.evaluation.absolute import (
+    estimate_columns,
+    estimate_measures,
+    evaluate_absolute,
+    pose_measures,
+    with_baseline,
+)
+from siamloc.evaluation.columns import located_columns
 from siamloc.evaluation.localize import Localization
-from siamloc.maps import VisualMap
-from siamloc.results import read_results, read_rows, write_results
+from siamloc.maps import Retrieval, VisualMap
 from tests.siamloc.evaluation import scenes
 
 RADII = (0.5, 1 / 3)
@@ -79,25 +82,6 @@ def test_measures_equal_the_metrics() -> None:
     }
 
 
-def test_the_files_alone_give_the_same_measures(tmp_path: Path) -> None:
-    result, known, queries = evaluated()
-    noisy = evaluate_absolute(known, scenes.describe(queries, seed=3, noise=2), queries, RADII, KS)
-    result = with_baseline(result, "thumbnail", noisy)
-    write_results(
-        tmp_path,
-        {"config": {}, "measures": {"absolute": result.parts["absolute"]}, "denominators": result.denominators},
-        result.columns,
-        {"map": result.tables["map"]},
-    )
-    written = read_results(tmp_path)["measures"]["absolute"]
-    again = pose_measures(
-        read_rows(tmp_path), written["radii"], written["ks"], len(read_rows(tmp_path, "map")["path"]), written["unit"]
-    )
-    assert json.dumps(plain(again)) == json.dumps(written)
-    baseline = written["overall"]["baselines"]["thumbnail"]["error"]
-    assert baseline == noisy.parts["absolute"]["overall"]["error"]
-
-
 def test_a_perfect_and_a_reversed_retriever() -> None:
     queries = scenes.frames(2, 60)
     known = scenes.frames(1, 400)
@@ -133,20 +117,6 @@ def test_the_answer_does_not_depend_on_the_other_queries() -> None:
             np.testing.assert_array_equal(column, result.columns[name][rows], err_msg=name)
 
 
-def test_missing_labels() -> None:
-    blank = np.array([""] * 8)
-    queries = scenes.frames(2, 8, lighting=blank, room=np.array(["KT-A"] * 3 + [""] * 5))
-    measures = evaluate_absolute(scenes.visual_map(), scenes.describe(queries), queries).parts["absolute"]
-    assert measures["lighting"] == {}
-    assert {label: group["queries"] for label, group in measures["room"].items()} == {"(unlabelled)": 5, "KT-A": 3}
-
-
-def test_rooms_of_two_buildings_stay_apart() -> None:
-    queries = scenes.frames(2, 8, room=np.array(["KT"] * 8), building=np.array(["saar"] * 4 + ["frei"] * 4))
-    measures = evaluate_absolute(scenes.visual_map(), scenes.describe(queries), queries).parts["absolute"]
-    assert list(measures["room"]) == ["frei/KT", "saar/KT"]
-
-
 def test_a_given_retrieval_is_used() -> None:
     result, known, queries = evaluated()
     found = known.search(scenes.describe(queries, seed=2), 20)
@@ -155,33 +125,6 @@ def test_a_given_retrieval_is_used() -> None:
     short = known.search(scenes.describe(queries), 1)
     with pytest.raises(DataError, match=r"must hold 10 neighbours of 80 queries, got \(80, 1\)"):
         evaluate_absolute(known, scenes.describe(queries), queries, RADII, KS, retrieval=short)
-
-
-def test_errors() -> None:
-    known, queries = scenes.visual_map(20), scenes.frames(2, 6)
-    descriptors = scenes.describe(queries)
-    unknown = queries.with_columns(x=np.array([0, np.nan, 1, np.nan, 2, 3]))
-    with pytest.raises(
-        DataError, match=r"2 of 6 queries have no position \(x, y\), the first is run2/0001.*leave them"
-    ):
-        evaluate_absolute(known, descriptors, unknown)
-    lost = VisualMap(known.descriptors, known.frames.with_columns(y=np.full(20, np.nan)))
-    with pytest.raises(DataError, match="20 of 20 map frames have no position"):
-        evaluate_absolute(lost, descriptors, queries)
-    with pytest.raises(DataError, match=r"6 queries need descriptors of shape \(6, D\), got \(5, 3\)"):
-        evaluate_absolute(known, descriptors[:5], queries)
-    with pytest.raises(DataError, match="no queries"):
-        evaluate_absolute(known, descriptors[:0], FrameTable(path=np.array([], dtype=str)))
-    for wrong in ({"radii": radii} for radii in ((), (-1,), (1, 1), (math.inf,))):
-        with pytest.raises(ConfigError, match=r"task\.radii|needs radii"):
-            Localization(**wrong)
-    for wrong in ({"ks": ks} for ks in ((), (0,), (1, 1), (1.5,))):
-        with pytest.raises(ConfigError, match=r"task\.ks|whole numbers k"):
-            Localization(**wrong)
-    result = evaluate_absolute(known, descriptors, queries)
-    other = evaluate_absolute(known, descriptors[::-1], queries.take(slice(None, None, -1)))
-    with pytest.raises(DataError, match="baseline 'hog' answered other queries"):
-        with_baseline(result, "hog", other)
 
 
 def on_a_path(name: str, n: int, **columns: object) -> FrameTable:
@@ -196,24 +139,124 @@ def on_a_path(name: str, n: int, **columns: object) -> FrameTable:
 
 @pytest.mark.parametrize(
     ("drift", "says"),
-    [(np.zeros((100, 2)), False), (np.full((100, 2), 1.5), True), (np.linspace(0, 4, 100)[:, None] * [1, 0], True)],
-    ids=["as the map's", "own origin", "drift"],
+    [
+        (np.zeros((100, 2)), False),
+        (np.full((100, 2), 1.5), True),
+        (np.linspace(0, 4, 100)[:, None] * [1, 0], True),
+        # Long runs of queries are taken for the same wrong place, as in corridors that look alike.
+        (None, False),
+    ],
+    ids=["as the map's", "own origin", "drift", "wrong matches"],
 )
-def test_a_drive_whose_positions_disagree_with_the_map_s_is_remarked(drift: np.ndarray, says: bool) -> None:
+def test_a_drive_whose_positions_disagree_with_the_map_s_is_remarked(drift: np.ndarray | None, says: bool) -> None:
     known, queries = on_a_path("monday", 150), on_a_path("tuesday", 100)
-    seen = scenes.describe(queries, seed=3, noise=0.1)
-    moved = queries.with_columns(x=queries.x + drift[:, 0], y=queries.y + drift[:, 1])
+    seen, moved = scenes.describe(queries, seed=3, noise=0.1), queries
+    if drift is None:
+        wrong = np.repeat(np.random.default_rng(0).uniform(0, 8, (10, 2)), 10, axis=0)
+        seen = np.column_stack([wrong, np.zeros(100)]).astype("f4")
+    else:
+        moved = queries.with_columns(x=queries.x + drift[:, 0], y=queries.y + drift[:, 1])
     result = evaluate_absolute(VisualMap(scenes.describe(known, seed=1, noise=0.1), known, {"name": "p"}), seen, moved)
     assert ("positions" in result.skipped) == says
     assert ("tuesday look like map frames" in result.table()) == says
     assert "left out" not in result.table()
 
 
-def test_wrong_matches_are_no_drive_of_another_origin() -> None:
-    known, queries = on_a_path("monday", 150), on_a_path("tuesday", 100)
-    rng = np.random.default_rng(0)
-    # Long runs of queries are taken for the same wrong place, as in corridors that look alike.
-    wrong = np.repeat(rng.uniform(0, 8, (10, 2)), 10, axis=0)
-    seen = np.column_stack([wrong, np.zeros(100)]).astype("f4")
-    result = evaluate_absolute(VisualMap(scenes.describe(known, noise=0.0), known, {"name": "p"}), seen, queries)
-    assert "positions" not in result.skipped
+def test_a_baseline_is_measured_on_the_same_queries() -> None:
+    result, known, queries = evaluated()
+    vectors = scenes.describe(queries, seed=3, noise=2)
+    noisy = evaluate_absolute(known, vectors, queries, RADII, KS)
+    measures = with_baseline(result, "thumbnail", noisy).parts["absolute"]
+    assert measures["overall"]["baselines"]["thumbnail"]["error"] == noisy.parts["absolute"]["overall"]["error"]
+    other = evaluate_absolute(known, vectors[::-1], queries.take(slice(None, None, -1)))
+    with pytest.raises(DataError, match="baseline 'hog' answered other queries"):
+        with_baseline(result, "hog", other)
+
+
+@pytest.mark.parametrize(
+    ("columns", "labels"),
+    [
+        ({"room": ["KT-A"] * 3 + [""] * 5, "lighting": [""] * 8}, {"(unlabelled)": 5, "KT-A": 3}),
+        ({"room": ["KT"] * 8, "building": ["saar"] * 4 + ["frei"] * 4}, {"frei/KT": 4, "saar/KT": 4}),
+    ],
+    ids=["missing labels", "two buildings"],
+)
+def test_groups_have_the_labels_of_the_queries(columns: dict, labels: dict) -> None:
+    queries = scenes.frames(2, 8, **{name: np.array(values) for name, values in columns.items()})
+    measures = evaluate_absolute(scenes.visual_map(), scenes.describe(queries), queries).parts["absolute"]
+    assert {label: group["queries"] for label, group in measures["room"].items()} == labels
+    assert ("lighting" in columns) == (measures["lighting"] == {})
+
+
+def test_errors() -> None:
+    known, queries = scenes.visual_map(20), scenes.frames(2, 6)
+    descriptors = scenes.describe(queries)
+    unknown = queries.with_columns(x=np.array([0, np.nan, 1, np.nan, 2, 3]))
+    lost = VisualMap(known.descriptors, known.frames.with_columns(y=np.full(20, np.nan)))
+    none = FrameTable(path=np.array([], dtype=str))
+    for arguments, says in (
+        (
+            (known, descriptors, unknown),
+            r"2 of 6 queries have no position \(x, y\), the first is run2/0001.*leave them",
+        ),
+        ((lost, descriptors, queries), "20 of 20 map frames have no position"),
+        ((known, descriptors[:5], queries), r"6 queries need descriptors of shape \(6, D\), got \(5, 3\)"),
+        ((known, descriptors[:0], none), "no queries"),
+    ):
+        with pytest.raises(DataError, match=says):
+            evaluate_absolute(*arguments)
+    for wrong in ((), (-1,), (1, 1), (math.inf,)):
+        with pytest.raises(ConfigError, match=r"task\.radii|needs radii"):
+            Localization(radii=wrong)
+    for wrong in ((), (0,), (1, 1), (1.5,)):
+        with pytest.raises(ConfigError, match=r"task\.ks|whole numbers k"):
+            Localization(ks=wrong)
+
+
+def test_the_single_frame_estimate_has_the_measures_of_absolute_localization() -> None:
+    result, known, queries = evaluated()
+    again = estimate_columns("again", known.frames.xy[result.columns["match"]], queries)
+    np.testing.assert_array_equal(again["again_error"], result.columns["error"])
+    measures = estimate_measures({**result.columns, **again}, "again", RADII, len(known), "m")
+    expected = pose_measures(result.columns, RADII, (1,), len(known), "m")
+    for group, reference in zip(
+        (measures["overall"], *measures["lighting"].values(), *measures["room"].values()),
+        (expected["overall"], *expected["lighting"].values(), *expected["room"].values()),
+        strict=True,
+    ):
+        assert {name: reference[name] for name in group} == group
+
+
+def test_a_perfect_estimate_is_below_the_floor_and_a_distant_one_is_not_recalled() -> None:
+    result, known, queries = evaluated()
+    perfect = estimate_columns("it", queries.xy, queries, queries.theta + 2 * np.pi)
+    overall = estimate_measures({**result.columns, **perfect}, "it", RADII, len(known), "m")["overall"]
+    assert overall["error"]["max"] == 0
+    assert overall["excess"]["mean"] == -overall["floor"]["mean"] < 0
+    assert [entry["recall"] for entry in overall["recall"]] == [1, 1]
+    assert overall["heading_error"]["count"] == np.isfinite(queries.theta).sum() < 80
+    assert overall["heading_error"]["max"] < 1e-9
+    away = estimate_columns("it", queries.xy + np.array([3, 4]), queries)
+    overall = estimate_measures({**result.columns, **away}, "it", RADII, len(known), "m")["overall"]
+    assert overall["error"]["mean"] == pytest.approx(5)
+    assert [entry["hits"] for entry in overall["recall"]] == [0, 0]
+    assert "heading_error" not in overall
+
+
+def test_queries_without_a_pose_are_listed_with_their_estimates() -> None:
+    known = scenes.visual_map()
+    queries = scenes.frames(2, 5, x=np.full(5, math.nan))
+    found = Retrieval(np.array([[3], [0], [149], [3], [7]]), np.arange(5.0)[:, None])
+    columns = located_columns(known, queries, found, [0.1, math.nan, 0, 0, 0])
+    np.testing.assert_array_equal(columns["est_x"], known.frames.x[[3, 0, 149, 3, 7]])
+    assert columns["match_path"][2] == known.frames.path[149]
+    assert columns["est_theta"][0] == 0.1
+    assert not {"error", "floor", "x"} & set(columns)
+
+
+def test_estimates_of_another_number_of_queries_are_refused() -> None:
+    queries = scenes.frames(2, 5)
+    with pytest.raises(DataError, match="as many headings"):
+        estimate_columns("it", queries.xy, queries, [0.0])
+    with pytest.raises(DataError, match="positions"):
+        estimate_columns("it", np.full((5, 2), np.nan), queries)

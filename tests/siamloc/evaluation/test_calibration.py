@@ -1,18 +1,14 @@
 from __future__ import annotations
 
-import json
 import math
-from pathlib import Path
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from foundation.files import plain
 from siamloc.errors import DataError
 from siamloc.evaluation.calibration import calibration_curve, calibration_measures, lost_measures
-from siamloc.results import read_results, read_rows, write_results
 from tests.oracles import calibration as oracle
 
 
@@ -63,25 +59,6 @@ def test_perfect_reversed_and_shuffled_predictions() -> None:
     shuffled = calibration_measures({**columns, "error_m": rng.permutation(error)}, 1.0)["overall"]
     share = shuffled["lost"]["lost"] / 2000
     assert shuffled["lost"]["precision"] == pytest.approx(share, abs=0.07)
-
-
-def test_the_files_alone_give_the_same_measures(tmp_path: Path) -> None:
-    rng = np.random.default_rng(1)
-    columns = {
-        "error": rng.exponential(1, 80),
-        "error_m": rng.exponential(1, 80),
-        "lighting": rng.choice(["cloudy", "night"], 80),
-        "room": rng.choice(["KT-A", ""], 80),
-    }
-    measures = calibration_measures(columns, 1.5, 4)
-    assert list(measures["lighting"]) == ["cloudy", "night"]
-    assert list(measures["room"]) == ["(unlabelled)", "KT-A"]
-    night = columns["lighting"] == "night"
-    assert measures["lighting"]["night"]["observed"] == columns["error"][night].mean()
-    assert measures["lighting"]["night"]["queries"] == night.sum()
-    write_results(tmp_path, {"config": {}, "measures": measures, "denominators": {}}, columns)
-    again = plain(calibration_measures(read_rows(tmp_path), 1.5, 4))
-    assert json.dumps(again) == json.dumps(read_results(tmp_path)["measures"])
 
 
 def test_errors() -> None:

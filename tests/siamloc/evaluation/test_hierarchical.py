@@ -1,24 +1,20 @@
 from __future__ import annotations
 
-import json
 import math
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 from analytic import Description
-from foundation.files import plain
-from siamloc.errors import ConfigError, DataError
+from siamloc.errors import ConfigError
 from siamloc.evaluation import metrics
 from siamloc.evaluation.absolute import evaluate_absolute, neighbours
-from siamloc.evaluation.hierarchy import CoarseRanking, evaluate_hierarchical, node_measures
+from siamloc.evaluation.hierarchy import CoarseRanking, evaluate_hierarchical
 from siamloc.evaluation.result import Result
 from siamloc.maps import VisualMap
 from siamloc.maps.coarse import CoarseLayer
-from siamloc.maps.hierarchy import HierarchicalRetrieval, HierarchicalSearch
+from siamloc.maps.hierarchy import HierarchicalSearch
 from siamloc.maps.ranking import NodeRanking, rank_by_position, rank_by_representatives
-from siamloc.results import read_results, read_rows, write_results
 from tests.siamloc.evaluation import scenes
 
 RADII, KS = (0.5, 1 / 3), (1, 5, 10)
@@ -112,17 +108,6 @@ def test_a_perfect_and_a_reversed_coarse_layer() -> None:
     assert (reverse.columns["error"][away] > 1).all()
 
 
-def test_the_files_alone_give_the_same_measures(tmp_path: Path) -> None:
-    known, queries = scenes.visual_map(), scenes.frames(2, 80)
-    result = evaluated(known, layer_of(known, unassigned=5), queries, scenes.describe(queries, seed=2, noise=1), 1)
-    results = {"config": {}, "measures": {"it": result.parts["hierarchical"]}, "denominators": result.denominators}
-    write_results(tmp_path, results, result.columns, {"map": result.tables["map"], "nodes": result.tables["nodes"]})
-    written = read_results(tmp_path)["measures"]["it"]
-    map_frames = len(read_rows(tmp_path, "map")["path"])
-    again = node_measures(read_rows(tmp_path), written["radii"], written["ks"], map_frames, written["unit"])
-    assert json.dumps(plain(again)) == json.dumps(written)
-
-
 @pytest.mark.parametrize("n", [1, 7, 99])
 def test_small_maps_and_nodes_of_one_frame(n: int) -> None:
     known, queries = scenes.visual_map(n), scenes.frames(2, 10)
@@ -135,40 +120,6 @@ def test_small_maps_and_nodes_of_one_frame(n: int) -> None:
     if n == 1:
         assert overall["error"] == overall["floor"]
         assert math.isnan(overall["given_wrong"]["error"]["mean"])
-
-
-def test_no_map_frame_within_the_radius() -> None:
-    known = scenes.visual_map()
-    queries = scenes.frames(2, 10, x=np.full(10, 100.0))
-    overall = evaluated(known, layer_of(known), queries, scenes.describe(queries)).parts["hierarchical"]["overall"]
-    assert [entry["answerable"] for entry in overall["recall"]] == [0] * 6
-    assert overall["error"]["mean"] > 90
-
-
-def test_batches_put_together_are_the_whole() -> None:
-    known, queries = scenes.visual_map(), scenes.frames(2, 20)
-    vectors, layer = scenes.describe(queries), layer_of(known)
-    search, ranking = HierarchicalSearch(known, layer), rank_by_representatives(vectors, layer.representatives, 2)
-    whole = search.search(vectors, ranking, 3)
-    parts = [
-        search.search(vectors[part], NodeRanking(ranking.nodes[part], ranking.compared[part]), 3)
-        for part in (slice(0, 13), slice(13, 20))
-    ]
-    joined = HierarchicalRetrieval.concatenate(parts)
-    np.testing.assert_array_equal(joined.found.indices, whole.found.indices)
-    np.testing.assert_array_equal(joined.compared, whole.compared)
-    np.testing.assert_array_equal(joined.tried, whole.tried)
-
-
-def test_errors() -> None:
-    known, queries = scenes.visual_map(20), scenes.frames(2, 6)
-    vectors, layer = scenes.describe(queries), layer_of(known)
-    search = HierarchicalSearch(known, layer)
-    found = search.search(vectors, rank_by_representatives(vectors, layer.representatives, 1), 10)
-    whole = known.search(vectors)
-    lost = queries.with_columns(x=np.full(6, np.nan))
-    with pytest.raises(DataError, match="6 of 6 queries have no position"):
-        evaluate_hierarchical(known, layer, lost, found, found, whole, ks=(1,))
 
 
 def test_a_ratio_of_distances_saves_comparisons_and_one_without_limit_changes_nothing() -> None:

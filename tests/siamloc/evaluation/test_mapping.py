@@ -90,13 +90,6 @@ def test_every_number_follows_from_the_tables(tmp_path):
     assert result.tables["nodes"]["frames"].sum() == 71
 
 
-def test_a_layer_of_one_node_has_no_silhouette():
-    known, _ = lap_twice()
-    found = evaluate_mapping(known, CoarseLayer.of_labels(known, np.zeros(80, dtype=int)), THUMBNAIL).parts["mapping"]
-    assert math.isnan(found["silhouette"]["nearest"])
-    assert math.isnan(found["descriptor_silhouette"])
-
-
 def test_what_cannot_be_measured():
     known, quarter = lap_twice()
     layer = CoarseLayer.of_labels(known, quarter)
@@ -107,6 +100,9 @@ def test_what_cannot_be_measured():
     assert math.isnan(measured["closures"]["recall"])
     whole = evaluate_mapping(known, layer, THUMBNAIL).parts["mapping"]
     assert measured["purity"] == whole["purity"]
+    single = evaluate_mapping(known, CoarseLayer.of_labels(known, np.zeros(80, dtype=int)), THUMBNAIL).parts["mapping"]
+    assert math.isnan(single["silhouette"]["nearest"])
+    assert math.isnan(single["descriptor_silhouette"])
     half = known.frames.x.copy()
     half[1::2] = np.nan
     some = VisualMap(known.descriptors, known.frames.with_columns(x=half))

@@ -6,10 +6,9 @@ import numpy as np
 import pytest
 
 import siamloc
-from analytic import disturb
 from augment import AugmentError
 from siamloc.data.frames import FrameTable
-from siamloc.errors import ConfigError, DataError
+from siamloc.errors import ConfigError
 from siamloc.evaluation.disturbance import Disturbance
 from siamloc.evaluation.disturbed import locate_disturbed
 from siamloc.evaluation.disturbed_tables import Answer, answers, concatenated, curves, measures
@@ -139,25 +138,6 @@ def test_curves_are_those_of_a_loop_over_the_answers() -> None:
     assert told["radius"] == 0.5
     assert told["methods"]["b"]["bulb"][1]["mean"] == table["mean"][-1]
     assert [one["levels"] for one in told["disturbances"]] == [[0, 0.5], [0, 1]]
-
-
-def test_a_perfect_search_stays_at_the_floor() -> None:
-    known, queries = frames([0, 1, 2]), frames([0.1, 1.2])
-    table = curves(answers("a", known, queries, {("turn", 90.0): Answer(np.array([0, 1]))}), 0, 3)
-    assert table["mean"][0] == pytest.approx(0.15)
-    assert table["excess"][0] == 0
-    assert table["within"][0] == 0
-
-
-def test_errors() -> None:
-    known = frames([0, 1])
-    with pytest.raises(DataError, match="unknown or not finite"):
-        answers("a", known, frames([np.nan]), {("turn", 0.0): Answer(np.zeros(1, dtype=int))})
-
-
-def test_the_published_levels() -> None:
-    Disturbance("noise", disturb.NOISE_LEVELS, "noise")
-    Disturbance("occlusion", disturb.OCCLUSION_LEVELS, "occlusion")
 
 
 def test_headings_are_measured_by_the_frame_found_and_by_the_nearest_one() -> None:

@@ -47,13 +47,6 @@ def test_pairs_by_lighting(tmp_path: Path) -> None:
         np.testing.assert_array_equal(column, result.columns[name], err_msg=name)
 
 
-def test_pairs_without_lighting_and_without_same_rooms() -> None:
-    measures = evaluate_pairs([[0.0]], [[5.0]], np.array([False])).parts["room_pairs"]
-    assert measures["lighting"] == {}
-    assert math.isnan(measures["overall"]["same"])
-    assert measures["overall"]["different"] == 1
-
-
 def test_rooms_by_the_nearest_frame() -> None:
     known, queries = scenes.visual_map(), scenes.frames(2, 90)
     descriptors = scenes.describe(queries, seed=2, noise=0.6)

@@ -219,6 +219,9 @@ def test_the_building_of_a_query(world, tmp_path):
     result = evaluation.buildings(both, images, far)
     assert result.measures["accuracy"] > 0.9
     assert result.parts["buildings"]["maps"]["north"]["frames"] == int((monday.x < 15).sum())
+    one = evaluation.buildings(both, images, far.select(building="north"))
+    assert one.denominators["queries"] == int((tuesday.x < 15).sum())
+    assert one.measures["confusion"]["labels"] == ["north", "south"], "queries of one building are looked for in all"
     layers = {name: maps.group(part, "sample", nodes=4).layer for name, part in evaluation.by_building([both]).items()}
     assert evaluation.buildings(both, images, far, layers=layers).measures["accuracy"] > 0.8
     with pytest.raises(DataError, match="40 of the 40 map frames have no building"):
@@ -230,17 +233,6 @@ def test_the_building_of_a_query(world, tmp_path):
         evaluation.buildings(both, images, far, layers={"north": layers["north"]})
     with pytest.raises(DataError, match="the layer of building 'north' has labels for"):
         evaluation.buildings(both, images, far, layers={"north": layers["south"], "south": layers["north"]})
-
-
-def test_queries_of_one_building_are_looked_for_in_all(world):
-    images, monday, tuesday, _, _ = world
-    near, far = (
-        frames.with_columns(building=np.where(frames.x < 15, "north", "south")) for frames in (monday, tuesday)
-    )
-    both = maps.build(Reads(), images, near, progress=False)
-    result = evaluation.buildings(both, images, far.select(building="north"))
-    assert result.denominators["queries"] == int((tuesday.x < 15).sum())
-    assert result.measures["confusion"]["labels"] == ["north", "south"]
 
 
 def test_noise_makes_errors_larger_and_turns_of_a_ring_do_not_matter_to_a_mean(world):

@@ -85,7 +85,10 @@ def read_page(path: Path) -> Element:
 
 
 def data_of(page: Element, identifier: str) -> Any:
-    return json.loads(page.one("script", id=identifier).text)
+    def refuse(word: str) -> None:
+        raise AssertionError(f"{word} is not JSON that browsers read")
+
+    return json.loads(page.one("script", id=identifier).text, parse_constant=refuse)
 
 
 def sheet_picture(sheets: dict[str, Any], number: int) -> np.ndarray:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import re
 from pathlib import Path
 
@@ -154,11 +153,3 @@ def test_the_page_needs_result_files_only_and_repeats_itself(run: Path, tmp_path
     first = write_report([run], tmp_path / "a.html").read_bytes()
     assert write_report([run / "evaluation" / "network"], tmp_path / "b.html").exists()
     assert write_report([run], tmp_path / "c.html").read_bytes() == first
-
-
-def test_the_data_are_json_that_browsers_read(run: Path, page: pages.Element) -> None:
-    def refuse(word: str) -> None:
-        raise AssertionError(f"{word} is not JSON")
-
-    for script in page.all("script", type="application/json"):
-        json.loads(script.text, parse_constant=refuse)

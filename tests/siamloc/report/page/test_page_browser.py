@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from siamloc.report.page.write import write_report
-from siamloc.results import read_results, read_rows
+from siamloc.results import read_rows
 from tests.siamloc.evaluation import scenes
 from tests.siamloc.report import pages
 from tests.siamloc.report.browser import CHROMIUM, DRIVER, Browser
@@ -96,23 +96,6 @@ def test_the_page_itself_forbids_requests(page: Browser) -> None:
     assert any("Content Security Policy" in line for line in page.complaints())
 
 
-def test_tables_are_filled(run: Path, page: Browser) -> None:
-    rows = page.run(
-        "return [...document.querySelectorAll('.summary > .scroll > .errors tbody tr')].map((row) => row.innerText)"
-    )
-    assert len(rows) == 8
-    overall = read_results(run / "evaluation" / "network")["measures"]["absolute"]["overall"]
-    assert f"{overall['error']['mean']:.3f}" in rows[3]
-    assert page.run("return document.querySelectorAll('.rooms svg text').length") > 20
-    assert page.run("return [...document.images].every((image) => image.naturalWidth > 100)")
-
-
-def test_the_plan_is_drawn(page: Browser) -> None:
-    said = state(page)
-    assert (said["drawn"], said["mapFrames"], said["lighting"]) == ("60", "40", "all")
-    assert len(page.run(_COLOURS)) > 20
-
-
 def test_the_lighting_switch(run: Path, page: Browser) -> None:
     lighting = queries(run)["lighting"]
     pictures = set()
@@ -126,11 +109,6 @@ def test_the_lighting_switch(run: Path, page: Browser) -> None:
         assert sum(counts) == members.sum()
         pictures.add(page.run("return document.querySelector('.stage canvas').toDataURL()"))
     assert len(pictures) == 4
-
-
-def test_the_lighting_switch_by_keyboard(page: Browser) -> None:
-    page.key(".switch input[value=all]", RIGHT)
-    assert state(page)["lighting"] == "cloudy"
 
 
 def test_classes_of_errors_can_be_hidden(page: Browser) -> None:
@@ -222,10 +200,6 @@ def test_dark_and_light(page: Browser) -> None:
     assert len(plan & set(page.run(_COLOURS))) < len(plan) / 2, "the plan is drawn again in other colours"
     page.devtools("Emulation.setEmulatedMedia", media="print")
     assert paper() == "rgb(255, 255, 255)"
-
-
-def test_nothing_is_wider_than_the_window(page: Browser) -> None:
-    assert page.run("return document.documentElement.scrollWidth - innerWidth") <= 0
 
 
 def test_it_prints(page: Browser) -> None:

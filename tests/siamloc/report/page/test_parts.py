@@ -63,12 +63,6 @@ def test_each_kind_of_result_has_its_part(page: Element) -> None:
     assert [row.one("a").text for row in compared] == titles[:2]
 
 
-def test_a_plain_run_has_none_of_these_parts(tmp_path: Path) -> None:
-    page = report(tmp_path, pages.write_run(tmp_path / "run"))
-    found = {section.attributes["class"].split()[-1] for section in page.all("section")}
-    assert found.isdisjoint({"filtered", "interpolated", "expected", "pair-curves", "hierarchical", "robustness"})
-
-
 @pytest.mark.parametrize("name", ["filtered", "interpolated"])
 def test_another_estimate_stands_beside_the_single_frame_one(run: Path, page: Element, name: str) -> None:
     found, section = measures(run, "network"), part(page, name)
@@ -180,20 +174,6 @@ def test_confusion_matrices_of_all_and_by_lighting(run: Path, page: Element) -> 
     counts = {text.text.strip() for text in every.all("text")}
     assert {f"{value:,}" for row in found["counts"] for value in row if value} <= counts
     assert f"{np.trace(found['counts'])} of {np.sum(found['counts'])} queries" in section.text
-
-
-def test_results_without_matrices_by_lighting_show_that_of_all(run: Path, tmp_path: Path) -> None:
-    older = shutil.copytree(run, tmp_path / "older")
-    path = older / "evaluation" / "network" / "results.json"
-    results = read_json(path)
-    del results["measures"]["room_retrieval"]["confusion"]["lighting"]
-    for group in results["measures"]["room_pairs"]["lighting"].values():
-        del group["curve"]
-    write_json(path, results)
-    page = report(tmp_path, older)
-    assert len(part(page, "rooms").all("svg")) == 1
-    titles = [text for text in words(part(page, "pair-curves")) if ", AUC" in text]
-    assert [title.split(",")[0] for title in titles] == ["all pairs"]
 
 
 def test_pairs_by_lighting(run: Path, page: Element) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import base64
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -130,9 +129,3 @@ def test_nothing_is_wider_than_the_window(page: Browser, width: int) -> None:
         assert cut == 0
     finally:
         page.devtools("Emulation.clearDeviceMetricsOverride")
-
-
-def test_it_prints(page: Browser) -> None:
-    pdf = base64.b64decode(page.devtools("Page.printToPDF", printBackground=True)["data"])
-    assert pdf.startswith(b"%PDF")
-    assert page.complaints() == []
