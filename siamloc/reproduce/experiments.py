@@ -6,11 +6,11 @@ Nothing here uses published numbers: measured numbers come from images only.
 from __future__ import annotations
 
 import shutil
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cached_property
-from math import prod
+from math import isfinite, prod
 from pathlib import Path
 from typing import Any
 
@@ -28,7 +28,7 @@ from siamloc.reproduce.published import Record
 from siamloc.reproduce.recipe_book import Job, data_named
 from siamloc.stopwatch import Stopwatch
 
-_REMEMBERED = 3
+_REMEMBERED = 4
 
 
 @dataclass
@@ -49,30 +49,23 @@ class Data:
     _described: dict[str, VisualMap] = field(default_factory=dict, repr=False)
 
     def __post_init__(self) -> None:
+        about = data_named(self.name)
         if not self.root.is_dir():
-            raise DataError(
-                f"{data_named(self.name)['title']} is expected in {self.root}, which does not exist: {self._how}"
-            )
-
-    @property
-    def _how(self) -> str:
-        return str(data_named(self.name)["how"])
-
-    @cached_property
-    def settings(self) -> DataSettings:
-        """How to read it."""
-        size = self.image_size
-        return DataSettings.of({"kind": "cold", "name": self.name, "root": str(self.root), "image_size": list(size)})
+            raise DataError(f"{about['title']} is expected in {self.root}, which does not exist: {about['how']}")
+        size = list(self.image_size)
+        self._settings = DataSettings.of(
+            {"kind": "cold", "name": self.name, "root": str(self.root), "image_size": size}
+        )
 
     @cached_property
     def frames(self) -> FrameTable:
         """All frames."""
-        return self.settings.read()
+        return self._settings.read()
 
     @cached_property
     def images(self) -> PanoramaLibrary:
         """Their panoramas."""
-        return self.settings.library(self.frames, data_named(self.name)["unwrap"])
+        return self._settings.library(self.frames, data_named(self.name)["unwrap"])
 
     @cached_property
     def other(self) -> Data:
@@ -87,10 +80,10 @@ class Data:
             options: the descriptor's name and parameters.
             role: the frames.
         """
-        key = content_key([dict(options), dict(role)])
+        key = content_key([options, role])
         if key not in self._described:
-            for oldest in list(self._described)[:-_REMEMBERED]:
-                del self._described[oldest]
+            if len(self._described) == _REMEMBERED:
+                del self._described[next(iter(self._described))]
             by = "pretrained" if options["name"] == "pretrained" else descriptor(**options)
             self._described[key] = maps.build(by, self.images, self.role(role), distance="euclidean", progress=False)
         return self._described[key]
@@ -99,18 +92,15 @@ class Data:
         """Return the frames of a role; with `one_in`, only every n-th of the selected frames.
 
         Raises:
-            DataError: a run that does not exist.
+            DataError: a drive that does not exist.
         """
-        names, chosen = data_named(self.name)["runs"], dict(role)
-        runs, one_in = chosen.pop("runs"), chosen.pop("one_in", 1)
-        missing = [run for run in runs if run not in names]
-        if missing:
-            raise DataError(f"{data_named(self.name)['title']} has no run {missing[0]}: {self._how}")
-        patterns = tuple(names[run] for run in runs)
+        about, options = data_named(self.name), dict(role)
+        options["sequences"] = [about["runs"][run] for run in options.pop("runs")]
+        one_in = options.pop("one_in", 1)
         try:
-            found = Role.of({**chosen, "sequences": list(patterns)}).select(self.frames)
+            found = Role.of(options).select(self.frames)
         except ConfigError as error:
-            raise DataError(f"{self.root} lacks a drive that the recipe needs ({error}): {self._how}") from error
+            raise DataError(f"{self.root} lacks a drive that the recipe needs ({error}): {about['how']}") from error
         return self.images.readable(found.every(one_in))
 
 
@@ -120,138 +110,130 @@ Measured = Iterator[Record]
 def retrieval(job: Job, data: Data) -> Measured:
     """Find the nearest map frame with each distance ([T] 3.5.1-3.5.2): hit rate, error, time and size."""
     frames, clock = data.role(job.roles["query"]), Stopwatch()
-    own = _described(job.options["descriptor"], job, data)
+    own = data.described(job.options["descriptor"], job.roles["map"])
     list(maps.describe(own, data.images, frames.take([0])))  # keeps one-time setup out of the query times
     queries = Description.concatenate(list(maps.describe(own, data.images, frames, clock=clock)))
     described = clock.ms("describe") or 0.0
-    for place in _compared(own, job.options):
-        distance, search = place.distance, Stopwatch()
+    for place, settings in _compared(own, job):
+        search = Stopwatch()
         with search.of("search", len(frames)):
             found = match(place, queries, min(20, len(own)))
         turned = headings(place, queries, found)[:, 0]
         result = evaluate_absolute(place, None, frames, (0.5, 1.0), (1,), found, turned)
-        overall, settings = result.measures, {**job.settings, "distance": distance}
-        yield Record("hit_rate", overall["hit_rate"][0]["rate"], settings)
-        yield Record("hit_rate_0_5_m", overall["hit_rate"][1]["rate"], settings)
-        yield Record("error", overall["error"]["mean"], {**settings, "lighting": "overall"})
-        for lighting, group in overall["lighting"].items():
-            yield Record("error", group["error"]["mean"], {**settings, "lighting": lighting})
-        yield Record("floor", overall["floor"]["mean"], settings)
-        yield Record("seconds", (described + (search.ms("search") or 0.0)) / 1000, settings)
-        yield Record("descriptor_size", place.width, settings)
+        overall = result.measures
+        near, nearer = (rate["rate"] for rate in overall["hit_rate"][:2])
+        yield from _records(settings, hit_rate=near, hit_rate_0_5_m=nearer)
+        for lighting, group in {"overall": overall, **overall["lighting"]}.items():
+            yield from _records({**settings, "lighting": lighting}, error=group["error"]["mean"])
+        seconds = (described + (search.ms("search") or 0.0)) / 1000
+        yield from _records(settings, floor=overall["floor"]["mean"], seconds=seconds, descriptor_size=place.width)
 
 
 def disturbed(job: Job, data: Data) -> Measured:
-    """Disturb the queries ([T] 3.5.2-3.5.4): errors of the position, and of the heading at the nearest frame."""
-    frames, options = data.role(job.roles["query"]), job.options
-    own = _described(options["descriptor"], job, data)
-    for place in _compared(own, options):
-        distance = place.distance
-        result = evaluation.robustness(
-            place,
-            data.images,
-            frames,
-            every=1,
-            noise=tuple(options.get("noise", ())),
-            occlusion=tuple(options.get("occlusion", ())),
-            turn=(),
-            name="measured",
-        )
-        cost = result.cost
+    """Disturb the queries ([T] 3.5.2-3.5.4): errors of the position, and of the heading at the nearest frame.
+
+    [T] 3.5.2 draws them over the size of the descriptor, which the records have as "information": its position part, as
+    a share of the number of pixels.
+    """
+    options, frames = job.options, data.role(job.roles["query"])
+    known = data.described(options["descriptor"], job.roles["map"])
+    size = {}
+    if options["descriptor"]["name"] != "pretrained":
+        position, _ = descriptor(**options["descriptor"]).sizes(*data.image_size)
+        size = {"information": prod(position) / prod(data.image_size)}
+    levels = {name: tuple(options.get(name, ())) for name in ("noise", "occlusion")}
+    for place, settings in _compared(known, job):
+        result = evaluation.robustness(place, data.images, frames, every=1, turn=(), name="measured", **levels)
         for name, curve in result.measures["methods"]["measured"].items():
             for one in curve:
                 level = {name: one["level"]} if one["level"] else {"noise": 0, "occlusion": 0}
-                settings = {**job.settings, "distance": distance, **level}
-                yield Record("error", one["mean"], settings)
-                if one["heading_nearest"] == one["heading_nearest"]:
-                    yield Record("heading_error", one["heading_nearest"], settings)
-        if cost["heading_ms"] is not None:
-            yield Record("heading_seconds", cost["heading_ms"] / 1000, {**job.settings, "distance": distance})
+                errors = {"error": one["mean"], "heading_error": one["heading_nearest"]}
+                yield from _records({**settings, **level, **size}, **errors)
+        if result.cost["heading_ms"] is not None:
+            yield from _records({**settings, **size}, heading_seconds=result.cost["heading_ms"] / 1000)
 
 
 def mapping(job: Job, data: Data) -> Measured:
     """Group a drive into nodes ([T] 4.5-4.6, [I] 6): silhouette, number of nodes, frames in no node, time."""
-    known = next(_compared(_described(job.options["descriptor"], job, data), {}))
+    known = _grouping_map(job, data)
     yield from _grouped(known, job.options["build"], job.settings)
-    yield Record("frames", len(known), job.settings)
+    yield from _records(job.settings, frames=len(known))
 
 
 def matched(job: Job, data: Data) -> Measured:
     """Group a drive with the incremental mapper, then into as many nodes by spectral clustering ([T] table 4.3)."""
-    known = next(_compared(_described(job.options["descriptor"], job, data), {}))
+    known = _grouping_map(job, data)
     incremental = list(_grouped(known, job.options["build"], {**job.settings, "method": "incremental"}))
     nodes = next(int(one.value) for one in incremental if one.measure == "nodes")
     spectral = _grouped(known, {"name": "spectral", "nodes": nodes}, {**job.settings, "method": "spectral"})
-    yield Record("nodes", nodes, job.settings)
+    yield from _records(job.settings, nodes=nodes)
     yield from (one for one in (*incremental, *spectral) if one.measure != "nodes")
 
 
+def _grouping_map(job: Job, data: Data) -> VisualMap:
+    known = data.described(job.options["descriptor"], job.roles["map"])
+    return known.with_distance(known.descriptor.default_distance)
+
+
 def _grouped(known: VisualMap, build: Mapping[str, Any], settings: Mapping[str, Any]) -> Measured:
-    way = dict(build)
-    built = maps.group(known, way.pop("name"), progress=False, **way)
+    built = maps.group(known, build["name"], progress=False, **_options_of(build))
     measures = evaluation.mapping(known, built).parts["mapping"]
-    yield Record("silhouette", measures["silhouette"]["pooled"], settings)
-    yield Record("silhouette_nearest", measures["silhouette"]["nearest"], settings)
-    yield Record("nodes", measures["nodes"], settings)
-    yield Record("unassigned", measures["unassigned"]["share"], settings)
-    yield Record("clustering_seconds", float(built.seconds.sum()), settings)
+    silhouette, unassigned = measures["silhouette"], measures["unassigned"]["share"]
+    yield from _records(settings, silhouette=silhouette["pooled"], silhouette_nearest=silhouette["nearest"])
+    seconds = built.seconds.sum()
+    yield from _records(settings, nodes=measures["nodes"], unassigned=unassigned, clustering_seconds=seconds)
+
+
+def _options_of(build: Mapping[str, Any]) -> dict[str, Any]:
+    return {key: value for key, value in build.items() if key != "name"}
 
 
 def growing(job: Job, data: Data) -> Measured:
     """Count the nodes as a map grows ([T] figures 4.13-4.15)."""
     from analytic.mapper import IncrementalMapper
 
-    known = _described(job.options["descriptor"], job, data)
-    way = {key: value for key, value in job.options["build"].items() if key != "name"}
-    mapper = IncrementalMapper(known.descriptor, **way)
-    marks = {round(share * len(known) / job.options["steps"]) for share in range(1, job.options["steps"] + 1)}
+    known, steps = data.described(job.options["descriptor"], job.roles["map"]), job.options["steps"]
+    mapper = IncrementalMapper(known.descriptor, **_options_of(job.options["build"]))
+    marks = {round(share * len(known) / steps) for share in range(1, steps + 1)}
     poses = np.column_stack([known.frames.xy, known.frames.theta])
     for row in range(len(known)):
         mapper.add(known.description.take(slice(row, row + 1)), poses[row].tolist())
         if row + 1 in marks:
-            yield Record("nodes", len(mapper.nodes), {**job.settings, "frames_seen": row + 1})
+            yield from _records({**job.settings, "frames_seen": row + 1}, nodes=len(mapper.nodes))
 
 
 def compact(job: Job, data: Data) -> Measured:
     """Locate in compact maps ([C] 5.2-5.4): errors at node positions and inside nodes, compactness, times."""
     frames, options = data.role(job.roles["query"]), job.options
-    own = _described(options["descriptor"], job, data)
-    clusters = None
-    if "clusters" in options:
-        clusters = _described(options["clusters"], job, data)
-    nodes = tuple(n for n in options["nodes"] if n <= len(own))
-    for place in _compared(own, options):
-        distance = place.distance
-        result = evaluation.compact(
-            place,
-            data.images,
-            frames,
-            clusters=clusters,
-            protocol="same_run" if job.same_run else "cross_run",
-            nodes=nodes,
-            ways=tuple(options["ways"]),
-        )
-        asked = [(way, n) for way in options["ways"] for n in nodes]
-        for (way, n), one in zip(asked, result.measures["curves"], strict=True):
-            method = {"method": {"sample": "sampling"}.get(way, way), "clusters": n}
-            settings = {**job.settings, "distance": distance, **method}
-            yield Record("error", one["error"]["mean"], settings)
-            yield Record("error_frames", one["error_frames"]["mean"], settings)
-            yield Record("floor", one["floor"], settings)
-            yield Record("seconds", (result.cost["describe_ms"] + one["search_ms"]) / 1000, settings)
-            if way != "sample":
-                yield Record("silhouette", one["silhouette"], settings)
-                yield Record("descriptor_silhouette", one["descriptor_silhouette"], settings)
-                yield Record("inertia", one["inertia"], settings)
-                yield Record("clustering_seconds", one["build_seconds"], settings)
+    own = data.described(options["descriptor"], job.roles["map"])
+    clusters = data.described(options["clusters"], job.roles["map"]) if "clusters" in options else None
+    asked: dict[str, Any] = {
+        "clusters": clusters,
+        "protocol": "same_run" if job.same_run else "cross_run",
+        "nodes": tuple(n for n in options["nodes"] if n <= len(own)),
+        "ways": tuple(options["ways"]),
+    }
+    for place, settings in _compared(own, job):
+        result = evaluation.compact(place, data.images, frames, **asked)
+        for one in result.measures["curves"]:
+            plain = one["way"] == "sample"
+            method = {"method": "sampling" if plain else one["way"], "clusters": one["nodes"]}
+            errors = {"error": one["error"]["mean"], "error_frames": one["error_frames"]["mean"], "floor": one["floor"]}
+            seconds = (result.cost["describe_ms"] + one["search_ms"]) / 1000
+            names = () if plain else ("silhouette", "descriptor_silhouette", "inertia")
+            built = {} if plain else {"clustering_seconds": one["build_seconds"]}
+            shape = {name: one[name] for name in names}
+            yield from _records({**settings, **method}, **errors, seconds=seconds, **shape, **built)
 
 
 def buildings(job: Job, data: Data) -> Measured:
     """Choose between two buildings by the nearest node of their compact maps ([C] 5.3.3)."""
     options, distance = job.options, job.options["distance"]
     both = (data, data.other)
-    own = [_described(options["descriptor"], job, one).with_distance(distance) for one in both]
-    clusters = [_described(options["clusters"], job, one) for one in both]
+    own, clusters = (
+        [one.described(options[name], job.roles["map"]) for one in both] for name in ("descriptor", "clusters")
+    )
+    own = [one.with_distance(distance) for one in own]
     asked = [
         Description.concatenate(list(maps.describe(own[0], one.images, one.role(job.roles["query"])))) for one in both
     ]
@@ -266,21 +248,18 @@ def buildings(job: Job, data: Data) -> Measured:
             for place, queries in enumerate(asked)
         ]
         settings = {**job.settings, "distance": distance, "clusters": nodes}
-        yield Record("building_accuracy", float(np.concatenate(right).mean()), settings)
+        yield from _records(settings, building_accuracy=np.concatenate(right).mean())
 
 
 def rooms(job: Job, data: Data) -> Measured:
     """Measure the size of rooms ([T] table 5.5)."""
     for room, (frames, largest) in room_sizes(data.role(job.roles["map"])).items():
-        code = room.rpartition("/")[2]
-        yield Record("room_diameter", largest, {**job.settings, "room": code})
-        yield Record("frames", frames, {**job.settings, "room": code})
+        yield from _records({**job.settings, "room": room.rpartition("/")[2]}, room_diameter=largest, frames=frames)
 
 
 def trained(job: Job, data: Data) -> Measured:
     """Train a siamese network, then use it to distinguish rooms ([T] 5.4.1) or to locate ([T] 5.4.2-5.4.3)."""
-    options = job.options
-    pairs = dict(options["pairs"])
+    options, pairs = job.options, dict(job.options["pairs"])
     told = {key: options[key] for key in ("branch", "head", "epochs", "batch_size")}
     told |= {"same_share": pairs["same_room_share"], **job.settings}
     if pairs["epoch_pairs"] is not None:
@@ -312,11 +291,9 @@ def _learned(job: Job, data: Data, **training_options: Any) -> Iterator[VisualMa
     """Train the network of a job and describe the job's map with it; the run is deleted once its records are made."""
     from siamloc import models, training
 
-    options = job.options
-    network = models.build(
-        options["branch"], options["head"], image_size=data.image_size, weights=options.get("weights"), seed=0
-    )
-    folder = data.work / content_key(job.plain())
+    options, folder = job.options, data.work / content_key(job.plain())
+    weights = options.get("weights")
+    network = models.build(options["branch"], options["head"], image_size=data.image_size, weights=weights, seed=0)
     training.fit(
         network,
         data.images,
@@ -334,70 +311,64 @@ def _learned(job: Job, data: Data, **training_options: Any) -> Iterator[VisualMa
 
 def _judged_pairs(own: VisualMap, job: Job, data: Data, queries: FrameTable, told: Mapping[str, Any]) -> Measured:
     """Distinguish pairs of one room from pairs of two, among the training frames and among the queries."""
-    asked = {"count": job.options["judged"], "same_room_share": 0.5}
+    asked: dict[str, Any] = {"pairs": {"count": job.options["judged"], "same_room_share": 0.5}, "protocol": "same_run"}
     for phase, frames in (("train", data.role(job.roles["train"])), ("test", queries)):
-        judged = evaluation.localization(
-            own, data.images, frames, names=("room_retrieval",), pairs=asked, protocol="same_run"
-        ).parts["room_pairs"]["overall"]
+        result = evaluation.localization(own, data.images, frames, names=("room_retrieval",), **asked)
+        judged = result.parts["room_pairs"]["overall"]
         for pairs in ("overall", "same", "different"):
-            yield Record("accuracy", judged[pairs], {**told, "phase": phase, "pairs": pairs})
+            yield from _records({**told, "phase": phase, "pairs": pairs}, accuracy=judged[pairs])
 
 
 def _located(result: Result, own: VisualMap, told: Mapping[str, Any]) -> Measured:
     """Yield the errors of a localization by lighting, their floors, and the size of the descriptor."""
     for lighting, group in {"overall": result.measures, **result.measures["lighting"]}.items():
-        yield Record("error", group["error"]["mean"], {**told, "lighting": lighting})
-        yield Record("floor", group["floor"]["mean"], {**told, "lighting": lighting})
-    yield Record("descriptor_size", own.width, told)
+        means = {"error": group["error"]["mean"], "floor": group["floor"]["mean"]}
+        yield from _records({**told, "lighting": lighting}, **means)
+    yield from _records(told, descriptor_size=own.width)
 
 
 def _inside_rooms(own: VisualMap, data: Data, queries: FrameTable, told: Mapping[str, Any]) -> Measured:
     """Locate each query only inside its true room ([T] table 5.15)."""
     layer = maps.group(own, "rooms", progress=False)
     columns = evaluation.hierarchical(own, data.images, queries, layer, candidates=1).tables["queries"]
-    for room in np.unique(columns["room"]).tolist():
-        for lighting in np.unique(columns["lighting"]).tolist():
-            rows = (columns["room"] == room) & (columns["lighting"] == lighting)
-            if rows.any():
-                settings = {**told, "room": room.rpartition("/")[2], "lighting": lighting}
-                yield Record("error", float(columns["error_perfect_coarse"][rows].mean()), settings)
+    for room, lighting in sorted(set(zip(columns["room"].tolist(), columns["lighting"].tolist(), strict=True))):
+        rows = (columns["room"] == room) & (columns["lighting"] == lighting)
+        settings = {**told, "room": room.rpartition("/")[2], "lighting": lighting}
+        yield from _records(settings, error=columns["error_perfect_coarse"][rows].mean())
 
 
 KINDS: dict[str, Callable[[Job, Data], Measured]] = {
-    "retrieval": retrieval,
-    "disturbed": disturbed,
-    "mapping": mapping,
-    "matched": matched,
-    "growing": growing,
-    "compact": compact,
-    "buildings": buildings,
-    "rooms": rooms,
-    "trained": trained,
-    "named_rooms": named_rooms,
+    kind.__name__: kind
+    for kind in (retrieval, disturbed, mapping, matched, growing, compact, buildings, rooms, trained, named_rooms)
 }
 
 
-def measured(job: Job, data: Data) -> Sequence[Record]:
-    """Return the records of a job, without values that are not finite.
+def measured(job: Job, data: Data) -> list[Record]:
+    """Return the records of a job.
 
     Raises:
         SiamlocError: the data lack what the job needs.
     """
-    return [replace(one, value=float(one.value)) for one in KINDS[job.kind](job, data) if np.isfinite(one.value)]
+    return list(KINDS[job.kind](job, data))
 
 
-def _compared(own: VisualMap, options: Mapping[str, Any]) -> Iterator[VisualMap]:
-    """Yield the map with each requested distance, without those that are meaningless for so few numbers."""
-    for distance in options.get("distances") or [own.descriptor.default_distance]:
+def _records(settings: Mapping[str, Any], **values: Any) -> Measured:
+    """Yield a record for each measure whose value is known and finite."""
+    for measure, value in values.items():
+        if value is not None and isfinite(value):
+            yield Record(measure, float(value), settings)
+
+
+def _compared(own: VisualMap, job: Job) -> Iterator[tuple[VisualMap, dict[str, Any]]]:
+    """Yield the map with each distance of a job, and the settings of its records.
+
+    Distances that are meaningless for so few numbers are left out.
+    """
+    for distance in job.options.get("distances") or [own.descriptor.default_distance]:
         try:
-            yield own.with_distance(distance)
+            yield own.with_distance(distance), {**job.settings, "distance": distance}
         except ConfigError:
             continue
-
-
-def _described(options: Mapping[str, Any], job: Job, data: Data) -> VisualMap:
-    """Return the map of a job by a descriptor."""
-    return data.described(options, job.roles["map"])
 
 
 def image_size(job: Job) -> tuple[int, int]:
@@ -409,10 +380,3 @@ def image_size(job: Job) -> tuple[int, int]:
         return rows, columns
     named = job.options.get("descriptor", {}).get("name")
     return PRETRAINED_SIZE if named == "pretrained" else (128, 512)
-
-
-def information(job: Job) -> float:
-    """Return the size of the position part of a job's descriptor, as a share of the number of pixels."""
-    rows, columns = image_size(job)
-    position, _ = descriptor(**job.options["descriptor"]).sizes(rows, columns)
-    return prod(position) / (rows * columns)
