@@ -14,6 +14,7 @@ from foundation.files import file_hash
 from siamloc.data.decoding import UnreadableImageError, read_image
 from siamloc.data.frames import FrameTable
 from siamloc.data.library import PanoramaLibrary
+from siamloc.data.pairs import diameter
 
 _SHORTEST, _LONGEST = 1e-3, 20.0  # m, usual steps between two images of a robot indoors
 _PROBED = 32  # images of a data set that are opened for their size
@@ -41,7 +42,13 @@ def check(frames: FrameTable, images: PanoramaLibrary | None = None) -> list[str
         >>> check(frames)[0]
         'theta looks like degrees: 7 of 8 headings lie beyond one turn, up to 315. Give radians (multiply by pi / 180).'
     """
-    return [*_headings(frames), *_missing(frames), *_drives(frames), *_sizes(frames, images), *_copies(frames)]
+    return [
+        *wrong_headings(frames, doubtful=True),
+        *_missing(frames),
+        *_drives(frames),
+        *_sizes(frames, images),
+        *_copies(frames),
+    ]
 
 
 @typed
@@ -81,11 +88,9 @@ def room_sizes(frames: FrameTable) -> dict[str, tuple[int, float]]:
     found = {}
     for place, rows in frames.rows_by("place").items():
         part = frames.take(rows)
-        xy, largest = part.xy[part.has_position], np.nan
-        if len(xy) > 1:
-            largest = max(float(np.hypot(*(xy[i + 1 :] - one).T).max()) for i, one in enumerate(xy[:-1]))
+        xy = part.xy[part.has_position]
         if part.room[0] != "":
-            found[place] = (len(part), largest)
+            found[place] = (len(part), diameter(xy) if len(xy) > 1 else np.nan)
     return found
 
 
@@ -97,35 +102,31 @@ def _spacing(frames: FrameTable) -> str:
     return f"path of {steps.sum():.1f} {frames.unit}, median step {np.median(steps):.3g} {frames.unit}"
 
 
-def _headings(frames: FrameTable) -> Iterator[str]:
-    """Check headings for what is wrong and what may be wrong."""
-    theta = frames.theta[np.isfinite(frames.theta)]
-    beyond = np.abs(theta) > _TURN + 0.01
-    heading, travel = _moving(frames)
-    follows = len(heading) >= 10 and _agreement(heading - travel)[0] >= _FITS
-    if 0 < beyond.sum() <= len(theta) / 4 and not follows:
-        yield (
-            f"{beyond.sum()} of {len(theta)} headings lie beyond one turn, up to {np.abs(theta).max():.4g} rad: if "
-            "they are degrees, multiply them by pi / 180."
-        )
-    yield from wrong_headings(frames)
+def wrong_headings(frames: FrameTable, doubtful: bool = False) -> Iterator[str]:
+    """Check headings: their range, and whether they follow the direction in which the robot moves.
 
-
-def wrong_headings(frames: FrameTable) -> Iterator[str]:
-    """Check headings: their range, and whether they follow the direction in which the robot moves."""
+    Args:
+        frames: the data set.
+        doubtful: also report the few headings beyond one turn, which may be right.
+    """
     theta = frames.theta[np.isfinite(frames.theta)]
-    beyond = np.abs(theta) > _TURN + 0.01
+    beyond, largest = int((np.abs(theta) > _TURN + 0.01).sum()), np.abs(theta).max(initial=0)
     heading, travel = _moving(frames)
-    enough = len(heading) >= 10
-    if enough and _agreement(heading - travel)[0] >= _FITS:
+    follows = _agreement(heading - travel)[0] if len(heading) >= 10 else np.nan
+    if follows >= _FITS:
         return
-    if beyond.sum() > len(theta) / 4:
+    if beyond > len(theta) / 4:
         yield (
-            f"theta looks like degrees: {beyond.sum()} of {len(theta)} headings lie beyond one turn, up to "
-            f"{np.abs(theta).max():.4g}. Give radians (multiply by pi / 180)."
+            f"theta looks like degrees: {beyond} of {len(theta)} headings lie beyond one turn, up to "
+            f"{largest:.4g}. Give radians (multiply by pi / 180)."
         )
         return
-    if not enough or _agreement(heading - travel)[0] >= _FAILS:
+    if beyond and doubtful:
+        yield (
+            f"{beyond} of {len(theta)} headings lie beyond one turn, up to {largest:.4g} rad: if they are degrees, "
+            "multiply them by pi / 180."
+        )
+    if not follows < _FAILS:
         return
     if _agreement(np.radians(heading) - travel)[0] >= _FITS:
         yield "theta follows the direction of travel if it counts degrees: give radians (multiply by pi / 180)."

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from siamloc.data.frames import FrameTable, image_files
+from siamloc.data.frames import FrameTable, image_files, in_capture_order
 from siamloc.data.names import SequenceName, name_sequence, parse_name
 from siamloc.errors import ConfigError, DataError, check_policy, hint, leave_out, logger
 
@@ -66,7 +66,7 @@ def read_cold(
                 f"{source.list or source.folder}: remove one, or give the folder of one of them as root"
             )
         named[name.sequence] = (source, frames)
-    return FrameTable.from_rows([frame for name in sorted(named) for frame in named[name][1]])
+    return in_capture_order(FrameTable.from_rows([frame for name in sorted(named) for frame in named[name][1]]))
 
 
 @dataclass(frozen=True)
@@ -81,8 +81,7 @@ class _Source:
 
 def _find(root: Path, camera: str) -> list[_Source]:
     if not root.is_dir():
-        hint = "; one list is read with places=FILE" if root.is_file() else ""
-        raise DataError(f"{root} is not a folder{hint}. Expected {_LAYOUT}")
+        raise DataError(f"{root} is not a folder; one list is read with places=FILE. Expected {_LAYOUT}")
     found: dict[Path, _Source] = {}
     named_lists: list[Path] = []
     for folder, files in _folders(root):
@@ -96,9 +95,8 @@ def _find(root: Path, camera: str) -> list[_Source]:
         if source.folder not in found or found[source.folder].list is None:
             found[source.folder] = source
     if not found:
-        there = sorted(path.name for path in root.iterdir())
-        listed = ", ".join(there[:5]) + (f" and {len(there) - 5} more" if len(there) > 5 else "")
-        raise DataError(f"no sequence found under {root}, which holds: {listed or 'nothing'}. Expected {_LAYOUT}")
+        there = ", ".join(sorted(path.name for path in root.iterdir())[:5])
+        raise DataError(f"no sequence found under {root}, which holds: {there or 'nothing'}. Expected {_LAYOUT}")
     return list(found.values())
 
 
@@ -127,24 +125,20 @@ def _own_lists(folder: Path) -> list[Path]:
 
 
 def _source_of_list(path: Path, camera: str) -> _Source:
-    if path.name.endswith(_LIST_SUFFIX):
-        folder = path.with_name(path.name.removesuffix(_LIST_SUFFIX))
-    elif path.parent.name == "localization":
+    if path.parent.name == "localization":
         folder = path.parent.parent
     elif path.name == "places.lst":
         folder = path.parent
     else:
-        folder = path.with_suffix("")
+        named = path.name.endswith(_LIST_SUFFIX)
+        folder = path.with_name(path.name.removesuffix(_LIST_SUFFIX)) if named else path.with_suffix("")
     return _Source(folder, folder / camera, path, folder.absolute().name)
 
 
 def _with_camera(sources: list[_Source], camera: str, on_error: str) -> list[_Source]:
     """Leave out the sequences that contain another camera's images but none of this one's."""
-    lacking = [
-        source
-        for source in sources
-        if not source.images.is_dir() and any((source.folder / other).is_dir() for other in CAMERAS)
-    ]
+    others = [source for source in sources if any((source.folder / other).is_dir() for other in CAMERAS)]
+    lacking = [source for source in others if not source.images.is_dir()]
     what = f"sequences have no folder {camera}, only another camera's"
     leave_out([str(source.folder) for source in lacking], len(sources), what, on_error)
     return [source for source in sources if source not in lacking]
@@ -164,7 +158,6 @@ def _read_sequence(source: _Source, on_error: str) -> tuple[list[dict[str, Any]]
     for frame in frames:
         frame["path"] = str(source.images / frame.pop("image"))
         frame.update(sequence=name.sequence, building=name.building, lighting=name.lighting)
-    frames.sort(key=lambda frame: frame["time"])
     return frames, name
 
 
@@ -197,15 +190,10 @@ def _listed(path: Path) -> list[dict[str, Any]]:
 
 def _unlisted(folder: Path, on_error: str) -> list[dict[str, Any]]:
     """Take the frames from the names of a camera's images."""
-    images = image_files(folder)
-    if not images:
+    poses = {image.name: parse_name(image.name) for image in image_files(folder)}
+    if not poses:
         raise DataError(f"{folder} holds no images, and there is no list of rooms next to it")
-    poses = [parse_name(image.name) for image in images]
-    nameless = [image.name for image, pose in zip(images, poses, strict=True) if pose is None]
-    leave_out(nameless, len(images), f"images of {folder} carry no pose in their names", on_error)
-    logger.info("%s has no list of rooms: its %d frames carry none", folder.parent, len(images) - len(nameless))
-    return [
-        {"image": image.name, "room": "", **pose._asdict()}
-        for image, pose in zip(images, poses, strict=True)
-        if pose is not None
-    ]
+    nameless = [name for name, pose in poses.items() if pose is None]
+    leave_out(nameless, len(poses), f"images of {folder} carry no pose in their names", on_error)
+    logger.info("%s has no list of rooms: its %d frames carry none", folder.parent, len(poses) - len(nameless))
+    return [{"image": name, "room": "", **pose._asdict()} for name, pose in poses.items() if pose is not None]

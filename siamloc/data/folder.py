@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import math
 from pathlib import Path
 from typing import Any
 
-from siamloc.data.frames import FrameTable, image_files
+from siamloc.data.frames import FrameTable, image_files, in_capture_order
 from siamloc.data.names import lighting_in, parse_name
 from siamloc.errors import DataError, check_policy, leave_out
 
@@ -36,10 +35,7 @@ def read_folder(root: str | Path, *, on_error: str = "skip") -> FrameTable:
     stray: list[str] = []
     for split in _subfolders(root):
         stray += [str(image) for image in image_files(split)]
-        rows = [_frame(image, split.name) for room in _subfolders(split) for image in image_files(room)]
-        if not any(math.isnan(row["time"]) for row in rows):
-            rows.sort(key=lambda row: row["time"])
-        frames += rows
+        frames += [_frame(image, split.name) for room in _subfolders(split) for image in image_files(room)]
     if not frames:
         found = sorted(path.name for path in root.iterdir())[:5]
         raise DataError(
@@ -47,7 +43,7 @@ def read_folder(root: str | Path, *, on_error: str = "skip") -> FrameTable:
             + (f"; images without a room's folder: {len(stray)}, the first {stray[0]}" if stray else "")
         )
     leave_out(stray, len(stray) + len(frames), "images lie next to the rooms' folders", on_error)
-    return FrameTable.from_rows(frames)
+    return in_capture_order(FrameTable.from_rows(frames))
 
 
 def _subfolders(folder: Path) -> list[Path]:
@@ -56,11 +52,5 @@ def _subfolders(folder: Path) -> list[Path]:
 
 def _frame(image: Path, split: str) -> dict[str, Any]:
     pose = parse_name(image.name)
-    values: dict[str, Any] = pose._asdict() if pose is not None else {"time": math.nan}
-    return {
-        "path": str(image),
-        "room": image.parent.name,
-        "sequence": split,
-        "lighting": lighting_in(split),
-        **values,
-    }
+    labels = {"room": image.parent.name, "sequence": split, "lighting": lighting_in(split)}
+    return {"path": str(image), **labels, **(pose._asdict() if pose is not None else {})}

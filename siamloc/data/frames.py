@@ -263,6 +263,15 @@ def concatenate(tables: Sequence[FrameTable]) -> FrameTable:
     return FrameTable(**joined, unit=units[0], source=source)
 
 
+def in_capture_order(frames: FrameTable) -> FrameTable:
+    """Sort the frames of each sequence by time, where all of its times are known; other sequences stay as they are."""
+    order = np.arange(len(frames))
+    for rows in frames.rows_by("sequence").values():
+        if np.isfinite(frames.time[rows]).all():
+            order[rows] = rows[np.argsort(frames.time[rows], kind="stable")]
+    return frames.take(order)
+
+
 def image_files(folder: Path) -> list[Path]:
     """Return the image files directly inside a folder, in name order."""
     suffixes = {".jpeg", ".jpg", ".png", ".bmp", ".ppm", ".tif", ".tiff", ".webp"}

@@ -51,7 +51,6 @@ class PanoramaLibrary:
         ConfigError: a size, camera, number of workers or policy that makes no sense, or an `unwrap` that does not fit
             simulated images.
         DataError: no frames, none readable, or an unreadable one if `on_error` is "raise".
-        FormatError: a store was written by another version.
         StorageError: the disk is full or cannot be written to.
 
     Example:

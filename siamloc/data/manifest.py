@@ -10,7 +10,7 @@ from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
 
-from siamloc.data.frames import FrameTable
+from siamloc.data.frames import FrameTable, in_capture_order
 from siamloc.errors import DataError, check_policy, leave_out, logger
 
 COLUMNS = ("image", "x", "y", "theta", "room", "sequence", "lighting", "time", "building")
@@ -75,21 +75,7 @@ def read_manifest(manifest: str | Path, *, on_error: str = "skip") -> FrameTable
     missing = [frame["path"] for frame, there in zip(frames, exists, strict=True) if not there]
     what = f"images of {file} do not exist (they are looked for relative to the table's folder)"
     leave_out(missing, len(frames), what, on_error)
-    return FrameTable.from_rows(_in_order([frame for frame, there in zip(frames, exists, strict=True) if there]))
-
-
-def _in_order(frames: list[dict[str, Any]]) -> list[dict[str, Any]]:
-    """Return frames in capture order within each sequence if its times are known."""
-    places: dict[str, list[int]] = {}
-    for place, frame in enumerate(frames):
-        places.setdefault(frame.get("sequence", ""), []).append(place)
-    ordered = list(frames)
-    for own in places.values():
-        times = [frames[place].get("time", math.nan) for place in own]
-        if not any(map(math.isnan, times)):
-            for place, (_, row) in zip(own, sorted(zip(times, own, strict=True)), strict=True):
-                ordered[place] = frames[row]
-    return ordered
+    return in_capture_order(FrameTable.from_rows(frames).take(exists))
 
 
 def _lines(file: Path) -> Iterator[tuple[int, list[str]]]:
@@ -164,15 +150,10 @@ def _frame(file: Path, line: int, names: dict[str, int], cells: list[str]) -> di
 
 
 def _number(cell: str, where: str) -> float:
-    text = cell.strip()
-    if not text:
-        return math.nan
     try:
-        value = float(text)
+        value = float(cell) if cell.strip() else math.nan
     except ValueError:
-        raise DataError(f"{where}: {cell!r} is not a number") from None
-    if "_" in text:
-        raise DataError(f"{where}: {cell!r} is not a number")
-    if math.isinf(value):
-        raise DataError(f"{where}: {cell!r} is infinite; leave the cell empty where the value is unknown")
+        value = math.inf
+    if math.isinf(value) or "_" in cell:
+        raise DataError(f"{where}: {cell!r} is not a finite number; leave the cell empty where the value is unknown")
     return value

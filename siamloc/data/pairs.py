@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from foundation.calls import typed
-from foundation.settings import Count, Positive, Settings, Share, checked
+from foundation.settings import Count, Positive, Seed, Settings, Share, checked
 from siamloc.data.frames import FrameTable
 from siamloc.errors import ConfigError, DataError
 
@@ -77,7 +77,7 @@ class PairSampler:
     Args:
         frames: the frames to pair (N).
         settings: which pairs; the defaults of `PairSettings` if None.
-        seed: any non-negative whole number.
+        seed: seed of all draws.
 
     Attributes:
         label: "room" or "distance".
@@ -101,11 +101,9 @@ class PairSampler:
     """
 
     @typed
-    def __init__(self, frames: FrameTable, settings: PairSettings | None = None, *, seed: int = 0) -> None:
+    def __init__(self, frames: FrameTable, settings: PairSettings | None = None, *, seed: Seed = 0) -> None:
         if len(frames) < 2:
             raise DataError(f"pairs need at least two frames, got {len(frames)}")
-        if int(seed) < 0:
-            raise ConfigError(f"the seed must be a whole number from 0, got {seed}")
         self.settings = settings = PairSettings() if settings is None else settings
         self.frames = frames
         self.seed = int(seed)
@@ -132,12 +130,7 @@ class PairSampler:
 
         Process r gets the pairs r, r + world_size, r + 2 world_size, ...: no pair goes to two processes, and together
         the processes get the whole epoch.
-
-        Raises:
-            ConfigError: the rank is not in [0, world_size), or the epoch is negative.
         """
-        if not 0 <= rank < world_size or epoch < 0:
-            raise ConfigError(f"need epoch >= 0 and 0 <= rank < world_size, got {epoch}, {rank} and {world_size}")
         uniform = np.random.Generator(np.random.Philox(key=[self.seed, epoch])).random((self.epoch_pairs, 4))
         same = np.zeros(self.epoch_pairs, dtype=bool)
         same[np.argsort(uniform[:, 0], kind="stable")[: round(self.same_room_share * self.epoch_pairs)]] = True
@@ -164,19 +157,13 @@ class PairSampler:
 
     def _check_possible(self) -> None:
         same_pairs = round(self.same_room_share * self.epoch_pairs)
-        if self.label == "room" and self._rooms.count == 1 and self.settings.same_room_share is None:
-            raise ConfigError(
-                f"room labels (pairs.label=room) need two rooms, and all {len(self.frames)} frames belong to one, "
-                f"{self.frames.room[0] or '(no label)'}, so there is nothing to tell apart: name the rooms, "
-                "use distance labels (pairs.label=distance), which need positions, or ask for same-room pairs only "
-                "(pairs.same_room_share=1)"
-            )
-        if same_pairs < self.epoch_pairs and self._rooms.count == 1:
+        unasked = self.label == "room" and self.settings.same_room_share is None
+        if self._rooms.count == 1 and (unasked or same_pairs < self.epoch_pairs):
             room = self.frames.room[0] or "(no label)"
             raise ConfigError(
                 f"all {len(self.frames)} frames belong to one room, {room}, so there are no different-room pairs: "
-                "ask for same-room pairs only, with distance labels (pairs.same_room_share=1 pairs.label=distance), "
-                "or add frames of another room"
+                "name the rooms, add frames of another one, or ask for same-room pairs only (pairs.same_room_share=1), "
+                "with distance labels, which need positions (pairs.label=distance)"
             )
         if same_pairs > 0 and not self._rooms.has_pairs:
             raise ConfigError(
@@ -228,16 +215,8 @@ class _Rooms:
 
 
 def largest_same_room_distance(frames: FrameTable) -> float:
-    """Find the largest distance between two frames of the same room, in the unit of the positions ([T] table 5.5).
-
-    This is the maximum over all same-room pairs: the two frames that are farthest apart lie on the convex hull of
-    their room, so only the hull's corners are compared in rooms with many frames.
-    """
-    largest = 0.0
-    for rows in frames.rows_by("place").values():
-        points = np.unique(frames.xy[rows], axis=0)
-        largest = max(largest, _diameter(points))
-    return largest
+    """Find the largest distance between two frames of the same room, in the unit of the positions ([T] table 5.5)."""
+    return max(diameter(frames.xy[rows]) for rows in frames.rows_by("place").values())
 
 
 def _scales(
@@ -263,10 +242,15 @@ def _scales(
     return (scales if len(scales) > 1 else divisor[0].item()), divisor
 
 
-def _diameter(points: NDArray[np.float64]) -> float:
+def diameter(points: NDArray[np.float64]) -> float:
+    """Return the largest distance between two of several points (n, 2).
+
+    The two points that are farthest apart are corners of the convex hull: of many points, only those are compared.
+    """
     from scipy.spatial import ConvexHull, QhullError
     from scipy.spatial.distance import pdist
 
+    points = np.unique(points, axis=0)
     if len(points) > 1000:
         try:
             points = points[ConvexHull(points).vertices]

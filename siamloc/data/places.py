@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from foundation.calls import typed
-from foundation.settings import Count, NotNegative, Positive, Settings, Share, checked
+from foundation.settings import Count, NotNegative, Positive, Seed, Settings, Share, checked
 from siamloc.data.frames import FrameTable
 from siamloc.errors import ConfigError, DataError, hint
 
@@ -73,7 +73,7 @@ class PlaceSampler:
     Args:
         frames: the frames to draw from (N), all with positions unless places are drawn by sequence.
         settings: which images; the defaults of `PlaceSettings` if None.
-        seed: any non-negative whole number.
+        seed: seed of all draws.
 
     Raises:
         ConfigError: a batch of fewer than two places, or more than there are frames.
@@ -89,14 +89,12 @@ class PlaceSampler:
     """
 
     @typed
-    def __init__(self, frames: FrameTable, settings: PlaceSettings | None = None, *, seed: int = 0) -> None:
+    def __init__(self, frames: FrameTable, settings: PlaceSettings | None = None, *, seed: Seed = 0) -> None:
         from scipy.spatial import cKDTree
 
         self.settings = settings = PlaceSettings() if settings is None else settings
         if settings.places < 2:
             raise ConfigError("a batch of one place has nothing to tell apart: set pairs.places to 2 or more")
-        if int(seed) < 0:
-            raise ConfigError(f"the seed must be a whole number from 0, got {seed}")
         missing = int((~frames.has_position).sum())
         if missing and settings.by == "position":
             raise DataError(
@@ -172,10 +170,8 @@ class PlaceSampler:
         """Return the rows of a batch (places * images,), one place after another.
 
         Raises:
-            ConfigError: the rank is not in [0, world_size), or there are more places than frames.
+            ConfigError: there are more places than frames.
         """
-        if not 0 <= rank < world_size or epoch < 0:
-            raise ConfigError(f"need epoch >= 0 and 0 <= rank < world_size, got {epoch}, {rank} and {world_size}")
         each = self.settings.places * self.settings.images
         return self.whole_batch(epoch, number, world_size)[rank * each : (rank + 1) * each]
 

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator, Sequence
-from contextlib import ExitStack, contextmanager
+from collections.abc import Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -16,7 +16,7 @@ from foundation.files import atomic_folder, content_key, parsed_json, storage_er
 from foundation.locks import locked
 from foundation.threads import in_order
 from siamloc.data.decoding import Preprocessing, UnreadableImageError
-from siamloc.errors import DataError, FormatError, leave_out, logger
+from siamloc.errors import DataError, leave_out, logger
 from siamloc.progress import track
 
 VERSION = 1
@@ -69,7 +69,6 @@ def open_store(
     Raises:
         ConfigError: a camera that does not fit the images.
         DataError: no readable image, or an unreadable one if `on_error` is "raise".
-        FormatError: the store was written by another version.
         StorageError: the disk is full, cannot be written to, or does not support locks.
     """
     folder = Path(cache).expanduser().absolute() / _key(paths, preprocessing)
@@ -94,25 +93,14 @@ def _key(paths: Sequence[str], preprocessing: Preprocessing) -> str:
 
 
 def _load(folder: Path, total: int) -> Store | None:
-    """Open a store of `total` images, or return None if there is no complete one.
-
-    Raises:
-        FormatError: the store was written by another version.
-    """
+    """Open a store of `total` images, or return None if there is no complete one."""
     try:
         record = parsed_json((folder / "store.json").read_text(encoding="utf-8"))
-        version = record["version"]
-        if isinstance(version, int) and version > VERSION:
-            raise FormatError(
-                f"the store {folder} has format version {version}, this siamloc reads up to {VERSION}: "
-                "update siamloc, or use another cache folder"
-            )
         rejected = record["rejected"]
-        gone = np.array([item["row"] for item in rejected], dtype=np.int64)
-        kept = np.delete(np.arange(total), gone)
+        kept = np.delete(np.arange(total), np.array([item["row"] for item in rejected], dtype=np.int64))
         panoramas = np.asarray(np.load(folder / "panoramas.npy", mmap_mode="r", allow_pickle=False))
         whole = (
-            version == VERSION
+            record["version"] == VERSION
             and record["images"] == total
             and panoramas.dtype == np.uint8
             and panoramas.shape == (len(kept), 3, *record["image_size"])
@@ -120,8 +108,6 @@ def _load(folder: Path, total: int) -> Store | None:
         )
     except (FileNotFoundError, NotADirectoryError):
         return None
-    except FormatError:
-        raise
     except (OSError, ValueError, KeyError, TypeError, IndexError, EOFError):
         whole = False
     if not whole:
@@ -141,18 +127,17 @@ def _reopened(folder: Path, total: int) -> Store:
 def _build(folder: Path, paths: Sequence[str], preprocessing: Preprocessing, workers: int, on_error: str) -> Store:
     """Decode the images into a new store, or open the one that another process makes in the meantime."""
     _require_a_folder(paths)
-    with storage_errors(folder):
+    lock = folder.with_name(f".{folder.name}.lock")
+    with storage_errors(folder), ExitStack() as stack:
         folder.parent.mkdir(parents=True, exist_ok=True)
-        with _building(folder):
-            store = _load(folder, len(paths))
-            if store is not None:
-                return store
+        if not stack.enter_context(locked(lock, wait=False)):
+            logger.warning("another process is building the store %s; waiting for it", folder)
+            stack.enter_context(locked(lock))
+        store = _load(folder, len(paths))
+        if store is None:
             with atomic_folder(folder) as temporary:
                 _write(temporary, paths, preprocessing, workers, on_error)
-    store = _load(folder, len(paths))
-    if store is None:
-        raise FormatError(f"the store {folder} was damaged right after it was built: check the disk")
-    return store
+    return store or _reopened(folder, len(paths))
 
 
 def _require_a_folder(paths: Sequence[str]) -> None:
@@ -217,17 +202,6 @@ def _header(shape: tuple[int, ...]) -> bytes:
     text = repr({"descr": "|u1", "fortran_order": False, "shape": shape})
     room = _HEADER_BYTES - 10
     return b"\x93NUMPY\x01\x00" + room.to_bytes(2, "little") + f"{text:<{room - 1}}\n".encode("latin1")
-
-
-@contextmanager
-def _building(folder: Path) -> Iterator[None]:
-    """Wait until no other process builds the store, and keep others from it."""
-    lock = folder.with_name(f".{folder.name}.lock")
-    with locked(lock, wait=False) as free, ExitStack() as stack:
-        if not free:
-            logger.warning("another process is building the store %s; waiting for it", folder)
-            stack.enter_context(locked(lock))
-        yield
 
 
 def _default_workers() -> int:

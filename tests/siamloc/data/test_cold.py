@@ -282,9 +282,8 @@ def test_an_empty_list_is_an_error(tmp_path):
 def test_nothing_found_says_what_was_expected_and_what_is_there(tmp_path):
     with pytest.raises(DataError, match=r"which holds: nothing\. Expected <building>/part_"):
         siamloc.data.read("cold", root=tmp_path)
-    for number in range(7):
-        (tmp_path / f"file{number}.txt").write_text("")
-    with pytest.raises(DataError, match=r"no sequence found under .*file0\.txt.* and 2 more\. Expected"):
+    (tmp_path / "file0.txt").write_text("")
+    with pytest.raises(DataError, match=r"no sequence found under .*, which holds: file0\.txt\. Expected"):
         siamloc.data.read("cold", root=tmp_path)
 
 

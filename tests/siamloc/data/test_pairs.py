@@ -41,7 +41,7 @@ room_lists = st.lists(st.sampled_from(["A", "B", "C", ""]), min_size=2, max_size
     rooms=room_lists,
     share=st.floats(0, 1),
     pairs=st.integers(1, 60),
-    seed=st.integers(0, 2**63 - 1),
+    seed=st.integers(0, 2**32 - 1),
     balance=st.sampled_from(["frames", "rooms"]),
 )
 def test_pairs_are_two_different_frames_with_the_right_label(rooms, share, pairs, seed, balance):
@@ -209,11 +209,11 @@ def test_balance_by_room_gives_each_room_its_turn():
         (["A"], {}, DataError, "at least two frames, got 1"),
         (["A", "A"], {"same_room_share": 0.5}, ConfigError, "one room, A"),
         (["A", "B"], {"same_room_share": 0.5}, ConfigError, "only one frame"),
-        (["A", "A"], {"label": "room"}, ConfigError, "need two rooms, and all 2 frames belong to one, A, so"),
-        (["", ""], {"label": "room"}, ConfigError, r"belong to one, \(no label\), .* name the rooms, use distance"),
+        (["A", "A"], {"label": "room"}, ConfigError, "all 2 frames belong to one room, A, so"),
+        (["", ""], {"label": "room"}, ConfigError, r"one room, \(no label\), .*: name the rooms"),
         (["A", "A", "B"], {"same_room_share": 1.2}, ConfigError, r"pairs\.same_room_share must be .*got 1\.2"),
         (["A", "A", "B"], {"epoch_pairs": 0}, ConfigError, r"pairs\.epoch_pairs must be a whole number"),
-        (["A", "A", "B"], {"seed": -1}, ConfigError, "whole number from 0, got -1"),
+        (["A", "A", "B"], {"seed": -1}, ConfigError, "seed must be a whole number from 0 to .*, got -1"),
     ],
 )
 def test_impossible_requests_are_one_clear_sentence(rooms, options, error, says):
@@ -231,5 +231,3 @@ def test_distance_needs_positions_that_differ():
         sampler_of(frames.with_columns(x=[0, np.nan, 1, 2]), "distance")
     with pytest.raises(DataError, match="at one point"):
         sampler_of(frames.with_columns(x=[1, 1, 1, 1], y=[1, 1, 1, 1]), "distance")
-    with pytest.raises(ConfigError, match="rank"):
-        sampler_of(frames).epoch(0, rank=2, world_size=2)

@@ -238,7 +238,7 @@ def test_what_lies_outside_the_image_is_black():
 @pytest.mark.parametrize(
     ("make", "message"),
     [
-        (lambda: PanoramaView(height=0), "at least 1 x 2 pixels, got 0 x 512"),
+        (lambda: PanoramaView(height=0), "panorama.height must be a whole number from 1 to .*, got 0"),
         (lambda: PanoramaView(top=-50), "-90 < bottom < top < 90"),
         (lambda: PanoramaView(top=90), "-90 < bottom < top < 90"),
         (lambda: HyperbolicMirror(eccentricity=1.0), "eccentricity above 1, got 1.0"),
@@ -254,8 +254,6 @@ def test_impossible_geometry(make, message):
 
 def test_impossible_unwrapping():
     image = np.zeros((100, 100, 3), np.uint8)
-    with pytest.raises(ConfigError, match=r"inner < outer radius, got inner 80 and outer 60 px"):
-        unwrap(image, PolarRing(inner=80, outer=60))
     with pytest.raises(ConfigError, match=r"ring from 0.2 to 1 px is thinner than a pixel.* images of 100 x 100"):
         unwrap(image, PolarRing(outer=1))
     with pytest.raises(ConfigError, match=r"only 0% of the ring around \(49.5, 49.5\) from 20000 to 100000 px lie in"):

@@ -207,8 +207,6 @@ def test_what_cannot_be_drawn_is_refused():
     for call in (lambda one: one.batch(0, 0, 0, 2), lambda one: one.check_processes(2)):
         with pytest.raises(ConfigError, match=f"{shared}: {advice}"):
             call(PlaceSampler(frames, PlaceSettings(places=100)))
-    with pytest.raises(ConfigError, match="need epoch >= 0 and 0 <= rank < world_size, got 0, 2 and 2"):
-        PlaceSampler(frames).batch(0, 0, 2, 2)
     nowhere = FrameTable(path=["a", "b"], x=[0.0, np.nan], y=[0.0, np.nan])
     with pytest.raises(DataError, match="1 of 2 frames have no position, by which places are drawn"):
         PlaceSampler(nowhere)
