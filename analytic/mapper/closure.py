@@ -77,11 +77,9 @@ def node_level(point: Array, nodes: Sequence[Node], two_sided: bool, most: float
     places = [(node.id, index, mode) for node in nodes for index, mode in enumerate(node.modes)]
     means, stds = np.array([mode.usual for *_, mode in places]).T
     if np.isfinite(most):
-        few = every_few(len(point))
-        away = point[few] - np.array([mode.mean[few] for *_, mode in places])
         bounds = np.array([mode.metric.bound for *_, mode in places])
-        least = np.square((bounds @ away[:, :, None])[:, :, 0]).sum(axis=1)
-        possible = least <= (means + most * stds) * (1 + _MARGIN)
+        least = np.square(bounds @ np.append(point[every_few(len(point))], 1.0)).sum(axis=1)
+        possible = least <= (means + most * stds) * (1 + _MARGIN) + _MARGIN
         possible[np.argmin(least)] = True
         places, means, stds = list(compress(places, possible)), means[possible], stds[possible]
     distances = np.array([mode.metric.distances(point[None])[0] for *_, mode in places])

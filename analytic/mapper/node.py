@@ -19,7 +19,7 @@ Array = NDArray[np.float64]
 _LEAST_SHRINKAGE = 1e-6  # two frames, or frames on one line, have intensity 0 and a covariance without inverse
 _LEAST_VARIANCE = 1e-12  # of equal frames, relative to their mean square
 _NO_VARIANCE = 1e-30  # of frames that are all zero
-_FEW = 32  # values of a descriptor in the lower bound of a distance
+_FEW = 24  # values of a descriptor in the lower bound of a distance
 
 
 @dataclass(frozen=True)
@@ -39,8 +39,8 @@ class Mahalanobis:
         factor: L (D, D) or (n, n).
         rows: sqrt(s) Y (n, D) for the smaller matrix, else None.
         least: c, the least variance of any direction.
-        bound: (k, k) inverse Cholesky factor of the covariance of every few numbers of the descriptor. Their distance
-            is at most that of all numbers.
+        bound: (k, k + 1) inverse Cholesky factor of the covariance of every few numbers of the descriptor, and minus
+            its product with their mean: |bound (d, 1)|^2 is their distance, which is at most that of all numbers.
     """
 
     mean: Array
@@ -73,7 +73,8 @@ class Mahalanobis:
         )
         weight, few = (1 - intensity) / count, every_few(size)
         part = away[:, few].T @ away[:, few] if scatter is None else scatter[few, few]
-        bound = lapack.dtrtri(_cholesky(weight * part, least), lower=1)[0]
+        inverse = lapack.dtrtri(_cholesky(weight * part, least), lower=1)[0]
+        bound = np.column_stack([inverse, -inverse @ mean[few]])
         rows = np.sqrt(weight) * away if scatter is None else None
         return Mahalanobis(mean, _cholesky(weight * product, least), rows, least, bound)
 

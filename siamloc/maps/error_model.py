@@ -5,13 +5,14 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from foundation.calls import typed
-from siamloc.errors import ConfigError, DataError, hint
+from foundation.settings import Count, Natural, NotNegative, Positive
+from siamloc.errors import ConfigError, DataError
 from siamloc.maps.learned import Learned
 from siamloc.maps.search import Retrieval
 
@@ -20,12 +21,10 @@ if TYPE_CHECKING:
 
 _GROUP = 25  # validation queries behind each value of the model, at least
 _FEWEST = 10
-_POSE = "pose"
 # Chosen on drives through two buildings; benchmarks/foreign.py measures them on others.
 _KEPT = 0.99  # share of the correct answers that are not foreign
 _BETWEEN = 0.55  # position of the threshold between the strangest of these, 0, and the median of elsewhere, 1
 _MATCH = math.log(0.95 / 0.05)  # odds, as a logarithm, from which a match counts
-_REFINED = ("none", "interpolate", "relative")
 _AGREEMENT, _UNTOLD = 0.02, 1e6  # smallest agreement used, and the deviation of a pose about which nothing is known
 
 
@@ -44,17 +43,6 @@ def ratio_score(found: Retrieval, map_xy: NDArray[np.float64], radius: float) ->
     return np.divide(found.distances[:, 0], other, out=np.ones(len(other)), where=other > 0)
 
 
-def distance_score(found: Retrieval, map_xy: NDArray[np.float64], radius: float) -> NDArray[np.float64]:
-    """Return the descriptor distance of the best match (n,)."""
-    return found.distances[:, 0].astype(np.float64)
-
-
-def spread_score(found: Retrieval, map_xy: NDArray[np.float64], radius: float) -> NDArray[np.float64]:
-    """Return the mean distance of the matches from the best one (n,), in units of x and y."""
-    known = np.isfinite(found.distances)
-    return np.where(known, _from_best(found, map_xy), 0.0).sum(axis=1) / np.maximum(known.sum(axis=1), 1)
-
-
 def pose_score(poses: RefinedPoses) -> NDArray[np.float64]:
     """Return the logarithm of the uncertainty of refined poses (n,): the standard deviation over the agreement.
 
@@ -65,23 +53,15 @@ def pose_score(poses: RefinedPoses) -> NDArray[np.float64]:
     return np.log(np.where(np.isnan(spread), _UNTOLD, np.clip(spread, 1 / _UNTOLD, _UNTOLD)))
 
 
-SCORES: dict[str, Callable[[Retrieval, NDArray[np.float64], float], NDArray[np.float64]]] = {
-    "ratio": ratio_score,
-    "distance": distance_score,
-    "spread": spread_score,
-}
-
-
 @dataclass(frozen=True)
 class ErrorModel(Learned):
     """The expected error as an increasing function of a score of the retrieval or the pose, as plain numbers.
 
-    The ratio score is the default: it has no unit, so a model learned under one lighting also holds under another,
-    where all distances are larger. A weighted sum with the other scores predicted no better on queries it was not
-    learned from. Isotonic regression assumes only that the function does not decrease.
+    The ratio score has no unit, so a model learned under one lighting also holds under another, where all distances are
+    larger. Isotonic regression assumes only that the function does not decrease.
 
     Attributes:
-        score: a name in `SCORES`, or "pose", which uses only the refined pose, see `pose_score`.
+        score: "ratio", see `ratio_score`, or "pose", which uses only the refined pose, see `pose_score`.
         radius: distance beyond which a match is another place, in units of x and y.
         neighbours: number of matches of each query that the score uses.
         knots: scores, increasing.
@@ -100,42 +80,24 @@ class ErrorModel(Learned):
     VERSION = 5
     NOUN = "error model"
 
-    score: str
-    radius: float
-    neighbours: int
+    score: Literal["ratio", "pose"]
+    radius: NotNegative
+    neighbours: Count
     knots: tuple[float, ...]
     errors: tuple[float, ...]
-    queries: int
-    lost_above: float | None = None
+    queries: Natural
+    lost_above: Positive | None = None
     map_digest: str = ""
-    refine: str = "none"
+    refine: Literal["none", "interpolate", "relative"] = "none"
     foreign_above: float | None = None
-    foreign_weight: float = 0.0
+    foreign_weight: NotNegative = 0.0
 
     def __post_init__(self) -> None:
-        if self.refine not in _REFINED:
-            raise ConfigError(f"unknown way of refining {self.refine!r}: {hint(str(self.refine), _REFINED)}")
-        if self.score not in (*SCORES, _POSE):
-            raise ConfigError(f"unknown score {self.score!r}: {hint(self.score, (*SCORES, _POSE))}")
-        if not 0 <= self.radius < math.inf or self.neighbours < 1:
-            raise ConfigError(
-                f"an error model needs radius >= 0 and neighbours >= 1, got {self.radius} and {self.neighbours}"
-            )
-        if self.lost_above is not None and not 0 < self.lost_above < math.inf:
-            raise ConfigError(f"the threshold of being lost must be a positive error, got {self.lost_above}")
-        if not (self.foreign_above is None or math.isfinite(self.foreign_above)) or not (
-            0 <= self.foreign_weight < math.inf
-        ):
-            raise ConfigError(
-                "foreign queries need a finite threshold and a finite weight of at least 0, got "
-                f"{self.foreign_above} and {self.foreign_weight}"
-            )
+        super().__post_init__()
         knots, errors = np.asarray(self.knots, dtype=float), np.asarray(self.errors, dtype=float)
-        fits = knots.ndim == 1 and knots.shape == errors.shape and len(knots) > 0
+        fits = knots.shape == errors.shape and len(knots) > 0
         if not fits or not (np.diff(knots) > 0).all() or not (np.diff(errors) >= 0).all() or not errors[0] >= 0:
             raise DataError("an error model needs increasing scores with errors >= 0 that do not decrease")
-        object.__setattr__(self, "knots", tuple(knots.tolist()))
-        object.__setattr__(self, "errors", tuple(errors.tolist()))
 
     @classmethod
     @typed
@@ -144,9 +106,8 @@ class ErrorModel(Learned):
         found: Retrieval,
         map_xy: ArrayLike,
         errors: ArrayLike,
-        score: str = "ratio",
-        radius: float = 1.0,
-        neighbours: int = 20,
+        radius: NotNegative = 1.0,
+        neighbours: Count = 20,
     ) -> ErrorModel:
         """Learn from a validation sequence.
 
@@ -158,16 +119,15 @@ class ErrorModel(Learned):
             map_xy: (m, 2) positions of the map's frames.
             errors: (n,) errors of the estimates for these queries, not negative; the model predicts errors of such
                 estimates.
-            score: a name in `SCORES`.
             radius: distance beyond which a match is another place.
             neighbours: number of matches that the score uses; fewer if the map, or the search result, has fewer.
 
         Raises:
-            ConfigError: an unknown score, or a parameter out of range.
+            ConfigError: a parameter out of range.
             DataError: fewer than 10 queries, or arrays that do not fit each other.
         """
-        neighbours = min(int(neighbours), found.indices.shape[1])
-        blank = cls(score, float(radius), neighbours, (0.0,), (0.0,), len(found))
+        neighbours = min(neighbours, found.indices.shape[1])
+        blank = cls("ratio", float(radius), neighbours, (0.0,), (0.0,), len(found))
         return blank._learned(lambda: blank.scores(found, map_xy), len(found), errors)
 
     @classmethod
@@ -181,7 +141,7 @@ class ErrorModel(Learned):
         Raises:
             DataError: fewer than 10 queries, or not one error for each.
         """
-        blank = cls(_POSE, 0.0, 1, (0.0,), (0.0,), len(poses), refine="relative")
+        blank = cls("pose", 0.0, 1, (0.0,), (0.0,), len(poses), refine="relative")
         return blank._learned(lambda: pose_score(poses), len(poses), errors)
 
     def _learned(self, scored: Callable[[], NDArray[np.float64]], count: int, errors: ArrayLike) -> ErrorModel:
@@ -204,23 +164,13 @@ class ErrorModel(Learned):
         fitted = IsotonicRegression().fit_transform(knots, mean, sample_weight=size)
         return replace(self, knots=tuple(knots), errors=tuple(np.maximum.accumulate(fitted)), queries=count)
 
-    def predict_poses(self, poses: RefinedPoses) -> NDArray[np.float64]:
-        """Return the expected error of refined poses (n,), in units of x and y.
-
-        Raises:
-            ConfigError: the model was not learned from refined poses.
-        """
-        if self.score != _POSE:
-            raise ConfigError("the error model was not learned from refined poses: learn it with refine='relative'")
-        return np.interp(pose_score(poses), self.knots, self.errors)
-
     @property
     def of_poses(self) -> bool:
         """Whether the model was learned from refined poses and predicts their errors."""
-        return self.score == _POSE
+        return self.score == "pose"
 
     def scores(self, found: Retrieval, map_xy: ArrayLike) -> NDArray[np.float64]:
-        """Return the score of each query (n,). Arguments and errors as for `predict`."""
+        """Return the score of each query (n,). Arguments and errors as for `judged`."""
         if self.of_poses:
             raise ConfigError("the error model was learned from refined poses: give it those, by predict_poses")
         xy = np.asarray(map_xy, dtype=np.float64)
@@ -229,19 +179,12 @@ class ErrorModel(Learned):
         k = min(self.neighbours, len(xy))
         if found.indices.ndim != 2 or found.indices.shape[1] < k:
             raise DataError(f"the error of an estimate needs {k} neighbours a query, got shape {found.indices.shape}")
-        return SCORES[self.score](Retrieval(found.indices[:, :k], found.distances[:, :k]), xy, self.radius)
+        return ratio_score(Retrieval(found.indices[:, :k], found.distances[:, :k]), xy, self.radius)
 
-    def predict(self, found: Retrieval, map_xy: ArrayLike) -> NDArray[np.float64]:
-        """Return the expected error of each query (n,), in units of x and y.
-
-        Args:
-            found: search results of n queries, with at least `neighbours` matches each, or the whole map.
-            map_xy: (m, 2) positions of the map's frames.
-
-        Raises:
-            DataError: too few neighbours, or a map frame without a position.
-        """
-        return np.interp(self.scores(found, map_xy), self.knots, self.errors)
+    def predict(self, found: Retrieval, map_xy: ArrayLike, poses: RefinedPoses | None = None) -> NDArray[np.float64]:
+        """Return the expected error of each query (n,), in units of x and y. Arguments and errors as for `judged`."""
+        scores = pose_score(self._told(poses)) if self.of_poses else self.scores(found, map_xy)
+        return np.interp(scores, self.knots, self.errors)
 
     def judged(
         self, found: Retrieval, map_xy: ArrayLike, poses: RefinedPoses | None = None
@@ -258,10 +201,9 @@ class ErrorModel(Learned):
 
         Raises:
             ConfigError: a model of refined poses was given none.
-            DataError: as for `predict`.
+            DataError: too few neighbours, or a map frame without a position.
         """
-        scores = pose_score(self._told(poses)) if self.of_poses else self.scores(found, map_xy)
-        expected = np.interp(scores, self.knots, self.errors)
+        expected = self.predict(found, map_xy, poses)
         if self.lost_above is None:
             return expected, None
         return expected, self.lost(expected) | self.foreign(found, map_xy, poses)

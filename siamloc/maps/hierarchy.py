@@ -6,27 +6,20 @@ candidate node are compared with it together. With all nodes as candidates, the 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Annotated, Literal, get_args
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from analytic import Description
-from foundation.calls import typed
+from foundation.calls import takes
 from foundation.settings import Count, Natural, Rule, Settings
 from siamloc.errors import ConfigError, DataError
 from siamloc.maps.coarse import UNASSIGNED, CoarseLayer
+from siamloc.maps.columns import Columns
 from siamloc.maps.matching import match
-from siamloc.maps.ranking import (
-    NodeRanking,
-    check_candidates,
-    check_ratio,
-    nearest_nodes,
-    rank_by_classifier,
-    rank_by_vote,
-)
+from siamloc.maps.ranking import NodeRanking, rank_by_classifier, rank_by_representatives, rank_by_vote
 from siamloc.maps.search import Retrieval, VectorIndex, check_neighbours
 from siamloc.maps.visual_map import VisualMap
 
@@ -40,11 +33,9 @@ the nodes are rooms, by the classifier that a network was trained with to name t
 
 _FOUND = 1 << 21  # neighbours gathered before they are sorted
 
-_BY_QUERY = ("node", "tried", "frames_compared", "nodes_compared")
-
 
 @dataclass(frozen=True, eq=False)
-class HierarchicalRetrieval:
+class HierarchicalRetrieval(Columns):
     """Result of a hierarchical search.
 
     Attributes:
@@ -62,25 +53,10 @@ class HierarchicalRetrieval:
     frames_compared: NDArray[np.int64]
     nodes_compared: NDArray[np.int64]
 
-    def __len__(self) -> int:
-        return len(self.node)
-
     @property
     def compared(self) -> NDArray[np.int64]:
         """Number of descriptors compared for each query (n,), in both layers."""
         return self.frames_compared + self.nodes_compared
-
-    @staticmethod
-    def concatenate(parts: Sequence[HierarchicalRetrieval]) -> HierarchicalRetrieval:
-        """Join the results of consecutive batches of queries."""
-        found = Retrieval.concatenate([part.found for part in parts])
-        return HierarchicalRetrieval(
-            found, *(np.concatenate([getattr(part, name) for part in parts]) for name in _BY_QUERY)
-        )
-
-    def take(self, rows: NDArray) -> HierarchicalRetrieval:
-        """Return the result for some of the queries, given by index or by a mask."""
-        return HierarchicalRetrieval(self.found.take(rows), *(getattr(self, name)[rows] for name in _BY_QUERY))
 
 
 @dataclass(frozen=True)
@@ -89,10 +65,12 @@ class LayerSearch(Settings):
 
     Attributes:
         by: how nodes are ranked; see `Ranking`.
-        candidates: number of nodes searched for each query.
+        candidates: number of nodes searched for each query; all of them if there are fewer.
         neighbours: number of map frames that vote.
-        ratio: candidates whose representative is more than `ratio` times as far as the nearest one are not searched.
-        along: number of frames before and after the nearest one, in its drive, that are searched as well.
+        ratio: candidates whose representative is more than `ratio` times as far as the nearest one are not searched:
+            most queries then search one node, those between two nodes both; None searches all candidates.
+        along: number of frames before and after the nearest one, in its drive, that are searched as well if they lie
+            in another node: for queries at the border of a node. The frames of each drive must then be in order.
     """
 
     WHERE = "search"
@@ -102,10 +80,6 @@ class LayerSearch(Settings):
     neighbours: Count = 10
     ratio: Annotated[float, Rule("a number from 1", lambda value: value >= 1)] | None = None
     along: Natural = 0
-
-    def of_map(self, known: VisualMap, layer: CoarseLayer, coarse: VisualMap | None = None) -> HierarchicalSearch:
-        """Return the search of a map; arguments and errors as for `HierarchicalSearch`."""
-        return HierarchicalSearch(known, layer, coarse=coarse, **self.plain())
 
 
 class HierarchicalSearch:
@@ -118,13 +92,7 @@ class HierarchicalSearch:
         known: a map of m frames.
         layer: nodes over the same m frames, built over `coarse`.
         coarse: a map of the same frames with another descriptor, which ranks the nodes; `known` if None.
-        by: how nodes are ranked; see `Ranking`.
-        candidates: number of nodes searched for each query; all of them if there are fewer.
-        neighbours: number of map frames that vote.
-        ratio: candidates whose representative is more than `ratio` times as far as the nearest one are not searched,
-            at least 1: most queries then search one node, those between two nodes both; None searches all candidates.
-        along: number of frames before and after the nearest one, in its drive, that are searched as well if they lie
-            in another node: for queries at the border of a node. The frames of each drive must then be in order.
+        settings: how the nodes are ranked and searched.
 
     Attributes:
         known: the map.
@@ -132,9 +100,8 @@ class HierarchicalSearch:
         coarse: the map that ranks the nodes.
 
     Raises:
-        ConfigError: numbers below 1, or below 0 for `along`, an unknown ranking, a ratio without representatives,
-            representatives of descriptors that are compared only after turning, whose means are meaningless, or nodes
-            without a classifier that names them.
+        ConfigError: a setting out of range, a ratio without representatives, representatives of descriptors that are
+            compared only after turning, whose means are meaningless, or nodes without a classifier that names them.
         DataError: a layer or a coarse map of other frames.
 
     Example:
@@ -147,19 +114,11 @@ class HierarchicalSearch:
         (array([2, 1]), array([1, 0]), array([4, 4]))
     """
 
-    @typed
+    @takes(LayerSearch)
     def __init__(
-        self,
-        known: VisualMap,
-        layer: CoarseLayer,
-        *,
-        coarse: VisualMap | None = None,
-        by: Ranking = "representatives",
-        candidates: int = 3,
-        neighbours: int = 10,
-        ratio: float | None = None,
-        along: int = 0,
+        self, known: VisualMap, layer: CoarseLayer, *, coarse: VisualMap | None = None, settings: LayerSearch
     ) -> None:
+        by, along = settings.by, settings.along
         self.known, self.layer, self.coarse = known, layer, known if coarse is None else coarse
         if len(layer.labels) != len(known):
             raise DataError(
@@ -168,8 +127,6 @@ class HierarchicalSearch:
             )
         if not np.array_equal(self.coarse.frames.path, known.frames.path):
             raise DataError("the map that ranks the nodes must hold the map's frames in the same order")
-        if by not in get_args(Ranking):
-            raise ConfigError(f"nodes are ranked by representatives, vote or classifier, got {by!r}")
         if by == "classifier" and layer.classifier is None:
             raise ConfigError(_not_naming(self.coarse, layer))
         if by == "representatives" and self.coarse.aligned:
@@ -177,13 +134,10 @@ class HierarchicalSearch:
                 f"descriptors of {self.coarse.descriptor.name} are compared after turning, so their means are "
                 "meaningless: rank nodes by vote, or by another descriptor"
             )
-        if ratio is not None and by != "representatives":
+        if settings.ratio is not None and by != "representatives":
             raise ConfigError("a ratio compares distances of representatives: leave it out, or rank by representatives")
-        self._ratio = check_ratio(ratio)
-        self._by, self._candidates, self._neighbours = by, check_candidates(candidates), check_neighbours(neighbours)
-        if along != int(along) or along < 0:
-            raise ConfigError(f"frames along the drive are a whole number from 0, got along={along}")
-        self._steps = np.array([step for step in range(-int(along), int(along) + 1) if step], dtype=np.int64)
+        self._settings = settings
+        self._steps = np.array([step for step in range(-along, along + 1) if step], dtype=np.int64)
         self._order = np.argsort(layer.labels, kind="stable")
         # Block b holds node b - 1; frames in no node come first.
         self._bounds = np.searchsorted(layer.labels[self._order], np.arange(UNASSIGNED, len(layer) + 1))
@@ -219,16 +173,17 @@ class HierarchicalSearch:
         Raises:
             AnalyticError, DataError: descriptions that cannot be compared with the coarse map.
         """
-        if self._by == "vote":
-            return rank_by_vote(
-                match(self.coarse, queries, self._neighbours), self.layer.labels, self._candidates, len(self.coarse)
-            )
-        if self._by == "classifier":
+        by, candidates = self._settings.by, self._settings.candidates
+        if by == "vote":
+            found = match(self.coarse, queries, self._settings.neighbours)
+            return rank_by_vote(found, self.layer.labels, candidates, len(self.coarse))
+        if by == "classifier":
             assert self.layer.classifier is not None
-            return rank_by_classifier(queries.position, self.layer.classifier, self._candidates)
+            return rank_by_classifier(queries.position, self.layer.classifier, candidates)
         if self._representatives is None:
             self._representatives = VectorIndex(self.layer.representatives, self.coarse.distance)
-        return nearest_nodes(self._representatives, queries.position, self._candidates, self._ratio)
+        ratio = self._settings.ratio
+        return rank_by_representatives(queries.position, self._representatives, candidates, ratio=ratio)
 
     def search(self, queries: Description | ArrayLike, ranking: NodeRanking, k: int = 1) -> HierarchicalRetrieval:
         """Return the exact k nearest frames of each query in its candidate nodes, and `along` the nearest one.

@@ -8,13 +8,15 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from foundation.calls import typed
+from foundation.settings import Count, NotNegative, Positive
 from siamloc.data.frames import FrameTable
-from siamloc.errors import ConfigError, DataError
+from siamloc.errors import DataError
+from siamloc.maps.columns import Columns
 from siamloc.maps.search import Retrieval
 
 
 @dataclass(frozen=True, eq=False)
-class Poses:
+class Poses(Columns):
     """Estimated poses.
 
     Attributes:
@@ -27,9 +29,6 @@ class Poses:
     xy: NDArray[np.float64]
     theta: NDArray[np.float64] | None
     used: NDArray[np.int64]
-
-    def __len__(self) -> int:
-        return len(self.xy)
 
 
 def path_positions(frames: FrameTable) -> NDArray[np.float64]:
@@ -53,10 +52,10 @@ def path_positions(frames: FrameTable) -> NDArray[np.float64]:
 def interpolate_poses(
     found: Retrieval,
     frames: FrameTable,
-    k: int = 3,
-    radius: float = 1.0,
+    k: Count = 3,
+    radius: NotNegative = 1.0,
     headings: ArrayLike | None = None,
-    epsilon: float = 1e-6,
+    epsilon: Positive = 1e-6,
 ) -> Poses:
     """Return poses between the k nearest map frames of each query.
 
@@ -76,11 +75,7 @@ def interpolate_poses(
         ConfigError: k, radius or epsilon out of range.
         DataError: too few neighbours, rows outside the map, headings of another shape, or a frame without a position.
     """
-    if int(k) != k or k < 1:
-        raise ConfigError(f"interpolation needs a whole number of neighbours k >= 1, got {k}")
-    if not radius >= 0 or not epsilon > 0:
-        raise ConfigError(f"interpolation needs radius >= 0 and epsilon > 0, got {radius} and {epsilon}")
-    k = min(int(k), len(frames))
+    k = min(k, len(frames))
     rows = found.indices
     if rows.shape[1] < k or (rows.size and not 0 <= rows.min() <= rows.max() < len(frames)):
         raise DataError(

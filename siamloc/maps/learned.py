@@ -3,28 +3,32 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar, get_type_hints
+from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
 
 from foundation.calls import typed
 from foundation.files import check_version, read_json, write_json
-from foundation.settings import checked
+from foundation.settings import Settings
 from siamloc.errors import FormatError
 
 if TYPE_CHECKING:
-    from typing_extensions import Self
-
     from siamloc.maps.visual_map import VisualMap
 
+Kind = TypeVar("Kind", bound="Learned")
 
-class Learned:
-    """Base of dataclasses of plain values with a field `map_digest`."""
+
+class Learned(Settings):
+    """Base of dataclasses of plain values with a field `map_digest`; values are checked as those of settings are.
+
+    Attributes:
+        FORMAT: name of the format in the file.
+        VERSION: version of the format.
+        NOUN: name of the class in messages, such as "error model".
+    """
 
     FORMAT: ClassVar[str]
     VERSION: ClassVar[int]
     NOUN: ClassVar[str]
-    """Name of the class in messages, such as "error model"."""
     map_digest: str
 
     def learned_on(self, known: VisualMap) -> bool:
@@ -33,10 +37,10 @@ class Learned:
 
     def as_dict(self) -> dict[str, Any]:
         """Return the fields as plain values, with format and version."""
-        return {"format": self.FORMAT, "version": self.VERSION, **asdict(self)}  # type: ignore[call-overload]
+        return {"format": self.FORMAT, "version": self.VERSION, **self.plain()}
 
     @classmethod
-    def from_dict(cls, values: Any, source: str | None = None) -> Self:
+    def from_dict(cls: type[Kind], values: Any, source: str | None = None) -> Kind:
         """Create an instance from what `as_dict` returned.
 
         Args:
@@ -50,12 +54,9 @@ class Learned:
         if not isinstance(values, Mapping) or values.get("format") != cls.FORMAT:
             raise FormatError(f"{source} is not a siamloc {cls.NOUN}: make it with `siamloc evaluate`")
         check_version(values.get("version"), cls.VERSION, source, "make it again")
-        held = {key: value for key, value in values.items() if key not in ("format", "version")}
         try:
-            kinds = get_type_hints(cls)
-            held = {key: checked(value, kinds[key], key) if key in kinds else value for key, value in held.items()}
-            return cls(**held)
-        except (TypeError, ValueError) as error:
+            return cls.of({key: value for key, value in values.items() if key not in ("format", "version")})
+        except ValueError as error:
             raise FormatError(f"{source} is not a whole {cls.NOUN} ({error}): make it again") from error
 
     @typed
@@ -69,7 +70,7 @@ class Learned:
 
     @classmethod
     @typed
-    def load(cls, path: str | Path) -> Self:
+    def load(cls: type[Kind], path: str | Path) -> Kind:
         """Read what `save` wrote.
 
         Raises:
@@ -78,7 +79,7 @@ class Learned:
         return cls.from_dict(read_json(path), str(path))
 
     @classmethod
-    def saved(cls, path: str | Path, known: VisualMap | None = None) -> Self | None:
+    def saved(cls: type[Kind], path: str | Path, known: VisualMap | None = None) -> Kind | None:
         """Read what `save` wrote; None if the file is missing or, if a map is given, was not learned on it.
 
         Raises:

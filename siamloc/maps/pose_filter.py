@@ -16,7 +16,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from foundation.calls import typed
-from siamloc.errors import ConfigError, DataError
+from foundation.settings import Positive, Probability
+from siamloc.errors import DataError
 from siamloc.maps.refinement import FREEDOM, RefinedPoses
 
 _STORIES = 5
@@ -64,11 +65,7 @@ class PoseFilter:
     """
 
     @typed
-    def __init__(self, step: float, kidnapping: float = 1e-3) -> None:
-        if not 0 < step < math.inf:
-            raise ConfigError(f"the step of a pose filter must be positive, got {step}")
-        if not 0 < kidnapping < 1:
-            raise ConfigError(f"the probability of kidnapping lies in (0, 1), got {kidnapping}")
+    def __init__(self, step: Positive, kidnapping: Probability = 1e-3) -> None:
         self.length, self.kidnapping = float(step), float(kidnapping)
         self.reset()
 

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from siamloc.errors import ConfigError, DataError
+from siamloc.errors import DataError
 from siamloc.maps.coarse import UNASSIGNED
+from siamloc.maps.columns import Columns
 from siamloc.maps.search import Retrieval, VectorIndex
 from siamloc.models.room_classifier import RoomClassifier
 
@@ -18,7 +17,7 @@ _COUNTS = 1 << 22  # votes counted at once
 
 
 @dataclass(frozen=True, eq=False)
-class NodeRanking:
+class NodeRanking(Columns):
     """The candidate nodes of each query.
 
     Attributes:
@@ -46,24 +45,10 @@ class NodeRanking:
         object.__setattr__(self, "nodes", nodes.astype(np.int64, copy=False))
         object.__setattr__(self, "compared", compared.astype(np.int64, copy=False))
 
-    def __len__(self) -> int:
-        return len(self.nodes)
-
-    def take(self, rows: NDArray) -> NodeRanking:
-        """Return the ranking for some of the queries, given by index or by a mask."""
-        return NodeRanking(self.nodes[rows], self.compared[rows])
-
-    @staticmethod
-    def concatenate(parts: Sequence[NodeRanking]) -> NodeRanking:
-        """Join the rankings of consecutive batches of queries."""
-        return NodeRanking(
-            np.concatenate([part.nodes for part in parts]), np.concatenate([part.compared for part in parts])
-        )
-
 
 def rank_by_representatives(
     queries: ArrayLike,
-    representatives: ArrayLike,
+    representatives: ArrayLike | VectorIndex,
     candidates: int = 1,
     distance: str = "euclidean",
     ratio: float | None = None,
@@ -72,17 +57,21 @@ def rank_by_representatives(
 
     Args:
         queries: (n, D), described as the representatives were.
-        representatives: (k, D), those of a `CoarseLayer`.
+        representatives: (k, D), those of a `CoarseLayer`, or the same prepared for search.
         candidates: number of nodes to keep; all of them if there are fewer.
         distance: the distance of the map that the coarse layer was built from.
         ratio: nodes more than `ratio` times as far as the nearest one are not candidates; see `HierarchicalSearch`.
 
     Raises:
-        ConfigError: a number of candidates or a ratio below 1, or an unknown distance.
+        ConfigError: a number of candidates below 1, or an unknown distance.
         DataError: vectors of different lengths.
     """
-    index = VectorIndex(representatives, distance)
-    return nearest_nodes(index, queries, check_candidates(candidates), check_ratio(ratio))
+    index = representatives if isinstance(representatives, VectorIndex) else VectorIndex(representatives, distance)
+    found = index.search(queries, candidates)
+    nodes = found.indices
+    if ratio is not None:
+        nodes = np.where(found.distances <= ratio * found.distances[:, :1], nodes, UNASSIGNED)
+    return NodeRanking(nodes, np.full(len(found), len(index)))
 
 
 def rank_by_classifier(queries: ArrayLike, classifier: RoomClassifier, candidates: int = 1) -> NodeRanking:
@@ -94,11 +83,10 @@ def rank_by_classifier(queries: ArrayLike, classifier: RoomClassifier, candidate
         candidates: number of nodes to keep; all of them if there are fewer.
 
     Raises:
-        ConfigError: a number of candidates below 1.
         DataError: vectors of another length.
     """
-    scores, keep = classifier.scores(queries), check_candidates(candidates)
-    nodes = np.argsort(-scores, axis=1, kind="stable")[:, :keep].astype(np.int64)
+    scores = classifier.scores(queries)
+    nodes = np.argsort(-scores, axis=1, kind="stable")[:, :candidates].astype(np.int64)
     return NodeRanking(nodes, np.full(len(scores), len(classifier)))
 
 
@@ -114,15 +102,14 @@ def rank_by_vote(found: Retrieval, labels: ArrayLike, candidates: int = 1, compa
         compared: number of descriptors compared for one query; m if None.
 
     Raises:
-        ConfigError: a number of candidates below 1.
         DataError: retrieved frames that have no label.
     """
-    keep, node = check_candidates(candidates), _labels(labels)
+    node = _labels(labels)
     if found.indices.size and (found.indices.min() < 0 or found.indices.max() >= len(node)):
         raise DataError(f"the votes must come from the {len(node)} frames that have labels, rows 0 to {len(node) - 1}")
     n, k = found.indices.shape
     total = max(int(node.max()) + 1, 1)
-    kept = np.full((n, min(keep, total)), UNASSIGNED, dtype=np.int64)
+    kept = np.full((n, min(candidates, total)), UNASSIGNED, dtype=np.int64)
     step = max(1, _COUNTS // total)
     for start in range(0, n, step):
         part = slice(start, start + step)
@@ -150,17 +137,6 @@ def rank_by_position(query_xy: ArrayLike, map_xy: ArrayLike, labels: ArrayLike) 
     return NodeRanking(node[closest.indices], np.zeros(len(closest), dtype=np.int64))
 
 
-def nearest_nodes(
-    representatives: VectorIndex, queries: ArrayLike, candidates: int, ratio: float | None
-) -> NodeRanking:
-    """Rank nodes by representatives that are ready for search; see `rank_by_representatives`."""
-    found = representatives.search(queries, candidates)
-    nodes = found.indices
-    if ratio is not None:
-        nodes = np.where(found.distances <= ratio * found.distances[:, :1], nodes, UNASSIGNED)
-    return NodeRanking(nodes, np.full(len(found), len(representatives)))
-
-
 def _elected(votes: NDArray[np.int64], total: int, k: int) -> NDArray[np.int64]:
     """Return the nodes (b, total) ranked by some ballots (b, k), UNASSIGNED in place of those without a vote."""
     row, place = np.nonzero(votes != UNASSIGNED)
@@ -178,17 +154,3 @@ def _labels(labels: ArrayLike) -> NDArray[np.int64]:
     if node.ndim != 1 or not len(node) or node.dtype.kind not in "iu" or (node < UNASSIGNED).any():
         raise DataError(f"labels must be whole numbers of shape (m,), -1 or more, got {node.dtype} {node.shape}")
     return node.astype(np.int64, copy=False)
-
-
-def check_ratio(ratio: float | None) -> float | None:
-    """Return a ratio of distances, refusing one below 1."""
-    if ratio is not None and not ratio >= 1:
-        raise ConfigError(f"a ratio of distances to the nearest node is 1 or more, got {ratio}")
-    return ratio
-
-
-def check_candidates(candidates: Any) -> int:
-    """Return a number of candidate nodes, refusing one below 1 or one that is not whole."""
-    if int(candidates) != candidates or candidates < 1:
-        raise ConfigError(f"hierarchical localization needs a whole number of candidate nodes >= 1, got {candidates}")
-    return int(candidates)

@@ -2,24 +2,24 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any, NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from analytic import Description
 from foundation.calls import typed
-from siamloc.errors import ConfigError, DataError, hint
+from foundation.settings import Count, NotNegative, Positive
+from siamloc.errors import ConfigError, DataError
+from siamloc.maps.columns import Columns
 from siamloc.maps.interpolation import interpolate_poses
 from siamloc.maps.learned import Learned
 from siamloc.maps.matching import headings
 from siamloc.maps.search import Retrieval
 from siamloc.maps.visual_map import VisualMap
 
-METHODS = ("interpolate", "relative")
 OUTPUTS = ("pose", "information", "match")
 """What `Compares` returns, in order."""
 
@@ -29,7 +29,6 @@ _ROUNDS = 6
 _STILL = 1e-4  # units: a search that moves by less has converged
 _NOTHING = 1e-12  # determinants of information below this count as zero
 _AT_ONCE = 256  # queries
-_NAMES = ("xy", "theta", "information", "agreement", "frame", "match")
 
 
 Compares = Callable[
@@ -42,7 +41,7 @@ in rad; information (n, 3, 3): the inverse of the scale matrix of a t-distributi
 
 
 @dataclass(frozen=True, eq=False)
-class RefinedPoses:
+class RefinedPoses(Columns):
     """Poses of n queries.
 
     Attributes:
@@ -65,9 +64,6 @@ class RefinedPoses:
     agreement: NDArray[np.float64]
     frame: NDArray[np.int64]
     match: NDArray[np.float64]
-
-    def __len__(self) -> int:
-        return len(self.xy)
 
     def squared(self, xy: ArrayLike) -> NDArray[np.float64]:
         """Return squared distances (n,) from true positions (n, 2), weighted by the information; NaN if it is zero."""
@@ -106,15 +102,6 @@ class RefinedPoses:
         held = np.where(told, self.information, np.eye(2))
         return np.where(told, np.linalg.inv(held) * FREEDOM / (FREEDOM - 2), np.nan)
 
-    def take(self, rows: NDArray[Any]) -> RefinedPoses:
-        """Return some of the poses, given by index or by a mask."""
-        return RefinedPoses(*(getattr(self, name)[rows] for name in _NAMES))
-
-    @staticmethod
-    def concatenate(parts: list[RefinedPoses]) -> RefinedPoses:
-        """Join the poses of several parts."""
-        return RefinedPoses(*(np.concatenate([getattr(one, name) for one in parts]) for name in _NAMES))
-
 
 @dataclass(frozen=True)
 class Refinement(Learned):
@@ -135,19 +122,11 @@ class Refinement(Learned):
     VERSION = 2
     NOUN = "refinement of poses"
 
-    method: str
-    neighbours: int = 3
-    radius: float = 1.0
-    widening: float = 1.0
+    method: Literal["interpolate", "relative"]
+    neighbours: Count = 3
+    radius: NotNegative = 1.0
+    widening: Positive = 1.0
     map_digest: str = ""
-
-    def __post_init__(self) -> None:
-        if self.method not in METHODS:
-            raise ConfigError(f"unknown way of refining {self.method!r}: {hint(str(self.method), METHODS)}")
-        if not isinstance(self.neighbours, int) or self.neighbours < 1:
-            raise ConfigError(f"refining needs a whole number of neighbours from 1, got {self.neighbours!r}")
-        if not 0 <= self.radius < math.inf or not 0 < self.widening < math.inf:
-            raise ConfigError(f"refining needs radius >= 0 and widening > 0, got {self.radius} and {self.widening}")
 
     def poses(
         self, known: VisualMap, queries: Description, found: Retrieval, compares: Compares | None = None
@@ -170,7 +149,7 @@ class Refinement(Learned):
 
 @typed
 def refine(
-    known: VisualMap, queries: Description, found: Retrieval, compares: Compares | None = None, k: int = 3
+    known: VisualMap, queries: Description, found: Retrieval, compares: Compares | None = None, k: Count = 3
 ) -> RefinedPoses:
     """Estimate poses by comparing each query with its k most similar map frames.
 
@@ -190,8 +169,6 @@ def refine(
         ConfigError: k below 1, or a map whose descriptor does not compare.
         DataError: a map without headings, or without orientation parts.
     """
-    if int(k) != k or k < 1:
-        raise ConfigError(f"a whole number of map frames from 1 must be compared, got {k}")
     if compares is None:
         check_compares(known)
         compares = known.descriptor.compare  # type: ignore[attr-defined]

@@ -11,7 +11,7 @@ in float32: it guarantees neither the order of float64 nor the smaller row of eq
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -21,6 +21,7 @@ from analytic.distances import DISTANCES
 from foundation.calls import typed
 from foundation.settings import Count, checked
 from siamloc.errors import ConfigError, DataError, hint
+from siamloc.maps.columns import Columns
 
 MEMORY = 256 << 20  # bytes that a search uses on top of its input and output
 _BYTES_PER_PAIR = 80  # if everything ties: score, mask, two indices, distance, and sorting them
@@ -34,7 +35,7 @@ _LARGEST = 1e15  # of a scaled query; beyond, float32 products overflow
 
 
 @dataclass(frozen=True)
-class Retrieval:
+class Retrieval(Columns):
     """Result of a search, the nearest reference first.
 
     Attributes:
@@ -44,20 +45,6 @@ class Retrieval:
 
     indices: NDArray[np.int64]
     distances: NDArray[np.float64]
-
-    def __len__(self) -> int:
-        return len(self.indices)
-
-    def take(self, rows: NDArray) -> Retrieval:
-        """Return the result for some of the queries, given by index or by a mask."""
-        return Retrieval(self.indices[rows], self.distances[rows])
-
-    @staticmethod
-    def concatenate(parts: Sequence[Retrieval]) -> Retrieval:
-        """Join the results of consecutive batches of queries."""
-        return Retrieval(
-            np.concatenate([part.indices for part in parts]), np.concatenate([part.distances for part in parts])
-        )
 
 
 class VectorIndex:

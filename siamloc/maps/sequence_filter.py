@@ -16,9 +16,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from foundation.calls import typed
+from foundation.settings import Positive, Probability
 from siamloc.data.frames import FrameTable
 from siamloc.errors import ConfigError, DataError
 from siamloc.maps.coarse import UNASSIGNED
+from siamloc.maps.columns import Columns
 from siamloc.maps.matching import frame_distances
 from siamloc.maps.visual_map import VisualMap
 
@@ -28,7 +30,7 @@ _SAMPLE = 500  # map frames from which a temperature is learned
 
 
 @dataclass(frozen=True, eq=False)
-class Track:
+class Track(Columns):
     """Output of the filter after each query.
 
     Attributes:
@@ -47,9 +49,6 @@ class Track:
     node: NDArray[np.int64] | None = None
     node_probability: NDArray[np.float64] | None = None
     xy: NDArray[np.float64] | None = None
-
-    def __len__(self) -> int:
-        return len(self.frame)
 
 
 class SequenceFilter:
@@ -76,12 +75,12 @@ class SequenceFilter:
 
     @typed
     def __init__(
-        self, motion: MotionModel, temperature: float, kidnapping: float = 1e-3, labels: ArrayLike | None = None
+        self,
+        motion: MotionModel,
+        temperature: Positive,
+        kidnapping: Probability = 1e-3,
+        labels: ArrayLike | None = None,
     ) -> None:
-        if not 0 < temperature < np.inf:
-            raise ConfigError(f"the temperature of the sequence filter must be positive, got {temperature}")
-        if not 0 < kidnapping < 1:
-            raise ConfigError(f"the probability of kidnapping lies in (0, 1), got {kidnapping}")
         self.motion, self.temperature, self.kidnapping = motion, float(temperature), float(kidnapping)
         self._labels = None if labels is None else np.asarray(labels, dtype=np.int64)
         if self._labels is not None and self._labels.shape != (len(motion),):
@@ -188,7 +187,7 @@ class MotionModel:
 
     @classmethod
     @typed
-    def learn(cls, frames: FrameTable, step: float | None = None, interval: float | None = None) -> MotionModel:
+    def learn(cls, frames: FrameTable, step: Positive | None = None, interval: Positive | None = None) -> MotionModel:
         """Learn the motion from the frames of a map.
 
         Args:
@@ -202,9 +201,6 @@ class MotionModel:
             ConfigError: a step or an interval that is not positive.
             DataError: no frames, or a frame without a position.
         """
-        for name, value in (("step", step), ("interval", interval)):
-            if value is not None and not 0 < value < np.inf:
-                raise ConfigError(f"the {name} of a motion model must be positive, got {value}")
         if not len(frames) or not frames.has_position.all():
             raise DataError(
                 f"{int((~frames.has_position).sum())} of {len(frames)} map frames have no position: motion is learned "

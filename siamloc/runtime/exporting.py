@@ -16,7 +16,7 @@ from foundation.files import atomic_folder, file_hash, plain, read_json, write_j
 from foundation.settings import checked
 from siamloc.data.decoding import Preprocessing
 from siamloc.errors import ConfigError, SiamlocError
-from siamloc.maps import Built, CoarseLayer, LayerSearch, VisualMap, match
+from siamloc.maps import Built, CoarseLayer, HierarchicalSearch, LayerSearch, VisualMap, match
 from siamloc.maps.describing import descriptor_from
 from siamloc.maps.heading import is_analytic
 from siamloc.maps.packing import PRECISIONS, Precision
@@ -336,7 +336,7 @@ def _checked_layer(
     if isinstance(layer, Built):
         layer.check_map(known if coarse is None else coarse)
         layer = layer.layer
-    search.of_map(known, layer, coarse)
+    HierarchicalSearch(known, layer, coarse=coarse, settings=search)
     return layer
 
 

@@ -19,7 +19,6 @@ from siamloc.data.decoding import UnreadableImageError
 from siamloc.errors import ConfigError, DataError, FormatError
 from siamloc.maps import (
     HierarchicalSearch,
-    LayerSearch,
     MotionModel,
     PoseFilter,
     RefinedPoses,
@@ -377,7 +376,7 @@ class Localizer:
                 analytic_descriptor(coarse.identity, self.bundle, coarse.width, coarse.orientation)
             )
         try:
-            return LayerSearch.of(self.bundle.about.get("search") or {}).of_map(self.map, layer, coarse)
+            return HierarchicalSearch(self.map, layer, coarse=coarse, settings=self.bundle.about.get("search") or {})
         except (ConfigError, DataError) as error:
             raise FormatError(f"{self.bundle.path} cannot search its coarse layer ({error}): export again") from error
 
