@@ -81,7 +81,7 @@ def located(building: Building, descriptor: Any, every: Sequence[int] = (5, 1)) 
     for step in every:
         part = known.take(range(0, len(known), step // common))
         nearest = siamloc.maps.match(part, asked.description, neighbours((1,), len(part)))
-        result = evaluate_absolute(part, None, asked.frames, ks=(1,), retrieval=nearest)
+        result = evaluate_absolute(part, asked.frames, nearest, ks=(1,))
         found[str(step)] = {
             light: {
                 "mean": group["error"]["mean"],

@@ -55,11 +55,9 @@ def evaluation(width: int, repeats: int) -> dict[str, Any]:
     return {
         "what": "evaluate absolute, 1500 x 556, 9 rooms, 3 lightings",
         "width": width,
-        **milliseconds(lambda: evaluate_absolute(visual_map, descriptors, queries), repeats * 4),
+        **milliseconds(lambda: evaluate_absolute(visual_map, queries, visual_map.search(descriptors, 20)), repeats * 4),
         "search_only": milliseconds(lambda: visual_map.search(descriptors, 20), repeats * 4),
-        "without_search": milliseconds(
-            lambda: evaluate_absolute(visual_map, descriptors, queries, retrieval=found), repeats * 4
-        ),
+        "without_search": milliseconds(lambda: evaluate_absolute(visual_map, queries, found), repeats * 4),
     }
 
 

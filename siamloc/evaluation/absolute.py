@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from siamloc.data.frames import FrameTable
 from siamloc.errors import ConfigError, DataError
-from siamloc.evaluation.columns import heading_errors, map_columns, retrieve, room_names
+from siamloc.evaluation.columns import heading_errors, map_columns, require, room_names
 from siamloc.evaluation.metrics import (
     error_floor,
     first_rank_within,
@@ -30,11 +30,10 @@ from siamloc.results import Columns, by_label, rows_by_label
 
 def evaluate_absolute(
     visual_map: VisualMap,
-    descriptors: ArrayLike | None,
     frames: FrameTable,
+    found: Retrieval,
     radii: Sequence[float] = (0.5, 1.0),
     ks: Sequence[int] = (1, 5, 10, 20),
-    retrieval: Retrieval | None = None,
     headings: ArrayLike | None = None,
     excluded: NDArray[np.bool_] | None = None,
 ) -> Result:
@@ -45,22 +44,21 @@ def evaluate_absolute(
 
     Args:
         visual_map: a map of m frames, all with positions.
-        descriptors: of the queries (n, D), n at least 1; None if their retrieval is given.
-        frames: the queries (n), all with positions.
+        frames: the queries (n), all with positions, n at least 1.
+        found: their nearest map frames, at least `neighbours(ks, m)` of each.
         radii: radii of the recall, in units of x and y.
         ks: numbers of retrieved frames for the recall; the recall for 1 % of the map is always measured, too.
-        retrieval: result of a search in the map, to avoid a second search; it must hold enough neighbours.
         headings: estimated headings of the queries (n,), rad; evaluated where the true heading is known.
         excluded: (n, m) map frames that a query was not compared with; the error floor leaves them out, too.
 
     Raises:
-        DataError: frames without positions, or descriptors that do not match the frames or the map.
+        DataError: frames without positions, or too few neighbours.
     """
     radii, ks = tuple(map(float, radii)), tuple(ks)
-    _require_positions(frames, "queries")
-    _require_positions(visual_map.frames, "map frames")
+    for what, table in (("queries", frames), ("map frames", visual_map.frames)):
+        remedy = "leave them out, or add their positions"
+        require(table.has_position, table, f"{what} have no position (x, y)", remedy)
     k = most_neighbours(neighbours(ks, len(visual_map)), len(visual_map), excluded)
-    found = retrieve(visual_map, descriptors, frames, k, retrieval)
     if len(found) != len(frames) or found.indices.shape[1] < k:
         raise DataError(f"the retrieval must hold {k} neighbours of {len(frames)} queries, got {found.indices.shape}")
     known = visual_map.frames
@@ -300,13 +298,3 @@ def check_recalls(radii: Sequence[float], ks: Sequence[int]) -> None:
         raise ConfigError(f"the recall needs radii that are not negative and differ, got {list(radii)}")
     if not ks or len(set(ks)) < len(ks):
         raise ConfigError(f"the recall needs whole numbers k >= 1 that differ, got {list(ks)}")
-
-
-def _require_positions(frames: FrameTable, what: str) -> None:
-    known = frames.has_position
-    if not known.all():
-        first = frames.path[np.flatnonzero(~known)[0]]
-        raise DataError(
-            f"{int((~known).sum())} of {len(frames)} {what} have no position (x, y), the first is {first}: "
-            "leave them out, or add their positions"
-        )

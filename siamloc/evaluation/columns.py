@@ -79,26 +79,21 @@ def heading_errors(estimated: ArrayLike, frames: FrameTable) -> NDArray[np.float
     return error
 
 
-def retrieve(
-    visual_map: VisualMap, descriptors: ArrayLike | None, frames: FrameTable, k: int, retrieval: Retrieval | None
-) -> Retrieval:
-    """Return the given retrieval, or search the map for the descriptors.
+def require(has: NDArray[np.bool_], frames: FrameTable, what: str, remedy: str) -> None:
+    """Check that all frames have what a measure needs.
+
+    Args:
+        has: which of the frames have it (n,).
+        frames: the frames (n).
+        what: what is missing, and of which frames, such as "queries have no position (x, y)".
+        remedy: what to do.
 
     Raises:
-        DataError: no queries, not one descriptor or result for each, or neither descriptors nor a retrieval.
+        DataError: some frames do not have it.
     """
-    if not len(frames):
-        raise DataError("there are no queries to evaluate")
-    if retrieval is not None:
-        if len(retrieval) != len(frames):
-            raise DataError(f"the retrieval must be that of the {len(frames)} queries, got one of {len(retrieval)}")
-        return retrieval
-    if descriptors is None:
-        raise DataError("queries need descriptors or a retrieval to be evaluated: give one of the two")
-    values = np.asarray(descriptors)
-    if values.ndim != 2 or len(values) != len(frames):
-        raise DataError(f"{len(frames)} queries need descriptors of shape ({len(frames)}, D), got {values.shape}")
-    return visual_map.search(values, k)
+    if not has.all():
+        first = frames.path[np.flatnonzero(~has)[0]]
+        raise DataError(f"{int((~has).sum())} of {len(has)} {what}, the first is {first}: {remedy}")
 
 
 def located_columns(

@@ -202,7 +202,7 @@ def evaluate_hierarchical(
     Raises:
         DataError: as for `evaluate_absolute`.
     """
-    base = evaluate_absolute(visual_map, None, frames, radii, ks, found.found, headings)
+    base = evaluate_absolute(visual_map, frames, found.found, radii, ks, headings)
     known = visual_map.frames.xy
     true = rank_by_position(frames.xy, known, layer.labels).nodes[:, 0]
     columns: Columns = {

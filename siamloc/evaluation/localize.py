@@ -232,7 +232,7 @@ def _measured(session: Session, settings: Localization, name: str, known: Visual
     if search := searches.get("absolute"):
         placed = queries.take(search.rows)
         found = evaluate_absolute(
-            search.known, None, placed, settings.radii, settings.ks, search.retrieval, search.headings, search.excluded
+            search.known, placed, search.retrieval, settings.radii, settings.ks, search.headings, search.excluded
         )
         if main:
             learned = learn(session, settings, search)
@@ -240,7 +240,7 @@ def _measured(session: Session, settings: Localization, name: str, known: Visual
         result = result.joined(found)
     if search := searches.get("room_retrieval"):
         labelled = queries.take(search.rows)
-        found = room_retrieval.evaluate_rooms(search.known, None, labelled, search.retrieval, search.excluded)
+        found = room_retrieval.evaluate_rooms(search.known, labelled, search.retrieval, search.excluded)
         result = result.joined(found)
         if vectors is not None:
             result = _with_pairs(result, session, settings, known, vectors[search.rows], labelled, skipped)

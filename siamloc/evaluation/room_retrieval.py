@@ -11,8 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from siamloc.data.frames import FrameTable
-from siamloc.errors import DataError
-from siamloc.evaluation.columns import confusions, map_columns, retrieve, room_names
+from siamloc.evaluation.columns import confusions, map_columns, require, room_names
 from siamloc.evaluation.metrics import pair_accuracy, pair_dissimilarity, pair_threshold_curve
 from siamloc.evaluation.result import Result
 from siamloc.maps.search import Retrieval
@@ -127,27 +126,25 @@ def evaluate_pairs(
 
 def evaluate_rooms(
     visual_map: VisualMap,
-    descriptors: ArrayLike | None,
     frames: FrameTable,
-    retrieval: Retrieval | None = None,
+    found: Retrieval,
     excluded: NDArray[np.bool_] | None = None,
 ) -> Result:
     """Predict the room of each query as that of the nearest map frame.
 
     Args:
         visual_map: a map of m frames, all with room labels.
-        descriptors: of the queries (n, D), n at least 1; None if their retrieval is given.
-        frames: the queries (n), all with room labels. Rooms of different buildings are different rooms.
-        retrieval: result of a search in the map, to avoid a second search; with `neighbours(m)` frames, or fewer: then
-            top-k and average precision use only these.
+        frames: the queries (n), all with room labels, n at least 1. Rooms of different buildings are different rooms.
+        found: their nearest map frames, `neighbours(m)` of each, or fewer: then top-k and average precision use only
+            these.
         excluded: (n, m) map frames that a query was not compared with.
 
     Raises:
-        DataError: frames without room labels, or descriptors that do not match the frames or the map.
+        DataError: frames without room labels.
     """
-    _require_rooms(frames, "queries")
-    _require_rooms(visual_map.frames, "map frames")
-    found = retrieve(visual_map, descriptors, frames, neighbours(len(visual_map)), retrieval)
+    for what, table in (("queries", frames), ("map frames", visual_map.frames)):
+        remedy = "room retrieval needs one for every frame"
+        require(table.room != "", table, f"{what} have no room label", remedy)
     match = found.indices[:, 0]
     room, known = room_names(frames, visual_map.frames)
     predicted = known[match]
@@ -198,12 +195,3 @@ def _ranking(
         "average_precision": (precision * right).sum(axis=1) / np.clip(findable, 1, right.shape[1]),
         "chance": findable / allowed.sum(axis=1),
     }
-
-
-def _require_rooms(frames: FrameTable, what: str) -> None:
-    bare = frames.room == ""
-    if bare.any():
-        raise DataError(
-            f"{int(bare.sum())} of {len(frames)} {what} have no room label, the first is "
-            f"{frames.path[np.flatnonzero(bare)[0]]}: room retrieval needs one for every frame"
-        )

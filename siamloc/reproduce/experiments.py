@@ -119,7 +119,7 @@ def retrieval(job: Job, data: Data) -> Measured:
         with search.of("search", len(frames)):
             found = match(place, queries, min(20, len(own)))
         turned = headings(place, queries, found)[:, 0]
-        result = evaluate_absolute(place, None, frames, (0.5, 1.0), (1,), found, turned)
+        result = evaluate_absolute(place, frames, found, (0.5, 1.0), (1,), turned)
         overall = result.measures
         near, nearer = (rate["rate"] for rate in overall["hit_rate"][:2])
         yield from _records(settings, hit_rate=near, hit_rate_0_5_m=nearer)

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from siamloc.data.frames import FrameTable
+from siamloc.evaluation import absolute, room_retrieval
 from siamloc.maps import VisualMap
 
 
@@ -32,3 +35,13 @@ def describe(table: FrameTable, seed: int = 0, noise: float = 0.3) -> np.ndarray
 def visual_map(n: int = 150, **columns: object) -> VisualMap:
     table = frames(1, n, **columns)
     return VisualMap(describe(table, seed=1), table, {"name": "positions"})
+
+
+def evaluate_absolute(known: VisualMap, descriptors: np.ndarray, queries: FrameTable, *radii_ks: Any, **more: Any):
+    """Return the result of localization with these descriptors."""
+    return absolute.evaluate_absolute(known, queries, known.search(descriptors, min(20, len(known))), *radii_ks, **more)
+
+
+def evaluate_rooms(known: VisualMap, descriptors: np.ndarray, queries: FrameTable, excluded: Any = None):
+    """Return the result of room retrieval with these descriptors."""
+    return room_retrieval.evaluate_rooms(known, queries, known.search(descriptors, min(100, len(known))), excluded)

@@ -7,11 +7,10 @@ import pytest
 
 from siamloc.data.frames import FrameTable
 from siamloc.errors import ConfigError, DataError
-from siamloc.evaluation import metrics
+from siamloc.evaluation import absolute, metrics
 from siamloc.evaluation.absolute import (
     estimate_columns,
     estimate_measures,
-    evaluate_absolute,
     pose_measures,
     with_baseline,
 )
@@ -19,6 +18,7 @@ from siamloc.evaluation.columns import located_columns
 from siamloc.evaluation.localize import Localization
 from siamloc.maps import Retrieval, VisualMap
 from tests.siamloc.evaluation import scenes
+from tests.siamloc.evaluation.scenes import evaluate_absolute
 
 RADII = (0.5, 1 / 3)
 KS = (1, 5, 10)
@@ -120,11 +120,11 @@ def test_the_answer_does_not_depend_on_the_other_queries() -> None:
 def test_a_given_retrieval_is_used() -> None:
     result, known, queries = evaluated()
     found = known.search(scenes.describe(queries, seed=2), 20)
-    again = evaluate_absolute(known, scenes.describe(queries, seed=2), queries, RADII, KS, retrieval=found)
+    again = absolute.evaluate_absolute(known, queries, found, RADII, KS)
     assert again.parts["absolute"] == result.parts["absolute"]
     short = known.search(scenes.describe(queries), 1)
     with pytest.raises(DataError, match=r"must hold 10 neighbours of 80 queries, got \(80, 1\)"):
-        evaluate_absolute(known, scenes.describe(queries), queries, RADII, KS, retrieval=short)
+        absolute.evaluate_absolute(known, queries, short, RADII, KS)
 
 
 def on_a_path(name: str, n: int, **columns: object) -> FrameTable:
@@ -193,15 +193,13 @@ def test_errors() -> None:
     descriptors = scenes.describe(queries)
     unknown = queries.with_columns(x=np.array([0, np.nan, 1, np.nan, 2, 3]))
     lost = VisualMap(known.descriptors, known.frames.with_columns(y=np.full(20, np.nan)))
-    none = FrameTable(path=np.array([], dtype=str))
     for arguments, says in (
         (
             (known, descriptors, unknown),
             r"2 of 6 queries have no position \(x, y\), the first is run2/0001.*leave them",
         ),
         ((lost, descriptors, queries), "20 of 20 map frames have no position"),
-        ((known, descriptors[:5], queries), r"6 queries need descriptors of shape \(6, D\), got \(5, 3\)"),
-        ((known, descriptors[:0], none), "no queries"),
+        ((known, descriptors[:5], queries), r"must hold 20 neighbours of 6 queries, got \(5, 20\)"),
     ):
         with pytest.raises(DataError, match=says):
             evaluate_absolute(*arguments)

@@ -8,7 +8,7 @@ import pytest
 from analytic import Description
 from siamloc.errors import ConfigError
 from siamloc.evaluation import metrics
-from siamloc.evaluation.absolute import evaluate_absolute, neighbours
+from siamloc.evaluation.absolute import neighbours
 from siamloc.evaluation.hierarchy import CoarseRanking, evaluate_hierarchical
 from siamloc.evaluation.result import Result
 from siamloc.maps import VisualMap
@@ -16,6 +16,7 @@ from siamloc.maps.coarse import CoarseLayer
 from siamloc.maps.hierarchy import HierarchicalSearch
 from siamloc.maps.ranking import NodeRanking, rank_by_position, rank_by_representatives
 from tests.siamloc.evaluation import scenes
+from tests.siamloc.evaluation.scenes import evaluate_absolute
 
 RADII, KS = (0.5, 1 / 3), (1, 5, 10)
 

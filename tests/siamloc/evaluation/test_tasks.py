@@ -15,9 +15,9 @@ from siamloc import evaluation, maps
 from siamloc.data import PanoramaLibrary, Protocol
 from siamloc.errors import ConfigError, DataError
 from siamloc.evaluation import Result
-from siamloc.evaluation.absolute import evaluate_absolute
 from siamloc.models import build
 from siamloc.results import finest
+from tests.siamloc.evaluation.scenes import evaluate_absolute
 from tests.siamloc.evaluation.world import Reads, drive, library
 
 

@@ -13,12 +13,12 @@ import cv2
 import numpy as np
 
 from siamloc.data.frames import FrameTable
-from siamloc.evaluation.absolute import evaluate_absolute, with_baseline
-from siamloc.evaluation.room_retrieval import evaluate_rooms
+from siamloc.evaluation.absolute import with_baseline
 from siamloc.maps import VisualMap
 from siamloc.report.page.write import write_report
 from siamloc.results import read_rows
 from tests.siamloc.evaluation import scenes
+from tests.siamloc.evaluation.scenes import evaluate_absolute, evaluate_rooms
 
 SIZE = (32, 128)
 SETTINGS = {"data": {"image_size": list(SIZE), "unwrap": {"kind": "none"}}}

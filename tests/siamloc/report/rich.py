@@ -10,16 +10,17 @@ import numpy as np
 
 from siamloc.data.frames import FrameTable
 from siamloc.evaluation import calibration, disturbed
-from siamloc.evaluation.absolute import estimate_columns, estimate_measures, evaluate_absolute, neighbours
+from siamloc.evaluation.absolute import estimate_columns, estimate_measures, neighbours
 from siamloc.evaluation.disturbance import Disturbance
 from siamloc.evaluation.hierarchy import evaluate_hierarchical
 from siamloc.evaluation.result import Result
-from siamloc.evaluation.room_retrieval import evaluate_pairs, evaluate_rooms
+from siamloc.evaluation.room_retrieval import evaluate_pairs
 from siamloc.maps import VisualMap
 from siamloc.maps.coarse import CoarseLayer
 from siamloc.maps.hierarchy import HierarchicalSearch
 from siamloc.maps.ranking import rank_by_position, rank_by_representatives
 from tests.siamloc.evaluation import scenes
+from tests.siamloc.evaluation.scenes import evaluate_absolute, evaluate_rooms
 from tests.siamloc.report import pages
 
 DISTURBANCES = [

@@ -10,8 +10,7 @@ import pytest
 
 from siamloc.data.frames import FrameTable
 from siamloc.errors import DataError, FormatError
-from siamloc.evaluation.absolute import evaluate_absolute, with_baseline
-from siamloc.evaluation.room_retrieval import evaluate_rooms
+from siamloc.evaluation.absolute import with_baseline
 from siamloc.maps import VisualMap
 from siamloc.report.draw import pictures, save_all
 from siamloc.report.draw.errors import compared_curves, error_curve, estimate_curve
@@ -21,6 +20,7 @@ from siamloc.report.draw.rooms import confusion
 from siamloc.report.draw.training import training_curves
 from siamloc.results import read_results, read_rows
 from tests.siamloc.evaluation import scenes
+from tests.siamloc.evaluation.scenes import evaluate_absolute, evaluate_rooms
 from tests.siamloc.report import rich
 
 ALL = ["floor_plan.png", "error_curve.png", "confusion.png", "confusion_by_lighting.png"]

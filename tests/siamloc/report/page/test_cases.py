@@ -12,7 +12,6 @@ from foundation.files import read_json, write_json
 from siamloc.cli import main
 from siamloc.data.frames import FrameTable
 from siamloc.errors import ConfigError, FormatError, SiamlocError
-from siamloc.evaluation.room_retrieval import evaluate_rooms
 from siamloc.maps import VisualMap
 from siamloc.report.page import compared, parts, sections
 from siamloc.report.page.markup import Markup, tag
@@ -20,6 +19,7 @@ from siamloc.report.page.write import write_report
 from siamloc.results import read_results, read_rows, write_results
 from siamloc.runs import Run
 from tests.siamloc.evaluation import scenes
+from tests.siamloc.evaluation.scenes import evaluate_rooms
 from tests.siamloc.report import pages
 from tests.siamloc.report.pages import columns_of, notes, report, rows_of
 
