@@ -38,7 +38,7 @@ _BOUNDS: dict[str, Callable[[Any, Any], bool]] = {
     "at_most": operator.le,
 }
 _COMMON = {"kind", "measure", "where", "match", "pick"}
-_PICKS: dict[str, Callable[[Sequence[float]], float]] = {"min": min, "max": max, "mean": fmean}
+PICKS: dict[str, Callable[[Sequence[float]], float]] = {"min": min, "max": max, "mean": fmean}
 
 
 @dataclass(frozen=True)
@@ -112,7 +112,7 @@ def _order(check: Mapping[str, Any], records: Sequence[Record]) -> bool | None:
     if not more or not less:
         return None
     pick = check.get("pick")
-    high, low = (_PICKS[pick](more), _PICKS[pick](less)) if pick in _PICKS else (min(more), max(less))
+    high, low = (PICKS[pick](more), PICKS[pick](less)) if pick in PICKS else (min(more), max(less))
     return high >= check["factor"] * low if "factor" in check else high > low
 
 
@@ -124,7 +124,7 @@ def _side(records: Sequence[Record], wanted: Any, opposite: Any) -> list[float]:
 
 
 def _trend(check: Mapping[str, Any], records: Sequence[Record]) -> bool | None:
-    along, pick, within = check["along"], _PICKS[check.get("pick", "mean")], check.get("within", 0)
+    along, pick, within = check["along"], PICKS[check.get("pick", "mean")], check.get("within", 0)
     places = grouped([along], [one for one in records if along in one.settings])
     if len(places) < 2:
         return None
@@ -139,7 +139,7 @@ def _threshold(check: Mapping[str, Any], records: Sequence[Record]) -> bool | No
     values = [one.value for one in records]
     if not values:
         return None
-    picked = [_PICKS[check["pick"]](values)] if check.get("pick") in _PICKS else values
+    picked = [PICKS[check["pick"]](values)] if check.get("pick") in PICKS else values
     return all(_BOUNDS[name](value, check[name]) for name in _BOUNDS if name in check for value in picked)
 
 

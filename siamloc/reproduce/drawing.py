@@ -1,35 +1,27 @@
-"""Draw figures in the form of the published ones: lines over one setting, or heat maps over two."""
+"""Figures in the form of the published ones, with a panel of lines over one setting or a heat map over two."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from siamloc.errors import DataError
-from siamloc.report.draw.look import DASHES, INK, MARKS, PAPER, SERIES, SOFT, Picture, style
-from siamloc.reproduce.panels import names_of, said, shown, title, unit
-from siamloc.reproduce.published import Record, grouped
+from siamloc.report.draw.look import INK, PAPER, SOFT, Picture, panels, series_look, style
+from siamloc.reproduce.claims import PICKS
+from siamloc.reproduce.published import Record, grouped, measures
 from siamloc.reproduce.recipe_book import axis
 
+Figure = Mapping[str, Any]
+
 _TICKS = 6
-_PICKS = {"min": min, "max": max, "mean": np.mean}
-
-
-@dataclass(frozen=True)
-class _Panel:
-    figure: Mapping[str, Any]
-    title: str
-    records: Sequence[Record]
-    of_figure: Sequence[Record]
-    """Records of all panels of the same figure, which share one scale."""
+_SHOWN = {"share": ("%", 100.0), "s": ("ms", 1000.0), "deg": ("°", 1.0)}
+"""Units on the axes, by the unit of a measure, and the factor of its numbers."""
 
 
 @style()
-def drawn(figures: Sequence[Mapping[str, Any]], records: Sequence[Record]) -> Picture:
+def drawn(figures: Sequence[Figure], records: Sequence[Record]) -> Picture:
     """Draw each panel of a recipe's figure.
 
     Args:
@@ -39,27 +31,23 @@ def drawn(figures: Sequence[Mapping[str, Any]], records: Sequence[Record]) -> Pi
     Raises:
         DataError: nothing was measured.
     """
-    panels = [panel for figure in figures for panel in _panels(figure, records)]
-    if not panels:
+    parts = [(figure, *panel) for figure in figures for panel in _panels(figure, records)]
+    if not parts:
         raise DataError("there is nothing to draw: nothing was measured")
-    across = min(4, len(panels))
-    high = -(-len(panels) // across)
-    picture = Picture(figsize=(max(2.7 * across + 1.0, 5.2), 2.6 * high + 0.9))
-    axes = picture.subplots(high, across, squeeze=False).ravel().tolist()
-    for one in axes[len(panels) :]:
-        one.remove()
+    across = min(4, len(parts))
+    picture, every = panels(len(parts), 2.7, 2.6, across=4, margin=(max(1.0, 5.2 - 2.7 * across), 0.9))
     handles: dict[str, Any] = {}
-    first = next((names_of(panel.figure, "series") for panel in panels if "y" not in panel.figure), [])
-    for one, panel in zip(axes, panels, strict=False):
-        one.set_title(panel.title)
-        if "y" in panel.figure:
-            _field(one, panel)
+    first = next((names_of(figure, "series") for figure, *_ in parts if "y" not in figure), [])
+    for axes, (figure, title, part, every_part) in zip(every, parts, strict=True):
+        axes.set_title(title)
+        if "y" in figure:
+            _field(axes, figure, part, every_part)
             continue
-        lines = _lines(one, panel)
-        if names_of(panel.figure, "series") == first:
+        lines = _lines(axes, figure, part, every_part)
+        if names_of(figure, "series") == first:
             handles |= lines
         else:  # here the same colours mean something else
-            one.legend(lines.values(), lines.keys(), fontsize=6.5, loc="best")
+            axes.legend(lines.values(), lines.keys(), fontsize=6.5, loc="best")
     if len(handles) > 1:
         rows = -(-len(handles) // max(2, int(1.6 * across)))
         columns = -(-len(handles) // rows)
@@ -67,92 +55,116 @@ def drawn(figures: Sequence[Mapping[str, Any]], records: Sequence[Record]) -> Pi
     return picture
 
 
-def _panels(figure: Mapping[str, Any], records: Sequence[Record]) -> list[_Panel]:
-    """Return the panels of a figure with their titles and records."""
+def names_of(figure: Figure, key: str) -> list[str]:
+    """Return the settings named by a panel's `series` or `panels`: none, one or several."""
+    named = figure.get(key, "descriptor" if key == "series" and "y" not in figure else [])
+    return [named] if isinstance(named, str) else list(named)
+
+
+def shown(figure: Figure, records: Sequence[Record]) -> list[Record]:
+    """Return the records of a figure: those of its measure that have all the settings it is drawn over."""
+    lines = [figure["y"]] if "y" in figure else names_of(figure, "series")
+    needed = {figure["x"], *names_of(figure, "panels"), *lines}
+    where = figure.get("where", {}).items()
+    return [
+        one
+        for one in records
+        if one.measure == figure["measure"] and needed <= set(one.settings) and where <= one.settings.items()
+    ]
+
+
+def titled(names: Sequence[str], values: Sequence[Any]) -> str:
+    """Return the label of some settings and their values, as in "k1 8, homomorphic filter"."""
+    return ", ".join(_title(name, value) for name, value in zip(names, values, strict=True) if value is not None)
+
+
+def _title(name: str, value: Any) -> str:
+    if name == "filter":
+        return "homomorphic filter" if value else "no filter"
+    about = axis(name)
+    if "factor" in about:
+        value = round(about["factor"] * value, 6)
+    written = f"{value:g}" if isinstance(value, float) else str(value).replace("_", " ")
+    if name in ("descriptor", "distance", "data", "method"):
+        return written
+    ending = f" {about['unit']}" if "factor" in about else ""
+    return f"{about.get('short', name.replace('_', ' '))} {written}{ending}"
+
+
+def unit(measure: str) -> str:
+    """Return the unit of a measure; "" if it has none."""
+    found = str(measures().get(measure, {}).get("unit", "s" if measure.endswith("seconds") else "1"))
+    return "" if found == "1" else found
+
+
+def said(measure: str) -> str:
+    """Return the label of a measure; "seconds" becomes "time"."""
+    return " ".join("time" if word == "seconds" else word for word in measure.split("_"))
+
+
+def _panels(figure: Figure, records: Sequence[Record]) -> list[tuple[str, list[Record], list[Record]]]:
+    """Return the title and the records of each panel of a figure, and the records of all its panels."""
     found, split = shown(figure, records), names_of(figure, "panels")
-    what = figure.get("title", f"{said(figure['measure'])} {_bracket(figure['measure'])}".rstrip())
+    bracket, _ = _scale(figure["measure"])
     if not found or not split:
-        return [_Panel(figure, what, found, found)] if found else []
-    named = []
-    for key, part in grouped(split, found).items():
-        told = ", ".join(title(name, value) for name, value in zip(split, key, strict=True))
-        named.append(_Panel(figure, f"{told} {_bracket(figure['measure'])}" if "y" in figure else told, part, found))
-    return named
+        return [(figure.get("title", f"{said(figure['measure'])} {bracket}".rstrip()), found, found)] if found else []
+    ending = f" {bracket}" if "y" in figure else ""
+    return [(titled(split, key) + ending, part, found) for key, part in grouped(split, found).items()]
 
 
-def _lines(axes: Any, panel: _Panel) -> dict[str, Any]:
-    figure, (x, x_factor) = panel.figure, _axis(panel.figure["x"])
-    names, factor = names_of(figure, "series"), _factor(figure["measure"])
+def _lines(axes: Any, figure: Figure, records: list[Record], of_figure: list[Record]) -> dict[str, Any]:
+    """Draw a line for each of the series, on the scale of all panels, and return the lines by label."""
+    x, x_factor = _axis(figure["x"])
+    names, (bracket, factor) = names_of(figure, "series"), _scale(figure["measure"])
     # If other settings vary as well, the line shows the best of them, as the text refers to it.
-    pick: Any = _PICKS[figure.get("best", "mean")]
+    pick = PICKS[figure.get("best", "mean")]
     handles: dict[str, Any] = {}
-    for rank, (key, part) in enumerate(grouped(names, panel.records).items()):
+    for rank, (key, part) in enumerate(grouped(names, records).items()):
         places = grouped([figure["x"]], part)
-        (line,) = axes.plot(
-            [x_factor * place for (place,) in places],
-            [factor * pick([one.value for one in those]) for those in places.values()],
-            color=SERIES[rank % len(SERIES)],
-            marker=MARKS[rank % len(MARKS)],
-            markersize=4,
-            linestyle=DASHES[rank // len(SERIES) % len(DASHES)],
-        )
-        handles[", ".join(title(name, value) for name, value in zip(names, key, strict=True))] = line
+        heights = [factor * pick([one.value for one in those]) for those in places.values()]
+        (line,) = axes.plot([x_factor * place for (place,) in places], heights, **series_look(rank))
+        handles[titled(names, key)] = line
     if figure.get("log"):
         axes.set_xscale("log", base=2)
-        every = [x_factor * place for (place,) in grouped([figure["x"]], panel.of_figure)]
+        every = [x_factor * place for (place,) in grouped([figure["x"]], of_figure)]
         kept = every[:: -(-len(every) // _TICKS)]
         axes.set_xticks(kept, [f"{place:.2g}" for place in kept])
         axes.set_xticks([], minor=True)
-    axes.set(xlabel=x, ylabel=f"{said(figure['measure'])} {_bracket(figure['measure'])}".rstrip())
-    axes.grid(True)
+    axes.set(xlabel=x, ylabel=f"{said(figure['measure'])} {bracket}".rstrip())
     low, high = axes.get_ylim()
-    if panel.of_figure is not panel.records:  # panels side by side share one scale
-        high = factor * max(_drawn_values(panel, names, pick))
-    if min(low, *(one.value for one in panel.of_figure)) >= 0 or low > 0:
+    if of_figure is not records:  # panels side by side share one scale
+        points = grouped([*names_of(figure, "panels"), *names, figure["x"]], of_figure).values()
+        high = factor * max(pick([one.value for one in point]) for point in points)
+    if min(low, *(one.value for one in of_figure)) >= 0 or low > 0:
         axes.set_ylim(0, max(1.03 * high, 1e-9))
     return handles
 
 
-def _drawn_values(panel: _Panel, names: Sequence[str], pick: Any) -> list[float]:
-    """Return the heights of all points in all panels of a figure."""
-    keys = [*names_of(panel.figure, "panels"), *names, panel.figure["x"]]
-    return [float(pick([one.value for one in part])) for part in grouped(keys, panel.of_figure).values()]
-
-
-def _field(axes: Any, panel: _Panel) -> None:
-    figure, factor = panel.figure, _factor(panel.figure["measure"])
-    values = factor * _means(figure, panel.records)
-    every = [factor * one.value for one in panel.of_figure]
-    low, high = (0.0, 100.0) if unit(figure["measure"]) == "share" else (min(every), max(every))
-    timed = unit(figure["measure"]) == "s" and low > 0  # times differ by orders of magnitude
-    scaled, low, high = (np.log(values), np.log(low), np.log(high)) if timed else (values, low, high)
-    high = high if high > low else low + 1
-    axes.imshow(scaled, cmap="Blues", vmin=low, vmax=high, origin="lower", aspect="auto")
-    close = np.nanmax(values) - np.nanmin(values) < 0.1 * np.nanmax(np.abs(values))
-    for (row, column), value in np.ndenumerate(values):
-        dark = np.isfinite(value) and (scaled[row, column] - low) / (high - low) > 0.5
-        axes.text(
-            *(column, row, _cell(value, bool(close))),
-            ha="center",
-            va="center",
-            fontsize=7,
-            color=PAPER if dark else INK if np.isfinite(value) else SOFT,
-        )
-    for name, set_ticks in (("x", axes.set_xticks), ("y", axes.set_yticks)):
-        found = [key for (key,) in grouped([figure[name]], panel.records)]
-        set_ticks(range(len(found)), [f"{value:g}" for value in found])
-    axes.set(xlabel=_axis(figure["x"])[0], ylabel=_axis(figure["y"])[0])
-    axes.spines[:].set_visible(False)
-    axes.tick_params(length=0)
-
-
-def _means(figure: Mapping[str, Any], records: Sequence[Record]) -> NDArray[np.float64]:
-    """Return the mean of a panel's records at each of its places; NaN if there are none."""
-    columns, rows = ([key for (key,) in grouped([figure[name]], records)] for name in ("x", "y"))
+def _field(axes: Any, figure: Figure, records: list[Record], of_figure: list[Record]) -> None:
+    """Draw a heat map of means, on the scale of all panels."""
+    _, factor = _scale(figure["measure"])
+    columns, rows = ([key for (key,) in grouped([figure[name]], records)] for name in "xy")
     values = np.full((len(rows), len(columns)), np.nan)
     for (row, column), part in grouped([figure["y"], figure["x"]], records).items():
-        values[rows.index(row), columns.index(column)] = np.mean([one.value for one in part])
-    return values
+        values[rows.index(row), columns.index(column)] = factor * np.mean([one.value for one in part])
+    every = [factor * one.value for one in of_figure]
+    low, high = (0.0, 100.0) if unit(figure["measure"]) == "share" else (min(every), max(every))
+    scaled = values
+    if unit(figure["measure"]) == "s" and low > 0:  # times differ by orders of magnitude
+        scaled, low, high = np.log(values), np.log(low), np.log(high)
+    high = high if high > low else low + 1
+    axes.imshow(scaled, cmap="Blues", vmin=low, vmax=high, origin="lower", aspect="auto")
+    close = bool(np.nanmax(values) - np.nanmin(values) < 0.1 * np.nanmax(np.abs(values)))
+    for (row, column), value in np.ndenumerate(values):
+        dark = np.isfinite(value) and (scaled[row, column] - low) / (high - low) > 0.5
+        colour = PAPER if dark else INK if np.isfinite(value) else SOFT
+        axes.text(column, row, _cell(value, close), ha="center", va="center", fontsize=7, color=colour)
+    axes.set_xticks(range(len(columns)), [f"{value:g}" for value in columns])
+    axes.set_yticks(range(len(rows)), [f"{value:g}" for value in rows])
+    axes.set(xlabel=_axis(figure["x"])[0], ylabel=_axis(figure["y"])[0])
+    axes.grid(False)
+    axes.spines[:].set_visible(False)
+    axes.tick_params(length=0)
 
 
 def _cell(value: float, close: bool) -> str:
@@ -170,11 +182,7 @@ def _axis(name: str) -> tuple[str, float]:
     return (f"{label} [{about['unit']}]" if "unit" in about else label), float(about.get("factor", 1))
 
 
-def _factor(measure: str) -> float:
-    """Return the factor numbers are multiplied by: shares are shown in percent, seconds in milliseconds."""
-    return {"share": 100.0, "s": 1000.0}.get(unit(measure), 1.0)
-
-
-def _bracket(measure: str) -> str:
-    found = {"share": "%", "s": "ms", "deg": "°"}.get(unit(measure), unit(measure))
-    return f"[{found}]" if found else ""
+def _scale(measure: str) -> tuple[str, float]:
+    """Return the unit that a measure is drawn in, in brackets, and the factor its numbers are multiplied by."""
+    drawn_in, factor = _SHOWN.get(unit(measure), (unit(measure), 1.0))
+    return f"[{drawn_in}]" if drawn_in else "", factor

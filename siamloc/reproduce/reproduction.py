@@ -14,7 +14,7 @@ from foundation.calls import typed
 from foundation.files import write_text
 from siamloc.errors import ConfigError
 from siamloc.reproduce.claims import Claim, claim, holds
-from siamloc.reproduce.panels import names_of, said, shown, title, unit
+from siamloc.reproduce.drawing import drawn, names_of, said, shown, titled, unit
 from siamloc.reproduce.published import Record, grouped, measures, published
 from siamloc.reproduce.recipe_book import Recipe, data_named
 
@@ -187,8 +187,6 @@ class Reproduction:
         Raises:
             ConfigError: the recipe has no figure.
         """
-        from siamloc.reproduce.drawing import drawn
-
         if not self.recipe.figure:
             raise ConfigError(f"{self.recipe.id} has no figure: see its table")
         return drawn(self.recipe.figure, [*self.records, *self.beside])
@@ -234,8 +232,7 @@ class Reproduction:
             for key, part in grouped(names, found).items():
                 low, high = min(part, key=lambda one: one.value), max(part, key=lambda one: one.value)
                 numbers = [cell for one in (low, high) for cell in (f"{one.value:.3g}", _settings(one, *names))]
-                of = ", ".join(title(name, value) for name, value in zip(names, key, strict=True) if value is not None)
-                line = [_measure(figure["measure"]), of, *numbers]
+                line = [_measure(figure["measure"]), titled(names, key), *numbers]
                 lines += [line] if line not in lines else []
         return _markdown(["measure", "of", "smallest", "with", "largest", "with"], lines) if lines else []
 

@@ -15,8 +15,8 @@ from siamloc.errors import ConfigError, DataError, StorageError
 from siamloc.reproduce import listing, recipe, recipes, reproduce, write_report
 from siamloc.reproduce import reproduction as reproduction_module
 from siamloc.reproduce.claims import claim, claims
+from siamloc.reproduce.drawing import shown
 from siamloc.reproduce.experiments import KINDS, Data
-from siamloc.reproduce.panels import shown
 from siamloc.reproduce.published import published
 from siamloc.reproduce.recipe_book import experiment, seconds_of, without_measurement
 from tests.drawn import draw_panorama, draw_sequence
