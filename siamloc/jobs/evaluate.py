@@ -44,8 +44,8 @@ class Evaluate(RunJob):
         distance=cosine                   how descriptors are compared: manhattan, euclidean, correlation or cosine
         task.radii=[0.5,1.0]              for recall: how near a map frame must be
         task.baselines=[hog,thumbnail,untrained]
-        descriptor=pretrained|hog|gist|wisurf|briefgist|fs|radon_fourier|radon_poc|thumbnail
-                                          measure a descriptor other than the trained network, without training
+        descriptor=pretrained|hog|...     measure a descriptor other than the trained network, without training; all
+                                          groups are listed below
         task.filter=true                  also follow the robot along its drive with a filter;
                                           task.filter_tune=true tunes it on protocol.validation
         task.refine=interpolate           a pose between the three nearest map frames (task.neighbours=3)
@@ -54,8 +54,7 @@ class Evaluate(RunJob):
                                           it is filtered as well
         task.error_model=true             the expected error of each query, learned from protocol.validation, and
                                           whether it is lost: above task.lost_above=1.0, or from another building
-        heading=hog|fs|gist|radon_fourier
-                                          estimates headings for a network; as the map does if not given
+        heading=hog                       estimates headings for a network; as the map does if not given
         task=hierarchical build=incremental|spectral|som|sample|rooms
                                           search the nodes of a map first, then the frames inside the nearest ones
         task.candidates=3                 number of nodes; task.coarse.ratio=1.3 leaves out those much farther than

@@ -22,10 +22,9 @@ class MapFrames(RunJob):
         protocol.map.sequences=[...]    sequences of the map; the training sequences if not given
         protocol.map.every=5            or protocol.map.spacing=0.5
         descriptor=pretrained           the network that ships with siamloc, no training needed; 64 x 256 pixels
-        descriptor=hog|gist|wisurf|...  or an analytic descriptor
-        heading=hog|fs|gist|radon_fourier
-                                        estimates headings for a network that cannot (fourier and magnitudes with
-                                        circular=true can); heading.step=4 halves the size of its part of the map
+        descriptor=hog                  or an analytic descriptor; all groups are listed below
+        heading=hog                     estimates headings for a network that cannot (the heads fourier and magnitudes
+                                        with circular=true can); heading.step=4 halves the size of its part of the map
         build=incremental|spectral|som|sample|rooms
                                         also group the frames into nodes, and write that coarse layer
         build.nodes=40 build.y=1.5      its parameters; `siamloc map build=... --cfg job` lists them

@@ -105,24 +105,20 @@ class Train(_Training, DataJob):
                                           fine_tuning for the same, shorter, from the shipped weights; photographs for
                                           images of an ordinary camera; rooms for such images with room labels.
                                           You can still change any key
-        model/branch=vgg16                one of simple1 simple2 alexnet densenet121 vgg11 vgg13 vgg16 vgg19 vgg*_bn
-                                          panoresnet
-        model/head=fc500_500_5            or fc500_100_10, fc1000_1000_10, fc4096_4096_1000, fc4096_4096; flat, gem,
-                                          bands, fourier, magnitudes
+        model/branch=vgg16                the convolutional part of the network; all groups are listed below
+        model/head=fc500_500_5            what makes a descriptor of its features
         model.circular=true               the network wraps around the azimuth
         model.branch.weights=siamloc      start from pretrained weights; or imagenet, or the path of a run or a file
         model.normalize=local             remove lighting from the image first; or channels, image, local_brightness
         pairs=room|distance|in_batch      pairs with binary labels (room) or metric labels (distance); in_batch uses all
-                                          pairs of a batch and needs
-                                          loss=soft_contrastive|metric_calibrated|triplet|circle|multi_similarity
+                                          pairs of a batch and needs a loss of batches, such as loss=triplet
         pairs=frames loss=cross_entropy   learn to name the room of a frame, as experiment=rooms_classifier does
         loss.miner=batch_hard loss.distance=cosine
                                           for triplet and similar losses: which pairs count and how they are compared
         pairs.by=sequence pairs.radius=1    batches without positions; loss.room=0.5 to learn from rooms as well
         pairs.same_room_share=0.4 pairs.epoch_pairs=10000
         pairs.lightings={night:2}         twice as many night images per batch as images of each other lighting
-        augment=thesis|lighting|strong|any_light
-                                          augmentation of training images; augment.where=cpu|gpu sets the device
+        augment=thesis                    augmentation of training images; augment.where=cpu|gpu sets the device
         epochs=30 batch_size=16 optimizer.learning_rate=0.001 seed=0
         monitor=error|recall|room|accuracy|loss
                                           validation figure that picks the best checkpoint; recall_radius=0.5
