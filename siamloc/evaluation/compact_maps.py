@@ -108,10 +108,7 @@ def compact(
     known, clusters = known.placed(), (known if clusters is None else clusters).take(placed)
     scored = session.queries.take(session.queries.has_position)
     for has, what in ((placed, "map frames"), (session.queries.has_position, "queries")):
-        if text := session.lacking(has, f"{what} have no position"):
-            if not has.any():
-                raise DataError(f"{text}: add x and y to the data")
-            session.skipped[f"compact, {what}"] = text
+        session.leave_out(has, f"{what} have no position", f"compact, {what}", ": add x and y to the data")
     _check(settings, known, clusters)
     clock = Stopwatch()
     described = Description.concatenate(list(session.parts_of(known, scored, f"the queries, {session.name}", clock)))

@@ -118,28 +118,26 @@ def _measures(path: Path, results: Mapping[str, Any]) -> dict[str, float]:
 
 def _named(parts: Mapping[str, Any]) -> Iterator[tuple[str, float]]:
     main = next((parts[name] for name in _LOCALIZED if name in parts), None)
+    for before, part in {"": main, **{f"{name}.": parts.get(f"absolute_{name}") for name in FURTHER}}.items():
+        for label, group in _groups(part):
+            yield f"{before}error{label}", _number(group["error"]["mean"])
     if main is not None:
-        yield from _errors(main, "")
-        if main["overall"].get("hit_rate"):
-            yield "hit_rate", _number(main["overall"]["hit_rate"][0]["rate"])
-        yield from (
-            (f"recall@{one['k']}_{one['radius']:g}", _number(one["recall"])) for one in main["overall"]["recall"]
-        )
-        if "heading_error" in main["overall"]:
-            yield "heading_error", _number(main["overall"]["heading_error"]["mean"])
-    for name in FURTHER:
-        if f"absolute_{name}" in parts:
-            yield from _errors(parts[f"absolute_{name}"], f"{name}.")
-    if "room_retrieval" in parts:
-        yield "room", _number(parts["room_retrieval"]["overall"]["accuracy"])
-        for lighting, group in parts["room_retrieval"].get("lighting", {}).items():
-            yield f"room.{lighting}", _number(group["accuracy"])
+        overall = main["overall"]
+        if overall.get("hit_rate"):
+            yield "hit_rate", _number(overall["hit_rate"][0]["rate"])
+        for one in overall["recall"]:
+            yield f"recall@{one['k']}_{one['radius']:g}", _number(one["recall"])
+        if "heading_error" in overall:
+            yield "heading_error", _number(overall["heading_error"]["mean"])
+    for label, group in _groups(parts.get("room_retrieval")):
+        yield f"room{label}", _number(group["accuracy"])
 
 
-def _errors(part: Mapping[str, Any], before: str) -> Iterator[tuple[str, float]]:
-    yield f"{before}error", _number(part["overall"]["error"]["mean"])
-    for lighting, group in part.get("lighting", {}).items():
-        yield f"{before}error.{lighting}", _number(group["error"]["mean"])
+def _groups(part: Mapping[str, Any] | None) -> Iterator[tuple[str, Any]]:
+    """Yield the measures of all queries, and those by lighting with names such as ".night"."""
+    if part is not None:
+        yield "", part["overall"]
+        yield from ((f".{lighting}", group) for lighting, group in part.get("lighting", {}).items())
 
 
 def _by_place(part: Mapping[str, Any], before: str) -> Iterator[tuple[str, float]]:
@@ -157,11 +155,10 @@ def _number(value: Any) -> float:
 def _columns(known: Iterable[str]) -> list[str]:
     """Return those of the known measures that are always shown."""
     names = list(known)
-    errors = [name for name in names if name.split(".")[0] == "error" and name.count(".") < 2]
-    further = [f"{name}.error" for name in FURTHER if f"{name}.error" in names]
+    errors = sorted(name for name in names if name.split(".")[0] == "error" and name.count(".") < 2)
     recalls = [name for name in names if name.startswith("recall@1_")]
-    one = [name for name in ("hit_rate",) if name in names]
-    return [*sorted(errors), *further, *one, *recalls, *(name for name in ("room",) if name in names)]
+    others = [*(f"{name}.error" for name in FURTHER), "hit_rate", *recalls, "room"]
+    return [*errors, *(name for name in others if name in names)]
 
 
 def _settings(paths: Sequence[Path], results: Sequence[Mapping[str, Any]]) -> tuple[list[dict[str, Any]], list[str]]:

@@ -12,8 +12,13 @@ from siamloc.errors import ConfigError
 
 Images = NDArray[np.uint8]
 
-_NAMES = {"noise": "variance", "occlusion": "share of the columns", "turn": "degrees"}
-_KINDS = ("noise", "occlusion", "turn", "effect")
+# The unit of the levels, and their range.
+_KINDS: dict[str, tuple[str, float, float]] = {
+    "noise": ("variance", 0, np.inf),
+    "occlusion": ("share of the columns", 0, 1),
+    "turn": ("degrees", -360, 360),
+    "effect": ("strength", -1, 1),
+}
 
 
 @dataclass(frozen=True)
@@ -40,7 +45,7 @@ class Disturbance:
     def __post_init__(self) -> None:
         if self.kind not in _KINDS or (self.kind != "effect" and self.kind != self.name):
             raise ConfigError(f"a disturbance is of kind {', '.join(_KINDS)}, got {self.kind!r} named {self.name!r}")
-        low, high = {"noise": (0, np.inf), "occlusion": (0, 1), "turn": (-360, 360), "effect": (-1, 1)}[self.kind]
+        _, low, high = _KINDS[self.kind]
         fits = all(np.isfinite(level) and low <= level <= high for level in self.levels)
         if not self.levels or not fits or len(set(self.levels)) < len(self.levels):
             raise ConfigError(
@@ -58,7 +63,7 @@ class Disturbance:
     @property
     def unit(self) -> str:
         """Unit of the levels."""
-        return _NAMES.get(self.kind, "strength")
+        return _KINDS[self.kind][0]
 
     def apply(self, images: Images, level: float, rows: NDArray[np.int64], seed: int = 0) -> Images:
         """Return disturbed images; random draws differ between images, but not between levels.

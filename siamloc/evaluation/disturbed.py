@@ -178,12 +178,11 @@ def locate_disturbed(
     for disturbance in disturbances:
         for level in disturbance.levels:
             changed = disturbance.apply(images, level, rows, seed)
-            if not np.array_equal(changed, images):
-                found[disturbance.name, level] = _unturned(locate(changed), disturbance, level)
-                continue
-            if clean is None:
-                clean = locate(images)
-            found[disturbance.name, level] = _unturned(clean, disturbance, level)
+            if np.array_equal(changed, images):
+                answer = clean = locate(images) if clean is None else clean
+            else:
+                answer = locate(changed)
+            found[disturbance.name, level] = _unturned(answer, disturbance, level)
     return found
 
 
@@ -242,8 +241,5 @@ def _geometrically_nearest(
     """Return the map frame (n,) that is nearest to each query in position; None if a position is unknown."""
     if not known.has_position.all() or not queries.has_position.all():
         return None
-    rows = np.empty(len(queries), dtype=np.int64)
-    for i, xy in enumerate(queries.xy):
-        apart = np.hypot(*(known.xy - xy).T)
-        rows[i] = np.argmin(apart if excluded is None else np.where(excluded[i], np.inf, apart))
-    return rows
+    apart = np.hypot(*(known.xy[None] - queries.xy[:, None]).transpose(2, 0, 1))
+    return (apart if excluded is None else np.where(excluded, np.inf, apart)).argmin(axis=1)

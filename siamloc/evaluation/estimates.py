@@ -128,10 +128,8 @@ def search_validation(session: Session, frames: FrameTable | None, settings: Est
             "(on the command line protocol.validation.sequences)"
         )
     has = frames.has_position
-    if text := session.lacking(has, "validation frames have no position"):
-        if not has.any():
-            raise DataError(f"{text}: errors, ellipses and the filter's settings are learned from known positions")
-        session.skipped["validation"] = text
+    remedy = ": errors, ellipses and the filter's settings are learned from known positions"
+    session.leave_out(has, "validation frames have no position", "validation", remedy)
     k = min(max(MATCHES, settings.neighbours), len(known))
     tuned = settings.filter and settings.filter_tune
     search = Search(known, np.flatnonzero(has), k, refinement=refinement(settings, known), with_distances=tuned)

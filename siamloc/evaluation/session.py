@@ -216,6 +216,23 @@ class Session:
             raise DataError(f"{text}: on_error=skip leaves them out")
         return text
 
+    def leave_out(self, has: NDArray[np.bool_], what: str, key: str, remedy: str) -> None:
+        """Record in `skipped` how many frames lack a property, and are left out therefore.
+
+        Args:
+            has: which frames have it.
+            what: what is missing, and of which frames, such as "queries have no position".
+            key: key in `skipped`.
+            remedy: what to do if all frames lack it.
+
+        Raises:
+            DataError: all frames lack the property, or some of them and the images' `on_error` is "raise".
+        """
+        if text := self.lacking(has, what):
+            if not has.any():
+                raise DataError(f"{text}{remedy}")
+            self.skipped[key] = text
+
     def comparable(self) -> tuple[NDArray[np.bool_], NDArray[np.bool_], bool]:
         """Return which map frames (m,) and queries (n,) can be judged, and whether they are judged by room.
 
@@ -230,10 +247,9 @@ class Session:
         by_room = any(not frames.has_position.any() for frames in tables.values())
         masks = {what: frames.room != "" if by_room else frames.has_position for what, frames in tables.items()}
         for what, has in masks.items():
-            if text := self.lacking(has, f"{what} have no {'room label' if by_room else 'position'}"):
-                if not has.any():
-                    raise DataError(f"{text}, and not all tables have positions: add x and y, or rooms, to the data")
-                self.skipped[f"{self.name}, {what}"] = text
+            remedy = ", and not all tables have positions: add x and y, or rooms, to the data"
+            lacks = f"{what} have no {'room label' if by_room else 'position'}"
+            self.leave_out(has, lacks, f"{self.name}, {what}", remedy)
         return masks["map frames"], masks["queries"], by_room
 
     def about(self) -> dict[str, Any]:
