@@ -7,6 +7,7 @@ surfaces reflect is gathered on a coarser grid, whose rays are cast once and reu
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import product
 
 import cv2
 import numpy as np
@@ -107,20 +108,16 @@ class LightTransport:
         """
         mesh, fine, coarse = self.mesh, self.fine, self.coarse
         direct = self._direct(lamps, sky)
-        sunny, sun_share = (None, None)
+        start, sunny = self._averaged(fine.image(direct)), None
         if sky.sun is not None:
             sunny, sun_share = _sun_patches(mesh, self.caster, fine, sky.sun, rng)
-        start = self._averaged(fine.image(direct))
-        if sun_share is not None and sky.sun is not None:
             facing = np.clip(mesh.normals @ sky.sun, 0, None)[coarse.quad]
             start += self._averaged(fine.image(sun_share))[:, None] * facing[:, None] * sky.sun_radiosity
         if self._seen is None:
             self._seen = _gathered_from(mesh, self.caster, coarse, self.detail.rays, rng)
         indirect = _indirect(self._seen, albedo[coarse.quad], start, self.detail.bounces)
-        smooth = _smoothed(coarse, indirect)
-        x, y = coarse.position(fine.quad, fine.place[:, 0], fine.place[:, 1])
-        light = direct + sample(smooth, x, y)
-        return BakedLight(fine, fine.image(light), sunny)
+        x, y = coarse.position(fine.quad, *fine.place.T)
+        return BakedLight(fine, fine.image(direct + sample(_smoothed(coarse, indirect), x, y)), sunny)
 
     def _direct(self, lamps: list[Lamp], sky: Sky) -> Array:
         light = np.zeros((len(self._points), 3), dtype=np.float32)
@@ -131,10 +128,7 @@ class LightTransport:
             bright = found.share > least
             light[found.nodes[bright]] += found.share[bright, None] * radiosity.astype(np.float32)
         if self._portals is None:
-            self._portals = [
-                self._reach(position, axis, area, room, _FAINT, ends=False)
-                for position, axis, area, room in _portals(self.building)
-            ]
+            self._portals = [self._reach(*portal, _FAINT, ends=False) for portal in _portals(self.building)]
         outside = sky.softened()
         for found in self._portals:
             light[found.nodes] += found.share[:, None] * outside.look(found.towards)
@@ -172,21 +166,17 @@ class LightTransport:
         steps = np.maximum(fine.count[coarse.quad] - 1, 1)
         reach = np.where(fine.count[coarse.quad] > 1, radius / steps, 0.0)
         reach = np.where(coarse.count[coarse.quad] == 1, 0.5, reach)
-        offsets = np.array([-0.8, -0.4, 0.0, 0.4, 0.8])
-        for ds in offsets:
-            for dt in offsets:
-                place = np.clip(coarse.place + reach * (ds, dt), 0, 1)
-                x, y = fine.position(coarse.quad, place[:, 0], place[:, 1])
-                total += sample(image, x, y)
-        return total / len(offsets) ** 2
+        for offset in product((-0.8, -0.4, 0.0, 0.4, 0.8), repeat=2):
+            place = np.clip(coarse.place + reach * offset, 0, 1)
+            total += sample(image, *fine.position(coarse.quad, *place.T))
+        return total / 5**2
 
 
 def _world(mesh: QuadMesh, quad: Array, place: Array, lift: float = _LIFT) -> Array:
     """Return points (n, 3) slightly above their quads, at least 2 cm away from the edges where there is room."""
     inset = np.minimum(0.35, 0.02 / np.maximum(mesh.size, 1e-6))[quad]
     place = np.clip(place, inset, 1 - inset)
-    a, b, d = mesh.corners[quad, 0], mesh.corners[quad, 1], mesh.corners[quad, 3]
-    c = mesh.corners[quad, 2]
+    a, b, c, d = mesh.corners[quad].transpose(1, 0, 2)
     s, t = place[:, :1], place[:, 1:]
     lower = s + t <= 1
     point = np.where(lower, a + s * (b - a) + t * (d - a), c + (1 - s) * (d - c) + (1 - t) * (b - c))
@@ -206,12 +196,11 @@ def _portals(building: Building) -> list[tuple[Array, Array, float, str]]:
         columns = max(1, round(opening.width / 0.8))
         rows = max(1, round((opening.top - opening.bottom) / 0.8))
         area = opening.width * (opening.top - opening.bottom) / (columns * rows)
-        for i in range(columns):
-            for j in range(rows):
-                along = opening.interval[0] + (i + 0.5) / columns * opening.width
-                z = opening.bottom + (j + 0.5) / rows * (opening.top - opening.bottom)
-                plan = side.plan(along, side.level(room.inner()))
-                pieces.append((np.array([*plan, z]), axis, area, room.name))
+        for i, j in product(range(columns), range(rows)):
+            along = opening.interval[0] + (i + 0.5) / columns * opening.width
+            z = opening.bottom + (j + 0.5) / rows * (opening.top - opening.bottom)
+            plan = side.plan(along, side.level(room.inner()))
+            pieces.append((np.array([*plan, z]), axis, area, room.name))
     return pieces
 
 
@@ -245,7 +234,8 @@ def _gathered_from(mesh: QuadMesh, caster: Caster, grid: LightGrid, rays: int, r
     frame = np.stack([tangent, bitangent, normals], axis=1).astype(np.float32)[grid.quad]
     turn = rng.random(n).astype(np.float32)
     seen = np.empty((rays, n), dtype=np.int64)
-    first = np.cumsum(grid.count[:, 0] * grid.count[:, 1]) - grid.count[:, 0] * grid.count[:, 1]
+    cells = grid.count.prod(axis=1)
+    first = np.cumsum(cells) - cells
     for ray in range(rays):
         angle = 2 * np.pi * ((ray * 0.61803399 + turn) % 1)
         radius = np.float32(np.sqrt((ray + 0.5) / rays))
@@ -253,8 +243,8 @@ def _gathered_from(mesh: QuadMesh, caster: Caster, grid: LightGrid, rays: int, r
         directions = np.stack([sum(local[k] * frame[:, k, axis] for k in range(3)) for axis in range(3)], axis=1)
         quad, s, t, _ = caster.first_hit(points, directions.astype(np.float32))
         count = grid.count[quad]
-        node = first[quad] + np.rint(t * (count[:, 1] - 1)).astype(np.int64) * count[:, 0]
-        node += np.rint(s * (count[:, 0] - 1)).astype(np.int64)
+        row, column = (np.rint(place * (count[:, axis] - 1)).astype(np.int64) for axis, place in ((1, t), (0, s)))
+        node = first[quad] + row * count[:, 0] + column
         seen[ray] = np.where(quad < 0, n, node)
     return seen
 

@@ -130,9 +130,9 @@ class MeshBuilder:
         self._corners.append(corners @ self._axes + self._origin)
         self._rows.append((index, repeat, tuple(phase), tuple(tint), tuple(emission), self.room, lamp))
 
-    def slab(self, x: Point, y: Point, z: float, texture: str, tint: Point = WHITE) -> None:
-        """Add a level rectangle, visible from above, between x[0] < x[1] and y[0] < y[1]."""
-        self.quad((x[0], y[0], z), (x[1], y[0], z), (x[1], y[1], z), (x[0], y[1], z), texture, tint)
+    def slab(self, x: Point, y: Point, z: float, texture: str, tint: Point = WHITE, **more: Any) -> None:
+        """Add a level rectangle, visible from above if x[0] < x[1] and y[0] < y[1], from below if y[0] > y[1]."""
+        self.quad((x[0], y[0], z), (x[1], y[0], z), (x[1], y[1], z), (x[0], y[1], z), texture, tint, **more)
 
     def panel(self, x: Point, z: Point, y: float, texture: str, tint: Point = WHITE, **more: Any) -> None:
         """Add an upright rectangle, visible from the front (+y), between x[0] < x[1] and z[0] < z[1]."""

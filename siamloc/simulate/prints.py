@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterable
 from itertools import pairwise
 from typing import Any
 
@@ -9,7 +10,8 @@ import cv2
 import numpy as np
 
 from siamloc.simulate.layout import Array, single
-from siamloc.simulate.textures import SIZE, Texture, noise
+from siamloc.simulate.mesh import Point
+from siamloc.simulate.textures import SIZE, Texture, eight_bit, noise
 
 POSTERS = 14
 BOOK_ROWS = 8
@@ -28,37 +30,53 @@ _BRIGHT = np.array(
 
 def print_textures(rng: np.random.Generator) -> dict[str, Texture]:
     """Return the pictures of one building; where there are several of a kind, the name ends with a number."""
-    drawn: dict[str, Array] = {}
-    drawn |= {f"poster{i}": _poster(rng, i) for i in range(POSTERS)}
-    drawn |= {f"books{i}": _books(rng, empty=0.06 + 0.05 * (i % 4)) for i in range(BOOK_ROWS)}
-    drawn |= {f"binders{i}": _binders(rng) for i in range(BOOK_ROWS)}
-    drawn |= {f"screen{i}": _screen(rng, i) for i in range(SCREENS)}
-    drawn |= {f"board{i}": _whiteboard(rng) for i in range(BOARDS)}
-    drawn |= {f"notices{i}": _notices(rng) for i in range(NOTICES)}
-    drawn |= {f"sheet{i}": _sheet(rng) for i in range(4)}
-    drawn |= {f"sign{i}": _room_sign(rng) for i in range(8)}
-    drawn["keyboard"] = _keyboard()
+    several: dict[str, tuple[int, Callable[[int], Array]]] = {
+        "poster": (POSTERS, lambda i: _poster(rng, i)),
+        "books": (BOOK_ROWS, lambda i: _books(rng, empty=0.06 + 0.05 * (i % 4))),
+        "binders": (BOOK_ROWS, lambda _: _binders(rng)),
+        "screen": (SCREENS, lambda i: _screen(rng, i)),
+        "board": (BOARDS, lambda _: _whiteboard(rng)),
+        "notices": (NOTICES, lambda _: _notices(rng)),
+        "sheet": (4, lambda _: _sheet(rng)),
+        "sign": (8, lambda _: _room_sign(rng)),
+    }
+    drawn = {f"{name}{i}": draw(i) for name, (count, draw) in several.items() for i in range(count)}
+    drawn["keyboard"] = _flat((0.16, 0.16, 0.17), [
+        (0.03 + column * 0.063, 0.08 + row * 0.18, 0.08 + column * 0.063, 0.22 + row * 0.18, 0.33)
+        for row in range(5) for column in range(15)
+    ])  # fmt: skip
     drawn["clock"] = _clock(rng)
     drawn["exit"] = _exit_sign()
-    drawn["drawers"] = _fronts(rng, rows=3, columns=1)
-    drawn["cabinet_doors"] = _fronts(rng, rows=1, columns=2)
-    drawn["lockers"] = _fronts(rng, rows=2, columns=3)
-    drawn["kitchen_fronts"] = _fronts(rng, rows=1, columns=4)
-    drawn["copier"] = _copier()
-    drawn["fridge"] = _fronts(rng, rows=2, columns=1, split=0.7)
-    drawn["radiator"] = _radiator()
+    drawn["drawers"] = _fronts(rng, [1 / 3, 2 / 3], columns=1)
+    drawn["cabinet_doors"] = _fronts(rng, [], columns=2)
+    drawn["lockers"] = _fronts(rng, [1 / 2], columns=3)
+    drawn["kitchen_fronts"] = _fronts(rng, [], columns=4)
+    drawn["copier"] = _flat((0.80, 0.81, 0.80), [
+        (0, 0.0, 1, 0.07, 0.25), (0.05, 0.12, 0.95, 0.26, 0.16), (0.62, 0.03, 0.93, 0.10, (0.35, 0.55, 0.75)),
+        *((0.04, y, 0.96, y + 0.012, 0.30) for y in (0.36 + 0.155 * i for i in range(4))),
+        *((0.38, y + 0.04, 0.62, y + 0.07, 0.30) for y in (0.36 + 0.155 * i for i in range(4))),
+    ])  # fmt: skip
+    drawn["fridge"] = _fronts(rng, [0.7], columns=1)
+    drawn["radiator"] = _flat((0.93, 0.93, 0.92), [(i / 16, 0.06, i / 16 + 0.018, 0.94, 0.62) for i in range(16)])
     drawn["pigeonholes"] = _pigeonholes(rng)
     drawn["machine"] = _vending(rng)
-    return {name: Texture(np.clip(image * 255 + 0.5, 0, 255).astype(np.uint8), None) for name, image in drawn.items()}
+    return {name: Texture(eight_bit(image), None) for name, image in drawn.items()}
+
+
+def _flat(ground: Any, rectangles: Iterable[tuple[Any, ...]]) -> Array:
+    """Return a picture of rectangles, each given as for `_rectangle`, on a ground of one colour."""
+    image = _blank(ground)
+    for rectangle in rectangles:
+        _rectangle(image, *rectangle)
+    return image
 
 
 def _blank(colour: Any) -> Array:
     return np.ones((SIZE, SIZE, 3), dtype=np.float32) * single(colour)
 
 
-def _pick(rng: np.random.Generator) -> tuple[float, float, float]:
-    colour = _BRIGHT[rng.integers(len(_BRIGHT))] * rng.uniform(0.8, 1.1)
-    return (float(colour[0]), float(colour[1]), float(colour[2]))
+def _pick(rng: np.random.Generator) -> list[float]:
+    return (_BRIGHT[rng.integers(len(_BRIGHT))] * rng.uniform(0.8, 1.1)).tolist()  # type: ignore[no-any-return]
 
 
 def _rectangle(image: Array, x0: float, y0: float, x1: float, y1: float, colour: object) -> None:
@@ -67,9 +85,7 @@ def _rectangle(image: Array, x0: float, y0: float, x1: float, y1: float, colour:
     image[max(b, 0) : max(d, b + 1), max(a, 0) : max(c, a + 1)] = colour
 
 
-def _text_lines(
-    image: Array, rng: np.random.Generator, box: tuple[float, float, float, float], lines: int, ink: float = 0.25
-) -> None:
+def _text_lines(image: Array, rng: np.random.Generator, box: Point, lines: int, ink: float = 0.25) -> None:
     """Fill a box (x0, y0, x1, y1) with lines that look like text from afar."""
     x0, y0, x1, y1 = box
     step = (y1 - y0) / lines
@@ -110,10 +126,8 @@ def _poster(rng: np.random.Generator, kind: int) -> Array:
                 centre = (int(x * SIZE), int(y * SIZE))
                 cv2.circle(paper, centre, int(rng.uniform(15, 70)), _pick(rng), -1, cv2.LINE_AA)
     else:  # a map or a calendar
-        for row in range(6):
-            for column in range(5):
-                shade = single(_pick(rng)) * 0.25 + 0.7
-                _rectangle(paper, 0.06 + 0.18 * column, 0.2 + 0.13 * row, 0.21 + 0.18 * column, 0.3 + 0.13 * row, shade)
+        for x, y in ((0.18 * column, 0.13 * row) for row in range(6) for column in range(5)):
+            _rectangle(paper, 0.06 + x, 0.2 + y, 0.21 + x, 0.3 + y, single(_pick(rng)) * 0.25 + 0.7)
         _rectangle(paper, 0.06, 0.05, 0.94, 0.16, _pick(rng))
     cv2.rectangle(paper, (0, 0), (SIZE - 1, SIZE - 1), (0.15, 0.15, 0.15), 5)
     return paper
@@ -135,12 +149,11 @@ def _books(rng: np.random.Generator, empty: float) -> Array:
 
 def _binders(rng: np.random.Generator) -> Array:
     image = _blank((0.18, 0.15, 0.12))
-    count = 11
     hue = [_pick(rng) for _ in range(3)]
-    for i in range(count):
+    for i in range(11):
         if rng.random() < 0.13:
             continue
-        x0, x1 = i / count + 0.006, (i + 1) / count - 0.006
+        x0, x1 = i / 11 + 0.006, (i + 1) / 11 - 0.006
         _rectangle(image, x0, 0.1, x1, 1, hue[int(rng.integers(3))])
         _rectangle(image, x0 + 0.012, 0.25, x1 - 0.012, 0.6, 0.92)
         _rectangle(image, (x0 + x1) / 2 - 0.012, 0.75, (x0 + x1) / 2 + 0.012, 0.82, 0.1)
@@ -148,11 +161,9 @@ def _binders(rng: np.random.Generator) -> Array:
 
 
 def _screen(rng: np.random.Generator, kind: int) -> Array:
-    image = _blank((0.05, 0.05, 0.06))
     back = (0.96, 0.96, 0.97) if kind % 2 else (0.10, 0.14, 0.22)
-    _rectangle(image, 0.03, 0.04, 0.97, 0.95, back)
-    _rectangle(image, 0.03, 0.04, 0.97, 0.11, (0.25, 0.40, 0.62))
-    _rectangle(image, 0.03, 0.11, 0.2, 0.95, (0.55, 0.60, 0.68))
+    bar, side = (0.03, 0.04, 0.97, 0.11, (0.25, 0.40, 0.62)), (0.03, 0.11, 0.2, 0.95, (0.55, 0.60, 0.68))
+    image = _flat((0.05, 0.05, 0.06), [(0.03, 0.04, 0.97, 0.95, back), bar, side])
     _text_lines(image, rng, (0.24, 0.17, 0.9, 0.9), 15, 0.3 if kind % 2 else 0.75)
     return image
 
@@ -203,14 +214,6 @@ def _room_sign(rng: np.random.Generator) -> Array:
     return image
 
 
-def _keyboard() -> Array:
-    image = _blank((0.16, 0.16, 0.17))
-    for row in range(5):
-        for column in range(15):
-            _rectangle(image, 0.03 + column * 0.063, 0.08 + row * 0.18, 0.08 + column * 0.063, 0.22 + row * 0.18, 0.33)
-    return image
-
-
 def _clock(rng: np.random.Generator) -> Array:
     image = _blank((0.15, 0.15, 0.16))
     cv2.circle(image, (128, 128), 112, (0.95, 0.95, 0.93), -1, cv2.LINE_AA)
@@ -227,13 +230,12 @@ def _exit_sign() -> Array:
     return image
 
 
-def _fronts(rng: np.random.Generator, rows: int, columns: int, split: float | None = None) -> Array:
-    """Draw the doors or drawers of a cabinet with their gaps and handles."""
+def _fronts(rng: np.random.Generator, gaps: list[float], columns: int) -> Array:
+    """Draw the doors or drawers of a cabinet, with level gaps at some shares of its height, and their handles."""
     image = _blank((0.86, 0.86, 0.85)) + 0.01 * noise(rng, 8)[..., None]
-    edges_y = [0.0, split, 1.0] if split else [i / rows for i in range(rows + 1)]
-    edges_x = [i / columns for i in range(columns + 1)]
-    for y0, y1 in pairwise(edges_y):
-        for i, (x0, x1) in enumerate(pairwise(edges_x)):
+    for y0, y1 in pairwise([0.0, *gaps, 1.0]):
+        for i in range(columns):
+            x0, x1 = i / columns, (i + 1) / columns
             a, b = (int(x0 * SIZE), int(y0 * SIZE)), (int(x1 * SIZE) - 1, int(y1 * SIZE) - 1)
             cv2.rectangle(image, a, b, (0.30, 0.30, 0.30), 4)
             if columns == 1:
@@ -241,25 +243,6 @@ def _fronts(rng: np.random.Generator, rows: int, columns: int, split: float | No
             else:
                 x = x1 - 0.06 if i % 2 == 0 else x0 + 0.03
                 _rectangle(image, x, (y0 + y1) / 2 - 0.09, x + 0.03, (y0 + y1) / 2 + 0.09, 0.25)
-    return image
-
-
-def _copier() -> Array:
-    image = _blank((0.80, 0.81, 0.80))
-    _rectangle(image, 0, 0.0, 1, 0.07, 0.25)
-    _rectangle(image, 0.05, 0.12, 0.95, 0.26, 0.16)
-    _rectangle(image, 0.62, 0.03, 0.93, 0.10, (0.35, 0.55, 0.75))
-    for i in range(4):
-        y = 0.36 + 0.155 * i
-        _rectangle(image, 0.04, y, 0.96, y + 0.012, 0.30)
-        _rectangle(image, 0.38, y + 0.04, 0.62, y + 0.07, 0.30)
-    return image
-
-
-def _radiator() -> Array:
-    image = _blank((0.93, 0.93, 0.92))
-    for i in range(16):
-        _rectangle(image, i / 16, 0.06, i / 16 + 0.018, 0.94, 0.62)
     return image
 
 
@@ -275,12 +258,7 @@ def _pigeonholes(rng: np.random.Generator) -> Array:
 
 
 def _vending(rng: np.random.Generator) -> Array:
-    image = _blank((0.70, 0.12, 0.12))
-    _rectangle(image, 0.08, 0.06, 0.7, 0.72, 0.12)
-    for row in range(4):
-        for column in range(5):
-            x, y = 0.1 + 0.12 * column, 0.09 + 0.16 * row
-            _rectangle(image, x, y, x + 0.07, y + 0.12, _pick(rng))
-    _rectangle(image, 0.76, 0.2, 0.93, 0.5, 0.85)
-    _rectangle(image, 0.12, 0.8, 0.68, 0.92, 0.08)
-    return image
+    places = [(0.1 + 0.12 * column, 0.09 + 0.16 * row) for row in range(4) for column in range(5)]
+    wares = [(x, y, x + 0.07, y + 0.12, _pick(rng)) for x, y in places]
+    window, slot, tray = (0.08, 0.06, 0.7, 0.72, 0.12), (0.76, 0.2, 0.93, 0.5, 0.85), (0.12, 0.8, 0.68, 0.92, 0.08)
+    return _flat((0.70, 0.12, 0.12), [window, *wares, slot, tray])

@@ -10,7 +10,7 @@ import numpy as np
 from foundation.calls import typed
 from siamloc.data.panorama import PanoramaView
 from siamloc.simulate.camera import HEIGHT, OFFSETS, Camera, Exposure, PanoramaCamera, develop, expose, make_camera
-from siamloc.simulate.layout import Array, seeded
+from siamloc.simulate.layout import Array, seeded, single
 from siamloc.simulate.scene import LOOKS, Scene
 from siamloc.simulate.trajectory import Track
 
@@ -56,15 +56,14 @@ def standing(poses: Array) -> Track:
 def meter(scene: Scene, track: Track) -> Exposure:
     """Measure the light of every frame of a run and set the camera's exposure."""
     directions = _PROBE.directions().reshape(-1, 3)
-    rays = len(directions)
-    spread = np.full(rays, 2 * np.pi / _PROBE.width, dtype=np.float32)
     brightness, total = [], np.zeros(3)
     for start in range(0, len(track), _CHUNK):
         part = track.poses[start : start + _CHUNK]
-        turned = np.concatenate([_turned(directions, theta) for theta in part[:, 2]])
-        origins = np.repeat(np.column_stack([part[:, :2], np.full(len(part), HEIGHT)]), rays, axis=0)
-        light, _, _ = scene.trace(origins.astype(np.float32), turned.astype(np.float32), np.tile(spread, len(part)))
-        brightness.append(light.mean(axis=1).reshape(len(part), rays))
+        rays = single(np.concatenate([turned(directions, theta) for theta in part[:, 2]]))
+        eyes = np.column_stack([part[:, :2], np.full(len(part), HEIGHT)])
+        spread = np.full(len(rays), 2 * np.pi / _PROBE.width, dtype=np.float32)
+        light, _, _ = scene.trace(single(np.repeat(eyes, len(directions), axis=0)), rays, spread)
+        brightness.append(light.mean(axis=1).reshape(len(part), -1))
         total += np.minimum(light, 3.0).sum(axis=0)
     rng = seeded(scene.building.seed, scene.building.name, "exposure", scene.run.lighting, scene.run.number)
     mean, spread_stops = _COMPENSATION[scene.run.lighting]
@@ -88,7 +87,8 @@ def frames(scene: Scene, track: Track, camera: Camera, exposure: Exposure, rows:
         yield develop(image, float(exposure.gain[row]), exposure.balance, camera.wraps, rng, quiet)
 
 
-def _turned(directions: Array, theta: float) -> Array:
+def turned(directions: Array, theta: float) -> Array:
+    """Rotate directions (..., 3) from the frame of a robot with heading `theta` to the building's."""
     cosine, sine = np.cos(theta), np.sin(theta)
     return directions @ np.array([[cosine, sine, 0], [-sine, cosine, 0], [0, 0, 1]], dtype=directions.dtype)
 
@@ -97,11 +97,11 @@ def _look(scene: Scene, camera: Camera, x: float, y: float, theta: float, time: 
     """Return the light (n, 3) and the distance (n,) of a camera's pixels, with smoothed edges."""
     pixels = camera.pixels()
     eye = np.array([x, y, HEIGHT], dtype=np.float32)
-    main = _turned(pixels.directions[0], theta)
+    main = turned(pixels.directions[0], theta)
     light, distance, quad = _cast(scene, eye, main, pixels.spread, time)
     edge = np.flatnonzero(_edges(camera, quad))
     if len(edge):
-        extra = [_turned(direction[edge], theta) for direction in pixels.directions[1:]]
+        extra = [turned(direction[edge], theta) for direction in pixels.directions[1:]]
         more, _, _ = _cast(scene, eye, np.concatenate(extra), np.tile(pixels.spread[edge], len(OFFSETS) - 1), time)
         # Clipping first keeps bright windows from swallowing the bars between their panes.
         total = np.minimum(light[edge], 12.0) + np.minimum(more.reshape(len(OFFSETS) - 1, -1, 3), 12.0).sum(axis=0)
@@ -125,53 +125,34 @@ def _edges(camera: Camera, quad: Array) -> Array:
 
 
 def _cast(scene: Scene, eye: Array, directions: Array, spread: Array, time: float) -> tuple[Array, Array, Array]:
-    """Trace rays from one point, including people who walk."""
+    """Trace rays from one point; return their light, lengths and what they hit, people who walk included."""
     light, distance, quad = scene.trace(np.broadcast_to(eye, directions.shape).copy(), directions, spread)
+    flat = np.hypot(directions[:, 0], directions[:, 1])
     for number, walker in enumerate(scene.state.walkers):
         place = walker.place(time)
-        if place is None or np.hypot(place[0] - eye[0], place[1] - eye[1]) > 12:
+        if place is None:
             continue
-        _add_person(scene, eye, directions, spread, place, walker.look % LOOKS, light, distance, quad, number)
+        x, y, degrees = place
+        offset = np.array([x - eye[0], y - eye[1]])
+        away = float(np.hypot(*offset))
+        if not 0.4 <= away <= 12:
+            continue
+        near = np.flatnonzero(directions[:, :2] @ single(offset / away) > flat * np.cos(np.arctan2(0.45, away)))
+        if not len(near):
+            continue
+        surfaces, caster = scene.people[walker.look % LOOKS]
+        angle = np.radians(degrees)
+        origin = single(turned(np.array([[-offset[0], -offset[1], eye[2]]]), -angle))
+        rays = single(turned(directions[near], -angle))
+        hit, s, t, reach = caster.first_hit(np.repeat(origin, len(near), axis=0), rays)
+        keep = (hit >= 0) & (reach < distance[near])
+        rows, hit, s, t, reach = near[keep], hit[keep], s[keep], t[keep], reach[keep]
+        colour = surfaces.colour(scene.atlas, hit, s, t, reach * spread[rows], smooth=True) * surfaces.mesh.tint[hit]
+        shade = (0.75 + 0.25 * surfaces.normals[hit, 2] + 0.12 * surfaces.normals[hit, 0])[:, None]
+        light[rows] = colour * shade * scene.light_at(x, y)
+        distance[rows] = reach
+        quad[rows] = 10**7 + 10**5 * number + hit
     return light, distance, quad
-
-
-def _add_person(
-    scene: Scene,
-    eye: Array,
-    directions: Array,
-    spread: Array,
-    place: tuple[float, float, float],
-    look: int,
-    light: Array,
-    distance: Array,
-    quad: Array,
-    number: int,
-) -> None:
-    """Draw a walking person over what the rays hit, in place."""
-    x, y, degrees = place
-    offset = np.array([x - eye[0], y - eye[1]])
-    away = float(np.hypot(*offset))
-    if away < 0.4:
-        return
-    towards = offset / away
-    flat = np.hypot(directions[:, 0], directions[:, 1])
-    near = np.flatnonzero(directions[:, :2] @ towards.astype(np.float32) > flat * np.cos(np.arctan2(0.45, away)))
-    if not len(near):
-        return
-    surfaces, caster = scene.people[look]
-    angle = np.radians(degrees)
-    origin = _turned(np.array([[-offset[0], -offset[1], eye[2]]]), -angle).astype(np.float32)
-    rays = _turned(directions[near], -angle).astype(np.float32)
-    hit, s, t, reach = caster.first_hit(np.repeat(origin, len(near), axis=0), rays)
-    keep = (hit >= 0) & (reach < distance[near])
-    if not keep.any():
-        return
-    rows, hit, s, t, reach = near[keep], hit[keep], s[keep], t[keep], reach[keep]
-    colour = surfaces.colour(scene.atlas, hit, s, t, reach * spread[rows]) * surfaces.tint[hit]
-    shade = (0.75 + 0.25 * surfaces.normals[hit, 2] + 0.12 * surfaces.normals[hit, 0])[:, None]
-    light[rows] = colour * shade * scene.light_at(x, y)
-    distance[rows] = reach
-    quad[rows] = 10**7 + 10**5 * number + hit
 
 
 def _motion(image: Array, camera: Camera, distance: Array, speed: float, turn_rate: float, seconds: float) -> Array:

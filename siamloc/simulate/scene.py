@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property, lru_cache
 from typing import Any
 
@@ -11,7 +10,7 @@ import numpy as np
 
 from foundation.calls import typed
 from siamloc.simulate.items import add_items
-from siamloc.simulate.layout import Array, Building, Item, seeded
+from siamloc.simulate.layout import Array, Building, Item, seeded, single
 from siamloc.simulate.light import FULL, BakedLight, Detail, LightTransport
 from siamloc.simulate.mesh import Caster, MeshBuilder, QuadMesh
 from siamloc.simulate.prints import print_textures
@@ -28,14 +27,12 @@ class Surfaces:
     """A quad mesh with everything needed to shade a hit, in single precision."""
 
     mesh: QuadMesh
-    texture: Array
     repeat: Array
     phase: Array
-    tint: Array
-    emission: Array
     normals: Array
-    glows: Array
     texels: Array
+    emission: Array
+    glows: Array
 
     @classmethod
     def of(cls, mesh: QuadMesh, atlas: TextureAtlas) -> Surfaces:
@@ -43,32 +40,21 @@ class Surfaces:
         stretched = 256 / np.sqrt(np.maximum(mesh.size[:, 0] * mesh.size[:, 1], 1e-8))
         texel = atlas.texel[mesh.texture]
         texels = np.where(np.isnan(texel), stretched, 1 / np.where(np.isnan(texel), 1, texel))
-        return cls(
-            mesh,
-            mesh.texture,
-            mesh.repeat.astype(np.float32),
-            mesh.phase.astype(np.float32),
-            mesh.tint.astype(np.float32),
-            mesh.emission.astype(np.float32),
-            mesh.normals.astype(np.float32),
-            mesh.emission.max(axis=1) > 0,
-            texels.astype(np.float32),
-        )
+        repeat, phase, normals, texels = map(single, (mesh.repeat, mesh.phase, mesh.normals, texels))
+        return cls(mesh, repeat, phase, normals, texels, mesh.emission, mesh.emission.max(axis=1) > 0)
 
     def lit(self, lamps: Array) -> Surfaces:
         """Return the same surfaces with the lamps of the R rooms lit at the given radiosities (R, 3)."""
         emission = self.mesh.emission + self.mesh.lamp[:, None] * lamps[self.mesh.room]
         return replace(self, emission=emission.astype(np.float32), glows=emission.max(axis=1) > 0)
 
-    def colour(
-        self, atlas: TextureAtlas, quad: Array, s: Array, t: Array, footprint: Array, smooth: bool = True
-    ) -> Array:
+    def colour(self, atlas: TextureAtlas, quad: Array, s: Array, t: Array, footprint: Array, smooth: bool) -> Array:
         """Return the texture's linear colour (n, 3) without tint; `footprint` is the pixel's size in metres (n,)."""
         s, t = np.clip(s, 0, 0.99999), np.clip(t, 0, 0.99999)
         u = self.phase[quad, 0] + s * self.repeat[quad, 0]
         v = self.phase[quad, 1] + t * self.repeat[quad, 1]
         level = np.log2(np.maximum(footprint * self.texels[quad], 1.0))
-        return (atlas.lookup if smooth else atlas.nearest)(self.texture[quad], u, v, level)
+        return (atlas.lookup if smooth else atlas.nearest)(self.mesh.texture[quad], u, v, level)
 
 
 @dataclass(frozen=True)
@@ -123,13 +109,22 @@ class Scene:
     caster: Caster
     transport: LightTransport
     lamps: tuple[Lamp, ...]
-    light: BakedLight
-    sky: Sky
+    light: BakedLight = field(default=None)  # type: ignore[assignment]  # until `relit` bakes it
+    sky: Sky = field(default=None)  # type: ignore[assignment]
 
     @cached_property
     def people(self) -> tuple[tuple[Surfaces, Caster], ...]:
         """Surfaces of the walkers, each standing at the origin and facing +x."""
-        return _people(self.building, self.atlas)
+        building, people = self.building, []
+        index = _textures(building.name, building.seed, building.materials)[1]
+        for look in range(LOOKS):
+            builder = MeshBuilder(dict(index))
+            size = (0.5, 0.4, 1.62 + 0.05 * look)
+            standing = Item("person", 0.0, 0.0, 0.0, size, 0.0, next(iter(building.rooms)))
+            add_items(builder, replace(building, name=f"{building.name} walker {look}"), [standing])
+            mesh = builder.build()
+            people.append((Surfaces.of(mesh, self.atlas), Caster(mesh)))
+        return tuple(people)
 
     def __repr__(self) -> str:
         return f"Scene({self.building.name!r}, {self.run.name}: {len(self.state.track)} frames)"
@@ -161,35 +156,33 @@ class Scene:
         footprint = distance * spread / np.sqrt(np.maximum(facing, 0.05))
         colour = surfaces.colour(self.atlas, quad, s, t, footprint, smooth)
         x, y = self.light.grid.position(quad, s, t)
-        return Hits(origins, directions, quad, distance, missed, colour, colour * surfaces.tint[quad], x, y)
+        return Hits(origins, directions, quad, distance, missed, colour, colour * surfaces.mesh.tint[quad], x, y)
 
     def shine(self, hits: Hits) -> tuple[Array, Array]:
         """Return the radiosity (n, 3) of the points that rays hit, and the rays whose points are sunlit."""
         arriving = sample(self.light.light, hits.x, hits.y)
         lit = hits.missed[:0]
         if self.light.sunny is not None:
-            lit = self._add_sun(arriving, hits.origins, hits.directions, hits.quad, hits.distance, hits.x, hits.y)
+            lit = self._add_sun(arriving, hits)
         radiosity = hits.albedo * arriving
         glowing = np.flatnonzero(self.surfaces.glows[hits.quad])
         radiosity[glowing] += hits.colour[glowing] * self.surfaces.emission[hits.quad[glowing]]
         radiosity[hits.missed] = self.sky.look(hits.directions[hits.missed])
         return radiosity, lit
 
-    def _add_sun(
-        self, arriving: Array, origins: Array, directions: Array, quad: Array, distance: Array, x: Array, y: Array
-    ) -> Array:
+    def _add_sun(self, arriving: Array, hits: Hits) -> Array:
         """Add the sun where a shadow ray reaches it, only near spots that baking found sunny; return those rays."""
         assert self.sky.sun is not None
         assert self.light.sunny is not None
-        near = self.light.sunny[np.rint(y).astype(np.int64), np.rint(x).astype(np.int64)] > 0
-        rows = np.flatnonzero(near & (quad >= 0))
-        sun = self.sky.sun.astype(np.float32)
-        facing = self.surfaces.normals[quad[rows]] @ sun
+        near = self.light.sunny[np.rint(hits.y).astype(np.int64), np.rint(hits.x).astype(np.int64)] > 0
+        rows = np.flatnonzero(near & (hits.quad >= 0))
+        sun, normals = single(self.sky.sun), self.surfaces.normals
+        facing = normals[hits.quad[rows]] @ sun
         rows, facing = rows[facing > 0.01], facing[facing > 0.01]
         if not len(rows):
             return rows
-        points = origins[rows] + (distance[rows, None] - 0.003) * directions[rows]
-        points += 0.003 * self.surfaces.normals[quad[rows]]
+        points = hits.origins[rows] + (hits.distance[rows, None] - 0.003) * hits.directions[rows]
+        points += 0.003 * normals[hits.quad[rows]]
         seen = ~self.caster.blocked(points, np.tile(sun, (len(rows), 1)))
         arriving[rows[seen]] += facing[seen, None] * self.sky.sun_radiosity.astype(np.float32)
         return rows[seen]
@@ -215,7 +208,6 @@ def build_scene(building: Building, run: Run, detail: Detail = FULL, light: Ligh
         SiamlocError: embreex is not installed.
     """
     state = draw_run(building, run)
-    light = state.light if light is None else light
     atlas, index = _textures(building.name, building.seed, building.materials)
     builder = MeshBuilder(dict(index))
     style = draw_style(seeded(building.seed, building.name, "style"), building.materials)
@@ -224,58 +216,21 @@ def build_scene(building: Building, run: Run, detail: Detail = FULL, light: Ligh
     mesh = builder.build()
     caster = Caster(mesh)
     transport = LightTransport(building, mesh, caster, detail)
-    rng = seeded(building.seed, building.name, "light", light.lighting, light.number)
-    surfaces, baked, sky = _lit(building, Surfaces.of(mesh, atlas), atlas, transport, lamps, light, rng)
-    return Scene(building, run, state, atlas, surfaces, caster, transport, tuple(lamps), baked, sky)
+    scene = Scene(building, run, state, atlas, Surfaces.of(mesh, atlas), caster, transport, tuple(lamps))
+    return relit(scene, state.light if light is None else light)
 
 
 @typed
 def relit(scene: Scene, light: Light) -> Scene:
     """Return a scene with everything in its place under another light; quick, since visibility is already known."""
-    building = scene.building
-    rng = seeded(building.seed, building.name, "light", light.lighting, light.number)
-    surfaces, baked, sky = _lit(building, scene.surfaces, scene.atlas, scene.transport, scene.lamps, light, rng)
-    return replace(scene, surfaces=surfaces, light=baked, sky=sky)
-
-
-def _lit(
-    building: Building,
-    surfaces: Surfaces,
-    atlas: TextureAtlas,
-    transport: LightTransport,
-    lamps: Iterable[Lamp],
-    light: Light,
-    rng: np.random.Generator,
-) -> tuple[Surfaces, BakedLight, Sky]:
-    """Switch on the light sources and bake their light."""
-    sky = make_sky(
-        light.lighting,
-        seeded(building.seed, building.name, "sky", light.lighting, light.number),
-        seeded(building.seed, building.name, "view"),
-        light.hour,
-        building.north,
-        light.declination,
-        transport.detail.sky,
-    )
-    on = [replace(lamp, radiosity=light.lamps_on[lamp.room]) for lamp in lamps if lamp.room in light.lamps_on]
-    mesh = surfaces.mesh
-    baked = transport.bake(atlas.mean[mesh.texture] * mesh.tint, on, sky, rng)
-    dark = (0.0, 0.0, 0.0)
-    return surfaces.lit(np.array([light.lamps_on.get(name, dark) for name in building.rooms])), baked, sky
-
-
-def _people(building: Building, atlas: TextureAtlas) -> tuple[tuple[Surfaces, Caster], ...]:
-    _, index = _textures(building.name, building.seed, building.materials)
-    people = []
-    for look in range(LOOKS):
-        builder = MeshBuilder(dict(index))
-        room = next(iter(building.rooms))
-        height = 1.62 + 0.05 * look
-        standing = Item("person", 0.0, 0.0, 0.0, (0.5, 0.4, height), 0.0, room)
-        add_items(builder, replace(building, name=f"{building.name} walker {look}"), [standing])
-        mesh = builder.build()
-        people.append((Surfaces.of(mesh, atlas), Caster(mesh)))
-    return tuple(people)
+    building, transport, mesh = scene.building, scene.transport, scene.surfaces.mesh
+    rng, clouds = (seeded(building.seed, building.name, key, light.lighting, light.number) for key in ("light", "sky"))
+    view = seeded(building.seed, building.name, "view")
+    sky = make_sky(light.lighting, clouds, view, light.hour, building.north, light.declination, transport.detail.sky)
+    on = [replace(lamp, radiosity=light.lamps_on[lamp.room]) for lamp in scene.lamps if lamp.room in light.lamps_on]
+    baked = transport.bake(scene.atlas.mean[mesh.texture] * mesh.tint, on, sky, rng)
+    lamps = np.array([light.lamps_on.get(name, (0.0, 0.0, 0.0)) for name in building.rooms])
+    return replace(scene, surfaces=scene.surfaces.lit(lamps), light=baked, sky=sky)
 
 
 @lru_cache(maxsize=2)

@@ -9,6 +9,7 @@ import numpy as np
 from siamloc.simulate.layout import HALF_WALL, OUTER_WALL, SIDES, Array, Building, Opening, Room, side_at
 from siamloc.simulate.mesh import WHITE, MeshBuilder, Point
 
+Colour = tuple[float, float, float]
 SKIRTING = 0.09
 _CASING = 0.07
 _GAP = 0.005
@@ -31,9 +32,9 @@ class Fixtures:
 class Style:
     """Linear colours of a building's woodwork; the doors take the leaves in turn."""
 
-    frame: tuple[float, float, float]
-    leaves: tuple[tuple[str, tuple[float, float, float]], ...]
-    skirting: tuple[float, float, float]
+    frame: Colour
+    leaves: tuple[tuple[str, Colour], ...]
+    skirting: Colour
 
 
 @dataclass(frozen=True)
@@ -44,7 +45,7 @@ class Lamp:
     y: float
     z: float
     area: float
-    radiosity: tuple[float, float, float]
+    radiosity: Colour
     room: str
 
 
@@ -105,8 +106,7 @@ def leaf_segment(building: Building, opening: Opening, angle: float) -> Array:
 def _slabs(b: MeshBuilder, room: Room) -> None:
     (x0, x1), (y0, y1) = room.inner()
     b.slab((x0, x1), (y0, y1), 0, room.floor)
-    h = room.height
-    b.quad((x0, y1, h), (x1, y1, h), (x1, y0, h), (x0, y0, h), room.ceiling)
+    b.slab((x0, x1), (y1, y0), room.height, room.ceiling)
 
 
 def _panel(b: MeshBuilder, x: Point, z: Point, y: float, texture: str, tint: Point) -> None:
@@ -156,21 +156,13 @@ def _piece(b: MeshBuilder, room: Room, x: tuple[float, float], z: tuple[float, f
     _panel(b, x, (low, z[1]), 0, room.walls, room.paint)
 
 
-def _reveal(
-    b: MeshBuilder,
-    x: tuple[float, float],
-    z: tuple[float, float],
-    depth: float,
-    texture: str,
-    tint: Point,
-    floor: str | None = None,
-) -> None:
+def _reveal(b: MeshBuilder, x: Point, z: Point, depth: float, texture: str, tint: Point, floor: str = "") -> None:
     """Line the sides of a hole that goes `depth` into the wall; its lower side with `floor` if it is at floor level."""
     (x0, x1), (z0, z1), y = x, z, -depth
     b.quad((x0, y, z0), (x0, 0, z0), (x0, 0, z1), (x0, y, z1), texture, tint)
     b.quad((x1, 0, z0), (x1, y, z0), (x1, y, z1), (x1, 0, z1), texture, tint)
     b.quad((x0, 0, z1), (x1, 0, z1), (x1, y, z1), (x0, y, z1), texture, tint)
-    sill = (texture, tint) if z0 > 0 or floor is None else (floor, WHITE)
+    sill = (floor, WHITE) if floor and z0 <= 0 else (texture, tint)
     b.quad((x0, y, z0), (x1, y, z0), (x1, 0, z0), (x0, 0, z0), *sill)
 
 
@@ -185,8 +177,9 @@ def _window(b: MeshBuilder, room: Room, left: float, right: float, opening: Open
     b.box((right - bar, y0, z0), (right, y1, z1), "plastic", white)
     b.box((left, y0, z0), (right, y1, z0 + bar), "plastic", white)
     b.box((left, y0, z1 - bar), (right, y1, z1), "plastic", white)
-    for i in range(1, max(1, round(width / 0.85))):
-        middle = left + width * i / max(1, round(width / 0.85))
+    panes = max(1, round(width / 0.85))
+    for i in range(1, panes):
+        middle = left + width * i / panes
         b.box((middle - bar * 0.7, y0, z0), (middle + bar * 0.7, y1, z1), "plastic", white)
     if height > 1.7:
         b.box((left, y0, z0 + 0.55), (right, y1, z0 + 0.55 + bar), "plastic", white)
@@ -224,7 +217,7 @@ def _leaf(
     opening: Opening,
     hinge_left: bool,
     angle: float,
-    leaf: tuple[str, tuple[float, float, float]],
+    leaf: tuple[str, Colour],
     style: Style,
 ) -> None:
     left, right = ends
@@ -261,20 +254,14 @@ def _lamps(b: MeshBuilder, room: Room) -> list[Lamp]:
                     b.quad(edge[0], edge[k], edge[k + 1], edge[min(k + 2, 10)], "plain", lamp=1.0)
                 area = 0.125
             else:
-                across = (y1 - y0) > (x1 - x0) if kind == "tube" else False
                 w, d = {"panel": (0.58, 0.58), "tube": (1.25, 0.16)}[kind]
-                w, d = (d, w) if across else (w, d)
+                w, d = (d, w) if y1 - y0 > x1 - x0 else (w, d)
                 z = room.height - (0.04 if kind == "panel" else 0.16)
                 rim = 0.025
                 low, high = (x - w / 2 - rim, y - d / 2 - rim), (x + w / 2 + rim, y + d / 2 + rim)
                 b.box((*low, z), (*high, z + 0.05), "metal", (0.7, 0.7, 0.7), skip="bottom")
-                b.quad((low[0], high[1], z), (high[0], high[1], z), (*high[:1], low[1], z), (*low, z), "plain")
-                under = z - 0.004
-                b.quad(
-                    (x - w / 2, y + d / 2, under), (x + w / 2, y + d / 2, under),
-                    (x + w / 2, y - d / 2, under), (x - w / 2, y - d / 2, under),
-                    "plain", lamp=1.0,
-                )  # fmt: skip
+                b.slab((low[0], high[0]), (high[1], low[1]), z, "plain")
+                b.slab((x - w / 2, x + w / 2), (y + d / 2, y - d / 2), z - 0.004, "plain", lamp=1.0)
                 if kind == "tube":
                     b.box((x - 0.01, y - 0.01, z + 0.05), (x + 0.01, y + 0.01, room.height), "metal", skip="top")
                 area = w * d

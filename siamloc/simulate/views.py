@@ -15,14 +15,14 @@ import numpy as np
 
 from foundation.calls import typed
 from siamloc.data.frames import FrameTable
-from siamloc.simulate.camera import develop, metered
-from siamloc.simulate.layout import Array, Building, seeded
+from siamloc.simulate.camera import Cameras, ViewCamera, develop, draw_camera, metered
+from siamloc.simulate.layout import Array, Building, seeded, single
 from siamloc.simulate.light import ROUGH
 from siamloc.simulate.load import load_building
 from siamloc.simulate.plan import room_at
+from siamloc.simulate.render import turned
 from siamloc.simulate.run import LIGHTINGS, Light, Run, draw_light
 from siamloc.simulate.scene import Scene, build_scene, relit
-from siamloc.simulate.view_cameras import Cameras, ViewCamera, draw_camera
 
 Exposures = Literal["drawn", "metered"]
 """Whether exposure and white balance of the images vary and noise is added, or exposure and balance are optimal."""
@@ -99,7 +99,8 @@ def draw_views(
     building = load_building("random", FIRST_SEED + seed)
     camera, height = draw_camera(rng, image_size, cameras)
     start, first = float(rng.random()), int(rng.integers(1, 1000))
-    found, places, headings, light, lightings = [], [], [], [], []
+    parts: list[tuple[Array, ...]] = []
+    lightings: list[str] = []
     ahead = None
     for drive in range(drives):
         shining = _draw_lights(building, lights, rng)
@@ -116,22 +117,13 @@ def draw_views(
             ahead = float(chosen[rng.integers(len(chosen)), 2]) if ahead is None else ahead
             chosen[:, 2] = ahead + rng.normal(0, _YAW, len(chosen))
         images = look_around(scenes, np.column_stack([chosen[:, :2], heights, chosen[:, 2]]), camera, rng, exposure)
-        found.append(images.reshape(-1, *images.shape[2:]))
-        places.append(np.repeat(chosen[:, :2], lights, axis=0))
-        headings.append(np.repeat(chosen[:, 2], lights))
-        light.append(np.tile(np.arange(lights) + drive * lights, len(chosen)))
+        images = images.reshape(-1, *images.shape[2:]).transpose(0, 3, 1, 2)
+        xy, heading = (np.repeat(values, lights, axis=0) for values in (chosen[:, :2], chosen[:, 2]))
+        parts.append((images, xy, heading, np.tile(np.arange(lights) + drive * lights, len(chosen))))
         lightings += [one.lighting for one in shining]
-    xy = np.concatenate(places)
-    pictures = np.ascontiguousarray(np.concatenate(found).transpose(0, 3, 1, 2))
-    return Views(
-        pictures,
-        xy,
-        np.concatenate(headings),
-        room_at(building, xy),
-        np.concatenate(light),
-        tuple(lightings),
-        camera.wraps,
-    )
+    images, xy, heading, light = (np.concatenate(part) for part in zip(*parts, strict=True))
+    images = np.ascontiguousarray(images)
+    return Views(images, xy, heading, room_at(building, xy), light, tuple(lightings), camera.wraps)
 
 
 def camera_of(seed: int, image_size: Sequence[int]) -> ViewCamera:
@@ -168,7 +160,7 @@ def look_around(
     rim = rng.integers(0, 12, (rows, columns, 1), dtype=np.uint8)
     for row, (x, y, z, heading) in enumerate(poses):
         across, down = rng.uniform(-0.3, 0.3, 2)
-        directions = _turned(camera.directions(across, down), heading).reshape(-1, 3)
+        directions = single(turned(camera.directions(across, down), heading)).reshape(-1, 3)
         eyes = np.empty_like(directions)
         eyes[:] = (x, y, z)
         hits = scenes[0].hits(eyes, directions, camera.spread, smooth=False)
@@ -185,13 +177,6 @@ def look_around(
     if camera.shown is not None:
         found[:, :, ~camera.shown] = rim[~camera.shown]
     return found
-
-
-def _turned(directions: Array, heading: float) -> Array:
-    """Rotate directions from the robot's frame (..., 3) to the building's, float32."""
-    cosine, sine = np.cos(heading), np.sin(heading)
-    turn = np.array([[cosine, sine, 0], [-sine, cosine, 0], [0, 0, 1]])
-    return np.ascontiguousarray((directions @ turn).astype(np.float32))
 
 
 def _draw_lights(building: Building, count: int, rng: np.random.Generator) -> list[Light]:

@@ -19,8 +19,8 @@ from siamloc.errors import ConfigError, DataError
 from siamloc.pretraining import RECIPE, ViewSettings, pretrain, rendering, view_batches
 from siamloc.pretraining.rendering import Renderer
 from siamloc.pretraining.view_batches import BuildingStream, ViewBatches, building_seed
+from siamloc.simulate.camera import Cameras
 from siamloc.simulate.processes import rendering_processes
-from siamloc.simulate.view_cameras import Cameras
 from siamloc.simulate.views import Exposures, Views, camera_of
 
 SIZE = (16, 64)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from siamloc.data.panorama import PanoramaView
-from siamloc.simulate.view_cameras import draw_camera, fisheye, panorama, photograph
+from siamloc.simulate.camera import draw_camera, fisheye, panorama, photograph
 
 SIZE = (6, 10)
 

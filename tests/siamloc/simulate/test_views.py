@@ -8,12 +8,11 @@ import pytest
 
 from siamloc.data.panorama import PanoramaView
 from siamloc.simulate import Run, build_scene, load_building, render
-from siamloc.simulate.camera import HEIGHT, PanoramaCamera
+from siamloc.simulate.camera import HEIGHT, PanoramaCamera, draw_camera, fisheye, panorama
 from siamloc.simulate.layout import seeded
 from siamloc.simulate.light import ROUGH
 from siamloc.simulate.run import LIGHTINGS, draw_light, draw_run
 from siamloc.simulate.scene import Scene, relit
-from siamloc.simulate.view_cameras import draw_camera, fisheye, panorama
 from siamloc.simulate.views import camera_of, draw_views, look_around
 
 
