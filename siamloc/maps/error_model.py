@@ -172,7 +172,7 @@ class ErrorModel(Learned):
     def scores(self, found: Retrieval, map_xy: ArrayLike) -> NDArray[np.float64]:
         """Return the score of each query (n,). Arguments and errors as for `judged`."""
         if self.of_poses:
-            raise ConfigError("the error model was learned from refined poses: give it those, by predict_poses")
+            raise ConfigError("the error model was learned from refined poses: give it those")
         xy = np.asarray(map_xy, dtype=np.float64)
         if xy.ndim != 2 or xy.shape[1] != 2 or not np.isfinite(xy).all():
             raise DataError(f"the error of an estimate needs map positions (m, 2), all known, got shape {xy.shape}")

@@ -39,7 +39,7 @@ def test_nodes_are_ranked_by_their_probabilities():
     found = search.search(asked, search.rank(asked))
     assert found.tried.tolist() == [[row[0]] for row in expected]
     assert found.node.tolist() == [row[0] for row in expected]
-    everywhere = LayerSearch(by="classifier", candidates=2).of_map(seen(), layer)
+    everywhere = HierarchicalSearch(seen(), layer, settings=LayerSearch(by="classifier", candidates=2))
     whole = everywhere.search(asked, everywhere.rank(asked)).found.indices
     np.testing.assert_array_equal(whole, seen().search(QUERIES).indices)
     with pytest.raises(DataError, match="descriptors of 4 numbers"):

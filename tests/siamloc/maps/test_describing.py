@@ -119,7 +119,7 @@ def test_ranking_settings_that_make_no_sense(images):
         HierarchicalSearch(known, layer)
     with pytest.raises(ConfigError, match="by must be representatives or vote or classifier, got 'votes'"):
         HierarchicalSearch(known, layer, by="votes")
-    with pytest.raises(ConfigError, match="candidate nodes >= 1, got 0"):
+    with pytest.raises(ConfigError, match=r"search\.candidates must be a whole number from 1"):
         HierarchicalSearch(known, layer, by="vote", candidates=0)
     with pytest.raises(DataError, match="frames in the same order"):
         HierarchicalSearch(known, layer, coarse=known.take([1, 0, 2, 3, 4, 5]), by="vote")

@@ -100,7 +100,7 @@ def test_a_query_at_the_border_of_a_node_finds_its_frame_along_the_drive() -> No
     assert HierarchicalSearch(known, layer).search(queries, wrong).found.indices.tolist() == [[1]]
     found = HierarchicalSearch(known, layer, along=1).search(queries, wrong)
     assert (found.found.indices.tolist(), found.node.tolist(), found.compared.tolist()) == ([[2]], [1], [5])
-    with pytest.raises(ConfigError, match="a whole number from 0, got along=-1"):
+    with pytest.raises(ConfigError, match=r"search\.along must be a whole number from 0"):
         HierarchicalSearch(known, layer, along=-1)
 
 

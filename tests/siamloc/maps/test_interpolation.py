@@ -105,9 +105,9 @@ def test_a_map_of_one_frame_and_no_queries() -> None:
 
 def test_errors() -> None:
     frames, found = path([[0, 0], [1, 0]]), retrieval(0, 2, 2, 2)
-    with pytest.raises(ConfigError, match="k >= 1, got 0"):
+    with pytest.raises(ConfigError, match="k must be a whole number from 1"):
         interpolate_poses(found, frames, 0)
-    with pytest.raises(ConfigError, match="radius >= 0 and epsilon > 0, got -1 and"):
+    with pytest.raises(ConfigError, match="radius must be a number from 0"):
         interpolate_poses(found, frames, 1, -1)
     with pytest.raises(DataError, match=r"needs 2 neighbours a query, rows 0 to 1 of the map, got shape \(2, 1\)"):
         interpolate_poses(Retrieval(found.indices[:, :1], found.distances[:, :1]), frames, 2)

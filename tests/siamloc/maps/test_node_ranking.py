@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from siamloc.errors import ConfigError, DataError
+from siamloc.errors import DataError
 from siamloc.maps import Retrieval, VectorIndex
 from siamloc.maps.ranking import NodeRanking, rank_by_position, rank_by_representatives, rank_by_vote
 from tests.oracles import hierarchy as oracle
@@ -77,22 +77,19 @@ def test_equal_x_and_different_y() -> None:
 
 
 @pytest.mark.parametrize(
-    ("call", "error", "message"),
+    ("call", "message"),
     [
-        (lambda: rank_by_representatives([[0.0]], [[0.0]], 0), ConfigError, "candidate nodes >= 1, got 0"),
-        (lambda: rank_by_representatives([[0.0]], [[0.0]], 1, ratio=0.9), ConfigError, "1 or more, got 0.9"),
-        (lambda: rank_by_representatives([[0.0, 1]], [[0.0]], 1), DataError, "2 values each"),
-        (lambda: rank_by_vote(ONE, [], 1), DataError, "labels must be whole numbers"),
-        (lambda: rank_by_vote(ONE, [0.0], 1), DataError, "labels must be whole numbers"),
-        (lambda: rank_by_vote(Retrieval(np.array([[3]]), np.zeros((1, 1))), [0, 0]), DataError, "rows 0 to 1"),
-        (lambda: rank_by_vote(ONE, [0], 1.5), ConfigError, "got 1.5"),
-        (lambda: rank_by_position([[0.0, 0]], [[0.0, 0]], [0, 1]), DataError, "1 map frames need as many labels"),
-        (lambda: rank_by_position([[0.0, np.nan]], [[0.0, 0]], [0]), DataError, "not finite"),
-        (lambda: NodeRanking(np.array([[1, 1]]), np.array([2])), DataError, "names a node twice"),
-        (lambda: NodeRanking(np.array([[1, 0]]), np.array([2, 2])), DataError, r"got int64 \(1, 2\) and int64 \(2,\)"),
-        (lambda: NodeRanking(np.array([[0.5]]), np.array([2])), DataError, "whole numbers"),
+        (lambda: rank_by_representatives([[0.0, 1]], [[0.0]], 1), "2 values each"),
+        (lambda: rank_by_vote(ONE, [], 1), "labels must be whole numbers"),
+        (lambda: rank_by_vote(ONE, [0.0], 1), "labels must be whole numbers"),
+        (lambda: rank_by_vote(Retrieval(np.array([[3]]), np.zeros((1, 1))), [0, 0]), "rows 0 to 1"),
+        (lambda: rank_by_position([[0.0, 0]], [[0.0, 0]], [0, 1]), "1 map frames need as many labels"),
+        (lambda: rank_by_position([[0.0, np.nan]], [[0.0, 0]], [0]), "not finite"),
+        (lambda: NodeRanking(np.array([[1, 1]]), np.array([2])), "names a node twice"),
+        (lambda: NodeRanking(np.array([[1, 0]]), np.array([2, 2])), r"got int64 \(1, 2\) and int64 \(2,\)"),
+        (lambda: NodeRanking(np.array([[0.5]]), np.array([2])), "whole numbers"),
     ],
 )
-def test_errors(call, error, message: str) -> None:
-    with pytest.raises(error, match=message):
+def test_errors(call, message: str) -> None:
+    with pytest.raises(DataError, match=message):
         call()

@@ -108,9 +108,9 @@ def test_the_axes_do_not_matter():
 
 def test_bad_input_is_refused():
     for step in (0, -1, float("nan"), float("inf")):
-        with pytest.raises(ConfigError, match=r"step (of a pose filter must be positive|must be a number)"):
+        with pytest.raises(ConfigError, match="step must be a number"):
             PoseFilter(step)
-    with pytest.raises(ConfigError, match="probability of kidnapping"):
+    with pytest.raises(ConfigError, match="kidnapping must be a number between 0 and 1"):
         PoseFilter(1.0, 0)
     with pytest.raises(DataError, match="pose of one query, got 2"):
         PoseFilter(1.0).step(told(drive(2)))

@@ -146,7 +146,7 @@ def test_what_cannot_be_refined_is_refused():
         refine(map_of(np.full(4, np.nan)), asked(), found(0), exact)
     with pytest.raises(DataError, match="no orientation parts"):
         refine(known, Description(np.zeros((1, 4))), found(0), exact)
-    with pytest.raises(ConfigError, match="whole number of map frames from 1"):
+    with pytest.raises(ConfigError, match="k must be a whole number from 1"):
         refine(known, asked(), found(0), exact, k=0)
     thumbnails = VisualMap(np.eye(4), known.frames, {"name": "hog"}, heading=known.heading)
     able = Compares()

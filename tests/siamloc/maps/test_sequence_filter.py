@@ -203,17 +203,17 @@ def test_distances_of_descriptors_that_are_compared_after_turning() -> None:
 def test_errors() -> None:
     known = corridor(4)
     motion = MotionModel.learn(known)
-    with pytest.raises(ConfigError, match="step of a motion model must be positive, got 0"):
+    with pytest.raises(ConfigError, match="step must be a number above 0, or null, got 0"):
         MotionModel.learn(known, step=0)
-    with pytest.raises(ConfigError, match="interval must be a number, or null, got nan"):
+    with pytest.raises(ConfigError, match=r"interval must be a number above 0.*, got nan"):
         MotionModel.learn(known, interval=math.nan)
     with pytest.raises(DataError, match="1 of 4 map frames have no position"):
         MotionModel.learn(known.with_columns(x=[0, 1, math.nan, 2]))
     with pytest.raises(DataError, match="0 of 0 map frames"):
         MotionModel.learn(known.take([]))
-    with pytest.raises(ConfigError, match="temperature of the sequence filter must be positive, got 0"):
+    with pytest.raises(ConfigError, match="temperature must be a number above 0, got 0"):
         SequenceFilter(motion, 0)
-    with pytest.raises(ConfigError, match=r"kidnapping lies in \(0, 1\), got 0"):
+    with pytest.raises(ConfigError, match="kidnapping must be a number between 0 and 1, got 0"):
         SequenceFilter(motion, 1, 0)
     with pytest.raises(DataError, match="4 map frames need as many labels"):
         SequenceFilter(motion, 1, labels=[0, 1])

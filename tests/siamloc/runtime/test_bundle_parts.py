@@ -15,7 +15,7 @@ from analytic.descriptors.thumbnail import Thumbnail
 from foundation.files import file_hash, read_json, write_json
 from siamloc import evaluation, maps, runtime
 from siamloc.errors import ConfigError, FormatError
-from siamloc.maps import LayerSearch, VisualMap
+from siamloc.maps import HierarchicalSearch, LayerSearch, VisualMap
 from siamloc.maps.packing import packed, unpacked
 from siamloc.models import as_descriptor, build
 from siamloc.runtime.precision import LOSS, Measured, smallest
@@ -113,7 +113,7 @@ def test_a_coarse_layer_is_searched_first_as_the_evaluation_does(world, network,
     bundle = runtime.export(network, known, tmp_path / "bundle", layer=layer, coarse_map=ranks, search=search)
     assert f"a coarse layer by {by}" in bundle.summary()
     localizer = runtime.Localizer(bundle.path, top=1)
-    found = search.of_map(known, layer.layer, ranks).find(images, tuesday)
+    found = HierarchicalSearch(known, layer.layer, coarse=ranks, settings=search).find(images, tuesday)
     located = [localizer.locate(path) for path in tuesday.path.tolist()]
     assert [one.candidates[0].row for one in located] == found.found.indices[:, 0].tolist()
     whole = runtime.Localizer(bundle.path, top=1, hierarchical=False)

@@ -204,15 +204,17 @@ def test_expected_errors_are_those_of_the_refined_poses(network, known, tmp_path
     nearest = replace(errors, score="ratio", refine="none")
     with pytest.raises(ConfigError, match="refine=none, but the robot makes them with refine=relative"):
         export(network, known, tmp_path / "bundle", errors=nearest, refinement=refinement(known, "relative"))
-    with pytest.raises(ConfigError, match="give it those, by predict_poses"):
+    with pytest.raises(ConfigError, match="give it those"):
         errors.predict(match(known, seen, 3), known.frames.xy)
     export(network, known, tmp_path / "bundle", errors=errors, refinement=refinement(known, "relative", widening=3.0))
     localizer = Localizer(tmp_path / "bundle")
     found = [localizer.locate(picture) for picture in pictures]
-    np.testing.assert_allclose([one.error_m for one in found], errors.predict_poses(poses), rtol=1e-2)
+    np.testing.assert_allclose(
+        [one.error_m for one in found], errors.predict(match(known, seen, 3), known.frames.xy, poses), rtol=1e-2
+    )
     assert [one.lost for one in found] == errors.lost([one.error_m for one in found]).tolist()
     untold = replace(poses, information=np.zeros_like(poses.information))
-    np.testing.assert_array_equal(errors.predict_poses(untold), errors.errors[-1])
+    np.testing.assert_array_equal(errors.predict(nearest, known.frames.xy, untold), errors.errors[-1])
 
 
 def test_what_does_not_fit_is_refused(network, known, bundle, tmp_path):
