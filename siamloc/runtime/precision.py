@@ -24,6 +24,7 @@ from siamloc.errors import ConfigError, DataError, FormatError
 from siamloc.maps.packing import Precision
 from siamloc.runtime.bundle import Bundle
 from siamloc.runtime.localizer import Localizer
+from siamloc.tables import Column, Table
 
 if TYPE_CHECKING:
     from siamloc.data.frames import FrameTable
@@ -35,7 +36,6 @@ LOSS = 0.02
 """Relative increase of the localization error that precision="auto" accepts."""
 
 _ASKED = 200  # number of images that a bundle is measured with
-_COLUMNS = ("precision", "MB", "ms", "change of descriptor", "error")
 
 
 @dataclass(frozen=True)
@@ -87,27 +87,30 @@ def precision_table(bundle: Bundle) -> str:
     Raises:
         FormatError: the bundle was altered.
     """
+    about = bundle.about
     try:
-        rows = [Measured(**row) for row in bundle.about.get("precisions") or []]
-        cells = [
-            (
-                f"{row.precision}{' *' if row.precision == bundle.about['precision'] else ''}",
-                f"{row.bytes / 1e6:.2f}",
-                f"{row.ms:.2f}",
-                f"{row.change:.2%}",
-                f"{row.error:.3f} {bundle.about['unit']}",
-            )
-            for row in rows
-        ]
+        rows = [Measured(**row) for row in about.get("precisions") or []]
+        columns = (
+            *(Column("precision"), Column("size", "MB", 2), Column("time", "ms", 2)),
+            *(Column("change of descriptor", form="percent"), Column("error", about["unit"], 3)),
+        )
+        table = Table(
+            "precisions",
+            columns,
+            tuple(
+                (
+                    f"{row.precision}{' *' * (row.precision == about['precision'])}",
+                    row.bytes / 1e6,
+                    row.ms,
+                    row.change,
+                    row.error,
+                )
+                for row in rows
+            ),
+        )
+        return table.text() if rows else ""
     except (TypeError, ValueError) as error:
         raise FormatError(f"{bundle.path} is altered in its precisions: export again") from error
-    if not rows:
-        return ""
-    widths = [max(map(len, column)) for column in zip(_COLUMNS, *cells, strict=True)]
-    return "\n".join(
-        "  ".join(cell.ljust(width) for cell, width in zip(line, widths, strict=True)).rstrip()
-        for line in [_COLUMNS, *cells]
-    )
 
 
 def measured(bundle: Path, original: Descriptor, panoramas: NDArray[np.uint8], xy: NDArray[np.float64]) -> Measured:

@@ -227,9 +227,9 @@ def test_auto_takes_the_smallest_that_loses_little(world, network, tmp_path):
     assert [row.precision for row in rows] == ["float32", "float16", "int8"]
     assert bundle.about["precision"] == smallest(rows).precision
     assert next(row.bytes for row in rows if row.precision == bundle.about["precision"]) <= bundle.bytes
-    table = runtime.precision_table(bundle).splitlines()
-    assert table[0].split()[:3] == ["precision", "MB", "ms"]
-    assert sum("*" in line for line in table) == 1
+    table = runtime.precision_table(bundle)
+    assert "[MB]" in table
+    assert table.count("*") == 1
     error = np.hypot(
         *(np.array([[one.x, one.y] for one in map(runtime.Localizer(bundle.path).locate, tuesday.path)]) - tuesday.xy).T
     )
