@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -73,8 +74,9 @@ def buildings(
         Session(candidates[building], images, wanted.take(wanted.building == building), protocol=protocol)
     _check_one_distance(candidates)
     chosen = {} if layers is None else _layers_of(candidates, layers)
-    vectors = [chosen[building].representatives if chosen else one.descriptors for building, one in candidates.items()]
-    names = [chosen[building].names if chosen else one.frames.path for building, one in candidates.items()]
+    several = chosen or candidates
+    vectors = [one.representatives if isinstance(one, CoarseLayer) else one.descriptors for one in several.values()]
+    names = [one.names if isinstance(one, CoarseLayer) else one.frames.path for one in several.values()]
     apart, rows, clock = [], [], Stopwatch()
     for part in session.parts_of(first, wanted, f"the queries, {session.name}", clock):
         with clock.of("search", len(part)):
@@ -82,16 +84,17 @@ def buildings(
         apart.append(np.stack([near for near, _ in found], axis=1))
         rows.append(np.stack([row for _, row in found], axis=1))
     result = evaluate_buildings(wanted, list(candidates), np.concatenate(apart), np.concatenate(rows), names)
-    held = {
-        building: {"frames": len(one), "representatives": len(own)}
-        for (building, one), own in zip(candidates.items(), vectors, strict=True)
+    result.parts["buildings"] |= {
+        "maps": {
+            building: {"frames": len(one), "representatives": len(own)}
+            for (building, one), own in zip(candidates.items(), vectors, strict=True)
+        },
+        "distance": first.distance,
+        "build": next(iter(chosen.values())).made.get("name", "layer") if chosen else "none",
     }
-    build = next(iter(chosen.values())).made.get("name", "layer") if chosen else "none"
-    measured = {**result.parts["buildings"], "maps": held, "distance": first.distance, "build": build}
-    return Result(
+    return replace(
+        result,
         name=session.name,
-        parts={"buildings": measured},
-        tables=result.tables,
         denominators={**result.denominators, "queries_of_the_role": len(session.queries)},
         skipped=session.skipped,
         cost={**cost(first, clock), "map_frames": sum(map(len, candidates.values()))},
@@ -142,12 +145,11 @@ def _check_one_distance(candidates: Mapping[str, VisualMap]) -> None:
 
 def _layers_of(candidates: Mapping[str, VisualMap], layers: Mapping[str, CoarseLayer]) -> dict[str, CoarseLayer]:
     """Return the layer of each building's map."""
-    missing = [building for building in candidates if building not in layers]
-    if missing:
-        raise ConfigError(
-            f"building {missing[0]!r} has no layer: give one for each of {', '.join(candidates)}, or none"
-        )
     for building, one in candidates.items():
+        if building not in layers:
+            raise ConfigError(
+                f"building {building!r} has no layer: give one for each of {', '.join(candidates)}, or none"
+            )
         if len(layers[building].labels) != len(one):
             raise DataError(
                 f"the layer of building {building!r} has labels for {len(layers[building].labels)} frames and its map "

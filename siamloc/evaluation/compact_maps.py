@@ -123,7 +123,7 @@ def compact(
         for label, rows in groups.items()
     }
     rows = [_flat(one) for of_map in zip(*curves.values(), strict=True) for one in of_map]
-    return Result(
+    result = Result(
         name=session.name,
         parts={
             "compact": {
@@ -141,11 +141,9 @@ def compact(
             "answers": {key: np.concatenate([answers[key] for answers, _ in made]) for key in made[0][0]},
         },
         denominators={"queries": len(scored), "map_frames": len(known), "maps": len(made)},
-        skipped=session.skipped,
         cost=cost(known, clock),
-        about={**session.about(), "clustered_descriptor": clusters.descriptor.identity},
-        settings=session.settings(settings),
     )
+    return session.finished(result, settings, clustered_descriptor=clusters.descriptor.identity)
 
 
 def _check(settings: Compact, known: VisualMap, clusters: VisualMap) -> None:
@@ -180,13 +178,7 @@ def _flat(row: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _located(
-    known: VisualMap,
-    clusters: VisualMap,
-    queries: FrameTable,
-    described: Description,
-    way: str,
-    nodes: int,
-    seed: int,
+    known: VisualMap, clusters: VisualMap, queries: FrameTable, described: Description, way: str, nodes: int, seed: int
 ) -> tuple[Columns, dict[str, Any]]:
     """Return the answers of the queries in one compact map, and the measures of that map."""
     clock = Stopwatch()

@@ -138,29 +138,19 @@ def robustness(
         tables.append(curves(parts[-1], settings.radius, len(own)))
     table = concatenated(tables)
     measured = measures(table, disturbances, "wrong rooms" if by_room else known.unit, settings.every)
-    return Result(
+    result = Result(
         name=session.name,
         parts={"robustness": measured},
         tables={"robustness": table, "answers": concatenated(parts)},
-        denominators={
-            "queries": len(rows),
-            "queries_of_the_role": len(scored),
-            "map_frames": measured["map_frames"],
-        },
-        skipped=session.skipped,
-        about=session.about(),
-        settings=session.settings(settings),
+        denominators={"queries": len(rows), "queries_of_the_role": len(scored), "map_frames": measured["map_frames"]},
         cost=costs.pop(session.name),
         baselines={label: Result(label, {}, {}, cost=taken) for label, taken in costs.items()},
     )
+    return session.finished(result, settings)
 
 
 def locate_disturbed(
-    locate: Locate,
-    images: Images,
-    rows: NDArray[np.int64],
-    disturbances: Sequence[Disturbance],
-    seed: int = 0,
+    locate: Locate, images: Images, rows: NDArray[np.int64], disturbances: Sequence[Disturbance], seed: int = 0
 ) -> dict[tuple[str, float], Answer]:
     """Return the answers for each query by disturbance and level.
 

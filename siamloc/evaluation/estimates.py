@@ -228,9 +228,7 @@ def with_estimates(
         judged = f"{ESTIMATES[model.refine]}_error" if model.refine in ESTIMATES else "error"
         calibrated = calibration_measures({**columns, "error": columns[judged]}, settings.lost_above)
         result = replace(
-            result,
-            parts={**result.parts, "calibration": calibrated},
-            tables={**result.tables, "queries": columns},
+            result, parts={**result.parts, "calibration": calibrated}, tables={**result.tables, "queries": columns}
         )
     about = {**result.about, "estimates": made} if made else result.about
     return replace(result, about=about, error_model=model, refinement=finer)
@@ -382,7 +380,5 @@ def _with_columns(result: Result, name: str, columns: Columns) -> Result:
     table, held = {**result.tables["queries"], **columns}, result.parts["absolute"]
     measures = estimate_measures(table, name, held["radii"], held["map_frames"], held["unit"])
     return replace(
-        result,
-        parts={**result.parts, f"absolute_{name}": measures},
-        tables={**result.tables, "queries": table},
+        result, parts={**result.parts, f"absolute_{name}": measures}, tables={**result.tables, "queries": table}
     )

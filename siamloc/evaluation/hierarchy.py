@@ -152,19 +152,10 @@ def hierarchical(
         located = located_columns(known, frames, own.both.found, turned)
         located |= {"node": own.both.node, "comparisons": own.both.compared}
         result = replace(result, tables={**result.tables, "located": located})
-    about = {
-        **session.about(),
-        "coarse_descriptor": search.coarse.descriptor.identity,
-        "layer": layer.made,
-    }
-    return replace(
-        result,
-        name=session.name,
-        about=about,
-        settings=session.settings(settings),
-        skipped=session.skipped,
-        cost={**cost(known, clock), "rank_ms": clock.ms("rank"), "whole_search_ms": clock.ms("whole")},
-    )
+    taken = {**cost(known, clock), "rank_ms": clock.ms("rank"), "whole_search_ms": clock.ms("whole")}
+    ranked_by = search.coarse.descriptor.identity
+    result = replace(result, cost=taken)
+    return session.finished(result, settings, coarse_descriptor=ranked_by, layer=layer.made)
 
 
 def evaluate_hierarchical(

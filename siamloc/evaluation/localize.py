@@ -133,14 +133,7 @@ def localization(
         (12, 0.0, ['thumbnail'])
     """
     session = Session(
-        known,
-        images,
-        queries,
-        validation=validation,
-        protocol=protocol,
-        baselines=baselines,
-        name=name,
-        seed=seed,
+        known, images, queries, validation=validation, protocol=protocol, baselines=baselines, name=name, seed=seed
     )
     result = _measured(session, settings, session.name, known)
     # If no query can be scored, there is nothing to compare a baseline with.
@@ -151,12 +144,7 @@ def localization(
             result = with_baseline(result, label, baseline)
         else:
             result = replace(result, baselines={**result.baselines, label: baseline})
-    return replace(
-        result,
-        about={**session.about(), **result.about},
-        settings=session.settings(settings),
-        skipped={**result.skipped, **session.skipped},
-    )
+    return session.finished(result, settings)
 
 
 @typed
@@ -249,7 +237,7 @@ def _measured(session: Session, settings: Localization, name: str, known: Visual
     if search := searches.get("located"):
         if learned is None:
             learned = learn(session, replace(settings, filter=False, filter_tune=False), search)
-            about = {"estimates": learned.about} if learned.about else {}
+            about = {**result.about, **({"estimates": learned.about} if learned.about else {})}
             result = replace(result, about=about, error_model=learned.errors, refinement=learned.refinement)
         poses = None if search.refinement is None else (ESTIMATES[search.refinement.method], search.refined)
         columns = located_columns(

@@ -125,10 +125,7 @@ def evaluate_pairs(
 
 
 def evaluate_rooms(
-    visual_map: VisualMap,
-    frames: FrameTable,
-    found: Retrieval,
-    excluded: NDArray[np.bool_] | None = None,
+    visual_map: VisualMap, frames: FrameTable, found: Retrieval, excluded: NDArray[np.bool_] | None = None
 ) -> Result:
     """Predict the room of each query as that of the nearest map frame.
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
@@ -13,11 +13,13 @@ from numpy.typing import NDArray
 from analytic import Description, Descriptor
 from foundation.calls import typed
 from foundation.columns import Rows
+from foundation.settings import Settings
 from siamloc import maps
 from siamloc.data.frames import FrameTable
 from siamloc.data.library import PanoramaLibrary
 from siamloc.data.protocol import Protocol
 from siamloc.errors import ConfigError, DataError
+from siamloc.evaluation.result import Result
 from siamloc.maps import RefinedPoses, Refinement, Retrieval, VisualMap, frame_distances, headings, match
 from siamloc.maps.describing import descriptor_from
 from siamloc.maps.packing import shares_values
@@ -266,15 +268,28 @@ class Session:
             **({} if self.known.heading is None else {"heading": self.known.heading.identity}),
         }
 
-    def settings(self, task: Any) -> dict[str, Any]:
-        """Return the settings of a task with those of the session, as plain values."""
-        return {
+    def finished(self, result: Result, task: Settings, **about: Any) -> Result:
+        """Return a result with the name, the settings and the remarks of the session.
+
+        Args:
+            result: the result of a task.
+            task: settings of the task.
+            **about: what else was evaluated, as plain values.
+        """
+        settings = {
             "task": task.plain(),
             "protocol": self.protocol.plain(),
             "data": {**self.queries.source, **self.images.settings()},
             "baselines": list(self.baselines),
             "seed": self.seed,
         }
+        return replace(
+            result,
+            name=self.name,
+            about={**self.about(), **result.about, **about},
+            settings=settings,
+            skipped={**result.skipped, **self.skipped},
+        )
 
     def _check_apart(self) -> None:
         """Refuse queries and validation frames from the map's own run, unless the protocol allows them."""

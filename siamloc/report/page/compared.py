@@ -68,11 +68,7 @@ def _localization(parts: list[Part]) -> Markup:
         for i, (unit, columns) in enumerate(by_unit.items())
     ]
     return section(
-        "Comparison",
-        grid(_compared(parts)),
-        *(tag("p.note", note) for note in notes),
-        *curves,
-        name="compared",
+        "Comparison", grid(_compared(parts)), *(tag("p.note", note) for note in notes), *curves, name="compared"
     )
 
 
