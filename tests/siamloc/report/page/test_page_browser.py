@@ -13,7 +13,7 @@ import pytest
 from siamloc.report.page.write import write_report
 from siamloc.results import read_rows
 from tests.siamloc.evaluation import scenes
-from tests.siamloc.report import pages
+from tests.siamloc.report import pages, rich
 from tests.siamloc.report.browser import CHROMIUM, DRIVER, Browser
 
 pytestmark = [
@@ -30,6 +30,28 @@ _COLOURS = """
     for (let i = 0; i < data.length; i += 4) if (data[i + 3] === 255) found.add(data.slice(i, i + 3).join());
     return [...found];
 """
+_LIGHT, _DARK = ({"name": "prefers-color-scheme", "value": value} for value in ("light", "dark"))
+# Ratio of the contrast of each visible text of the charts and tables with the page, by its colour.
+_CONTRASTS = """
+    const part = (value) => {
+        const v = value / 255;
+        return v <= 0.04045 ? v / 12.92 : ((v + 0.055) / 1.055) ** 2.4;
+    };
+    const light = (text) => {
+        const [r, g, b] = text.match(/[\\d.]+/g).map(Number);
+        return 0.2126 * part(r) + 0.7152 * part(g) + 0.0722 * part(b);
+    };
+    const paper = light(getComputedStyle(document.body).backgroundColor);
+    const found = {};
+    const words = ".picture text:not(.rooms text), .grid td, .grid th, .caption, .grid small";
+    document.querySelectorAll(words).forEach((element) => {
+        const style = getComputedStyle(element);
+        const ink = element.closest("svg") ? style.fill : style.color;
+        const [low, high] = [light(ink), paper].sort((a, b) => a - b);
+        found[ink] = (high + 0.05) / (low + 0.05);
+    });
+    return Object.values(found);
+"""
 _CALM = {"name": "prefers-reduced-motion", "value": "reduce"}
 RIGHT, UP, DOWN, ESCAPE = "\ue014", "\ue013", "\ue015", "\ue00c"
 
@@ -42,7 +64,7 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Browser]:
-    with Browser(tmp_path_factory.mktemp("profile")) as opened:
+    with Browser(tmp_path_factory.mktemp("profile"), 1200) as opened:
         yield opened
 
 
@@ -56,6 +78,24 @@ def page(run: Path, browser: Browser) -> Browser:
     browser.devtools("Emulation.setEmulatedMedia", media="", features=[_CALM])
     browser.open(path)
     browser.wait(f"{_READY} && {_SHOWN}")
+    return browser
+
+
+@pytest.fixture(scope="module")
+def full(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The page of a run with every kind of measurement."""
+    folder = tmp_path_factory.mktemp("full")
+    run = rich.write_run(folder / "vgg16", folder)
+    return write_report([run], run / "report.html")
+
+
+@pytest.fixture
+def parts(full: Path, browser: Browser) -> Browser:
+    """Return the browser with that page in light colours, and nothing in its logs."""
+    browser.complaints(), browser.requests()
+    browser.devtools("Emulation.setEmulatedMedia", media="", features=[_LIGHT])
+    browser.open(full)
+    browser.wait(_READY)
     return browser
 
 
@@ -191,10 +231,10 @@ def test_dark_and_light(page: Browser) -> None:
     def paper() -> str:
         return page.run("return getComputedStyle(document.body).backgroundColor")
 
-    page.devtools("Emulation.setEmulatedMedia", features=[{"name": "prefers-color-scheme", "value": "light"}])
+    page.devtools("Emulation.setEmulatedMedia", features=[_LIGHT])
     light, plan = paper(), set(page.run(_COLOURS))
     page.run("window.before = document.querySelector('.stage canvas').toDataURL()")
-    page.devtools("Emulation.setEmulatedMedia", features=[{"name": "prefers-color-scheme", "value": "dark"}])
+    page.devtools("Emulation.setEmulatedMedia", features=[_DARK])
     assert (light, paper()) == ("rgb(255, 255, 255)", "rgb(19, 23, 27)")
     page.wait("document.querySelector('.stage canvas').toDataURL() !== window.before")
     assert len(plan & set(page.run(_COLOURS))) < len(plan) / 2, "the plan is drawn again in other colours"
@@ -226,3 +266,69 @@ def test_several_runs_and_frames_on_a_line(run: Path, browser: Browser, tmp_path
     both = browser.run("return [...document.querySelectorAll('.stage canvas')].map((c) => c.dataset.lighting)")
     assert both == ["night", "all"], "each plan has its own switch"
     assert browser.complaints() == []
+
+
+def test_all_parts_are_there_and_nothing_complains_or_is_fetched(full: Path, parts: Browser) -> None:
+    for name in ("filtered", "interpolated", "expected", "pair-curves", "hierarchical", "robustness"):
+        box = parts.run("return document.querySelector(arguments[0]).getBoundingClientRect().toJSON()", f".{name}")
+        assert box["width"] > 800, name
+        assert box["height"] > 200, name
+    assert full.stat().st_size < 5_000_000
+    assert parts.complaints() == []
+    asked = {address for address in parts.requests() if not address.startswith(("data:", "chrome"))}
+    assert asked == {full.resolve().as_uri()}
+
+
+def test_figures_keep_their_text_inside_and_apart(parts: Browser) -> None:
+    """Words are laid out for matplotlib's font and shown in the browser's: they have to fit all the same."""
+    outside = parts.run("""
+        return [...document.querySelectorAll(".picture svg")].flatMap((svg) => {
+            const frame = svg.getBoundingClientRect();
+            return [...svg.querySelectorAll("text")].filter((element) => {
+                const box = element.getBoundingClientRect();
+                return box.left < frame.left - 2 || box.right > frame.right + 2
+                    || box.top < frame.top - 2 || box.bottom > frame.bottom + 2;
+            }).map((element) => `${svg.getAttribute("aria-label")}: ${element.textContent}`);
+        });
+    """)
+    assert outside == []
+    overlapping = parts.run("""
+        return [...document.querySelectorAll(".picture svg")].flatMap((svg) => {
+            const words = [...svg.querySelectorAll("text")].map((text) => [text, text.getBoundingClientRect()]);
+            return words.flatMap(([one, a], i) => words.slice(i + 1).filter(([other, b]) =>
+                !(one.getAttribute("transform") ?? "").includes("rotate(-45")
+                && a.left < b.right - 2 && b.left < a.right - 2 && a.top < b.bottom - 5 && b.top < a.bottom - 5
+            ).map(([other]) => `${svg.getAttribute("aria-label")}: ${one.textContent} / ${other.textContent}`));
+        });
+    """)
+    assert overlapping == []
+
+
+def test_figures_follow_the_colours_of_the_page(parts: Browser) -> None:
+    script = "return getComputedStyle(document.querySelector('.curves svg text')).fill"
+    light = parts.run(script)
+    parts.devtools("Emulation.setEmulatedMedia", features=[_DARK])
+    assert parts.run(script) != light
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_text_is_dark_enough_to_read(parts: Browser, scheme: str) -> None:
+    parts.devtools("Emulation.setEmulatedMedia", features=[{"name": "prefers-color-scheme", "value": scheme}])
+    contrasts = parts.run(_CONTRASTS)
+    assert len(contrasts) >= 3
+    assert min(contrasts) >= 4.5, "the ratio that the accessibility guidelines ask for"
+
+
+@pytest.mark.parametrize("width", [500, 1200])
+def test_nothing_is_wider_than_the_window(parts: Browser, width: int) -> None:
+    parts.devtools("Emulation.setDeviceMetricsOverride", width=width, height=1000, deviceScaleFactor=1, mobile=False)
+    try:
+        assert parts.run("return document.documentElement.scrollWidth - innerWidth") <= 0
+        cut = parts.run("""
+            return [...document.querySelectorAll("section table")].filter((table) =>
+                table.checkVisibility() && !table.closest(".scroll") && table.getBoundingClientRect().right > innerWidth
+            ).length;
+        """)
+        assert cut == 0
+    finally:
+        parts.devtools("Emulation.clearDeviceMetricsOverride")
