@@ -50,12 +50,12 @@ class Mahalanobis:
     bound: Array
 
     @staticmethod
-    def of(mean: Array, away: Array, scatter: Array | None, shrinkage: str | float) -> Mahalanobis:
+    def of(mean: Array, points: Array, scatter: Array | None, shrinkage: str | float) -> Mahalanobis:
         """Prepare the distances to n frames.
 
         Args:
             mean: (D,) mean of the frames.
-            away: Y (n, D), the frames about their mean.
+            points: (n, D) the frames.
             scatter: Y^T Y (D, D); None for few frames.
             shrinkage: "ledoit_wolf" or a fixed intensity.
 
@@ -63,10 +63,12 @@ class Mahalanobis:
             AnalyticError: the covariance has no inverse.
         """
         from scipy.linalg import lapack
+        from scipy.spatial.distance import cdist
 
-        count, size = away.shape
+        count, size = points.shape
+        away = points - mean if scatter is None else points[:0]
         product = away @ away.T if scatter is None else scatter
-        squares = np.einsum("nd,nd->n", away, away)
+        squares = cdist(points, mean[None], "sqeuclidean")[:, 0]
         intensity = ledoit_wolf(product, squares, size) if isinstance(shrinkage, str) else float(shrinkage)
         least = intensity * max(
             float(np.trace(product)) / (count * size), _LEAST_VARIANCE * float(np.mean(mean**2)), _NO_VARIANCE
@@ -281,7 +283,7 @@ class Mode:
     @cached_property
     def metric(self) -> Mahalanobis:
         """The distances of eq. 3."""
-        return Mahalanobis.of(self.mean, self.points[~self.held] - self.mean, self.scatter, self.rules.shrinkage)
+        return Mahalanobis.of(self.mean, self.points[~self.held], self.scatter, self.rules.shrinkage)
 
     @cached_property
     def usual(self) -> tuple[float, float]:
@@ -303,8 +305,9 @@ class Mode:
     @cached_property
     def reach(self) -> float:
         """The right side of eq. 9: how far the representative would move without its most distant frame."""
-        away = self.points - self.centre
-        return float(np.sqrt(np.einsum("nd,nd->n", away, away).max())) / max(len(self) - 1, 1)
+        from scipy.spatial.distance import cdist
+
+        return float(cdist(self.points, self.centre[None]).max()) / max(len(self) - 1, 1)
 
 
 def _split(rules: Parameters, count: int) -> NDArray[np.bool_]:

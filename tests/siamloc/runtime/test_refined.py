@@ -209,9 +209,9 @@ def test_expected_errors_are_those_of_the_refined_poses(network, known, tmp_path
     export(network, known, tmp_path / "bundle", errors=errors, refinement=refinement(known, "relative", widening=3.0))
     localizer = Localizer(tmp_path / "bundle")
     found = [localizer.locate(picture) for picture in pictures]
-    np.testing.assert_allclose(
-        [one.error_m for one in found], errors.predict(match(known, seen, 3), known.frames.xy, poses), rtol=1e-2
-    )
+    nearest = match(known, seen, 3)
+    expected = errors.predict(nearest, known.frames.xy, poses)
+    np.testing.assert_allclose([one.error_m for one in found], expected, rtol=1e-2)
     assert [one.lost for one in found] == errors.lost([one.error_m for one in found]).tolist()
     untold = replace(poses, information=np.zeros_like(poses.information))
     np.testing.assert_array_equal(errors.predict(nearest, known.frames.xy, untold), errors.errors[-1])
@@ -250,10 +250,10 @@ def test_how_poses_are_refined_is_saved(tmp_path):
         ({"format": "other"}, "is not a siamloc refinement of poses"),
         ({"version": 1}, "has format version 1"),
         ({"version": 3}, "has format version 3"),
-        ({"neighbours": 0}, "neighbours from 1, got 0"),
-        ({"neighbours": "3"}, "neighbours must be a whole number, got '3'"),
-        ({"method": "guess"}, "unknown way of refining 'guess'"),
-        ({"widening": -1}, "widening > 0"),
+        ({"neighbours": 0}, "neighbours must be a whole number from 1 to 10 million, got 0"),
+        ({"neighbours": "3"}, "neighbours must be a whole number from 1 to 10 million, got '3'"),
+        ({"method": "guess"}, "method must be interpolate or relative, got 'guess'"),
+        ({"widening": -1}, "widening must be a number above 0"),
         ({"more": 1}, "is not a whole refinement of poses"),
     ):
         write_json(path, {**json.loads(path.read_text()), **changed})
