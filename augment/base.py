@@ -28,7 +28,7 @@ Numbers = dict[str, NDArray[np.float64]]
 """Numbers by name, (B,) or (k, B): one for each of B frames, or k of them."""
 
 _FARTHEST = 1e7  # larger than any column, row or angle that makes sense
-_ROUNDING = 1e-5  # relative, of values that were drawn in float32 from the logarithm
+_ROUNDING = torch.tensor([-1e-5, 1e-5])  # relative, of values that were drawn in float32 from the logarithm
 
 
 @contextmanager
@@ -164,7 +164,7 @@ class Effect(ABC):
         checked(self.options["circular"], bool, f"circular of {self.name}", AugmentError)
         self.stages = [[0]]
         self._spans: dict[tuple[int, int], dict[str, Range]] = {}
-        self._limits: dict[tuple[int, int], tuple[dict[str, Range], Tensor, Tensor]] = {}
+        self._limits: dict[tuple[int, int], Any] = {}
 
     def __repr__(self) -> str:
         ranges = [f"{key}=({value.low:g}, {value.high:g})" for key, value in self.ranges.items()]
@@ -405,13 +405,12 @@ class Effect(ABC):
         return self.spans(height, width)
 
     def _bounds(self, height: int, width: int) -> tuple[dict[str, Range], Tensor, Tensor]:
-        size = (height, width)
-        if size not in self._limits:
+        """Return the parameters, and their smallest and largest values (P, 1) with what rounding may add."""
+        if (height, width) not in self._limits:
             valid = self.limits(height, width)
             ends = torch.tensor([_ends(span) for span in valid.values()]).view(-1, 2)
-            low, high = (ends + ends.abs() * torch.tensor([-_ROUNDING, _ROUNDING])).split(1, dim=1)
-            self._limits[size] = (valid, low, high)
-        return self._limits[size]
+            self._limits[height, width] = (valid, *(ends + ends.abs() * _ROUNDING).split(1, dim=1))
+        return self._limits[height, width]
 
     def _values(self, key: str, given: Any, span: Range, count: int) -> Tensor:
         """Return one parameter as a tensor (B,): int64 for whole numbers, else float32."""

@@ -10,11 +10,10 @@ from __future__ import annotations
 import csv
 import json
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
 from functools import partial
 from io import StringIO
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
@@ -39,21 +38,18 @@ Progress = Callable[[Iterable[Any], int, str], Iterable[Any]]
 Reader = Callable[[Path], NDArray[np.uint8]]
 
 
-@dataclass(frozen=True)
-class Expansion:
+class Expansion(NamedTuple):
     """The result of `expand`.
 
     Attributes:
-        table: the CSV with one row for every image.
         written: number of images made.
         kept: number of images that existed already.
         failed: sources that could not be used, each with the reason; none of their images were made.
     """
 
-    table: Path
     written: int
     kept: int
-    failed: tuple[tuple[Path, str], ...]
+    failed: list[tuple[Path, str]]
 
 
 def expand(
@@ -126,7 +122,7 @@ def expand(
             written += len(made)
     _write_table(folder / TABLE, sorted(rows.values(), key=lambda row: (int(row["frame"]), int(row["variant"]))))
     kept = len(sources) * depth - sum(len(missing) for *_, missing in work)
-    return Expansion(folder / TABLE, written, kept, tuple(failed))
+    return Expansion(written, kept, failed)
 
 
 def headings(

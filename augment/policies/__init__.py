@@ -124,8 +124,6 @@ def _resolved(step: Any) -> Any:
         name, rest = step["policy"], {key: value for key, value in step.items() if key != "policy"}
         if name not in POLICIES:
             raise AugmentError(f"unknown policy {name!r} in a step: {hint(name, POLICIES)}")
-        for key in set(rest) - {"probability", "weight"}:
-            raise AugmentError(f"policy {name} in a step has no key {key!r}: {hint(key, ('probability', 'weight'))}")
         return {"all_of": [_resolved(_read(_FOLDER / f"{name}.yaml"))], **rest}
     groups = {key: [_resolved(child) for child in step[key]] for key in ("all_of", "one_of") if _is_list(step.get(key))}
     return {**step, **groups}

@@ -175,9 +175,6 @@ def _missing(frames: FrameTable) -> Iterator[str]:
             f"{_count(without, total)} have no position: they can be located and, as map frames, recognized, but their "
             "errors cannot be measured. Rooms and mapping by appearance need no positions."
         )
-    headless = int(np.isnan(frames.theta[frames.has_position]).sum())
-    if 0 < headless < total:
-        yield f"{_count(headless, total)} have a position but no heading: heading errors are measured without them."
     roomless = int((frames.room == "").sum())
     if 0 < roomless < total:
         yield f"{_count(roomless, total)} have no room, while others do: they count as one room. Give their room."
@@ -209,10 +206,7 @@ def _drives(frames: FrameTable) -> Iterator[str]:
                 f"{drive} jumps by {steps.max():.3g} {frames.unit} at {known.path[at]}, where its usual step is "
                 f"{usual:.2g} {frames.unit}: if several drives share the name, give each its own."
             )
-        timed = int(np.isfinite(own.time).sum())
-        if 0 < timed < len(own):
-            yield f"{_count(len(own) - timed, len(own))} of {drive} have no time: the order is that of the table."
-        gaps = np.diff(own.time) if timed == len(own) else np.zeros(0)
+        gaps = np.diff(own.time) if np.isfinite(own.time).all() else np.zeros(0)
         if len(gaps) > 10 and gaps.max() > max(20 * np.median(gaps), 10.0):
             at = int(gaps.argmax()) + 1
             yield (

@@ -44,16 +44,7 @@ def example(frames: int = 12, image_size: tuple[int, int] = (16, 64), seed: int 
             picture = gain * paint[:, i * step : i * step + columns] + rng.normal(0, 4, (rows, columns, 3))
             path = folder / f"{sequence}-{i:03d}.png"
             cv2.imwrite(str(path), picture.clip(0, 255).astype(np.uint8))
-            table.append(
-                {
-                    "path": str(path),
-                    "x": 0.5 * i,
-                    "y": 0.0,
-                    "theta": 0.0,
-                    "room": ROOMS[len(ROOMS) * i // frames],
-                    "sequence": sequence,
-                    "lighting": lighting,
-                    "time": float(i),
-                }
-            )
+            pose = {"x": 0.5 * i, "y": 0.0, "theta": 0.0, "time": float(i)}
+            labels = {"room": ROOMS[len(ROOMS) * i // frames], "sequence": sequence, "lighting": lighting}
+            table.append({"path": str(path), **pose, **labels})
     return PanoramaLibrary(FrameTable.from_rows(table), folder / "panoramas", image_size=image_size)

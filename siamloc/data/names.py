@@ -46,13 +46,7 @@ def parse_name(name: str) -> NamedPose | None:
 
 
 def format_name(pose: NamedPose, suffix: str = ".jpeg") -> str:
-    """Return the COLD file name of a pose, with six decimals as the database writes them.
-
-    Raises:
-        ValueError: a number that is not finite.
-    """
-    if not all(math.isfinite(value) for value in pose):
-        raise ValueError(f"a file name carries finite numbers only, got {pose}")
+    """Return the COLD file name of a pose, with six decimals as the database writes them."""
     return f"t{pose.time:.6f}_x{pose.x:.6f}_y{pose.y:.6f}_a{pose.theta:.6f}{suffix}"
 
 

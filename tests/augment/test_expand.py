@@ -9,7 +9,7 @@ import pytest
 import torch
 
 import augment
-from augment.expand import COLUMNS, expand, headings, read_table, replay
+from augment.expand import COLUMNS, TABLE, expand, headings, read_table, replay
 from foundation.errors import FormatError
 from foundation.files import is_temporary
 from tests.augment.pictures import panoramas
@@ -47,8 +47,8 @@ def load(path):
 def test_writes_every_variant_and_a_table_that_repeats_it(images, tmp_path):
     out = tmp_path / "out"
     done = expand(images, outputs(out, 3, 16), out, read, seed=7)
-    assert (done.written, done.kept, done.failed) == (48, 0, ())
-    rows = read_table(done.table)
+    assert done == (48, 0, [])
+    rows = read_table(out / TABLE)
     assert [(int(row["frame"]), int(row["variant"])) for row in rows] == [(f, v) for f in range(3) for v in range(16)]
     labels = [variant.label for variant in augment.variants(16)]
     for row in rows:
@@ -71,10 +71,10 @@ def test_parameters_follow_from_seed_frame_and_variant_alone(images, tmp_path):
 
 def test_headings_are_known_before_any_picture_is_made(images, tmp_path):
     out = tmp_path / "out"
-    done = expand(images, outputs(out, 3, 20), out, read, seed=3)
+    expand(images, outputs(out, 3, 20), out, read, seed=3)
     known = headings(3, 20, 3, (16, 32))
     assert known.shape == (3, 20)
-    for row in read_table(done.table):
+    for row in read_table(out / TABLE):
         assert float(row["heading"]) == known[int(row["frame"]), int(row["variant"])]
         assert (float(row["heading"]) != 0) == ("rotate" in row["label"])
 
@@ -154,7 +154,7 @@ def test_a_stopped_expansion_keeps_what_it_made(images, tmp_path):
     done = expand(images, targets, out, read, resume=True)
     assert done.kept == 4
     assert done.written == 8
-    assert len(read_table(done.table)) == 12
+    assert len(read_table(out / TABLE)) == 12
     assert not list(out.rglob("*.tmp"))
 
 
@@ -213,7 +213,7 @@ def test_an_image_that_cannot_be_read_is_reported_and_left_out(images, tmp_path)
     out = tmp_path / "out"
     done = expand(images, outputs(out, 3, 4), out, read)
     assert done.written == 4
-    assert done.failed == tuple((path, f"{path} cannot be read") for path in images[1:])
+    assert done.failed == [(path, f"{path} cannot be read") for path in images[1:]]
     with pytest.raises(augment.AugmentError, match=r"1.png cannot be read"):
         expand(images, outputs(tmp_path / "strict", 3, 4), tmp_path / "strict", read, on_error="raise")
 
@@ -227,10 +227,10 @@ def test_jpeg_outputs_have_quality_95(images, tmp_path):
 
 def test_table_is_plain(images, tmp_path):
     out = tmp_path / "out"
-    done = expand(images, outputs(out, 3, 2), out, read)
-    text = done.table.read_text(encoding="utf-8")
+    expand(images, outputs(out, 3, 2), out, read)
+    text = (out / TABLE).read_text(encoding="utf-8")
     assert text.splitlines()[0] == ",".join(COLUMNS)
-    row = read_table(done.table)[1]
+    row = read_table(out / TABLE)[1]
     values = json.loads(row["parameters"])
     assert values["0.bulb.on"] is True
     assert row["image"] == "v001/0.png"

@@ -244,7 +244,7 @@ def test_a_policy_by_name_is_the_policy_from_its_configuration():
         ([1], "a policy is a mapping with a name"),
         ({"name": "mine", "all_of": [], "rotat": 1}, "all_of in policy mine has no key 'rotat'"),
         ({"all_of": [{"policy": "thesys"}]}, "unknown policy 'thesys' in a step: did you mean 'thesis'"),
-        ({"one_of": [{"policy": "thesis", "rotate": 1}]}, "policy thesis in a step has no key 'rotate'"),
+        ({"one_of": [{"policy": "thesis", "rotate": 1}]}, "all_of in policy own has no key 'rotate'"),
         ({"effect": "blur", 3: 4}, r"the parameters of blur in policy own must have names, got \[3\]"),
     ],
 )

@@ -67,25 +67,19 @@ def test_without_positions_degrees_show_by_their_range():
 @pytest.mark.parametrize(
     ("columns", "says"),
     [
-        ({"theta": np.r_[np.nan, drive().theta[1:]]}, "1 of 60 frames have a position but no heading"),
         ({"room": ["A"] * 59 + [""]}, "1 of 60 frames have no room, while others do"),
         ({"x": np.repeat(drive().x[::3], 3), "y": np.repeat(drive().y[::3], 3)}, "stands still in 40 of 60 frames"),
         ({"x": drive().x + 100 * (np.arange(60) > 30)}, "jumps by 99.7 m at 31.jpg.*several drives share the name"),
-        (
-            {"x": 1000 * drive().x, "y": 1000 * drive().y},
-            "the usual step of .* is [0-9]+ m.*millimetres, divide by 1000",
-        ),
+        ({"x": 1000 * drive().x, "y": 1000 * drive().y}, "the usual step of .* is [0-9]+ m.*millimetres, divide by"),
         ({"x": drive().x / 1000, "y": drive().y / 1000}, "kilometres, multiply by 1000, or name their unit"),
-        ({"time": np.r_[np.nan, np.arange(59)]}, "1 of 60 frames of sequence .* have no time"),
         ({"time": np.arange(60) + 300.0 * (np.arange(60) > 20)}, "pauses for 301 s before 21.jpg"),
         ({"time": np.arange(60) // 2}, "30 of 60 frames of .* have the time of the frame before"),
         ({"path": ["a.jpg"] + [f"{i}.jpg" for i in range(1, 59)] + ["a.jpg"]}, "1 of 60 frames show an image that"),
     ],
 )
 def test_each_surprise_is_one_sentence(columns, says):
-    findings = [finding for finding in check(drive().with_columns(**columns)) if re.search(says, finding)]
-    assert len(findings) == 1
-    assert findings[0].endswith(".")
+    (finding,) = [finding for finding in check(drive().with_columns(**columns)) if re.search(says, finding)]
+    assert finding.endswith(".")
 
 
 def test_copies_of_images_are_found(tmp_path):

@@ -206,10 +206,8 @@ def test_describe_names_what_there_is():
     assert table().describe() == (
         "6 frames; sequences: seq2_cloudy1 3, seq2_night1 3; rooms: a, b; lightings: none; positions: all, in m"
     )
-    assert (
-        FrameTable(path=["a"]).describe()
-        == "1 frames; sequences: (unnamed) 1; rooms: none; lightings: none; positions: none"
-    )
+    nothing = "1 frames; sequences: (unnamed) 1; rooms: none; lightings: none; positions: none"
+    assert FrameTable(path=["a"]).describe() == nothing
 
 
 def test_image_files_are_those_with_an_images_suffix(tmp_path: Path):

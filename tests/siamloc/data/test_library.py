@@ -147,9 +147,6 @@ def test_rows_outside_the_library(frames, tmp_path, rows, message):
 def test_impossible_options(frames, tmp_path, options, message):
     with pytest.raises(ConfigError, match=message):
         open_library(frames, tmp_path, **options)
-
-
-def test_no_frames_is_an_error(frames, tmp_path):
     with pytest.raises(DataError, match="the table is empty"):
         open_library(frames.take([]), tmp_path)
 

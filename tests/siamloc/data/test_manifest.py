@@ -61,7 +61,7 @@ def test_only_the_image_is_needed(folder):
 
 
 def test_spreadsheet_habits(folder):
-    """Byte-order mark, CRLF, quotes, blanks around names, other columns and their order, blank lines at the end."""
+    """Byte-order mark, CRLF, quotes, blanks, other columns, blank lines, absolute names, an image in two sequences."""
     table = read(
         folder,
         b'\xef\xbb\xbfnote, Room ,X,"image"\r\nhello,"office ""1""",1.5,"c, d.jpg"\r\n,,,a.jpg\r\n\r\n , ,,\r\n',
@@ -70,6 +70,8 @@ def test_spreadsheet_habits(folder):
     assert table.room.tolist() == ['office "1"', ""]
     assert table.x[0] == 1.5
     assert math.isnan(table.x[1])
+    table = read(folder, f"image,sequence\n{folder / 'a.jpg'},one\na.jpg,two\n")
+    assert table.path.tolist() == [str(folder / "a.jpg")] * 2
 
 
 def test_columns_that_are_not_used_are_reported(folder, caplog):
@@ -79,10 +81,6 @@ def test_columns_that_are_not_used_are_reported(folder, caplog):
     first, second = (record.getMessage() for record in caplog.records)
     assert first.endswith("frames.csv: column 'romm' is not used; did you mean 'room'?; column 'note' is not used")
     assert second.endswith("frames.csv: column 'rooms' is not used")
-
-
-def test_absolute_image_names(folder):
-    assert read(folder, f"image\n{folder / 'a.jpg'}\n").path.tolist() == [str(folder / "a.jpg")]
 
 
 @pytest.mark.parametrize(
@@ -117,11 +115,6 @@ def test_a_table_of_very_many_columns_is_refused_at_once(folder):
     header = ",".join(["image", *(f"c{number}" for number in range(100_000))])
     with pytest.raises(DataError, match="has 100,001 columns, more than 1,000"):
         read(folder, f"{header}\na.png\n")
-
-
-def test_an_image_may_stand_in_two_sequences(folder):
-    table = read(folder, "image,sequence\na.jpg,one\na.jpg,two\n")
-    assert table.sequence.tolist() == ["one", "two"]
 
 
 def test_missing_images_are_left_out_and_reported(folder, caplog):

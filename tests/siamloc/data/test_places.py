@@ -10,17 +10,10 @@ from siamloc.data.places import PlaceSampler, PlaceSettings
 from siamloc.errors import ConfigError, DataError
 
 
-def building(drives=("cloudy", "night", "sunny"), length=40, apart=0.5, **columns):
+def building(drives=("cloudy", "night", "sunny"), length=40, apart=0.5):
     """Drives along one corridor, a frame every half metre."""
     rows = [
-        {
-            "path": f"{drive}/{number}",
-            "x": apart * number,
-            "y": 0.1 * at,
-            "lighting": drive,
-            "sequence": drive,
-            **columns,
-        }
+        {"path": f"{drive}/{number}", "x": apart * number, "y": 0.1 * at, "lighting": drive, "sequence": drive}
         for at, drive in enumerate(drives)
         for number in range(length)
     ]
@@ -232,13 +225,8 @@ def test_images_of_a_place_come_from_different_positions_before_the_same_one_und
 
 def test_positions_that_are_left_come_before_those_that_are_taken():
     # The position at 0.1 is seen under two lights; whichever is taken, the one at 0.2 must come before the other one.
-    frames = FrameTable(
-        path=list("abcd"),
-        x=[0.0, 0.1, 0.1, 0.2],
-        y=[0.0] * 4,
-        lighting=["one", "one", "two", "one"],
-        sequence=["s"] * 4,
-    )
+    lighting = ["one", "one", "two", "one"]
+    frames = FrameTable(path=list("abcd"), x=[0.0, 0.1, 0.1, 0.2], y=[0.0] * 4, lighting=lighting, sequence=["s"] * 4)
     sampler = PlaceSampler(frames, PlaceSettings(places=2, images=3, radius=0.3), seed=1)
     for number in range(50):
         for rows in sampler.batch(0, number).reshape(2, 3):
