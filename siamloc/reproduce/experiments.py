@@ -119,8 +119,7 @@ def retrieval(job: Job, data: Data) -> Measured:
         with search.of("search", len(frames)):
             found = match(place, queries, min(20, len(own)))
         turned = headings(place, queries, found)[:, 0]
-        result = evaluate_absolute(place, frames, found, (0.5, 1.0), (1,), turned)
-        overall = result.measures
+        overall = evaluate_absolute(place, frames, found, (0.5, 1.0), (1,), turned).measures
         near, nearer = (rate["rate"] for rate in overall["hit_rate"][:2])
         yield from _records(settings, hit_rate=near, hit_rate_0_5_m=nearer)
         for lighting, group in {"overall": overall, **overall["lighting"]}.items():
@@ -207,42 +206,35 @@ def compact(job: Job, data: Data) -> Measured:
     frames, options = data.role(job.roles["query"]), job.options
     own = data.described(options["descriptor"], job.roles["map"])
     clusters = data.described(options["clusters"], job.roles["map"]) if "clusters" in options else None
-    asked: dict[str, Any] = {
-        "clusters": clusters,
-        "protocol": "same_run" if job.same_run else "cross_run",
-        "nodes": tuple(n for n in options["nodes"] if n <= len(own)),
-        "ways": tuple(options["ways"]),
-    }
+    nodes, protocol = tuple(n for n in options["nodes"] if n <= len(own)), "same_run" if job.same_run else "cross_run"
+    asked: dict[str, Any] = {"nodes": nodes, "protocol": protocol, "ways": tuple(options["ways"]), "clusters": clusters}
     for place, settings in _compared(own, job):
         result = evaluation.compact(place, data.images, frames, **asked)
         for one in result.measures["curves"]:
             plain = one["way"] == "sample"
             method = {"method": "sampling" if plain else one["way"], "clusters": one["nodes"]}
-            errors = {"error": one["error"]["mean"], "error_frames": one["error_frames"]["mean"], "floor": one["floor"]}
-            seconds = (result.cost["describe_ms"] + one["search_ms"]) / 1000
-            names = () if plain else ("silhouette", "descriptor_silhouette", "inertia")
-            built = {} if plain else {"clustering_seconds": one["build_seconds"]}
-            shape = {name: one[name] for name in names}
-            yield from _records({**settings, **method}, **errors, seconds=seconds, **shape, **built)
+            values = {"error": one["error"]["mean"], "error_frames": one["error_frames"]["mean"], "floor": one["floor"]}
+            values["seconds"] = (result.cost["describe_ms"] + one["search_ms"]) / 1000
+            if not plain:
+                values |= {name: one[name] for name in ("silhouette", "descriptor_silhouette", "inertia")}
+                values["clustering_seconds"] = one["build_seconds"]
+            yield from _records({**settings, **method}, **values)
 
 
 def buildings(job: Job, data: Data) -> Measured:
     """Choose between two buildings by the nearest node of their compact maps ([C] 5.3.3)."""
-    options, distance = job.options, job.options["distance"]
-    both = (data, data.other)
-    own, clusters = (
-        [one.described(options[name], job.roles["map"]) for one in both] for name in ("descriptor", "clusters")
-    )
-    own = [one.with_distance(distance) for one in own]
-    asked = [
-        Description.concatenate(list(maps.describe(own[0], one.images, one.role(job.roles["query"])))) for one in both
-    ]
-    for nodes in options["nodes"]:
-        if nodes > min(map(len, own)):
-            continue
-        labels = [maps.group(one, "spectral", nodes=nodes, progress=False).layer.labels for one in clusters]
-        layers = [CoarseLayer.of_labels(known, label) for known, label in zip(own, labels, strict=True)]
-        indices = [VectorIndex(layer.representatives, distance) for layer in layers]
+    options, distance, role = job.options, job.options["distance"], job.roles["map"]
+    own, clusters, asked = [], [], []
+    for one in (data, data.other):
+        own.append(one.described(options["descriptor"], role).with_distance(distance))
+        clusters.append(one.described(options["clusters"], role))
+        described = maps.describe(own[0], one.images, one.role(job.roles["query"]))
+        asked.append(Description.concatenate(list(described)))
+    for nodes in (n for n in options["nodes"] if n <= min(map(len, own))):
+        indices = []
+        for known, clustered in zip(own, clusters, strict=True):
+            labels = maps.group(clustered, "spectral", nodes=nodes, progress=False).layer.labels
+            indices.append(VectorIndex(CoarseLayer.of_labels(known, labels).representatives, distance))
         right = [
             np.argmin([index.search(queries.position, 1).distances[:, 0] for index in indices], axis=0) == place
             for place, queries in enumerate(asked)

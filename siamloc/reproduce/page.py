@@ -10,8 +10,7 @@ from pathlib import Path
 from foundation.calls import typed
 from foundation.files import write_text
 from siamloc.reproduce.recipe_book import data_named
-from siamloc.reproduce.reproduction import Reproduction, Verdict
-from siamloc.reproduce.running import machine
+from siamloc.reproduce.reproduction import Reproduction
 from siamloc.results import versions
 
 _ABOUT = """\
@@ -48,28 +47,27 @@ def write_report(results: Sequence[Reproduction], path: str | Path, missing: Map
 def report(results: Sequence[Reproduction], missing: Mapping[str, str] | None = None) -> str:
     """Return the page of several reproductions."""
     first = results[0]
-    counted = Counter(verdict.ours for verdict in _verdicts(results))
-    made = versions()
-    taken = {name: seconds for one in results for name, seconds in one.seconds.items()}
+    counted = Counter({verdict.claim.id: verdict.ours for one in results for verdict in one.verdicts}.values())
+    minutes = sum({name: seconds for one in results for name, seconds in one.seconds.items()}.values()) / 60
+    machines = " and ".join(dict.fromkeys(name for one in results for name in one.machines)) or "an unknown machine"
+    made = ", ".join(f"{name} {version}" for name, version in versions().items())
     lines = [
         f"# Reproduced: {len(results)} tables and figures on {data_named(first.data)['title']}",
         "",
         _ABOUT,
-        f"Scale `{first.scale}`; measured in {sum(taken.values()) / 60:.0f} minutes on "
-        f"{_machines(results)}; {', '.join(f'{name} {version}' for name, version in made.items())}; "
+        f"Scale `{first.scale}`; measured in {minutes:.0f} minutes on {machines}; {made}; "
         f"{datetime.datetime.now(datetime.timezone.utc):%d %B %Y}.",
         "",
-        f"Of {sum(counted.values())} claims {counted[True]} hold, {counted[False]} do not, and {counted[None]} cannot "
+        f"Of {counted.total()} claims {counted[True]} hold, {counted[False]} do not, and {counted[None]} cannot "
         "be decided here.",
         "",
         "| | | claims that hold | that do not | not decidable | published numbers next to ours |",
         "|---|---|---|---|---|---|",
     ]
     for one in results:
-        verdicts = Counter(verdict.ours for verdict in one.verdicts)
-        rows = one.rows
+        verdicts, rows = Counter(verdict.ours for verdict in one.verdicts), one.rows
         beside = f"{sum(row.ours is not None for row in rows)} of {len(rows)}" if rows else ""
-        cells = [str(verdicts[key]) if verdicts[key] else "" for key in (True, False, None)]
+        cells = [str(verdicts[key] or "") for key in (True, False, None)]
         lines.append(f"| [{one.recipe.id}](#{one.recipe.id}) | {one.recipe.title} | {' | '.join(cells)} | {beside} |")
     for id, reason in (missing or {}).items():
         lines.append(f"| {id} | not measured: {reason} | | | | |")
@@ -78,13 +76,3 @@ def report(results: Sequence[Reproduction], missing: Mapping[str, str] | None = 
         if one.recipe.figure:
             lines.append(f"![{one.recipe.title}]({one.recipe.id}.png)")
     return "\n".join(lines) + "\n"
-
-
-def _verdicts(results: Sequence[Reproduction]) -> list[Verdict]:
-    """Return the verdict of each claim once."""
-    return list({verdict.claim.id: verdict for one in results for verdict in one.verdicts}.values())
-
-
-def _machines(results: Sequence[Reproduction]) -> str:
-    """Return the machines the numbers were measured on; this one if that was not recorded."""
-    return " and ".join(dict.fromkeys(name for one in results for name in one.machines)) or machine()

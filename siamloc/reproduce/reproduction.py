@@ -7,12 +7,12 @@ import io
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 from foundation.calls import typed
 from foundation.files import write_text
 from siamloc.errors import ConfigError
+from siamloc.report.draw.look import save
 from siamloc.reproduce.claims import Claim, claim, holds
 from siamloc.reproduce.drawing import drawn, names_of, said, shown, titled, unit
 from siamloc.reproduce.published import Record, grouped, measures, published
@@ -21,9 +21,9 @@ from siamloc.reproduce.recipe_book import Recipe, data_named
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-VERDICTS = MappingProxyType({True: "holds", False: "does not hold", None: "not decidable at this scale"})
+VERDICTS = {True: "holds", False: "does not hold", None: "not decidable at this scale"}
 
-_WITH = ("published with", "ours with")
+_METHODS = ("descriptor", "method", "version", "distance")
 _FEW = 8
 _HIDDEN = {
     *("data", "size", "lighting", "method", "version", "information"),
@@ -47,15 +47,12 @@ class Row:
     @property
     def measure(self) -> str:
         """The measure of both."""
-        one = self.published or self.ours
-        assert one is not None
-        return one.measure
+        return next(one.measure for one in (self.published, self.ours) if one is not None)
 
     @property
     def settings(self) -> Mapping[str, Any]:
         """The settings of both."""
-        ours = {} if self.ours is None else self.ours.settings
-        return {**ours, **({} if self.published is None else self.published.settings)}
+        return {**_settings(self.ours), **_settings(self.published)}
 
     @property
     def difference(self) -> float | None:
@@ -116,40 +113,27 @@ class Reproduction:
         """The published numbers, each next to ours if the recipe measures it."""
         printed = [one for entry in self.recipe.entries for one in published(entry).records()]
         asked = [one for one in printed if self.recipe.where.items() <= one.settings.items()]
-        ours = _best(self.records, self.recipe)
-        return [Row(one, _beside(one, self.records if "bound" in one.settings else ours, self.recipe)) for one in asked]
+        best = _best(self.records, self.recipe)
+        return [Row(one, _beside(one, self.records if "bound" in one.settings else best, self.recipe)) for one in asked]
 
     @property
     def verdicts(self) -> list[Verdict]:
         """The claims, each checked against our numbers."""
-        named = [claim(id) for id in self.recipe.claims]
-        return [Verdict(one, holds(one.check, self.records), one.printed()) for one in named]
+        asked = [claim(id) for id in self.recipe.claims]
+        return [Verdict(one, holds(one.check, self.records), one.printed()) for one in asked]
 
     def table(self) -> str:
         """Return published and measured numbers as a Markdown table; only our own if nothing was printed."""
-        lines = [f"### {self.recipe.title}", "", f"{self._where()}"]
-        rows = self.rows
-        if rows:
-            measured = {row.measure for row in rows}
-            rows += [Row(None, one) for one in _best(self.beside, self.recipe) if one.measure in measured]
-            apart = _told_apart(rows)
-            heads = [name for name in apart if self.recipe.join is None or name in self.recipe.join]
-            other = [name for name in dict.fromkeys([*apart, *_unlike(rows)]) if name not in heads]
-            cells = [[*_row(row, heads), *(_with(one, other) for one in (row.published, row.ours))] for row in rows]
-            names = [*heads, "measure", "published", "ours", "difference", *_WITH]
-            # What is the same in all rows is stated once, above them.
-            values = {at: {row[at] for row in cells} - {""} for at, name in enumerate(names) if name in _WITH}
-            same = "; ".join(f"{names[at]} {min(values[at])}" for at in values if len(values[at]) == 1)
-            lines += [f"{same[0].upper()}{same[1:]}."] if same else []
-            kept = [at for at in range(len(names)) if at not in values or len(values[at]) > 1]
-            lines += ["", *_markdown([names[at] for at in kept], [[row[at] for at in kept] for row in cells])]
+        source, title = self.recipe.source, data_named(self.data)["title"]
+        place = ", ".join(filter(None, [f"[{source.document}] section {source.section}", source.place]))
+        measured = f"Scale {self.scale}, {sum(self.seconds.values()):.0f} s."
+        lines = [f"### {self.recipe.title}", "", f"{place}. On {title}; {self._protocol()}. {measured}"]
+        lines += self._comparison() if self.rows else []
         if self.recipe.figure:
             lines += ["", *self._best_table()]
         if self.recipe.claims:
-            lines += [
-                "",
-                *_markdown(["claim", "printed numbers", "ours"], [_verdict_row(one) for one in self.verdicts]),
-            ]
+            verdicts = [_verdict_row(one) for one in self.verdicts]
+            lines += ["", *_markdown(["claim", "printed numbers", "ours"], verdicts)]
         if self.recipe.notes:
             lines += ["", *(f"- {note}" for note in self.recipe.notes)]
         return "\n".join(lines) + "\n"
@@ -163,22 +147,12 @@ class Reproduction:
         out = io.StringIO()
         writer = csv.writer(out, lineterminator="\n")
         writer.writerow([*heads, "measure", "unit", "published", "ours", "difference", "protocol", "data", "scale"])
-        units = measures()
-        protocol = self._protocol()
+        ending = self._protocol(), self.data, self.scale
         for row in rows:
-            writer.writerow(
-                [
-                    *("" if row.settings.get(name) is None else row.settings[name] for name in heads),
-                    row.measure,
-                    units.get(row.measure, {}).get("unit", ""),
-                    "" if row.published is None else row.published.value,
-                    "" if row.ours is None else row.ours.value,
-                    "" if row.difference is None else row.difference,
-                    protocol,
-                    self.data,
-                    self.scale,
-                ]
-            )
+            settings = [row.settings.get(name) for name in heads]
+            unit_of = measures().get(row.measure, {}).get("unit")
+            values = [getattr(one, "value", None) for one in (row.published, row.ours)]
+            writer.writerow([*settings, row.measure, unit_of, *values, row.difference, *ending])
         return out.getvalue()
 
     def plot(self) -> Figure:
@@ -198,12 +172,10 @@ class Reproduction:
         Raises:
             StorageError: the disk is full or cannot be written to.
         """
-        folder = Path(folder)
-        folder.mkdir(parents=True, exist_ok=True)
-        files = [folder / f"{self.recipe.id}.md", folder / f"{self.recipe.id}.csv"]
-        write_text(files[0], self.table())
-        write_text(files[1], self.as_csv())
-        return [*files, *self.save_plot(folder)]
+        texts = {f"{self.recipe.id}.md": self.table(), f"{self.recipe.id}.csv": self.as_csv()}
+        for name, text in texts.items():
+            write_text(Path(folder) / name, text)
+        return [*(Path(folder) / name for name in texts), *self.save_plot(folder)]
 
     def save_plot(self, folder: str | Path) -> list[Path]:
         """Write ID.png if there is a figure; return the file, if any.
@@ -211,17 +183,34 @@ class Reproduction:
         Raises:
             StorageError: the disk is full or cannot be written to.
         """
-        from siamloc.report.draw.look import save
-
         return [save(self.plot(), Path(folder) / f"{self.recipe.id}.png")] if self.recipe.figure else []
-
-    def _where(self) -> str:
-        source, title = self.recipe.source, data_named(self.data)["title"]
-        place = ", ".join(filter(None, [f"[{source.document}] section {source.section}", source.place]))
-        return f"{place}. On {title}; {self._protocol()}. Scale {self.scale}, {sum(self.seconds.values()):.0f} s."
 
     def _protocol(self) -> str:
         return "; ".join(f"{role}: {says}" for role, says in self.recipe.protocol(self.scale).items())
+
+    def _comparison(self) -> list[str]:
+        """Return the lines of the table with the published numbers next to ours."""
+        rows = self.rows
+        listed = {row.measure for row in rows}
+        rows += [Row(None, one) for one in _best(self.beside, self.recipe) if one.measure in listed]
+        names = dict.fromkeys(name for row in rows for name in row.settings)
+        apart = [name for name in names if len({_shown(row.settings.get(name)) for row in rows}) > 1]
+        heads = [name for name in apart if self.recipe.join is None or name in self.recipe.join]
+        other = [name for name in dict.fromkeys([*apart, *_unlike(rows)]) if name not in heads]
+        columns = {name: [_shown(row.settings.get(name)) for row in rows] for name in heads}
+        columns["measure"] = [_measure(row.measure) for row in rows]
+        columns["published"] = [_number(row.published) for row in rows]
+        columns["ours"] = [_number(row.ours) for row in rows]
+        columns["difference"] = ["" if row.difference is None else f"{row.difference:+.3g}" for row in rows]
+        beside = {
+            "published with": [_with(row.published, other) for row in rows],
+            "ours with": [_with(row.ours, other) for row in rows],
+        }
+        # What is the same in all rows is stated once, above them.
+        same = "; ".join(f"{name} {max(cells)}" for name, cells in beside.items() if len({*cells} - {""}) == 1)
+        columns |= {name: cells for name, cells in beside.items() if len({*cells} - {""}) > 1}
+        lines = [f"{same[0].upper()}{same[1:]}."] if same else []
+        return [*lines, "", *_markdown(list(columns), zip(*columns.values(), strict=True))]
 
     def _best_table(self) -> list[str]:
         """Return the smallest and largest of our numbers in each figure, by its distinguishing settings."""
@@ -230,9 +219,10 @@ class Reproduction:
             found = shown(figure, [*self.records, *self.beside])
             names = _apart_by(figure, found)
             for key, part in grouped(names, found).items():
-                low, high = min(part, key=lambda one: one.value), max(part, key=lambda one: one.value)
-                numbers = [cell for one in (low, high) for cell in (f"{one.value:.3g}", _settings(one, *names))]
-                line = [_measure(figure["measure"]), titled(names, key), *numbers]
+                line = [_measure(figure["measure"]), titled(names, key)]
+                for pick in (min, max):
+                    one = pick(part, key=lambda one: one.value)
+                    line += [f"{one.value:.3g}", _with(one, [name for name in one.settings if name not in names])]
                 lines += [line] if line not in lines else []
         return _markdown(["measure", "of", "smallest", "with", "largest", "with"], lines) if lines else []
 
@@ -241,18 +231,14 @@ def _best(records: Sequence[Record], chosen: Recipe) -> list[Record]:
     """Return the records; of those with the same `join` settings, only the ones with the largest `best`."""
     if chosen.best is None or chosen.join is None:
         return list(records)
-    kept: dict[tuple[Any, ...], Record] = {}
-    for one in records:
-        key = tuple(one.settings.get(name) for name in chosen.join)
-        if one.measure == chosen.best and (key not in kept or one.value > kept[key].value):
-            kept[key] = one
-    return [one for one in records if any(dict(one.settings) == dict(best.settings) for best in kept.values())]
+    rated = [one for one in records if one.measure == chosen.best]
+    kept = [max(part, key=lambda one: one.value).settings for part in grouped(chosen.join, rated).values()]
+    return [one for one in records if one.settings in kept]
 
 
 def _beside(one: Record, ours: Sequence[Record], chosen: Recipe) -> Record | None:
     """Return our number for a published one; for a bound, the smallest or largest of ours."""
-    join = None if chosen.join is None else [name for name in chosen.join if name != "bound"]
-    found = [our for our in ours if _same(one, our, join)]
+    found = [our for our in ours if _same(one, our, chosen.join)]
     if not found or "bound" not in one.settings:
         return found[0] if found else None
     return (min if one.settings["bound"] == "lowest" else max)(found, key=lambda our: our.value)
@@ -260,16 +246,10 @@ def _beside(one: Record, ours: Sequence[Record], chosen: Recipe) -> Record | Non
 
 def _same(one: Record, ours: Record, join: Sequence[str] | None) -> bool:
     """Return whether a published and a measured number belong together."""
-    if one.measure != ours.measure:
-        return False
-    names = join if join is not None else [name for name in one.settings if name in ours.settings]
-    return bool(names) and all(one.settings.get(name) == ours.settings.get(name) for name in names)
-
-
-def _told_apart(rows: Sequence[Row]) -> list[str]:
-    """Return the settings in which rows differ."""
-    names = dict.fromkeys(name for row in rows for name in row.settings)
-    return [name for name in names if len({_shown(row.settings.get(name)) for row in rows}) > 1]
+    common = [name for name in one.settings if name in ours.settings]
+    names = common if join is None else [name for name in join if name != "bound"]
+    same = all(one.settings.get(name) == ours.settings.get(name) for name in names)
+    return one.measure == ours.measure and bool(names) and same
 
 
 def _apart_by(figure: Mapping[str, Any], found: Sequence[Record]) -> list[str]:
@@ -278,44 +258,35 @@ def _apart_by(figure: Mapping[str, Any], found: Sequence[Record]) -> list[str]:
     def differ(*names: str) -> list[str]:
         return [name for name in dict.fromkeys(names) if len({one.settings.get(name) for one in found}) > 1]
 
-    drawn = [name for key in ("panels", "series") for name in names_of(figure, key)]
-    names = differ(*drawn) or differ("descriptor", "method", "version", "distance")
+    names = differ(*names_of(figure, "panels"), *names_of(figure, "series")) or differ(*_METHODS)
     if len(grouped(names, found)) > _FEW:
-        names = differ("descriptor", "method", "version", "distance", *names)[:1]
+        names = differ(*_METHODS, *names)[:1]
     return names or ["descriptor"]
 
 
-def _row(row: Row, heads: Sequence[str]) -> list[str]:
-    difference = "" if row.difference is None else f"{row.difference:+.3g}"
-    told = [_shown(row.settings.get(name)) for name in heads]
-    return [*told, _measure(row.measure), _printed(row.published), _number(row.ours), difference]
+def _unlike(rows: Sequence[Row]) -> list[str]:
+    """Return the settings in which a published number and ours next to it differ."""
+    pairs = [(_settings(row.published), _settings(row.ours)) for row in rows if row.published and row.ours]
+    return [
+        name
+        for name in dict.fromkeys(name for printed, _ in pairs for name in printed)
+        if any(_shown(ours[name]) != _shown(printed.get(name, ours[name])) for printed, ours in pairs if name in ours)
+    ]
+
+
+def _settings(one: Record | None) -> Mapping[str, Any]:
+    return {} if one is None else one.settings
 
 
 def _with(one: Record | None, names: Sequence[str]) -> str:
-    settings = {} if one is None else one.settings
-    return ", ".join(f"{name} {_shown(settings[name])}" for name in names if name in settings and name not in _HIDDEN)
+    """Return some settings of a number in words, if it has them."""
+    known = _settings(one)
+    return ", ".join(f"{name} {_shown(known[name])}" for name in names if name in known and name not in _HIDDEN)
 
 
 def _measure(name: str) -> str:
     """Return the label of a measure, with its unit."""
     return f"{said(name)} [{unit(name)}]" if unit(name) not in ("", "share") else said(name)
-
-
-def _settings(one: Record | None, *but: str) -> str:
-    """Return the settings of a number in words, without some of them."""
-    return "" if one is None else _with(one, [name for name in one.settings if name not in but])
-
-
-def _unlike(rows: Sequence[Row]) -> list[str]:
-    """Return the settings in which a published number and ours next to it differ."""
-    pairs = [(row.published.settings, row.ours.settings) for row in rows if row.published and row.ours]
-    return [
-        name
-        for name in dict.fromkeys(name for settings, _ in pairs for name in settings)
-        if any(
-            name in ours and _shown(ours[name]) != _shown(settings.get(name, ours[name])) for settings, ours in pairs
-        )
-    ]
 
 
 def _markdown(heads: Sequence[str], rows: Iterable[Sequence[str]]) -> list[str]:
@@ -332,11 +303,6 @@ def _shown(value: Any) -> str:
     return "" if value is None else f"{value:g}" if isinstance(value, float) else str(value)
 
 
-def _printed(one: Record | None) -> str:
-    if one is None:
-        return ""
-    return f"{'' if one.relation == '=' else one.relation}{one.value:.4g}"
-
-
 def _number(one: Record | None) -> str:
-    return "" if one is None else f"{one.value:.4g}"
+    """Return a number with "~", "<" or ">" if it is not exact."""
+    return "" if one is None else f"{one.relation.removeprefix('=')}{one.value:.4g}"
