@@ -74,7 +74,7 @@ class Comparison:
 
     @typed
     def save(self, path: str | Path) -> Path:
-        """Write the rows as CSV and return the path; numbers keep full precision, unknown ones are empty.
+        """Write the rows as CSV and return the path; numbers keep full precision, unknown numbers are empty.
 
         Raises:
             StorageError: the disk refuses.
@@ -135,7 +135,7 @@ def flat(settings: Mapping[str, Any], without: Sequence[str] = (), prefix: str =
 
 
 def differing(settings: Sequence[Mapping[str, Any]], keys: Iterable[str] | None = None) -> list[str]:
-    """Return those of the keys (all if None) whose values differ.
+    """Return the keys whose values differ between settings; of all keys if none are given.
 
     Example:
         >>> differing([{"seed": 0, "epochs": 5}, {"seed": 1, "epochs": 5}])

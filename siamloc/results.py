@@ -199,7 +199,7 @@ def rows_by_label(labels: NDArray) -> dict[str, NDArray[np.int64]]:
 def by_label(
     columns: Mapping[str, NDArray], measure: Callable[[NDArray[np.int64]], Any], *names: str
 ) -> dict[str, Any]:
-    """Return the measure of all rows of a table, and that of the rows with each label.
+    """Return a measure of all rows of a table, and of the rows with each label.
 
     Args:
         columns: columns of equal length.

@@ -1,4 +1,4 @@
-"""Absolute localization: the pose of a query is that of the nearest map frame by descriptor ([T] 5.3.5)."""
+"""Absolute localization: a query gets the pose of the map frame with the nearest descriptor ([T] 5.3.5)."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def evaluate_absolute(
     Args:
         visual_map: a map of m frames, all with positions.
         frames: the queries (n), all with positions, n at least 1.
-        found: their nearest map frames, at least `neighbours(ks, m)` of each.
+        found: the nearest map frames of each query, at least `neighbours(ks, m)`.
         radii: radii of the recall, in units of x and y.
         ks: numbers of retrieved frames for the recall; the recall for 1 % of the map is always measured, too.
         headings: estimated headings of the queries (n,), rad; evaluated where the true heading is known.
@@ -132,7 +132,7 @@ def pose_measures(
         `queries`; `error`, `floor` and `excess` (error - floor) as summaries; `hit_rate`, a list of `tolerance`,
         `rate`, `hits` and `queries`, for the tolerance 0 and each of the radii; `recall`, a list of `metrics.Recall` as
         dictionaries, one per radius and k; `recall_at_one_percent`, one per radius; `baselines` by name; and
-        `heading_error` in degrees if headings were estimated and the true ones are known. Queries without a label
+        `heading_error` in degrees if headings were estimated and the true headings are known. Queries without a label
         count as "(unlabelled)" if others have one.
     """
 

@@ -195,7 +195,7 @@ def evaluate_buildings(
     nearest: NDArray[np.int64],
     names: Sequence[ArrayLike],
 ) -> Result:
-    """Predict the building of each query as that of the nearest representative, the first of equally near ones.
+    """Choose for each query the building with the nearest representative; of equally near buildings the first.
 
     Args:
         frames: n queries, each in one of the buildings.

@@ -171,7 +171,7 @@ def _errors(lighting: str, answers: Columns, rows: NDArray[np.int64]) -> dict[st
 
 
 def _flat(row: Mapping[str, Any]) -> dict[str, Any]:
-    """Return measures in the form of the table "compact", without nested ones."""
+    """Return the measures of a map as one row of the table "compact", without nested dictionaries."""
     frames = {f"{key}_frames": value for key, value in row["error_frames"].items()}
     plain = {key: value for key, value in row.items() if key not in ("error", "error_frames", "floor")}
     return {**plain, **row["error"], "floor": row["floor"], **frames}
@@ -260,7 +260,7 @@ def _inside(
     described: Description,
     nearest: NDArray[np.int64],
 ) -> NDArray[np.int64]:
-    """Return, for each query, the most similar frame of the node that was found (n,)."""
+    """Return the most similar map frame inside the nearest node of each query (n,)."""
     if layer is None:  # no means, since descriptors are turned first
         barred = labels[None, :] != nearest[:, None]
         return match(known, described, 1, excluded=barred).indices[:, 0]

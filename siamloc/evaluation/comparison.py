@@ -30,9 +30,9 @@ _LEFT_OUT = ("data.cache", "data.name", "model.image_size", "frames", "data.unit
 def compare(folders: str | Path | Iterable[str | Path], by: str | None = None) -> Comparison:
     """Compare the measures of evaluations, of a sweep or any others.
 
-    A row holds the settings that differ between the evaluations, swept ones first; then, if measured, the mean error of
-    all queries as "error" and by lighting as "error.night", "hit_rate", "recall@1_0.5" for the recall within 0.5 m, and
-    the share of rooms found as "room"; and finally `queries`, their number, and `folder`.
+    A row holds the settings that differ between the evaluations, swept settings first; then, if measured, the mean
+    error of all queries as "error" and by lighting as "error.night", "hit_rate", "recall@1_0.5" for the recall within
+    0.5 m, and the share of rooms found as "room"; and finally `queries`, their number, and `folder`.
 
     Args:
         folders: the folder of a sweep, a run or an evaluation, or several of them; all evaluations inside are used.
@@ -153,7 +153,7 @@ def _number(value: Any) -> float:
 
 
 def _columns(known: Iterable[str]) -> list[str]:
-    """Return those of the known measures that are always shown."""
+    """Return the names of the measures that a comparison always shows, from all measured names."""
     names = list(known)
     errors = sorted(name for name in names if name.split(".")[0] == "error" and name.count(".") < 2)
     recalls = [name for name in names if name.startswith("recall@1_")]
@@ -162,7 +162,7 @@ def _columns(known: Iterable[str]) -> list[str]:
 
 
 def _settings(paths: Sequence[Path], results: Sequence[Mapping[str, Any]]) -> tuple[list[dict[str, Any]], list[str]]:
-    """Return the settings of each evaluation by key, and the keys of those that differ, swept ones first.
+    """Return the settings of each evaluation by key, and the keys whose values differ, swept settings first.
 
     If sweeps record what they swept, or runs what they were trained with, only those settings count: the rest follows.
     """

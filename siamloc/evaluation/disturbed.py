@@ -36,8 +36,8 @@ class Robustness(Settings):
     Attributes:
         every: use every k-th query.
         radius: the share of queries located within this radius is measured, in the unit of the positions.
-        noise: noise variances for images in [0, 1]; those of the thesis if None, none if ().
-        occlusion: shares of the columns behind bars; those of the thesis if None, none if ().
+        noise: noise variances for images in [0, 1]; the levels of the thesis if None, no noise if ().
+        occlusion: shares of the columns behind bars; the levels of the thesis if None, no bars if ().
         turn: degrees by which the robot has turned left.
         effects: effects of `augment`, such as "bulb", "darken" or "blur".
         strengths: strengths of each effect: 0 has no effect, 1 is the far end of its ranges.
@@ -177,7 +177,7 @@ def locate_disturbed(
 
 
 def _unturned(answer: Answer, disturbance: Disturbance, level: float) -> Answer:
-    """Return an answer with the headings before the robot turned on the spot, comparable to the true ones."""
+    """Return an answer with the headings that the robot had before it turned on the spot, as the true headings are."""
     if disturbance.kind != "turn":
         return answer
     turned = np.radians(level)

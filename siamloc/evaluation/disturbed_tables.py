@@ -53,7 +53,7 @@ def answers(
         method: name of the descriptor.
         known: m map frames with positions.
         queries: n frames with positions.
-        found: the answers for all queries (n,), by disturbance and level.
+        found: the answers for all queries (n,), by name of the disturbance and level.
         by_room: judge by rooms instead of positions: the error is 1 in a wrong room.
         excluded: (n, m) map frames that a query was not compared with; the error floor leaves them out, too.
 

@@ -59,8 +59,8 @@ class Hierarchical(Settings):
         coarse: how nodes are ranked.
         along: number of frames before and after the nearest one, in its drive, that are searched as well if they lie
             in another node.
-        radii: recall: a map frame within this radius counts as found, in the unit of the positions.
-        ks: recall: numbers of retrieved frames.
+        radii: radii of the recall: a retrieved map frame within such a radius is right, in the unit of the positions.
+        ks: numbers of retrieved frames for the recall.
     """
 
     WHERE = "task"
@@ -171,8 +171,8 @@ def evaluate_hierarchical(
 ) -> Result:
     """Compare the results of a hierarchical search with the queries' true poses.
 
-    The table "queries" is that of `evaluate_absolute` with further columns: `node` of the estimate and `true_node`,
-    that of the geometrically nearest map frame (-1 for none); `nodes_tried`, numbers in one string, the best first;
+    The table "queries" is the one of `evaluate_absolute` with further columns: `node` of the estimate and `true_node`,
+    the node of the geometrically nearest map frame (-1 for none); `nodes_tried`, numbers in one string, the best first;
     `coarse_correct`, whether the true node was tried (frames in no node are always searched, so a query whose true
     frame is in no node counts as correct); `frames_compared` and `comparisons`, which also counts the comparisons with
     the coarse layer; `error_perfect_coarse` and `error_absolute`, the errors of a search for the same query in the true
@@ -234,7 +234,7 @@ def node_measures(
     Returns:
         The measures of `siamloc.evaluation.absolute.pose_measures`. Each group also holds `coarse` (accuracy, correct,
         queries); `given_right`, `given_wrong`, `perfect_coarse` and `absolute`, each with `queries` and the summary
-        `error`; `loss`, the share by which the mean error exceeds that of the search in the whole map; and
+        `error`; `loss`, the share by which the mean error exceeds the mean error of a search in the whole map; and
         `comparisons` (mean, max, share of the map, frames_share without the comparisons with the coarse layer).
     """
     measures = pose_measures(columns, radii, ks, map_frames, unit)
@@ -291,7 +291,8 @@ def _run(
     """Search for all queries, batch by batch if the descriptions are large.
 
     Returns:
-        The results, and those of the queries with positions in the true node alone; None if no query has a position.
+        The results, and for the queries with positions the results of a search in the true node alone; None if no query
+        has a position.
     """
     known, queries = session.known, session.queries
     scored, rankings = queries.has_position, None

@@ -58,8 +58,8 @@ class Localization(Estimates):
 
     Attributes:
         names: "absolute" for poses, "room_retrieval" for rooms.
-        radii: recall: a map frame within this radius counts as found, in the unit of the positions.
-        ks: recall: numbers of retrieved frames.
+        radii: radii of the recall: a retrieved map frame within such a radius is right, in the unit of the positions.
+        ks: numbers of retrieved frames for the recall.
         pairs: pairs of queries that are judged as well, if the descriptor is a network.
     """
 
@@ -109,7 +109,7 @@ def localization(
         validation: frames from which the filter's settings and expected errors are learned.
         protocol: "cross_run": no query comes from a drive in the map; "same_run"; or a `Protocol`.
         baselines: descriptors measured on the same frames: names such as "hog", or a mapping of names to descriptors.
-        name: name of the results; that of the descriptor if None.
+        name: name of the results; the name of the descriptor if None.
         seed: seed of the judged pairs.
         settings: all settings in one object, instead of one keyword each.
 

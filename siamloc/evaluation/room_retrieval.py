@@ -127,12 +127,12 @@ def evaluate_pairs(
 def evaluate_rooms(
     visual_map: VisualMap, frames: FrameTable, found: Retrieval, excluded: NDArray[np.bool_] | None = None
 ) -> Result:
-    """Predict the room of each query as that of the nearest map frame.
+    """Predict that each query is in the room of its nearest map frame.
 
     Args:
         visual_map: a map of m frames, all with room labels.
         frames: the queries (n), all with room labels, n at least 1. Rooms of different buildings are different rooms.
-        found: their nearest map frames, `neighbours(m)` of each, or fewer: then top-k and average precision use only
+        found: the nearest map frames of each query, `neighbours(m)` or fewer: then top-k and average precision use only
             these.
         excluded: (n, m) map frames that a query was not compared with.
 

@@ -116,7 +116,7 @@ class Session:
             fields as a mapping, or its kind, "cross_run" or "same_run".
         baselines: descriptors to measure on the same frames: one or several, as names or objects, or a mapping of names
             to descriptors.
-        name: name of the results; that of the descriptor if None.
+        name: name of the results; the name of the descriptor if None.
         seed: seed of all random draws.
 
     Raises:

@@ -41,9 +41,9 @@ class PairCurve:
         same: share of the pairs from one room that are judged correctly, at each threshold (t,).
         different: share of the pairs from two rooms that are judged correctly (t,).
         overall: share of all pairs that are judged correctly (t,).
-        auc: area under the curve of one-room pairs found against two-room pairs mistaken for one room. This is the
-            share of couples of a one-room and a two-room pair in which the one-room pair is less dissimilar; ties count
-            half.
+        auc: area under the curve of one-room pairs judged right against two-room pairs mistaken for one room. This is
+            the share of couples of a one-room and a two-room pair in which the one-room pair is less dissimilar; ties
+            count half.
     """
 
     thresholds: NDArray[np.float64]

@@ -83,8 +83,8 @@ def key_values(pairs: Iterable[tuple[str, Content]]) -> Markup:
 def grid(table: Table) -> Markup:
     """Return a table with its notes; it scrolls by itself if the page is too narrow for it.
 
-    Rows with the same first label stand together, and rows of all queries are marked. In a column of which another is
-    a part, bars show that part and the rest, and the smallest of several methods is bold.
+    Rows with the same first label are grouped, and the rows of all queries are marked. A column with a `part` gets bars
+    that show this part and the rest, and its smallest value among several methods is bold.
     """
     headings, cells, labels = [column.heading for column in table.columns], table.cells, table.labels
     if table.upright:

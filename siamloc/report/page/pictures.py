@@ -1,4 +1,4 @@
-"""The images of a report: many small ones on a few sheets, and some larger ones."""
+"""The images of a report: many thumbnails on a few sheets, and some larger images."""
 
 from __future__ import annotations
 
@@ -60,9 +60,9 @@ class Decoder:
         return np.asarray(cv2.resize(picture, (columns, rows), interpolation=cv2.INTER_AREA), dtype=np.uint8)
 
     def fitted(self, pixels: int) -> tuple[int, int]:
-        """Return rows and columns of about `pixels` pixels, in the images' aspect ratio; unwrapped ones never grow.
+        """Return the rows and columns of an image of about `pixels` pixels, in its aspect ratio.
 
-        Both are multiples of 16, the size of JPEG's colour blocks, so that neighbours on a sheet do not bleed.
+        Unwrapped images are not enlarged. Both numbers are multiples of 16, the size of JPEG's colour blocks, so that neighbours on a sheet do not bleed.
         """
         rows, columns = self.size
         scale = math.sqrt(pixels / (rows * columns))

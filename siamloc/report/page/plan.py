@@ -184,7 +184,7 @@ def _digits(queries: Columns, known: Columns) -> int:
 
 
 def _short(values: NDArray, digits: int) -> list[float | None]:
-    """Return rounded numbers, integers without a decimal point, None for unknown ones."""
+    """Return rounded numbers: whole numbers without a decimal point, and None for NaN."""
     rounded = np.round(values.astype(np.float64), digits).tolist()
     return [None if value != value else int(value) if value == int(value) else value for value in rounded]
 
