@@ -65,62 +65,46 @@ def test_an_unknown_claim_says_which_ones_are_near():
 def test_an_unknown_kind_or_key_is_refused():
     with pytest.raises(ConfigError, match="unknown kind of check 'ordre'; did you mean 'order'"):
         holds({"kind": "ordre", "measure": "error"}, RECORDS)
-    with pytest.raises(ConfigError, match="of kind trend has no key 'allong'; did you mean 'along'"):
-        holds({"kind": "trend", "measure": "error", "allong": "place"}, RECORDS)
+    for key, valid in (("allong", "along"), ("mach", "match")):
+        with pytest.raises(ConfigError, match=f"of kind trend has no key '{key}'; did you mean '{valid}'"):
+            holds({"kind": "trend", "measure": "error", key: "place"}, RECORDS)
+
+
+A, B = {"descriptor": "a"}, {"descriptor": "b"}
+ORDER, TREND, THRESHOLD = ({"kind": kind, "measure": "error"} for kind in ("order", "trend", "threshold"))
 
 
 @pytest.mark.parametrize(
     ("check", "expected"),
     [
-        ({"more": {"descriptor": "b"}, "less": {"descriptor": "a"}}, False),  # 0.15 is not above 0.3
-        ({"more": {"descriptor": "b"}, "less": {"descriptor": "a"}, "match": ["place"]}, True),
-        ({"more": {"descriptor": "b"}, "less": {"descriptor": "a"}, "pick": "mean"}, True),
-        ({"more": {"descriptor": "b"}, "less": {"descriptor": "a"}, "pick": "max", "factor": 1.1}, True),
-        ({"more": {"descriptor": "b"}, "less": {"descriptor": "a"}, "pick": "max", "factor": 1.2}, False),
-        ({"more": {"place": 3}, "less": "others"}, True),
-        ({"more": "others", "less": {"place": 1}}, True),
-        ({"more": {"place": {"above": 1}}, "less": {"place": {"not": [2, 3]}}}, True),
-        ({"more": {"descriptor": "c"}, "less": {"descriptor": "a"}}, None),
-        ({"more": {"color": "red"}, "less": {"descriptor": "a"}}, None),
+        (ORDER | {"more": B, "less": A}, False),  # 0.15 is not above 0.3
+        (ORDER | {"more": B, "less": A, "match": ["place"]}, True),
+        (ORDER | {"more": B, "less": A, "pick": "mean"}, True),
+        (ORDER | {"more": B, "less": A, "pick": "max", "factor": 1.1}, True),
+        (ORDER | {"more": B, "less": A, "pick": "max", "factor": 1.2}, False),
+        (ORDER | {"more": {"place": 3}, "less": "others"}, True),
+        (ORDER | {"more": "others", "less": {"place": 1}}, True),
+        (ORDER | {"more": {"place": {"above": 1}}, "less": {"place": {"not": [2, 3]}}}, True),
+        (ORDER | {"more": {"descriptor": "c"}, "less": A}, None),
+        (ORDER | {"more": {"color": "red"}, "less": A}, None),
+        (TREND | {"along": "place", "goes": "up"}, True),
+        (TREND | {"along": "place", "goes": "down"}, False),
+        (TREND | {"along": "place", "goes": "down", "within": 1.0}, True),
+        (TREND | {"along": "place", "goes": "up", "match": ["descriptor"]}, True),
+        (TREND | {"along": "place", "goes": "up", "where": {"place": 1}}, None),
+        (TREND | {"along": "depth", "goes": "up"}, None),
+        (TREND | {"along": "place", "goes": "flat", "within": 2.0}, True),
+        (TREND | {"along": "place", "goes": "flat", "within": 1.5}, False),
+        (TREND | {"along": "descriptor", "goes": "flat", "within": 0.6, "pick": "min"}, True),
+        (TREND | {"along": "descriptor", "goes": "flat", "within": 0.4, "pick": "min"}, False),
+        (THRESHOLD | {"below": 0.3}, False),
+        (THRESHOLD | {"below": 0.3, "pick": "mean"}, True),
+        (THRESHOLD | {"above": 0.1, "pick": "min"}, False),
+        (THRESHOLD | {"at_least": 0.1, "at_most": 0.36}, True),
+        (THRESHOLD | {"below": 0.3, "where": {"place": [1, 2]}}, True),
+        (THRESHOLD | {"below": 0.3, "where": {"place": 4}}, None),
+        (THRESHOLD | {"measure": "seconds", "below": 1}, None),
     ],
 )
-def test_order(check, expected):
-    assert holds({"kind": "order", "measure": "error", **check}, RECORDS) is expected
-
-
-@pytest.mark.parametrize(
-    ("check", "expected"),
-    [
-        ({"along": "place", "goes": "up"}, True),
-        ({"along": "place", "goes": "down"}, False),
-        ({"along": "place", "goes": "down", "within": 1.0}, True),
-        ({"along": "place", "goes": "up", "match": ["descriptor"]}, True),
-        ({"along": "place", "goes": "up", "where": {"place": 1}}, None),
-        ({"along": "depth", "goes": "up"}, None),
-        ({"along": "place", "goes": "flat", "within": 2.0}, True),
-        ({"along": "place", "goes": "flat", "within": 1.5}, False),
-        ({"along": "descriptor", "goes": "flat", "within": 0.6, "pick": "min"}, True),
-        ({"along": "descriptor", "goes": "flat", "within": 0.4, "pick": "min"}, False),
-    ],
-)
-def test_trend(check, expected):
-    assert holds({"kind": "trend", "measure": "error", **check}, RECORDS) is expected
-
-
-@pytest.mark.parametrize(
-    ("check", "expected"),
-    [
-        ({"below": 0.3}, False),
-        ({"below": 0.3, "pick": "mean"}, True),
-        ({"above": 0.1, "pick": "min"}, False),
-        ({"at_least": 0.1, "at_most": 0.36}, True),
-        ({"below": 0.3, "where": {"place": [1, 2]}}, True),
-        ({"below": 0.3, "where": {"place": 4}}, None),
-    ],
-)
-def test_threshold(check, expected):
-    assert holds({"kind": "threshold", "measure": "error", **check}, RECORDS) is expected
-
-
-def test_other_measures_do_not_count():
-    assert holds({"kind": "threshold", "measure": "seconds", "below": 1}, RECORDS) is None
+def test_checks(check, expected):
+    assert holds(check, RECORDS) is expected
