@@ -10,13 +10,12 @@ import numpy as np
 from siamloc.errors import DataError
 from siamloc.simulate.floor_plans import Cell, Plan, draw_plan
 from siamloc.simulate.furnishing import USES, Room, furnish
-from siamloc.simulate.layout import SIDES, Array, Building, seeded, shared_wall, side_at
+from siamloc.simulate.layout import SIDES, Rng, seeded, shared_wall, side_at
 from siamloc.simulate.parse import parse_building
 from siamloc.simulate.plan import blocked_points, check_paths
 from siamloc.simulate.route import FreeSpace, visits
 from siamloc.simulate.trajectory import rounded
 
-Rng = np.random.Generator
 Entry = dict[str, Any]
 _ATTEMPTS = 30
 
@@ -183,7 +182,8 @@ def _paths(content: Entry, plan: Plan, seed: int, rng: Rng) -> Entry:
                 left.remove(following)
                 stops.append(following)
         way = space.way([*stops, start])
-        _check(building, way)
+        if blocked_points(building, rounded(way)).any():
+            raise DataError("the robot's way is too narrow")
         ways[name] = [[round(float(x), 3), round(float(y), 3)] for x, y in way]
     check_paths(parse_building({**content, "paths": ways}, seed, content["name"]))
     return ways
@@ -204,9 +204,3 @@ def _order(plan: Plan) -> list[str]:
             nearer = sorted(beyond[here], key=lambda name: -middle[name][0])
             waiting += [name for name in nearer if name not in order]
     return order
-
-
-def _check(building: Building, way: Array) -> None:
-    """Raise DataError if rounding the corners of a way leads into an obstacle."""
-    if blocked_points(building, rounded(way)).any():
-        raise DataError("the robot's way is too narrow")

@@ -5,9 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
-import numpy as np
-
-from siamloc.simulate.layout import SIDES, Interval, shared_wall
+from siamloc.simulate.layout import SIDES, Interval, Rng, shared_wall
 
 #: Smallest distance in metres of a door from the ends of the wall that two cells share.
 _MARGIN = 0.22
@@ -81,7 +79,7 @@ class Plan:
         if _room_for_a_door(a, b):
             self.doors.append((a.name, b.name, kind))
 
-    def place_doors(self, rng: np.random.Generator) -> list[dict[str, object]]:
+    def place_doors(self, rng: Rng) -> list[dict[str, object]]:
         """Return the doors in the form of a building file, each somewhere in the wall that its two cells share."""
         by_name = {cell.name: cell for cell in self.cells}
         doors: list[dict[str, object]] = []
@@ -93,24 +91,16 @@ class Plan:
             width = min(float(widest), high - low)
             at = low + width / 2 + rng.random() * max(high - low - width, 0.0)
             top = min(rng.uniform(2.0, 2.25) if kind != "open" else rng.uniform(2.1, 2.6), self.height - 0.1)
-            doors.append(
-                {
-                    "between": [one, other],
-                    "at": round(float(at), 2),
-                    "width": int(width * 50) / 50,
-                    "height": round(float(top), 2),
-                    "kind": kind,
-                    "hinge": str(rng.choice(["low", "high"])),
-                }
-            )
+            size = {"at": round(float(at), 2), "width": int(width * 50) / 50, "height": round(float(top), 2)}
+            doors.append({"between": [one, other], **size, "kind": kind, "hinge": str(rng.choice(["low", "high"]))})
         return doors
 
 
-def _leaf(rng: np.random.Generator) -> str:
+def _leaf(rng: Rng) -> str:
     return str(rng.choice(["leaf", "glass", "open"], p=[0.72, 0.13, 0.15]))
 
 
-def _uses(rng: np.random.Generator, count: int, often: str, others: tuple[str, ...]) -> list[str]:
+def _uses(rng: Rng, count: int, often: str, others: tuple[str, ...]) -> list[str]:
     """Draw the uses of rooms: about half of them have the same use."""
     return [often if rng.random() < 0.5 else str(rng.choice(others)) for _ in range(count)]
 
@@ -120,17 +110,10 @@ _SCHOOL = ("classroom", ("office", "toilet", "library", "laboratory", "storage",
 
 
 def _row(
-    plan: Plan,
-    rng: np.random.Generator,
-    corridor: Cell,
-    side: str,
-    uses: list[str],
-    start: float,
-    widths: Interval,
-    depths: Interval,
+    plan: Plan, rng: Rng, corridor: Cell, side: str, uses: list[str], at: float, widths: Interval, depths: Interval
 ) -> float:
     """Add rooms along one side of a corridor, each with a door, and return where the row ends."""
-    at, wall = start, SIDES[side]
+    wall = SIDES[side]
     level = wall.level(corridor)
     depth = float(rng.uniform(*depths))
     for use in uses:
@@ -145,7 +128,7 @@ def _row(
     return at
 
 
-def offices(rng: np.random.Generator) -> Plan:
+def offices(rng: Rng) -> Plan:
     """Draw a corridor with rooms on one or two sides, perhaps with a wing across its beginning."""
     plan = Plan(float(rng.uniform(2.4, 3.2)))
     often, others = _OFFICE if rng.random() < 0.7 else _SCHOOL
@@ -186,7 +169,7 @@ def _trim(plan: Plan) -> None:
     plan.cells = [cell for cell in plan.cells if cell.name in kept]
 
 
-def ring(rng: np.random.Generator) -> Plan:
+def ring(rng: Rng) -> Plan:
     """Draw corridors around a core, with rooms on their outer sides."""
     plan = Plan(float(rng.uniform(2.5, 3.3)))
     often, others = _OFFICE if rng.random() < 0.6 else _SCHOOL
@@ -207,7 +190,7 @@ def ring(rng: np.random.Generator) -> Plan:
     return plan
 
 
-def home(rng: np.random.Generator) -> Plan:
+def home(rng: Rng) -> Plan:
     """Draw a flat: a rectangle split into rooms, the most central of which leads to the others."""
     plan = Plan(float(rng.uniform(2.3, 3.1)))
     size = (float(rng.uniform(7.5, 12.5)), float(rng.uniform(6.5, 10.5)))
@@ -245,7 +228,7 @@ def home(rng: np.random.Generator) -> Plan:
     return plan
 
 
-def _split(x: Interval, y: Interval, largest: float, rng: np.random.Generator) -> list[tuple[Interval, Interval]]:
+def _split(x: Interval, y: Interval, largest: float, rng: Rng) -> list[tuple[Interval, Interval]]:
     wide, deep = x[1] - x[0], y[1] - y[0]
     if wide * deep <= largest or max(wide, deep) < 4.2:
         return [(x, y)]
@@ -257,7 +240,7 @@ def _split(x: Interval, y: Interval, largest: float, rng: np.random.Generator) -
     return [*_split(x, (y[0], cut), largest, rng), *_split(x, (cut, y[1]), largest, rng)]
 
 
-def hall(rng: np.random.Generator) -> Plan:
+def hall(rng: Rng) -> Plan:
     """Draw a hall with rooms along one or two of its sides."""
     plan = Plan(float(rng.uniform(2.8, 4.8)))
     use = str(rng.choice(["foyer", "workshop", "canteen", "open_office"]))
@@ -277,15 +260,10 @@ def hall(rng: np.random.Generator) -> Plan:
 
 
 #: The kinds of buildings, and how often each is drawn.
-PLANS: tuple[tuple[Callable[[np.random.Generator], Plan], float], ...] = (
-    (offices, 0.45),
-    (ring, 0.15),
-    (home, 0.25),
-    (hall, 0.15),
-)
+PLANS: tuple[tuple[Callable[[Rng], Plan], float], ...] = ((offices, 0.45), (ring, 0.15), (home, 0.25), (hall, 0.15))
 
 
-def draw_plan(rng: np.random.Generator) -> Plan:
+def draw_plan(rng: Rng) -> Plan:
     """Draw the floor plan of a building of any kind.
 
     >>> plan = draw_plan(np.random.default_rng(0))

@@ -9,9 +9,8 @@ import numpy as np
 
 from siamloc.simulate.floor_plans import Cell
 from siamloc.simulate.items import KINDS
-from siamloc.simulate.layout import HALF_WALL, SIDES, Interval, Rectangle
+from siamloc.simulate.layout import HALF_WALL, SIDES, Interval, Rectangle, Rng
 
-Rng = np.random.Generator
 Entry = dict[str, Any]
 Size = tuple[float, float, float]
 _WOODS = ("beech", "wood", "walnut", "plain", "planks")
@@ -257,12 +256,11 @@ def furnish(room: Room, style: Rng, rng: Rng, density: float) -> list[Entry]:
     return room.items
 
 
-def _colour(rng: Rng) -> tuple[float, float, float]:
+def _colour(rng: Rng) -> tuple[float, ...]:
     """Draw a linear colour: often grey, rarely strong."""
     grey = rng.uniform(0.04, 0.7)
     tint = rng.uniform(0.5, 1.5, 3) ** rng.choice([0.2, 1.0, 2.0])
-    red, green, blue = np.clip(grey * tint / tint.mean(), 0.01, 0.9)
-    return float(red), float(green), float(blue)
+    return tuple(np.clip(grey * tint / tint.mean(), 0.01, 0.9).tolist())
 
 
 def _sized(kind: str, rng: Rng) -> Size:
@@ -343,8 +341,8 @@ def _in_the_middle(room: Room, kind: str, common: Entry, rng: Rng) -> None:
                 sideways = (seat + 0.5) / count * long - long / 2
                 for sign in (1, -1):
                     if rng.random() < 0.85:
-                        put("visitor_chair", sign * (deep / 2 + 0.2), sideways, 180 if sign > 0 else 0,
-                            KINDS["visitor_chair"].size)  # fmt: skip
+                        away, facing = sign * (deep / 2 + 0.2), 180 if sign > 0 else 0
+                        put("visitor_chair", away, sideways, facing, KINDS["visitor_chair"].size)
     elif kind == "seating":
         put("rug", 0, 0, 0, _sized("rug", rng))
         if put("sofa", -0.9, 0, 0, _sized("sofa", rng)):

@@ -12,13 +12,11 @@ from typing import Any
 
 import numpy as np
 
-from siamloc.simulate.layout import Item
+from siamloc.simulate.layout import Colour, Item, Rng
 from siamloc.simulate.mesh import WHITE, MeshBuilder, Point
 from siamloc.simulate.prints import BOOK_ROWS, SCREENS
 
-Rng = np.random.Generator
 Build = Callable[[MeshBuilder, Item, Rng], None]
-Colour = tuple[float, float, float]
 
 BLACKISH = (0.035, 0.035, 0.04)
 STEEL = (0.55, 0.56, 0.58)

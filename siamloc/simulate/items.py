@@ -16,7 +16,6 @@ from siamloc.simulate.furniture import (
     STEEL,
     Build,
     Kind,
-    Rng,
     colour_of,
     fill,
     front,
@@ -25,7 +24,7 @@ from siamloc.simulate.furniture import (
     sides,
     wood_of,
 )
-from siamloc.simulate.layout import Building, Item, seeded
+from siamloc.simulate.layout import Building, Item, Rng, seeded
 from siamloc.simulate.mesh import WHITE, MeshBuilder, Point
 from siamloc.simulate.prints import BOARDS, NOTICES, POSTERS
 

@@ -11,6 +11,8 @@ from numpy.typing import NDArray
 
 Array = NDArray[Any]
 Interval = tuple[float, float]
+Colour = tuple[float, float, float]
+Rng = np.random.Generator
 
 
 def single(values: Any) -> Array:

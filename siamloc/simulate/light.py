@@ -12,7 +12,7 @@ from itertools import product
 import cv2
 import numpy as np
 
-from siamloc.simulate.layout import SIDES, Array, Building, side_at
+from siamloc.simulate.layout import SIDES, Array, Building, Rng, side_at
 from siamloc.simulate.mesh import Caster, QuadMesh
 from siamloc.simulate.shell import Lamp
 from siamloc.simulate.sky import Sky
@@ -97,7 +97,7 @@ class LightTransport:
         self._portals: list[_Reach] | None = None
         self._seen: Array | None = None
 
-    def bake(self, albedo: Array, lamps: list[Lamp], sky: Sky, rng: np.random.Generator) -> BakedLight:
+    def bake(self, albedo: Array, lamps: list[Lamp], sky: Sky, rng: Rng) -> BakedLight:
         """Compute the light on every quad.
 
         Args:
@@ -204,9 +204,7 @@ def _portals(building: Building) -> list[tuple[Array, Array, float, str]]:
     return pieces
 
 
-def _sun_patches(
-    mesh: QuadMesh, caster: Caster, grid: LightGrid, sun: Array, rng: np.random.Generator
-) -> tuple[Array, Array]:
+def _sun_patches(mesh: QuadMesh, caster: Caster, grid: LightGrid, sun: Array, rng: Rng) -> tuple[Array, Array]:
     """Return where the sun may shine (an image, 0 or 255) and the share of each node's surroundings that it reaches."""
     facing = np.flatnonzero((mesh.normals @ sun > 0.01)[grid.quad])
     reach = 1.0 / np.maximum(grid.count[grid.quad[facing]], 1)
@@ -222,7 +220,7 @@ def _sun_patches(
     return np.where(cv2.dilate(mask, np.ones((3, 3), np.uint8)) > 0, 255, 0).astype(np.uint8), share
 
 
-def _gathered_from(mesh: QuadMesh, caster: Caster, grid: LightGrid, rays: int, rng: np.random.Generator) -> Array:
+def _gathered_from(mesh: QuadMesh, caster: Caster, grid: LightGrid, rays: int, rng: Rng) -> Array:
     """Return the node that each ray of each node hits (rays, N); N if it leaves the building."""
     n = len(grid.quad)
     points = _world(mesh, grid.quad, grid.place).astype(np.float32)

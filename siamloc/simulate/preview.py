@@ -40,7 +40,7 @@ def viewpoints(building: Building, track: Track) -> Array:
     segments, _ = obstacles(building)
     rows = []
     for code in building.codes:
-        inside = np.array([row for row, found in enumerate(track.codes) if found == code])
+        inside = np.flatnonzero(np.array(track.codes) == code)
         if len(inside):
             points = track.poses[inside, :2]
             centre = points.mean(axis=0)
@@ -71,8 +71,7 @@ def contact_sheet(building: Building, runs: list[Run]) -> Any:
         pictures = render(scene, first.poses[rows], "panorama")
         for axis, row, picture in zip(axes[:, column], rows, pictures, strict=True):
             axis.imshow(picture, interpolation="lanczos")
-            axis.set_xticks([])
-            axis.set_yticks([])
+            axis.set(xticks=[], yticks=[])
             if column == 0:
                 axis.set_ylabel(first.codes[row], fontsize=10)
         axes[0, column].set_title(f"{run.lighting} ({_clock(scene.state.light.hour)})", fontsize=11)
@@ -95,26 +94,23 @@ def floor_plan(building: Building, runs: list[Run]) -> Any:
         if KINDS[item.kind].blocks:
             axis.add_patch(Polygon(item.footprint(), facecolor="#d8cbb3", edgecolor="#8d7f66", linewidth=0.6))
     segments, names = obstacles(building)
-    for (a, b), name in zip(segments, names, strict=True):
+    for segment, name in zip(segments, names, strict=True):
         if "wall" in name:
-            axis.plot([a[0], b[0]], [a[1], b[1]], color="#333333", linewidth=2.2, solid_capstyle="round")
+            axis.plot(*segment.T, color="#333333", linewidth=2.2, solid_capstyle="round")
     for opening in building.openings:
-        ends = np.array([opening.point(end, 0.0) for end in opening.interval])
         if opening.kind in ("window", "pane"):
-            axis.plot(ends[:, 0], ends[:, 1], color="#4bb0e0", linewidth=4)
+            ends = np.array([opening.point(end, 0.0) for end in opening.interval])
+            axis.plot(*ends.T, color="#4bb0e0", linewidth=4)
         elif opening.kind in ("leaf", "glass"):
-            leaf = leaf_segment(building, opening, 90)
-            axis.plot(leaf[:, 0], leaf[:, 1], color="#a0522d", linewidth=1.6)
+            axis.plot(*leaf_segment(building, opening, 90).T, color="#a0522d", linewidth=1.6)
     for run in runs:
-        poses = draw_run(building, run).track.poses
-        axis.plot(poses[:, 0], poses[:, 1], color=_COLOURS[run.lighting], linewidth=0.9, alpha=0.8)
+        line = draw_run(building, run).track.poses[:, :2].T
+        axis.plot(*line, color=_COLOURS[run.lighting], linewidth=0.9, alpha=0.8)
     for lighting in dict.fromkeys(run.lighting for run in runs):
         axis.plot([], [], color=_COLOURS[lighting], label=f"{lighting} runs")
     axis.legend(loc="lower right", fontsize=9)
-    axis.set_aspect("equal")
-    axis.set_xlabel("x in m")
-    axis.set_ylabel("y in m")
-    axis.set_title(f"{building.name}, seed {building.seed}")
+    title = f"{building.name}, seed {building.seed}"
+    axis.set(aspect="equal", xlabel="x in m", ylabel="y in m", title=title)
     return figure
 
 

@@ -9,7 +9,7 @@ from typing import Any
 import cv2
 import numpy as np
 
-from siamloc.simulate.layout import Array, single
+from siamloc.simulate.layout import Array, Rng, single
 from siamloc.simulate.mesh import Point
 from siamloc.simulate.textures import SIZE, Texture, eight_bit, noise
 
@@ -28,7 +28,7 @@ _BRIGHT = np.array(
 )  # fmt: skip
 
 
-def print_textures(rng: np.random.Generator) -> dict[str, Texture]:
+def print_textures(rng: Rng) -> dict[str, Texture]:
     """Return the pictures of one building; where there are several of a kind, the name ends with a number."""
     several: dict[str, tuple[int, Callable[[int], Array]]] = {
         "poster": (POSTERS, lambda i: _poster(rng, i)),
@@ -75,7 +75,7 @@ def _blank(colour: Any) -> Array:
     return np.ones((SIZE, SIZE, 3), dtype=np.float32) * single(colour)
 
 
-def _pick(rng: np.random.Generator) -> list[float]:
+def _pick(rng: Rng) -> list[float]:
     return (_BRIGHT[rng.integers(len(_BRIGHT))] * rng.uniform(0.8, 1.1)).tolist()  # type: ignore[no-any-return]
 
 
@@ -85,7 +85,7 @@ def _rectangle(image: Array, x0: float, y0: float, x1: float, y1: float, colour:
     image[max(b, 0) : max(d, b + 1), max(a, 0) : max(c, a + 1)] = colour
 
 
-def _text_lines(image: Array, rng: np.random.Generator, box: Point, lines: int, ink: float = 0.25) -> None:
+def _text_lines(image: Array, rng: Rng, box: Point, lines: int, ink: float = 0.25) -> None:
     """Fill a box (x0, y0, x1, y1) with lines that look like text from afar."""
     x0, y0, x1, y1 = box
     step = (y1 - y0) / lines
@@ -98,7 +98,7 @@ def _text_lines(image: Array, rng: np.random.Generator, box: Point, lines: int, 
             x += width + 0.015
 
 
-def _poster(rng: np.random.Generator, kind: int) -> Array:
+def _poster(rng: Rng, kind: int) -> Array:
     paper = _blank(rng.uniform(0.86, 0.97)) if kind % 3 else _blank(single(_pick(rng)) * 0.9)
     if kind % 4 == 0:  # a landscape
         horizon = rng.uniform(0.4, 0.7)
@@ -133,7 +133,7 @@ def _poster(rng: np.random.Generator, kind: int) -> Array:
     return paper
 
 
-def _books(rng: np.random.Generator, empty: float) -> Array:
+def _books(rng: Rng, empty: float) -> Array:
     image = _blank((0.16, 0.12, 0.09))
     x = 0.0
     while x < 1:
@@ -147,7 +147,7 @@ def _books(rng: np.random.Generator, empty: float) -> Array:
     return image
 
 
-def _binders(rng: np.random.Generator) -> Array:
+def _binders(rng: Rng) -> Array:
     image = _blank((0.18, 0.15, 0.12))
     hue = [_pick(rng) for _ in range(3)]
     for i in range(11):
@@ -160,7 +160,7 @@ def _binders(rng: np.random.Generator) -> Array:
     return image
 
 
-def _screen(rng: np.random.Generator, kind: int) -> Array:
+def _screen(rng: Rng, kind: int) -> Array:
     back = (0.96, 0.96, 0.97) if kind % 2 else (0.10, 0.14, 0.22)
     bar, side = (0.03, 0.04, 0.97, 0.11, (0.25, 0.40, 0.62)), (0.03, 0.11, 0.2, 0.95, (0.55, 0.60, 0.68))
     image = _flat((0.05, 0.05, 0.06), [(0.03, 0.04, 0.97, 0.95, back), bar, side])
@@ -168,7 +168,7 @@ def _screen(rng: np.random.Generator, kind: int) -> Array:
     return image
 
 
-def _whiteboard(rng: np.random.Generator) -> Array:
+def _whiteboard(rng: Rng) -> Array:
     image = _blank((0.95, 0.95, 0.96))
     for _ in range(7):
         colour = [(0.1, 0.15, 0.5), (0.6, 0.1, 0.1), (0.1, 0.1, 0.1), (0.1, 0.4, 0.2)][int(rng.integers(4))]
@@ -181,7 +181,7 @@ def _whiteboard(rng: np.random.Generator) -> Array:
     return image
 
 
-def _notices(rng: np.random.Generator) -> Array:
+def _notices(rng: Rng) -> Array:
     image = _blank((0.68, 0.52, 0.36)) + 0.05 * noise(rng, 64, 2)[..., None]
     for _ in range(16):
         x, y = rng.uniform(0.03, 0.82, 2)
@@ -193,13 +193,13 @@ def _notices(rng: np.random.Generator) -> Array:
     return image
 
 
-def _sheet(rng: np.random.Generator) -> Array:
+def _sheet(rng: Rng) -> Array:
     image = _blank((0.95, 0.95, 0.93))
     _text_lines(image, rng, (0.1, 0.08, 0.9, 0.93), 18, 0.45)
     return image
 
 
-def _room_sign(rng: np.random.Generator) -> Array:
+def _room_sign(rng: Rng) -> Array:
     image = _blank((0.90, 0.91, 0.92))
     _rectangle(image, 0, 0, 1, 0.35, (0.12, 0.25, 0.50))
     for digit in range(3):  # strokes of a number
@@ -214,7 +214,7 @@ def _room_sign(rng: np.random.Generator) -> Array:
     return image
 
 
-def _clock(rng: np.random.Generator) -> Array:
+def _clock(rng: Rng) -> Array:
     image = _blank((0.15, 0.15, 0.16))
     cv2.circle(image, (128, 128), 112, (0.95, 0.95, 0.93), -1, cv2.LINE_AA)
     for hand, length in ((rng.uniform(0, 6.28), 60), (rng.uniform(0, 6.28), 92)):
@@ -230,7 +230,7 @@ def _exit_sign() -> Array:
     return image
 
 
-def _fronts(rng: np.random.Generator, gaps: list[float], columns: int) -> Array:
+def _fronts(rng: Rng, gaps: list[float], columns: int) -> Array:
     """Draw the doors or drawers of a cabinet, with level gaps at some shares of its height, and their handles."""
     image = _blank((0.86, 0.86, 0.85)) + 0.01 * noise(rng, 8)[..., None]
     for y0, y1 in pairwise([0.0, *gaps, 1.0]):
@@ -246,7 +246,7 @@ def _fronts(rng: np.random.Generator, gaps: list[float], columns: int) -> Array:
     return image
 
 
-def _pigeonholes(rng: np.random.Generator) -> Array:
+def _pigeonholes(rng: Rng) -> Array:
     image = _blank((0.82, 0.70, 0.54))
     for row in range(6):
         for column in range(5):
@@ -257,7 +257,7 @@ def _pigeonholes(rng: np.random.Generator) -> Array:
     return image
 
 
-def _vending(rng: np.random.Generator) -> Array:
+def _vending(rng: Rng) -> Array:
     places = [(0.1 + 0.12 * column, 0.09 + 0.16 * row) for row in range(4) for column in range(5)]
     wares = [(x, y, x + 0.07, y + 0.12, _pick(rng)) for x, y in places]
     window, slot, tray = (0.08, 0.06, 0.7, 0.72, 0.12), (0.76, 0.2, 0.93, 0.5, 0.85), (0.12, 0.8, 0.68, 0.92, 0.08)

@@ -12,7 +12,7 @@ from scipy.sparse.csgraph import dijkstra
 
 from siamloc.errors import DataError
 from siamloc.simulate.items import KINDS
-from siamloc.simulate.layout import Array, Building, Interval
+from siamloc.simulate.layout import Array, Building, Interval, Rng
 from siamloc.simulate.trajectory import resampled
 
 _CELL = 0.1
@@ -120,7 +120,7 @@ class FreeSpace:
         return self.clearance[pixel[:, 1], pixel[:, 0]]
 
 
-def visits(space: FreeSpace, x: Interval, y: Interval, seen: Array, rng: np.random.Generator) -> list[int]:
+def visits(space: FreeSpace, x: Interval, y: Interval, seen: Array, rng: Rng) -> list[int]:
     """Choose the spots that a robot visits in a room: well away from obstacles and each other; more in larger rooms.
 
     Args:

@@ -10,7 +10,7 @@ import numpy as np
 
 from siamloc.errors import ConfigError, hint
 from siamloc.simulate.items import KINDS
-from siamloc.simulate.layout import Array, Building, Item, Room, seeded
+from siamloc.simulate.layout import Array, Building, Colour, Item, Rng, Room, seeded
 from siamloc.simulate.plan import clearance, inside_item, obstacles
 from siamloc.simulate.shell import Fixtures, leaf_segment
 from siamloc.simulate.sky import sun_direction
@@ -104,7 +104,7 @@ class Light:
     lighting: str
     hour: float
     declination: float
-    lamps_on: dict[str, tuple[float, float, float]]
+    lamps_on: dict[str, Colour]
     number: int
 
 
@@ -144,7 +144,7 @@ def draw_run(building: Building, run: Run) -> RunState:
     return RunState(track, tuple(items), fixtures, _walkers(building, track, rng), light)
 
 
-def draw_light(building: Building, lighting: str, rng: np.random.Generator) -> Light:
+def draw_light(building: Building, lighting: str, rng: Rng) -> Light:
     """Draw any hour of any day, and which lamps are lit: the light varies more than in the runs.
 
     If the sun shines, it is above the horizon.
@@ -154,7 +154,7 @@ def draw_light(building: Building, lighting: str, rng: np.random.Generator) -> L
         hour = float(rng.uniform(8.0, 18.0))
     share = {"night": rng.uniform(0.8, 1.0), "cloudy": rng.uniform(0.3, 1.0), "sunny": rng.uniform(0.0, 0.5)}[lighting]
     level, warmth = rng.uniform(0.6, 1.3), rng.uniform(0.0, 1.4)
-    lamps: dict[str, tuple[float, float, float]] = {}
+    lamps: dict[str, Colour] = {}
     for room in building.rooms.values():
         brighter = level * rng.uniform(0.8, 1.2)
         if rng.random() < share or (not _has_window(building, room) and rng.random() < 0.9):
@@ -166,13 +166,13 @@ def _has_window(building: Building, room: Room) -> bool:
     return any(opening.kind == "window" and room.name in opening.rooms for opening in building.openings)
 
 
-def _lamp_light(room: Room, level: float, warmth: float) -> tuple[float, float, float]:
+def _lamp_light(room: Room, level: float, warmth: float) -> Colour:
     """Return the radiosity of a room's lamps in red, green and blue; the last two fade with the warmth."""
     red = _LAMP[room.lamps[0]] * level
     return red, red * (0.86 - 0.05 * warmth), red * (0.66 - 0.12 * warmth)
 
 
-def _door_angles(building: Building, track: Track, rng: np.random.Generator) -> dict[int, float]:
+def _door_angles(building: Building, track: Track, rng: Rng) -> dict[int, float]:
     angles = {}
     points = track.poses[:, :2]
     for index, opening in enumerate(building.openings):
@@ -186,7 +186,7 @@ def _door_angles(building: Building, track: Track, rng: np.random.Generator) -> 
     return angles
 
 
-def _blinds(building: Building, lighting: str, rng: np.random.Generator) -> dict[int, float]:
+def _blinds(building: Building, lighting: str, rng: Rng) -> dict[int, float]:
     usual = seeded(building.seed, building.name, "blinds")
     blinds = {}
     for index, opening in enumerate(building.openings):
@@ -200,7 +200,7 @@ def _blinds(building: Building, lighting: str, rng: np.random.Generator) -> dict
     return blinds
 
 
-def _lamps_on(building: Building, lighting: str, rng: np.random.Generator) -> dict[str, tuple[float, float, float]]:
+def _lamps_on(building: Building, lighting: str, rng: Rng) -> dict[str, Colour]:
     usual = seeded(building.seed, building.name, "lamps")
     lamps = {}
     for room in building.rooms.values():
@@ -213,7 +213,7 @@ def _lamps_on(building: Building, lighting: str, rng: np.random.Generator) -> di
     return lamps
 
 
-def _moved_items(building: Building, track: Track, angles: dict[int, float], rng: np.random.Generator) -> list[Item]:
+def _moved_items(building: Building, track: Track, angles: dict[int, float], rng: Rng) -> list[Item]:
     leaves = [leaf_segment(building, building.openings[index], angle) for index, angle in angles.items()]
     placed: list[Item] = []
     for number, item in enumerate(building.items):
@@ -246,7 +246,7 @@ def _fits(building: Building, item: Item, others: list[Item], track: Track, leav
     return all(clearance(probe, leaf[None]).min() > 0.1 for leaf in leaves)
 
 
-def _standing_people(building: Building, track: Track, rng: np.random.Generator) -> list[Item]:
+def _standing_people(building: Building, track: Track, rng: Rng) -> list[Item]:
     segments, _ = obstacles(building)
     people: list[Item] = []
     wanted = int(rng.integers(1, 5))
@@ -267,7 +267,7 @@ def _standing_people(building: Building, track: Track, rng: np.random.Generator)
     return people
 
 
-def _walkers(building: Building, track: Track, rng: np.random.Generator) -> tuple[Walker, ...]:
+def _walkers(building: Building, track: Track, rng: Rng) -> tuple[Walker, ...]:
     """Let people walk through the longest room while the robot drives, on the side that the robot leaves free."""
     room = max(building.rooms.values(), key=lambda r: max(r.x[1] - r.x[0], r.y[1] - r.y[0]))
     (x0, x1), (y0, y1) = room.inner(0.45)

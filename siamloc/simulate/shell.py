@@ -6,10 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from siamloc.simulate.layout import HALF_WALL, OUTER_WALL, SIDES, Array, Building, Opening, Room, side_at
+from siamloc.simulate.layout import HALF_WALL, OUTER_WALL, SIDES, Array, Building, Colour, Opening, Rng, Room, side_at
 from siamloc.simulate.mesh import WHITE, MeshBuilder, Point
 
-Colour = tuple[float, float, float]
 SKIRTING = 0.09
 _CASING = 0.07
 _GAP = 0.005
@@ -49,20 +48,18 @@ class Lamp:
     room: str
 
 
-def draw_style(rng: np.random.Generator, materials: str = "standard") -> Style:
+def draw_style(rng: Rng, materials: str = "standard") -> Style:
     """Draw the woodwork of a building, in one of a few colours or, for drawn materials, in any colour."""
     frames = ((0.10, 0.13, 0.20), (0.30, 0.08, 0.07), (0.08, 0.20, 0.14), (0.22, 0.22, 0.24), (0.75, 0.74, 0.70))
     leaves = ("beech", "wood", "walnut", "plain")
     frame = frames[rng.integers(len(frames))]
     if materials == "drawn":
         grey, tint = rng.uniform(0.03, 0.8), rng.uniform(0.4, 1.6, 3) ** rng.choice([0.2, 1.0])
-        red, green, blue = np.clip(grey * tint / tint.mean(), 0.02, 0.85)
-        frame = (float(red), float(green), float(blue))
+        frame = tuple(np.clip(grey * tint / tint.mean(), 0.02, 0.85).tolist())
     drawn = []
     for leaf in rng.permutation(leaves):
         shade = float(rng.uniform(0.6, 1.0))
-        cool = leaf == "plain"
-        drawn.append((str(leaf), (0.7 * shade if cool else shade, 0.8 * shade if cool else shade, shade)))
+        drawn.append((str(leaf), (0.7 * shade, 0.8 * shade, shade) if leaf == "plain" else (shade, shade, shade)))
     shade = float(rng.uniform(0.06, 0.3))
     return Style(frame, tuple(drawn), (shade, shade, shade))
 
@@ -72,7 +69,9 @@ def add_shell(builder: MeshBuilder, building: Building, fixtures: Fixtures, styl
     lamps: list[Lamp] = []
     for index, room in enumerate(building.rooms.values()):
         builder.room = index
-        _slabs(builder, room)
+        x, y = room.inner()
+        builder.slab(x, y, 0, room.floor)
+        builder.slab(x, y[::-1], room.height, room.ceiling)
         for side in SIDES:
             _wall(builder, building, room, side, fixtures, style)
         lamps += _lamps(builder, room)
@@ -101,12 +100,6 @@ def leaf_segment(building: Building, opening: Opening, angle: float) -> Array:
     inwards = np.array(opening.point(0.0, 1.0)) - np.array(opening.point(0.0, 0.0))
     radians = np.radians(angle)
     return np.stack([start, start + np.cos(radians) * closed + np.sin(radians) * into * opening.width * inwards])
-
-
-def _slabs(b: MeshBuilder, room: Room) -> None:
-    (x0, x1), (y0, y1) = room.inner()
-    b.slab((x0, x1), (y0, y1), 0, room.floor)
-    b.slab((x0, x1), (y1, y0), room.height, room.ceiling)
 
 
 def _panel(b: MeshBuilder, x: Point, z: Point, y: float, texture: str, tint: Point) -> None:
@@ -139,7 +132,9 @@ def _wall(b: MeshBuilder, building: Building, room: Room, side: str, fixtures: F
                 if opening.kind in ("leaf", "glass") and opening.into == room.name:
                     hinge_left = (opening.hinge == "low") == (sign > 0)
                     leaf = style.leaves[index % len(style.leaves)]
-                    _leaf(b, (left, right), opening, hinge_left, fixtures.door_angles.get(index, 0.0), leaf, style)
+                    _leaf(
+                        b, (left, right), opening, hinge_left, fixtures.door_angles.get(index, 0.0), leaf, style.frame
+                    )
             cursor = right
         _piece(b, room, (cursor, half), (0, room.height), style)
 
@@ -213,12 +208,12 @@ def _doorway(
 
 def _leaf(
     b: MeshBuilder,
-    ends: tuple[float, float],
+    ends: Point,
     opening: Opening,
     hinge_left: bool,
     angle: float,
     leaf: tuple[str, Colour],
-    style: Style,
+    frame: Colour,
 ) -> None:
     left, right = ends
     width = right - left - 0.02
@@ -227,10 +222,10 @@ def _leaf(
         z1 = opening.top - 0.01
         if opening.kind == "glass":
             bar = 0.09
-            b.box((x0, -0.04, 0.01), (x0 + bar, 0, z1), "metal", style.frame)
-            b.box((x1 - bar, -0.04, 0.01), (x1, 0, z1), "metal", style.frame)
-            b.box((x0 + bar, -0.04, 0.01), (x1 - bar, 0, 0.2), "metal", style.frame)
-            b.box((x0 + bar, -0.04, z1 - bar), (x1 - bar, 0, z1), "metal", style.frame)
+            b.box((x0, -0.04, 0.01), (x0 + bar, 0, z1), "metal", frame)
+            b.box((x1 - bar, -0.04, 0.01), (x1, 0, z1), "metal", frame)
+            b.box((x0 + bar, -0.04, 0.01), (x1 - bar, 0, 0.2), "metal", frame)
+            b.box((x0 + bar, -0.04, z1 - bar), (x1 - bar, 0, z1), "metal", frame)
         else:
             b.box((x0, -0.04, 0.01), (x1, 0, z1), *leaf)
         grip = x1 - 0.16 if hinge_left else x0 + 0.04

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from siamloc.simulate.layout import Array, single
+from siamloc.simulate.layout import Array, Rng, single
 from siamloc.simulate.textures import sample
 
 _LATITUDE = 48.0
@@ -59,15 +59,7 @@ def sun_direction(hour: float, north: float, declination: float) -> Array:
     return np.array([ahead * cosine + east * sine, ahead * sine - east * cosine, up])
 
 
-def make_sky(
-    lighting: str,
-    rng: np.random.Generator,
-    view: np.random.Generator,
-    hour: float,
-    north: float,
-    declination: float,
-    rows: int = 512,
-) -> Sky:
+def make_sky(lighting: str, rng: Rng, view: Rng, hour: float, north: float, declination: float, rows: int = 512) -> Sky:
     """Paint the world outside.
 
     Args:
@@ -94,15 +86,9 @@ def make_sky(
         sky = level * single((0.95, 1.0, 1.06)) * (1 + 1.2 * np.clip(height, 0, 1)) / 2.0 * clouds
         light = level * np.array((0.75, 0.78, 0.80))
     else:
-        directions = np.stack(
-            [
-                np.cos(elevation)[:, None] * np.cos(azimuth),
-                np.cos(elevation)[:, None] * np.sin(azimuth),
-                np.broadcast_to(np.sin(elevation)[:, None], (rows, columns)),
-            ],
-            axis=-1,
-        )
-        towards = np.clip(directions @ sun, -1, 1)[..., None]
+        flat = np.cos(elevation)[:, None]
+        axes = np.broadcast_arrays(flat * np.cos(azimuth), flat * np.sin(azimuth), np.sin(elevation)[:, None])
+        towards = np.clip(np.stack(axes, axis=-1) @ sun, -1, 1)[..., None]
         blue = single((7.0, 11.0, 18.0)) + single((10.0, 9.5, 7.0)) * np.exp(-4 * np.abs(height))
         glow = single((1.0, 0.93, 0.78)) * (70 * np.exp((towards - 1) * 60) + 9 * np.exp((towards - 1) * 6))
         sky = blue * (1 + 0.35 * np.clip(_clouds(rng, rows), 0, None)) + glow
@@ -161,6 +147,5 @@ def _paint_view(sky: Array, rng: np.random.Generator, light: Array, lit_windows:
             dx, dy = rng.normal(0, radius / 2.4, 2)
             colour = np.array((0.10, 0.18, 0.06)) * shade * rng.uniform(0.6, 1.4) * light
             centre = (int(x + dx), int(base - radius * 1.3 + dy))
-            cv2.circle(
-                sky, centre, max(2 if pixel == 1 else 1, radius // 3), [float(c) for c in colour], -1, cv2.LINE_AA
-            )
+            size = max(2 if pixel == 1 else 1, radius // 3)
+            cv2.circle(sky, centre, size, colour.tolist(), -1, cv2.LINE_AA)

@@ -9,10 +9,9 @@ from itertools import pairwise
 import cv2
 import numpy as np
 
-from siamloc.simulate.layout import Array, single
+from siamloc.simulate.layout import Array, Colour, Rng, single
 
 SIZE = 256
-Colour = tuple[float, float, float]
 
 
 @dataclass(frozen=True)
@@ -33,7 +32,7 @@ def eight_bit(image: Array) -> Array:
     return np.clip(image * 255 + 0.5, 0, 255).astype(np.uint8)
 
 
-def noise(rng: np.random.Generator, cells: int, octaves: int = 3) -> Array:
+def noise(rng: Rng, cells: int, octaves: int = 3) -> Array:
     """Return tileable smooth noise (SIZE, SIZE) in about [-1, 1]; the coarsest octave has `cells` x `cells` cells."""
     total = np.zeros((SIZE, SIZE), dtype=np.float32)
     for octave in range(octaves):
@@ -46,7 +45,7 @@ def noise(rng: np.random.Generator, cells: int, octaves: int = 3) -> Array:
     return total / 2
 
 
-def base_textures(rng: np.random.Generator) -> dict[str, Texture]:
+def base_textures(rng: Rng) -> dict[str, Texture]:
     """Return the surfaces of every building: plain ones, woods, floors, tiles."""
     textures: dict[str, Texture] = {}
 
@@ -81,7 +80,7 @@ def base_textures(rng: np.random.Generator) -> dict[str, Texture]:
     return textures
 
 
-def pattern_textures(rng: np.random.Generator) -> dict[str, Texture]:
+def pattern_textures(rng: Rng) -> dict[str, Texture]:
     """Return further surfaces with drawn colours: bricks, wallpaper, panelling, stone, planks."""
     drawn = {
         "brick": (_bricks(rng), 1.6),
@@ -95,7 +94,7 @@ def pattern_textures(rng: np.random.Generator) -> dict[str, Texture]:
     return {name: Texture(eight_bit(image), (metres, metres)) for name, (image, metres) in drawn.items()}
 
 
-def recoloured(textures: dict[str, Texture], rng: np.random.Generator) -> dict[str, Texture]:
+def recoloured(textures: dict[str, Texture], rng: Rng) -> dict[str, Texture]:
     """Return surfaces in other colours: the channels of all that are not nearly white are scaled by drawn factors."""
     changed = {}
     for name, texture in textures.items():
@@ -117,11 +116,11 @@ SURFACES = (
 )  # fmt: skip
 
 
-def _drawn_colour(rng: np.random.Generator, low: float, high: float) -> Array:
+def _drawn_colour(rng: Rng, low: float, high: float) -> Array:
     return single(rng.uniform(low, high) * rng.uniform(0.75, 1.15, 3))
 
 
-def _bricks(rng: np.random.Generator) -> Array:
+def _bricks(rng: Rng) -> Array:
     stone, joint = single(rng.uniform(0.35, 0.8)) * single((1.0, rng.uniform(0.45, 1.0), rng.uniform(0.35, 0.95))), 0.72
     image = np.full((SIZE, SIZE, 3), joint, dtype=np.float32)
     rows, columns = 16, 6
@@ -134,7 +133,7 @@ def _bricks(rng: np.random.Generator) -> Array:
     return image + 0.03 * noise(rng, 32, 3)[..., None]
 
 
-def _stripes(rng: np.random.Generator) -> Array:
+def _stripes(rng: Rng) -> Array:
     ground, stripe = _drawn_colour(rng, 0.6, 0.95), _drawn_colour(rng, 0.3, 0.9)
     image = np.broadcast_to(ground, (SIZE, SIZE, 3)).copy()
     count = int(rng.integers(2, 9))
@@ -143,7 +142,7 @@ def _stripes(rng: np.random.Generator) -> Array:
     return image
 
 
-def _planks(rng: np.random.Generator, count: int, spread: float) -> Array:
+def _planks(rng: Rng, count: int, spread: float) -> Array:
     colour = rng.uniform(0.35, 0.9) * np.array((1.0, rng.uniform(0.75, 0.95), rng.uniform(0.5, 0.85)))
     image = _wood(rng, (float(colour[0]), float(colour[1]), float(colour[2])), 0.05)
     edges = np.rint(np.arange(count + 1) * SIZE / count).astype(int)
@@ -154,21 +153,21 @@ def _planks(rng: np.random.Generator, count: int, spread: float) -> Array:
     return image
 
 
-def _checker(rng: np.random.Generator) -> Array:
+def _checker(rng: Rng) -> Array:
     dark, light = _drawn_colour(rng, 0.08, 0.6), _drawn_colour(rng, 0.6, 0.95)
     step = SIZE // 4
     odd = (np.arange(SIZE)[:, None] // step + np.arange(SIZE)[None] // step) % 2
     return np.where(odd[..., None] > 0, light, dark) + 0.02 * noise(rng, 16, 3)[..., None]
 
 
-def _terrazzo(rng: np.random.Generator) -> Array:
+def _terrazzo(rng: Rng) -> Array:
     image = _tinted((1.0, 1.0, 1.0), 0.02 * noise(rng, 8, 3)) * _drawn_colour(rng, 0.45, 0.8)
     for _ in range(3):
         image[noise(rng, 64, 2) > 0.8] = _drawn_colour(rng, 0.2, 0.9)
     return image
 
 
-def _marble(rng: np.random.Generator) -> Array:
+def _marble(rng: Rng) -> Array:
     veins = np.exp(-((noise(rng, 4, 5) / rng.uniform(0.05, 0.15)) ** 2))
     colour, vein = _drawn_colour(rng, 0.5, 0.95), _drawn_colour(rng, 0.3, 0.7)
     return colour + (0.5 * veins)[..., None] * (vein - colour) + 0.02 * noise(rng, 16, 3)[..., None]
@@ -183,7 +182,7 @@ def _brushed(field: Array) -> Array:
     return 3 * cv2.blur(np.tile(field, (1, 3)), (65, 1))[:, SIZE : 2 * SIZE]
 
 
-def _speckled(rng: np.random.Generator, colour: Colour) -> Array:
+def _speckled(rng: Rng, colour: Colour) -> Array:
     image = _tinted(colour, 0.025 * noise(rng, 8, 3))
     grains = noise(rng, 64, 2)
     image[grains > 0.85] += 0.09
@@ -191,7 +190,7 @@ def _speckled(rng: np.random.Generator, colour: Colour) -> Array:
     return image
 
 
-def _wood(rng: np.random.Generator, colour: Colour, contrast: float) -> Array:
+def _wood(rng: Rng, colour: Colour, contrast: float) -> Array:
     """Draw upright grain: slow bands and fine fibres."""
     x = np.arange(SIZE, dtype=np.float32)[None, :] / SIZE
     bend = np.roll(noise(rng, 2, 2), 31, axis=1)
@@ -203,7 +202,7 @@ def _wood(rng: np.random.Generator, colour: Colour, contrast: float) -> Array:
     return image
 
 
-def _parquet(rng: np.random.Generator) -> Array:
+def _parquet(rng: Rng) -> Array:
     image = np.ascontiguousarray(_wood(rng, (0.70, 0.52, 0.34), 0.06).transpose(1, 0, 2))
     height = SIZE // 8
     for row in range(8):
@@ -214,7 +213,7 @@ def _parquet(rng: np.random.Generator) -> Array:
     return image
 
 
-def _tiles(rng: np.random.Generator, colour: Colour, count: int, spread: float, joint: Colour) -> Array:
+def _tiles(rng: Rng, colour: Colour, count: int, spread: float, joint: Colour) -> Array:
     step = SIZE // count
     shade = np.kron(rng.normal(0, spread, (count, count)), np.ones((step, step))).astype(np.float32)
     image = _tinted(colour, shade + 0.012 * noise(rng, 16, 3))
@@ -224,7 +223,7 @@ def _tiles(rng: np.random.Generator, colour: Colour, count: int, spread: float, 
     return image
 
 
-def _ceiling(rng: np.random.Generator) -> Array:
+def _ceiling(rng: Rng) -> Array:
     image = _tinted((0.90, 0.90, 0.88), 0.03 * noise(rng, 128, 1))
     for offset in range(4):
         image[offset :: SIZE // 2] = (0.70, 0.70, 0.69)
@@ -232,7 +231,7 @@ def _ceiling(rng: np.random.Generator) -> Array:
     return image
 
 
-def _leaves(rng: np.random.Generator) -> Array:
+def _leaves(rng: Rng) -> Array:
     image = np.full((SIZE, SIZE, 3), (0.10, 0.20, 0.08), dtype=np.float32)
     for _ in range(260):
         centre = tuple(int(v) for v in rng.integers(0, SIZE, 2))

@@ -11,7 +11,7 @@ import numpy as np
 from foundation.files import read_text
 from siamloc.data.names import NamedPose, format_name, parse_name
 from siamloc.errors import ConfigError, DataError, hint
-from siamloc.simulate.layout import Array, Building, Path
+from siamloc.simulate.layout import Array, Building, Path, Rng
 from siamloc.simulate.plan import blocked_points, clearance, crossings, obstacles, room_codes
 
 #: Distance in metres that the robot's middle keeps from walls and furniture.
@@ -52,7 +52,7 @@ class Track:
         return Track(*(values[:count] for values in vars(self).values()))
 
 
-def drive(building: Building, path: str, spacing: float, rng: np.random.Generator, start: float) -> Track:
+def drive(building: Building, path: str, spacing: float, rng: Rng, start: float) -> Track:
     """Drive a path of the building for one run: shifted sideways by up to 0.3 m, with an unsteady heading.
 
     Args:
@@ -168,7 +168,7 @@ def resampled(points: Array, step: float) -> Array:
     return np.stack([np.interp(at, length[keep], points[keep, axis]) for axis in (0, 1)], axis=1)
 
 
-def _wander(rng: np.random.Generator, count: int, metres: float) -> Array:
+def _wander(rng: Rng, count: int, metres: float) -> Array:
     """Return smooth random numbers (count,) of about unit size that change over about `metres`."""
     knots = max(4, int(count * _STEP / metres) + 3)
     values = rng.standard_normal(knots)
@@ -179,7 +179,7 @@ def _wander(rng: np.random.Generator, count: int, metres: float) -> Array:
     return values[low] * (1 - share) + values[low + 1] * share
 
 
-def _shifted(building: Building, line: Array, rng: np.random.Generator) -> Array:
+def _shifted(building: Building, line: Array, rng: Rng) -> Array:
     """Shift a path sideways as far as walls and furniture allow."""
     segments, _ = obstacles(building)
     room: Array = np.clip(clearance(line, segments) - BODY, 0, _MAX_SHIFT)

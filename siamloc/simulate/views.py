@@ -16,7 +16,7 @@ import numpy as np
 from foundation.calls import typed
 from siamloc.data.frames import FrameTable
 from siamloc.simulate.camera import Cameras, ViewCamera, develop, draw_camera, metered
-from siamloc.simulate.layout import Array, Building, seeded, single
+from siamloc.simulate.layout import Array, Building, Rng, seeded, single
 from siamloc.simulate.light import ROUGH
 from siamloc.simulate.load import load_building
 from siamloc.simulate.plan import room_at
@@ -135,7 +135,7 @@ def look_around(
     scenes: Sequence[Scene],
     poses: Array,
     camera: ViewCamera,
-    rng: np.random.Generator,
+    rng: Rng,
     exposure: Exposures = "drawn",
 ) -> Array:
     """Render images from poses under several lights.
@@ -179,7 +179,7 @@ def look_around(
     return found
 
 
-def _draw_lights(building: Building, count: int, rng: np.random.Generator) -> list[Light]:
+def _draw_lights(building: Building, count: int, rng: Rng) -> list[Light]:
     """Draw lights: the three lightings once each in random order, then any lighting."""
     order = [LIGHTINGS[i % 3] for i in rng.permutation(3)]
     names = [order[i] if i < 3 else str(rng.choice(LIGHTINGS)) for i in range(count)]

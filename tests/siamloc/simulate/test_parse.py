@@ -130,16 +130,5 @@ def test_built_in_buildings_are_possible(name: str) -> None:
         assert clearance(path.points, segments).min() > 0.2
         assert "" not in room_codes(building, path.points)
     assert set(room_codes(building, building.paths["path2"].points)) == set(building.codes)
-
-
-def test_freiburg_like_has_the_nine_rooms() -> None:
-    codes = set(load_building("freiburg_like").codes)
-    assert codes == {"1PO-A", "2PO1-A", "2PO2-A", "CR-A", "KT-A", "LO-A", "PA-A", "ST-A", "TL-A"}
-
-
-def test_random_buildings_are_possible_and_differ() -> None:
-    drawn = [load_building("random", seed) for seed in range(25)]
-    assert len({building.bounds for building in drawn}) == 25
-    again = load_building("random", 3)
-    assert again.rooms == drawn[3].rooms
-    assert again.items == drawn[3].items
+    nine = {"1PO-A", "2PO1-A", "2PO2-A", "CR-A", "KT-A", "LO-A", "PA-A", "ST-A", "TL-A"}
+    assert name != "freiburg_like" or set(building.codes) == nine

@@ -60,14 +60,13 @@ def test_a_run_leaves_its_own_way_free(mini: Building, lighting: str) -> None:
         assert not crossings(moves, np.stack(leaves)).any()
 
 
-def test_runs_differ_in_what_the_issue_lists(mini: Building) -> None:
+def test_runs_differ_in_doors_hours_chairs_and_people(mini: Building) -> None:
     a, b = draw_run(mini, Run("sunny", 1)), draw_run(mini, Run("sunny", 2))
     assert a.fixtures.door_angles != b.fixtures.door_angles
     assert abs(a.light.hour - b.light.hour) > 1
-    chairs = [[(i.x, i.y, i.facing) for i in state.items if i.kind == "chair"] for state in (a, b)]
-    assert chairs[0] != chairs[1]
-    people = [[(i.x, i.y) for i in state.items if i.kind == "person"] for state in (a, b)]
-    assert people[0] != people[1]
+    for kind in ("chair", "person"):
+        first, second = ([(i.x, i.y, i.facing) for i in state.items if i.kind == kind] for state in (a, b))
+        assert first != second
     assert draw_run(mini, Run("sunny", 1)).items == a.items
 
 
@@ -82,31 +81,32 @@ def test_lists_are_rendered_under_their_own_names(mini: Building, tmp_path: File
     assert track.speed[0] == pytest.approx(0.2 / 0.3)
 
 
-def test_bad_lists_and_paths(mini: Building, tmp_path: FilePath) -> None:
+@pytest.mark.parametrize(
+    ("lines", "message"),
+    [
+        ("\n", "lists no image"),
+        ("picture.jpeg CR-A\n", r"line 1: expected an image named t<seconds>"),
+        ("t1_x0.4_y5.4_a0.png 1PO-A\n", r"line 1: images are written as JPEG"),
+        ("t1_x2_y1_a0.jpeg CR-A\n" * 2, r"line 2: image t1_x2_y1_a0\.jpeg appears in line 1 already"),
+        ("t1_x0.4_y5.4_a0.jpeg 1PO-A\n", r"1 of 1 poses lie in a wall or on .* the first in line 1 at \(0.40, 5.40\)"),
+        (None, "cannot be read"),
+    ],
+)
+def test_bad_lists(mini: Building, tmp_path: FilePath, lines: str | None, message: str) -> None:
     file = tmp_path / "bad.lst"
-    with pytest.raises(DataError, match="cannot be read"):
+    if lines is not None:
+        file.write_text(lines)
+    with pytest.raises(DataError, match=message):
         listed(mini, file)
-    file.write_text("\n")
-    with pytest.raises(DataError, match="lists no image"):
-        listed(mini, file)
-    file.write_text("picture.jpeg CR-A\n")
-    with pytest.raises(DataError, match=r"line 1: expected an image named t<seconds>"):
-        listed(mini, file)
-    file.write_text("t1_x0.4_y5.4_a0.png 1PO-A\n")
-    with pytest.raises(DataError, match=r"line 1: images are written as JPEG"):
-        listed(mini, file)
-    file.write_text("t1_x2_y1_a0.jpeg CR-A\nt1_x2_y1_a0.jpeg CR-A\n")
-    with pytest.raises(DataError, match=r"line 2: image t1_x2_y1_a0\.jpeg appears in line 1 already"):
-        listed(mini, file)
-    file.write_text("t1_x0.4_y5.4_a0.jpeg 1PO-A\n")
-    with pytest.raises(
-        DataError, match=r"1 of 1 poses lie in a wall or on furniture .* the first in line 1 at \(0.40, 5.40\)"
-    ):
-        listed(mini, file)
-    with pytest.raises(ConfigError, match="has no path 'path3'; did you mean 'path"):
-        drive(mini, "path3", 0.15, np.random.default_rng(0), 0.0)
-    with pytest.raises(ConfigError, match="positive number of metres"):
-        drive(mini, "path1", 0.0, np.random.default_rng(0), 0.0)
+
+
+@pytest.mark.parametrize(
+    ("path", "spacing", "message"),
+    [("path3", 0.15, "has no path 'path3'; did you mean 'path"), ("path1", 0.0, "positive number of metres")],
+)
+def test_bad_paths(mini: Building, path: str, spacing: float, message: str) -> None:
+    with pytest.raises(ConfigError, match=message):
+        drive(mini, path, spacing, np.random.default_rng(0), 0.0)
 
 
 def test_corners_that_cannot_be_rounded(mini: Building) -> None:
