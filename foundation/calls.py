@@ -19,9 +19,21 @@ import inspect
 import re
 import types
 from collections.abc import Callable, Mapping, Sequence
-from functools import wraps
+from functools import partial, wraps
 from textwrap import dedent, indent
-from typing import Annotated, Any, Literal, ParamSpec, TypeVar, Union, get_args, get_origin
+from typing import (
+    Annotated,
+    Any,
+    Concatenate,
+    Literal,
+    ParamSpec,
+    Protocol,
+    TypeVar,
+    Union,
+    get_args,
+    get_origin,
+    overload,
+)
 
 import numpy as np
 
@@ -32,52 +44,79 @@ _ATTRIBUTES = re.compile(r"^Attributes:\n((?:    .*\n?|\n)+)", flags=re.MULTILIN
 _SETTINGS = re.compile(r"^    settings: .*\n(?:        .*\n)*", flags=re.MULTILINE)
 
 Result = TypeVar("Result")
+Owner = TypeVar("Owner")
+Group = TypeVar("Group")
+Group_co = TypeVar("Group_co", covariant=True)
 Arguments = ParamSpec("Arguments")
+Fields = ParamSpec("Fields")
 
 
-def takes(kind: type[Settings]) -> Callable[[Callable[..., Result]], Callable[..., Result]]:
+OF_FIELDS: Any = None
+"""Default of the argument `settings` of a function that `takes` decorates: settings made of the fields in the call."""
+
+
+class Taking(Protocol[Fields, Group_co]):
+    """The type of what `takes` returns."""
+
+    @overload
+    def __call__(
+        self, function: Callable[[Owner, Group_co], Result]
+    ) -> Callable[Concatenate[Owner, Fields], Result]: ...
+
+    @overload
+    def __call__(self, function: Callable[Arguments, Result]) -> Callable[Arguments, Result]: ...
+
+
+def takes(kind: Callable[Fields, Group]) -> Taking[Fields, Group]:
     """Let a function be called with the fields of a settings class as keywords.
 
-    The function itself has one keyword, `settings`. A caller gives either that, as an object or as plain values, or the
-    fields. `help` and notebook completion show the fields one by one; in the docstring they replace the line about
-    `settings`.
+    The function itself has one argument for them, `settings`. A caller gives either that, as an object or as plain
+    values, or the fields. `help` and notebook completion show the fields one by one; in the docstring they replace the
+    line about `settings`.
+
+    A type checker knows the fields, too: of a method with no other argument than `settings` from the class itself, of
+    other functions from their last parameter, `**fields: Unpack[...]` with a `TypedDict` of the same names.
+
+    Args:
+        kind: the class, a subclass of `Settings`.
     """
 
-    def decorate(function: Callable[..., Result]) -> Callable[..., Result]:
-        own = inspect.signature(function)
-        # Keywords that are fields become `settings`; the rest are the function's own.
-        parameters = [one for one in own.parameters.values() if one.name != "settings"]
-        fields = {field.name: field for field in dataclasses.fields(kind)}  # type: ignore[arg-type]
-        kinds: list[dict[str, Any]] = []
-        named = [*(one.name for one in parameters if one.kind is one.KEYWORD_ONLY), *fields]
+    return partial(_taking, kind=kind)  # type: ignore[return-value, arg-type]
 
-        called = function.__qualname__.removesuffix(".__init__").rpartition(".")[2]
 
-        @wraps(function)
-        def call(*arguments: Any, settings: Settings | Mapping[str, Any] | None = None, **keywords: Any) -> Result:
-            given = {name: keywords.pop(name) for name in list(keywords) if name in fields}
-            for name in keywords:
-                if name not in own.parameters:
-                    raise ConfigError(f"{called} has no setting {name!r}: {hint(name, named)}")
-            if settings is not None and given:
-                raise ConfigError(f"{called} takes settings=... or {', '.join(given)}, not both")
-            if not kinds:
-                kinds.append(kinds_of(function))
-            check_arguments(own, kinds[0], arguments, keywords)
-            chosen = kind.of(given) if settings is None else checked(settings, kind, "settings")
-            return function(*arguments, settings=chosen, **keywords)
+def _taking(function: Callable[..., Result], kind: type[Settings]) -> Callable[..., Result]:
+    own = inspect.signature(function)
+    # Keywords that are fields become `settings`; the rest are the function's own.
+    parameters = [one for one in own.parameters.values() if one.name != "settings" and one.kind is not one.VAR_KEYWORD]
+    fields = {field.name: field for field in dataclasses.fields(kind)}  # type: ignore[arg-type]
+    kinds: list[dict[str, Any]] = []
+    own_names = {one.name for one in parameters}
+    named = [*(one.name for one in parameters if one.kind is one.KEYWORD_ONLY), *fields]
+    called = function.__qualname__.removesuffix(".__init__").rpartition(".")[2]
 
-        shown = [
-            inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=_shown(field), annotation=field.type)
-            for name, field in fields.items()
-        ]
-        call.__signature__ = own.replace(parameters=[*parameters, *shown])  # type: ignore[attr-defined]
-        if listed := _described(kind):
-            text = inspect.cleandoc(function.__doc__ or "")
-            call.__doc__ = _SETTINGS.sub(lambda _: f"{indent(listed, '    ')}\n", text, count=1)
-        return call
+    @wraps(function)
+    def call(*arguments: Any, settings: Settings | Mapping[str, Any] | None = None, **keywords: Any) -> Result:
+        given = {name: keywords.pop(name) for name in list(keywords) if name in fields}
+        for name in keywords:
+            if name not in own_names:
+                raise ConfigError(f"{called} has no setting {name!r}: {hint(name, named)}")
+        if settings is not None and given:
+            raise ConfigError(f"{called} takes settings=... or {', '.join(given)}, not both")
+        if not kinds:
+            kinds.append(kinds_of(function))
+        check_arguments(own, kinds[0], arguments, keywords)
+        chosen = kind.of(given) if settings is None else checked(settings, kind, "settings")
+        return function(*arguments, settings=chosen, **keywords)
 
-    return decorate
+    shown = [
+        inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=_shown(field), annotation=field.type)
+        for name, field in fields.items()
+    ]
+    call.__signature__ = own.replace(parameters=[*parameters, *shown])  # type: ignore[attr-defined]
+    if listed := _described(kind):
+        text = inspect.cleandoc(function.__doc__ or "")
+        call.__doc__ = _SETTINGS.sub(lambda _: f"{indent(listed, '    ')}\n", text, count=1)
+    return call
 
 
 def typed(function: Callable[Arguments, Result]) -> Callable[Arguments, Result]:

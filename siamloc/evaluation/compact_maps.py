@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, TypedDict
 
 import numpy as np
 from numpy.typing import NDArray
 
 from analytic import Description, clustering
-from foundation.calls import takes
+from foundation.calls import OF_FIELDS, takes
 from foundation.settings import Count, Seed, Settings
 from siamloc.data.frames import FrameTable
 from siamloc.data.library import PanoramaLibrary
@@ -30,6 +30,9 @@ from siamloc.stopwatch import Stopwatch
 _REPEATED, _SHORT = 9, 0.2  # searches, and seconds
 
 Way = Literal["spectral", "som", "sample"]
+
+if TYPE_CHECKING:
+    from typing_extensions import Unpack
 
 
 @dataclass(frozen=True)
@@ -55,6 +58,13 @@ class Compact(Settings):
                 raise ConfigError(f"task.{name} must name one or more, none of them twice, got {list(values)}")
 
 
+class CompactFields(TypedDict, total=False):
+    """The fields of `Compact` as keywords, for type checkers."""
+
+    nodes: Sequence[int]
+    ways: Sequence[Way]
+
+
 @takes(Compact)
 def compact(
     known: VisualMap,
@@ -65,7 +75,8 @@ def compact(
     protocol: Protocol | Mapping[str, Any] | str = "cross_run",
     name: str | None = None,
     seed: Seed = 0,
-    settings: Compact,
+    settings: Compact = OF_FIELDS,
+    **fields: Unpack[CompactFields],
 ) -> Result:
     """Locate queries in maps with different numbers of nodes, each of which is represented by one descriptor.
 

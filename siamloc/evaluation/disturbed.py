@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, TypedDict
 
 import numpy as np
 from numpy.typing import NDArray
 
 from analytic import Descriptor
-from foundation.calls import takes
+from foundation.calls import OF_FIELDS, takes
 from foundation.settings import Count, NotNegative, Rule, Seed, Settings
 from siamloc.data.frames import FrameTable
 from siamloc.data.library import PanoramaLibrary
@@ -27,6 +27,9 @@ from siamloc.stopwatch import Stopwatch
 Locate = Callable[[Images], Answer]
 
 _STRENGTHS = (0, 0.25, 0.5, 0.75, 1)
+
+if TYPE_CHECKING:
+    from typing_extensions import Unpack
 
 
 @dataclass(frozen=True)
@@ -81,6 +84,18 @@ class Robustness(Settings):
         return made
 
 
+class RobustnessFields(TypedDict, total=False):
+    """The fields of `Robustness` as keywords, for type checkers."""
+
+    every: int
+    radius: float
+    noise: Sequence[float] | None
+    occlusion: Sequence[float] | None
+    turn: Sequence[float]
+    effects: Sequence[str]
+    strengths: Sequence[float]
+
+
 @takes(Robustness)
 def robustness(
     known: VisualMap,
@@ -91,7 +106,8 @@ def robustness(
     baselines: Baselines = (),
     name: str | None = None,
     seed: Seed = 0,
-    settings: Robustness,
+    settings: Robustness = OF_FIELDS,
+    **fields: Unpack[RobustnessFields],
 ) -> Result:
     """Measure how errors grow when the queries' images are disturbed.
 

@@ -5,13 +5,13 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, TypedDict
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from analytic import Description
-from foundation.calls import takes
+from foundation.calls import OF_FIELDS, takes
 from foundation.columns import Rows
 from foundation.settings import Count, Natural, NotNegative, Rule, Settings
 from siamloc.data.frames import FrameTable
@@ -29,6 +29,9 @@ from siamloc.maps.hierarchy import HierarchicalRetrieval, HierarchicalSearch, Ra
 from siamloc.maps.ranking import NodeRanking, rank_by_position
 from siamloc.results import Columns, by_label
 from siamloc.stopwatch import Stopwatch
+
+if TYPE_CHECKING:
+    from typing_extensions import Unpack
 
 
 @dataclass(frozen=True)
@@ -76,6 +79,16 @@ class Hierarchical(Settings):
         check_recalls(self.radii, self.ks)
 
 
+class HierarchicalFields(TypedDict, total=False):
+    """The fields of `Hierarchical` as keywords, for type checkers."""
+
+    candidates: int
+    coarse: CoarseRanking | Mapping[str, Any]
+    along: int
+    radii: Sequence[float]
+    ks: Sequence[int]
+
+
 @takes(Hierarchical)
 def hierarchical(
     known: VisualMap,
@@ -86,7 +99,8 @@ def hierarchical(
     coarse_map: VisualMap | None = None,
     protocol: Protocol | Mapping[str, Any] | str = "cross_run",
     name: str | None = None,
-    settings: Hierarchical,
+    settings: Hierarchical = OF_FIELDS,
+    **fields: Unpack[HierarchicalFields],
 ) -> Result:
     """Locate queries by first ranking the nodes of a coarse layer and then searching the frames in the best of them.
 

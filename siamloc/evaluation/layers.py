@@ -5,14 +5,14 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, TypedDict
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from analytic import Descriptor
 from analytic.measures.closures import ClosureScores, closure_scores
-from foundation.calls import takes
+from foundation.calls import OF_FIELDS, takes
 from foundation.settings import Count, NotNegative, Settings
 from siamloc.evaluation.columns import room_names
 from siamloc.evaluation.result import Result
@@ -20,6 +20,9 @@ from siamloc.maps import Built
 from siamloc.maps.coarse import CoarseLayer
 from siamloc.maps.visual_map import VisualMap
 from siamloc.results import Columns
+
+if TYPE_CHECKING:
+    from typing_extensions import Unpack
 
 
 @dataclass(frozen=True)
@@ -37,8 +40,22 @@ class MapMeasures(Settings):
     closure_gap: Count = 30
 
 
+class MapMeasuresFields(TypedDict, total=False):
+    """The fields of `MapMeasures` as keywords, for type checkers."""
+
+    closure_radius: float
+    closure_gap: int
+
+
 @takes(MapMeasures)
-def mapping(known: VisualMap, built: Built, *, name: str | None = None, settings: MapMeasures) -> Result:
+def mapping(
+    known: VisualMap,
+    built: Built,
+    *,
+    name: str | None = None,
+    settings: MapMeasures = OF_FIELDS,
+    **fields: Unpack[MapMeasuresFields],
+) -> Result:
     """Measure the nodes of a map: compactness, agreement with the rooms, loop closures and cost.
 
     Measures that need positions are left out if there are none.

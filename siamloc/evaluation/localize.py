@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, TypedDict
 
 import numpy as np
 from numpy.typing import NDArray
 
-from foundation.calls import takes, typed
+from foundation.calls import OF_FIELDS, takes, typed
 from foundation.settings import Count, NotNegative, Seed, Settings, Share
 from siamloc.data.frames import FrameTable
 from siamloc.data.library import PanoramaLibrary
@@ -23,6 +23,7 @@ from siamloc.evaluation.estimates import (
     ESTIMATES,
     MATCHES,
     Estimates,
+    FilterSettings,
     learn,
     learned_errors,
     prepared,
@@ -35,6 +36,9 @@ from siamloc.evaluation.session import Baselines, Search, Session, cost
 from siamloc.maps import VisualMap
 from siamloc.maps.error_model import ErrorModel
 from siamloc.stopwatch import Stopwatch
+
+if TYPE_CHECKING:
+    from typing_extensions import Unpack
 
 
 @dataclass(frozen=True)
@@ -85,6 +89,23 @@ class Localization(Estimates):
             )
 
 
+class LocalizationFields(TypedDict, total=False):
+    """The fields of `Localization` as keywords, for type checkers."""
+
+    filter: bool
+    filter_settings: FilterSettings | Mapping[str, Any]
+    filter_tune: bool
+    refine: Literal["none", "interpolate", "relative"]
+    neighbours: int
+    error_model: bool
+    lost_above: float
+    place_radius: float
+    names: Sequence[Literal["absolute", "room_retrieval"]]
+    radii: Sequence[float]
+    ks: Sequence[int]
+    pairs: JudgedPairs | Mapping[str, Any]
+
+
 @takes(Localization)
 def localization(
     known: VisualMap,
@@ -96,7 +117,8 @@ def localization(
     baselines: Baselines = (),
     name: str | None = None,
     seed: Seed = 0,
-    settings: Localization,
+    settings: Localization = OF_FIELDS,
+    **fields: Unpack[LocalizationFields],
 ) -> Result:
     """Locate queries in a map and compare the results with their true poses and rooms.
 

@@ -12,7 +12,7 @@ from siamloc.models.registry import BRANCHES, HEADS, Optimizer
 
 if TYPE_CHECKING:
     from siamloc.models.batch_losses import MetricCalibratedLoss, SoftContrastiveLoss
-    from siamloc.models.checkpoint import load
+    from siamloc.models.checkpoint import load, pretrained, save_weights
     from siamloc.models.cross_entropy import CrossEntropyLoss
     from siamloc.models.describing import NetworkDescriptor, as_descriptor
     from siamloc.models.losses import ContrastiveLoss
@@ -21,7 +21,6 @@ if TYPE_CHECKING:
     from siamloc.models.network_stages import stages
     from siamloc.models.origins import Origins
     from siamloc.models.places import PlaceModule
-    from siamloc.models.pretrained_network import pretrained, save_weights
     from siamloc.models.room_classifier import NamedRooms, RoomClassifier
     from siamloc.models.siamese import SiameseModule
 
@@ -69,8 +68,8 @@ _HOMES = {
     "as_descriptor": "describing",
     "build": "network",
     "load": "checkpoint",
-    "pretrained": "pretrained_network",
-    "save_weights": "pretrained_network",
+    "pretrained": "checkpoint",
+    "save_weights": "checkpoint",
     "stages": "network_stages",
 }
 

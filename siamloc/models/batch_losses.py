@@ -45,7 +45,7 @@ class SoftContrastiveLoss(ScheduledLoss):
     unit_length: ClassVar[bool] = True
 
     @takes(SoftContrastive)
-    def __init__(self, *, settings: SoftContrastive) -> None:
+    def __init__(self, settings: SoftContrastive) -> None:
         super().__init__(settings)
         self.temperature, self.sigma = float(settings.temperature), float(settings.sigma)
         self.kernel, self.room = settings.kernel, float(settings.room)
@@ -76,10 +76,14 @@ class SoftContrastiveLoss(ScheduledLoss):
                 cost = cost - (mates * told).sum(dim=1)
             return (cost * counts).sum() / counts.sum().clamp(min=1)
 
-    def positives(self, origins: Origins) -> Tensor:
-        """Return (N, N) bool: True where two different frames should be similar, however little."""
+    def lacks(self, origins: Origins) -> str | None:
+        """Name what a batch lacks for this loss: two different frames that should be similar, however little."""
         near, mates, _ = self._wanted(origins, origins.frame[:, None] == origins.frame[None])
-        return near + mates > 0
+        if bool((near + mates > 0).any()):
+            return None
+        rooms = f"two frames of one room, for loss.room={self.room:g}"
+        near_enough = f"two frames near enough for loss.sigma={self.sigma:g}"
+        return near_enough if self.room == 0 else rooms if self.room == 1 else f"{near_enough}, or {rooms}"
 
     def _wanted(self, origins: Origins, itself: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """Return the target similarities (N, N), for being near and for their room; together, rows sum to 1.
@@ -128,7 +132,7 @@ class MetricCalibratedLoss(ScheduledLoss):
     unit_length: ClassVar[bool] = True
 
     @takes(MetricCalibrated)
-    def __init__(self, *, settings: MetricCalibrated) -> None:
+    def __init__(self, settings: MetricCalibrated) -> None:
         super().__init__(settings)
         self.cap = float(settings.cap)
         self.settings = {"name": "metric_calibrated", **settings.plain()}
@@ -148,6 +152,11 @@ class MetricCalibratedLoss(ScheduledLoss):
             known = torch.isfinite(wanted)
             cost = torch.where(known, apart - wanted.nan_to_num(0), 0).square()
             return cost.sum() / known.sum().clamp(min=1)
+
+    def lacks(self, origins: Origins) -> str | None:
+        """Name what a batch lacks for this loss: two different frames nearer each other than the cap."""
+        cap = self.bounds("cap")[1]
+        return None if bool(origins.apart().min() < cap) else f"two frames less than loss.cap={cap:g} apart"
 
 
 _LEAST_WEIGHT = 1e-6

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from bisect import bisect_left
+from collections.abc import Sequence
 from functools import lru_cache
 from typing import cast
 
@@ -13,12 +14,13 @@ from augment.torchvision_compat import ensure_torchvision
 from siamloc.errors import ConfigError
 from siamloc.models.circular import circular as around
 from siamloc.models.normalization import by_image, by_surroundings
-from siamloc.models.panoresnet import residual_features
 from siamloc.models.registry import branch_spec
 
 IMAGENET_MEAN = (0.485, 0.456, 0.406)
 IMAGENET_STD = (0.229, 0.224, 0.225)
 SIMPLE_GRID = (4, 16)
+BLOCKS = (1, 2, 2, 1)  # in each stage
+STRIDES = (1, 2, 2, 1)  # of each stage, after the stem has halved rows and columns twice
 
 
 class Branch(nn.Module):
@@ -106,17 +108,17 @@ def finer_features(name: str, image_size: tuple[int, int]) -> tuple[int, tuple[i
         The number of layers up to the last such features, 0 for the image itself; and their channels, rows and columns.
         None if not even the image has so many columns.
     """
-    found = [(3, *image_size), *layer_shapes(name, image_size)]
+    found = [(3, *image_size), *layer_shapes(name, image_size, circular=True)]
     finer = [number for number, one in enumerate(found) if one[2] >= 2 * found[-1][2]]
     return (finer[-1], found[finer[-1]]) if finer else None
 
 
-@lru_cache(maxsize=64)
-def layer_shapes(name: str, image_size: tuple[int, int]) -> list[tuple[int, int, int]]:
-    """Return channels, rows and columns after each layer of a circular branch."""
+@lru_cache(maxsize=256)
+def layer_shapes(name: str, image_size: tuple[int, int], circular: bool) -> list[tuple[int, int, int]]:
+    """Return channels, rows and columns after each layer of a branch."""
     found, features = [], torch.empty(1, 3, *image_size, device="meta")
     with torch.no_grad():
-        for layer in _weightless(name, True):
+        for layer in _weightless(name, circular):
             features = layer(features)
             channels, rows, columns = features.shape[1:]
             found.append((channels, rows, columns))
@@ -128,23 +130,23 @@ def smallest_size(name: str, circular: bool = False) -> tuple[int, int]:
     """Return the smallest image (H, W) that the branch can take; each side alone may be that small."""
     if branch_spec(name).kind == "simple":
         return SIMPLE_GRID
-    rows = _first(lambda side: _shape_or_none(name, side, 256, circular) is not None, enough=256)
-    return rows, _first(lambda side: _shape_or_none(name, 256, side, circular) is not None, enough=256)
+    sides = range(257)
+    rows = bisect_left(sides, True, key=lambda side: _shape_or_none(name, side, 256, circular) is not None)
+    return rows, bisect_left(sides, True, key=lambda side: _shape_or_none(name, 256, side, circular) is not None)
 
 
 @lru_cache(maxsize=32)
 def layers_by_stage(name: str, circular: bool) -> list[int]:
     """Count the layers of a branch at each resolution; a layer without weights counts with the weights before it."""
-    features, counts, before = torch.empty(1, 3, 256, 256, device="meta"), [0], None
-    with torch.no_grad():
-        for layer in _weightless(name, circular):
-            features = layer(features)
-            if next(layer.parameters(), None) is not None:
-                resolution = features.shape[2:]
-                if before is not None and resolution != before:
-                    counts.append(0)
-                before = resolution
-            counts[-1] += 1
+    counts: list[int] = [0]
+    before: list[int] | None = None
+    shapes = layer_shapes(name, (256, 256), circular)
+    for layer, (_, *resolution) in zip(_weightless(name, circular), shapes, strict=True):
+        if next(layer.parameters(), None) is not None:
+            if before not in (None, resolution):
+                counts.append(0)
+            before = resolution
+        counts[-1] += 1
     return counts
 
 
@@ -186,17 +188,59 @@ def _shape_or_none(name: str, rows: int, columns: int, circular: bool) -> tuple[
     if branch_spec(name).kind == "simple" and (rows < SIMPLE_GRID[0] or columns < SIMPLE_GRID[1]):
         return None
     try:
-        with torch.no_grad():
-            features = _weightless(name, circular)(torch.empty(1, 3, rows, columns, device="meta"))
-            channels, height, width = features.shape[1:]
+        shape = layer_shapes(name, (rows, columns), circular)[-1]
     except RuntimeError:
         return None
-    return (channels, height, width) if height > 0 and width > 0 else None
+    return shape if min(shape) > 0 else None
 
 
-def _first(holds: Callable[[int], bool], enough: int) -> int:
-    below = 0
-    while enough - below > 1:
-        middle = (below + enough) // 2
-        below, enough = (below, middle) if holds(middle) else (middle, enough)
-    return enough
+def residual_features(widths: Sequence[int]) -> nn.Sequential:
+    """Make the layers: a stem, then four stages of residual blocks. Rows and columns shrink to a sixteenth.
+
+    Args:
+        widths: channels of the four stages.
+    """
+    layers: list[nn.Module] = [
+        nn.Conv2d(3, widths[0], kernel_size=5, stride=2, padding=2, bias=False),
+        nn.BatchNorm2d(widths[0]),
+        nn.ReLU(inplace=True),
+        nn.AvgPool2d(2),
+    ]
+    channels = widths[0]
+    for width, blocks, stride in zip(widths, BLOCKS, STRIDES, strict=True):
+        for number in range(blocks):
+            layers.append(ResidualBlock(channels, width, stride if number == 0 else 1))
+            channels = width
+    return nn.Sequential(*layers)
+
+
+class ResidualBlock(nn.Module):
+    """Two 3 x 3 convolutions, added to the input.
+
+    Args:
+        inputs: number of input channels.
+        outputs: number of output channels.
+        stride: factor by which rows and columns shrink.
+    """
+
+    def __init__(self, inputs: int, outputs: int, stride: int) -> None:
+        super().__init__()
+        self.first = nn.Sequential(
+            nn.Conv2d(inputs, outputs, kernel_size=3, stride=stride, padding=1, bias=False), nn.BatchNorm2d(outputs)
+        )
+        self.second = nn.Sequential(
+            nn.Conv2d(outputs, outputs, kernel_size=3, padding=1, bias=False), nn.BatchNorm2d(outputs)
+        )
+        self.shortcut: nn.Module = nn.Identity()
+        if stride > 1 or inputs != outputs:
+            # Averaging before the 1 x 1 convolution uses every pixel.
+            self.shortcut = nn.Sequential(
+                nn.AvgPool2d(stride, ceil_mode=True) if stride > 1 else nn.Identity(),
+                nn.Conv2d(inputs, outputs, kernel_size=1, bias=False),
+                nn.BatchNorm2d(outputs),
+            )
+        self.relu = nn.ReLU(inplace=True)
+
+    def forward(self, features: Tensor) -> Tensor:
+        """Return features (B, outputs, h / stride, w / stride)."""
+        return self.relu(self.second(self.relu(self.first(features))) + self.shortcut(features))

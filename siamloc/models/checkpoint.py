@@ -1,4 +1,4 @@
-"""Load a trained network from a run or a checkpoint, without running any code in the file."""
+"""Networks in files: load trained ones without running any code in the file, the shipped one, and save weights."""
 
 from __future__ import annotations
 
@@ -10,10 +10,18 @@ from torch import Tensor, nn
 
 from foundation.calls import typed
 from siamloc.errors import ConfigError, DataError, FormatError, SiamlocError
-from siamloc.models.checkpoint_file import CONTENT_KEY, network_state, read_checkpoint
-from siamloc.models.network import build
+from siamloc.models.network import Network, build
+from siamloc.models.registry import PRETRAINED
 from siamloc.models.room_classifier import RoomClassifier
-from siamloc.models.weights import mismatch, read_weights
+from siamloc.models.weights import (
+    CONTENT_KEY,
+    load_whole,
+    mismatch,
+    network_state,
+    read_checkpoint,
+    read_weights,
+    write_weights,
+)
 from siamloc.runs import Run
 
 
@@ -31,8 +39,8 @@ def load(run_or_checkpoint: str | Path | Run, *, which: str = "best", network: n
         network: a custom module to load the weights into; if None, the network is rebuilt with `build`.
 
     Raises:
-        ConfigError: a folder without a checkpoint, an unknown `which`, a checkpoint of a custom module without
-            `network`, or a weights file that is cut short.
+        ConfigError: a folder without a checkpoint, an unknown `which`, or a checkpoint of a custom module without
+            `network`.
         FormatError: the file is missing, incomplete, altered, not such a checkpoint, or of another architecture.
 
     Example:
@@ -41,32 +49,120 @@ def load(run_or_checkpoint: str | Path | Run, *, which: str = "best", network: n
     """
     path = _checkpoint_of(run_or_checkpoint, "best" if which == "untrained" else which)
     if path.suffix == ".safetensors":
-        return _from_weights(path, which, network)
-    content = read_checkpoint(path)
-    about = content[CONTENT_KEY]
-    if which == "untrained":
-        if "branch" not in about["model"]:
+        weights = read_weights(path)
+        content, model, state = None, weights.model, weights.state
+    else:
+        content = read_checkpoint(path)
+        model, state = content[CONTENT_KEY]["model"], network_state(content)
+    if which == "untrained" and content is None:
+        raise ConfigError(f"the weights file {path} holds trained weights alone: take a run for which='untrained'")
+    if network is None or which == "untrained":
+        if model is None:
+            raise FormatError(f"the weights file {path} does not say of which network it is: build one with weights=")
+        if "branch" not in model:
             raise ConfigError(
-                f"the network of {path} is a module of your own, {_name(about)}: make it again to have it untrained"
+                f"the network of {path} is a module of your own, {_name(model)}: make one and give it as network=..., "
+                "or use it as it is if you want it untrained"
             )
-        return _made(path, about["model"]).eval()
-    if network is None and "branch" not in about["model"]:
-        raise ConfigError(
-            f"the network of {path} is a module of your own, {_name(about)}: make one and give it as network=..."
-        )
-    if network is None:
-        network = _made(path, {**about["model"], "weights": None})
-        network.settings = dict(about["model"])  # type: ignore[assignment]
-    state = network_state(content)
-    difference = mismatch(network, state)
-    if difference is not None:
-        raise FormatError(_other_architecture(path, about, difference))
-    network.load_state_dict(state)
-    # Losses over batches have a name; a triplet margin is not a margin of pairs.
-    pairs: Any = about["loss"] if "name" not in about["loss"] else {}
-    network.trained_margin = pairs.get("margin")
-    network.rooms = _rooms_in(path, about, content["state_dict"])  # type: ignore[assignment]
+        if which == "untrained":
+            return _made(path, dict(model)).eval()
+        network = _made(path, {**model, "weights": None})
+        network.settings = dict(model)  # type: ignore[assignment]
+    load_whole(network, state, _another_architecture(path, model))
+    if content is not None:
+        about = content[CONTENT_KEY]
+        # Losses over batches have a name; a triplet margin is not a margin of pairs.
+        of_pairs: Any = {} if "name" in about["loss"] else about["loss"]
+        network.trained_margin = of_pairs.get("margin")
+        network.rooms = _rooms_in(path, about, content["state_dict"])  # type: ignore[assignment]
     return network.eval()
+
+
+@typed
+def pretrained(*, circular: bool = True, relative: bool = True) -> Network:
+    """Make the network that ships with siamloc, in evaluation mode on the CPU; its model card is next to its weights.
+
+    It was trained on random buildings, and describes panoramas without further training.
+
+    Args:
+        circular: False for images whose columns are not a full turn, such as those of an ordinary camera: the same
+            weights, without wrapping around and without headings.
+        relative: False leaves out the part that compares images, for example to fine-tune on drives without headings.
+
+    Raises:
+        FormatError: the weights file is missing, cut short or altered.
+
+    Example:
+        >>> network = pretrained()
+        >>> network.image_size, network.outputs
+        ((64, 256), 2048)
+    """
+    network = load(PRETRAINED)
+    assert isinstance(network, Network)
+    if not circular:
+        network = _rebuilt(network, circular=False, canonical=False, relative=False)
+    elif not relative:
+        network = _rebuilt(network, relative=False)
+    network.settings["weights"] = "siamloc"
+    return network.eval()
+
+
+@typed
+def save_weights(network: Network, path: str | Path) -> Path:
+    """Write the weights of a network, at half their size, to a file that `load` and `build(weights=...)` can read.
+
+    Args:
+        network: from `siamloc.models.build`.
+        path: of the file, ending in .safetensors.
+
+    Returns:
+        The path.
+
+    Raises:
+        ConfigError: another ending, or a custom module.
+        StorageError: the disk refuses.
+    """
+    path = Path(path)
+    if path.suffix != ".safetensors":
+        raise ConfigError(f"weights are written as safetensors: let the name {path.name} end in .safetensors")
+    write_weights(path, network.state_dict(), {**network.settings, "weights": None})
+    return path
+
+
+def without_layer(network: Network) -> Network:
+    """Replace the head `fourier` with `magnitudes`, which has no layer fitted to the training buildings.
+
+    Other networks stay as they are.
+
+    Raises:
+        ConfigError: features of one column.
+    """
+    return _rebuilt(network, head="magnitudes", outputs=None) if network.head.name == "fourier" else network
+
+
+def _rebuilt(network: Network, **changes: Any) -> Network:
+    """Make a network that differs in some arguments of `build`; branch and comparing part keep their weights."""
+    made = build(**{**network.settings, "weights": None, **changes})
+    for part in ("branch", "orientation", "relative"):
+        if part == "branch" or made.relative is not None:
+            made.get_submodule(part).load_state_dict(network.get_submodule(part).state_dict())
+    return made
+
+
+def check_architecture(path: Path, module: nn.Module) -> None:
+    """Make sure that a module, with its network and its loss, can continue from a checkpoint.
+
+    Raises:
+        FormatError: the file is not a checkpoint, or has other weights.
+    """
+    content = read_checkpoint(path, mmap=True)
+    if difference := mismatch(module, content["state_dict"]):
+        raise FormatError(f"{_another_architecture(path, content[CONTENT_KEY]['model'])}: {difference}")
+
+
+def _another_architecture(path: Path, model: Any) -> str:
+    of = "the network" if model is None else _name(model)
+    return f"the weights in the file {path} are of another architecture than {of}"
 
 
 def _rooms_in(path: Path, about: dict[str, Any], state: dict[str, Tensor]) -> RoomClassifier | None:
@@ -85,22 +181,6 @@ def _rooms_in(path: Path, about: dict[str, Any], state: dict[str, Tensor]) -> Ro
         raise FormatError(f"the checkpoint {path} names rooms without a whole class layer: train again") from error
 
 
-def check_architecture(path: Path, module: nn.Module) -> None:
-    """Make sure that a module, with its network and its loss, can continue from a checkpoint.
-
-    Raises:
-        FormatError: the file is not a checkpoint, or has other weights.
-    """
-    content = read_checkpoint(path, mmap=True)
-    difference = mismatch(module, content["state_dict"])
-    if difference is not None:
-        raise FormatError(_other_architecture(path, content[CONTENT_KEY], difference))
-
-
-def _other_architecture(path: Path, about: dict[str, Any], difference: str) -> str:
-    return f"the weights in the checkpoint {path} are of another architecture than {_name(about)}: {difference}"
-
-
 def _checkpoint_of(source: str | Path | Run, which: str) -> Path:
     if isinstance(source, Run):
         return source.checkpoint(which)
@@ -108,33 +188,14 @@ def _checkpoint_of(source: str | Path | Run, which: str) -> Path:
     return Run(path).checkpoint(which) if path.is_dir() else path
 
 
-def _from_weights(path: Path, which: str, network: nn.Module | None) -> nn.Module:
-    """Return the network in a weights file, or the given one with these weights."""
-    if which == "untrained":
-        raise ConfigError(f"the weights file {path} holds trained weights alone: take a run for which='untrained'")
-    if not path.is_file():
-        raise FormatError(f"the weights file {path} does not exist")
-    weights = read_weights(path)
-    if network is None and weights.model is None:
-        raise FormatError(f"the weights file {path} does not say of which network it is: build one with weights=FILE")
-    if network is None:
-        network = _made(path, dict(weights.model or {}))
-    difference = mismatch(network, weights.state)
-    if difference is not None:
-        raise FormatError(f"the weights file {path} is of another network than it says: {difference}")
-    network.load_state_dict(weights.state)
-    return network.eval()
-
-
 def _made(path: Path, model: dict[str, Any]) -> nn.Module:
     try:
         return build(**model)
     except (TypeError, SiamlocError) as error:
-        raise FormatError(f"the checkpoint {path} names a network that cannot be made: {error}") from error
+        raise FormatError(f"the file {path} names a network that cannot be made: {error}") from error
 
 
-def _name(about: dict[str, Any]) -> str:
-    model = about["model"]
+def _name(model: Any) -> str:
     if "branch" not in model:
         return str(model.get("class"))
     size = " x ".join(map(str, model.get("image_size", [])))

@@ -46,7 +46,7 @@ class CrossEntropyLoss(nn.Module):
     """Share of the target that depends on rooms; see `siamloc.models.registry.SoftContrastive`."""
 
     @takes(CrossEntropy)
-    def __init__(self, *, settings: CrossEntropy) -> None:
+    def __init__(self, settings: CrossEntropy) -> None:
         super().__init__()
         self.temperature = float(settings.temperature)
         self.settings = {"name": "cross_entropy", **settings.plain()}

@@ -19,10 +19,9 @@ from siamloc.errors import ConfigError, DataError
 from siamloc.full_precision import full_precision
 from siamloc.models.losses import ContrastiveLoss
 from siamloc.models.network import Network
-from siamloc.models.outputs import checked_descriptors
 from siamloc.models.relative import RelativePose
 from siamloc.models.room_classifier import NamedRooms, RoomClassifier
-from siamloc.models.weights_file import state_hash
+from siamloc.models.weights import state_hash
 
 CHUNK = 64
 _ROUNDING = 1e-3
@@ -247,6 +246,24 @@ def as_float(images: Tensor) -> Tensor:
     if not images.is_floating_point():
         raise DataError(f"images must be uint8 or floating point in [0, 1], got {images.dtype}")
     return images
+
+
+def checked_descriptors(descriptors: Any, images: int) -> Tensor:
+    """Check the output of a network for a number of images, and return it.
+
+    Raises:
+        DataError: the output is not one descriptor per image.
+    """
+    if not isinstance(descriptors, Tensor) or descriptors.ndim != 2 or len(descriptors) != images:
+        raise DataError(
+            f"the network must give one descriptor per image, shape ({images}, D), got {shown(descriptors)}"
+        )
+    return descriptors
+
+
+def shown(value: Any) -> str:
+    """Describe the output of a network or a loss for an error message."""
+    return f"shape {tuple(value.shape)}" if isinstance(value, Tensor) else type(value).__name__
 
 
 def describe(network: nn.Module, batch: Any, chunk: int = CHUNK) -> NDArray[np.float32]:

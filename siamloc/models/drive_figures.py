@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 
 import torch
 from torch import Tensor
@@ -111,7 +111,8 @@ class DriveFigures:
             rows = torch.isfinite(whole["xy"][query]).all(dim=1) & torch.isfinite(about) & placed[match]
             if bool(rows.any()):
                 asked, answers = whole["orientation"][query][rows], whole["orientation"][known]
-                pose = torch.cat([relative(*pair).pose for pair in _pairs(asked, answers, match[rows])])
+                pairs = zip(asked.split(_AT_ONCE), match[rows].split(_AT_ONCE), strict=True)  # bounds the memory
+                pose = torch.cat([relative(query_part, answers[at]).pose for query_part, at in pairs])
                 turned = _turned(pose[:, :2], about[rows])
                 off = whole["xy"][known][match][rows] + turned - whole["xy"][query][rows]
                 away = torch.linalg.vector_norm(off, dim=1)
@@ -122,12 +123,6 @@ class DriveFigures:
         if naming is not None and bool((asked >= 0).any()):
             figures["accuracy"] = naming(whole["descriptors"][query], asked)
         return figures
-
-
-def _pairs(query: Tensor, known: Tensor, match: Tensor) -> Iterator[tuple[Tensor, Tensor]]:
-    """Yield queries with their matching map frames (n,) in chunks, so that memory does not grow with n."""
-    for part, rows in zip(query.split(_AT_ONCE), match.split(_AT_ONCE), strict=True):
-        yield part, known[rows]
 
 
 def _turned(xy: Tensor, theta: Tensor) -> Tensor:

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import math
-
 import torch
 from torch import Tensor, nn
 
 from foundation.calls import typed
-from siamloc.errors import ConfigError, DataError
+from foundation.settings import Positive
+from siamloc.errors import DataError
 
 
 def pair_distance(d0: Tensor, d1: Tensor) -> Tensor:
@@ -45,10 +44,8 @@ class ContrastiveLoss(nn.Module):
     """
 
     @typed
-    def __init__(self, margin: float = 2.0) -> None:
+    def __init__(self, margin: Positive = 2.0) -> None:
         super().__init__()
-        if not (margin > 0 and math.isfinite(margin)):
-            raise ConfigError(f"the margin must be positive, got {margin}")
         self.margin = float(margin)
 
     def forward(self, d0: Tensor, d1: Tensor, y: Tensor) -> Tensor:
@@ -62,7 +59,11 @@ class ContrastiveLoss(nn.Module):
         Raises:
             DataError: other shapes, or labels outside [0, 1] (only checked on the CPU, where that is free).
         """
-        check_descriptors(d0, d1)
+        if d0.ndim != 2 or d0.shape != d1.shape or 0 in d0.shape:
+            raise DataError(
+                f"the contrastive loss needs two sets of descriptors of one shape (B, D), "
+                f"got {tuple(d0.shape)} and {tuple(d1.shape)}"
+            )
         check_labels(y, len(d0))
         distance = pair_distance(d0, d1)
         y = y.to(distance.dtype)
@@ -71,15 +72,6 @@ class ContrastiveLoss(nn.Module):
     def extra_repr(self) -> str:
         """Name the margin when the loss is printed."""
         return f"margin={self.margin:g}"
-
-
-def check_descriptors(d0: Tensor, d1: Tensor) -> None:
-    """Raise DataError unless both are (B, D) with B and D at least 1."""
-    if d0.ndim != 2 or d0.shape != d1.shape or 0 in d0.shape:
-        raise DataError(
-            f"the contrastive loss needs two sets of descriptors of one shape (B, D), "
-            f"got {tuple(d0.shape)} and {tuple(d1.shape)}"
-        )
 
 
 def check_labels(y: Tensor, pairs: int) -> None:

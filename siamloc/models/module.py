@@ -10,15 +10,22 @@ import torch
 from torch import Tensor, nn
 
 from augment.torchvision_compat import ensure_torchvision
-from siamloc.errors import ConfigError
-from siamloc.models.checkpoint_file import CONTENT_KEY, FORMAT_VERSION
+from siamloc.errors import ConfigError, DataError
 from siamloc.models.cross_entropy import CrossEntropyLoss
-from siamloc.models.describing import as_float, comparing, identity_of, margin_of, orienting
+from siamloc.models.describing import (
+    as_float,
+    checked_descriptors,
+    comparing,
+    identity_of,
+    margin_of,
+    orienting,
+    shown,
+)
 from siamloc.models.drive_figures import RECALL_RADIUS, DriveFigures
 from siamloc.models.network import Network
 from siamloc.models.network_stages import FrozenStages, comparing_weights, weights_by_stage
-from siamloc.models.outputs import checked_descriptors, name_of
 from siamloc.models.registry import Optimizer
+from siamloc.models.weights import CONTENT_KEY, FORMAT_VERSION
 
 ensure_torchvision()
 
@@ -240,3 +247,24 @@ def cosine_share(step: int, steps: int, warm_up: float) -> float:
     if step < growing:
         return (step + 1) / (growing + 1)
     return (1 + math.cos(math.pi * min((step - growing) / (steps - growing), 1))) / 2
+
+
+def name_of(thing: object) -> str:
+    """Return the qualified name of a function, or of the class of an object."""
+    return str(getattr(thing, "__qualname__", type(thing).__qualname__))
+
+
+def checked_loss(loss: Any, kind: object, training: bool) -> Tensor:
+    """Check the output of a loss, and return it as a scalar.
+
+    Raises:
+        DataError: the output is not one number, or in training a number without a gradient.
+    """
+    if not isinstance(loss, Tensor) or loss.numel() != 1:
+        raise DataError(f"the loss {name_of(kind)} must give one number, got {shown(loss)}")
+    if training and not loss.requires_grad:
+        raise DataError(
+            f"the loss {name_of(kind)} gives a number without a gradient, so nothing can be learned from it: compute "
+            "it from the descriptors without detach(), item() or NumPy"
+        )
+    return loss.squeeze()

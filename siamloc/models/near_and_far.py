@@ -69,6 +69,13 @@ class NearAndFarLoss(ScheduledLoss):
             found, picked = self._picked(descriptors, origins)
             return self.loss(found, indices_tuple=picked).to(descriptors.device, non_blocking=True)
 
+    def lacks(self, origins: Origins) -> str | None:
+        """Name what a batch lacks for this loss: two frames near each other, or two far from each other."""
+        near, far = self.bounds("near")[1], self.bounds("far")[0]
+        if not bool(origins.apart().min() <= near):
+            return f"two frames up to loss.near={near:g} apart"
+        return None if bool((origins.distances() > far).any()) else f"two frames more than loss.far={far:g} apart"
+
     def _picked(self, given: Tensor, origins: Origins) -> tuple[Tensor, tuple[Tensor, ...]]:
         """Return descriptors in main memory, and the pairs that count, or triplets if the miner returns those.
 
@@ -108,7 +115,7 @@ class TripletLoss(NearAndFarLoss):
     """
 
     @takes(Triplet)
-    def __init__(self, *, settings: Triplet) -> None:
+    def __init__(self, settings: Triplet) -> None:
         super().__init__("triplet", "TripletMarginLoss", settings)
 
     def active(self, descriptors: Tensor, origins: Origins) -> Tensor:
@@ -163,7 +170,7 @@ class CircleLoss(_PairLoss):
     """
 
     @takes(Circle)
-    def __init__(self, *, settings: Circle) -> None:
+    def __init__(self, settings: Circle) -> None:
         super().__init__("circle", "CircleLoss", settings)
         self.steepest = float(settings.gamma)
 
@@ -180,5 +187,5 @@ class MultiSimilarityLoss(_PairLoss):
     """
 
     @takes(MultiSimilarity)
-    def __init__(self, *, settings: MultiSimilarity) -> None:
+    def __init__(self, settings: MultiSimilarity) -> None:
         super().__init__("multi_similarity", "MultiSimilarityLoss", settings)

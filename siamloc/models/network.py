@@ -5,17 +5,19 @@ from __future__ import annotations
 from collections.abc import Sequence
 from itertools import pairwise
 from os import PathLike, fspath
-from typing import Any
+from typing import Annotated, Any
 
 import torch
 from torch import Tensor, nn
 
 from foundation.calls import typed
-from siamloc.errors import ConfigError, DataError, hint
+from foundation.settings import Rule, Size, checked
+from siamloc.errors import ConfigError, DataError
 from siamloc.models.branch import (
     IMAGENET_MEAN,
     IMAGENET_STD,
     Branch,
+    ResidualBlock,
     feature_shape,
     finer_features,
     layer_shapes,
@@ -24,12 +26,10 @@ from siamloc.models.branch import (
 from siamloc.models.canonical import Canonical
 from siamloc.models.heads import Fourier, GeneralizedMean, Head, Magnitudes, Spectrum, make_head
 from siamloc.models.orientation import VALUES, Orientation
-from siamloc.models.panoresnet import ResidualBlock
-from siamloc.models.registry import NORMALIZATIONS, Normalization, branch_spec, head_widths
+from siamloc.models.registry import Normalization, branch_spec, head_widths
 from siamloc.models.relative import RelativePose
 from siamloc.models.room_classifier import RoomClassifier
-from siamloc.models.weights import fill, find_weights
-from siamloc.models.weights_file import state_hash
+from siamloc.models.weights import fill, find_weights, state_hash
 from siamloc.runs import Run
 
 _BY_FREQUENCY = (
@@ -45,7 +45,7 @@ def build(
     head: str,
     image_size: Sequence[int] = (128, 512),
     weights: str | PathLike[str] | Run | None = None,
-    seed: int = 0,
+    seed: Annotated[int, Rule("a whole number from 0 to 2**63 - 1", lambda value: 0 <= value < 2**63)] = 0,
     *,
     outputs: int | None = None,
     circular: bool = False,
@@ -86,7 +86,7 @@ def build(
 
     Raises:
         ConfigError: unknown names, an image too small for the branch, weights that are not available or do not fit.
-        FormatError: a checkpoint of another version.
+        FormatError: a file of weights that is missing, cut short, altered or of another version.
 
     Example:
         >>> import torch
@@ -94,13 +94,9 @@ def build(
         >>> network(torch.rand(2, 3, 32, 64)).shape
         torch.Size([2, 5])
     """
-    size = checked_image_size(image_size)
-    if isinstance(seed, bool) or not isinstance(seed, int) or not 0 <= seed < 2**63:
-        raise ConfigError(f"the seed must be an integer from 0 to 2**63 - 1, got {seed!r}")
+    rows, columns = size = checked(image_size, Size, "image_size")
     norm = branch_spec(branch).normalize if normalize is None else normalize
     head_widths(head, outputs)
-    if norm not in NORMALIZATIONS:
-        raise ConfigError(f"unknown normalization {normalize!r}: {hint(str(normalize), NORMALIZATIONS)}")
     with torch.device("meta"):
         network = Network(branch, head, size, outputs, circular, norm, canonical, relative)
     network.to_empty(device="cpu")
@@ -119,7 +115,7 @@ def build(
     }
     if weights is not None:
         found = find_weights(branch, weights)
-        fill(network, found, f"{branch} + {head} at {size[0]} x {size[1]}")
+        fill(network, found, f"{branch} + {head} at {rows} x {columns}")
         if found.mean is not None and found.std is not None:
             network.branch.normalize_with(found.mean, found.std)
     return network
@@ -153,7 +149,6 @@ class Network(nn.Module):
 
     rooms: RoomClassifier | None = None
 
-    @typed
     def __init__(
         self,
         branch: str,
@@ -260,18 +255,6 @@ class Network(nn.Module):
             raise DataError(f"the network needs floating point in [0, 1], got {panorama.dtype}: divide by 255 first")
 
 
-def checked_image_size(image_size: Sequence[int]) -> tuple[int, int]:
-    """Return (H, W) as plain integers.
-
-    Raises:
-        ConfigError: anything but two positive integers.
-    """
-    values = list(image_size) if isinstance(image_size, Sequence) and not isinstance(image_size, str) else []
-    if len(values) != 2 or not all(isinstance(side, int) and side > 0 for side in values):
-        raise ConfigError(f"image_size must be two positive integers (height, width), got {image_size!r}")
-    return int(values[0]), int(values[1])
-
-
 def _canonical(branch: str, head: Head, image_size: tuple[int, int], circular: bool) -> Canonical:
     """Return the module that turns panoramas to their canonical direction.
 
@@ -284,7 +267,7 @@ def _canonical(branch: str, head: Head, image_size: tuple[int, int], circular: b
             f"far the robot has turned, fourier, magnitudes, gem or bands: here circular={circular}, and the head is "
             f"{head.name}; set model.canonical=false"
         )
-    widths = [image_size[1], *(columns for _, _, columns in layer_shapes(branch, image_size))]
+    widths = [image_size[1], *(columns for _, _, columns in layer_shapes(branch, image_size, circular=True))]
     if any(wide % narrow for wide, narrow in pairwise(widths)):
         raise ConfigError(
             "model.canonical=true (from Python canonical=True) needs columns that all layers divide evenly, and the "

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable
+from typing import Any
 
 from torch import nn
 
@@ -86,15 +87,12 @@ class FrozenStages:
 
 def _parts(network: nn.Module) -> list[list[nn.Module]]:
     """Return the modules of each stage."""
-    said = getattr(network, "stages", None)
-    listed = [_listed(stage) for stage in said] if isinstance(said, Iterable) else [[]]
+    said: Any = getattr(network, "stages", None)
+    said_so = isinstance(said, Iterable)
+    listed = [[*stage] if isinstance(stage, list | tuple) else [stage] for stage in said] if said_so else [[]]
     if not all(isinstance(part, nn.Module) for parts in listed for part in parts) or not all(listed):
         raise ConfigError(
             f"{type(network).__name__} does not say its stages: give it a property `stages`, a list of its parts from "
             "the image to the descriptor, or leave out optimizer.frozen_stages and optimizer.stage_decay"
         )
     return listed
-
-
-def _listed(stage: object) -> list[nn.Module]:
-    return list(stage) if isinstance(stage, list | tuple) else [stage]  # type: ignore[list-item]

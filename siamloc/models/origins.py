@@ -35,6 +35,11 @@ class Origins:
         apart = torch.linalg.vector_norm(self.xy[:, None] - self.xy[None], dim=2)
         return torch.where(self.building[:, None] == self.building[None], apart, math.inf)
 
+    def apart(self) -> Tensor:
+        """Return the distances (N, N) between different frames; infinite where unknown and for views of one frame."""
+        itself = self.frame[:, None] == self.frame[None]
+        return self.distances().nan_to_num(math.inf, posinf=math.inf).masked_fill(itself, math.inf)
+
     def same_room(self) -> Tensor:
         """Return (N, N) bool: True where two images show the same known room."""
         return (self.room[:, None] == self.room[None]) & (self.room >= 0)[:, None]
@@ -47,7 +52,8 @@ class Origins:
 class ScheduledLoss(nn.Module):
     """Base of losses over batches, whose parameters may change during training, such as `sigma` with `sigma_start`.
 
-    A loss for descriptors of unit length has the attribute `unit_length = True`: other descriptors are refused.
+    A loss for descriptors of unit length has the attribute `unit_length = True`: other descriptors are refused. If it
+    has a method `lacks(origins) -> str | None`, a training whose batches all lack something is refused, too.
     """
 
     def __init__(self, settings: Settings) -> None:

@@ -12,12 +12,11 @@ from augment.torchvision_compat import ensure_torchvision
 from siamloc.errors import DataError
 from siamloc.models.batch_losses import SoftContrastiveLoss
 from siamloc.models.cross_entropy import CrossEntropyLoss
-from siamloc.models.describing import as_float, required_comparing
+from siamloc.models.describing import as_float, checked_descriptors, required_comparing
 from siamloc.models.drive_figures import RECALL_RADIUS
-from siamloc.models.module import NetworkModule
+from siamloc.models.module import NetworkModule, checked_loss
 from siamloc.models.network_stages import comparing_weights
 from siamloc.models.origins import Origins
-from siamloc.models.outputs import checked_descriptors, checked_loss
 from siamloc.models.registry import Optimizer
 from siamloc.models.relative import relative_loss
 
@@ -74,13 +73,9 @@ class PlaceModule(NetworkModule):
         if self._trainer is not None and self.trainer.world_size > 1:
             descriptors, origins = self._of_all(descriptors, origins)
         loss = checked_loss(self.loss(descriptors, origins), self.loss, descriptors.requires_grad)
-        seen = descriptors.detach()
-        total = loss
+        seen, total = descriptors.detach(), loss
         apart = torch.linalg.vector_norm(seen - seen.mean(dim=0), dim=1)
-        figures = {
-            "loss": loss.detach(),
-            "spread": apart.mean(),
-        }  # read at the end of the epoch: no step waits for them
+        figures = {"loss": loss.detach(), "spread": apart.mean()}
         if hasattr(self.loss, "active"):
             figures["active"] = self.loss.active(seen, origins)
         if isinstance(self.loss, CrossEntropyLoss):

@@ -185,7 +185,7 @@ class MetricCalibrated(Settings):
     cap_start: Positive | None = None
 
 
-Miner = Literal["multi_similarity", "batch_hard", "batch_easy_hard", "semihard"]
+Miner = Literal["multi_similarity", "batch_hard", "batch_easy_hard"]
 Closeness = Literal["cosine", "euclidean", "squared"]
 
 
@@ -201,8 +201,7 @@ class NearAndFar(Settings):
         miner: which of the positives and negatives of an image count; all if None. "multi_similarity": positives less
             similar than the most similar negative, and negatives more similar than the least similar positive, with a
             tolerance of 0.1; "batch_hard": the least similar positive and the most similar negative;
-            "batch_easy_hard": the most similar positive, and the most similar of the negatives less similar than it;
-            "semihard": triplets whose negative is less similar than the positive, but by no more than the margin.
+            "batch_easy_hard": the most similar positive, and the most similar of the negatives less similar than it.
     """
 
     WHERE = "loss"
@@ -226,11 +225,6 @@ class NearAndFar(Settings):
                 f"far begins with {far:g}, which must not be less than what near begins with, {near:g}: set "
                 "loss.far_start, loss.near_start or both"
             )
-        if self.miner == "semihard" and not isinstance(self, Triplet):
-            raise ConfigError(
-                "loss.miner=semihard goes by the margin between a positive and a negative, which loss=triplet alone "
-                "has: choose multi_similarity, batch_hard or batch_easy_hard"
-            )
 
 
 @dataclass(frozen=True)
@@ -238,11 +232,14 @@ class Triplet(NearAndFar):
     """Each image nearer to its positives than to its negatives, by a margin (`TripletLoss`).
 
     Attributes:
+        miner: as for the other losses, or "semihard": triplets whose negative is less similar than the positive, but by
+            no more than the margin.
         margin: by how much a negative must be farther away than a positive.
         distance: what the margin refers to, for descriptors of unit length: "euclidean", from 0 to 2; "squared", its
             square; or "cosine", the similarity from 1 to -1, which is 1 minus half the square.
     """
 
+    miner: Miner | Literal["semihard"] | None = None  # type: ignore[assignment]
     margin: Positive = 0.2
     distance: Closeness = "euclidean"
 
@@ -259,15 +256,7 @@ class Circle(NearAndFar):
 
     m: Positive = 0.4
     gamma: Positive = 80.0
-    distance: Closeness = "cosine"
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if self.distance != "cosine":
-            raise ConfigError(
-                "the circle loss draws its circle among cosine similarities: set loss.distance to cosine, "
-                f"got {self.distance}"
-            )
+    distance: Literal["cosine"] = "cosine"
 
 
 @dataclass(frozen=True)

@@ -3,35 +3,30 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from typing import Any
 
-import cv2
-import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from augment.torchvision_compat import ensure_torchvision
 from siamloc.errors import ConfigError, DataError
-from siamloc.models.describing import as_float, margin_of
+from siamloc.models.describing import as_float, checked_descriptors, margin_of
 from siamloc.models.drive_figures import RECALL_RADIUS
 from siamloc.models.losses import ContrastiveLoss, check_labels, pair_distance
-from siamloc.models.module import NetworkModule
+from siamloc.models.module import NetworkModule, checked_loss
 from siamloc.models.network_stages import comparing_weights
-from siamloc.models.outputs import checked_descriptors, checked_loss
 from siamloc.models.registry import Optimizer
-from siamloc.models.statistics import PairStatistics
 
 ensure_torchvision()
 
 from lightning.pytorch.loggers import TensorBoardLogger  # noqa: E402
+from torchmetrics import Metric  # noqa: E402
 
 Loss = Callable[[Tensor, Tensor, Tensor], Tensor]
 
 PICTURED_PAIRS = 6
 _BATCH_KEYS = ("first", "second", "label", "same")
-_CAPTION_ROWS = 16
-_GAP = 2
+_GROUPS = ("same", "different")
+SAME_BELOW = 0.5
 
 
 class SiameseModule(NetworkModule):
@@ -127,7 +122,7 @@ class SiameseModule(NetworkModule):
         distance = pair_distance(d0.detach(), d1.detach())
         statistics.update(descriptors.detach(), distance, loss.detach(), batch["same"], label)
         if batch_index == 0:
-            self._draw(batch, distance, stage)
+            self._draw(batch, stage)
         return loss
 
     def _log_epoch(self, stage: str, statistics: PairStatistics, further: Mapping[str, Tensor] | None = None) -> None:
@@ -135,47 +130,105 @@ class SiameseModule(NetworkModule):
         statistics.reset()
         self.log_epoch(stage, {**values, **(further or {})})
 
-    def _draw(self, batch: Mapping[str, Tensor], distance: Tensor, stage: str) -> None:
+    def _draw(self, batch: Mapping[str, Tensor], stage: str) -> None:
+        """Show the first pairs in TensorBoard, the images of a pair below each other."""
         if self._trainer is None or self.trainer.sanity_checking or not self.trainer.is_global_zero:
             return
-        boards = [logger for logger in self.loggers if isinstance(logger, TensorBoardLogger)]
-        if not boards:
-            return
-        columns = (batch["first"], batch["second"], batch["label"], distance)
-        picture = pair_picture(*(column[:PICTURED_PAIRS].cpu().numpy() for column in columns))
-        for board in boards:
-            board.experiment.add_image(f"{stage}/pairs", picture, self.global_step, dataformats="HWC")
+        for board in self.loggers:
+            if isinstance(board, TensorBoardLogger):
+                pairs = torch.cat([batch["first"][:PICTURED_PAIRS], batch["second"][:PICTURED_PAIRS]], dim=2)
+                board.experiment.add_images(f"{stage}/pairs", as_float(pairs), self.global_step)
 
 
-def pair_picture(
-    first: NDArray[Any], second: NDArray[Any], label: NDArray[Any], distance: NDArray[Any]
-) -> NDArray[np.uint8]:
-    """Draw pairs below each other, each with a caption, the first image and the second image.
+class PairStatistics(Metric):
+    """Compute loss, distances, accuracies and spread over all pairs since the last reset.
+
+    `compute` returns a dictionary of scalars:
+
+    - `loss`: mean over the pairs;
+    - `distance_same`, `distance_different`: mean distance of the pairs of one room and of two rooms;
+    - `accuracy`, `accuracy_same`, `accuracy_different`: share of correct decisions when a pair counts as the same
+      room if min(d / margin, 1) < 0.5 ([T] 5.3.4). `accuracy`, of all pairs, needs both kinds: if all pairs are of
+      one kind, a network that distinguishes nothing has 0 or 1;
+    - `active`: share of the pairs with label 1 that are nearer than the margin: the others cost nothing in the
+      contrastive loss. The lower it is, the less is left to learn from such pairs;
+    - `spread`: standard deviation of the descriptors' values, averaged over the D dimensions. Near 0 the network
+      gives every image the same descriptor.
+
+    Figures without any pairs are left out, so that no NaN reaches a logger.
 
     Args:
-        first: (B, 3, H, W), uint8, or floating point in [0, 1].
-        second: (B, 3, H, W), the second image of each pair, like `first`.
-        label: (B,), dissimilarity in [0, 1].
-        distance: (B,), distance of the descriptors.
-
-    Returns:
-        (rows, columns, 3) uint8, RGB.
+        margin: of the loss; None for a loss without one: then there are neither accuracies nor `active`.
     """
-    rows = [_row(*pair) for pair in zip(first, second, label, distance, strict=True)]
-    return np.concatenate(rows, axis=0)
 
+    full_state_update = False
+    count: Tensor
+    distance: Tensor
+    correct: Tensor
+    active: Tensor
+    loss: Tensor
+    values: Tensor
+    squares: Tensor
 
-def _row(first: NDArray[Any], second: NDArray[Any], label: float, distance: float) -> NDArray[np.uint8]:
-    images = [_as_picture(first), _as_picture(second)]
-    gap = np.full((_GAP, images[0].shape[1], 3), 255, np.uint8)
-    caption = np.full((_CAPTION_ROWS, images[0].shape[1], 3), 255, np.uint8)
-    text = f"y={float(label):.2f} d={float(distance):.2f}"
-    cv2.putText(caption, text, (2, _CAPTION_ROWS - 4), cv2.FONT_HERSHEY_SIMPLEX, 0.4, (0, 0, 0), 1, cv2.LINE_AA)
-    return np.concatenate([caption, images[0], gap, images[1], gap], axis=0)
+    def __init__(self, margin: float | None) -> None:
+        super().__init__()
+        self.margin = margin
+        for name in ("count", "distance", "correct", "active"):
+            self.add_state(name, torch.zeros(2, dtype=torch.float64), dist_reduce_fx="sum")
+        self.add_state("loss", torch.zeros((), dtype=torch.float64), dist_reduce_fx="sum")
+        for name in ("values", "squares"):  # the first batch sets their length to D
+            self.add_state(name, torch.zeros(1, dtype=torch.float64), dist_reduce_fx="sum")
 
+    def update(self, descriptors: Tensor, distance: Tensor, loss: Tensor, same: Tensor, label: Tensor) -> None:
+        """Add a batch of B pairs to the sums.
 
-def _as_picture(image: NDArray[Any]) -> NDArray[np.uint8]:
-    picture = np.moveaxis(image, 0, -1)
-    if picture.dtype != np.uint8:
-        picture = (np.clip(picture, 0, 1) * 255).round().astype(np.uint8)
-    return np.ascontiguousarray(picture)
+        Args:
+            descriptors: (2 B, D).
+            distance: (B,).
+            loss: mean over the batch, a scalar.
+            same: (B,) bool, True where both images show the same room.
+            label: (B,), dissimilarity in [0, 1].
+        """
+        distance = distance.double()
+        groups = torch.stack([same, ~same]).double()
+        self.count += groups.sum(1)
+        self.distance += groups @ distance
+        if self.margin is not None:
+            decided_same = distance / self.margin < SAME_BELOW
+            self.correct += groups @ (decided_same == same).double()
+            apart = label == 1
+            self.active += torch.stack([(apart & (distance < self.margin)).sum(), apart.sum()])
+        self.loss += loss.double() * len(distance)
+        values = descriptors.double()
+        self.values = self.values + values.sum(0)
+        self.squares = self.squares + values.square().sum(0)
+
+    def sums(self) -> dict[str, Tensor]:
+        """Return all sums since the last reset."""
+        return {name: value.clone() for name, value in self.metric_state.items()}  # type: ignore[union-attr]
+
+    def load_sums(self, sums: Mapping[str, Tensor]) -> None:
+        """Continue with the sums that `sums` returned."""
+        for name, value in sums.items():
+            setattr(self, name, value.clone())
+        self._update_count = max(self._update_count, 1)  # `compute` warns if there was no update
+
+    def compute(self) -> dict[str, Tensor]:
+        """Compute the scalars that are based on at least one pair."""
+        count, total = self.count, self.count.sum()
+        if total == 0:
+            return {}
+        result = {"loss": self.loss / total}
+        if self.margin is not None and self.active[1] > 0:
+            result["active"] = self.active[0] / self.active[1]
+        if self.margin is not None and (count > 0).all():
+            result["accuracy"] = self.correct.sum() / total
+        for index, group in enumerate(_GROUPS):
+            if count[index] > 0:
+                result[f"distance_{group}"] = self.distance[index] / count[index]
+            if self.margin is not None and count[index] > 0:
+                result[f"accuracy_{group}"] = self.correct[index] / count[index]
+        mean = self.values / (2 * total)
+        variance = (self.squares / (2 * total) - mean.square()).clamp(min=0)
+        result["spread"] = variance.sqrt().mean()
+        return {name: value.float() for name, value in result.items()}

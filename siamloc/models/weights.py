@@ -1,9 +1,12 @@
-"""Weights from other sources: ImageNet weights of torchvision, a state dict on disk, or another training."""
+"""Weights of networks: checkpoints, safetensors and torchvision's files. No code in a file is run."""
 
 from __future__ import annotations
 
+import hashlib
+import json
 import re
 import sys
+import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from os import PathLike
@@ -14,12 +17,17 @@ import torch
 from torch import Tensor, nn
 
 from augment.torchvision_compat import ensure_torchvision
+from foundation.files import atomic_path, check_version, parsed_json
 from siamloc.errors import ConfigError, FormatError, hint
-from siamloc.models.checkpoint_file import CONTENT_KEY, checked_content, network_state
 from siamloc.models.heads import GeneralizedMean, Magnitudes
 from siamloc.models.registry import BRANCHES, PRETRAINED, branch_spec, whole_model
-from siamloc.models.weights_file import read_weights_file
 from siamloc.runs import Run
+
+CONTENT_KEY = "siamloc"
+FORMAT_VERSION = 2
+"""Of checkpoints."""
+VERSION = 1
+"""Of weights files."""
 
 # The published DenseNet files number the layers "norm.1"; the class has called them "norm1" for years.
 _OLD_DENSENET = re.compile(r"(denselayer\d+\.(?:norm|relu|conv))\.([12])\.")
@@ -46,6 +54,169 @@ class Weights:
     model: Mapping[str, Any] | None = None
 
 
+def read_checkpoint(path: str | Path, mmap: bool = False) -> dict[str, Any]:
+    """Read a checkpoint of a training: a dictionary with `state_dict` and, under "siamloc", what was trained.
+
+    Args:
+        path: of the file that Lightning wrote.
+        mmap: leave the weights on the disk until they are used.
+
+    Raises:
+        FormatError: the file is missing, incomplete, not such a checkpoint, or of another version.
+    """
+    return _checked_content(_torch_file(Path(path), mmap), path)
+
+
+def network_state(content: Mapping[str, Any]) -> dict[str, Tensor]:
+    """Return the weights of the network in a checkpoint, by their names in the network."""
+    states = content["state_dict"].items()
+    return {name.removeprefix("network."): tensor for name, tensor in states if name.startswith("network.")}
+
+
+def read_weights(path: Path) -> Weights:
+    """Read a checkpoint, a safetensors file or a state dict.
+
+    Raises:
+        FormatError: the file is missing, cut short, altered since siamloc wrote it, of another version, or holds
+            anything but named tensors.
+    """
+    if path.suffix == ".safetensors":
+        return _safetensors(path)
+    state: Any = _torch_file(path)
+    if isinstance(state, Mapping) and CONTENT_KEY in state:
+        content = _checked_content(state, path)
+        return Weights(network_state(content), str(path), model=content[CONTENT_KEY]["model"])
+    if isinstance(state, Mapping) and isinstance(state.get("state_dict"), Mapping):
+        state = {str(key).removeprefix("network."): value for key, value in state["state_dict"].items()}
+    if not isinstance(state, Mapping) or not state or not all(isinstance(value, Tensor) for value in state.values()):
+        raise FormatError(f"the weights file {path} holds no state dict (names with tensors)")
+    return Weights({str(key): value for key, value in state.items()}, str(path))
+
+
+def write_weights(path: str | Path, state: Mapping[str, Tensor], model: Mapping[str, Any]) -> None:
+    """Write the weights of a network to a safetensors file, with convolutions and layers in half precision.
+
+    The file also holds the settings to rebuild the network, and a hash of both. Equal weights give equal files.
+
+    Args:
+        path: of the file, ending in .safetensors.
+        state: names and tensors.
+        model: arguments of `siamloc.models.build` for the network, as plain values.
+
+    Raises:
+        StorageError: the disk refuses.
+    """
+    from safetensors.torch import save_file
+
+    halved = {
+        name: (tensor.half() if tensor.ndim > 1 and tensor.is_floating_point() else tensor).cpu().contiguous()
+        for name, tensor in state.items()
+    }
+    about = {"version": VERSION, "model": dict(model)}
+    text = json.dumps({**about, "sha256": _hash(halved, about)}, sort_keys=True)
+    with atomic_path(path) as temporary:
+        save_file(halved, temporary, metadata={CONTENT_KEY: text})
+
+
+def state_hash(state: Mapping[str, Tensor], length: int = 16) -> str:
+    """Return a short hash of the names, types, shapes and values in a state dict, the same on every device."""
+    digest = hashlib.sha256()
+    for name in sorted(state):
+        tensor = state[name].detach().cpu().contiguous()
+        digest.update(f"{name} {tensor.dtype} {tuple(tensor.shape)}".encode())
+        digest.update(tensor.reshape(-1).view(torch.uint8).numpy().data)
+    return digest.hexdigest()[:length]
+
+
+def load_whole(module: nn.Module, state: Mapping[str, Tensor], what: str, error: type[Exception] = FormatError) -> None:
+    """Load a state dict that must have exactly the weights of a module.
+
+    Raises:
+        FormatError: other weights, in a sentence that begins with `what`; or another `error`.
+    """
+    if difference := mismatch(module, state):
+        raise error(f"{what}: {difference}")
+    module.load_state_dict(state)
+
+
+def mismatch(module: nn.Module, state: Mapping[str, Tensor]) -> str | None:
+    """Describe how a state dict differs from what the module needs; None if it fits."""
+    own = module.state_dict()
+    missing = [key for key in own if key not in state]
+    surplus = [key for key in state if key not in own]
+    shapes = [key for key in own if key in state and own[key].shape != state[key].shape]
+    parts = [f"missing: {len(missing)} of {len(own)} tensors, first {missing[0]!r}"] if missing else []
+    parts += [f"unknown: {len(surplus)}, first {surplus[0]!r}"] if surplus else []
+    for key in shapes[:1]:
+        expected, got = tuple(own[key].shape), tuple(state[key].shape)
+        parts.append(f"of another shape: {len(shapes)}, first {key!r} with {got} for {expected}")
+    return "; ".join(parts) or None
+
+
+def _torch_file(path: Path, mmap: bool = False) -> Any:
+    _check_there(path)
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # warnings of torch about a foreign file would hide our own message
+            return torch.load(path, map_location="cpu", weights_only=True, mmap=mmap)
+    except Exception as error:  # zip, pickle and torch each raise their own errors
+        raise FormatError(
+            f"the file {path} cannot be read ({type(error).__name__}): it is cut short, or holds more than tensors and "
+            "plain values; take another file, or train again"
+        ) from error
+
+
+def _check_there(path: Path) -> None:
+    if not path.is_file():
+        todo = "install siamloc again" if path == PRETRAINED else "check the path"
+        raise FormatError(f"the file {path} does not exist: {todo}")
+
+
+def _checked_content(content: Any, path: str | Path) -> dict[str, Any]:
+    """Return the contents of a checkpoint, unless they are not of a training of siamloc, or of another version."""
+    about = content.get(CONTENT_KEY) if isinstance(content, dict) else None
+    if not isinstance(about, dict) or not isinstance(content.get("state_dict"), dict):
+        raise FormatError(f"{path} is not a checkpoint of a siamese network: it has no weights, or does not say whose")
+    if not {"format", "model", "loss"} <= set(about):
+        raise FormatError(f"{path} is not a checkpoint of a siamese network: it does not say what was trained")
+    check_version(about["format"], FORMAT_VERSION, f"the checkpoint {path}", "train again")
+    return content
+
+
+def _safetensors(path: Path) -> Weights:
+    """Read the tensors of a safetensors file in single precision; of a file that siamloc wrote, also its network."""
+    from safetensors import SafetensorError, safe_open
+
+    _check_there(path)
+    try:
+        with safe_open(path, framework="pt") as file:
+            state = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118  (it is no mapping)
+            text = (file.metadata() or {}).get(CONTENT_KEY)
+    except (SafetensorError, OSError, ValueError) as error:
+        raise FormatError(
+            f"the weights file {path} cannot be read ({type(error).__name__}): it is cut short or not a safetensors "
+            "file, get it again"
+        ) from error
+    if text is None:
+        return Weights(state, str(path))
+    altered = f"the weights file {path} was altered since it was written: get it again"
+    try:
+        about = parsed_json(text)
+        version, digest = about["version"], about.pop("sha256")
+    except (ValueError, TypeError, KeyError) as error:
+        raise FormatError(altered) from error
+    check_version(version, VERSION, f"the weights file {path}", "get it again")
+    if digest != _hash(state, about):
+        raise FormatError(altered)
+    single = {name: tensor.float() if tensor.is_floating_point() else tensor for name, tensor in state.items()}
+    return Weights(single, str(path), model=about["model"])
+
+
+def _hash(state: Mapping[str, Tensor], about: Mapping[str, Any]) -> str:
+    text = json.dumps({**about, "state": state_hash(state, 64)}, sort_keys=True)
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
 def find_weights(branch: str, weights: str | PathLike[str] | Run) -> Weights:
     """Find weights for a branch by their name or path.
 
@@ -55,13 +226,12 @@ def find_weights(branch: str, weights: str | PathLike[str] | Run) -> Weights:
             `siamloc.models.build`.
 
     Raises:
-        ConfigError: an unknown name, a failed download, a file that cannot be read, or a run without a checkpoint.
-        FormatError: a checkpoint of another version, or a weights file that was altered.
+        ConfigError: an unknown name, a failed download, or a run without a checkpoint.
+        FormatError: a file that is missing, cut short or altered, or of another version.
     """
     if isinstance(weights, Run):
         return read_weights(weights.checkpoint())
     if weights == "siamloc":
-        check_shipped()
         return replace(read_weights(PRETRAINED), origin="the weights that ship with siamloc")
     path = Path(weights).expanduser()
     if path.is_dir() and not _NAMES.fullmatch(str(weights)):
@@ -90,87 +260,41 @@ def fill(network: nn.Module, weights: Weights, what: str) -> None:
         ConfigError: weights of another architecture.
     """
     if weights.model is not None:
-        _fill_as_trained(network, weights, weights.model, what)
-        return
-    state = _comparing_as_here(network, weights.state, keep=True)
-    target: nn.Module = network
-    if not any(key.startswith("branch.") for key in state):
+        target, state = _of_training(network, weights, weights.model, what)
+    elif any(key.startswith("branch.") for key in weights.state):
+        target, state = network, _comparing_as_here(network, weights.state, keep=True)
+    else:
+        target, state = _of_torchvision(network, weights)
         what = what.partition(" ")[0]
-        target = network.get_submodule("branch.features")
-        normalize = getattr(network.get_submodule("branch"), "normalize", "channels")
-        if normalize != "channels":
-            print(
-                f"note: {weights.origin} was trained on images normalized by channels, and normalize={normalize} shows "
-                "it other ones: set model.normalize=channels (from Python normalize='channels') to start from what it "
-                "learned",
-                file=sys.stderr,
-            )
-        state = {
-            _OLD_DENSENET.sub(r"\1\2.", key.removeprefix("features.")): value
-            for key, value in state.items()
-            if key.startswith("features.")
-        }
-        # Older files lack this counter, which only matters for averaging without momentum.
-        counters = [key for key in target.state_dict() if key.endswith("num_batches_tracked") and key not in state]
-        state |= {key: target.state_dict()[key] for key in counters}
-    difference = mismatch(target, state)
-    if difference is not None:
-        raise ConfigError(f"the weights of {weights.origin} are of another architecture than {what}: {difference}")
-    target.load_state_dict(state)
+    of = f"the weights of {weights.origin} are of another architecture than {what}"
+    load_whole(target, state, of, ConfigError)
 
 
-def check_shipped() -> None:
-    """Raise FormatError if the weights that ship with siamloc are missing."""
-    if not PRETRAINED.is_file():
-        raise FormatError(f"the weights that ship with siamloc are missing at {PRETRAINED}: install siamloc again")
+def _of_torchvision(network: nn.Module, weights: Weights) -> tuple[nn.Module, Mapping[str, Tensor]]:
+    """Return the features of a network, and their weights by the names that the network has for them."""
+    target = network.get_submodule("branch.features")
+    normalize = getattr(network.get_submodule("branch"), "normalize", "channels")
+    if normalize != "channels":
+        print(
+            f"note: {weights.origin} was trained on images normalized by channels, and normalize={normalize} shows it "
+            "other ones: set model.normalize=channels (from Python normalize='channels') to start from what it learned",
+            file=sys.stderr,
+        )
+    state = {
+        _OLD_DENSENET.sub(r"\1\2.", key.removeprefix("features.")): value
+        for key, value in weights.state.items()
+        if key.startswith("features.")
+    }
+    # Older files lack this counter, which only matters for averaging without momentum.
+    own = target.state_dict().items()
+    counters = {key: value for key, value in own if key.endswith("num_batches_tracked") and key not in state}
+    return target, state | counters
 
 
-def read_weights(path: Path) -> Weights:
-    """Read a state dict or a checkpoint without running any code in the file.
-
-    Raises:
-        ConfigError: the file is missing, incomplete, or holds anything but named tensors.
-        FormatError: a checkpoint or a weights file of another version, or a weights file that was altered.
-    """
-    if not path.is_file():
-        raise ConfigError(f"the weights file {path} does not exist")
-    if path.suffix == ".safetensors":
-        held, model = read_weights_file(path)
-        return Weights(held, str(path), model=model)
-    try:
-        state: Any = torch.load(path, map_location="cpu", weights_only=True)
-    except Exception as error:  # zip, pickle and torch each raise their own errors
-        raise ConfigError(f"the weights file {path} is not a whole state dict ({type(error).__name__})") from error
-    if isinstance(state, Mapping) and CONTENT_KEY in state:
-        content = checked_content(state, path)
-        return Weights(network_state(content), str(path), model=content[CONTENT_KEY]["model"])
-    if isinstance(state, Mapping) and isinstance(state.get("state_dict"), Mapping):
-        state = {str(key).removeprefix("network."): value for key, value in state["state_dict"].items()}
-    if not isinstance(state, Mapping) or not state or not all(isinstance(value, Tensor) for value in state.values()):
-        raise ConfigError(f"the weights file {path} holds no state dict (names with tensors)")
-    return Weights({str(key): value for key, value in state.items()}, str(path))
-
-
-def mismatch(module: nn.Module, state: Mapping[str, Tensor]) -> str | None:
-    """Describe how a state dict differs from what the module needs; None if it fits."""
-    own = module.state_dict()
-    missing = [key for key in own if key not in state]
-    surplus = [key for key in state if key not in own]
-    shapes = [key for key in own if key in state and own[key].shape != state[key].shape]
-    parts = []
-    if missing:
-        parts.append(f"missing: {len(missing)} of {len(own)} tensors, first {missing[0]!r}")
-    if surplus:
-        parts.append(f"unknown: {len(surplus)}, first {surplus[0]!r}")
-    if shapes:
-        key = shapes[0]
-        expected, got = tuple(own[key].shape), tuple(state[key].shape)
-        parts.append(f"of another shape: {len(shapes)}, first {key!r} with {got} for {expected}")
-    return "; ".join(parts) or None
-
-
-def _fill_as_trained(network: nn.Module, weights: Weights, model: Mapping[str, Any], what: str) -> None:
-    """Load the weights of a training: all of them if the heads agree, else only those of the branch."""
+def _of_training(
+    network: nn.Module, weights: Weights, model: Mapping[str, Any], what: str
+) -> tuple[nn.Module, Mapping[str, Tensor]]:
+    """Return the part of a network that starts from a training, all of it if the heads agree, and its weights."""
     here: Mapping[str, Any] = network.settings  # type: ignore[assignment]
     if "branch" not in model:
         raise ConfigError(
@@ -191,12 +315,9 @@ def _fill_as_trained(network: nn.Module, weights: Weights, model: Mapping[str, A
     if any(there[key] != here[key] for key in ("head", "outputs", *sizes)) or mismatch(network, state) is not None:
         target = network.get_submodule("branch")
         state = {name.removeprefix("branch."): value for name, value in state.items() if name.startswith("branch.")}
-    difference = mismatch(target, state)
-    if difference is not None:
-        raise ConfigError(f"the weights of {weights.origin} are of another architecture than {what}: {difference}")
-    target.load_state_dict(state)
     taken = "the whole network" if target is network else "the branch alone"
     print("; ".join([f"note: {taken} starts from {weights.origin}", *differing]), file=sys.stderr)
+    return target, state
 
 
 def _comparing_as_here(network: nn.Module, state: Mapping[str, Tensor], keep: bool) -> Mapping[str, Tensor]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -13,10 +13,10 @@ import augment
 from foundation.calls import typed
 from siamloc.data.places import PlaceSettings
 from siamloc.errors import ConfigError
+from siamloc.models.checkpoint import save_weights, without_layer
 from siamloc.models.cross_entropy import CrossEntropyLoss
 from siamloc.models.network import Network
 from siamloc.models.places import BatchLoss, PlaceModule
-from siamloc.models.pretrained_network import save_weights, without_layer
 from siamloc.pretraining.settings import RECIPE, ViewSettings
 from siamloc.pretraining.view_batches import ViewDataModule
 from siamloc.runs import Run
@@ -24,7 +24,10 @@ from siamloc.simulate.mesh import embree
 from siamloc.training.checks import check_loss, check_network
 from siamloc.training.fitting import augmentation_of, learn, process_rank
 from siamloc.training.run_folder import check_folder
-from siamloc.training.settings import Monitor, Training
+from siamloc.training.settings import Monitor, Training, TrainingFields
+
+if TYPE_CHECKING:
+    from typing_extensions import Unpack
 
 
 @typed
@@ -39,7 +42,7 @@ def pretrain(
     resume: bool = False,
     overwrite: bool = False,
     settings: Training | None = None,
-    **changes: Any,
+    **changes: Unpack[TrainingFields],
 ) -> Run:
     """Train a network in place on random buildings, drawn, furnished, lit and rendered while it learns from others.
 
@@ -107,24 +110,14 @@ def pretrain(
     noise = np.random.default_rng(0).integers(0, 256, (1, 3, *network.image_size), dtype=np.uint8)
     without_layer(network)  # fails before the training, not after it
     check_network(network, noise, circular=True, unit=getattr(module.loss, "unit_length", False))
-    content = module.content()
-    used: dict[str, Any] = {
-        "data": {},
-        "views": views.plain(),
-        "protocol": {},
-        "model": content["model"],
-        "loss": content["loss"],
-        "training": settings.plain(),
-        "augment": augmented,
-        "trainer": {"precision": str((trainer or {}).get("precision", "32-true"))},
-        "frames": {"train": None, "validation": None},
-    }
+    frames = {"train": None, "validation": None}
+    about = {"data": {}, "views": views.plain(), "protocol": {}, "augment": augmented, "frames": frames}
     what = f"random buildings, a new one every {views.batches} batches, {places.epoch_batches} batches per epoch"
     learn(
         module,
         data,
         run,
-        used,
+        about,
         settings,
         trainer,
         monitor=settings.monitor,
@@ -144,23 +137,20 @@ def _check(settings: Training, views: ViewSettings) -> PlaceSettings:
     Raises:
         ConfigError: settings that are meaningless for random buildings.
     """
-    places = settings.pairs
+    places, most = settings.pairs, views.drives * views.lights * views.poses
     if not isinstance(places, PlaceSettings) or places.epoch_batches is None:
         raise ConfigError("pretraining learns from batches of places: give pairs a number of epoch_batches")
-    if places.by != "position":
-        raise ConfigError(f"pretraining draws places by their positions: leave out pairs.by={places.by}")
-    if places.lightings is not None:
-        raise ConfigError("pretraining shows every place under lights that take turns: leave out pairs.lightings")
-    most = views.drives * views.lights * views.poses
-    if places.places > most:
-        raise ConfigError(
-            f"a batch of pairs.places={places.places} places needs as many images, and a building has {most}: set "
-            "views.poses larger"
-        )
-    if settings.workers:
-        raise ConfigError(
-            f"workers={settings.workers} gather batches of a data set; set rendering processes with views.processes"
-        )
-    if settings.monitor not in ("auto", "recall", "error", "refined"):
-        raise ConfigError(f"pretraining is judged by the places found: monitor={settings.monitor} has no meaning here")
+    wrong = {
+        f"draws places by their positions: leave out pairs.by={places.by}": places.by != "position",
+        "shows every place under lights that take turns: leave out pairs.lightings": places.lightings is not None,
+        f"draws pairs.places={places.places} images of a building, which has {most}: set views.poses larger": (
+            places.places > most
+        ),
+        f"renders its images: leave out workers={settings.workers}, and set views.processes": settings.workers > 0,
+        f"is judged by the places found: monitor={settings.monitor} has no meaning here": (
+            settings.monitor not in ("auto", "recall", "error", "refined")
+        ),
+    }
+    for text in (text for text, holds in wrong.items() if holds):
+        raise ConfigError(f"pretraining {text}")
     return places

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from itertools import count, islice
 from typing import Any
 
@@ -95,12 +96,13 @@ def frames_of(views: Views, name: str) -> FrameTable:
     )
 
 
+@dataclass(eq=False)
 class ViewBatches(Dataset[dict[str, Any]]):
     """The batches of every epoch: item (epoch, i) is a whole batch, as in `PlaceBatches`.
 
     Its contents depend only on the seed and its number, not on how fast buildings are rendered.
 
-    Args:
+    Attributes:
         stream: of buildings.
         views: settings of the buildings.
         places: how batches are drawn.
@@ -110,33 +112,27 @@ class ViewBatches(Dataset[dict[str, Any]]):
         world_size: number of those processes.
     """
 
-    def __init__(
-        self,
-        stream: BuildingStream,
-        views: ViewSettings,
-        places: PlaceSettings,
-        augmentation: BatchAugmentation | None,
-        seed: int,
-        rank: int = 0,
-        world_size: int = 1,
-    ) -> None:
-        self._stream, self._views, self._places = stream, views, places
-        self._augmentation, self._seed = augmentation, seed
-        self._rank, self._world_size = rank, world_size
+    stream: BuildingStream
+    views: ViewSettings
+    places: PlaceSettings
+    augmentation: BatchAugmentation | None
+    seed: int
+    rank: int = 0
+    world_size: int = 1
 
     def __len__(self) -> int:
-        assert self._places.epoch_batches is not None
-        return self._places.epoch_batches
+        assert self.places.epoch_batches is not None
+        return self.places.epoch_batches
 
     def drawn(self, epoch: int, batch: int) -> tuple[list[Views], FrameTable, NDArray[np.int64]]:
         """Return the buildings of a batch, the frames of all their images, and the rows of the drawn ones."""
         number = epoch * len(self) + batch
-        held = self._stream.held(number // self._views.batches)
-        rng = np.random.default_rng([self._seed, number, self._rank, 0xB1D6])
-        chosen = rng.permutation(len(held))[: self._views.together]
+        held = self.stream.held(number // self.views.batches)
+        rng = np.random.default_rng([self.seed, number, self.rank, 0xB1D6])
+        chosen = rng.permutation(len(held))[: self.views.together]
         frames = concatenate([held[one][1] for one in chosen])
-        sampler = PlaceSampler(frames, self._places, seed=self._seed)
-        return [held[one][0] for one in chosen], frames, sampler.batch(number, self._rank)
+        sampler = PlaceSampler(frames, self.places, seed=self.seed)
+        return [held[one][0] for one in chosen], frames, sampler.batch(number, self.rank)
 
     def __getitem__(self, number: tuple[int, int]) -> dict[str, Any]:
         views, frames, rows = self.drawn(*number)
@@ -147,9 +143,9 @@ class ViewBatches(Dataset[dict[str, Any]]):
         item |= {name: value[rows] for name, value in origins_of(frames).items()}
         # The processes that train together number their buildings, rooms and frames separately.
         for name in ("building", "room", "frame"):
-            item[name] = item[name] * self._world_size + self._rank
-        if self._augmentation is not None:
-            self._augmentation.add(item, number, pictures.shape[1:], self._rank, self._world_size)
+            item[name] = item[name] * self.world_size + self.rank
+        if self.augmentation is not None:
+            self.augmentation.add(item, number, pictures.shape[1:], self.rank, self.world_size)
         return item
 
 

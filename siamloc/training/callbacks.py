@@ -12,7 +12,6 @@ from pathlib import Path
 from typing import Any
 
 import torch
-from torch import Tensor
 
 from augment.torchvision_compat import ensure_torchvision
 from foundation.files import atomic_path, write_text
@@ -81,25 +80,12 @@ class _MovableCheckpoint(ModelCheckpoint):
 
 def checkpoint_callbacks(folder: Path, monitor: str | None) -> list[Callback]:
     """Make the callbacks that write `last.ckpt` after every epoch, and `best.ckpt` by the best logged figure."""
-    last = _MovableCheckpoint(
-        dirpath=folder,
-        filename="last",
-        monitor=None,
-        save_top_k=1,
-        save_on_train_epoch_end=True,
-        enable_version_counter=False,
-    )
+    common: dict[str, Any] = {"dirpath": folder, "save_top_k": 1, "enable_version_counter": False}
+    last = _MovableCheckpoint(filename="last", save_on_train_epoch_end=True, **common)
     if monitor is None:
         return [last]
-    best = _MovableCheckpoint(
-        dirpath=folder,
-        filename="best",
-        monitor=monitor,
-        mode="max" if higher_is_better(monitor) else "min",
-        save_top_k=1,
-        save_on_train_epoch_end=False,
-        enable_version_counter=False,
-    )
+    mode = "max" if higher_is_better(monitor) else "min"
+    best = _MovableCheckpoint(filename="best", monitor=monitor, mode=mode, save_on_train_epoch_end=False, **common)
     return [best, last]
 
 
@@ -114,12 +100,8 @@ class MovingAverage(WeightAveraging):
     """
 
     def __init__(self, decay: float) -> None:
-        def moved(average: Tensor, now: Tensor, _: Any) -> Tensor:
-            return average + (1 - decay) * (now - average) if average.is_floating_point() else now
-
-        super().__init__(use_buffers=True, avg_fn=moved)
+        super().__init__(use_buffers=True)
         self._decay = decay
-        self._begun = False
 
     def setup(self, trainer: Trainer, pl_module: LightningModule, stage: str) -> None:
         """Choose the device before the weights are moved there."""
@@ -131,27 +113,20 @@ class MovingAverage(WeightAveraging):
     ) -> None:
         """Update the average; after the first step without reading numbers from the device, which would block."""
         average = self._average_model
-        if trainer.global_step <= self._latest_update_step or average is None:
-            return
-        self._begun = self._begun or bool(average.n_averaged > 0)
-        if not self._begun:
+        if average is None or self._latest_update_step == 0:
             super().on_train_batch_end(trainer, pl_module, outputs, batch, batch_idx)
-            return
-        self._latest_update_step = trainer.global_step
-        average.n_averaged += 1
-        pairs = list(zip(_state(average.module), _state(pl_module), strict=True))
-        averages, weights = zip(*(pair for pair in pairs if pair[0].is_floating_point()), strict=True)
-        steps = torch._foreach_sub(weights, averages)
-        torch._foreach_mul_(steps, 1 - self._decay)
-        torch._foreach_add_(averages, steps)
-        for held, now in pairs:
-            if not held.is_floating_point():
-                held.copy_(now)
-
-
-def _state(module: torch.nn.Module) -> list[Tensor]:
-    """Return all weights and buffers, without gradients."""
-    return [value.detach() for value in (*module.parameters(), *module.buffers())]
+        elif trainer.global_step > self._latest_update_step:
+            self._latest_update_step = trainer.global_step
+            average.n_averaged += 1
+            averages, weights = ([*one.parameters(), *one.buffers()] for one in (average.module, pl_module))
+            moving = [row for row, value in enumerate(averages) if value.is_floating_point()]
+            with torch.no_grad():
+                steps = torch._foreach_sub([weights[row] for row in moving], [averages[row] for row in moving])
+                torch._foreach_mul_(steps, 1 - self._decay)
+                torch._foreach_add_([averages[row] for row in moving], steps)
+                for held, current in zip(averages, weights, strict=True):
+                    if not held.is_floating_point():
+                        held.copy_(current)
 
 
 class Curves(Checkpoint):
@@ -233,9 +208,7 @@ class Curves(Checkpoint):
         if name is None:
             return None
         found = [(row[name], int(row["epoch"])) for row in self._rows if name in row]
-        if not found:
-            return None
-        return (max if higher_is_better(name) else min)(found, key=lambda pair: pair[0])
+        return (max if higher_is_better(name) else min)(found, key=lambda pair: pair[0], default=None)
 
     def _figures_of(self, epoch: int) -> str:
         """Name the best epoch with all its validation figures, starting with the one that it was chosen by."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import inspect
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -13,18 +14,15 @@ from torch import nn
 from siamloc.data.checks import wrong_headings
 from siamloc.data.frames import FrameTable
 from siamloc.data.library import PanoramaLibrary
-from siamloc.data.pairs import PairSettings
 from siamloc.data.places import PlaceSettings
 from siamloc.errors import ConfigError, DataError, SiamlocError, leave_out
-from siamloc.models.batch_losses import SoftContrastiveLoss
 from siamloc.models.cross_entropy import CrossEntropyLoss
 from siamloc.models.describing import comparing, describe
+from siamloc.models.module import name_of
 from siamloc.models.origins import Origins
-from siamloc.models.outputs import name_of
 from siamloc.models.places import BatchLoss
 from siamloc.models.siamese import Loss
 from siamloc.training.batches import EpochDataModule
-from siamloc.training.lacking import what_is_lacking
 from siamloc.training.place_batches import PlaceDataModule, origins_of, rooms_of
 from siamloc.training.settings import Monitor, Training
 
@@ -41,36 +39,31 @@ def usable(
     If pairs are labelled by rooms, frames without a room label are left out if others in their building have one, since
     their room is unknown.
     """
-    found: list[FrameTable | None] = []
-    pairs = settings.pairs
-    distance = pairs.by == "position" if isinstance(pairs, PlaceSettings) else pairs.label == "distance"
-    by_rooms = False
+    pairs, strict = settings.pairs, str(images.settings()["on_error"])
+    tables: dict[str, FrameTable] = {}
     for name, table in (("training", frames), ("validation", validation)):
         if table is None:
-            found.append(None)
             continue
-        readable = images.readable(table)
-        if not len(readable):
+        tables[name] = images.readable(table)
+        if not len(tables[name]):
             raise DataError(f"there are no {name} frames" if not len(table) else f"no {name} image can be read")
-        strict = str(images.settings()["on_error"])
-        if name == "training" and isinstance(pairs, PairSettings):
-            by_rooms = pairs.label == "room" or (pairs.label == "auto" and _rooms(readable) >= _ROOMS)
-        if by_rooms:
-            labelled = readable.room != ""
-            unknown = ~labelled & np.isin(readable.building, readable.building[labelled])
-            missing = readable.path[unknown].tolist()
-            leave_out(missing, len(readable), f"{name} frames have no room label, which others have", strict)
-            readable = readable.take(~unknown)
-        if name == "training" and isinstance(pairs, PairSettings) and pairs.label == "auto":
-            distance = len(set(readable.place.tolist())) == 1
-        if distance:
-            missing = readable.path[~readable.has_position].tolist()
-            what = f"{name} frames have no position, which {pairs.needs_positions}"
-            leave_out(missing, len(readable), what, strict)
-            readable = readable.take(readable.has_position)
-        found.append(readable)
-    train, validated = found
-    assert train is not None
+
+    def leave(which: Callable[[FrameTable], NDArray[np.bool_]], what: str) -> None:
+        for name, table in tables.items():
+            rows = which(table)
+            leave_out(table.path[rows].tolist(), len(table), f"{name} frames have no {what}", strict)
+            tables[name] = table.take(~rows)
+
+    if isinstance(pairs, PlaceSettings):
+        by_distance = pairs.by == "position"
+    else:
+        auto = pairs.label == "auto"
+        if pairs.label == "room" or (auto and _rooms(tables["training"]) >= _ROOMS):
+            leave(_nameless, "room label, which others have")
+        by_distance = pairs.label == "distance" or (auto and len(set(tables["training"].place.tolist())) == 1)
+    if by_distance:
+        leave(lambda table: ~table.has_position, f"position, which {pairs.needs_positions}")
+    train, validated = tables["training"], tables.get("validation")
     if validated is not None:
         known = set(train.identities())
         both = [key for key in validated.identities() if key in known]
@@ -80,6 +73,12 @@ def usable(
                 "would not be honest: validate with other frames"
             )
     return train, validated
+
+
+def _nameless(table: FrameTable) -> NDArray[np.bool_]:
+    """Mark the frames without a room label in buildings where others have one."""
+    labelled = table.room != ""
+    return ~labelled & np.isin(table.building, table.building[labelled])
 
 
 def check_loss(loss: Loss | BatchLoss | None, arguments: int) -> None:
@@ -100,58 +99,47 @@ def check_loss(loss: Loss | BatchLoss | None, arguments: int) -> None:
 
 def check_rooms(loss: Loss | BatchLoss | None, train: FrameTable, validated: FrameTable | None) -> None:
     """Make sure that the frames have the rooms that the loss needs, and that the validation uses those."""
-    if isinstance(loss, CrossEntropyLoss):
-        _check_classes(rooms_of(train), None if validated is None else rooms_of(validated))
-    if isinstance(loss, SoftContrastiveLoss) and loss.room > 0 and _rooms(train) < _ROOMS:
+    if getattr(loss, "room", 0) and len(rooms_of(train)) < _ROOMS:
         raise DataError(
-            f"the loss learns from rooms, loss.room={loss.room:g}, but the training frames have {_rooms(train)}: give "
-            "their room labels, or set loss.room to 0"
+            f"this loss learns from rooms, and the training frames have {len(rooms_of(train))}: give the labels of "
+            f"{_ROOMS} rooms or more, or choose another loss (or loss.room=0)"
         )
-
-
-def _check_classes(rooms: list[str], asked: list[str] | None) -> None:
-    """Make sure that there are rooms to name, and that the validation has some of them."""
-    if len(rooms) < _ROOMS:
-        what = f"are all in one room, {rooms[0]}" if rooms else "have no room labels"
-        raise DataError(
-            f"loss=cross_entropy learns to name rooms, and the training frames {what}: give the labels of {_ROOMS} "
-            "rooms or more, or choose another loss"
-        )
-    if asked and not set(asked) & set(rooms):
-        raise DataError(
-            f"the validation frames are in rooms that the training frames lack ({_some(asked)}, and not "
-            f"{_some(rooms)}), which loss=cross_entropy never names: validate in the same rooms, or leave the "
-            "validation out"
-        )
-
-
-def _some(names: list[str], most: int = 5) -> str:
-    return ", ".join([*names[:most], *(["..."] if len(names) > most else [])])
+    if isinstance(loss, CrossEntropyLoss) and validated is not None:
+        known, asked = rooms_of(train), rooms_of(validated)
+        if asked and not set(asked) & set(known):
+            raise DataError(
+                f"the validation frames are in other rooms ({', '.join(asked)}) than the training frames "
+                f"({', '.join(known)}), which loss=cross_entropy never names: validate in the same rooms, or leave the "
+                "validation out"
+            )
 
 
 def check_batches(data: EpochDataModule, loss: object, processes: int = 1) -> None:
     """Make sure that there is enough data for the processes, and that batches of places suit the loss.
 
-    Some batches are drawn and checked for what a loss of siamloc needs.
+    Some batches are drawn and given to the loss's method `lacks`, if it has one.
 
     Raises:
         ConfigError: too little data, or a loss that learns nothing from any of these batches.
     """
     data.check_processes(processes)
-    if not isinstance(data, PlaceDataModule):
+    lacks = getattr(loss, "lacks", None)
+    if not isinstance(data, PlaceDataModule) or lacks is None:
         return
     sampler = data.sampler
     found = origins_of(sampler.frames, by=sampler.settings.by)
-    lacking: str | None = None
     for number in range(_TRIED):
         rows = torch.from_numpy(sampler.whole_batch(*divmod(number, len(sampler)), processes))
         origins = Origins(**{name: value[rows] for name, value in found.items()})
         if data.augmentation is not None or sampler.settings.radius == 0:  # views of one image differ
             origins = replace(origins, frame=torch.arange(len(rows)))
-        lacking = what_is_lacking(loss, origins)
-        if lacking is None:
+        if (missing := lacks(origins)) is None:
             return
-    raise ConfigError(f"the loss learns nothing from these batches, {_TRIED} of {_TRIED} drawn have no {lacking}")
+    raise ConfigError(
+        f"the loss learns nothing from these batches, {_TRIED} of {_TRIED} drawn have no {missing}; the nearest are "
+        f"{float(origins.apart().min()):.3g} apart: set that key otherwise, draw other frames together (pairs.images, "
+        "pairs.radius, pairs.near), or let an augmentation make views of one image"
+    )
 
 
 def check_headings(network: nn.Module, train: FrameTable, settings: Training) -> None:
@@ -219,8 +207,9 @@ def monitored(
     """Return the figure that chooses the checkpoint, as in `Training.monitor`; None if nothing is validated.
 
     Raises:
-        DataError: frames without the positions or rooms needed for the validation.
-        ConfigError: `patience` although nothing is validated.
+        DataError: frames without the positions or rooms needed for any validation.
+        ConfigError: a figure that the frames, the network or the loss do not give, or `patience` although nothing is
+            validated.
     """
     if validated is None:
         if settings.patience is not None:
@@ -231,43 +220,35 @@ def monitored(
         return None
     placed = bool(_buildings(train) & _buildings(validated))
     roomed = _rooms(train) >= _ROOMS and _rooms(validated) > 0
-    monitor = settings.monitor
-    if monitor in ("error", "recall") and not placed:
-        raise DataError(
-            f"monitor={monitor} needs positions, and training and validation frames do not both have them in one "
-            "building: give them, or choose monitor=auto"
-        )
-    if monitor == "room" and not roomed:
-        raise DataError(
-            f"monitor=room needs rooms, {_ROOMS} or more in training, and training and validation frames do not both "
-            "have them: give them, or choose monitor=auto"
-        )
     turned = _buildings(train.take(np.isfinite(train.theta))) & _buildings(validated)
     compares = comparing(network) is not None and bool(turned)
-    if monitor == "refined" and not compares:
-        raise ConfigError(
-            "monitor=refined is the error of poses by comparison: it needs model.relative=true (from Python "
-            "relative=True), training frames with positions and headings, and validation frames with positions in one "
-            "of their buildings; or choose monitor=auto"
-        )
-    names = isinstance(loss, CrossEntropyLoss)
-    if monitor == "accuracy" and not (names and roomed):
-        raise ConfigError(
-            "monitor=accuracy is the share of frames whose room is named: it needs loss=cross_entropy and validation "
-            "frames with rooms; or choose monitor=auto"
-        )
+    names = isinstance(loss, CrossEntropyLoss) and roomed
+    positions = "training and validation frames with positions in one building"
+    needs = {
+        "error": (placed, positions),
+        "recall": (placed, positions),
+        "room": (roomed, f"validation frames with rooms, and {_ROOMS} rooms or more in training"),
+        "accuracy": (names, "loss=cross_entropy, and training and validation frames with rooms"),
+        "refined": (
+            compares,
+            "model.relative=true (from Python relative=True), training frames with positions and headings, and "
+            "validation frames with positions in one of their buildings",
+        ),
+    }
+    monitor = settings.monitor
+    known, what = needs.get(monitor, (True, ""))
+    if not known:
+        raise ConfigError(f"monitor={monitor} needs {what}: give them, or choose monitor=auto")
     if monitor != "auto":
         return monitor
-    if names and roomed:
+    if names:
         return "accuracy"
     if compares:
         return "refined"
     if not isinstance(settings.pairs, PlaceSettings):
         return "error" if placed and _another_drive(train, validated) else "loss"
-    if placed:
-        return "error"
-    if roomed:
-        return "room"
+    if placed or roomed:
+        return "error" if placed else "room"
     raise DataError(
         "the checkpoint is chosen by the error of localization or by the rooms found, but training and validation "
         f"frames do not both have positions in one building, or both rooms ({_ROOMS} or more in training): give "

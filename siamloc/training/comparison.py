@@ -48,12 +48,8 @@ def compare(runs: str | Path | Iterable[str | Path | Run], by: str | None = None
         by = next((name for name in (*first, *_CHOSEN_BY) if name in figures), None)
     known = sorted({name for figure in curves.values() for name in figure if "/" in name})
     if by is None or by not in known:
-        asked = (
-            "the runs have no figure in common by which checkpoints are chosen"
-            if by is None
-            else f"no run has the figure {by!r}"
-        )
-        raise ConfigError(f"{asked}: {hint(by or '', known)}")
+        none = "the runs have no figure in common by which checkpoints are chosen"
+        raise ConfigError(f"{none if by is None else f'no run has the figure {by!r}'}: {hint(by or '', known)}")
     settings = [flat(run.settings, _LEFT_OUT) for run in found]
     names = differing(settings)
     if all(values.get("model.seed") == values.get("seed") for values in settings):  # as with commands
@@ -66,16 +62,13 @@ def compare(runs: str | Path | Iterable[str | Path | Run], by: str | None = None
 
 
 def _opened(runs: str | Path | Iterable[str | Path | Run]) -> list[Run]:
+    where = ""
     if isinstance(runs, (str, Path)):
-        if not Path(runs).is_dir():
-            raise ConfigError(f"there is no folder {runs}: name that of a sweep, such as runs/sweep")
-        records = sorted(Path(runs).glob("**/run.json"))
-        if not records:
-            raise ConfigError(f"there are no runs in {runs}: name the folder of a sweep, such as runs/sweep")
-        return [Run(record.parent) for record in records]
+        where = f" in the folder {runs}"
+        runs = [record.parent for record in sorted(Path(runs).glob("**/run.json"))]
     found = [run if isinstance(run, Run) else Run(Path(run)) for run in runs]
     if not found:
-        raise ConfigError("no runs to compare: name the folder of a sweep, or several runs")
+        raise ConfigError(f"there are no runs to compare{where}: name the folder of a sweep, such as runs/sweep")
     return found
 
 

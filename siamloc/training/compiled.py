@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -23,32 +22,11 @@ Wanted = Literal["auto"] | bool
 def compiles(wanted: Wanted, on_gpu: bool) -> Wanted:
     """Decide whether to compile the network of a training: if requested; with "auto" only on a GPU.
 
-    Raises:
-        ConfigError: compiling is requested, but the compiler is missing.
-
     Example:
         >>> compiles("auto", on_gpu=False)
         False
     """
-    if wanted is False or (wanted == "auto" and not on_gpu):
-        return False
-    missing = _missing(on_gpu)
-    if missing is not None and wanted != "auto":
-        raise ConfigError(f"compile=true needs {missing}, which is missing: install it, or leave compile out")
-    return wanted if missing is None else False
-
-
-def _missing(on_gpu: bool) -> str | None:
-    """Name what torch needs to compile but does not find."""
-    if on_gpu:
-        return None if importlib.util.find_spec("triton") else "triton on a GPU"
-    from torch._inductor import cpp_builder, exc
-
-    try:
-        cpp_builder.get_cpp_compiler()
-    except exc.InvalidCxxCompiler:
-        return "a C++ compiler such as g++ on a CPU"
-    return None
+    return False if wanted == "auto" and not on_gpu else wanted
 
 
 @contextmanager

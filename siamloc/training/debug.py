@@ -23,6 +23,7 @@ from lightning.pytorch.utilities.model_summary import ModelSummary  # noqa: E402
 
 Debug = Literal["overfit", "one_batch", "profile"]
 _STEPS = {"overfit": 100, "profile": 20}
+_CLEARLY = 0.1  # share of its first value by which the loss of a batch falls if it is learned
 
 
 class _Losses(Callback):
@@ -84,7 +85,8 @@ def _overfit(module: NetworkModule, data: EpochDataModule, make_trainer: Callabl
     steps: Any = [batch] * _STEPS["overfit"]
     trainer.fit(module, DataLoader(steps, batch_size=None, collate_fn=dict), val_dataloaders=[])
     first, last = losses.losses[0], sum(losses.losses[-5:]) / len(losses.losses[-5:])
-    verdict = "as it should" if last < first else "it does not go down: look at the labels, loss and learning rate"
+    fell = first - last > _CLEARLY * abs(first)
+    verdict = "as it should" if fell else "it hardly goes down: look at the labels, loss and learning rate"
     text = f"loss {first:.4g} at first and {last:.4g} after {len(losses.losses)} steps, {verdict}"
     _say(trainer, f"one batch learned by heart, without augmentation, nothing is kept: {text}")
 

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping, Sequence
 from contextlib import nullcontext
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import Any, cast
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 import torch
@@ -18,7 +18,7 @@ from torch import nn
 import augment
 from augment.base import on_host
 from augment.torchvision_compat import ensure_torchvision
-from foundation.calls import takes
+from foundation.calls import OF_FIELDS, takes
 from foundation.files import plain
 from foundation.locks import alone
 from foundation.settings import checked
@@ -52,18 +52,20 @@ from siamloc.training.run_folder import (
     KEPT,
     check_folder,
     check_same_training,
-    monitor_of,
+    monitor_before,
+    note_frames,
     open_run,
     progress,
-    same_kind_of_pairs,
 )
-from siamloc.training.seen_frames import note_frames
-from siamloc.training.settings import Training
+from siamloc.training.settings import Training, TrainingFields
 from siamloc.training.stopping import StepCheckpoints, first_interrupt_asks, interrupts_raised
-from siamloc.training.trainer import computing, debug_trainer, on_gpu, quiet, run_trainer, steps_of
+from siamloc.training.trainer import computing, debug_trainer, on_gpu, precision_of, quiet, run_trainer, steps_of
 
 ensure_torchvision()
 from lightning.pytorch import Trainer  # noqa: E402
+
+if TYPE_CHECKING:
+    from typing_extensions import Unpack
 
 
 @takes(Training)
@@ -82,7 +84,8 @@ def fit(
     overwrite: bool = False,
     protocol: Mapping[str, Any] | None = None,
     debug: Debug | None = None,
-    settings: Training,
+    settings: Training = OF_FIELDS,
+    **fields: Unpack[TrainingFields],
 ) -> Run:
     """Train a network on pairs of frames, or on batches of places, in place.
 
@@ -154,23 +157,18 @@ def fit(
     check_headings(network, train, settings)
     change, augmented = augmentation_of(augmentation, images.circular, settings, trainer)
     faster = compiles(settings.compile, on_gpu(trainer))
-    if resume and settings.monitor == "auto" and same_kind_of_pairs(run, settings):
-        settings = replace(settings, monitor=monitor_of(run))
+    if resume and settings.monitor == "auto":
+        settings = replace(settings, monitor=monitor_before(run, settings))
     monitor = monitored(settings, train, validated, network, loss)
     settings = settings if monitor is None else replace(settings, monitor=monitor)
     data, module = _parts(network, images, train, validated, loss, change, settings)
     width = check_network(network, images.batch([0]), images.circular, unit=getattr(module.loss, "unit_length", False))
     if isinstance(module.loss, CrossEntropyLoss):
         module.loss.open(rooms_of(train), width, settings.seed)
-    content = module.content()
-    used = {
+    about = {
         "data": {**train.source, "unit": train.unit, **images.settings()},
         "protocol": dict(protocol) if protocol is not None else _protocol(train, validated),
-        "model": content["model"],
-        "loss": content["loss"],
-        "training": settings.plain(),
         "augment": augmented,
-        "trainer": {"precision": str((trainer or {}).get("precision", "32-true"))},
         "frames": {
             "train": note_frames(images, train),
             "validation": None if validated is None else note_frames(images, validated),
@@ -179,7 +177,7 @@ def fit(
     if debug is not None:
         check_batches(data, module.loss)
         _wake(network)
-        with quiet(), computing(module, settings, used["trainer"]["precision"], faster), interrupts_raised():
+        with quiet(), computing(module, settings, trainer, faster), interrupts_raised():
             clip = {} if settings.clip is None else {"gradient_clip_val": settings.clip}
             debug_training(debug, module, data, partial(debug_trainer, {**clip, **(trainer or {})}))
         return run
@@ -187,14 +185,14 @@ def fit(
         module,
         data,
         run,
-        used,
+        about,
         settings,
         trainer,
         monitor=monitor,
         what=f"{len(train)} frames, {data.sampler.summary()} per epoch",
         resume=resume,
         overwrite=overwrite,
-        note=lambda: _note(settings, train, validated, loss, data.notes()),
+        notes=[*data.notes(), *_notes(settings, train, validated, loss)],
     )
     return run
 
@@ -204,7 +202,7 @@ def learn(
     module: NetworkModule,
     data: EpochDataModule,
     run: Run,
-    used: dict[str, Any],
+    about: Mapping[str, Any],
     settings: Training,
     trainer: Mapping[str, Any] | None,
     *,
@@ -212,7 +210,7 @@ def learn(
     what: str,
     resume: bool,
     overwrite: bool = False,
-    note: Callable[[], None] = lambda: None,
+    notes: Sequence[str] = (),
 ) -> None:
     """Train a module, from scratch or from the last checkpoint of its run; afterwards it holds the best weights.
 
@@ -220,14 +218,14 @@ def learn(
         module: with the network.
         data: its batches.
         run: for checkpoints and curves.
-        used: the settings for the record, as plain values; those of the trainer are added.
+        about: what the record says of data, protocol, augmentation and frames, as plain values.
         settings: of the training.
         trainer: further arguments of `lightning.Trainer`.
         monitor: validation figure by which the checkpoint is chosen; None if nothing is validated.
         what: description of the training data.
         resume: continue from the last checkpoint.
         overwrite: replace an existing run.
-        note: prints notes for the user, once everything is checked.
+        notes: for the user, printed once everything is checked.
     """
     network, first = module.network, process_rank() == 0
     faster = compiles(settings.compile, on_gpu(trainer))
@@ -237,7 +235,12 @@ def learn(
             check_folder(run, resume, overwrite)  # once more: another process may have trained here by now
         lightning = run_trainer(run, settings, trainer, monitor and f"val/{monitor}")
         check_batches(data, module.loss, lightning.world_size)
-        used["trainer"] |= steps_of(lightning)
+        content = module.content()
+        used = {
+            **about,
+            **{"model": content["model"], "loss": content["loss"], "training": settings.plain()},
+            "trainer": {"precision": precision_of(trainer), **steps_of(lightning)},
+        }
         if resume and first:
             check_same_training(run, plain(used), settings.epochs)
             if last.is_file():
@@ -245,12 +248,13 @@ def learn(
         _wake(network)
         if first:
             open_run(run, used, resume=resume, validated=monitor is not None)
-            note()
-            model = used["model"]
+            model = content["model"]
             name = model.get("class") or f"{model['branch']} + {model['head']}"
+            for text in notes:
+                print(f"note: {text}", file=sys.stderr)
             print(f"training {name} on {what}, epochs: {settings.epochs}, into {run.folder}", file=sys.stderr)
         start = last if resume and last.is_file() else None
-        with computing(module, settings, used["trainer"]["precision"], faster):
+        with computing(module, settings, trainer, faster):
             _train(lightning, module, data, run, start)
     load(run, network=network)
 
@@ -261,37 +265,28 @@ def _wake(network: nn.Module) -> None:
         network.train()
 
 
-def _note(
-    settings: Training, train: FrameTable, validated: FrameTable | None, loss: object, of_data: list[str]
-) -> None:
-    """Note what the batches lack, and what several drives mean if only the order of the frames shows what is near."""
-    for text in of_data:
-        print(f"note: {text}", file=sys.stderr)
-    unknown = int((train.room == "").sum())
-    if getattr(loss, "room", 0) and unknown:
-        print(
-            f"note: {unknown} of {len(train)} training frames have no room label: the loss learns rooms only "
-            "from the others",
-            file=sys.stderr,
+def _notes(settings: Training, train: FrameTable, validated: FrameTable | None, loss: object) -> list[str]:
+    """Return notes on rooms that the frames lack, and on drives of which only the order of the frames is used."""
+    notes, by_rooms = [], bool(getattr(loss, "room", 0))
+    if by_rooms and (unknown := int((train.room == "").sum())):
+        notes.append(
+            f"{unknown} of {len(train)} training frames have no room label: the loss learns rooms only from the others"
         )
     if isinstance(loss, CrossEntropyLoss) and validated is not None:
         others = sorted(set(rooms_of(validated)) - set(rooms_of(train)))
-        if others:
-            frames = int(np.isin(validated.place, others).sum())
-            print(
-                f"note: {frames} of {len(validated)} validation frames are in rooms that the training frames lack "
-                f"({', '.join(others)}): they count as wrong",
-                file=sys.stderr,
+        if frames := int(np.isin(validated.place, others).sum()):
+            notes.append(
+                f"{frames} of {len(validated)} validation frames are in rooms that the training frames lack "
+                f"({', '.join(others)}): they count as wrong"
             )
     drives = len(set(train.sequence.tolist()))
-    by_order = isinstance(settings.pairs, PlaceSettings) and settings.pairs.by == "sequence"
-    if by_order and drives > 1 and not getattr(loss, "room", 0):
-        print(
-            f"note: {drives} drives are used by the order of their frames alone, so that a place in two of them counts "
-            "as two: if they share places, give positions (pairs.by=position), or also learn from rooms "
-            "(experiment=rooms, or loss.room=0.5)",
-            file=sys.stderr,
+    if isinstance(settings.pairs, PlaceSettings) and settings.pairs.by == "sequence" and drives > 1 and not by_rooms:
+        notes.append(
+            f"{drives} drives are used by the order of their frames alone, so that a place in two of them counts as "
+            "two: if they share places, give positions (pairs.by=position), or also learn from rooms "
+            "(experiment=rooms, or loss.room=0.5)"
         )
+    return notes
 
 
 def process_rank() -> int:
@@ -342,22 +337,14 @@ def effect_of(
     given: augment.Effect | Mapping[str, Any] | str | None, circular: bool
 ) -> tuple[augment.Effect | None, dict[str, Any]]:
     """Make the effect of an augmentation, None if there is none; also return its description in plain values."""
-    if given is None or isinstance(given, str):
-        given = {"name": "none" if given is None else given}
-    if isinstance(given, Mapping):
-        effect: augment.Effect = augment.policy_from_config({"circular": circular, **given})
-        described = dict(given)
-    elif isinstance(given, augment.Effect):
-        effect = given
-        described = {"name": effect.name, "effects": [repr(effect)]}
-    else:
-        raise ConfigError(f"augmentation is an effect or a policy of augment, a policy's name, or None; got {given!r}")
-    if isinstance(effect, augment.Policy):
-        if effect is given:
-            described["effects"] = [f"{step.probability:g} {step.effect!r}" for step in effect.slots]
-        if not effect.slots:
-            return None, described
-    return effect, described
+    if isinstance(given, augment.Policy):
+        effects = [f"{step.probability:g} {step.effect!r}" for step in given.slots]
+        return given if given.slots else None, {"name": given.name, "effects": effects}
+    if isinstance(given, augment.Effect):
+        return given, {"name": given.name, "effects": [repr(given)]}
+    described = dict(given) if isinstance(given, Mapping) else {"name": "none" if given is None else given}
+    policy = augment.policy_from_config({"circular": circular, **described})
+    return policy if policy.slots else None, described
 
 
 def _train(trainer: Trainer, module: NetworkModule, data: EpochDataModule, run: Run, start: Path | None) -> None:

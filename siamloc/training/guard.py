@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
@@ -17,15 +16,13 @@ from foundation.files import atomic_path
 from siamloc.errors import ConfigError, StorageError
 from siamloc.models.module import NetworkModule
 from siamloc.runs import Run
-from siamloc.training.batches import EpochDataModule
 from siamloc.training.run_folder import bad_batch
 
 ensure_torchvision()
 from lightning.pytorch import Callback, LightningModule, Trainer  # noqa: E402
 
 
-@dataclass
-class _Step:
+class _Step(NamedTuple):
     """A step whose figures may still be on their way from the device: mean loss, largest gradient."""
 
     batch: Mapping[str, Any]
@@ -92,14 +89,6 @@ class FiniteGuard(Callback):
         self._pending.append(_Step(self._batch, trainer.current_epoch, number, figures, arrived))
         self.settle(trainer, pl_module, later=0 if arrived is None else 1)
 
-    def on_validation_start(self, trainer: Trainer, pl_module: LightningModule) -> None:
-        """Check the remaining steps before a checkpoint is chosen."""
-        self.settle(trainer, pl_module)
-
-    def on_train_epoch_end(self, trainer: Trainer, pl_module: LightningModule) -> None:
-        """Check the remaining steps before a checkpoint is written."""
-        self.settle(trainer, pl_module)
-
     def settle(self, trainer: Trainer, pl_module: LightningModule, later: int = 0) -> None:
         """Check all steps except the latest `later` ones.
 
@@ -114,12 +103,12 @@ class FiniteGuard(Callback):
                 self._pending.clear()
                 raise self._stopped(trainer, pl_module, step)
 
+    on_validation_start = on_train_epoch_end = settle  # before a checkpoint is chosen or written
+
     def _stopped(self, trainer: Trainer, pl_module: LightningModule, step: _Step) -> ConfigError:
         """Keep the batch, and return the error that names its file."""
         loss = float(step.figures[0])
-        what = f"the loss is {loss}"
-        if np.isfinite(loss):
-            what = f"the gradient is not finite (the loss is {loss:.4g})"
+        what = f"the gradient is not finite (the loss is {loss:.4g})" if np.isfinite(loss) else f"the loss is {loss}"
         sign = f"{what} in epoch {step.epoch + 1}, step {step.number + 1}"
         try:
             kept = f"its batch is kept in {self._keep(trainer, step, loss)}"
@@ -138,9 +127,8 @@ class FiniteGuard(Callback):
         if trainer.is_global_zero:
             self._run.record_written(bad_batch(rank) for rank in range(trainer.world_size))
         arrays = {name: _array(value) for name, value in step.batch.items() if isinstance(value, Tensor)}
-        data = getattr(trainer, "datamodule", None)
-        if isinstance(data, EpochDataModule):
-            arrays |= {f"{name}_path": paths for name, paths in data.paths(step.epoch, step.number).items()}
+        paths = trainer.datamodule.paths(step.epoch, step.number)  # type: ignore[attr-defined]
+        arrays |= {f"{name}_path": files for name, files in paths.items()}
         path = self._run.folder / bad_batch(trainer.global_rank)
         with atomic_path(path) as temporary:
             numbers = {"epoch": step.epoch, "batch": step.number, "loss": loss}

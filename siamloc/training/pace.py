@@ -26,10 +26,6 @@ class Pace(Callback):
 
     On a GPU, its own times are measured: marks are put between its tasks, and read at the end of the epoch, so that no
     step waits for them.
-
-    Attributes:
-        images_per_second: images trained on by all processes, from step to step, without validation.
-        waiting: share of that time spent waiting for the next batch to be gathered and augmented.
     """
 
     _FIRST = 2
@@ -42,14 +38,14 @@ class Pace(Callback):
 
     @property
     def images_per_second(self) -> float:
-        """NaN before the third step."""
-        self._read()
+        """Images trained on per second by all processes, without validation; NaN before the third step."""
+        self.on_train_epoch_end()
         return self._images / self._seconds if self._seconds else math.nan
 
     @property
     def waiting(self) -> float:
-        """NaN before the third step."""
-        self._read()
+        """Share of the time spent waiting for batches to be gathered and augmented; NaN before the third step."""
+        self.on_train_epoch_end()
         return self._waited / self._seconds if self._seconds else math.nan
 
     def on_train_epoch_start(self, trainer: Trainer, pl_module: LightningModule) -> None:
@@ -69,11 +65,8 @@ class Pace(Callback):
             self._steps.append((self._ended, self._begun, now, images_in(batch) * trainer.world_size))
         self._ended = now
 
-    def on_train_epoch_end(self, trainer: Trainer, pl_module: LightningModule) -> None:
+    def on_train_epoch_end(self, *_: Any) -> None:
         """Read the marks."""
-        self._read()
-
-    def _read(self) -> None:
         for before, begun, ended, images in self._steps:
             self._images += images
             self._seconds += seconds_between(before, ended)

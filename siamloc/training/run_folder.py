@@ -4,18 +4,22 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any
 
-from foundation.files import is_temporary
+import cv2
+import numpy as np
+
+from foundation.files import content_key, is_temporary
 from foundation.locks import LOCK
 from foundation.settings import defaults_of
-from siamloc.data.places import PlaceSettings
+from siamloc.data.frames import FrameTable
+from siamloc.data.library import PanoramaLibrary
 from siamloc.data.protocol import Protocol
 from siamloc.errors import ConfigError
-from siamloc.models.checkpoint_file import read_checkpoint
 from siamloc.models.registry import LOSSES
+from siamloc.models.weights import read_checkpoint
 from siamloc.runs import Run
-from siamloc.training.seen_frames import differing_frames
 from siamloc.training.settings import Monitor, Training
 
 # What may differ when a run is resumed: file locations, speed, length of the training.
@@ -27,6 +31,15 @@ _FREE = (
 )
 _LEARNED = ("data", "views", "protocol", "model", "loss", "training", "augment")
 _ROLES = {"train": "training", "validation": "validation"}
+_PICTURES = 8  # examined, spread over the frames
+_CELLS = (8, 4)  # columns and rows of their thumbnails
+_TOLERANCE = 6  # grey levels in a thumbnail, by which decoders and copies of different quality differ
+# The parts of a note in the order of comparison, with their messages.
+_WORDS = {
+    "names": "the {role} frames differ (sequences and file names)",
+    "positions": "the positions of the {role} frames differ",
+    "labels": "the labels of the {role} frames differ (room, building or lighting)",
+}
 
 KEPT = "bad_batch*.npz"
 """Files of a run with the batch that stopped a training."""
@@ -77,25 +90,22 @@ def check_same_training(run: Run, now: Mapping[str, Any], epochs: int) -> None:
     """Make sure that a run is resumed with its original settings; only the number of epochs may grow."""
     before, now = ({**used, "protocol": Protocol.of(used["protocol"]).plain()} for used in (run.settings, now))
     before["training"] = Training.of(before["training"]).plain()
-    before["training"]["monitor"] = then if (then := monitor_of(run)) != "auto" else now["training"]["monitor"]
+    if before["training"]["monitor"] == "auto":
+        before["training"]["monitor"] = now["training"]["monitor"]
     if before["loss"].get("name") in LOSSES:  # with the keys that were not given
         before["loss"] = {**defaults_of(LOSSES[before["loss"]["name"]][0]), **before["loss"]}
     planned = before["training"]["epochs"]
-    scheduled = {
-        "learning rate": before["training"]["optimizer"]["schedule"] != "constant",
-        **{key.removesuffix("_start"): True for key, value in before["loss"].items() if "_start" in key and value},
-    }
-    if any(scheduled.values()) and planned != epochs:
-        what = next(name for name, changes in scheduled.items() if changes)
+    scheduled = ["learning rate"] if before["training"]["optimizer"]["schedule"] != "constant" else []
+    scheduled += [key.removesuffix("_start") for key, value in before["loss"].items() if "_start" in key and value]
+    if scheduled and planned != epochs:
         raise ConfigError(
-            f"the {what} of {run.folder} was laid out for {planned} epochs: resume with epochs={planned}, or "
+            f"the {scheduled[0]} of {run.folder} was laid out for {planned} epochs: resume with epochs={planned}, or "
             "train another run"
         )
     # The same frames may be named in several ways; report the way only if the frames differ.
-    noted = before["frames"], now["frames"]
-    differing = [differing_frames(noted[0][role], noted[1][role], words) for role, words in _ROLES.items()]
-    same_frames = not any(differing)
-    free = (*_FREE, "protocol.train", "protocol.validation") if same_frames else _FREE
+    differing = [differing_frames(before["frames"][role], now["frames"][role], name) for role, name in _ROLES.items()]
+    other_data = next(filter(None, differing), None)
+    free = _FREE if other_data else (*_FREE, "protocol.train", "protocol.validation")
     for section in _LEARNED:
         old, new = _flat(section, before.get(section)), _flat(section, now.get(section))
         for key in sorted({*old, *new}):
@@ -104,11 +114,10 @@ def check_same_training(run: Run, now: Mapping[str, Any], epochs: int) -> None:
                     f"{run.folder} was trained with {key}={old.get(key)} and cannot be resumed with "
                     f"{key}={new.get(key)}: leave it out, or train another run"
                 )
-    if not same_frames:
-        what = next(filter(None, differing))
-        raise ConfigError(f"{run.folder} was trained with other data: {what}; give the same, or train another run")
-    if any(scheduled.values()):
-        _check_same_steps(run, before, now, next(name for name, changes in scheduled.items() if changes))
+    if other_data:
+        raise ConfigError(f"{run.folder} was trained with other data: {other_data}; give it, or train another run")
+    if scheduled:
+        _check_same_steps(run, before, now, scheduled[0])
     done, steps = progress(run)
     if done + (steps > 0) > epochs:
         has = f"{done} epochs already" if not steps else f"begun epoch {done + 1} already"
@@ -117,14 +126,10 @@ def check_same_training(run: Run, now: Mapping[str, Any], epochs: int) -> None:
         print(f"{run.folder} holds no checkpoint yet: training starts from the beginning", file=sys.stderr)
 
 
-def same_kind_of_pairs(run: Run, settings: Training) -> bool:
-    """Whether a run uses the same kind of pairs as these settings: pairs, or batches of places."""
-    return ("places" in run.settings["training"].get("pairs", {})) == isinstance(settings.pairs, PlaceSettings)
-
-
-def monitor_of(run: Run) -> Monitor:
-    """Return the figure that chooses the checkpoint of a run, as `Training.monitor`; "auto" if still undecided."""
-    return Training.of(run.settings["training"]).monitor
+def monitor_before(run: Run, settings: Training) -> Monitor:
+    """Return the figure that chooses the checkpoint of a run; "auto" if undecided, or if the kind of pairs differs."""
+    before = Training.of(run.settings["training"])
+    return before.monitor if type(before.pairs) is type(settings.pairs) else "auto"
 
 
 def _check_same_steps(run: Run, before: Mapping[str, Any], now: Mapping[str, Any], what: str) -> None:
@@ -135,13 +140,10 @@ def _check_same_steps(run: Run, before: Mapping[str, Any], now: Mapping[str, Any
             key == "processes" and "places" in now["training"]["pairs"]
         ):
             continue  # a batch of places grows with the processes, so the number of batches stays
-        if key == "processes":
-            used, meant, advice = f"{old[key]} processes", f"{new[key]}", "train with as many (trainer.devices)"
-        else:
-            used, meant, advice = f"trainer.{key}={old[key]}", f"trainer.{key}={new[key]}", "leave it as it was"
+        name = key if key == "processes" else f"trainer.{key}"
         raise ConfigError(
-            f"the {what} of {run.folder} was laid out for the steps of an epoch with {used}, and their number would "
-            f"differ with {meant}: {advice}, or train another run"
+            f"the {what} of {run.folder} was laid out for the steps of an epoch with {name}={old[key]}, and their "
+            f"number would differ with {name}={new[key]}: leave it as it was, or train another run"
         )
 
 
@@ -178,3 +180,54 @@ def names_written(*, validated: bool) -> list[str]:
     """Return the files that a training writes, except TensorBoard's, whose names are not known in advance."""
     best = ["checkpoints/best.ckpt"] if validated else []
     return ["metrics.csv", "checkpoints/last.ckpt", *best, "tensorboard/hparams.yaml"]
+
+
+def note_frames(images: PanoramaLibrary, frames: FrameTable) -> dict[str, Any]:
+    """Describe frames for the record: their number, keys of their columns, and thumbnails of some panoramas.
+
+    Args:
+        images: decoded panoramas of all frames.
+        frames: some of them.
+
+    Returns:
+        Plain values; `pictures` holds the thumbnails as hexadecimal digits.
+    """
+    names = [frames.sequence, [Path(path).name for path in frames.path.tolist()]]
+    rows = np.unique(np.linspace(0, len(frames) - 1, _PICTURES).round().astype(np.int64))
+    panoramas = images.batch(images.rows(frames.take(rows)))
+    thumbnails = [cv2.resize(np.moveaxis(one, 0, -1), _CELLS, interpolation=cv2.INTER_AREA) for one in panoramas]
+    return {
+        "count": len(frames),
+        "names": content_key(names),
+        "positions": content_key([frames.xy]),
+        "labels": content_key([frames.room, frames.building, frames.lighting]),
+        "pictures": np.stack(thumbnails).tobytes().hex(),
+    }
+
+
+def differing_frames(before: Mapping[str, Any] | None, now: Mapping[str, Any] | None, role: str) -> str | None:
+    """Describe how frames differ from those of an earlier note; None if they are the same.
+
+    Parts that one of the notes lacks are not compared.
+
+    Args:
+        before: earlier result of `note_frames`; None if there were no frames of this role.
+        now: current result of it.
+        role: "training" or "validation".
+
+    Example:
+        >>> differing_frames({"count": 12}, {"count": 6}, "training")
+        'there were 12 training frames, and now there are 6'
+    """
+    counts = [0 if note is None else note["count"] for note in (before, now)]
+    if counts[0] != counts[1]:
+        return f"there were {counts[0]} {role} frames, and now there are {counts[1]}"
+    if before is None or now is None:
+        return None
+    for part, words in _WORDS.items():
+        if before[part] != now[part]:
+            return words.format(role=role)
+    thumbnails = [np.frombuffer(bytes.fromhex(note["pictures"]), np.uint8).astype(np.int64) for note in (before, now)]
+    if np.abs(thumbnails[0] - thumbnails[1]).max(initial=0) > _TOLERANCE:
+        return f"the images of the {role} frames differ (their file names and labels are the same)"
+    return None

@@ -146,6 +146,11 @@ def on_gpu(options: Mapping[str, Any] | None) -> bool:
     return accelerator in ("auto", "gpu", "cuda") and torch.cuda.is_available()
 
 
+def precision_of(options: Mapping[str, Any] | None) -> str:
+    """Return the precision that arguments of `lightning.Trainer` ask for."""
+    return str((options or {}).get("precision", "32-true"))
+
+
 def _fast_precision(gpu: bool) -> str:
     """Return bfloat16 for most of the network if the device has instructions for it, else full precision.
 
@@ -156,15 +161,18 @@ def _fast_precision(gpu: bool) -> str:
 
 
 @contextmanager
-def computing(module: NetworkModule, settings: Training, precision: str, compile: Wanted) -> Iterator[None]:
+def computing(
+    module: NetworkModule, settings: Training, further: Mapping[str, Any] | None, compile: Wanted
+) -> Iterator[None]:
     """Compute the steps of a training, compiled if `compile` says so.
 
-    With precision "auto", a network of `build` stores the channels of a pixel together, which makes convolutions
-    faster. Custom modules stay as they are, since they may rely on their layout.
+    With the trainer's precision "auto", a network of `build` stores the channels of a pixel together, which makes
+    convolutions faster. Custom modules stay as they are, since they may rely on their layout.
 
     Raises:
         ConfigError: the device or the machine has too little memory.
     """
+    precision = precision_of(further)
     if layout := precision == "auto" and isinstance(module.network, Network):
         module.network.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
     try:

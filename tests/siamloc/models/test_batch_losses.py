@@ -209,12 +209,12 @@ def test_far_must_not_be_nearer_than_near():
 @pytest.mark.parametrize(
     ("name", "given", "says"),
     [
+        ("circle", {"distance": "euclidean"}, "loss.distance must be cosine, got 'euclidean'"),
         (
             "circle",
-            {"distance": "euclidean"},
-            "its circle among cosine similarities: set loss.distance to cosine",
+            {"miner": "semihard"},
+            "loss.miner must be multi_similarity or batch_hard or batch_easy_hard, or nul",
         ),
-        ("circle", {"miner": "semihard"}, "goes by the margin between a positive and a negative, which loss=triplet"),
         ("triplet", {"miner": "hard"}, "loss.miner must be multi_similarity or batch_hard or batch_easy_hard or semi"),
         ("multi_similarity", {"distance": "dot"}, "loss.distance must be cosine or euclidean or squared, got 'dot'"),
         ("soft_contrastive", {"miner": "batch_hard"}, "unknown key loss.miner"),

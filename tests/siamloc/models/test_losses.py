@@ -82,7 +82,7 @@ def test_half_descriptors_give_a_float32_loss():
 
 @pytest.mark.parametrize("margin", [0, -1, float("nan"), float("inf")])
 def test_margin_must_be_positive(margin):
-    with pytest.raises(ConfigError, match=r"margin must be (a number|positive)"):
+    with pytest.raises(ConfigError, match="margin must be a number"):
         ContrastiveLoss(margin)
 
 

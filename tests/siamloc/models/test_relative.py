@@ -13,11 +13,11 @@ import siamloc
 from siamloc.errors import ConfigError, DataError
 from siamloc.maps import refinement
 from siamloc.models import build
+from siamloc.models.checkpoint import without_layer
 from siamloc.models.drive_figures import ELSEWHERE, DriveFigures
 from siamloc.models.network import Network
 from siamloc.models.origins import Origins
 from siamloc.models.places import PlaceModule
-from siamloc.models.pretrained_network import without_layer
 from siamloc.models.registry import Optimizer
 from siamloc.models.relative import FREEDOM, REACH, Relative, RelativePose, _inverse, compared, relative_loss
 
@@ -261,7 +261,7 @@ def test_headings_are_needed_and_in_rad(tmp_path):
     again = siamloc.models.load(run)
     assert again.relative is not None
     torch.testing.assert_close(again.relative.first.weight, network.relative.first.weight)
-    with pytest.raises(ConfigError, match="monitor=refined is the error of poses by comparison"):
+    with pytest.raises(ConfigError, match=r"monitor=refined needs model\.relative=true"):
         siamloc.training.fit(
             build("panoresnet", "magnitudes", images.image_shape[1:], circular=True),
             images,

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from siamloc.models.losses import ContrastiveLoss, pair_distance
-from siamloc.models.statistics import PairStatistics
+from siamloc.models.siamese import PairStatistics
 from tests.oracles.contrastive import pair_statistics
 
 MARGIN = 2.0

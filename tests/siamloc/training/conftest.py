@@ -6,10 +6,17 @@ import cv2
 import numpy as np
 import pytest
 
+import siamloc
 from siamloc.data.frames import FrameTable
 from siamloc.data.library import PanoramaLibrary
 
 SIZE = (16, 64)
+SETTINGS = {"pairs": {"places": 4, "images": 2, "epoch_batches": 6}, "optimizer": {"name": "adamw"}}
+
+
+def network(seed=0):
+    """A small network for batches of places."""
+    return siamloc.models.build("simple1", "fourier", SIZE, outputs=16, circular=True, normalize="image", seed=seed)
 
 
 @pytest.fixture(scope="module")
@@ -43,3 +50,15 @@ def images(frames, tmp_path_factory):
 @pytest.fixture(scope="module")
 def drives(frames):
     return frames.select(sequence="monday"), frames.select(sequence="tuesday")
+
+
+@pytest.fixture
+def train(images, drives, tmp_path):
+    """A training on batches of places of the first drive, for one epoch unless a test wants otherwise."""
+
+    def call(net=None, *, images=images, frames=drives[0], run="run", pairs=None, **options):
+        options = {"epochs": 1, **SETTINGS, "pairs": {**SETTINGS["pairs"], **(pairs or {})}, **options}
+        run = tmp_path / run if isinstance(run, str) else run
+        return siamloc.training.fit(network() if net is None else net, images, frames, run=run, **options)
+
+    return call

@@ -15,7 +15,7 @@ import siamloc
 from augment.torchvision_compat import ensure_torchvision
 from siamloc.errors import ConfigError, StorageError
 from siamloc.training.callbacks import AtomicCheckpoints
-from tests.siamloc.training.test_place_batches import SETTINGS
+from tests.siamloc.training.conftest import SETTINGS
 
 ensure_torchvision()
 from lightning.pytorch import Callback  # noqa: E402

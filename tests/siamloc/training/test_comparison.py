@@ -73,7 +73,7 @@ def test_a_run_without_a_figure_comes_last(tmp_path):
 
 
 def test_mistakes_are_named(tmp_path):
-    for runs, says in (("nowhere", "no folder"), (tmp_path, "no runs in"), ([], "no runs")):
+    for runs, says in (("nowhere", "in the folder nowhere: name"), (tmp_path, "no runs to"), ([], "compare: name")):
         with pytest.raises(ConfigError, match=says):
             compare(runs)
     make(tmp_path / "a", {})

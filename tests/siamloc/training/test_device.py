@@ -118,10 +118,11 @@ def refuse(graph, inputs):
     raise RuntimeError("no such thing")
 
 
-def test_a_network_that_cannot_be_compiled_is_one_sentence_or_a_note(fit, monkeypatch, capfd):
+def test_a_network_that_cannot_be_compiled_is_one_sentence_or_a_note(fit, monkeypatch, tmp_path, capfd):
     monkeypatch.setattr(compiled, "BACKEND", refuse)
     with pytest.raises(ConfigError, match=r"torch cannot compile this network here: .*no such thing.*leave compile"):
         fit("run", compile=True, **PLACES)
+    assert not (tmp_path / "run").exists()
     module = PlaceModule(network())
     images = torch.rand(2, 3, 16, 64, generator=torch.Generator().manual_seed(0))
     with compiled.compiled(module, "auto"):
@@ -130,26 +131,10 @@ def test_a_network_that_cannot_be_compiled_is_one_sentence_or_a_note(fit, monkey
     assert "note: training without torch.compile, which fails here" in capfd.readouterr().err
 
 
-def test_compiling_needs_a_compiler(fit, monkeypatch, tmp_path):
-    from torch._inductor import cpp_builder, exc
-
-    def missing():
-        raise exc.InvalidCxxCompiler
-
-    monkeypatch.setattr(cpp_builder, "get_cpp_compiler", missing)
-    with pytest.raises(ConfigError, match="compile=true needs a C\\+\\+ compiler such as g\\+\\+ on a CPU"):
-        fit("run", compile=True, **PLACES)
-    assert not (tmp_path / "run").exists()
-    assert compiled.compiles("auto", on_gpu=False) is False
-    monkeypatch.setattr(compiled.importlib.util, "find_spec", lambda name: None)
-    assert compiled.compiles("auto", on_gpu=True) is False
-    with pytest.raises(ConfigError, match="compile=true needs triton on a GPU"):
-        compiled.compiles(True, on_gpu=True)
-
-
 def test_what_a_gpu_is(monkeypatch):
     monkeypatch.setattr(torch.cuda, "is_available", lambda: True)
     assert on_gpu(None)
+    assert [compiled.compiles("auto", on_gpu=gpu) for gpu in (False, True)] == [False, "auto"]
     assert on_gpu({"accelerator": "gpu"})
     assert not on_gpu({"accelerator": "cpu"})
 

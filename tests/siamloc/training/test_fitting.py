@@ -294,7 +294,7 @@ def test_a_schedule_goes_on_with_the_steps_that_it_was_laid_out_for(train):
     record = read_json(run.record)
     record["settings"]["trainer"]["processes"] = 2
     write_json(run.record, record)
-    with pytest.raises(ConfigError, match=r"with 2 processes, and their number would differ with 1: train"):
+    with pytest.raises(ConfigError, match=r"with processes=2, and their number would differ with processes=1: leave"):
         train("laid out", resume=True, **options)
 
 

@@ -9,9 +9,9 @@ import torch
 import siamloc
 from foundation.files import read_json
 from siamloc.errors import ConfigError, StorageError
-from siamloc.models.checkpoint import read_checkpoint
+from siamloc.models.weights import read_checkpoint
 from siamloc.training import guard
-from tests.siamloc.training.test_place_batches import SETTINGS, network
+from tests.siamloc.training.conftest import SETTINGS, network
 
 PAIRS = {"batch_size": 4, "optimizer": {"name": "adamw"}}
 

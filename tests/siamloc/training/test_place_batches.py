@@ -21,13 +21,7 @@ from siamloc.training import callbacks
 from siamloc.training.batches import BatchAugmentation, Panoramas
 from siamloc.training.checks import check_batches
 from siamloc.training.place_batches import PlaceBatches, origins_of
-from tests.siamloc.training.conftest import SIZE
-
-SETTINGS = {"pairs": {"places": 4, "images": 2, "epoch_batches": 6}, "optimizer": {"name": "adamw"}}
-
-
-def network(seed=0):
-    return build("simple1", "fourier", SIZE, outputs=16, circular=True, normalize="image", seed=seed)
+from tests.siamloc.training.conftest import SIZE, network
 
 
 def test_batches_hold_the_images_of_their_frames_and_where_those_come_from(images):
@@ -60,12 +54,9 @@ def test_augmentation_follows_from_the_numbers_of_the_batch_and_is_shared_by_pro
     assert not torch.equal(PlaceBatches(panoramas, sampler, change, 0, 2)[1, 1]["images"], shares[0])
 
 
-def test_a_training_learns_where_pictures_were_taken(images, drives, tmp_path, capfd):
-    monday, tuesday = drives
+def test_a_training_learns_where_pictures_were_taken(train, images, drives, capfd):
     net = network()
-    run = siamloc.training.fit(
-        net, images, monday, validation=tuesday, run=tmp_path / "run", epochs=3, clip=1.0, average=0.9, **SETTINGS
-    )
+    run = train(net, validation=drives[1], epochs=3, clip=1.0, average=0.9)
     curves = run.curves()
     assert {"train/loss", "train/spread", "val/error", "val/median", "val/room"} <= set(curves)
     assert np.isfinite(curves["val/error"]).all()
@@ -78,23 +69,22 @@ def test_a_training_learns_where_pictures_were_taken(images, drives, tmp_path, c
     assert f"({', '.join(f'{name[4:]} {value:.4f}' for name, value in others.items())})" in said
     assert f"checkpoint: {run.checkpoint()}; curves: tensorboard --logdir {run.tensorboard}" in said
     best = siamloc.models.load(run)
-    known = siamloc.maps.build(best, images, monday, progress=False)
-    result = siamloc.evaluation.localization(known, images, tuesday, names=("absolute",))
+    known = siamloc.maps.build(best, images, drives[0], progress=False)
+    result = siamloc.evaluation.localization(known, images, drives[1], names=("absolute",))
     # What chose the checkpoint is what the evaluation measures.
     assert result.measures["error"]["mean"] == pytest.approx(curves["val/error"].min(), abs=1e-5)
-    again = siamloc.models.load(run).state_dict()
+    again = best.state_dict()
     assert all(torch.equal(value, again[name]) for name, value in net.state_dict().items())
 
 
 @pytest.mark.parametrize("schedule", ["constant", "one_cycle", "cosine"])
-def test_a_resumed_training_is_the_one_that_never_stopped(images, drives, tmp_path, schedule):
-    monday, tuesday = drives
-    options = {"validation": tuesday, "average": 0.9, "clip": 1.0, "augmentation": "lighting", **SETTINGS}
+def test_a_resumed_training_is_the_one_that_never_stopped(train, drives, schedule):
+    options = {"validation": drives[1], "average": 0.9, "clip": 1.0, "augmentation": "lighting", "epochs": 4}
     options["optimizer"] = {"name": "adamw", "schedule": schedule}
     if schedule == "cosine":  # everything that changes with the training or with the stage
         options["optimizer"] |= {"frozen_stages": 1, "stage_decay": 0.5}
         options["loss"] = siamloc.models.SoftContrastiveLoss(sigma_start=3.0)
-    whole = siamloc.training.fit(network(), images, monday, run=tmp_path / "whole", epochs=4, **options)
+    whole = train(run="whole", **options)
 
     class Stop(Exception):
         pass
@@ -107,22 +97,14 @@ def test_a_resumed_training_is_the_one_that_never_stopped(images, drives, tmp_pa
                 raise Stop
 
     with pytest.raises(Stop):
-        siamloc.training.fit(
-            network(),
-            images,
-            monday,
-            run=tmp_path / "cut",
-            epochs=4,
-            trainer={"callbacks": [StopAfterTwo()]},
-            **options,
-        )
-    cut = siamloc.training.fit(network(), images, monday, run=tmp_path / "cut", epochs=4, resume=True, **options)
+        train(run="cut", trainer={"callbacks": [StopAfterTwo()]}, **options)
+    cut = train(run="cut", resume=True, **options)
     assert whole.metrics.read_text() == cut.metrics.read_text()
     one, other = (siamloc.models.load(run, which="last").state_dict() for run in (whole, cut))
     assert all(torch.equal(one[name], other[name]) for name in one)
     if schedule != "constant":
         with pytest.raises(ConfigError, match=r"rate of .* was laid out for 4 epochs: resume with epochs=4"):
-            siamloc.training.fit(network(), images, monday, run=whole, epochs=6, resume=True, **options)
+            train(run="whole", resume=True, **{**options, "epochs": 6})
 
 
 @pytest.mark.parametrize(
@@ -132,82 +114,119 @@ def test_a_resumed_training_is_the_one_that_never_stopped(images, drives, tmp_pa
         ("far", siamloc.models.TripletLoss, {"far_start": 3.0, "miner": "batch_hard", "distance": "cosine"}),
     ],
 )
-def test_a_width_that_changes_was_laid_out_for_its_epochs(images, drives, tmp_path, name, loss, given):
-    options = {**SETTINGS, "loss": loss(**given), "run": tmp_path / "run"}
-    options["pairs"] = {**SETTINGS["pairs"], "epoch_batches": 1}
-    run = siamloc.training.fit(network(), images, drives[0], epochs=1, **options)
-    assert given.items() <= run.settings["loss"].items()
+def test_a_width_that_changes_was_laid_out_for_its_epochs(train, name, loss, given):
+    options = {"loss": loss(**given), "pairs": {"epoch_batches": 1}}
+    assert given.items() <= train(**options).settings["loss"].items()
     with pytest.raises(ConfigError, match=rf"the {name} of .* was laid out for 1 epochs: resume with epochs=1"):
-        siamloc.training.fit(network(), images, drives[0], epochs=2, resume=True, **options)
+        train(epochs=2, resume=True, **options)
 
 
-def test_a_loss_of_ones_own_gets_descriptors_and_origins(images, drives, tmp_path):
+def test_a_loss_of_ones_own_gets_descriptors_and_origins(train):
     seen = []
 
     def loss(descriptors, origins):
         seen.append(type(origins))
         return (torch.cdist(descriptors, descriptors) - origins.distances().clamp(max=2) / 2).square().mean()
 
-    siamloc.training.fit(network(), images, drives[0], run=tmp_path / "run", loss=loss, epochs=1, **SETTINGS)
+    train(loss=loss)
     assert set(seen) == {Origins}
 
 
-def test_frames_without_positions_are_left_out_and_too_few_are_refused(images, drives, tmp_path):
-    with pytest.raises(ConfigError, match="a batch of 40 places cannot be drawn from 16 frames"):
-        siamloc.training.fit(
-            network(), images, drives[0], run=tmp_path / "many", epochs=1, pairs={"places": 40, "images": 1}
-        )
-    assert not (tmp_path / "many").exists()
-    nowhere = FrameTable(path=drives[0].path, sequence=drives[0].sequence)
-    with pytest.raises(DataError, match=r"have no position, which places need .*experiment=photographs"):
-        siamloc.training.fit(network(), images, nowhere, run=tmp_path / "nowhere", epochs=1, **SETTINGS)
+TWO = {"workers": 1, "trainer": {"accelerator": "cpu", "devices": 2, "strategy": "ddp"}}
+ORDER = {"by": "sequence", "radius": 1}
 
 
-def test_more_processes_than_places_are_refused_before_anything_is_written(images, drives, tmp_path):
-    two = {"accelerator": "cpu", "devices": 2, "strategy": "ddp"}
-    given = {"run": tmp_path / "run", "epochs": 1, "workers": 1, "trainer": two}
-    with pytest.raises(
-        ConfigError, match=r"a batch of 20 places, 10 for each of the 2 processes .* 8 or less, or train"
+def stripped(table, *columns):
+    """The frames with some of their columns only."""
+    return FrameTable(path=table.path, sequence=table.sequence, **{name: getattr(table, name) for name in columns})
+
+
+@pytest.mark.parametrize(
+    ("given", "error", "says"),
+    [
+        ({"pairs": {"places": 40, "images": 1}}, ConfigError, "a batch of 40 places cannot be drawn from 16 frames"),
+        ({"known": ()}, DataError, r"have no position, which places need .*experiment=photographs"),
+        (
+            {"pairs": {"places": 10}, **TWO},
+            ConfigError,
+            r"a batch of 20 places, 10 for each of the 2 processes .* 8 or less, or train",
+        ),
+        (
+            {"loss": siamloc.models.SoftContrastiveLoss(room=0.5), "known": ("x", "y")},
+            DataError,
+            "learns from rooms, and the training frames have 0: give",
+        ),
+        (
+            {"pairs": ORDER, "asked": ()},
+            DataError,
+            "the checkpoint is chosen by the error of localization or by the rooms found",
+        ),
+        (  # the map has rooms and the queries positions: nothing can be judged
+            {"pairs": ORDER, "known": ("room",), "asked": ("x", "y")},
+            DataError,
+            "do not both have positions in one building, or both rooms",
+        ),
+        (
+            {"pairs": ORDER, "monitor": "recall", "asked": ("room",)},
+            ConfigError,
+            "monitor=recall needs training and validation frames with positions in one building",
+        ),
+        (
+            {"pairs": ORDER, "monitor": "room", "asked": ("x", "y")},
+            ConfigError,
+            "monitor=room needs validation frames with rooms, and 2 rooms or more in training: give",
+        ),
+        ({"monitor": "loss"}, ConfigError, "monitor=loss is the loss of pairs, and batches of places have no loss of"),
+        ({"loss": lambda d0, d1, y: d0.sum()}, ConfigError, "a loss of batches of places takes"),
+        ({"batch_size": 8}, ConfigError, "batch_size is of pairs, and batches of places have"),
+        ({"margin": 1.0}, ConfigError, "margin is of pairs, and batches of places have"),
+        (
+            {"net": build("simple1", "fc500_500_5", SIZE)},
+            ConfigError,
+            r"needs descriptors of length 1.*flat, gem, bands, fourier or magnitudes",
+        ),
+    ],
+)
+def test_mistakes_are_found_before_anything_is_written(train, drives, tmp_path, given, error, says):
+    given = dict(given)
+    if "known" in given:
+        given["frames"] = stripped(drives[0], *given.pop("known"))
+    if "asked" in given:
+        given["validation"] = stripped(drives[1], *given.pop("asked"))
+    with pytest.raises(error, match=says):
+        train(**given)
+    assert not (tmp_path / "run").exists()
+
+
+def test_mistakes_with_pairs_are_found_before_anything_is_written(images, drives, tmp_path):
+    flat = build("simple1", "flat", SIZE)
+    for given, says in (
+        (
+            {"pairs": {"label": "room", "epoch_pairs": 1}, **TWO},
+            r"1 pairs are fewer than the 2 processes .* pairs\.epoch_pairs, or train with",
+        ),
+        ({"loss": siamloc.models.SoftContrastiveLoss()}, "a loss of batches of places takes"),
     ):
-        siamloc.training.fit(network(), images, drives[0], pairs={"places": 10}, **given)
-    pairs = {"label": "room", "epoch_pairs": 1}
-    with pytest.raises(
-        ConfigError, match=r"1 pairs are fewer than the 2 processes .* pairs\.epoch_pairs, or train with"
-    ):
-        siamloc.training.fit(build("simple1", "flat", SIZE), images, drives[0], pairs=pairs, **given)
+        with pytest.raises(ConfigError, match=says):
+            siamloc.training.fit(flat, images, drives[0], run=tmp_path / "run", epochs=1, **given)
     assert not (tmp_path / "run").exists()
 
 
 @pytest.mark.parametrize(
-    ("loss", "pairs", "says"),
+    ("loss", "drawn", "says"),
     [
-        (
-            siamloc.models.SoftContrastiveLoss(sigma=0.01),
-            {"images": 1},
-            r"near enough for loss\.sigma=0\.01, the nearest",
-        ),
-        (
-            siamloc.models.SoftContrastiveLoss(room=1),
-            {"images": 2},
-            r"two frames of one room, which loss\.room=1 needs",
-        ),
-        (
-            siamloc.models.TripletLoss(near=0.1),
-            {"images": 2},
-            r"up to loss\.near=0\.1 apart, the nearest are 0\.25 apart",
-        ),
-        (siamloc.models.CircleLoss(far=50.0), {"images": 2}, r"two frames more than loss\.far=50 apart: set loss\.far"),
-        (siamloc.models.MetricCalibratedLoss(cap=0.1), {"images": 1}, r"two frames less than loss\.cap=0\.1 apart"),
+        (siamloc.models.SoftContrastiveLoss(sigma=0.01), 1, r"near enough for loss\.sigma=0\.01; the nearest"),
+        (siamloc.models.SoftContrastiveLoss(room=1), 2, r"two frames of one room, for loss\.room=1;"),
+        (siamloc.models.TripletLoss(near=0.1), 2, r"up to loss\.near=0\.1 apart; the nearest are 0\.25 apart"),
+        (siamloc.models.CircleLoss(far=50.0), 2, r"two frames more than loss\.far=50 apart;"),
+        (siamloc.models.MetricCalibratedLoss(cap=0.1), 1, r"two frames less than loss\.cap=0\.1 apart"),
     ],
 )
-def test_batches_that_teach_the_loss_nothing_are_refused(images, drives, tmp_path, loss, pairs, says):
+@pytest.mark.parametrize("debug", [None, "one_batch"])
+def test_batches_that_teach_the_loss_nothing_are_refused(train, drives, tmp_path, loss, drawn, says, debug):
     monday = drives[0].with_columns(room=[str(number) for number in range(len(drives[0]))])
-    pairs = {"places": 4, "epoch_batches": 2, **pairs}
-    for debug in (None, "one_batch"):
-        with pytest.raises(ConfigError, match=f"8 of 8 drawn have no .*{says}"):
-            siamloc.training.fit(
-                network(), images, monday, run=tmp_path / "run", loss=loss, pairs=pairs, epochs=1, debug=debug
-            )
+    with pytest.raises(ConfigError, match=f"8 of 8 drawn have no .*{says}"):
+        train(frames=monday, loss=loss, pairs={"images": drawn, "epoch_batches": 2}, debug=debug)
     assert not (tmp_path / "run").exists()
 
 
@@ -219,134 +238,63 @@ def test_views_of_one_image_are_enough_where_they_are_asked_for(images, drives):
     check_batches(alone, lambda descriptors, origins: descriptors.sum())  # what it learns from is unknown
 
 
-def test_frames_of_unknown_rooms_are_said(images, drives, tmp_path, capfd):
-    monday = drives[0].with_columns(room=["", "", *drives[0].room[2:].tolist()])
-    loss = siamloc.models.SoftContrastiveLoss(room=0.5)
-    siamloc.training.fit(network(), images, monday, run=tmp_path / "run", epochs=1, loss=loss, **SETTINGS)
-    assert "note: 2 of 16 training frames have no room label: the loss learns rooms only from" in capfd.readouterr().err
+def test_what_frames_lack_is_said(train, frames, drives, capfd):
+    nameless = drives[0].with_columns(room=["", "", *drives[0].room[2:].tolist()])
+    apart = drives[0].with_columns(x=[0.25 * number + 5 * (number > 13) * (number - 13) for number in range(16)])
+    for number, (given, says) in enumerate(
+        (
+            (
+                {"frames": nameless, "loss": siamloc.models.SoftContrastiveLoss(room=0.5)},
+                "note: 2 of 16 training frames have no room label: the loss learns rooms only from",
+            ),
+            ({"frames": apart}, "note: 2 of 16 frames have no other one within pairs.radius=0.3 m: "),
+            (
+                {"frames": frames, "pairs": {**ORDER, "epoch_batches": 1}},
+                "note: 2 drives are used by the order of their frames alone",
+            ),
+        )
+    ):
+        train(run=str(number), **given)
+        assert says in capfd.readouterr().err
 
 
-def test_places_with_too_few_images_are_said(images, drives, tmp_path, capfd):
-    monday = drives[0].with_columns(x=[0.25 * number + 5 * (number > 13) * (number - 13) for number in range(16)])
-    siamloc.training.fit(network(), images, monday, run=tmp_path / "run", epochs=1, **SETTINGS)
-    assert "note: 2 of 16 frames have no other one within pairs.radius=0.3 m: " in capfd.readouterr().err
-
-
-def test_a_network_that_wraps_around_is_not_trained_on_what_does_not(images, drives, tmp_path):
+def test_a_network_that_wraps_around_is_not_trained_on_what_does_not(train, images, drives, tmp_path):
     flat = PanoramaLibrary(images.frames, tmp_path / "cache", image_size=SIZE, circular=False)
     recipe = siamloc.training.recipe("modern")
-    for call in (
-        lambda: siamloc.training.fit(network(), flat, drives[0], run=tmp_path / "run", epochs=1, **SETTINGS),
-        lambda: recipe.fit(recipe.build(SIZE), flat, drives[0], run=tmp_path / "run"),
-    ):
-        with pytest.raises(
-            ConfigError, match=r"the network wraps around .* \(data\.circular=false\): set model\.circular"
-        ):
-            call()
+    says = r"the network wraps around .* \(data\.circular=false\): set model\.circular"
+    with pytest.raises(ConfigError, match=says):
+        train(images=flat)
+    with pytest.raises(ConfigError, match=says):
+        recipe.fit(recipe.build(SIZE), flat, drives[0], run=tmp_path / "run")
     with pytest.raises(ConfigError, match="this recipe is for images whose columns do not wrap around"):
         siamloc.training.recipe("rooms").fit(network(), images, drives[0], run=tmp_path / "run")
     assert not (tmp_path / "run").exists()
 
 
-def test_rooms_and_the_order_of_the_frames_are_enough(images, drives, tmp_path):
+def test_rooms_and_the_order_of_the_frames_are_enough(train, images, drives):
     """The same drives as photographs at unknown positions."""
-    unplaced = [FrameTable(path=d.path, sequence=d.sequence, lighting=d.lighting, room=d.room) for d in drives]
-    settings = {**SETTINGS, "pairs": {**SETTINGS["pairs"], "by": "sequence", "radius": 1, "reach": 3}}
+    monday, tuesday = (stripped(drive, "lighting", "room") for drive in drives)
     loss = siamloc.models.SoftContrastiveLoss(sigma=1, room=0.5)
-    run = siamloc.training.fit(
-        network(), images, unplaced[0], validation=unplaced[1], run=tmp_path / "run", loss=loss, epochs=3, **settings
-    )
+    run = train(frames=monday, validation=tuesday, loss=loss, epochs=3, pairs={**ORDER, "reach": 3})
     curves = run.curves()
     assert "val/error" not in curves
-    found = siamloc.models.load(run)
-    known = siamloc.maps.build(found, images, unplaced[0], progress=False)
-    rooms = siamloc.evaluation.rooms(known, images, unplaced[1])
+    known = siamloc.maps.build(siamloc.models.load(run), images, monday, progress=False)
+    rooms = siamloc.evaluation.rooms(known, images, tuesday)
     # The checkpoint is the one that finds the most rooms.
     assert rooms.measures["accuracy"] == pytest.approx(curves["val/room"].max(), abs=1e-6)
 
 
-def test_rooms_that_the_data_lack_are_refused(images, drives, tmp_path):
-    monday = drives[0]
-    nameless = FrameTable(path=monday.path, sequence=monday.sequence, x=monday.x, y=monday.y)
-    loss = siamloc.models.SoftContrastiveLoss(room=0.5)
-    with pytest.raises(DataError, match=r"learns from rooms, loss\.room=0\.5, but the training frames have 0: give"):
-        siamloc.training.fit(network(), images, nameless, run=tmp_path / "run", loss=loss, epochs=1, **SETTINGS)
-    nowhere = FrameTable(path=drives[1].path, sequence=drives[1].sequence)
-    settings = {**SETTINGS, "pairs": {**SETTINGS["pairs"], "by": "sequence", "radius": 1}}
-    with pytest.raises(DataError, match="the checkpoint is chosen by the error of localization or by the rooms found"):
-        siamloc.training.fit(network(), images, monday, validation=nowhere, run=tmp_path / "run", **settings)
-    assert not (tmp_path / "run").exists()
-
-
-def test_what_the_checkpoint_is_chosen_by_must_be_known_of_both_sides(images, drives, tmp_path):
-    """The map has rooms and the queries positions, or vice versa: nothing can be judged."""
-    monday, tuesday = drives
-    placed = FrameTable(path=tuesday.path, sequence=tuesday.sequence, x=tuesday.x, y=tuesday.y)
-    labelled = FrameTable(path=monday.path, sequence=monday.sequence, room=monday.room)
-    settings = {**SETTINGS, "pairs": {**SETTINGS["pairs"], "by": "sequence", "radius": 1}, "epochs": 1}
-    with pytest.raises(DataError, match="do not both have positions in one building, or both rooms"):
-        siamloc.training.fit(network(), images, labelled, validation=placed, run=tmp_path / "run", **settings)
-    assert not (tmp_path / "run").exists()
-
-
-def test_the_user_says_by_what_the_checkpoint_is_chosen(images, drives, tmp_path):
+def test_the_user_says_by_what_the_checkpoint_is_chosen(train, drives):
     """Where there are positions, too, rooms may be what counts; and a wider radius finds more."""
-    monday, tuesday = drives
-    run = siamloc.training.fit(
-        network(), images, monday, validation=tuesday, run=tmp_path / "run", monitor="room", epochs=3, **SETTINGS
-    )
+    run = train(validation=drives[1], monitor="room", epochs=3)
     curves = run.curves()
     assert torch.load(run.checkpoint("best"), weights_only=True)["epoch"] == int(curves["val/room"].argmax())
     assert run.settings["training"]["monitor"] == "room"
     assert siamloc.training.compare([run]).by == "val/room"
-    again = {"monitor": "recall", "recall_radius": 100.0}
-    wide = siamloc.training.fit(
-        network(), images, monday, validation=tuesday, run=tmp_path / "wide", epochs=1, **again, **SETTINGS
-    )
+    wide = train(validation=drives[1], run="wide", monitor="recall", recall_radius=100.0)
     assert wide.curves()["val/recall"].tolist() == [1.0]
-    with pytest.raises(ConfigError, match="monitor=loss is the loss of pairs, and batches of places have no loss of"):
-        siamloc.training.fit(network(), images, monday, run=tmp_path / "loss", monitor="loss", **SETTINGS)
     with pytest.raises(ConfigError, match=r"training\.monitor=room and cannot be resumed with training\.monitor=error"):
-        siamloc.training.fit(
-            *(network(), images, monday),
-            validation=tuesday,
-            run=run,
-            monitor="error",
-            epochs=4,
-            resume=True,
-            **SETTINGS,
-        )
-
-
-@pytest.mark.parametrize(
-    ("monitor", "columns", "says"),
-    [
-        ("recall", ["room"], "monitor=recall needs positions, and training and validation frames do not both have"),
-        ("room", ["x", "y"], "monitor=room needs rooms, 2 or more in training, and training and validation frames do"),
-    ],
-)
-def test_what_the_user_chooses_by_must_be_known(images, drives, tmp_path, monitor, columns, says):
-    tuesday = drives[1]
-    known = {name: getattr(tuesday, name) for name in columns}
-    validation = FrameTable(path=tuesday.path, sequence=tuesday.sequence, **known)
-    settings = {**SETTINGS, "pairs": {**SETTINGS["pairs"], "by": "sequence"}}
-    with pytest.raises(DataError, match=says):
-        siamloc.training.fit(
-            *(network(), images, drives[0]), validation=validation, run=tmp_path / "run", monitor=monitor, **settings
-        )
-    assert not (tmp_path / "run").exists()
-
-
-def test_several_drives_by_their_order_alone_are_said(images, frames, tmp_path, capfd):
-    settings = {
-        **SETTINGS,
-        "pairs": {**SETTINGS["pairs"], "by": "sequence", "radius": 1, "epoch_batches": 1},
-        "epochs": 1,
-    }
-    siamloc.training.fit(network(), images, frames, run=tmp_path / "run", **settings)
-    said = capfd.readouterr().err
-    assert "note: 2 drives are used by the order of their frames alone" in said
-    assert "or also learn from rooms (experiment=rooms" in said
+        train(validation=drives[1], monitor="error", epochs=4, resume=True)
 
 
 def test_the_pace_counts_images_and_the_time_without_work(monkeypatch):
@@ -367,31 +315,9 @@ def test_the_pace_counts_images_and_the_time_without_work(monkeypatch):
     assert pace.images_per_second == 2 * 8 / 4
 
 
-def test_the_best_epoch_of_the_summary_is_that_of_the_checkpoint(images, drives, tmp_path, capfd):
-    """Where epochs are equally good, both mean the first."""
-    monday, tuesday = (FrameTable(path=d.path, sequence=d.sequence, room=d.room) for d in drives)
-
-    class Fixed(torch.nn.Module):
-        def __init__(self):
-            super().__init__()
-            self.weight = torch.nn.Parameter(torch.ones(1))
-            self.flat = torch.nn.Flatten()
-
-        def forward(self, panorama):
-            return torch.nn.functional.normalize(self.flat(panorama[:, :, :1]) * (1 + 0 * self.weight))
-
-    settings = {**SETTINGS, "pairs": {**SETTINGS["pairs"], "by": "sequence", "radius": 1}, "epochs": 3}
-    loss = siamloc.models.SoftContrastiveLoss(sigma=1, room=0.5)
-    run = siamloc.training.fit(Fixed(), images, monday, validation=tuesday, run=tmp_path / "run", loss=loss, **settings)
-    assert len(set(run.curves()["val/room"].tolist())) == 1
-    assert torch.load(run.checkpoint("best"), weights_only=True)["epoch"] == 0
-    assert "best epoch 1 by val/room" in capfd.readouterr().err
-
-
-def test_pairs_are_judged_by_a_margin_that_the_map_teaches(images, drives, tmp_path):
+def test_pairs_are_judged_by_a_margin_that_the_map_teaches(train, images, drives):
     """The margin of a triplet is not a margin of pairs."""
-    loss = siamloc.models.TripletLoss(near=0.6, far=1.0)
-    run = siamloc.training.fit(network(), images, drives[0], run=tmp_path / "run", loss=loss, epochs=1, **SETTINGS)
+    run = train(loss=siamloc.models.TripletLoss(near=0.6, far=1.0))
     assert 0 < run.curves()["train/active"][0] <= 1
     known = siamloc.maps.build(siamloc.models.load(run), images, drives[0], progress=False)
     result = siamloc.evaluation.localization(known, images, drives[1])
@@ -406,23 +332,7 @@ def test_pairs_are_judged_by_a_margin_that_the_map_teaches(images, drives, tmp_p
     assert right > best - 0.06  # 7000 draws of a few hundred pairs weigh them unevenly
 
 
-def test_a_loss_that_does_not_go_with_the_batches_is_refused_before_anything_is_written(images, drives, tmp_path):
-    for loss, settings in ((lambda d0, d1, y: d0.sum(), SETTINGS), (siamloc.models.SoftContrastiveLoss(), {})):
-        with pytest.raises(ConfigError, match="a loss of batches of places takes"):
-            siamloc.training.fit(network(), images, drives[0], run=tmp_path / "run", loss=loss, epochs=1, **settings)
-    plain = build("simple1", "fc500_500_5", SIZE)
-    with pytest.raises(ConfigError, match=r"needs descriptors of length 1.*flat, gem, bands, fourier or magnitudes"):
-        siamloc.training.fit(plain, images, drives[0], run=tmp_path / "run", epochs=1, **SETTINGS)
-    assert not (tmp_path / "run").exists()
-
-
-@pytest.mark.parametrize("given", [{"batch_size": 8}, {"margin": 1.0}])
-def test_settings_of_pairs_are_refused_with_places(images, drives, tmp_path, given):
-    with pytest.raises(ConfigError, match=f"{next(iter(given))} is of pairs, and batches of places have"):
-        siamloc.training.fit(network(), images, drives[0], run=tmp_path / "run", epochs=1, **SETTINGS, **given)
-
-
-def test_a_diverging_training_leaves_no_best_checkpoint(images, drives, tmp_path):
+def test_a_diverging_training_leaves_no_best_checkpoint(train, drives, tmp_path):
     steps = []
 
     def loss(descriptors, origins):
@@ -430,18 +340,15 @@ def test_a_diverging_training_leaves_no_best_checkpoint(images, drives, tmp_path
         return descriptors.sum() * (float("nan") if len(steps) > 1 else 1)
 
     with pytest.raises(ConfigError, match=r"the training diverged: .* smaller optimizer\.learning_rate"):
-        siamloc.training.fit(
-            network(), images, drives[0], validation=drives[1], run=tmp_path / "run", loss=loss, epochs=2, **SETTINGS
-        )
+        train(validation=drives[1], loss=loss, epochs=2)
     assert not list(tmp_path.rglob("best.ckpt"))
 
 
-def test_a_network_that_tells_nothing_apart_is_said(images, drives, tmp_path, capfd):
+def test_a_network_that_tells_nothing_apart_is_said(train, capfd):
     def loss(descriptors, origins):
         return torch.cdist(descriptors, descriptors).mean()
 
-    settings = {**SETTINGS, "optimizer": {"name": "adamw", "learning_rate": 0.03}}
-    siamloc.training.fit(network(), images, drives[0], run=tmp_path / "run", loss=loss, epochs=8, **settings)
+    train(loss=loss, epochs=8, optimizer={"name": "adamw", "learning_rate": 0.03})
     said = capfd.readouterr().err
     assert "warning: the network gives nearly every image the same descriptor, train/spread is" in said
 

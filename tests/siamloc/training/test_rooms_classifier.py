@@ -137,9 +137,9 @@ def test_frames_without_a_room_and_rooms_that_are_not_trained_are_noted(images, 
 @pytest.mark.parametrize(
     ("train", "validation", "says"),
     [
-        ("", None, "and the training frames have no room labels: give the labels of 2 rooms or more"),
-        ("a", None, "the training frames are all in one room, a: give"),
-        (None, "attic", r"are in rooms that the training frames lack \(attic, and not a, b\)"),
+        ("", None, "learns from rooms, and the training frames have 0: give the labels of 2 rooms or more"),
+        ("a", None, "the training frames have 1: give"),
+        (None, "attic", r"are in other rooms \(attic\) than the training frames \(a, b\)"),
     ],
 )
 def test_rooms_that_cannot_be_learned_are_refused_before_anything_is_written(
@@ -159,7 +159,7 @@ def test_the_accuracy_needs_rooms_and_this_loss(images, drives, tmp_path):
         {"validation": relabelled(tuesday, "")},
         {"validation": tuesday, "loss": siamloc.models.TripletLoss(near=0.5)},
     ):
-        with pytest.raises(ConfigError, match="monitor=accuracy is the share of frames whose room is named"):
+        with pytest.raises(ConfigError, match="monitor=accuracy needs loss=cross_entropy, and"):
             trained(images, monday, tmp_path / "run", monitor="accuracy", **options)
     run = trained(images, monday, tmp_path / "run", validation=relabelled(tuesday, ""), epochs=1)
     assert run.settings["training"]["monitor"] == "error"

@@ -13,10 +13,10 @@ import torch
 import siamloc
 from augment.torchvision_compat import ensure_torchvision
 from siamloc.errors import ConfigError
-from siamloc.models.checkpoint import read_checkpoint
+from siamloc.models.weights import read_checkpoint
 from siamloc.training.run_folder import progress
 from siamloc.training.stopping import StepCheckpoints
-from tests.siamloc.training.test_place_batches import SETTINGS
+from tests.siamloc.training.conftest import SETTINGS
 
 ensure_torchvision()
 from lightning.pytorch import Callback  # noqa: E402
