@@ -130,7 +130,7 @@ class Effect(ABC):
         name: the name used in configurations.
         ranges: what its parameters are drawn from.
         options: its other settings; `circular=False` means that the columns do not wrap around.
-        stages: numbers of the parts that `program` may make one step, step by step.
+        stages: for each step of `program`, the numbers of its parts.
 
     Raises:
         AugmentError: an unknown parameter, or an invalid value.
@@ -254,9 +254,9 @@ class Effect(ABC):
     def program(self, params: Mapping[str, Tensor], height: int, width: int) -> Program:
         """Pack drawn parameters for `play`: a loader can do so, while a device is busy.
 
-        Effects of a policy of which a frame gets at most one are one step, as far as their order allows: five effects
-        that may follow a lamp in five alternatives need one lamp. Parameters made by hand may contradict that; then
-        every effect is a step.
+        Effects of one kind that exclude each other share a step, as far as the order of all effects allows: five
+        alternatives with a lamp need one step for lamps. If parameters made by hand give a frame two effects of a
+        step, every effect is a step of its own.
 
         Args:
             params: as returned by `draw`.
@@ -321,17 +321,17 @@ class Effect(ABC):
 
     @cached_property
     def renderer(self) -> Effect:
-        """The effect that renders this one; effects that share one are rendered together."""
+        """The effect whose `render` is used; effects with a common renderer are rendered together."""
         return self
 
     def active(self, params: Mapping[str, Tensor]) -> NDArray[np.bool_]:
-        """Return which frames (B,) the effect changes: those whose strength is not neutral."""
+        """Return which frames (B,) the effect changes: the frames whose strength is not neutral."""
         strengths = {key: span.neutral for key, span in self.ranges.items() if span.neutral is not None}
         changed = [(params[key] != neutral).numpy() for key, neutral in strengths.items()]
         return np.any(changed, axis=0) if changed else np.ones(_count(params), dtype=bool)
 
     def coefficients(self, params: Numbers, height: int, width: int) -> Numbers:
-        """Return the numbers in the formula of the effect, for frames with these parameters; by default these."""
+        """Return the numbers in the formula of the effect, for each frame; by default the parameters themselves."""
         return params
 
     def spans(self, height: int, width: int) -> dict[str, Range]:
@@ -346,11 +346,11 @@ class Effect(ABC):
         return {}
 
     def complete(self, params: Params, count: int, height: int, width: int) -> Params:
-        """Return the drawn parameters of `count` frames, together with those that follow from them."""
+        """Return the drawn parameters of `count` frames, and the parameters that follow from the drawn ones."""
         return params
 
     def brushes(self, params: Params, height: int, width: int) -> list[Brush]:
-        """Return for each frame the function that alters it in place; `paint` with its own parameters by default."""
+        """Return for each frame the function that alters the frame in place: by default `paint` with its parameters."""
         return [partial(self.paint, values) for values in by_frame(params)]
 
     def paint(self, params: Mapping[str, float], frame: Frame) -> None:

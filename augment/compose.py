@@ -1,4 +1,4 @@
-"""`Policy`: effects combined at random: all of these, one of those, each with a probability."""
+"""`Policy`: effects combined at random: all of a list, or one of a list, each with a probability."""
 
 from __future__ import annotations
 

@@ -26,7 +26,7 @@ _FROM_COLOURS = ((1.0, 0.0, 1.402), (1.0, -0.344136, -0.714136), (1.0, 1.772, 0.
 
 
 def compressed(batch: Tensor, brightness: Tensor, colour: Tensor) -> Tensor:
-    """Compress and decode images, in full precision also where a network is in another one.
+    """Compress and decode images, in float32 even under autocast.
 
     Args:
         batch: (B, 3, H, W), RGB in [0, 1].

@@ -182,7 +182,7 @@ class WhiteBalance(PointEffect):
 
 
 def _tone(gamma: Any = 1.0, gain: Any = 1.0, offset: Any = 0.0) -> Numbers:
-    """Return the coefficients of `Tone`, those left out being neutral."""
+    """Return the coefficients of `Tone`; coefficients left out are neutral."""
     neutral = 0 * (gamma + gain + offset)
     return {"gamma": gamma + neutral, "gain": gain + neutral, "offset": offset + neutral}
 

@@ -31,10 +31,10 @@ def check(frames: FrameTable, images: PanoramaLibrary | None = None) -> list[str
 
     Args:
         frames: the data set.
-        images: its panoramas, if they are decoded: their size is then compared with that of the images.
+        images: the panoramas of the data set, if decoded: their size is then compared with the size of the image files.
 
     Returns:
-        A sentence for each finding, with what to do about it; empty if nothing is wrong.
+        A sentence for each fault, with the remedy; an empty list if there is no fault.
 
     Example:
         >>> angle = np.arange(8) * 45.0
@@ -107,7 +107,7 @@ def wrong_headings(frames: FrameTable, doubtful: bool = False) -> Iterator[str]:
 
     Args:
         frames: the data set.
-        doubtful: also report the few headings beyond one turn, which may be right.
+        doubtful: also report headings beyond one turn if there are only a few, which may be right.
     """
     theta = frames.theta[np.isfinite(frames.theta)]
     beyond, largest = int((np.abs(theta) > _TURN + 0.01).sum()), np.abs(theta).max(initial=0)
@@ -147,7 +147,7 @@ def wrong_headings(frames: FrameTable, doubtful: bool = False) -> Iterator[str]:
 
 
 def _moving(frames: FrameTable) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the headings of frames from which the robot moved on, and the directions it moved in, rad (k,)."""
+    """Return the headings of the frames after which the robot moved, and the directions of those moves, rad (k,)."""
     headings, travels = [np.zeros(0)], [np.zeros(0)]
     for rows in frames.rows_by("sequence").values():
         step = np.diff(frames.xy[rows], axis=0)

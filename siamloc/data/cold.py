@@ -45,7 +45,8 @@ def read_cold(
 
     Raises:
         ConfigError: neither or both of `root` and `places`, or an unknown camera or policy.
-        DataError: nothing found, a malformed line (with file and line number), or the same sequence found twice.
+        DataError: no sequence below the folder, a malformed line (with file and line number), or two sources of
+            one sequence.
     """
     check_policy(on_error)
     if camera not in CAMERAS:
@@ -136,7 +137,7 @@ def _source_of_list(path: Path, camera: str) -> _Source:
 
 
 def _with_camera(sources: list[_Source], camera: str, on_error: str) -> list[_Source]:
-    """Leave out the sequences that contain another camera's images but none of this one's."""
+    """Leave out the sequences that have images of another camera only."""
     others = [source for source in sources if any((source.folder / other).is_dir() for other in CAMERAS)]
     lacking = [source for source in others if not source.images.is_dir()]
     what = f"sequences have no folder {camera}, only another camera's"

@@ -172,7 +172,7 @@ def read_image(path: str | Path) -> NDArray[np.uint8]:
 
 
 def _declared_size(data: bytes) -> tuple[int, int] | None:
-    """Return the rows and columns that a PNG or JPEG declares; None for other formats, or if it declares none."""
+    """Return the rows and columns in the header of a PNG or JPEG; None for other formats, or without a header."""
     if data.startswith(b"\x89PNG") and len(data) > 24:
         columns, rows = struct.unpack(">II", data[16:24])
         return rows, columns

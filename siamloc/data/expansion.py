@@ -1,4 +1,4 @@
-"""`expand`: write an augmented data set in the layout of the one it is made from ([T] 5.3.2, table 5.18).
+"""`expand`: write an augmented data set in the layout of its source ([T] 5.3.2, table 5.18).
 
 The pose and the labels of an image are those of its frame; a rotation only adds to the heading. Readers thus read an
 expanded data set like any other.
@@ -61,7 +61,7 @@ class Expanded:
 
     @property
     def source(self) -> dict[str, Any]:
-        """Arguments with which `siamloc.data.read` reads it: `read(**expanded.source)`."""
+        """Arguments with which `siamloc.data.read` reads the expanded data set: `read(**expanded.source)`."""
         where = {"manifest": self.folder / MANIFEST} if self.kind == "manifest" else {"root": self.folder}
         return {"kind": self.kind, **{key: str(path) for key, path in where.items()}}
 
@@ -97,7 +97,7 @@ def expand(
     """Write several images of every frame: the original, spots, global light, blur, rotations and their combinations.
 
     Args:
-        frames: the frames to expand, as returned by a reader: the layout is that of the data set they were read from.
+        frames: the frames to expand, as returned by a reader: the expanded data set has the layout of that data set.
         out: folder of the expanded data set, outside the data.
         depth: number of images per frame; 16, 44, 128, 129 and 246 in the thesis.
         image_size: rows and columns of the images, which are panoramas.
@@ -164,7 +164,7 @@ def outputs(kind: str, frames: FrameTable, root: Path, folder: Path, theta: NDAr
 
     - cold: `<sequence folder>/<camera>/t<time>_x<x>_y<y>_a<theta>.jpeg`; the variants of a frame are a microsecond
       apart, so that no two have the same name.
-    - folder: `<split>/<room>/`, with COLD names if the frame has one, else `<name>_v<variant>`.
+    - folder: `<split>/<room>/`, with a COLD name if the frame has a COLD name, else `<name>_v<variant>`.
     - manifest: the image's own path with `_v<variant>` added.
 
     Args:
@@ -210,7 +210,7 @@ def outputs(kind: str, frames: FrameTable, root: Path, folder: Path, theta: NDAr
 
 
 def turned_headings(frames: FrameTable, turns: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the heading of every image (frames, depth), rad; those of rotated images lie in (-pi, pi]."""
+    """Return the heading of every image (frames, depth), rad; headings of rotated images lie in (-pi, pi]."""
     theta = frames.theta[:, None] + turns
     return np.where(turns != 0, math.pi - (math.pi - theta) % (2 * math.pi), theta)
 
@@ -250,7 +250,7 @@ def write_lists(
 
 
 def _check_apart(folder: Path, root: Path, kind: str, frames: FrameTable) -> None:
-    """Raise ConfigError if the images would end up where they would be read as frames again."""
+    """Raise ConfigError if a reader of the data set would read the expanded images as frames."""
     inside = real_path(folder)
     if kind != "manifest" and inside.is_relative_to(real_path(root)):
         raise ConfigError(f"out={folder} lies in the data set {root} itself: choose a folder outside it")

@@ -16,8 +16,8 @@ def read_folder(root: str | Path, *, on_error: str = "skip") -> FrameTable:
     """Read an image folder.
 
     The split becomes the sequence and the room's folder the room; the split's name may contain the lighting. If all
-    images of a split have COLD names, they are ordered by time, otherwise by room and name; an image without such a
-    name has no pose (NaN).
+    images of a split have COLD names, the frames are in order of time, otherwise of room and name; an image without a
+    COLD name has no pose (NaN).
 
     Args:
         root: the folder that contains the splits.

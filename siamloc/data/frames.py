@@ -25,8 +25,8 @@ class FrameTable:
     """Frames as columns of equal length, in capture order inside each sequence.
 
     Immutable: the arrays are read-only and every method returns another table. A missing pose or time is NaN, a
-    missing label is the empty string. Columns that are left out are filled with these. A frame is identified by its
-    sequence and its path; row numbers do not survive a selection.
+    missing label is the empty string. Columns left out are filled with missing values. A frame is identified by its sequence
+    and its path; row numbers do not survive a selection.
 
     Headings run counter-clockwise seen from above, in radians, 0 along +x. The columns of a panorama run clockwise,
     and its middle column looks straight ahead, along theta: as theta grows, the contents of the image move right.
@@ -170,7 +170,7 @@ class FrameTable:
         """Return every k-th frame of each sequence, starting with its first, or `offset` frames later.
 
         Raises:
-            ConfigError: k is not a positive whole number, or the offset is not one from 0 to k - 1.
+            ConfigError: k is not a positive whole number, or the offset is not a whole number from 0 to k - 1.
         """
         if k < 1:
             raise ConfigError(f"every k-th frame needs a whole k >= 1, got {k}")
@@ -183,7 +183,7 @@ class FrameTable:
 
     @typed
     def spaced(self, metres: float) -> FrameTable:
-        """Return the first frame of each sequence, then each that is at least `metres` away from the last one kept.
+        """Keep the first frame of each sequence, and each frame at least `metres` from the last kept frame.
 
         Raises:
             ConfigError: the distance is not positive.
@@ -264,7 +264,7 @@ def concatenate(tables: Sequence[FrameTable]) -> FrameTable:
 
 
 def in_capture_order(frames: FrameTable) -> FrameTable:
-    """Sort the frames of each sequence by time, where all of its times are known; other sequences stay as they are."""
+    """Sort the frames of each sequence by time; a sequence with an unknown time stays as it is."""
     order = np.arange(len(frames))
     for rows in frames.rows_by("sequence").values():
         if np.isfinite(frames.time[rows]).all():

@@ -50,7 +50,7 @@ class PanoramaLibrary:
     Raises:
         ConfigError: a size, camera, number of workers or policy that makes no sense, or an `unwrap` that does not fit
             simulated images.
-        DataError: no frames, none readable, or an unreadable one if `on_error` is "raise".
+        DataError: no frames, no readable image, or an unreadable image if `on_error` is "raise".
         StorageError: the disk is full or cannot be written to.
 
     Example:
@@ -129,10 +129,10 @@ class PanoramaLibrary:
         }
 
     def rows(self, frames: FrameTable) -> NDArray[np.int64]:
-        """Return the library's row of each frame (n,), found by its sequence and its path.
+        """Return the library's row of each frame (n,): of the frame with the same sequence and path.
 
         Raises:
-            DataError: a frame that the library does not hold.
+            DataError: a frame without a panorama in the library.
         """
         rows = self._found(frames)
         if (rows < 0).any():
@@ -146,10 +146,10 @@ class PanoramaLibrary:
         return rows
 
     def readable(self, frames: FrameTable) -> FrameTable:
-        """Return those of the library's frames whose image could be read, in the given order.
+        """Leave out the frames whose image could not be read; the others stay in order.
 
         Raises:
-            DataError: a frame that is not among those the library was made from.
+            DataError: a frame that the library was not made from.
         """
         return frames.take(self._found(frames) >= 0)
 
@@ -177,7 +177,7 @@ class PanoramaLibrary:
         """Yield the panoramas of frames in batches of at most `size`, in order.
 
         Raises:
-            DataError: a frame that the library does not hold.
+            DataError: a frame without a panorama in the library.
         """
         rows = self.rows(frames)
         for start in range(0, len(rows), size):
@@ -196,7 +196,7 @@ class PanoramaLibrary:
 
 
 def _check_simulated(frames: FrameTable, preprocessing: Preprocessing) -> None:
-    """Compare the kind of simulated images, as noted next to them, with how they would be unwrapped."""
+    """Raise ConfigError if `camera.json` next to simulated images asks for another kind of unwrapping."""
     kind = preprocessing.unwrap_settings()["kind"]
     for folder in sorted({Path(path).absolute().parents[1] for path in frames.path.tolist()}):
         if not (folder / "camera.json").is_file():

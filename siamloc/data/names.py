@@ -73,7 +73,7 @@ def name_sequence(folder: Path, label: str, rooms: Sequence[str]) -> SequenceNam
 
     Args:
         folder: the sequence's folder; the folders above it may name building and part.
-        label: name of a sequence whose folder is not named in one of these ways.
+        label: name of the sequence if its folder has none of these names.
         rooms: room codes of the sequence, as written.
     """
     parts = [part.lower() for part in folder.absolute().parts]

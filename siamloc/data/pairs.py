@@ -25,9 +25,9 @@ class PairSettings(Settings):
             least two rooms, otherwise "distance".
         same_room_share: share of same-room pairs; exact up to rounding. None: one half, or 1 if there is only one
             room.
-        epoch_pairs: pairs in an epoch; as many as there are frames if None.
+        epoch_pairs: pairs in an epoch; the number of frames if None.
         balance: "frames": every frame is equally likely to be the first of a pair; "rooms": every room is.
-        scale: divisor of "distance", in the unit of the positions: one number for all frames, or numbers by building.
+        scale: divisor of "distance", in the unit of the positions: a number for all frames, or numbers by building.
             Buildings without a number get the largest distance between two of their frames in the same room (18.99 m
             in Freiburg A).
     """
@@ -70,8 +70,8 @@ class PairSampler:
     """Draw the pairs of an epoch.
 
     A pair is two different frames of the same room, or two frames of different rooms. Frames without a room label
-    count as one room; `fit` leaves them out if other frames of their building have one. Rooms of different buildings
-    are different rooms. Which pairs an epoch has depends only on the seed, the epoch and the pair's number: not on
+    count as one room; `fit` leaves unlabelled frames out if other frames of their building have a label. Rooms of
+    different buildings are different rooms. Which pairs an epoch has depends only on the seed, the epoch and the pair's number: not on
     workers, ranks, or earlier draws.
 
     Args:
@@ -83,8 +83,8 @@ class PairSampler:
         label: "room" or "distance".
         same_room_share: share of same-room pairs.
         epoch_pairs: pairs in an epoch.
-        scale: divisor of "distance", in a form that `PairSettings` accepts: one number if one was given or if the
-            frames are of one building, otherwise numbers by building; NaN for label "room".
+        scale: divisor of "distance", in a form that `PairSettings` accepts: a number if the settings have a number or
+            all frames are of one building, otherwise numbers by building; NaN for label "room".
 
     Raises:
         ConfigError: pairs that cannot exist, such as different-room pairs if there is only one room; label "room" with
@@ -226,7 +226,7 @@ def _scales(
 
     Raises:
         ConfigError: a scale that is not a positive number.
-        DataError: a building whose rooms were each taken at one point, so its largest distance is 0.
+        DataError: a building whose largest distance is 0, since all frames of each room have one position.
     """
     if scale is not None and not isinstance(scale, Mapping):
         return float(scale), np.full(len(frames), float(scale))
@@ -245,7 +245,7 @@ def _scales(
 def diameter(points: NDArray[np.float64]) -> float:
     """Return the largest distance between two of several points (n, 2).
 
-    The two points that are farthest apart are corners of the convex hull: of many points, only those are compared.
+    The two points that are farthest apart are corners of the convex hull: only corners are compared.
     """
     from scipy.spatial import ConvexHull, QhullError
     from scipy.spatial.distance import pdist

@@ -101,7 +101,7 @@ class PolarRing(Settings):
 
     Attributes:
         centre: column and row of the ring's centre in pixels; the middle of the image if None.
-        inner: inner radius in pixels; a fifth of the outer one if None.
+        inner: inner radius in pixels; a fifth of the outer radius if None.
         outer: outer radius in pixels; up to the nearest image border if None.
         forward: direction of the robot's front in the image, in degrees clockwise from the image's upper edge.
         mirrored: whether the camera looks up into the mirror, so that the image shows the left on its right.

@@ -25,16 +25,15 @@ class PlaceSettings(Settings):
         places: number of places in a batch.
         images: number of images of each place, from different positions if there are several, and under different
             lightings if the place was seen under several.
-        radius: largest distance of the images of a place from its first one, in the unit of the positions, or in
-            frames; 0 for the same image again, of which augmentation makes different views.
+        radius: largest distance of the images of a place from its first image, in the unit of the positions, or in
+            frames; 0 repeats the first image, of which augmentation makes different views.
         near: share of the places that lie within `reach` of another place of the batch, so that the network also
             learns to tell neighbours apart.
-        reach: that distance, in the unit of the positions, or in frames.
-        same_room_share: share of the places that lie in the room of an earlier place of the batch, including those
-            `near` another one; each of the others lies in a room of its own, as far as the rooms and their frames
-            allow. If None, rooms are not considered.
-        lightings: weights by which the images of a place are divided among the lightings that it was seen under; 1
-            for a lighting that is not named. If None, the lightings take turns.
+        reach: the distance of `near`, in the unit of the positions, or in frames.
+        same_room_share: share of the places that lie in the room of an earlier place of the batch, as the places `near`
+            another place do; each of the other places lies in a room of its own, as far as there are enough rooms. If None, rooms are not considered.
+        lightings: weights by which the images of a place are divided among its lightings; 1 for a lighting without a
+            weight. If None, the lightings take turns.
         epoch_batches: batches in an epoch; if None, enough to show every frame once on average.
     """
 
@@ -68,7 +67,7 @@ class PlaceSampler:
     """Draw the batches of an epoch.
 
     Which images a batch has depends only on the seed, the epoch and the number of the batch. Several processes draw
-    one batch together, as large as all of theirs combined, and each takes its own places from it.
+    one batch together, with the places of all processes, and each process takes its own places from the batch.
 
     Args:
         frames: the frames to draw from (N), all with positions unless places are drawn by sequence.
@@ -198,7 +197,7 @@ class PlaceSampler:
         return f"half of the frames have one within {half:.3g} {self._unit}"
 
     def _centres(self, generator: np.random.Generator, count: int) -> NDArray[np.int64]:
-        """Draw the first frame of each place: some anywhere, the rest near those, in random order."""
+        """Draw the first frame of each place, in random order: some places anywhere, the rest near those."""
         near = min(round(self.settings.near * count), count - 1)
         by_room = self.settings.same_room_share is not None
         if by_room:
@@ -214,7 +213,7 @@ class PlaceSampler:
         return generator.permutation(np.concatenate([first, np.asarray(second, dtype=np.int64)]))
 
     def _of_rooms(self, frames: NDArray[np.int64], count: int) -> NDArray[np.int64]:
-        """Order shuffled frames so that a batch starts with one from each room, followed by others from these rooms."""
+        """Order shuffled frames: a frame of each room first, as many rooms as needed, then more frames of these rooms."""
         assert self.settings.same_room_share is not None
         rooms = max(1, count - round(self.settings.same_room_share * count))
         turn = _turns(self._room[frames])
@@ -224,7 +223,7 @@ class PlaceSampler:
         return frames[np.argsort(rank, kind="stable")]
 
     def _images(self, generator: np.random.Generator, centre: np.int64) -> NDArray[np.int64]:
-        """Draw the images of a place, its lightings by weight or in turn; images repeat if it has too few."""
+        """Draw the images of a place, its lightings by weight or in turn; a place with too few images repeats them."""
         found = np.asarray(self._tree.query_ball_point(self._points[centre], self.settings.radius), dtype=np.int64)
         found = generator.permutation(found[found != centre])
         order = np.concatenate([[centre], found])
@@ -256,7 +255,7 @@ class PlaceSampler:
 def places_of(frames: FrameTable, by: str = "position") -> tuple[NDArray[np.float64], NDArray[np.int64]]:
     """Return where frames were taken (N, 2), and a group number (N,); frames of different groups are never near.
 
-    By position, these are the positions and the buildings; by sequence, the frames' numbers in their sequence and the
+    By position, the two are positions and buildings; by sequence, the number of each frame in its sequence, and the
     sequences.
     """
     if by == "position":
@@ -272,7 +271,7 @@ def _kinds(frames: FrameTable) -> NDArray[np.int64]:
 
 
 def _turns(kinds: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Return, for each item, how many of its kind come before it."""
+    """Return, for each item, the number of earlier items of the same kind."""
     order = np.argsort(kinds, kind="stable")
     ordered = kinds[order]
     first = np.flatnonzero(np.diff(ordered, prepend=ordered[0] - 1))

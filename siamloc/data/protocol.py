@@ -26,7 +26,7 @@ class Role(Settings):
         lightings: keep these lightings; all if None.
         rooms: keep these rooms; all if None.
         every: keep every k-th frame of a sequence; all if None.
-        offset: with `every`, the number of frames of a sequence before the first one kept.
+        offset: with `every`, the number of frames of a sequence before its first kept frame.
         spacing: keep frames at least this far apart along a sequence, in the unit of the positions; all if None.
         rest: keep instead the frames that `every` or `spacing` would leave out: the queries if the map takes every
             k-th frame of the same drive ([C] 5.1).
@@ -105,7 +105,7 @@ class Protocol(Settings):
         map: frames that the robot knows; the training frames if not filled.
         query: frames to be located.
         leave_one_out: a query is never compared with its own image.
-        apart_seconds: a query is not compared with frames of its own drive taken less than this before or after it.
+        apart_seconds: a query is not compared with frames of its own drive taken less than this time before or after.
         apart_metres: a query is not compared with frames of its own drive that are less than this distance away,
             measured along the drive, in the unit of the positions.
 

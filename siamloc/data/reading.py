@@ -1,4 +1,4 @@
-"""`read`: read the frames of a data set, whatever its layout, and the settings that select one."""
+"""`read`: read the frames of a data set, whatever its layout, and the settings that select a data set."""
 
 from __future__ import annotations
 
@@ -36,8 +36,8 @@ def read(kind: str, *, unit: str = "m", name: str = "", **where: Any) -> FrameTa
         **where: arguments of that reader, such as root=FOLDER.
 
     Returns:
-        The frames. `source` records what they were read from, with absolute paths: `read(**frames.source)` reads them
-        again.
+        The frames. `source` records the arguments of this call, with absolute paths: `read(**frames.source)` reads the
+        same frames again.
 
     Raises:
         ConfigError: an unknown or missing kind or keyword; the message lists the valid ones.
@@ -83,7 +83,7 @@ class DataSettings(Settings):
         unit: unit of x and y; only used in texts.
         image_size: rows and columns of a panorama.
         circular: whether the columns wrap around; False for ordinary cameras.
-        on_error: "skip" leaves out what cannot be read and reports it, "raise" stops.
+        on_error: "skip" leaves out and reports unreadable images, "raise" stops at the first.
         cache: folder of the decoded panoramas; see `PanoramaLibrary`.
 
     Raises:

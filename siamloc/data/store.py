@@ -54,10 +54,10 @@ def open_store(
     on_error: str = "skip",
     workers: int | None = None,
 ) -> Store:
-    """Open the store of these images in a cache folder, or decode them and make it first.
+    """Open the store of several images in a cache folder; decode the images first if there is no store.
 
-    If two processes ask for the same store, it is built once: the second one waits. What an interrupted build leaves
-    behind is never taken for a store, and the next build removes it.
+    If two processes ask for the same store, the second waits until the first has built it. The remains of an
+    interrupted build are never taken for a store, and the next build removes them.
 
     Args:
         paths: images to decode.
@@ -68,7 +68,7 @@ def open_store(
 
     Raises:
         ConfigError: a camera that does not fit the images.
-        DataError: no readable image, or an unreadable one if `on_error` is "raise".
+        DataError: no readable image, or an unreadable image if `on_error` is "raise".
         StorageError: the disk is full, cannot be written to, or does not support locks.
     """
     folder = Path(cache).expanduser().absolute() / _key(paths, preprocessing)
@@ -125,7 +125,7 @@ def _reopened(folder: Path, total: int) -> Store:
 
 
 def _build(folder: Path, paths: Sequence[str], preprocessing: Preprocessing, workers: int, on_error: str) -> Store:
-    """Decode the images into a new store, or open the one that another process makes in the meantime."""
+    """Decode the images into a new store, or open the store that another process makes in the meantime."""
     _require_a_folder(paths)
     lock = folder.with_name(f".{folder.name}.lock")
     with storage_errors(folder), ExitStack() as stack:
