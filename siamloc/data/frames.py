@@ -24,8 +24,8 @@ _COLUMNS = ("path", "x", "y", "theta", "room", "sequence", "lighting", "time", "
 class FrameTable:
     """Frames as columns of equal length, in capture order inside each sequence.
 
-    Immutable: the arrays are read-only and every method returns another table. A missing pose or time is NaN, a
-    missing label is the empty string. Columns left out are filled with missing values. A frame is identified by its sequence
+    Immutable: the arrays are read-only and every method returns another table. A missing pose or time is NaN, a missing
+    label is the empty string. Columns left out are filled with missing values. A frame is identified by its sequence
     and its path; row numbers do not survive a selection.
 
     Headings run counter-clockwise seen from above, in radians, 0 along +x. The columns of a panorama run clockwise,

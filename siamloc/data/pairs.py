@@ -69,10 +69,10 @@ class Pairs:
 class PairSampler:
     """Draw the pairs of an epoch.
 
-    A pair is two different frames of the same room, or two frames of different rooms. Frames without a room label
-    count as one room; `fit` leaves unlabelled frames out if other frames of their building have a label. Rooms of
-    different buildings are different rooms. Which pairs an epoch has depends only on the seed, the epoch and the pair's number: not on
-    workers, ranks, or earlier draws.
+    A pair is two different frames of the same room, or two frames of different rooms. Frames without a room label count
+    as one room; `fit` leaves unlabelled frames out if other frames of their building have a label. Rooms of different
+    buildings are different rooms. Which pairs an epoch has depends only on the seed, the epoch and the pair's number:
+    not on workers, ranks, or earlier draws.
 
     Args:
         frames: the frames to pair (N).

@@ -31,7 +31,8 @@ class PlaceSettings(Settings):
             learns to tell neighbours apart.
         reach: the distance of `near`, in the unit of the positions, or in frames.
         same_room_share: share of the places that lie in the room of an earlier place of the batch, as the places `near`
-            another place do; each of the other places lies in a room of its own, as far as there are enough rooms. If None, rooms are not considered.
+            another place do; each of the other places lies in a room of its own, as far as there are enough rooms. If
+            None, rooms are not considered.
         lightings: weights by which the images of a place are divided among its lightings; 1 for a lighting without a
             weight. If None, the lightings take turns.
         epoch_batches: batches in an epoch; if None, enough to show every frame once on average.
@@ -213,7 +214,7 @@ class PlaceSampler:
         return generator.permutation(np.concatenate([first, np.asarray(second, dtype=np.int64)]))
 
     def _of_rooms(self, frames: NDArray[np.int64], count: int) -> NDArray[np.int64]:
-        """Order shuffled frames: a frame of each room first, as many rooms as needed, then more frames of these rooms."""
+        """Order shuffled frames: first a frame of each room, for enough rooms, then more frames of these rooms."""
         assert self.settings.same_room_share is not None
         rooms = max(1, count - round(self.settings.same_room_share * count))
         turn = _turns(self._room[frames])
