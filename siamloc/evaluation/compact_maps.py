@@ -21,7 +21,7 @@ from siamloc.errors import ConfigError, DataError
 from siamloc.evaluation.metrics import error_floor, localization_error, summarize
 from siamloc.evaluation.result import Result
 from siamloc.evaluation.session import Session, cost
-from siamloc.maps import HierarchicalSearch, NodeRanking, Retrieval, VectorIndex, VisualMap, group, match
+from siamloc.maps import HierarchicalSearch, LayerSearch, NodeRanking, Retrieval, VectorIndex, VisualMap, group, match
 from siamloc.maps.coarse import CoarseLayer
 from siamloc.progress import track
 from siamloc.results import Columns, rows_by_label
@@ -276,7 +276,8 @@ def _inside(
         barred = labels[None, :] != nearest[:, None]
         return match(known, described, 1, excluded=barred).indices[:, 0]
     ranking = NodeRanking(nearest[:, None], np.full(len(nearest), len(layer)))
-    return HierarchicalSearch(known, layer, candidates=1).search(described, ranking, 1).found.indices[:, 0]
+    search = HierarchicalSearch(known, layer, settings=LayerSearch(candidates=1))
+    return search.search(described, ranking, 1).found.indices[:, 0]
 
 
 def _compactness(known: VisualMap, clusters: VisualMap, labels: NDArray[np.int64]) -> dict[str, float]:

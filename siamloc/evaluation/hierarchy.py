@@ -25,7 +25,7 @@ from siamloc.evaluation.result import Result
 from siamloc.evaluation.session import Session, cost
 from siamloc.maps import Built, Retrieval, VisualMap, headings, match
 from siamloc.maps.coarse import UNASSIGNED, CoarseLayer
-from siamloc.maps.hierarchy import HierarchicalRetrieval, HierarchicalSearch, Ranking
+from siamloc.maps.hierarchy import HierarchicalRetrieval, HierarchicalSearch, LayerSearch, Ranking
 from siamloc.maps.ranking import NodeRanking, rank_by_position
 from siamloc.results import Columns, by_label
 from siamloc.stopwatch import Stopwatch
@@ -134,16 +134,9 @@ def hierarchical(
     if isinstance(layer, Built):
         layer.check_map(known if coarse_map is None else coarse_map)
         layer = layer.layer
-    search = HierarchicalSearch(
-        known,
-        layer,
-        coarse=coarse_map,
-        by=settings.coarse.by,
-        candidates=settings.candidates,
-        neighbours=settings.coarse.neighbours,
-        ratio=settings.coarse.ratio,
-        along=settings.along,
-    )
+    coarse = settings.coarse
+    asked = LayerSearch(coarse.by, settings.candidates, coarse.neighbours, coarse.ratio, settings.along)
+    search = HierarchicalSearch(known, layer, coarse=coarse_map, settings=asked)
     placed, scored = known.frames.has_position, session.queries.has_position
     if text := session.lacking(placed, "map frames have no position"):
         raise DataError(f"{text}: build the layer over a map whose frames all have one (known.placed())")

@@ -140,9 +140,11 @@ def disturbed(job: Job, data: Data) -> Measured:
     if options["descriptor"]["name"] != "pretrained":
         position, _ = descriptor(**options["descriptor"]).sizes(*data.image_size)
         size = {"information": prod(position) / prod(data.image_size)}
-    levels = {name: tuple(options.get(name, ())) for name in ("noise", "occlusion")}
+    noise, occlusion = (tuple(options.get(name, ())) for name in ("noise", "occlusion"))
     for place, settings in _compared(known, job):
-        result = evaluation.robustness(place, data.images, frames, every=1, turn=(), name="measured", **levels)
+        result = evaluation.robustness(
+            place, data.images, frames, every=1, turn=(), noise=noise, occlusion=occlusion, name="measured"
+        )
         for name, curve in result.measures["methods"]["measured"].items():
             for one in curve:
                 level = {name: one["level"]} if one["level"] else {"noise": 0, "occlusion": 0}

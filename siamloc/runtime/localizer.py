@@ -19,6 +19,7 @@ from siamloc.data.decoding import UnreadableImageError
 from siamloc.errors import ConfigError, DataError, FormatError
 from siamloc.maps import (
     HierarchicalSearch,
+    LayerSearch,
     MotionModel,
     PoseFilter,
     RefinedPoses,
@@ -376,7 +377,8 @@ class Localizer:
                 analytic_descriptor(coarse.identity, self.bundle, coarse.width, coarse.orientation)
             )
         try:
-            return HierarchicalSearch(self.map, layer, coarse=coarse, settings=self.bundle.about.get("search") or {})
+            settings = LayerSearch.of(self.bundle.about.get("search") or {})
+            return HierarchicalSearch(self.map, layer, coarse=coarse, settings=settings)
         except (ConfigError, DataError) as error:
             raise FormatError(f"{self.bundle.path} cannot search its coarse layer ({error}): export again") from error
 

@@ -62,7 +62,8 @@ class Decoder:
     def fitted(self, pixels: int) -> tuple[int, int]:
         """Return the rows and columns of an image of about `pixels` pixels, in its aspect ratio.
 
-        Unwrapped images are not enlarged. Both numbers are multiples of 16, the size of JPEG's colour blocks, so that neighbours on a sheet do not bleed.
+        Unwrapped images are not enlarged. Both numbers are multiples of 16, the size of JPEG's colour blocks, so that
+        neighbours on a sheet do not bleed.
         """
         rows, columns = self.size
         scale = math.sqrt(pixels / (rows * columns))
