@@ -108,7 +108,7 @@ def _measures(path: Path, results: Mapping[str, Any]) -> dict[str, float]:
     """Return the measures of an evaluation by name: those with short names first, then all by their path."""
     try:
         parts = results["measures"]
-        found = dict(_named(parts))
+        found = {name: math.nan if value is None else float(value) for name, value in _named(parts)}
         cost = (results.get("cost") or {}).get(results.get("name"), {})
         found |= {f"cost.{name}": float(value) for name, value in cost.items() if isinstance(value, int | float)}
         return found | dict(_by_place(parts, ""))
@@ -116,21 +116,21 @@ def _measures(path: Path, results: Mapping[str, Any]) -> dict[str, float]:
         raise FormatError(f"{path} is not whole ({error!r}): evaluate again") from error
 
 
-def _named(parts: Mapping[str, Any]) -> Iterator[tuple[str, float]]:
+def _named(parts: Mapping[str, Any]) -> Iterator[tuple[str, float | None]]:
     main = next((parts[name] for name in _LOCALIZED if name in parts), None)
     for before, part in {"": main, **{f"{name}.": parts.get(f"absolute_{name}") for name in FURTHER}}.items():
         for label, group in _groups(part):
-            yield f"{before}error{label}", _number(group["error"]["mean"])
+            yield f"{before}error{label}", group["error"]["mean"]
     if main is not None:
         overall = main["overall"]
         if overall.get("hit_rate"):
-            yield "hit_rate", _number(overall["hit_rate"][0]["rate"])
+            yield "hit_rate", overall["hit_rate"][0]["rate"]
         for one in overall["recall"]:
-            yield f"recall@{one['k']}_{one['radius']:g}", _number(one["recall"])
+            yield f"recall@{one['k']}_{one['radius']:g}", one["recall"]
         if "heading_error" in overall:
-            yield "heading_error", _number(overall["heading_error"]["mean"])
+            yield "heading_error", overall["heading_error"]["mean"]
     for label, group in _groups(parts.get("room_retrieval")):
-        yield f"room{label}", _number(group["accuracy"])
+        yield f"room{label}", group["accuracy"]
 
 
 def _groups(part: Mapping[str, Any] | None) -> Iterator[tuple[str, Any]]:
@@ -146,10 +146,6 @@ def _by_place(part: Mapping[str, Any], before: str) -> Iterator[tuple[str, float
             yield from _by_place(value, f"{before}{name}.")
         elif before and isinstance(value, int | float) and not isinstance(value, bool):
             yield f"{before}{name}", float(value)
-
-
-def _number(value: Any) -> float:
-    return math.nan if value is None else float(value)
 
 
 def _columns(known: Iterable[str]) -> list[str]:

@@ -82,20 +82,6 @@ def test_measures_equal_the_metrics() -> None:
     }
 
 
-def test_a_perfect_and_a_reversed_retriever() -> None:
-    queries = scenes.frames(2, 60)
-    known = scenes.frames(1, 400)
-    perfect = evaluate_absolute(VisualMap(known.xy, known), queries.xy, queries, (0.5,), (1,))
-    overall = perfect.parts["absolute"]["overall"]
-    assert overall["excess"]["max"] < 1e-6
-    assert overall["recall"][0]["recall_answerable"] == 1
-    # Descriptors of the map mirrored at the building's middle: the farthest frame looks the nearest.
-    mirrored = evaluate_absolute(VisualMap([9, 3] - known.xy, known), queries.xy, queries, (0.5,), (1,))
-    away = np.hypot(queries.x - 4.5, queries.y - 1.5) > 1
-    assert (mirrored.columns["error"][away] > 0.5).all()
-    assert (mirrored.columns["first_rank_within_0.5"][away] == 0).all()
-
-
 def test_a_map_of_one_frame_and_one_under_a_hundred() -> None:
     queries = scenes.frames(2, 10)
     for n in (1, 7, 99):

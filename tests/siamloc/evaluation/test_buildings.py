@@ -70,14 +70,3 @@ def test_without_lightings_there_are_no_groups_and_one_panel(tmp_path):
     assert [axes.get_title("left") for axes in made["confusion"]().axes] == ["all queries\n0.0 % of 2 right"]
     write_results(tmp_path, {"config": {}, "measures": {"buildings": measures}, "denominators": {}})
     assert save_all(tmp_path)[0].read_bytes().startswith(b"\x89PNG")
-
-
-def test_a_panel_for_each_lighting_and_one_for_all():
-    measures = result(["a", "b", "b"], [[0, 1], [1, 0], [0, 1]], ["cloudy", "night", "night"]).parts["buildings"]
-    made = pictures({"buildings": measures}, {})
-    assert list(made) == ["confusion", "confusion_by_lighting"]
-    every = [axes for draw in made.values() for axes in draw().axes]
-    titles = [axes.get_title("left").split("\n")[0] for axes in every]
-    assert titles == ["all queries", "cloudy", "night"]
-    shown = [text.get_text() for axes in every for text in axes.texts]
-    assert shown == ["100 %\n1", "50 %\n1", "50 %\n1", "100 %\n1", "50 %\n1", "50 %\n1"]
