@@ -135,6 +135,7 @@ def test_a_lighting_without_poses_keeps_its_rooms(manifest, tmp_path, capsys):
     given = ["protocol.query.sequences=[second,third]", "task.baselines=[]", "task.plots=false"]
     assert main(words("evaluate", table, tmp_path, *given)) == 0
     said = [line.split() for line in capsys.readouterr().out.splitlines() if line.startswith("hog ")]
+    *said, _ = said  # the last table says what a query costs
     assert [line[1] for line in said] == ["cloudy", "cloudy", "night", "all"], "poses, then rooms"
     rows = rows_of(page_of(tmp_path).all("table", class_="rooms")[0])
     assert [row[-1] for row in rows] == ["18", "18", "36"]
