@@ -11,7 +11,6 @@ from matplotlib.axes import Axes
 from matplotlib.patches import Rectangle
 from numpy.typing import NDArray
 
-from siamloc.errors import DataError
 from siamloc.report.draw.look import SERIES, SOFT, Picture, style
 
 Rows = Sequence[Mapping[str, Any]]
@@ -36,11 +35,7 @@ def heat_maps(table: Rows, measures: Sequence[str] = ("nodes", "silhouette", "un
     Args:
         table: rows with version, y, omega and the measures; `unassigned` in percent. A measure may be missing (None).
         measures: some of "nodes", "unassigned", "silhouette" (the pooled one); the highest silhouettes are framed.
-
-    Raises:
-        DataError: no rows, or a row without one of the columns.
     """
-    _require(table, ("version", "y", "omega", *measures))
     versions, ys, omegas = (sorted({row[key] for row in table}) for key in ("version", "y", "omega"))
     figure = Picture(figsize=(0.62 * len(omegas) * len(measures) + 3.2, 0.42 * len(ys) * len(versions) + 1.6))
     panels = figure.subplots(len(versions), len(measures), squeeze=False, sharex=True, sharey=True)
@@ -82,13 +77,7 @@ def silhouette_against_clusters(table: Rows, maps: Rows = ()) -> Picture:
     Args:
         table: rows with method ("spectral", "som", "sample"), nodes, silhouette (pooled) and nearest.
         maps: incremental maps as single points: rows with version, nodes, silhouette, nearest, unassigned (percent).
-
-    Raises:
-        DataError: no rows, or a row without one of the columns.
     """
-    _require(table, ("method", "nodes", "silhouette", "nearest"))
-    if maps:
-        _require(maps, ("version", "nodes", "silhouette", "nearest", "unassigned"))
     figure = Picture(figsize=(9.6, 3.9))
     panels = figure.subplots(1, 2, sharex=True)
     names = (
@@ -131,11 +120,3 @@ def _frame(axes: Axes, row: int, column: int) -> None:
 
 def _value(value: float | None) -> float:
     return float("nan") if value is None else float(value)
-
-
-def _require(table: Rows, columns: Sequence[str]) -> None:
-    if not table:
-        raise DataError("there is nothing to draw: the table has no rows")
-    missing = sorted({column for row in table for column in columns if column not in row})
-    if missing:
-        raise DataError(f"the table needs the columns {', '.join(columns)}; {', '.join(missing)} is missing in a row")

@@ -5,7 +5,6 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import cv2
 import matplotlib
 import numpy as np
 import pytest
@@ -22,6 +21,7 @@ from siamloc.report.draw.node_colours import NO_NODE, POOL, contrast, ink, neigh
 from siamloc.report.draw.nodes import NodePlan, node_plan, nodes_on_plan, spread_out
 from siamloc.results import read_rows
 from tests.analytic.mapper.world import World, corridor_drive
+from tests.siamloc.report.draw.looking import lines_of, text_of, whole_png
 
 CLEAR = 20.0  # distance in CIELAB, where 2.3 is just noticeable
 
@@ -86,15 +86,6 @@ def log_of(n: int) -> growth.Story:
     return growth.Story(shown, tuple(events), tuple(ids), colours)
 
 
-def text_of(figure) -> str:
-    return "\n".join(text.get_text() for text in figure.findobj(matplotlib.text.Text))
-
-
-def whole_png(path: Path) -> bool:
-    picture = cv2.imdecode(np.frombuffer(path.read_bytes(), np.uint8), cv2.IMREAD_COLOR)
-    return picture is not None and min(picture.shape[:2]) > 300 and picture.std() > 10
-
-
 @pytest.mark.parametrize("version", [1, 2])
 def test_all_pictures_of_an_incremental_map(runs: dict, version: int, monkeypatch: pytest.MonkeyPatch) -> None:
     target, layer = runs[version]
@@ -152,15 +143,12 @@ def test_neighbouring_nodes_have_clearly_different_colours(seed: int) -> None:
     assert min(contrast(colours[a], colours[b]) for a, b in pairs) >= CLEAR
 
 
-def test_colours_stay_apart_from_frames_without_a_node() -> None:
-    assert min(contrast(colour, NO_NODE) for colour in POOL) >= CLEAR
-
-
 def test_contrast_is_the_worst_of_three_sights() -> None:
     assert contrast("#FFFFFF", "#000000") == pytest.approx(100, abs=0.5)
     # A red and a green of one lightness differ for most, hardly for those who confuse the two.
     assert contrast("#C04000", "#5C7F00") < 25
     assert (ink("#FFFFFF"), ink("#000000")) == ("black", "white")
+    assert min(contrast(colour, NO_NODE) for colour in POOL) >= CLEAR
 
 
 def test_fixed_colours_are_kept() -> None:
@@ -186,22 +174,18 @@ def test_dots_stand_side_by_side() -> None:
     np.testing.assert_array_equal(spread_out(10 * np.eye(3)[:, :2], 0.5), 10 * np.eye(3)[:, :2])
 
 
-def test_one_node_without_edges_or_closures() -> None:
+def test_the_legend_counts_what_is_drawn() -> None:
     text = text_of(nodes_on_plan(plan([0] * 6)))
     assert "1 node, 6 frames" in text
     assert "0 ways between nodes" in text
     assert "loop closure" not in text
     assert "no node" not in text
-
-
-def test_right_and_wrong_closures() -> None:
     xy = np.array([[0, 0], [5, 5], [0.5, 0.5], [9, 0]])
     shown = plan([0, 0, 0, -1], xy, closures=((2, 0), (2, 1)))
     assert shown.right.tolist() == [True, False]
     text = text_of(nodes_on_plan(shown))
-    assert "1 loop closure within 1 m" in text
-    assert "1 loop closure beyond 1 m" in text
-    assert "1 frame in no node (25.0 %)" in text
+    for words in ("1 loop closure within 1 m", "1 loop closure beyond 1 m", "1 frame in no node (25.0 %)"):
+        assert words in text
 
 
 @pytest.mark.parametrize("axis", [0, 1])
@@ -253,15 +237,11 @@ def test_a_story_knows_every_node_that_ever_was(runs: dict) -> None:
     }
 
 
-def test_a_story_numbers_nodes_as_the_evaluation_does(runs: dict) -> None:
+def test_numbers_and_ways_are_those_of_the_evaluation(runs: dict) -> None:
     for target, layer in runs.values():
         results = json.loads((target / "results.json").read_text())
         assert list(told((target, layer)).ids) == results["layer"]["ids"]
-
-
-def test_ways_between_nodes_are_those_of_the_layer(runs: dict) -> None:
-    for target, _ in runs.values():
-        assert read_plan(target).edges.tolist() == json.loads((target / "results.json").read_text())["edges"]
+        assert read_plan(target).edges.tolist() == results["edges"]
 
 
 def test_errors(runs: dict, tmp_path: Path) -> None:
@@ -319,17 +299,7 @@ def test_silhouette_against_clusters() -> None:
     ]
     point = {"version": 2, "nodes": 12, "silhouette": 0.5, "nearest": 0.1, "unassigned": 3.4}
     figure = sweeps.silhouette_against_clusters(rows, [point])
-    lines = {line.get_label(): line.get_xydata() for line in figure.axes[0].lines}
-    np.testing.assert_array_equal(lines["spectral"], [[5, 0.05], [10, 0.1], [20, 0.2]])
-    np.testing.assert_array_equal(lines["incremental, version 2 (3 % of frames left out)"], [[12, 0.5]])
+    lines = lines_of(figure)
+    assert lines["spectral"] == [[5, 0.05], [10, 0.1], [20, 0.2]]
+    assert lines["incremental, version 2 (3 % of frames left out)"] == [[12, 0.5]]
     np.testing.assert_array_equal(figure.axes[1].lines[1].get_xydata()[:, 1], [-0.05, -0.1, -0.2])
-
-
-def test_sweeps_need_their_columns() -> None:
-    with pytest.raises(DataError, match="no rows"):
-        sweeps.heat_maps([])
-    with pytest.raises(DataError, match="omega is missing"):
-        sweeps.heat_maps([{"version": 1, "y": 1}], ())
-    row = {"nodes": 3, "silhouette": 0.1, "nearest": 0.1}
-    with pytest.raises(DataError, match="unassigned is missing"):
-        sweeps.silhouette_against_clusters([{**row, "method": "som"}], [{**row, "version": 1}])

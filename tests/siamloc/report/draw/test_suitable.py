@@ -22,7 +22,13 @@ from siamloc.results import read_results, read_rows
 from tests.siamloc.evaluation import scenes
 from tests.siamloc.evaluation.scenes import evaluate_absolute, evaluate_rooms
 from tests.siamloc.report import rich
+from tests.siamloc.report.draw.looking import lines_of, text_of, whole_png
 
+QUERIES = {
+    "error": np.array([0.5, 0.1, 0.9, 0.1]),
+    "floor": np.full(4, 0.1),
+    "lighting": np.array(["night", "dusk", "night", "dusk"]),
+}
 ALL = ["floor_plan.png", "error_curve.png", "confusion.png", "confusion_by_lighting.png"]
 
 
@@ -42,18 +48,6 @@ def building(folder: Path, **columns: object) -> None:
 def corridor(axis: str = "x", n: int = 111) -> FrameTable:
     along = {"x": np.zeros(n), "y": np.zeros(n), axis: np.arange(float(n))}
     return FrameTable(path=np.array([f"{i}.jpg" for i in range(n)]), **along)
-
-
-def whole_png(path: Path) -> bool:
-    contents = path.read_bytes()
-    picture = cv2.imdecode(np.frombuffer(contents, np.uint8), cv2.IMREAD_COLOR)
-    ends_well = contents.startswith(b"\x89PNG") and contents.endswith(b"IEND\xaeB`\x82")
-    return ends_well and picture is not None and picture.std() > 10
-
-
-def text_of(figure) -> str:
-    """Return all the words in a figure."""
-    return "\n".join(text.get_text() for text in figure.findobj(matplotlib.text.Text))
 
 
 def test_all_pictures_are_made_from_the_files_alone(tmp_path: Path) -> None:
@@ -100,13 +94,10 @@ def test_a_picture_has_150_dots_per_inch(tmp_path: Path) -> None:
     np.testing.assert_allclose(picture.shape[1::-1], 150 * figure.get_size_inches(), atol=1)
 
 
-def test_no_room_labels_and_one_lighting(tmp_path: Path) -> None:
+def test_no_room_labels_and_one_lighting_or_rooms_alone(tmp_path: Path) -> None:
     queries = scenes.frames(2, 30, lighting=np.array([""] * 30))
-    write(tmp_path, scenes.visual_map(), queries, scenes.describe(queries), rooms=False)
-    assert [path.name for path in save_all(tmp_path)] == ALL[:2]
-
-
-def test_rooms_alone(tmp_path: Path) -> None:
+    write(tmp_path / "dark", scenes.visual_map(), queries, scenes.describe(queries), rooms=False)
+    assert [path.name for path in save_all(tmp_path / "dark")] == ALL[:2]
     queries = scenes.frames(2, 30)
     evaluate_rooms(scenes.visual_map(), scenes.describe(queries), queries).save(tmp_path, pictures=False)
     assert [path.name for path in save_all(tmp_path)] == ALL[2:]
@@ -115,6 +106,7 @@ def test_rooms_alone(tmp_path: Path) -> None:
 def test_a_panel_per_lighting() -> None:
     queries = scenes.frames(2, 60)
     result = evaluate_absolute(scenes.visual_map(), scenes.describe(queries), queries)
+    assert along(result.columns, result.tables["map"]) is None
     figure = floor_plan(result.columns, result.tables["map"], "m")
     panels = [axes for axes in figure.axes if axes.get_aspect() == 1.0]
     mean = result.measures["lighting"]["night"]["error"]["mean"]
@@ -140,40 +132,20 @@ def test_a_corridor_is_drawn_along_its_line(axis: str) -> None:
     np.testing.assert_array_equal(figure.axes[0].collections[0].get_offsets(), [[i, 110 - i] for i in range(111)])
 
 
-def test_a_building_is_no_line() -> None:
-    queries = scenes.frames(2, 60)
-    result = evaluate_absolute(scenes.visual_map(), scenes.describe(queries), queries)
-    assert along(result.columns, result.tables["map"]) is None
-
-
-def lines_of(axes) -> dict:
-    return {line.get_label().split(":")[0]: line for line in axes.lines}
-
-
 def test_the_curves_rise_to_all_queries() -> None:
-    columns = {
-        "error": np.array([0.5, 0.1, 0.9, 0.1]),
-        "floor": np.full(4, 0.1),
-        "lighting": np.array(["night", "dusk", "night", "dusk"]),
-        "baseline_thumb_nail": np.array([2.0, 2, 2, 2]),
-    }
-    figure = error_curve(columns, "m", "hog")
-    assert [axes.get_title("left") for axes in figure.axes] == [
-        "hog by lighting",
-        "methods, dusk, n = 2",
-        "methods, night, n = 2",
+    figure = error_curve({**QUERIES, "baseline_thumb_nail": np.full(4, 2.0)}, "m", "hog")
+    titles = [axes.get_title("left") for axes in figure.axes]
+    assert titles == ["hog by lighting", "methods, dusk, n = 2", "methods, night, n = 2"]
+    lines = lines_of(figure)
+    assert list(lines) == [
+        "all queries: 0.40 m, n = 4",
+        *(f"{name}, n = 2" for name in ("dusk: 0.10 m", "night: 0.70 m")),
+        "floor: 0.10 m, n = 4",
     ]
-    lines = lines_of(figure.axes[0])
-    assert list(lines) == ["all queries", "dusk", "night", "floor"]
-    assert lines["all queries"].get_label() == "all queries: 0.40 m, n = 4"
-    corners = lines["all queries"].get_xydata()
-    np.testing.assert_array_equal(
-        corners[:-1], [[0.1, 0], [0.1, 25], [0.1, 25], [0.1, 50], [0.5, 50], [0.5, 75], [0.9, 75], [0.9, 100]]
-    )
+    corners = [[0.1, 0], [0.1, 25], [0.1, 25], [0.1, 50], [0.5, 50], [0.5, 75], [0.9, 75], [0.9, 100]]
+    assert lines["all queries: 0.40 m, n = 4"][:-1] == corners
     assert figure.axes[0].get_xlim()[1] == 1
-    methods = lines_of(figure.axes[2])
-    assert list(methods) == ["hog", "thumb nail", "floor"]
-    assert methods["thumb nail"].get_label() == "thumb nail: 2.00 m"
+    assert list(lines_of(figure, 2)) == ["hog: 0.70 m", "thumb nail: 2.00 m", "floor: 0.10 m"]
 
 
 def test_every_corner_of_a_long_curve_lies_where_its_share_says() -> None:
@@ -186,20 +158,13 @@ def test_every_corner_of_a_long_curve_lies_where_its_share_says() -> None:
 
 
 def test_another_estimate_and_several_evaluations() -> None:
-    columns = {
-        "error": np.array([0.5, 0.1, 0.9, 0.1]),
-        "filtered_error": np.array([0.2, 0.1, 0.3, 0.1]),
-        "floor": np.full(4, 0.1),
-        "lighting": np.array(["night", "dusk", "night", "dusk"]),
-    }
-    figure = estimate_curve(columns, "filtered")
+    figure = estimate_curve({**QUERIES, "filtered_error": np.array([0.2, 0.1, 0.3, 0.1])}, "filtered")
     assert [axes.get_title("left") for axes in figure.axes] == ["dusk, n = 2", "night, n = 2"]
-    assert lines_of(figure.axes[1])["filtered"].get_label() == "filtered: 0.25 m"
+    assert next(iter(lines_of(figure, 1))) == "filtered: 0.25 m"
     assert figure.axes[0].get_xlim() == figure.axes[1].get_xlim()
-    other = {**columns, "floor": np.full(4, 0.2)}
-    figure = compared_curves({"a": columns, "b": other})
+    figure = compared_curves({"a": QUERIES, "b": {**QUERIES, "floor": np.full(4, 0.2)}})
     assert [axes.get_title("left").split(",")[0] for axes in figure.axes] == ["all queries", "dusk", "night"]
-    assert list(lines_of(figure.axes[0])) == ["a", "b"], "floors that differ are not drawn"
+    assert list(lines_of(figure)) == ["a: 0.40 m", "b: 0.40 m"], "floors that differ are not drawn"
 
 
 def test_a_query_set_without_any_error() -> None:

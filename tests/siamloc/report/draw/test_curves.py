@@ -1,19 +1,19 @@
-"""Confusion matrices, pairs, and what else is drawn from measures alone."""
+"""What is drawn from measures alone: confusion matrices, and curves against a setting."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
-import matplotlib
 import numpy as np
 import pytest
 
-from siamloc.errors import DataError
-from siamloc.report.draw.curves import pair_curves, robustness_curves
+from siamloc.errors import ConfigError, DataError
+from siamloc.report.draw.curves import pair_curves, robustness_curves, swept_curves
 from siamloc.report.draw.errors import calibration_curve, node_errors
 from siamloc.report.draw.rooms import confusion
 from siamloc.results import read_results
 from tests.siamloc.report import rich
+from tests.siamloc.report.draw.looking import lines_of, text_of
 
 
 @pytest.fixture(scope="module")
@@ -23,10 +23,6 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def measures(run: Path, folder: str = "network") -> dict:
     return read_results(run / folder)["measures"]
-
-
-def text_of(figure) -> str:
-    return "\n".join(text.get_text() for text in figure.findobj(matplotlib.text.Text))
 
 
 def test_a_confusion_matrix_shows_shares_and_counts() -> None:
@@ -39,8 +35,7 @@ def test_a_confusion_matrix_shows_shares_and_counts() -> None:
 
 
 def test_a_crowded_confusion_matrix_shows_shares_only() -> None:
-    names = [f"room {i}" for i in range(30)]
-    text = text_of(confusion(names, {"night": 7 * np.eye(30, dtype=int)}))
+    text = text_of(confusion([f"room {i}" for i in range(30)], {"night": 7 * np.eye(30, dtype=int)}))
     assert "100" in text
     assert "%\n" not in text
 
@@ -80,19 +75,16 @@ def test_pair_curves_by_lighting_pass_the_measured_accuracy(run: Path) -> None:
     assert titles == ["all pairs", "cloudy", "cloudy and night", "night"]
     for axes, group in zip(figure.axes, (pairs["overall"], *pairs["lighting"].values()), strict=True):
         assert axes.get_title("left").endswith(f"AUC {group['auc']:.3f}")
-        lines = {line.get_label(): line for line in axes.lines}
+        lines = {line.get_label(): dict(line.get_xydata().tolist()) for line in axes.lines}
         for name, label in (("same", "pairs of one room"), ("overall", "all pairs")):
-            thresholds, shares = lines[label].get_data()
-            at = list(thresholds).index(0.5)
-            assert shares[at] == pytest.approx(100 * group[name])
+            assert lines[label][0.5] == pytest.approx(100 * group[name])
     one = {**pairs, "lighting": {"night": pairs["lighting"]["night"]}}
     assert len(pair_curves(one).axes) == 1, "one lighting is drawn once"
 
 
 def test_the_calibration_curve_holds_every_point(run: Path) -> None:
     found = measures(run)["calibration"]
-    (axes,) = calibration_curve(found).axes
-    lines = {line.get_label(): line.get_xydata() for line in axes.lines}
+    lines = lines_of(calibration_curve(found))
     assert list(lines) == ["cloudy", "night", "sunny", "all queries", "equal"]
     expected = [[point["predicted"], point["observed"]] for point in found["overall"]["curve"]]
     np.testing.assert_allclose(lines["all queries"], expected)
@@ -100,10 +92,14 @@ def test_the_calibration_curve_holds_every_point(run: Path) -> None:
 
 def test_the_errors_of_a_hierarchy(run: Path) -> None:
     found = measures(run, "hierarchical-network-rooms")["hierarchical"]
-    (axes,) = node_errors(found).axes
-    lines = {line.get_label(): line.get_xydata() for line in axes.lines}
-    assert lines["wrong node"][-1].tolist() == [found["overall"]["given_wrong"]["error"]["mean"], 3]
-    assert [label.get_text() for label in axes.get_yticklabels()] == ["cloudy", "night", "sunny", "all queries"]
+    figure = node_errors(found)
+    assert lines_of(figure)["wrong node"][-1] == [found["overall"]["given_wrong"]["error"]["mean"], 3]
+    assert [label.get_text() for label in figure.axes[0].get_yticklabels()] == [
+        "cloudy",
+        "night",
+        "sunny",
+        "all queries",
+    ]
 
 
 def test_robustness_curves_hold_every_level(run: Path) -> None:
@@ -111,16 +107,54 @@ def test_robustness_curves_hold_every_level(run: Path) -> None:
     figure = robustness_curves(found)
     titles = [axes.get_title("left") for axes in figure.axes if axes.get_title("left")]
     assert titles == ["noise", "occlusion", "turn", "effect: bulb"]
-    lines = {line.get_label(): line for line in figure.axes[1].lines}
+    lines = lines_of(figure, 1)
     assert list(lines)[:2] == ["network, mean", "network, median"]
     assert "thumb nail, mean" in lines
     entries = found["methods"]["network"]["occlusion"]
     expected = [[100 * entry["level"], entry["mean"]] for entry in entries]
-    np.testing.assert_allclose(lines["network, mean"].get_xydata(), expected)
-    highest = max(line.get_ydata().max() for line in figure.axes[1].lines)
+    np.testing.assert_allclose(lines["network, mean"], expected)
+    highest = max(height for line in lines.values() for _, height in line)
     assert figure.axes[1].get_ylim()[1] > highest, "medians above all means are in the picture, too"
     noise = figure.axes[0]
     places = noise.transData.transform([(0, 0), (0.01, 0), (0.05, 0)])[:, 0]
     assert (places[1] - places[0]) / (places[2] - places[0]) == pytest.approx(0.2**0.5), "levels by their deviations"
     with pytest.raises(DataError, match="nothing to draw"):
         robustness_curves({**found, "methods": {}})
+
+
+ROWS = [
+    {"distance": distance, "seed": seed, "bins": bins, "error": bins / 10 + seed + len(distance)}
+    for distance in ("cosine", "correlation")
+    for seed in (0, 1)
+    for bins in (32, 8, 4)
+]
+
+
+def test_a_line_for_each_combination_against_the_first_setting_with_numbers_that_is_no_seed():
+    figure = swept_curves(ROWS, ["distance", "seed", "bins"], "error")
+    assert figure.axes[0].get_xlabel() == "bins"
+    assert figure.axes[0].get_xscale() == "log"
+    found = lines_of(figure)
+    assert set(found) == {f"distance={d}, seed={s}" for d in ("cosine", "correlation") for s in (0, 1)} | {"best: 6.4"}
+    assert found["distance=cosine, seed=1"] == [[4, 7.4], [8, 7.8], [32, 10.2]]
+    assert found["best: 6.4"] == [[4, 6.4]]
+
+
+def test_the_highest_may_be_the_best_and_another_setting_may_be_chosen():
+    found = lines_of(swept_curves(ROWS, ["distance", "seed", "bins"], "error", "seed", highest=True))
+    assert found["best: 15.2"] == [[1, 15.2]]
+    assert len(found) == 7
+
+
+def test_texts_and_lists_are_put_side_by_side():
+    rows = [{"ways": ["b"], "error": 1.0}, {"ways": None, "error": 2.0}, {"ways": ["a"], "error": float("nan")}]
+    figure = swept_curves(rows, ["ways"], "error")
+    assert [label.get_text() for label in figure.axes[0].get_xticklabels()] == ["['b']", "none"]
+
+
+def test_there_has_to_be_something_to_draw():
+    for rows, settings in ((ROWS, []), ([{"bins": 1, "error": float("nan")}], ["bins"])):
+        with pytest.raises(DataError, match="nothing to draw"):
+            swept_curves(rows, settings, "error")
+    with pytest.raises(ConfigError, match="did you mean 'bins'"):
+        swept_curves(ROWS, ["bins", "seed"], "error", "bin")
