@@ -5,20 +5,18 @@ from __future__ import annotations
 import csv
 import math
 import os
-from collections.abc import Iterable, Iterator
-from difflib import get_close_matches
+import sys
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+from foundation.settings import shortened
 from siamloc.data.frames import FrameTable, in_capture_order
 from siamloc.errors import DataError, check_policy, leave_out, logger
 
 COLUMNS = ("image", "x", "y", "theta", "room", "sequence", "lighting", "time", "building")
 
-_NUMBERS = ("x", "y", "theta", "time")
-
-_MOST_COLUMNS = 1000
-_FARTHEST = 1e7  # metres from the origin
+_LARGEST = {"x": 1e7, "y": 1e7, "theta": sys.float_info.max, "time": sys.float_info.max}
 
 
 def read_manifest(manifest: str | Path, *, on_error: str = "skip") -> FrameTable:
@@ -46,10 +44,6 @@ def read_manifest(manifest: str | Path, *, on_error: str = "skip") -> FrameTable
     header = next(lines, None)
     if header is None:
         raise DataError(f"{file} is empty: expected a first line with the columns {', '.join(COLUMNS)}")
-    if len(header[1]) > _MOST_COLUMNS:
-        raise DataError(
-            f"{file} has {len(header[1]):,} columns, more than {_MOST_COLUMNS:,}: keep those of {', '.join(COLUMNS)}"
-        )
     names = _column_names(file, header[1])
     frames = []
     seen: dict[tuple[str, str], int] = {}
@@ -83,17 +77,13 @@ def _lines(file: Path) -> Iterator[tuple[int, list[str]]]:
     try:
         with file.open(encoding="utf-8-sig", newline="") as stream:
             reader = csv.reader(stream, strict=True)
-            while True:
-                try:
-                    cells = next(reader)
-                except StopIteration:
-                    return
-                except csv.Error as error:
-                    raise DataError(f"{file}, line {reader.line_num}: not a CSV row ({error})") from error
+            for cells in reader:
                 if any("\0" in cell for cell in cells):
                     raise DataError(f"{file}, line {reader.line_num}: the row has a NUL character, so it is not text")
                 if any(cell.strip() for cell in cells):
                     yield reader.line_num, cells
+    except csv.Error as error:
+        raise DataError(f"{file}, line {reader.line_num}: not a CSV row ({error})") from error
     except UnicodeDecodeError as error:
         raise DataError(f"{file} is not a CSV table in UTF-8 ({error})") from error
     except OSError as error:
@@ -104,28 +94,17 @@ def _column_names(file: Path, header: list[str]) -> dict[str, int]:
     """Return the positions of the known columns."""
     found = [name.strip().lower() for name in header]
     if "image" not in found:
-        meant = _closest("image", [name for name in found if name not in COLUMNS])
-        hint = f"; did you mean {meant!r} to be it?" if meant else ""
-        if len(found) == 1 and ";" in found[0]:
-            hint = "; separate the columns by commas"
-        raise DataError(f"{file} has no column 'image', only {', '.join(name or '(unnamed)' for name in found)}{hint}")
+        raise DataError(
+            f"{file} has no column 'image', only {shortened(', '.join(found))}: name the columns in the first line, "
+            f"separated by commas; valid: {', '.join(COLUMNS)}"
+        )
     for name in COLUMNS:
         if found.count(name) > 1:
             raise DataError(f"{file} has {found.count(name)} columns named {name!r}: keep one")
-    ignored = [_ignored(name, found) for name in found if name and name not in COLUMNS]
+    ignored = [name for name in found if name and name not in COLUMNS]
     if ignored:
-        logger.warning("%s: %s", file, "; ".join(ignored))
+        logger.warning("%s: unused columns: %s; valid: %s", file, shortened(", ".join(ignored)), ", ".join(COLUMNS))
     return {name: found.index(name) for name in COLUMNS if name in found}
-
-
-def _ignored(name: str, found: list[str]) -> str:
-    meant = _closest(name, [column for column in COLUMNS if column not in found])
-    return f"column {name!r} is not used" + (f"; did you mean {meant!r}?" if meant else "")
-
-
-def _closest(name: str, candidates: Iterable[str]) -> str:
-    # Not `hint`: these columns may be there on purpose, so only a near miss is worth mentioning, without a list.
-    return next(iter(get_close_matches(name, list(candidates), n=1)), "")
 
 
 def _frame(file: Path, line: int, names: dict[str, int], cells: list[str]) -> dict[str, Any]:
@@ -133,27 +112,23 @@ def _frame(file: Path, line: int, names: dict[str, int], cells: list[str]) -> di
     if len(cells) <= last:
         missing = next(name for name, at in names.items() if at >= len(cells))
         raise DataError(f"{file}, line {line}: {len(cells)} cells, so there is none for column {missing!r}")
-    frame: dict[str, Any] = {name: cells[at].strip() for name, at in names.items() if name not in _NUMBERS}
+    frame: dict[str, Any] = {name: cells[at].strip() for name, at in names.items()}
     image = frame.pop("image")
     if not image:
         raise DataError(f"{file}, line {line}, column 'image': empty, expected the name of an image file")
-    frame["path"] = str(file.parent / image)
-    for name in _NUMBERS:
-        if name in names:
-            frame[name] = _number(cells[names[name]], f"{file}, line {line}, column {name!r}")
-            if name in ("x", "y") and abs(frame[name]) > _FARTHEST:
-                raise DataError(
-                    f"{file}, line {line}, column {name!r}: {frame[name]:g} lies beyond {_FARTHEST:,.0f}: give metres, "
-                    "or leave the cell empty where it is unknown"
-                )
-    return frame
+    for name, largest in _LARGEST.items():
+        if name in frame:
+            frame[name] = _number(frame[name], largest, f"{file}, line {line}, column {name!r}")
+    return {"path": str(file.parent / image), **frame}
 
 
-def _number(cell: str, where: str) -> float:
+def _number(cell: str, largest: float, where: str) -> float:
     try:
-        value = float(cell) if cell.strip() else math.nan
+        value = float(cell) if cell else math.nan
     except ValueError:
         value = math.inf
-    if math.isinf(value) or "_" in cell:
-        raise DataError(f"{where}: {cell!r} is not a finite number; leave the cell empty where the value is unknown")
+    if abs(value) > largest or "_" in cell:
+        raise DataError(
+            f"{where}: {cell!r} is not a number up to {largest:.3g}; leave the cell empty where the value is unknown"
+        )
     return value

@@ -165,7 +165,7 @@ def test_a_picture_of_too_many_pixels_is_refused_by_its_header(tmp_path):
 def test_positions_on_another_planet_are_refused(tmp_path):
     (tmp_path / "robot.csv").write_text("image,x,y\na.png,1e300,0\n")
     (tmp_path / "a.png").write_bytes(b"")
-    with pytest.raises(DataError, match=r"column 'x': 1e\+300 lies beyond 10,000,000"):
+    with pytest.raises(DataError, match=r"column 'x': '1e\+?300' is not a number up to 1e\+07"):
         read_manifest(tmp_path / "robot.csv")
     with pytest.raises(ConfigError, match="spacing must be"):
         Role(sequences=("a",), spacing=1e308)

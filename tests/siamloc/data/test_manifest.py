@@ -77,10 +77,7 @@ def test_spreadsheet_habits(folder):
 def test_columns_that_are_not_used_are_reported(folder, caplog):
     with caplog.at_level(logging.WARNING, "siamloc"):
         read(folder, "image,romm,note,,x\na.jpg,kitchen,nice,,1\n")
-        read(folder, "image,room,rooms\na.jpg,kitchen,nice\n")
-    first, second = (record.getMessage() for record in caplog.records)
-    assert first.endswith("frames.csv: column 'romm' is not used; did you mean 'room'?; column 'note' is not used")
-    assert second.endswith("frames.csv: column 'rooms' is not used")
+    assert "frames.csv: unused columns: romm, note; valid: image, x, y, theta, room, sequence, " in caplog.text
 
 
 @pytest.mark.parametrize(
@@ -90,13 +87,15 @@ def test_columns_that_are_not_used_are_reported(folder, caplog):
         ("\n\n", r"frames\.csv is empty"),
         ("image,x\n", "has a header but no rows"),
         ("image,x\n\n,\n", "has a header but no rows"),
-        ("imgae,x\na.jpg,1\n", r"no column 'image', only imgae, x; did you mean 'imgae' to be it\?"),
-        ("time,x\n1,1\n", r"no column 'image', only time, x$"),
-        ("image;x\na.jpg;1\n", "no column 'image'.*separate the columns by commas"),
+        ("imgae,x\na.jpg,1\n", "no column 'image', only imgae, x: name the columns"),
+        ("image;x\na.jpg;1\n", "no column 'image', only image;x: .* separated by commas; valid: image, x, y"),
         ("image,x,X\na.jpg,1,2\n", "has 2 columns named 'x'"),
-        ("image,x,y\na.jpg,1,2\nb.jpg,one,2\n", r"frames\.csv, line 3, column 'x': 'one' is not a finite number"),
-        ("image,time\na.jpg,1_0\n", r"frames\.csv, line 2, column 'time': '1_0' is not a finite number"),
-        ("image,y\na.jpg,-1e999\n", r"frames\.csv, line 2, column 'y': '-1e999' is not a finite number"),
+        (
+            "image,x,y\na.jpg,1,2\nb.jpg,one,2\n",
+            r"frames\.csv, line 3, column 'x': 'one' is not a number up to 1e\+07; leave",
+        ),
+        ("image,time\na.jpg,1_0\n", r"frames\.csv, line 2, column 'time': '1_0' is not a number"),
+        ("image,y\na.jpg,-1e999\n", r"frames\.csv, line 2, column 'y': '-1e999' is not a number up to"),
         ("image,x\n,1\n", r"frames\.csv, line 2, column 'image': empty"),
         ("image,x,y\na.jpg,1\n", r"frames\.csv, line 2: 2 cells, so there is none for column 'y'"),
         ("image,x\na.jpg,1,2\n", r"frames\.csv, line 2: 3 cells under 2 columns; quote"),
@@ -111,10 +110,11 @@ def test_each_fault_is_named(folder, text, message):
         read(folder, text)
 
 
-def test_a_table_of_very_many_columns_is_refused_at_once(folder):
-    header = ",".join(["image", *(f"c{number}" for number in range(100_000))])
-    with pytest.raises(DataError, match="has 100,001 columns, more than 1,000"):
-        read(folder, f"{header}\na.png\n")
+def test_a_table_of_very_many_columns_is_one_line(folder, caplog):
+    names = ",".join(f"c{number}" for number in range(100_000))
+    with caplog.at_level(logging.WARNING, "siamloc"):
+        assert len(read(folder, f"image,{names}\na.jpg\n")) == 1
+    assert len(caplog.text) < 1000
 
 
 def test_missing_images_are_left_out_and_reported(folder, caplog):
