@@ -56,6 +56,8 @@ def test_writes_every_variant_and_a_table_that_repeats_it(images, tmp_path):
         assert row["source"] == str(images[int(row["frame"])])
         assert torch.equal(replay(row, load(row["source"])), load(out / row["image"]))
     assert torch.equal(load(out / "v000/1.png"), load(images[1]))
+    assert (out / TABLE).read_text(encoding="utf-8").splitlines()[0] == ",".join(COLUMNS)
+    assert json.loads(rows[1]["parameters"])["0.bulb.on"] is True
 
 
 def test_parameters_follow_from_seed_frame_and_variant_alone(images, tmp_path):
@@ -223,14 +225,3 @@ def test_jpeg_outputs_have_quality_95(images, tmp_path):
     expand(images, outputs(out, 3, 1, ".jpeg"), out, read)
     packed = cv2.imencode(".jpg", cv2.imread(str(images[0])), [cv2.IMWRITE_JPEG_QUALITY, 95])[1]
     assert (out / "v000/0.jpeg").read_bytes() == packed.tobytes()
-
-
-def test_table_is_plain(images, tmp_path):
-    out = tmp_path / "out"
-    expand(images, outputs(out, 3, 2), out, read)
-    text = (out / TABLE).read_text(encoding="utf-8")
-    assert text.splitlines()[0] == ",".join(COLUMNS)
-    row = read_table(out / TABLE)[1]
-    values = json.loads(row["parameters"])
-    assert values["0.bulb.on"] is True
-    assert row["image"] == "v001/0.png"
