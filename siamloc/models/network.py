@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from itertools import pairwise
 from os import PathLike, fspath
-from typing import Annotated, Any
+from typing import Any
 
 import torch
 from torch import Tensor, nn
 
 from foundation.calls import typed
-from foundation.settings import Rule, Size, checked
+from foundation.settings import Seed, Size, checked
 from siamloc.errors import ConfigError, DataError
 from siamloc.models.branch import (
     IMAGENET_MEAN,
@@ -45,7 +45,7 @@ def build(
     head: str,
     image_size: Sequence[int] = (128, 512),
     weights: str | PathLike[str] | Run | None = None,
-    seed: Annotated[int, Rule("a whole number from 0 to 2**63 - 1", lambda value: 0 <= value < 2**63)] = 0,
+    seed: Seed = 0,
     *,
     outputs: int | None = None,
     circular: bool = False,
@@ -149,6 +149,7 @@ class Network(nn.Module):
 
     rooms: RoomClassifier | None = None
 
+    @typed
     def __init__(
         self,
         branch: str,
