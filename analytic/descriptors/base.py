@@ -122,6 +122,8 @@ class Descriptor(ABC):
     def localize(self, queries: Description, references: Description, distance: str | None = None) -> Match:
         """Return the nearest reference by the position descriptor, and the heading relative to it ([T] 3.3).
 
+        Headings are NaN if the descriptions have no orientation part.
+
         Raises:
             AnalyticError: no references, or descriptions that cannot be compared.
         """
@@ -129,8 +131,10 @@ class Descriptor(ABC):
             raise AnalyticError("there is no reference to localize in: describe at least one map frame")
         apart = self.pairwise(queries, references, distance)
         index = apart.argmin(axis=1)
-        heading = self.relative_heading(queries, references.take(index))
-        return Match(index, apart[np.arange(len(queries)), index], heading)
+        turned = np.full(len(queries), np.nan)
+        if queries.orientation is not None:
+            turned = self.relative_heading(queries, references.take(index))
+        return Match(index, apart[np.arange(len(queries)), index], turned)
 
     def check(self, queries: Description, references: Description) -> None:
         """Raise AnalyticError unless both descriptions can come from this descriptor with these parameters."""
@@ -170,6 +174,7 @@ class ImageDescriptor(Descriptor):
     """
 
     colour: ClassVar[bool] = False  # whether the descriptor uses colours, not only luma
+    oriented: ClassVar[bool] = True  # whether descriptions have an orientation part
 
     circular: bool = True
     homomorphic: bool = False
@@ -186,16 +191,22 @@ class ImageDescriptor(Descriptor):
 
     @property
     def tells_heading(self) -> bool:
-        """Whether columns wrap around; otherwise there is no heading."""
-        return self.circular
+        """Whether there is an orientation part and columns wrap around; otherwise there is no heading."""
+        return self.oriented and self.circular
 
-    @abstractmethod
     def resolution(self, width: int) -> float:
-        """Return the smallest turn visible in the orientation part of images with that many columns, rad."""
+        """Return the smallest turn visible in the orientation part of images with that many columns, rad.
+
+        A descriptor that is `oriented` defines it; for others no turn is visible, and the result is infinite.
+        """
+        return math.inf
 
     @abstractmethod
     def sizes(self, height: int, width: int) -> tuple[tuple[int, ...], tuple[int, ...]]:
-        """Return the shapes of the position and orientation parts of one image, written as in [T] table 3.2."""
+        """Return the shapes of the position and orientation parts of one image, written as in [T] table 3.2.
+
+        The orientation part of a descriptor that is not `oriented` has shape (0,).
+        """
 
     def describe(self, batch: ArrayLike) -> Description:
         """Describe grey or colour images; colours are converted to BT.601 luma unless the descriptor uses them.
@@ -252,7 +263,7 @@ class ImageDescriptor(Descriptor):
 
     @abstractmethod
     def _describe(self, image: NDArray[np.float32]) -> tuple[NDArray[Any], NDArray[Any] | None]:
-        """Return the position part (D,) and the orientation part (K, F) of one image, float32 in [0, 1].
+        """Return the position part (D,) and the orientation part (K, F), or None, of one image, float32 in [0, 1].
 
         The image is luma (H, W), or (C, H, W) with one or three channels for a descriptor that uses colours.
         """

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import inf
 from typing import Any
 
 import cv2
@@ -33,18 +32,10 @@ class Thumbnail(ImageDescriptor):
 
     name = "thumbnail"
     default_distance = "correlation"
+    oriented = False
 
     rows: Cells = 8
     columns: Cells = 32
-
-    @property
-    def tells_heading(self) -> bool:
-        """False: a thumbnail gives no heading."""
-        return False
-
-    def resolution(self, width: int) -> float:
-        """Return infinity: no turn is visible."""
-        return inf
 
     def sizes(self, height: int, width: int) -> tuple[tuple[int, ...], tuple[int, ...]]:
         """Return (rows, columns) and (0,)."""

@@ -3,6 +3,7 @@
 import pickle
 import subprocess
 import sys
+from dataclasses import dataclass
 from math import prod
 from pathlib import Path
 
@@ -12,6 +13,7 @@ import pytest
 import torch
 
 from analytic import DESCRIPTORS, AnalyticError, Description, descriptor, distance
+from analytic.descriptors.base import ImageDescriptor
 from analytic.descriptors.registry import parameters
 from analytic.disturb import noise, occlude
 
@@ -38,11 +40,14 @@ PUBLISHED = {
     "radon_fourier": {"step": 360 / 256},  # whole columns
     "radon_poc": {"step": 360 / 64},
 }
-every = pytest.mark.parametrize("name", [name for name in DESCRIPTORS if name != "thumbnail"])
 
 
 def small(name, **params):
     return descriptor(name, **{**SMALL.get(name, {}), **params})
+
+
+every = pytest.mark.parametrize("name", DESCRIPTORS)
+oriented = pytest.mark.parametrize("name", [name for name in DESCRIPTORS if small(name).oriented])
 
 
 def columns_per_step(made, width):
@@ -59,7 +64,10 @@ def apart(one, other):
 
 def assert_alike(found, expected, tolerance):
     """The vectors agree within a share of their length."""
-    for part, wanted in ((found.position, expected.position), (found.orientation, expected.orientation)):
+    parts = [(found.position, expected.position)]
+    if expected.orientation is not None:
+        parts.append((found.orientation, expected.orientation))
+    for part, wanted in parts:
         scale = np.linalg.norm(wanted.reshape(len(wanted), -1), axis=1) + 1e-12
         difference = np.linalg.norm((part - wanted).reshape(len(wanted), -1), axis=1)
         assert (difference <= tolerance * scale).all()
@@ -71,15 +79,18 @@ def test_sizes_are_the_promised_ones(name):
     found = made.describe(COLOUR)
     position, orientation = made.sizes(32, 128)
     assert found.position.shape == (4, prod(position))
-    assert found.orientation.ndim == 3
-    assert found.orientation.shape[0] == 4
-    assert prod(found.orientation.shape[1:]) == prod(orientation)
     assert found.position.dtype == np.float32
     assert np.isfinite(found.position).all()
-    assert np.isfinite(found.orientation).all()
+    if made.oriented:
+        assert found.orientation.ndim == 3
+        assert found.orientation.shape[0] == 4
+        assert prod(found.orientation.shape[1:]) == prod(orientation)
+        assert np.isfinite(found.orientation).all()
+    else:
+        assert (found.orientation, orientation, made.resolution(128)) == (None, (0,), np.inf)
 
 
-@every
+@oriented
 def test_a_turn_changes_the_heading_alone(name):
     made = small(name)
     step = columns_per_step(made, 128)
@@ -99,7 +110,7 @@ def test_a_turn_changes_the_heading_alone(name):
         assert apart(found.heading, expected).max() < 1e-6
 
 
-@every
+@oriented
 @pytest.mark.data
 def test_the_heading_survives_bars_and_noise_on_photographs(name):
     if not PHOTOGRAPHS.is_dir():
@@ -162,18 +173,21 @@ def test_a_constant_picture_has_finite_values(name, value):
     made = small(name)
     flat, picture = made.describe(np.full((32, 128), value, dtype=np.uint8)), made.describe(COLOUR)
     assert np.isfinite(flat.position).all()
-    assert np.isfinite(flat.orientation).all()
+    assert flat.orientation is None or np.isfinite(flat.orientation).all()
     for queries, references in ((flat, flat), (flat, picture), (picture, flat)):
         assert np.isfinite(made.pairwise(queries, references)).all()
-        alignment = made.align(queries, references)
-        assert np.isfinite(alignment.heading).all()
-        assert np.isfinite(alignment.distance).all()
+        if made.oriented:
+            alignment = made.align(queries, references)
+            assert np.isfinite(alignment.heading).all()
+            assert np.isfinite(alignment.distance).all()
 
 
 @every
 def test_what_takes_off_light_can_go_first(name):
     plain, filtered = small(name), small(name, homomorphic=True)
     assert not np.array_equal(filtered.describe(COLOUR).position, plain.describe(COLOUR).position)
+    if not filtered.oriented:
+        return
     step = columns_per_step(filtered, 128)
     here, there = filtered.describe(COLOUR), filtered.describe(np.roll(COLOUR, 2 * step, axis=-1))
     assert apart(filtered.relative_heading(there, here), 4 * np.pi * step / 128).max() < 1e-6
@@ -260,10 +274,35 @@ def test_no_descriptions_compare_to_nothing(name):
     for queries, references in ((none, here), (here, none), (none, none)):
         shape = (len(queries), len(references))
         assert made.pairwise(queries, references).shape == shape
-        assert made.align(queries, references).heading.shape == shape
+        if made.oriented:
+            assert made.align(queries, references).heading.shape == shape
     assert len(made.localize(none, here).index) == 0
     with pytest.raises(AnalyticError, match="no reference"):
         made.localize(here, none)
+
+
+def test_a_descriptor_of_ones_own_needs_no_orientation_part():
+    @dataclass(frozen=True, kw_only=True)
+    class RowMeans(ImageDescriptor):
+        name = "row_means"
+        oriented = False
+
+        def sizes(self, height, width):
+            return (height,), (0,)
+
+        def _check_size(self, height, width):
+            pass
+
+        def _describe(self, image):
+            return image.mean(axis=1), None
+
+    made = RowMeans()
+    found = made.localize(made.describe(np.roll(COLOUR, 5, axis=-1)), made.describe(COLOUR))
+    assert found.index.tolist() == [0, 1, 2, 3]
+    assert np.isnan(found.heading).all()
+    assert not made.tells_heading
+    with pytest.raises(AnalyticError, match="no orientation part"):
+        made.relative_heading(made.describe(COLOUR), made.describe(COLOUR))
 
 
 def test_what_other_descriptors_made_is_named():

@@ -2,7 +2,6 @@ import numpy as np
 import pytest
 
 from analytic import AnalyticError, descriptor
-from analytic.images import luma, unit
 
 BATCH = np.random.default_rng(0).integers(0, 256, (3, 3, 16, 64), dtype=np.uint8)
 
@@ -18,31 +17,13 @@ def test_a_thumbnail_is_the_mean_of_each_block():
     assert found.shape == (3, 32)
 
 
-def test_a_batch_is_its_images_and_types_agree():
-    thumbnail = descriptor("thumbnail")
-    whole = thumbnail.describe(BATCH).position
-    for row, image in enumerate(BATCH):
-        assert np.array_equal(thumbnail.describe(image).position[0], whole[row])
-    np.testing.assert_allclose(thumbnail.describe(BATCH.astype(np.float32) / 255).position, whole, atol=1e-6)
-    grey = luma(unit(BATCH))[:, 0]
-    np.testing.assert_allclose(thumbnail.describe(grey[:2]).position, whole[:2], atol=1e-6)
-    np.testing.assert_allclose(thumbnail.describe(grey[0]).position, whole[:1], atol=1e-6)
-
-
 def test_nearest_by_correlation_whatever_the_exposure():
     thumbnail = descriptor("thumbnail")
     darker = (BATCH * 0.5).astype(np.uint8)
     found = thumbnail.pairwise(thumbnail.describe(darker), thumbnail.describe(BATCH))
     assert found.argmin(axis=1).tolist() == [0, 1, 2]
-    assert len(thumbnail.describe(BATCH)) == 3
     euclidean = thumbnail.pairwise(thumbnail.describe(BATCH), thumbnail.describe(BATCH), "euclidean")
     assert np.allclose(np.diag(euclidean), 0)
-
-
-def test_the_identity_is_the_name_and_the_parameters():
-    wide, narrow = descriptor("thumbnail"), descriptor("thumbnail", columns=16)
-    assert wide.identity.items() >= {"name": "thumbnail", "rows": 8, "columns": 32}.items()
-    assert wide.identity != narrow.identity
 
 
 def test_there_is_no_heading():
