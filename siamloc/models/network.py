@@ -70,7 +70,7 @@ def build(
             of a torchvision network with this branch; "siamloc" for the network that ships with siamloc, see
             `siamloc.models.pretrained`; or a run, its folder or a checkpoint. For a run, the best checkpoint is
             used: all of it if head and image size agree, otherwise only the branch, as a printed note says.
-        seed: of the random weights; any integer from 0 to 2**63 - 1.
+        seed: of the random weights.
         outputs: length D of a descriptor, for the heads "flat", "gem", "bands" and "fourier", 256 if None; and for
             "magnitudes", 2048 if None, or fewer if small images have fewer magnitudes.
         circular: let convolutions and pools wrap around the azimuth, for panoramas, whose columns are a full turn.

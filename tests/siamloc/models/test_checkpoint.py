@@ -126,7 +126,7 @@ def test_a_module_of_ones_own_is_filled(trained, tmp_path):
     file = altered(path, tmp_path / "own.ckpt", siamloc=content, state_dict=state)
     assert as_descriptor(load(file, network=empty)).identity == as_descriptor(own).identity
     assert as_descriptor(empty).margin is None
-    with pytest.raises(ConfigError, match=r"module of your own, Sequential: make one and give it as network=\.\.\."):
+    with pytest.raises(ConfigError, match=r"module of your own, Sequential, which .*load\(run, network=\.\.\.\)"):
         load(file)
     with pytest.raises(ConfigError, match="untrained"):
         load(file, which="untrained")
