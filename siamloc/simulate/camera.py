@@ -178,7 +178,16 @@ class ViewCamera:
 def draw_camera(
     rng: np.random.Generator, image_size: Sequence[int], cameras: Cameras = "any"
 ) -> tuple[ViewCamera, float]:
-    """Draw a camera and its height in metres: sometimes those of the built-in one."""
+    """Draw a camera of training images and its height above the floor in metres.
+
+    One camera in four is the built-in panorama camera, half of them are other panorama cameras, and the rest ordinary
+    cameras, some of them with a fisheye lens.
+
+    Args:
+        rng: draws the kind of camera and its lens.
+        image_size: rows and columns.
+        cameras: which kinds of cameras may be drawn.
+    """
     rows, columns = image_size
     kind = rng.random() * _SHARE[cameras]
     if kind < 0.25:
@@ -301,7 +310,7 @@ class Exposure:
 
 
 def expose(brightness: Array, colour: Array, time: Array, offset: float) -> Exposure:
-    """Follow the brightness as automatic exposure does.
+    """Return the exposure of every frame of a run, which follows the brightness with a delay.
 
     Args:
         brightness: radiosity in k directions in every frame (n, k).

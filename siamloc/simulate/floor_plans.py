@@ -34,7 +34,7 @@ class Cell:
         return (self.x[1] - self.x[0]) * (self.y[1] - self.y[0])
 
     def outside(self, side: str, others: list[Cell]) -> list[Interval]:
-        """Return the parts of one of its walls that have no other cell behind them."""
+        """Return the parts of one of the cell's walls that have no other cell behind them."""
         wall = SIDES[side]
         parts = [wall.span(self)]
         for other in others:
@@ -47,7 +47,7 @@ class Cell:
 
 
 def _room_for_a_door(a: Cell, b: Cell) -> Interval | None:
-    """Return between which ends of the wall that two cells share a door may lie; None if none fits."""
+    """Return the part of the wall between two cells in which a door may lie; None if no door fits."""
     shared = shared_wall(a, b)
     if shared is None or shared[2][1] - shared[2][0] < _NARROWEST + 2 * _MARGIN:
         return None

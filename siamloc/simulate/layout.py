@@ -100,7 +100,7 @@ def shared_wall(a: Any, b: Any) -> tuple[str, float, Interval] | None:
 
 
 def side_at(room: Any, along: str, level: float) -> str:
-    """Return the name of the side of a room whose wall runs along an axis at a coordinate of the other axis."""
+    """Return the name of a room's side, given the axis along its wall and the wall's coordinate on the other axis."""
     return next(name for name, side in SIDES.items() if side.along == along and abs(side.level(room) - level) < 1e-6)
 
 
@@ -131,14 +131,14 @@ class Item:
     line: int = 0
 
     def footprint(self, margin: float = 0.0) -> Array:
-        """Return the corners (4, 2) of the rectangle that it covers, counter-clockwise, enlarged by a margin."""
+        """Return the corners (4, 2) of the item's rectangle on the floor, counter-clockwise, enlarged by a margin."""
         corners = np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)]) * (np.array(self.size[:2]) / 2 + margin)
         angle = np.radians(self.facing - 90)
         cosine, sine = np.cos(angle), np.sin(angle)
         return corners @ np.array([[cosine, sine], [-sine, cosine]]) + (self.x, self.y)
 
     def edges(self) -> Array:
-        """Return the edges (4, 2, 2) of the rectangle that it covers."""
+        """Return the edges (4, 2, 2) of the item's rectangle on the floor."""
         corners = self.footprint()
         return np.stack([corners, np.roll(corners, -1, axis=0)], axis=1)
 
@@ -185,7 +185,12 @@ class Opening:
         return self.centre - self.width / 2, self.centre + self.width / 2
 
     def doorway(self, shorter: float = 0.0, deeper: float = 0.0) -> Rectangle:
-        """Return the part of the floor between the rooms, with other ends along and across the wall if wanted."""
+        """Return the floor of the opening, as deep as the wall.
+
+        Args:
+            shorter: metres by which the rectangle is shorter at each end along the wall.
+            deeper: metres by which it reaches farther into each of the two rooms.
+        """
         low, high = self.interval
         depth = HALF_WALL + deeper
         span, across = (low + shorter, high - shorter), (self.level - depth, self.level + depth)
@@ -285,6 +290,10 @@ class Building:
     def __repr__(self) -> str:
         rooms, paths = ", ".join(self.codes), ", ".join(self.paths)
         return f"Building({self.name!r}, seed={self.seed}: rooms {rooms}; {len(self.items)} items; paths {paths})"
+
+    def where(self, line: int) -> str:
+        """Return the building's file, and the line if it is not 0, for the beginning of a message."""
+        return f"{self.source}, line {line}" if line else self.source
 
     def room_index(self, name: str) -> int:
         """Return a room's position in the building's order."""

@@ -72,8 +72,7 @@ class QuadMesh:
     @property
     def size(self) -> Array:
         """Lengths in metres of the first and the last edge (Q, 2)."""
-        a, b, d = self.corners[:, 0], self.corners[:, 1], self.corners[:, 3]
-        return np.stack([np.linalg.norm(b - a, axis=1), np.linalg.norm(d - a, axis=1)], axis=1)
+        return np.linalg.norm(self.corners[:, [1, 3]] - self.corners[:, :1], axis=2)
 
 
 @dataclass
@@ -93,7 +92,7 @@ class MeshBuilder:
 
     @contextmanager
     def at(self, x: float, y: float, z: float = 0.0, degrees: float = 0.0) -> Iterator[None]:
-        """Move the local frame, whose y axis is turned counter-clockwise by `degrees` from the outer frame's."""
+        """Put the local frame at a point of the outer frame, and turn it counter-clockwise by `degrees`."""
         origin, axes = self._origin, self._axes
         cosine, sine = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
         self._origin = origin + np.array([x, y, z]) @ axes
@@ -121,12 +120,8 @@ class MeshBuilder:
         """
         corners = np.array([a, b, c, d], dtype=np.float64)
         index, tile = self.textures[texture]
-        repeat = (1.0, 1.0)
-        if tile is not None:
-            repeat = (
-                float(np.linalg.norm(corners[1] - corners[0])) / tile[0],
-                float(np.linalg.norm(corners[3] - corners[0])) / tile[1],
-            )
+        width, height = (float(np.linalg.norm(corners[end] - corners[0])) for end in (1, 3))
+        repeat = (1.0, 1.0) if tile is None else (width / tile[0], height / tile[1])
         self._corners.append(corners @ self._axes + self._origin)
         self._rows.append((index, repeat, tuple(phase), tuple(tint), tuple(emission), self.room, lamp))
 
@@ -180,17 +175,9 @@ class MeshBuilder:
 
     def build(self) -> QuadMesh:
         """Return everything added so far."""
-        index, repeat, phase, tint, emission, room, lamp = zip(*self._rows, strict=True)
-        return QuadMesh(
-            np.stack(self._corners),
-            np.array(index, dtype=np.int32),
-            np.array(repeat),
-            np.array(phase, dtype=np.float64),
-            np.array(tint, dtype=np.float32),
-            np.array(emission, dtype=np.float32),
-            np.array(room, dtype=np.int32),
-            np.array(lamp, dtype=np.float64),
-        )
+        kinds = (np.int32, np.float64, np.float64, np.float32, np.float32, np.int32, np.float64)
+        columns = zip(*self._rows, strict=True)
+        return QuadMesh(np.stack(self._corners), *map(np.array, columns, kinds))
 
 
 def embree() -> tuple[Any, Any]:
@@ -226,6 +213,5 @@ class Caster:
 
     def blocked(self, origins: Array, directions: Array, distances: Array | None = None) -> Array:
         """Return True where anything is in the way within the distance (n,)."""
-        if distances is None:
-            return self._scene.run(origins, directions, query="OCCLUDED") == 0
-        return self._scene.run(origins, directions, dists=distances, query="OCCLUDED") == 0
+        until = {} if distances is None else {"dists": distances}
+        return self._scene.run(origins, directions, query="OCCLUDED", **until) == 0

@@ -99,7 +99,7 @@ class _Window(_Entry):
 
 @dataclass(frozen=True)
 class Options(_Entry):
-    """Options of items; which of them a kind of item has is listed in `items.KINDS`."""
+    """Options of items; `items.KINDS` lists the options that each kind of item has."""
 
     colour: Colour | None = None
     content: Literal["mixed", "books", "binders", "empty"] = "mixed"

@@ -12,7 +12,7 @@ from siamloc.simulate.layout import HALF_WALL, SIDES, Array, Building, Interval,
 
 
 def room_at(building: Building, points: Array) -> Array:
-    """Return the index of the room that each point (n, 2) is in, -1 outside; a wall belongs half to each room."""
+    """Return the index of the room around each point (n, 2), -1 outside; rooms reach to the middle of their walls."""
     points = np.asarray(points, dtype=np.float64)
     found = np.full(len(points), -1)
     for index, room in enumerate(building.rooms.values()):
@@ -30,8 +30,8 @@ def obstacles(building: Building, items: Iterable[Item] | None = None) -> tuple[
     """Return the obstacles of a robot as segments (n, 2, 2) in metres, and a description of each one.
 
     Args:
-        building: the building with its walls and openings, and with its items unless others are given.
-        items: the items of a run.
+        building: gives the walls and openings.
+        items: what stands in the rooms in a run; the building's own items if None.
     """
     segments: list[Array] = []
     names: list[str] = []
@@ -124,17 +124,17 @@ def check_paths(building: Building) -> None:
     """
     segments, names = obstacles(building)
     for path in building.paths.values():
-        where = [f"{building.source}, line {line}: " if line else f"{building.source}: " for line in path.lines]
+        where = [f"{building.where(line)}: path {path.name!r}" for line in path.lines]
         for point, index, prefix in zip(path.points, room_at(building, path.points), where, strict=True):
             if index < 0:
-                raise DataError(f"{prefix}path {path.name!r} leaves every room at ({point[0]:.2f}, {point[1]:.2f})")
+                raise DataError(f"{prefix} leaves every room at ({point[0]:.2f}, {point[1]:.2f})")
         moves = np.stack([path.points[:-1], path.points[1:]], axis=1)
         hits = crossings(moves, segments)
         if hits.any():
             move, segment = np.argwhere(hits)[0]
             (x0, y0), (x1, y1) = moves[move]
             raise DataError(
-                f"{where[move + 1]}path {path.name!r} runs through {names[segment]} between ({x0:.2f}, {y0:.2f}) and "
+                f"{where[move + 1]} runs through {names[segment]} between ({x0:.2f}, {y0:.2f}) and "
                 f"({x1:.2f}, {y1:.2f}): move the point or open a door"
             )
         inside = blocked_points(building, path.points)
@@ -142,4 +142,4 @@ def check_paths(building: Building) -> None:
             row = int(np.flatnonzero(inside)[0])
             x, y = path.points[row]
             room = list(building.rooms)[room_at(building, path.points[row : row + 1])[0]]
-            raise DataError(f"{where[row]}path {path.name!r} hits something in room {room!r} at ({x:.2f}, {y:.2f})")
+            raise DataError(f"{where[row]} hits something in room {room!r} at ({x:.2f}, {y:.2f})")

@@ -83,7 +83,7 @@ class FreeSpace:
         return coo_array(joined, shape=(count, count)).tocsr()
 
     def inside(self, x: Interval, y: Interval) -> Array:
-        """Return the numbers of the cells inside a rectangle."""
+        """Return the indices of the cells whose middles lie inside a rectangle."""
         inside = (self.points > (x[0], y[0])) & (self.points < (x[1], y[1]))
         return np.flatnonzero(inside.all(axis=1))
 
@@ -92,7 +92,7 @@ class FreeSpace:
         return np.isfinite(dijkstra(self._graph, directed=False, indices=start))
 
     def way(self, stops: list[int]) -> Array:
-        """Return a way (n, 2) in metres through some cells, smooth where there is room.
+        """Return the points (n, 2) in metres of a way through some cells in turn, smooth where there is room.
 
         Raises:
             DataError: a cell cannot be reached from the one before.

@@ -25,7 +25,7 @@ _LAMP = {"panel": 30.0, "tube": 42.0, "round": 48.0}
 
 @dataclass(frozen=True)
 class Run:
-    """Selects one drive; its name follows COLD, such as seq2_cloudy1.
+    """One drive of the robot, chosen by lighting, number and path.
 
     Attributes:
         lighting: "cloudy", "night" or "sunny".
@@ -49,7 +49,7 @@ class Run:
 
     @property
     def name(self) -> str:
-        """Folder name: seq<path>_<lighting><number>."""
+        """Name of the drive's folder, as in COLD: seq<path>_<lighting><number>, such as seq2_cloudy1."""
         digits = "".join(letter for letter in self.path if letter.isdigit()) or "1"
         return f"seq{digits}_{self.lighting}{self.number}"
 
@@ -73,14 +73,20 @@ class Run:
 
 @dataclass(frozen=True)
 class Walker:
-    """A person who walks along a line, given by plan positions (2, 2) and times in seconds of its two ends."""
+    """A person who walks along a line.
+
+    Attributes:
+        line: positions of the two ends of the line in metres (2, 2).
+        times: when the person starts at the first end and arrives at the second, in seconds.
+        look: index of the clothes and height, modulo `scene.LOOKS`.
+    """
 
     line: Array
     times: tuple[float, float]
     look: int
 
     def place(self, time: float) -> tuple[float, float, float] | None:
-        """Return x, y and walking direction in degrees at a given time; None while away."""
+        """Return the person's x, y and walking direction in degrees at a time; None before and after the walk."""
         begin, end = self.times
         if not begin <= time <= end:
             return None
@@ -110,11 +116,11 @@ class Light:
 
 @dataclass(frozen=True)
 class RunState:
-    """Everything that is drawn for one run.
+    """Everything in which one run differs from others.
 
     Attributes:
         track: the drive.
-        items: everything in its place, people included.
+        items: all items in their places, people who stand included.
         fixtures: doors and blinds.
         walkers: people who walk.
         light: the light sources.
@@ -128,7 +134,7 @@ class RunState:
 
 
 def draw_run(building: Building, run: Run) -> RunState:
-    """Draw one run of a building."""
+    """Draw everything in which a run of a building differs from others: drive, doors, blinds, lamps, chairs, people."""
     rng = seeded(building.seed, building.name, "run", run.lighting, run.number, run.path)
     hour = _START[run.lighting] + 2.6 * ((run.number - 1) % 3) + rng.uniform(-0.4, 0.4)
     declination = float(rng.uniform(-10, 0))
@@ -145,9 +151,9 @@ def draw_run(building: Building, run: Run) -> RunState:
 
 
 def draw_light(building: Building, lighting: str, rng: Rng) -> Light:
-    """Draw any hour of any day, and which lamps are lit: the light varies more than in the runs.
+    """Draw the light of any hour of any day, and which lamps are lit: it varies more than in the runs of a data set.
 
-    If the sun shines, it is above the horizon.
+    In sunny light, the sun is above the horizon.
     """
     hour, declination = float(rng.uniform(8.0, 18.0)), float(rng.uniform(-23.0, 23.0))
     while lighting == "sunny" and sun_direction(hour, building.north, declination)[2] < 0.08:

@@ -147,7 +147,14 @@ class Scene:
         return radiosity, distance, hits.quad
 
     def hits(self, origins: Array, directions: Array, spread: Array, smooth: bool = True) -> Hits:
-        """Return what rays hit, independent of the light; see `trace`. Without `smooth`, single texels are used."""
+        """Return what rays hit, independent of the light.
+
+        Args:
+            origins: as for `trace`.
+            directions: as for `trace`.
+            spread: as for `trace`.
+            smooth: whether textures are interpolated; otherwise the nearest texel counts, which is faster.
+        """
         quad, s, t, distance = self.caster.first_hit(origins, directions)
         missed = np.flatnonzero(quad < 0)
         distance[missed] = 1.0
@@ -159,7 +166,7 @@ class Scene:
         return Hits(origins, directions, quad, distance, missed, colour, colour * surfaces.mesh.tint[quad], x, y)
 
     def shine(self, hits: Hits) -> tuple[Array, Array]:
-        """Return the radiosity (n, 3) of the points that rays hit, and the rays whose points are sunlit."""
+        """Return the radiosity (n, 3) of the points that rays hit, and the indices of the rays to sunlit points."""
         arriving = sample(self.light.light, hits.x, hits.y)
         lit = hits.missed[:0]
         if self.light.sunny is not None:
@@ -222,7 +229,7 @@ def build_scene(building: Building, run: Run, detail: Detail = FULL, light: Ligh
 
 @typed
 def relit(scene: Scene, light: Light) -> Scene:
-    """Return a scene with everything in its place under another light; quick, since visibility is already known."""
+    """Return a scene in which only the light differs; quick, since it is known what each surface can see."""
     building, transport, mesh = scene.building, scene.transport, scene.surfaces.mesh
     rng, clouds = (seeded(building.seed, building.name, key, light.lighting, light.number) for key in ("light", "sky"))
     view = seeded(building.seed, building.name, "view")

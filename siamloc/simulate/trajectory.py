@@ -130,11 +130,12 @@ def listed(building: Building, file: FilePath) -> Track:
             f"{file}: {int(inside.sum())} of {len(rows)} poses lie in a wall or on furniture of building "
             f"{building.name!r}, the first in line {lines_of[names[row]]} at ({x:.2f}, {y:.2f}): {names[row]}"
         )
-    moved = np.linalg.norm(np.gradient(values[:, 1:3], axis=0), axis=1) if len(rows) > 1 else np.zeros(1)
-    turned = np.gradient(np.unwrap(values[:, 3])) if len(rows) > 1 else np.zeros(1)
-    seconds = np.maximum(np.gradient(values[:, 0]), 0.05) if len(rows) > 1 else np.ones(1)
-    speed = np.clip(moved / seconds, 0, 1.0)
-    rate = np.clip(turned / seconds, -1.5, 1.5)
+    change = np.zeros_like(values)
+    if len(rows) > 1:
+        change = np.gradient(np.column_stack([values[:, :3], np.unwrap(values[:, 3])]), axis=0)
+    seconds = np.maximum(change[:, 0], 0.05)
+    speed = np.clip(np.linalg.norm(change[:, 1:3], axis=1) / seconds, 0, 1.0)
+    rate = np.clip(change[:, 3] / seconds, -1.5, 1.5)
     codes = tuple(room_codes(building, values[:, 1:3]))
     return Track(values[:, 1:4], values[:, 0], speed, rate, tuple(names), codes)
 
@@ -153,10 +154,9 @@ def _check_rounded(building: Building, path: Path, line: Array) -> None:
         x, y = line[stuck[0]]
         corner = int(np.argmin(np.linalg.norm(path.points - line[stuck[0]], axis=1)))
         number, room = path.lines[corner], room_codes(building, path.points[corner : corner + 1])[0]
-        where = f"{building.source}, line {number}" if number else building.source
         raise DataError(
-            f"{where}: rounding the corners of path {path.name!r} leads into a wall or furniture of room {room!r} at "
-            f"({x:.2f}, {y:.2f}): add points around it"
+            f"{building.where(number)}: rounding the corners of path {path.name!r} leads into a wall or furniture of "
+            f"room {room!r} at ({x:.2f}, {y:.2f}): add points around it"
         )
 
 

@@ -127,7 +127,7 @@ def draw_views(
 
 
 def camera_of(seed: int, image_size: Sequence[int]) -> ViewCamera:
-    """Return the camera that `draw_views` draws for a seed."""
+    """Return the camera that takes the images of `draw_views` for a seed."""
     return draw_camera(seeded(seed, "views"), image_size)[0]
 
 

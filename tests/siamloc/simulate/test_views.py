@@ -2,23 +2,25 @@
 
 from __future__ import annotations
 
+from typing import get_args
+
 import cv2
 import numpy as np
 import pytest
 
 from siamloc.data.panorama import PanoramaView
 from siamloc.simulate import Run, build_scene, load_building, render
-from siamloc.simulate.camera import HEIGHT, PanoramaCamera, draw_camera, fisheye, panorama
+from siamloc.simulate.camera import HEIGHT, PanoramaCamera, ViewCamera, draw_camera, fisheye, panorama
 from siamloc.simulate.layout import seeded
 from siamloc.simulate.light import ROUGH
 from siamloc.simulate.run import LIGHTINGS, draw_light, draw_run
 from siamloc.simulate.scene import Scene, relit
-from siamloc.simulate.views import camera_of, draw_views, look_around
+from siamloc.simulate.views import Exposures, camera_of, draw_views, look_around
 
 
-@pytest.fixture(scope="module")
-def night() -> Scene:
-    return build_scene(load_building("mini"), Run("night", 1))
+def quick(scene: Scene, camera: ViewCamera, seed: int = 0, exposure: Exposures = "drawn") -> np.ndarray:
+    x, y, heading = scene.state.track.poses[40]
+    return look_around([scene], [[x, y, 0.95, heading]], camera, np.random.default_rng(seed), exposure)[0, 0]
 
 
 @pytest.mark.parametrize("lighting", LIGHTINGS)
@@ -38,25 +40,16 @@ def test_light_that_is_switched_on_later_is_the_light_of_the_run(night: Scene, l
 
 def test_a_quick_picture_shows_what_a_plain_one_shows(night: Scene) -> None:
     view = PanoramaView(64, 256)
-    pose = night.state.track.poses[40]
-    quick = look_around([night], [[*pose[:2], 0.95, pose[2]]], panorama(view), np.random.default_rng(0))[0, 0]
-    plain = render(night, pose, PanoramaCamera(view))[0]
-    assert quick.shape == plain.shape
-    quick, plain = (cv2.blur(picture, (3, 3)) for picture in (quick, plain))  # one ray per pixel has rough edges
+    pictures = quick(night, panorama(view)), render(night, night.state.track.poses[40], PanoramaCamera(view))[0]
+    smooth = [cv2.blur(picture, (3, 3)) for picture in pictures]  # one ray per pixel has rough edges
     for channel in range(3):  # whatever the exposure
-        assert np.corrcoef(quick[..., channel].ravel(), plain[..., channel].ravel())[0, 1] > 0.95
+        assert np.corrcoef(*(picture[..., channel].ravel() for picture in smooth))[0, 1] > 0.95
 
 
-def test_rough_light_is_about_the_fine_one() -> None:
-    building, run = load_building("mini"), Run("night", 1)
-    fine, rough = build_scene(building, run), build_scene(building, run, ROUGH)
-    pose = fine.state.track.poses[40]
-    view = PanoramaView(32, 128)
-    pictures = [
-        look_around([scene], [[*pose[:2], 0.95, pose[2]]], panorama(view), np.random.default_rng(0))[0, 0].astype(float)
-        for scene in (fine, rough)
-    ]
-    assert np.abs(pictures[0] - pictures[1]).mean() < 6, "grey levels"
+def test_rough_light_is_about_the_fine_one(night: Scene) -> None:
+    rough = build_scene(night.building, Run("night", 1), ROUGH)
+    fine, other = (quick(scene, panorama(PanoramaView(32, 128))).astype(float) for scene in (night, rough))
+    assert np.abs(fine - other).mean() < 6, "grey levels"
 
 
 def test_the_sun_of_a_drawn_light_stands_above_the_horizon() -> None:
@@ -107,21 +100,16 @@ def test_cameras_are_drawn_from_those_asked_for() -> None:
 
 
 def test_a_metered_camera_takes_nearly_the_same_picture_again(night: Scene) -> None:
-    camera, pose = panorama(PanoramaView(32, 128)), night.state.track.poses[40]
-    change = {}
-    for exposure in ("drawn", "metered"):
-        one, other = (
-            look_around([night], [[*pose[:2], 0.95, pose[2]]], camera, np.random.default_rng(seed), exposure)
-            for seed in (0, 1)
-        )
-        change[exposure] = np.abs(one.astype(float) - other).mean()
+    camera, change = panorama(PanoramaView(32, 128)), {}
+    for exposure in get_args(Exposures):
+        one, other = (quick(night, camera, seed, exposure).astype(float) for seed in (0, 1))
+        change[exposure] = np.abs(one - other).mean()
     assert change["metered"] < change["drawn"] / 2, "all that differs is where the rays pass in their pixels"
 
 
 def test_a_fisheye_lens_leaves_its_rim_dark(night: Scene) -> None:
     camera = fisheye((32, 128), 0.9, 1.4, 1.5)
-    pose = night.state.track.poses[40]
-    picture = look_around([night], [[*pose[:2], 0.95, pose[2]]], camera, np.random.default_rng(0))[0, 0]
+    picture = quick(night, camera)
     assert camera.shown is not None
     assert picture[~camera.shown].max() < 12
     assert picture[camera.shown].mean() > 20
