@@ -31,43 +31,15 @@ def test_a_bit_tells_whether_a_window_is_brighter_than_the_one_before():
     assert ordinary.position.tolist() == [[0, 0, 1, 0, 0, 0]]
 
 
-def test_sizes_are_those_of_the_thesis():
-    made = descriptor("briefgist")
-    found = made.describe(np.zeros((128, 512), dtype=np.uint8))
-    assert made.sizes(128, 512) == ((1024,), (16, 64))
-    assert found.position.shape == (1, 1024)
-    assert found.orientation.shape == (1, 16, 64)
-    assert made.resolution(512) == pytest.approx(np.pi / 8)
-
-
 def test_the_orientation_part_holds_the_bits_of_the_position_part():
     found = MADE.describe(BATCH)
     assert np.array_equal(found.position.reshape(5, 4, 8).transpose(0, 2, 1), found.orientation)
     assert 0 < found.position.mean() < 1
 
 
-def test_a_batch_is_its_images_in_grey_and_colour():
-    whole = MADE.describe(BATCH)
-    singles = [MADE.describe(image).position[0] for image in BATCH]
-    assert np.array_equal(whole.position, singles)
-    many = np.concatenate([BATCH[:, 0]] * 100)
-    assert np.array_equal(MADE.describe(many).position, np.concatenate([MADE.describe(BATCH[:, 0]).position] * 100))
-
-
 @given(grey=st.floats(0, 1, width=32))
 def test_a_constant_image_has_no_bit_set(grey):
     assert not MADE.describe(np.full((16, 48), grey, dtype=np.float32)).position.any()
-
-
-@given(turn=st.integers(-8, 8))
-def test_a_turn_is_found_and_changes_no_distance(turn):
-    there, turned = MADE.describe(BATCH), MADE.describe(np.roll(BATCH, 6 * turn, axis=-1))
-    assert np.array_equal(MADE.pairwise(turned, there), MADE.pairwise(there, there))
-    assert np.array_equal(MADE.pairwise(there, turned), MADE.pairwise(there, there))
-    assert np.diag(MADE.pairwise(turned, there)).max() == 0
-    expected = (2 * np.pi * turn / 8 + np.pi) % (2 * np.pi) - np.pi
-    found = MADE.relative_heading(turned, there)
-    np.testing.assert_allclose(np.exp(1j * found), np.exp(1j * np.full(5, expected)), atol=1e-9)
 
 
 def test_the_distance_is_the_number_of_different_bits():
@@ -80,20 +52,6 @@ def test_the_distance_is_the_number_of_different_bits():
     assert np.array_equal(found, MADE.pairwise(queries, references, "hamming"))
     assert np.array_equal(found, MADE.pairwise(queries, references, "manhattan"))
     np.testing.assert_allclose(MADE.pairwise(queries, references, "euclidean") ** 2, found, rtol=1e-5)
-
-
-def test_localize_gives_place_and_heading():
-    found = MADE.localize(MADE.describe(np.roll(BATCH[[3, 1]], -12, axis=-1)), MADE.describe(BATCH))
-    assert found.index.tolist() == [3, 1]
-    assert found.distance.tolist() == [0, 0]
-    np.testing.assert_allclose(found.heading, -np.pi / 2)
-
-
-def test_of_equal_turns_the_smallest_is_taken():
-    twice = np.concatenate([BATCH[0, 0, :, :24]] * 2, axis=1)
-    there = MADE.describe(twice)
-    assert MADE.relative_heading(MADE.describe(np.roll(twice, 6, axis=-1)), there)[0] == pytest.approx(np.pi / 4)
-    assert MADE.relative_heading(MADE.describe(np.roll(twice, 30, axis=-1)), there)[0] == pytest.approx(np.pi / 4)
 
 
 def test_without_wrap_around_bits_are_compared_as_they_stand():

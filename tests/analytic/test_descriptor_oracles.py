@@ -5,11 +5,9 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from scipy.spatial import distance as scipy_distance
 
 from analytic import DISTANCES, AnalyticError, descriptor, distance
 from analytic.descriptors.radon_transform import radon_transform
-from analytic.distances import minkowski
 from analytic.filters import homomorphic
 from tests.oracles.descriptors import briefgist, fourier, gist, hog, hsv, radon, turns, wisurf
 from tests.oracles.descriptors.cases import ODD, SHAPES, SWEEP
@@ -307,13 +305,6 @@ def test_of_equal_turns_of_bits_the_smallest_to_the_left_is_taken():
             assert hamming[i, j] == min(different)
             assert found[i, j] == pytest.approx(turns.angle(different.index(min(different)), 8), abs=1e-9)
     assert ties > 100
-
-
-@pytest.mark.parametrize("p", [1, 1.5, 2, 3])
-def test_weighted_distances_are_those_of_scipy(p):
-    a, b, weights = RNG.normal(size=(4, 7)), RNG.normal(size=(3, 7)), RNG.uniform(size=7)
-    expected = [[scipy_distance.minkowski(x, y, p=p, w=weights) for y in b] for x in a]
-    np.testing.assert_allclose(minkowski(a, b, p=p, weights=weights), expected, rtol=1e-12)
 
 
 @pytest.mark.parametrize("circular", [True, False], ids=["circular", "flat"])

@@ -10,17 +10,6 @@ IMAGES = RNG.integers(0, 256, (4, 16, 48), dtype=np.uint8)
 SMALL = {"rows": 4, "columns": 5, "orientation_rows": 8, "orientation_columns": 20, "turns": 48}
 
 
-def test_the_parts_are_the_first_coefficients_of_averaged_rows():
-    found = descriptor("fs", **SMALL).describe(IMAGES)
-    assert found.position.shape == (4, 20)
-    assert found.orientation.shape == (4, 20, 8)
-    for image, position, orientation in zip(IMAGES / 255, found.position, found.orientation, strict=True):
-        rows = np.stack([image[4 * r : 4 * r + 4].mean(axis=0) for r in range(4)])
-        np.testing.assert_allclose(position.reshape(4, 5), np.abs(np.fft.fft(rows)[:, :5]) / 48, atol=1e-6)
-        rows = np.stack([image[2 * r : 2 * r + 2].mean(axis=0) for r in range(8)])
-        np.testing.assert_allclose(orientation, np.fft.fft(rows)[:, :20].T / 48, atol=1e-6)
-
-
 def test_rows_of_the_parts_need_not_fit_each_other():
     apart = descriptor("fs", **{**SMALL, "orientation_rows": 2}).describe(IMAGES)
     fitting = descriptor("fs", **SMALL).describe(IMAGES)
@@ -119,15 +108,6 @@ def test_an_ordinary_camera_has_no_seam():
     with pytest.raises(AnalyticError, match="no relative heading"):
         flat.relative_heading(flat.describe(slope), flat.describe(slope))
     assert descriptor("fs", **{**SMALL, "turns": 50}, circular=False).describe(slope).position.shape == (1, 20)
-
-
-def test_sizes_are_those_of_the_thesis():
-    fs = descriptor("fs")
-    assert fs.sizes(128, 512)[0] == (8, 8)
-    assert fs.resolution(512) == pytest.approx(2 * np.pi / 512)
-    assert fs.resolution(1024) == pytest.approx(2 * np.pi / 512)
-    assert fs.resolution(256) == pytest.approx(2 * np.pi / 256)
-    assert fs.describe(np.zeros((128, 512), dtype=np.uint8)).position.shape == (1, 64)
 
 
 def test_a_description_without_orientation_tells_no_heading():

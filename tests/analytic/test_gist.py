@@ -27,39 +27,6 @@ def magnitude(picture, theta, frequency):
     return np.abs(np.fft.ifft2(np.fft.fft2(tall) * transfer))[:height]
 
 
-def test_sizes_are_those_of_the_thesis():
-    made = descriptor("gist", blocks=16, orientations=16)
-    found = made.describe(np.zeros((128, 512), dtype=np.uint8))
-    assert made.sizes(128, 512) == ((512,), (256, 16))
-    assert found.position.shape == (1, 512)
-    assert found.orientation.shape == (1, 256, 16)
-    assert found.position.dtype == found.orientation.dtype == np.float32
-    assert descriptor("gist").sizes(128, 512)[0] == (2 * 32 * 256,)
-    assert descriptor("gist", orientation_levels=2).sizes(128, 512)[1] == (256, 32)
-    assert made.resolution(512) == pytest.approx(2 * np.pi * 2 / 512)
-
-
-@pytest.mark.parametrize("levels", [1, 2])
-def test_bands_and_windows_hold_the_means_of_the_responses(levels):
-    picture = BATCH[0, 0]
-    found = descriptor("gist", **SMALL, orientation_levels=levels, normalized=False).describe(picture)
-    position = [
-        magnitude(picture, np.pi * k / 6, frequency)[6 * b : 6 * b + 6].mean()
-        for frequency in (1 / 4, 1 / 8)
-        for b in range(4)
-        for k in range(6)
-    ]
-    np.testing.assert_allclose(found.position[0], position, rtol=1e-4, atol=1e-6)
-    for n in (0, 7, 19):
-        columns = np.arange(3 * n, 3 * n + 6) % 60
-        means = [
-            magnitude(picture, np.pi * k / 4, frequency)[:, columns].mean()
-            for frequency in (1 / 4, 1 / 8)[:levels]
-            for k in range(4)
-        ]
-        np.testing.assert_allclose(found.orientation[0, n], means, rtol=1e-4, atol=1e-6)
-
-
 def test_a_wave_at_the_centre_of_a_filter_has_its_amplitude():
     column = np.arange(64)
     upright = np.tile(0.5 + 0.3 * np.cos(2 * np.pi * column / 4), (16, 1))
@@ -74,32 +41,10 @@ def test_a_wave_at_the_centre_of_a_filter_has_its_amplitude():
     assert position[0].argmax(axis=-1).tolist() == [4, 4]
 
 
-@pytest.mark.parametrize("normalized", [True, False])
-@pytest.mark.parametrize("levels", [1, 2])
-def test_turns_leave_the_position_and_give_the_heading(levels, normalized):
-    made = descriptor("gist", **SMALL, orientation_levels=levels, normalized=normalized)
-    reference = made.describe(BATCH[:1])
-    step = np.array([0, 1, 9, 10, 19])
-    turned = made.describe(np.concatenate([np.roll(BATCH[:1], 3 * s, axis=-1) for s in step]))
-    np.testing.assert_allclose(turned.position, reference.position.repeat(5, axis=0), rtol=1e-4)
-    angle = 2 * np.pi * step / 20
-    expected = np.where(angle > np.pi, angle - 2 * np.pi, angle)
-    np.testing.assert_allclose(made.relative_heading(turned, reference), expected)
-
-
 def test_a_turn_by_a_single_column_leaves_the_position():
     made = descriptor("gist", **SMALL)
     found = made.describe(np.roll(BATCH, 1, axis=-1)).position
     np.testing.assert_allclose(found, made.describe(BATCH).position, rtol=1e-4)
-
-
-def test_a_batch_is_its_images():
-    made = descriptor("gist", **SMALL, orientation_levels=2)
-    whole = made.describe(BATCH)
-    for row, image in enumerate(BATCH):
-        single = made.describe(image)
-        np.testing.assert_allclose(single.position[0], whole.position[row], rtol=1e-5)
-        np.testing.assert_allclose(single.orientation[0], whole.orientation[row], atol=1e-5)
 
 
 def test_normalized_windows_are_the_plain_ones_centred_and_of_unit_length():

@@ -34,29 +34,6 @@ def test_upright_and_level_edges_lie_in_the_middle_of_a_bin_despite_noise():
     assert share[0] > 0.95 * share.sum()
 
 
-def test_position_sums_magnitudes_band_by_band_from_above():
-    image = np.zeros((16, 32), dtype=np.float32)
-    image[5, 10] = 1  # gradients of 1/2 to the left and right of it, above and below it
-    position = descriptor("hog", **SMALL).describe(image).position.reshape(4, 8)
-    expected = np.zeros((4, 8))
-    expected[1, [0, 4, 6]] = 0.5  # left of the point it grows rightwards, right of it leftwards; below it upwards
-    expected[1, 2] = 0.5  # above it, in row 4, downwards
-    np.testing.assert_allclose(position, expected, atol=1e-6)
-
-
-def test_windows_are_sums_of_columns_that_wrap_around():
-    hog = descriptor("hog", **{**SMALL, "window": 1, "step": 1})
-    columns = hog.describe(IMAGES).orientation
-    assert columns.shape == (4, 48, 12)
-    windows = descriptor("hog", **SMALL).describe(IMAGES).orientation
-    for k in range(24):
-        expected = sum(columns[:, (2 * k + i) % 48] for i in range(6))
-        np.testing.assert_allclose(windows[:, k], expected, rtol=1e-5)
-    # Both parts count every pixel's magnitude once.
-    position = descriptor("hog", **SMALL).describe(IMAGES).position
-    np.testing.assert_allclose(position.sum(axis=1), columns.sum(axis=(1, 2)), rtol=1e-5)
-
-
 def test_an_ordinary_camera_has_borders():
     flat, ring = (descriptor("hog", **SMALL, circular=wraps) for wraps in (False, True))
     step = np.zeros((16, 48), dtype=np.float32)
@@ -99,16 +76,6 @@ def test_many_queries_are_aligned_as_one(monkeypatch):
     parts = hog.align(queries, references)
     assert np.array_equal(whole.heading, parts.heading)
     np.testing.assert_allclose(whole.distance, parts.distance, rtol=1e-4, atol=0.05)
-
-
-def test_sizes_are_those_of_the_thesis():
-    mapping = descriptor("hog", rows=16, bins=16)
-    assert mapping.sizes(128, 512) == ((256,), (256, 16))  # [I] 6.1: 256 and 4096 values
-    found = mapping.describe(np.zeros((128, 512), dtype=np.uint8))
-    assert found.position.shape == (1, 256)
-    assert found.orientation.shape == (1, 256, 16)
-    assert not found.position.any()
-    assert mapping.resolution(512) == pytest.approx(2 * np.pi * 2 / 512)
 
 
 @pytest.mark.parametrize(

@@ -57,33 +57,6 @@ def test_line_integrals_of_a_smooth_picture_are_the_exact_ones(source, image, st
     assert np.abs(found[0] - expected).max() < 0.01 * expected.max()
 
 
-def test_the_transform_is_a_sum_over_points_of_lines():
-    count, size = 15, 32
-    found = radon_transform(IMAGES, step=360 / count, size=size)
-    for image, transformed in zip(IMAGES / 255, found, strict=True):
-        for t in (0, 4, 11):
-            for k in (0, 3, 9, 15):
-                total = 0.0
-                for q in range(32):
-                    along, d = (q + 0.5) / 2, k + 0.5
-                    radius = np.hypot(d, along)
-                    if not 0.2 * 16 <= radius < 16:
-                        continue
-                    middles = 16 - (np.arange(12) + 0.5) * 0.8 * 16 / 12
-                    for side in (1, -1):
-                        alpha = 2 * np.pi * t / count + np.arctan2(side * along, d)
-                        column = np.interp(radius, middles[::-1], angular(image, alpha, 7)[::-1])
-                        total += 0.5 * column
-                assert transformed[t, k] == pytest.approx(total, abs=1e-4)
-
-
-def angular(image, alpha, highest):
-    """Each row's trigonometric polynomial of some degree at an angle, by its sum."""
-    columns = 2 * np.pi * (np.arange(image.shape[1]) + 0.5) / image.shape[1]
-    m = np.arange(-highest, highest + 1)
-    return image @ np.exp(1j * m * (alpha - columns[:, None])).sum(axis=1).real / image.shape[1]
-
-
 def test_a_left_turn_moves_the_orientations_on():
     here = radon_transform(IMAGES, step=360 / 16, size=32)
     there = radon_transform(np.roll(IMAGES, 12, axis=-1), step=360 / 16, size=32)
@@ -115,55 +88,6 @@ def test_the_upper_row_lies_outside():
     found = radon_transform(bottom, step=10, size=32)[0]
     assert np.all(found[:, 6:] < 1e-6)  # the lowest row reaches from 3.2 to 5.3 pixels
     assert found[0, 3] > 1
-
-
-def test_sizes_are_those_of_the_thesis():
-    fourier, poc = descriptor("radon_fourier", orientation_lines=16), descriptor("radon_poc")
-    assert fourier.sizes(128, 512) == ((360, 32), (360, 16))
-    assert poc.sizes(128, 512) == ((90, 128), (90, 128))
-    assert fourier.resolution(512) == pytest.approx(np.pi / 180)
-    assert poc.resolution(512) == pytest.approx(np.pi / 45)
-    image = np.zeros((128, 512), dtype=np.uint8)
-    found = fourier.describe(image)
-    assert (found.position.shape, found.orientation.shape) == ((1, 360 * 32), (1, 360, 16))
-    found = poc.describe(image)
-    assert (found.position.shape, found.orientation.shape) == ((1, 90 * 128), (1, 90, 128))
-
-
-@pytest.mark.parametrize(("source", "images"), [("panorama", IMAGES), ("omnidirectional", SQUARES)])
-def test_the_fourier_signature_is_that_of_the_mean_lines(source, images):
-    made = descriptor("radon_fourier", step=10, size=32, lines=4, orientation_lines=8, source=source)
-    found = made.describe(images)
-    r = radon_transform(images, step=10, size=32, source=source).astype(np.float64)
-    signature = np.fft.fft(r.reshape(4, 36, 4, 4).mean(axis=3), axis=1) / 36
-    np.testing.assert_allclose(found.position.reshape(4, 36, 4), np.abs(signature), atol=1e-5)
-    signature = np.fft.fft(r.reshape(4, 36, 8, 2).mean(axis=3), axis=1)
-    known = np.r_[0:18, 19:36]  # frequency 18 is beyond what the transform holds
-    phases = np.fft.fft(found.orientation, axis=1)
-    np.testing.assert_allclose(np.abs(phases[:, known]), 1, atol=1e-4)
-    np.testing.assert_allclose(phases[:, known], (signature / np.abs(signature))[:, known], atol=0.02)
-    assert np.abs(phases[:, 18]).max() < 1e-5
-
-
-def test_phase_only_correlation_is_that_of_two_matrices():
-    r = radon_transform(IMAGES, step=360 / 32, size=32).astype(np.float64)
-    spectra = np.fft.fft2(r)
-    spectra[:, 16] = 0  # beyond what the transform holds
-    phases = np.divide(spectra, np.abs(spectra), out=np.zeros_like(spectra), where=spectra != 0)
-    found = POC.describe(IMAGES)
-    matrix = np.fft.ifft2(phases).real
-    matrix /= np.linalg.norm(matrix, axis=(1, 2), keepdims=True)
-    np.testing.assert_allclose(found.orientation, matrix, atol=1e-3)
-    assert np.array_equal(found.position, found.orientation.reshape(4, -1))
-    others = np.roll(IMAGES[::-1], 10, axis=-1)
-    queries = POC.describe(others)
-    apart, heading = POC.pairwise(queries, found), POC.align(queries, found).heading
-    for i, query in enumerate(np.fft.fft2(queries.orientation.astype(np.float64))):
-        for j, reference in enumerate(np.fft.fft2(found.orientation.astype(np.float64))):
-            surface = np.fft.ifft2(query * np.conj(reference)).real  # (turn, shift of lines)
-            assert apart[i, j] == pytest.approx(1 - surface[:, 0].max(), abs=1e-4)
-            step = surface[:, 0].argmax() * 2 * np.pi / 32
-            assert np.abs(np.angle(np.exp(1j * (heading[i, j] - step)))) < 1e-6
 
 
 @given(st.integers(0, 63))

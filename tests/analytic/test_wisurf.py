@@ -39,27 +39,6 @@ def window(image, top, left, side, wraps=True):
     return found.ravel() / max(np.linalg.norm(found), 1e-6)
 
 
-@pytest.mark.parametrize(("rows", "windows", "wraps"), [(2, 12, True), (1, 4, True), (2, 12, False), (1, 4, False)])
-def test_values_are_those_of_the_definition(rows, windows, wraps):
-    made = descriptor("wisurf", rows=rows, windows=windows, circular=wraps)
-    found = made.describe(IMAGES[0]).orientation[0].reshape(windows, rows, 64)
-    image, side, step = IMAGES[0] / 255, 32 // rows, 48 // windows
-    for j in range(0, windows, 3):
-        for r in range(rows):
-            np.testing.assert_allclose(found[j, r], window(image, r * side, j * step, side, wraps), atol=1e-5)
-    last = window(image, 0, (windows - 1) * step, side, wraps)
-    np.testing.assert_allclose(found[-1, 0], last, atol=1e-5)
-
-
-def test_sizes_are_those_of_the_thesis():
-    made = descriptor("wisurf")
-    assert made.sizes(128, 512) == ((4 * 512 * 64,), (512, 4 * 64))
-    assert made.resolution(512) == pytest.approx(2 * np.pi / 512)
-    found = descriptor("wisurf", windows=128).describe(np.zeros((128, 512), dtype=np.uint8))
-    assert found.position.shape == (1, 4 * 128 * 64)
-    assert found.orientation.shape == (1, 128, 4 * 64)
-
-
 def test_the_position_part_is_the_orientation_part():
     found = MADE.describe(IMAGES)
     assert np.array_equal(found.position, found.orientation.reshape(4, -1))
@@ -99,18 +78,6 @@ def test_an_upright_edge_answers_in_dx_and_a_level_one_in_dy():
 def test_contrast_and_offset_do_not_matter():
     dim = 0.2 + 0.4 * (IMAGES / 255)
     np.testing.assert_allclose(MADE.describe(dim).position, MADE.describe(IMAGES).position, atol=1e-5)
-
-
-@given(st.integers(0, 11))
-@settings(max_examples=12, deadline=None)
-def test_a_turn_by_whole_steps_moves_the_values_and_nothing_else(turn):
-    here, there = MADE.describe(IMAGES), MADE.describe(np.roll(IMAGES, 4 * turn, axis=-1))
-    assert np.array_equal(there.orientation, np.roll(here.orientation, turn, axis=1))
-    found = MADE.relative_heading(there, here)
-    expected = 2 * np.pi * turn / 12
-    assert np.abs(np.angle(np.exp(1j * (found - expected)))).max() < 1e-6
-    for name in (None, "correlation"):
-        np.testing.assert_allclose(MADE.pairwise(there, here, name), MADE.pairwise(here, here, name), atol=1e-3)
 
 
 def test_the_mirror_image_has_mirrored_windows():

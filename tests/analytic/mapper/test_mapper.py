@@ -2,7 +2,6 @@ import copy
 import pickle
 import sys
 from collections import Counter
-from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -424,10 +423,3 @@ def test_labels_and_nodes_are_copies_of_what_the_map_holds():
     assert mapper.labels().tolist() == [-1]
     feed(mapper, drive(20)[1:])
     assert np.isfinite(mapper.nodes[0].modes[0].centre).all()
-
-
-def test_what_is_decided_does_not_depend_on_the_run_before():
-    labels = [IncrementalMapper(WORLD, 2) for _ in range(2)]
-    for mapper in labels:
-        feed(mapper, drive(120))
-    assert all(a.events == b.events for a, b in pairwise(labels))
