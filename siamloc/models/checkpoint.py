@@ -61,8 +61,8 @@ def load(run_or_checkpoint: str | Path | Run, *, which: str = "best", network: n
             raise FormatError(f"the weights file {path} does not say of which network it is: build one with weights=")
         if "branch" not in model:
             raise ConfigError(
-                f"the network of {path} is a module of your own, {_name(model)}, which commands cannot make: in Python, "
-                "make one and load its weights by siamloc.models.load(run, network=...)"
+                f"the network of {path} is a module of your own, {_name(model)}, which no command can make: in "
+                "Python, make one and load its weights by siamloc.models.load(run, network=...), or leave it untrained"
             )
         if which == "untrained":
             return _made(path, dict(model)).eval()
