@@ -140,7 +140,7 @@ def disturbed(job: Job, data: Data) -> Measured:
     if options["descriptor"]["name"] != "pretrained":
         position, _ = descriptor(**options["descriptor"]).sizes(*data.image_size)
         size = {"information": prod(position) / prod(data.image_size)}
-    noise, occlusion = (tuple(options.get(name, ())) for name in ("noise", "occlusion"))
+    levels: dict[str, Any] = {name: tuple(options.get(name, ())) for name in ("noise", "occlusion")}
     for place, settings in _compared(known, job):
         result = evaluation.robustness(
             place, data.images, frames, every=1, turn=(), noise=noise, occlusion=occlusion, name="measured"
