@@ -471,12 +471,10 @@ def _ends(span: Range) -> tuple[float, float]:
 
 def check_shape(batch: Tensor) -> None:
     """Raise AugmentError if a batch is not a tensor (B, 3, H, W) of uint8 or float32."""
-    if not isinstance(batch, Tensor):
-        raise AugmentError(f"a batch is a torch tensor of shape (B, 3, H, W), got {type(batch).__name__}")
-    if batch.ndim != 4 or batch.shape[1] != 3 or 0 in batch.shape[2:]:
-        raise AugmentError(f"a batch has shape (B, 3, H, W), got {tuple(batch.shape)}")
-    if batch.dtype not in (torch.uint8, torch.float32):
-        raise AugmentError(f"a batch is uint8, or float32 in [0, 1], got {batch.dtype}")
+    fits = isinstance(batch, Tensor) and batch.ndim == 4 and batch.shape[1] == 3 and 0 not in batch.shape[2:]
+    if not fits or batch.dtype not in (torch.uint8, torch.float32):
+        got = f"{tuple(batch.shape)} {batch.dtype}" if isinstance(batch, Tensor) else type(batch).__name__
+        raise AugmentError(f"a batch is a tensor (B, 3, H, W), uint8, or float32 in [0, 1], got {got}")
 
 
 def check_batch(batch: Tensor) -> None:
@@ -485,12 +483,8 @@ def check_batch(batch: Tensor) -> None:
     if batch.dtype == torch.uint8 or batch.numel() == 0:
         return
     low, high = (float(value) for value in batch.detach().aminmax())
-    if low != low or high != high:
-        raise AugmentError("the batch contains NaN: remove it before augmenting")
-    if low < 0 or high > 1:
-        raise AugmentError(
-            f"a float batch lies in [0, 1], this one runs from {low:g} to {high:g}: divide 8-bit values by 255"
-        )
+    if not 0 <= low <= high <= 1:  # NaN lies nowhere
+        raise AugmentError(f"a float batch lies in [0, 1], got values from {low:g} to {high:g}: divide levels by 255")
 
 
 def beside(values: Tensor, batch: Tensor) -> Tensor:

@@ -16,7 +16,7 @@ from torch import Tensor
 from augment.base import Effect, Params, Range
 from augment.columns import wrapped
 from augment.errors import AugmentError, hint
-from augment.registry import EFFECTS, effect
+from augment.registry import effect
 from foundation.settings import NotNegative, Share, checked
 
 _KINDS = ("effect", "all_of", "one_of")
@@ -211,26 +211,17 @@ def _walk(step: Step) -> Iterator[Step]:
 
 
 def _step(tree: Any, circular: bool, slots: Iterator[int], where: str) -> Step:
-    if not isinstance(tree, Mapping):
-        raise AugmentError(f"a step of policy {where} must be a mapping with effect, all_of or one_of, got {tree!r}")
-    rest = dict(tree)
+    rest = dict(tree) if isinstance(tree, Mapping) else {}
     kinds = [kind for kind in _KINDS if kind in rest]
     if len(kinds) != 1:
-        raise AugmentError(
-            f"a step of policy {where} has exactly one of {', '.join(_KINDS)}, "
-            f"got {', '.join(map(str, rest)) or 'nothing'}"
-        )
+        raise AugmentError(f"a step of policy {where} has exactly one of {', '.join(_KINDS)}, got {tree!r}")
     kind = kinds[0]
     content = rest.pop(kind)
     probability = checked(rest.pop("probability", 1.0), Share, f"a probability of policy {where}", AugmentError)
     weight = checked(rest.pop("weight", 1.0), NotNegative, f"a weight of policy {where}", AugmentError)
     if kind == "effect":
-        if any(not isinstance(key, str) for key in rest):
-            raise AugmentError(f"the parameters of {content} in policy {where} must have names, got {[*rest]}")
-        if content not in EFFECTS:
-            raise AugmentError(f"unknown effect {content!r} in policy {where}: {hint(content, EFFECTS)}")
         slot = next(slots)
-        built = effect(content, **{"circular": circular, **rest})
+        built = effect(content, **{"circular": circular, **{str(key): value for key, value in rest.items()}})
         return Step(kind, (), built, slot, probability, weight, f"{slot}.{content}")
     if rest:
         key = next(iter(rest))

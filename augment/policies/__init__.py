@@ -22,6 +22,7 @@ import yaml
 from augment.compose import Policy
 from augment.errors import AugmentError, hint
 from augment.registry import POLICIES
+from foundation.settings import checked
 
 Tree = dict[str, Any]
 
@@ -90,8 +91,7 @@ def policy_from_config(config: Mapping[str, Any]) -> Policy:
         raise AugmentError(f"a policy is a mapping with a name, all_of, one_of or effect, got {config!r}")
     options = dict(config)
     circular, rotate = options.pop("circular", None), options.pop("rotate", None)
-    if not isinstance(circular, bool | None):
-        raise AugmentError(f"circular of a policy must be true or false, got {circular!r}")
+    checked(circular, bool | None, "circular of a policy", AugmentError)
     name = options.pop("name", None)
     if set(_ROOTS) & set(options):
         tree = _turned(_resolved(options), rotate)

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import os
+from collections import Counter
 from collections.abc import Iterator
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
@@ -220,13 +222,10 @@ def _drives(frames: FrameTable) -> Iterator[str]:
 
 def _sizes(frames: FrameTable, images: PanoramaLibrary | None) -> Iterator[str]:
     """Check the sizes of some images."""
-    counts: dict[tuple[int, int], int] = {}
+    counts: Counter[tuple[int, ...]] = Counter()
     for row in np.unique(np.linspace(0, len(frames) - 1, _PROBED).astype(int)) if len(frames) else []:
-        try:
-            height, width = read_image(frames.path[row]).shape[:2]
-        except UnreadableImageError:
-            continue
-        counts[height, width] = counts.get((height, width), 0) + 1
+        with suppress(UnreadableImageError):
+            counts[read_image(frames.path[row]).shape[:2]] += 1
     if len({round(width / height, 1) for height, width in counts}) > 1:
         listed = ", ".join(f"{width} x {height} px ({count})" for (height, width), count in counts.items())
         yield (
@@ -235,7 +234,7 @@ def _sizes(frames: FrameTable, images: PanoramaLibrary | None) -> Iterator[str]:
         )
     if images is None or images.preprocessing.camera is not None or not counts:
         return
-    height, width = max(counts, key=lambda size: counts[size])
+    height, width = counts.most_common(1)[0][0]
     rows, columns = images.image_size
     squeezed = (columns / rows) / (width / height)
     if not 0.67 < squeezed < 1.5:

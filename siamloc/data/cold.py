@@ -10,7 +10,7 @@ from typing import Any
 
 from siamloc.data.frames import FrameTable, image_files, in_capture_order
 from siamloc.data.names import SequenceName, name_sequence, parse_name
-from siamloc.errors import ConfigError, DataError, check_policy, hint, leave_out, logger
+from siamloc.errors import ConfigError, DataError, hint, leave_out, logger
 
 CAMERAS = ("omni_cam", "std_cam")
 
@@ -44,11 +44,10 @@ def read_cold(
         on_error: "skip" or "raise", for images that are listed but missing and for sequences without this camera.
 
     Raises:
-        ConfigError: neither or both of `root` and `places`, or an unknown camera or policy.
+        ConfigError: neither or both of `root` and `places`, or an unknown camera.
         DataError: no sequence below the folder, a malformed line (with file and line number), or two sources of
             one sequence.
     """
-    check_policy(on_error)
     if camera not in CAMERAS:
         raise ConfigError(f"COLD has no camera {camera!r}; {hint(camera, CAMERAS)}")
     if (root is None) == (places is None):

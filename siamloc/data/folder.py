@@ -7,7 +7,7 @@ from typing import Any
 
 from siamloc.data.frames import FrameTable, image_files, in_capture_order
 from siamloc.data.names import lighting_in, parse_name
-from siamloc.errors import DataError, check_policy, leave_out
+from siamloc.errors import DataError, leave_out
 
 _LAYOUT = "<split>/<room>/<image>, such as test_cloudy/KT-A/t1152889564.947_x0.2_y0.1_a0.0.jpeg"
 
@@ -24,10 +24,8 @@ def read_folder(root: str | Path, *, on_error: str = "skip") -> FrameTable:
         on_error: "skip" or "raise", for images next to the rooms' folders, which have no room.
 
     Raises:
-        ConfigError: an unknown policy.
         DataError: the folder is missing, or holds no image in this layout.
     """
-    check_policy(on_error)
     root = Path(root).expanduser()
     if not root.is_dir():
         raise DataError(f"{root} is not a folder: expected one with {_LAYOUT}")

@@ -12,7 +12,7 @@ from typing import Any
 
 from foundation.settings import shortened
 from siamloc.data.frames import FrameTable, in_capture_order
-from siamloc.errors import DataError, check_policy, leave_out, logger
+from siamloc.errors import DataError, leave_out, logger
 
 COLUMNS = ("image", "x", "y", "theta", "room", "sequence", "lighting", "time", "building")
 
@@ -32,11 +32,9 @@ def read_manifest(manifest: str | Path, *, on_error: str = "skip") -> FrameTable
         on_error: "skip" or "raise", for images that do not exist.
 
     Raises:
-        ConfigError: an unknown policy.
         DataError: the file is missing or empty, a column or cell cannot be used (with line, column and value), or an
             image appears twice in one sequence.
     """
-    check_policy(on_error)
     file = Path(manifest).expanduser()
     if file.exists() and not file.is_file():
         raise DataError(f"the manifest {file} is not a regular file: give a CSV table with one row for each image")

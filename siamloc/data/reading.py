@@ -16,7 +16,7 @@ from siamloc.data.frames import FrameTable
 from siamloc.data.library import PanoramaLibrary
 from siamloc.data.manifest import read_manifest
 from siamloc.data.panorama import OmnidirectionalCamera
-from siamloc.errors import ConfigError, hint
+from siamloc.errors import ConfigError, check_policy, hint
 
 READERS: dict[str, Callable[..., FrameTable]] = {"cold": read_cold, "folder": read_folder, "manifest": read_manifest}
 
@@ -60,6 +60,7 @@ def read(kind: str, *, unit: str = "m", name: str = "", **where: Any) -> FrameTa
     for key, parameter in parameters.items():
         if parameter.default is inspect.Parameter.empty and where.get(key) is None:
             raise ConfigError(f"data of kind {kind!r} need {key}=...; valid: {', '.join(parameters)}")
+    check_policy(where.get("on_error", "skip"))
     given = {key: value for key, value in where.items() if value is not None}
     source = {key: str(Path(value).expanduser().absolute()) if key in _PATHS else value for key, value in given.items()}
     for key in _PATHS:

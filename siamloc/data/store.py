@@ -69,7 +69,7 @@ def open_store(
     Raises:
         ConfigError: a camera that does not fit the images.
         DataError: no readable image, or an unreadable image if `on_error` is "raise".
-        StorageError: the disk is full, cannot be written to, or does not support locks.
+        StorageError: the disk is full or cannot be written to.
     """
     folder = Path(cache).expanduser().absolute() / _key(paths, preprocessing)
     store = _load(folder, len(paths))

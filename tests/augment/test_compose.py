@@ -85,17 +85,20 @@ def test_effects_inherit_circular_from_the_policy():
 @pytest.mark.parametrize(
     ("tree", "message"),
     [
-        ({"effect": "blurr"}, "unknown effect 'blurr' in policy test: did you mean 'blur'"),
+        ({"effect": "blurr"}, "unknown effect 'blurr': did you mean 'blur'"),
         ({"effect": "blur", "sise": 3}, "blur has no parameter 'sise': did you mean 'size'"),
         ({"effect": "blur", "probability": 1.5}, "a probability of policy test must be a number from 0 to 1, got 1.5"),
         ({"effect": "blur", "probability": float("nan")}, "must be a number from 0 to 1, got nan"),
         ({"effect": "blur", "weight": -1}, "a weight of policy test must be a number from 0, got -1"),
         ({"effect": "bulb", "radius": [40, 15]}, "radius of bulb must lie in"),
-        ({"all_of": [], "one_of": []}, "exactly one of effect, all_of, one_of, got all_of, one_of"),
-        ({}, "exactly one of effect, all_of, one_of, got nothing"),
+        ({"all_of": [], "one_of": []}, "exactly one of effect, all_of, one_of, got {'all_of': "),
+        ({}, "exactly one of effect, all_of, one_of, got {}"),
         ({"all_of": [], "probabilty": 0.5}, "has no key 'probabilty': did you mean 'probability'"),
         ({"all_of": "blur"}, "all_of in policy test must be a list of steps, got 'blur'"),
-        ({"all_of": ["blur"]}, "a step of policy test must be a mapping with effect, all_of or one_of, got 'blur'"),
+        (
+            {"all_of": ["blur"]},
+            "a step of policy test has exactly one of effect, all_of, one_of, got 'blur'",
+        ),
         ({"one_of": []}, "one_of in policy test needs at least one step with a weight above 0"),
     ],
 )

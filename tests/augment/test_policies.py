@@ -198,13 +198,13 @@ def test_files_that_cannot_be_read(tmp_path):
         ({"name": "thesys"}, "unknown policy 'thesys': did you mean 'thesis'"),
         ({"name": "thesis", "rotat": 1}, "policy thesis has no parameter 'rotat': did you mean 'rotate'"),
         ({"name": "thesis", "rotate": 2}, "a probability of policy thesis must be a number from 0 to 1, got 2"),
-        ({"name": "thesis", "circular": "no"}, "circular of a policy must be true or false, got 'no'"),
+        ({"name": "thesis", "circular": "no"}, "circular of a policy must be true or false, or null, got 'no'"),
         ({}, "a policy needs a name, or its own tree"),
         ([1], "a policy is a mapping with a name"),
         ({"name": "mine", "all_of": [], "rotat": 1}, "all_of in policy mine has no key 'rotat'"),
         ({"all_of": [{"policy": "thesys"}]}, "unknown policy 'thesys' in a step: did you mean 'thesis'"),
         ({"one_of": [{"policy": "thesis", "rotate": 1}]}, "all_of in policy own has no key 'rotate'"),
-        ({"effect": "blur", 3: 4}, r"the parameters of blur in policy own must have names, got \[3\]"),
+        ({"effect": "blur", 3: 4}, "blur has no parameter '3'"),
     ],
 )
 def test_configurations_that_make_no_sense(config, message):

@@ -7,7 +7,7 @@ import torch
 
 import augment
 from augment import Policy
-from augment.compression import _constants, compressed
+from augment.sensor import _constants, compressed
 from tests.augment.pictures import generator, panoramas
 
 SPOTS = [{"effect": "bulb"}, {"effect": "square"}, {"effect": "trapezoid"}]

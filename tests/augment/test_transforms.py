@@ -137,7 +137,7 @@ def test_what_cannot_be_turned():
         (torch.zeros(1, 8, 16), r"an image has shape \(..., 3, H, W\), got \(1, 8, 16\)"),
         (torch.zeros(8, 16), r"an image has shape"),
         (torch.full((3, 8, 16), 2.0), "a float batch lies in"),
-        (torch.zeros(3, 8, 16, dtype=torch.int64), "a batch is uint8, or float32"),
+        (torch.zeros(3, 8, 16, dtype=torch.int64), "a batch is a tensor .*, uint8, or float32"),
         (Image.new("L", (16, 8)), "a Pillow image must be RGB, got L"),
         ([tv_tensors.Image(torch.zeros(3, 8, w)) for w in (16, 32)], "the images of one sample must have the same"),
     ],
