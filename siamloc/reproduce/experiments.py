@@ -142,9 +142,7 @@ def disturbed(job: Job, data: Data) -> Measured:
         size = {"information": prod(position) / prod(data.image_size)}
     levels: dict[str, Any] = {name: tuple(options.get(name, ())) for name in ("noise", "occlusion")}
     for place, settings in _compared(known, job):
-        result = evaluation.robustness(
-            place, data.images, frames, every=1, turn=(), noise=noise, occlusion=occlusion, name="measured"
-        )
+        result = evaluation.robustness(place, data.images, frames, every=1, turn=(), name="measured", **levels)
         for name, curve in result.measures["methods"]["measured"].items():
             for one in curve:
                 level = {name: one["level"]} if one["level"] else {"noise": 0, "occlusion": 0}
