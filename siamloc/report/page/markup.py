@@ -5,10 +5,14 @@ from __future__ import annotations
 import html
 import json
 from collections.abc import Iterable
+from pathlib import Path
+from string import Template
 from typing import Any
 
 from siamloc.summaries import ALL
 from siamloc.tables import Table, count
+
+_ASSETS = Path(__file__).parent / "assets"
 
 
 class Markup(str):
@@ -54,6 +58,13 @@ def join(*children: Content) -> Markup:
             child if isinstance(child, Markup) else html.escape(str(child)) for child in children if child is not None
         )
     )
+
+
+def fragment(file: str, /, **values: Content) -> Markup:
+    """Return a file of the folder `assets` with its $placeholders replaced by values, escaped unless `Markup`."""
+    text = (_ASSETS / file).read_text(encoding="utf-8")
+    filled = {key: join(value) for key, value in values.items()}
+    return Markup(Template(text).substitute(filled) if filled else text)
 
 
 def section(title: str, *children: Content, name: str) -> Markup:

@@ -10,7 +10,7 @@ import numpy as np
 from siamloc.report.draw.training import training_curves
 from siamloc.report.page.gathered import Evaluation, RunFiles
 from siamloc.report.page.inline import inline
-from siamloc.report.page.markup import Content, Markup, grid, join, key_values, plural, section, tag
+from siamloc.report.page.markup import Content, Markup, fragment, grid, join, key_values, plural, section, tag
 from siamloc.report.page.parts import Part
 from siamloc.report.page.plan import Plan, error_classes
 from siamloc.results import REMARKS
@@ -105,33 +105,6 @@ def floor_plan(evaluation: Evaluation, plan: Plan | None, number_: int, notes: S
         shown = plan.queries["lighting"]
         for label, rows in evaluation.rows_by_lighting.items():
             groups[label] = int((shown == evaluation.queries["lighting"][rows[0]]).sum())  # type: ignore[index]
-    switch = _lighting_switch(f"lighting-{number_}", groups)
-    buttons = [
-        tag("button", text, type="button", data_zoom=what, title=title, aria_label=title)
-        for what, text, title in (("in", "+", "zoom in"), ("out", "−", "zoom out"), ("reset", "whole", "whole plan"))
-    ]
-    canvas = tag(
-        "canvas",
-        tabindex=0,
-        role="img",
-        aria_describedby=f"keys-{number_}",
-        aria_label=f"floor plan with {plural(len(plan.rows), 'query', 'queries')} of {evaluation.name}",
-    )
-    keys = tag(
-        "p.caption",
-        "Grey dots are map frames, coloured dots the true positions of queries, arrows lead to "
-        f"{_LED_TO[plan.estimate]}. "
-        "Point at a query, or click to pin it. With the plan in focus: ← → along the drive, ↑ ↓ to larger and smaller "
-        "errors, + − 0 or the wheel to zoom; drag to move.",
-        id=f"keys-{number_}",
-    )
-    classes = tag(
-        "fieldset.classes", tag("legend", f"error [{plan.unit}]"), *_class_boxes(error_classes(plan.queries["error"]))
-    )
-    figures = [
-        tag("figure", tag("canvas"), tag("figcaption", tag("b", what), tag("span")), data_picture=what.split()[0])
-        for what in _PICTURES
-    ]
     line = None
     if plan.along is not None:
         line = tag(
@@ -139,17 +112,17 @@ def floor_plan(evaluation: Evaluation, plan: Plan | None, number_: int, notes: S
             f"All frames lie on a line along {plan.along}: the plan shows the estimated position above the true one, "
             "and the map's frames on the diagonal, where both are equal.",
         )
-    return section(
-        "Floor plan",
-        tag("div.bar", switch, tag("div.zoom", *buttons)),
-        tag("div.stage", canvas),
-        classes,
-        tag("div.details", tag("p.facts", aria_live="polite"), tag("div.triple", *figures)),
-        line,
-        keys,
-        *(tag("p.note", note) for note in notes),
-        tag("noscript", tag("p.caption", "The plan needs JavaScript; the rest of this page does not.")),
-        name="plan",
+    return fragment(
+        "plan.html",
+        switch=_lighting_switch(f"lighting-{number_}", groups),
+        number=number_,
+        queries=plural(len(plan.rows), "query", "queries"),
+        name=evaluation.name,
+        unit=plan.unit,
+        classes=join(*_class_boxes(error_classes(plan.queries["error"]))),
+        line=line,
+        led_to=_LED_TO[plan.estimate],
+        notes=join(*(tag("p.note", note) for note in notes)),
     )
 
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import datetime
 from collections.abc import Sequence
 from pathlib import Path
-from string import Template
 
 from foundation.calls import typed
 from foundation.files import write_text
@@ -14,12 +13,10 @@ from siamloc.errors import ConfigError
 from siamloc.report.page import sections, tasks
 from siamloc.report.page.compared import comparison
 from siamloc.report.page.gathered import Evaluation, RunFiles, gather
-from siamloc.report.page.markup import Markup, join, plural, script_data, tag
+from siamloc.report.page.markup import Markup, fragment, join, plural, script_data, tag
 from siamloc.report.page.parts import Part, large_pictures, notes_on, parts_of, sheets_of
 from siamloc.report.page.pictures import Sheets
 from siamloc.results import FURTHER
-
-_ASSETS = Path(__file__).parent / "assets"
 
 
 @typed
@@ -69,16 +66,14 @@ def _page(
         if part.plan is not None:
             place = sheets[part.sheets].place if part.sheets >= 0 and sheets else {}
             data.append(script_data(f"data-{part.number}", part.plan.plain(place, part.sheets)))
-    texts = {name: (_ASSETS / f"report.{name}").read_text(encoding="utf-8") for name in ("css", "js", "html")}
-    return Markup(
-        Template(texts["html"]).substitute(
-            title=tag("title", f"{title} · siamloc report"),
-            style=texts["css"],
-            script=texts["js"],
-            body=join(*body),
-            data=join(*data),
-            version=__version__,
-        )
+    return fragment(
+        "report.html",
+        title=tag("title", f"{title} · siamloc report"),
+        style=fragment("report.css"),
+        script=fragment("report.js"),
+        body=join(*body),
+        data=join(*data),
+        version=__version__,
     )
 
 
