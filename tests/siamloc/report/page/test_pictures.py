@@ -54,7 +54,7 @@ def test_omnidirectional_images_are_unwrapped_as_the_run_did(tmp_path: Path) -> 
     options = {"kind": "polar", "inner": 20, "outer": 110}
     decoder = Decoder({"data": {"image_size": [64, 256], "unwrap": options}})
     camera, view = camera_from_config(options, (64, 256))
-    expected = Preprocessing((64, 256), camera, view).panorama(path).transpose(1, 2, 0)[..., ::-1]
+    expected = Preprocessing(view, camera).panorama(path).transpose(1, 2, 0)[..., ::-1]
     picture = decoder.read(path, 10**6)
     assert picture is not None
     np.testing.assert_array_equal(picture, expected)
