@@ -6,13 +6,14 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
 from siamloc.results import FURTHER
-from siamloc.tables import Column, Table
+from siamloc.tables import Column, Form, Table
 
 ALL = "all"
 Measures = Mapping[str, Any]
 Path = str | tuple[str, str]
 Row = tuple[tuple[str, ...], Measures]
 
+_SPREAD = {"median": "median", "95 %": "p95"}
 _DISTURBANCES = {"noise": "noise", "occlusion": "occlusion", "turn": "turn on the spot"}
 
 
@@ -65,16 +66,13 @@ def errors(methods: Mapping[str, Measures], by: str = "lighting") -> list[Table]
     if first is None:
         return []
     unit, radii = first["unit"], first["radii"]
+    recall = {f"recall@1 {radius:g} {unit}": f"first.{i}" for i, radius in enumerate(radii)}
     columns: list[tuple[Column, Path]] = [
         (Column("mean", unit, 3, part="floor"), "error.mean"),
-        (Column("median", unit, 3), "error.median"),
-        (Column("95 %", unit, 3), "error.p95"),
-        (Column("floor", unit, 3), "floor.mean"),
-        (Column("excess", unit, 3), "excess.mean"),
-        (Column("hit rate", form="percent"), "hit_rate.0.rate"),  # not of finer poses
-        *((Column(f"recall@1 {radius:g} {unit}", form="percent"), f"first.{i}") for i, radius in enumerate(radii)),
-        (Column("heading", "deg", 1), "heading_error.mean"),
-        (Column("queries", form="count"), "queries"),
+        *_in(unit, 3, {"median": "error.median", "95 %": "error.p95", "floor": "floor.mean", "excess": "excess.mean"}),
+        *_as("percent", {"hit rate": "hit_rate.0.rate", **recall}),
+        *_in("deg", 1, {"heading": "heading_error.mean"}),
+        *_as("count", {"queries": "queries"}),
     ]
     notes = [f"map: {first['map_frames']:,} frames"]
     recalls = [one for one in first["overall"]["recall"] if one["k"] == 1]
@@ -99,25 +97,22 @@ def errors(methods: Mapping[str, Measures], by: str = "lighting") -> list[Table]
 
 def rooms(methods: Mapping[str, Measures], by: str = "lighting") -> list[Table]:
     """Return the table of how often methods find the room: a row for each method and each lighting (or room)."""
-    columns: list[tuple[Column, Path]] = [
-        (Column("room retrieved", form="percent"), "accuracy"),
-        (Column("room in top 5", form="percent"), "top.5"),
-        (Column("mAP", form="percent"), "mean_average_precision"),
-        (Column("chance", form="percent"), "chance"),
-        (Column("queries", form="count"), "queries"),
-    ]
+    shares = {
+        "room retrieved": "accuracy",
+        "room in top 5": "top.5",
+        "mAP": "mean_average_precision",
+        "chance": "chance",
+    }
+    columns = [*_as("percent", shares), *_as("count", {"queries": "queries"})]
     return _made("rooms", ("method", by), columns, _rows(methods, "room_retrieval", by))
 
 
 def pairs(methods: Mapping[str, Measures]) -> list[Table]:
     """Return the table of pairs judged correctly: a row for each method and each lighting of the two images."""
-    columns: list[tuple[Column, Path]] = [
-        (Column("one room", form="percent"), "same"),
-        (Column("two rooms", form="percent"), "different"),
-        (Column("all pairs", form="percent"), "overall"),
-        (Column("AUC", form=3), "auc"),
-        (Column("pairs of one room", form="count"), "n_same"),
-        (Column("of two rooms", form="count"), "n_different"),
+    columns = [
+        *_as("percent", {"one room": "same", "two rooms": "different", "all pairs": "overall"}),
+        *_as(3, {"AUC": "auc"}),
+        *_as("count", {"pairs of one room": "n_same", "of two rooms": "n_different"}),
     ]
     rows = _rows(methods, "room_pairs")
     return _made("pairs", ("method", "lighting"), columns, rows, "pairs judged correctly: one room or two")
@@ -126,15 +121,11 @@ def pairs(methods: Mapping[str, Measures]) -> list[Table]:
 def expected_errors(found: Measures) -> list[Table]:
     """Return the table of expected and true errors, and of the queries called lost: a row for each lighting."""
     unit = found["unit"]
-    columns: list[tuple[Column, Path]] = [
-        (Column("expected, mean", unit, 3), "predicted"),
-        (Column("true, mean", unit, 3), "observed"),
-        (Column("gap", unit, 3), "gap"),
-        (Column("called lost", form="count"), "lost.called"),
-        (Column("truly lost", form="count"), "lost.lost"),
-        (Column("precision", form="percent"), "lost.precision"),
-        (Column("recall", form="percent"), "lost.recall"),
-        (Column("queries", form="count"), "queries"),
+    columns = [
+        *_in(unit, 3, {"expected, mean": "predicted", "true, mean": "observed", "gap": "gap"}),
+        *_as("count", {"called lost": "lost.called", "truly lost": "lost.lost"}),
+        *_as("percent", {"precision": "lost.precision", "recall": "lost.recall"}),
+        *_as("count", {"queries": "queries"}),
     ]
     title = f"expected errors; lost above {found['overall']['lost']['lost_above']:g} {unit}"
     return _made("calibration", ("lighting",), columns, _labelled(found), title)
@@ -143,45 +134,37 @@ def expected_errors(found: Measures) -> list[Table]:
 def nodes(found: Measures) -> list[Table]:
     """Return the table of hierarchical localization: a row for each lighting."""
     unit = found["unit"]
-    columns: list[tuple[Column, Path]] = [
-        (Column("mean", unit, 3), "error.mean"),
-        (Column("whole map", unit, 3), "absolute.error.mean"),
-        (Column("loss", form="percent"), "loss"),
-        (Column("perfect nodes", unit, 3), "perfect_coarse.error.mean"),
-        (Column("right node", unit, 3), "given_right.error.mean"),
-        (Column("wrong node", unit, 3), "given_wrong.error.mean"),
-        (Column("node found", form="share"), ("coarse.correct", "coarse.queries")),
-        (Column("comparisons a query", form=1), "comparisons.mean"),
-        (Column("frames compared", form="percent"), "comparisons.frames_share"),
-        (Column("with nodes", form="percent"), "comparisons.share"),
+    parts = {"perfect nodes": "perfect_coarse", "right node": "given_right", "wrong node": "given_wrong"}
+    columns = [
+        *_in(unit, 3, {"mean": "error.mean", "whole map": "absolute.error.mean"}),
+        *_as("percent", {"loss": "loss"}),
+        *_in(unit, 3, {name: f"{part}.error.mean" for name, part in parts.items()}),
+        *_as("share", {"node found": ("coarse.correct", "coarse.queries")}),
+        *_as(1, {"comparisons a query": "comparisons.mean"}),
+        *_as("percent", {"frames compared": "comparisons.frames_share", "with nodes": "comparisons.share"}),
     ]
     return _made("nodes", ("lighting",), columns, _labelled(found), f"hierarchical localization, {found['name']}")
 
 
 def mapping(found: Measures) -> list[Table]:
     """Return the measures of a coarse layer as a list, and the purity of each room."""
-    within = f"within {found['closures']['radius']:g} {found['unit']}"
-    columns: list[tuple[Column, Path]] = [
-        (Column("nodes", form="count"), "nodes"),
-        (Column("frames in no node", form="share"), ("unassigned.frames", "frames")),
-        (Column("silhouette of points, to the nearest node", form=3), "silhouette.nearest"),
-        (Column("silhouette of points, pooled", form=3), "silhouette.pooled"),
-        (Column("silhouette of descriptors", form=3), "descriptor_silhouette"),
-        (Column("moment of inertia", f"{found['unit']}²", 3), "inertia"),
-        (Column("purity by room", form="percent"), "purity.overall"),
-        (Column("frames with a room", form="count"), "purity.frames"),
-        (Column(f"loop closures that are right, {within}", form="share"), ("closures.right", "closures.closures")),
-        (Column("revisits that are closed", form="share"), ("closures.closed", "closures.revisits")),
-        (Column("F1 of loop closures", form="percent"), "closures.f1"),
-        (Column("time per frame, median", "ms", 3), "ms_per_frame.median"),
-        (Column("time per frame, 95 %", "ms", 3), "ms_per_frame.p95"),
-        (Column("representatives", "bytes", "count"), "bytes.representatives"),
-        (Column("descriptors", "bytes", "count"), "bytes.descriptors"),
+    closures = f"loop closures that are right, within {found['closures']['radius']:g} {found['unit']}"
+    points = "silhouette of points"
+    columns = [
+        *_as("count", {"nodes": "nodes"}),
+        *_as("share", {"frames in no node": ("unassigned.frames", "frames")}),
+        *_as(3, {f"{points}, to the nearest node": "silhouette.nearest", f"{points}, pooled": "silhouette.pooled"}),
+        *_as(3, {"silhouette of descriptors": "descriptor_silhouette"}),
+        *_in(f"{found['unit']}²", 3, {"moment of inertia": "inertia"}),
+        *_as("percent", {"purity by room": "purity.overall"}),
+        *_as("count", {"frames with a room": "purity.frames"}),
+        *_as("share", {closures: ("closures.right", "closures.closures")}),
+        *_as("share", {"revisits that are closed": ("closures.closed", "closures.revisits")}),
+        *_as("percent", {"F1 of loop closures": "closures.f1"}),
+        *_in("ms", 3, {f"time per frame, {name}": f"ms_per_frame.{key}" for name, key in _SPREAD.items()}),
+        *((Column(name, "bytes", "count"), f"bytes.{name}") for name in ("representatives", "descriptors")),
     ]
-    per_room: list[tuple[Column, Path]] = [
-        (Column("in a node of this room", form="percent"), "purity"),
-        (Column("frames", form="count"), "frames"),
-    ]
+    per_room = [*_as("percent", {"in a node of this room": "purity"}), *_as("count", {"frames": "frames"})]
     by_room = (((room,), one) for room, one in found["purity"]["room"].items())
     return [
         *_made("mapping", (), columns, [((), found)], f"nodes of a map, {found['name']}", upright=True),
@@ -192,16 +175,13 @@ def mapping(found: Measures) -> list[Table]:
 def compact(found: Measures) -> list[Table]:
     """Return the table of compact maps: a row for each map and each lighting."""
     unit = found["unit"]
-    columns: list[tuple[Column, Path]] = [
-        (Column("nodes", form="count"), "nodes"),
-        (Column("mean", unit, 3), "error.mean"),
-        (Column("median", unit, 3), "error.median"),
-        (Column("floor", unit, 3), "floor"),
-        (Column("in frames", unit, 3), "error_frames.mean"),
-        (Column("silhouette", form=3), "silhouette"),
-        (Column("inertia", form=3), "inertia"),
+    lengths = {"mean": "error.mean", "median": "error.median", "floor": "floor", "in frames": "error_frames.mean"}
+    columns = [
+        *_as("count", {"nodes": "nodes"}),
+        *_in(unit, 3, lengths),
+        *_as(3, {"silhouette": "silhouette", "inertia": "inertia"}),
         (Column("search", "ms", "short"), "search_ms"),
-        (Column("built in", "s", 2), "build_seconds"),
+        *_in("s", 2, {"built in": "build_seconds"}),
     ]
     lightings = found["lighting"] if len(found["lighting"]) > 1 else {}
     curves = {ALL: found["curves"], **lightings}
@@ -214,10 +194,8 @@ def compact(found: Measures) -> list[Table]:
 def buildings(found: Measures) -> list[Table]:
     """Return the table of buildings chosen correctly: a row for each lighting, a column for each building."""
     labels = found["confusion"]["labels"]
-    columns: list[tuple[Column, Path]] = [
-        (Column("all", form="share"), ("correct", "queries")),
-        *((Column(f"of {label}", form="share"), f"of.{i}") for i, label in enumerate(labels)),
-    ]
+    right: dict[str, Path] = {f"of {label}": f"of.{i}" for i, label in enumerate(labels)}
+    columns = _as("share", {"all": ("correct", "queries"), **right})
     rows = [
         (own, {**group, "of": [_counts(group["building"].get(label)) for label in labels]})
         for own, group in _labelled(found)
@@ -235,15 +213,11 @@ def buildings(found: Measures) -> list[Table]:
 def robustness(found: Measures) -> list[Table]:
     """Return a table for each disturbance: a row for each method and level."""
     unit = found["unit"]
-    columns: list[tuple[Column, Path]] = [
-        (Column("mean", unit, 3), "mean"),
-        (Column("median", unit, 3), "median"),
-        (Column("floor", unit, 3), "floor"),
-        (Column("hit rate", form="percent"), "hit_rate"),
-        (Column(f"within {found['radius']:g} {unit}", form="percent"), "share"),
-        (Column("queries within", form="count"), "within"),
-        (Column("heading", "deg", 1), "heading"),
-        (Column("by the nearest frame", "deg", 1), "heading_nearest"),
+    columns = [
+        *_in(unit, 3, {"mean": "mean", "median": "median", "floor": "floor"}),
+        *_as("percent", {"hit rate": "hit_rate", f"within {found['radius']:g} {unit}": "share"}),
+        *_as("count", {"queries within": "within"}),
+        *_in("deg", 1, {"heading": "heading", "by the nearest frame": "heading_nearest"}),
     ]
     made, last = [], found["disturbances"][-1]
     note = f"queries: {found['queries']:,} (one in {found['every']}), map: {found['map_frames']:,} frames"
@@ -261,11 +235,8 @@ def robustness(found: Measures) -> list[Table]:
 def cost(costs: Mapping[str, Measures]) -> list[Table]:
     """Return the table of the time a query takes and of the memory a map frame takes: a row for each method."""
     steps = ("describe", "rank", "search", "heading")
-    columns: list[tuple[Column, Path]] = [
-        *((Column(step, "ms", "short"), f"{step}_ms") for step in steps),
-        (Column("numbers", form="count"), "numbers"),
-        (Column("bytes", form="count"), "bytes"),
-    ]
+    times = [(Column(step, "ms", "short"), f"{step}_ms") for step in steps]
+    columns = [*times, *_as("count", {"numbers": "numbers", "bytes": "bytes"})]
     rows = (((method,), taken) for method, taken in costs.items() if taken)
     return _made("cost", ("method",), columns, rows, "cost of a query, and size of a map frame")
 
@@ -285,6 +256,16 @@ def middle_recall(group: Measures | None) -> Measures | None:
     """Return the recall@1 within the middle one of the radii, the headline figure; None if there is none."""
     first = [recall for recall in (group or {}).get("recall", []) if recall["k"] == 1]
     return first[len(first) // 2] if first else None
+
+
+def _in(unit: str, digits: int, paths: Mapping[str, Path]) -> list[tuple[Column, Path]]:
+    """Return columns of numbers in a unit, by their headings."""
+    return [(Column(name, unit, digits), path) for name, path in paths.items()]
+
+
+def _as(form: Form, paths: Mapping[str, Path]) -> list[tuple[Column, Path]]:
+    """Return columns without a unit, by their headings."""
+    return [(Column(name, form=form), path) for name, path in paths.items()]
 
 
 def _made(
