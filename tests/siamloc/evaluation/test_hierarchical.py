@@ -78,21 +78,6 @@ def test_columns_and_measures() -> None:
     assert absolute.measures["error"]["mean"] == measures["overall"]["absolute"]["error"]["mean"]
 
 
-def test_all_nodes_as_candidates_give_the_figures_of_absolute_localization() -> None:
-    known, queries = scenes.visual_map(), scenes.frames(2, 60)
-    vectors = scenes.describe(queries, seed=2)
-    layer = layer_of(known)
-    result = evaluated(known, layer, queries, vectors, candidates=len(layer))
-    absolute = evaluate_absolute(known, vectors, queries, RADII, KS)
-    for name, column in absolute.columns.items():
-        np.testing.assert_array_equal(result.columns[name], column, err_msg=name)
-    overall = result.parts["hierarchical"]["overall"]
-    assert (overall["loss"], overall["coarse"]["accuracy"]) == (0, 1)
-    assert overall["given_wrong"]["queries"] == 0
-    assert overall["comparisons"]["share"] == (150 + len(layer)) / 150
-    assert overall["comparisons"]["frames_share"] == 1
-
-
 def test_a_perfect_and_a_reversed_coarse_layer() -> None:
     known, queries = scenes.visual_map(400), scenes.frames(2, 60)
     known = VisualMap(known.frames.xy, known.frames)

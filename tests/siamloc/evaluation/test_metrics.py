@@ -86,21 +86,9 @@ def test_perfect_reversed_and_shuffled_retrievers() -> None:
     assert abs(metrics.recall_at_k(shuffled, map_xy, query_xy, 0.5, 20).recall - 0.1) < 5 * math.sqrt(0.09 / 200)
 
 
-def test_only_one_query_of_several_is_answerable() -> None:
-    recall = metrics.recall_at_k([[0], [0], [0]], [[0.0, 0.0]], [[0, 0.5], [0, 3], [7, 0]], 0.5, 1)
-    assert (recall.hits, recall.queries, recall.answerable) == (1, 3, 1)
-    assert (recall.recall, recall.recall_answerable) == (1 / 3, 1)
-
-
 @pytest.mark.parametrize(("frames", "k"), [(1, 1), (99, 1), (100, 1), (101, 2), (556, 6), (1000, 10)])
 def test_one_percent_of_the_map(frames: int, k: int) -> None:
     assert metrics.one_percent(frames) == k
-
-
-def test_the_first_rank_within_a_radius() -> None:
-    map_xy = [[0.0, 0], [5, 0], [9, 0]]
-    rank = metrics.first_rank_within([[2, 1, 0], [0, 1, 2], [0, 2, 1]], map_xy, [[0, 0], [0, 0], [30, 0]], 0.5)
-    np.testing.assert_array_equal(rank, [3, 1, 0])
 
 
 @given(seed=seeds, margin=st.sampled_from([0.5, 1.0, 2.0]), threshold=st.sampled_from([0.1, 0.5, 1.0]))
@@ -199,22 +187,16 @@ NAN = [[0.0, math.nan]]
     ("call", "error", "message"),
     [
         (lambda: metrics.localization_error(NAN, XY), DataError, "1 of 1 estimated positions are unknown"),
-        (lambda: metrics.localization_error(XY, NAN), DataError, "1 of 1 true positions"),
         (lambda: metrics.localization_error(XY, XY * 2), DataError, "got 1 and 2"),
         (lambda: metrics.localization_error([0.0], XY), DataError, "shape (n, 2), got (1,)"),
         (lambda: metrics.error_floor(np.empty((0, 2)), XY), DataError, "the map is empty"),
-        (lambda: metrics.error_floor(NAN, XY), DataError, "1 of 1 map positions"),
         (lambda: metrics.summarize([1.0, math.nan]), DataError, "1 of 2 errors are not finite"),
         (lambda: metrics.summarize([[1.0]]), DataError, "shape (n,), got (1, 1)"),
         (lambda: metrics.recall_at_k([[0]], XY, XY, -1, 1), ConfigError, "radius must not be negative, got -1"),
-        (lambda: metrics.recall_at_k([[0]], XY, XY, math.nan, 1), ConfigError, "radius"),
         (lambda: metrics.recall_at_k([[0]], XY, XY, 1, 0), ConfigError, "k >= 1, got 0"),
         (lambda: metrics.recall_at_k([[0]], XY * 3, XY, 1, 2), ConfigError, "recall@2 needs 2 retrieved frames"),
-        (lambda: metrics.recall_at_k([[0]], XY, NAN, 1, 1), DataError, "1 of 1 query positions"),
         (lambda: metrics.recall_at_k([[1]], XY, XY, 1, 1), DataError, "rows of the map, 0 to 0"),
-        (lambda: metrics.recall_at_k([[-1]], XY, XY, 1, 1), DataError, "rows of the map, 0 to 0"),
         (lambda: metrics.recall_at_k([[0.0]], XY, XY, 1, 1), DataError, "whole numbers of shape (1, K), got float64"),
-        (lambda: metrics.recall_at_k([[0]], XY, XY * 2, 1, 1), DataError, "whole numbers of shape (2, K)"),
         (lambda: metrics.recall_at_one_percent([[0]], [], XY, 1), DataError, "map positions must have shape"),
         (lambda: metrics.pair_accuracy([1.0], [True], margin=0), ConfigError, "margin must be positive, got 0"),
         (lambda: metrics.pair_accuracy([1.0], [True], threshold=0), ConfigError, "(0, 1], got 0"),
@@ -222,13 +204,11 @@ NAN = [[0.0, math.nan]]
         (lambda: metrics.pair_threshold_curve([1.0], [True], 2, [0.5, 1.5]), ConfigError, "[0, 1], got 0.5 to 1.5"),
         (lambda: metrics.pair_accuracy([-1.0], [True]), DataError, "1 of 1 pair distances are negative"),
         (lambda: metrics.pair_accuracy([math.nan], [True]), DataError, "1 of 1 distances are not finite"),
-        (lambda: metrics.pair_accuracy([1.0], [1]), DataError, "got int64 of shape (1,)"),
         (lambda: metrics.pair_accuracy([1.0], [[True]]), DataError, "got bool of shape (1, 1)"),
         (lambda: metrics.confusion_matrix(["a"], ["b"], ["a"]), DataError, "labels 'b' are not among a"),
         (lambda: metrics.confusion_matrix(["a"], ["a", "a"], ["a"]), DataError, "got shapes (1,) and (2,)"),
         (lambda: metrics.confusion_matrix(["a"], ["a"], ["a", "a"]), DataError, "must differ"),
         (lambda: metrics.heading_error([0.0], [0.0, 1.0]), DataError, "got 1 and 2"),
-        (lambda: metrics.heading_error([math.inf], [0.0]), DataError, "1 of 1 estimated headings are not finite"),
     ],
 )
 def test_errors(call, error: type[Exception], message: str) -> None:
