@@ -45,14 +45,14 @@ class Reproduce(Job):
 
     def run(self, say: Say = quiet) -> None:
         """Reproduce a published table or figure, or all of them."""
-        from siamloc.reproduce import listing, recipe, recipes, reproduce, write_report
+        from siamloc.reproduce import listing, reproduce, studies, study, write_report
 
         if self.list or self.id is None:
             say(listing(self.data, self.scale))
             return
         options = {key: getattr(self, key) for key in ("data", "root", "scale", "out", "measure")}
         if self.id != "all":
-            chosen = recipe(self.id)
+            chosen = study(self.id)
             if chosen.id != self.id:
                 say(f"{self.id} is measured by {chosen.id}")
             result = reproduce(chosen, **options)
@@ -61,7 +61,7 @@ class Reproduce(Job):
                 say(f"written: {path}")
             return
         results, missing = [], dict[str, str]()
-        for one in recipes():
+        for one in studies():
             try:
                 results.append(reproduce(one, **options))
             except DataError as error:  # the others can still be measured

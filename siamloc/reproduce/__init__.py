@@ -14,21 +14,21 @@ from siamloc.lazy import lazy
 if TYPE_CHECKING:
     from siamloc.reproduce.claims import holds
     from siamloc.reproduce.page import write_report
-    from siamloc.reproduce.recipe_book import Recipe, listing, recipe, recipes
     from siamloc.reproduce.reproduction import Reproduction
     from siamloc.reproduce.running import reproduce
+    from siamloc.reproduce.study_book import Study, listing, studies, study
 
 _HOMES = {
-    "Recipe": "recipe_book",
+    "Study": "study_book",
     "Reproduction": "reproduction",
     "holds": "claims",
-    "listing": "recipe_book",
-    "recipe": "recipe_book",
-    "recipes": "recipe_book",
+    "listing": "study_book",
+    "study": "study_book",
+    "studies": "study_book",
     "reproduce": "running",
     "write_report": "page",
 }
 
-__all__ = ["Recipe", "Reproduction", "holds", "listing", "recipe", "recipes", "reproduce", "write_report"]
+__all__ = ["Reproduction", "Study", "holds", "listing", "reproduce", "studies", "study", "write_report"]
 
 __getattr__, __dir__ = lazy(__name__, _HOMES)

@@ -11,7 +11,7 @@ from siamloc.errors import DataError
 from siamloc.report.draw.look import INK, PAPER, SOFT, Picture, panels, series_look, style
 from siamloc.reproduce.claims import PICKS
 from siamloc.reproduce.published import Record, grouped, measures
-from siamloc.reproduce.recipe_book import axis
+from siamloc.reproduce.study_book import axis
 
 Figure = Mapping[str, Any]
 
@@ -22,7 +22,7 @@ _SHOWN = {"share": ("%", 100.0), "s": ("ms", 1000.0), "deg": ("°", 1.0)}
 
 @style()
 def drawn(figures: Sequence[Figure], records: Sequence[Record]) -> Picture:
-    """Draw each panel of a recipe's figure.
+    """Draw each panel of a study's figure.
 
     Args:
         figures: what to draw: `measure`, `x`, `series` or `y`, `panels`, `where`, `title`.

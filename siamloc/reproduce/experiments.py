@@ -25,7 +25,7 @@ from siamloc.evaluation.absolute import evaluate_absolute
 from siamloc.evaluation.result import Result
 from siamloc.maps import CoarseLayer, VectorIndex, VisualMap, headings, match
 from siamloc.reproduce.published import Record
-from siamloc.reproduce.recipe_book import Job, data_named
+from siamloc.reproduce.study_book import Job, data_named
 from siamloc.stopwatch import Stopwatch
 
 _REMEMBERED = 4
@@ -36,7 +36,7 @@ class Data:
     """A data set, opened on demand.
 
     Attributes:
-        name: a name in `recipe_book.yaml`.
+        name: a name in `study_book.yaml`.
         root: folder of the data set.
         image_size: rows and columns of a panorama.
         work: folder for training runs in progress.
@@ -100,7 +100,7 @@ class Data:
         try:
             found = Role.of(options).select(self.frames)
         except ConfigError as error:
-            raise DataError(f"{self.root} lacks a drive that the recipe needs ({error}): {about['how']}") from error
+            raise DataError(f"{self.root} lacks a drive that the study needs ({error}): {about['how']}") from error
         return self.images.readable(found.every(one_in))
 
 

@@ -9,8 +9,8 @@ from pathlib import Path
 
 from foundation.calls import typed
 from foundation.files import write_text
-from siamloc.reproduce.recipe_book import data_named
 from siamloc.reproduce.reproduction import Reproduction
+from siamloc.reproduce.study_book import data_named
 from siamloc.results import versions
 
 _ABOUT = """\
@@ -18,7 +18,7 @@ Each part below is a published table or figure, measured again: `siamloc reprodu
 and `siamloc reproduce --list` lists all. Published numbers and claims come from three texts: **[I]** Román et al. 2020,
 **[C]** Cebollada et al. 2019, **[T]** Román's thesis of 2023. They were measured on other images, partly with other
 protocols, on other machines; each part says what replaces what here. A claim is a sentence of a text with a check that
-numbers can be tested against: it *holds*, *does not hold*, or is *not decidable* if the recipe, the data or the scale
+numbers can be tested against: it *holds*, *does not hold*, or is *not decidable* if the study, the data or the scale
 lack what it compares. If the printed numbers themselves decide it, their verdict is shown next to ours. The notes of a
 part say what is known about why a claim does not hold here; if they say nothing, we know of no reason. Neither the
 building nor a check is tuned to a claim.
@@ -68,11 +68,11 @@ def report(results: Sequence[Reproduction], missing: Mapping[str, str] | None = 
         verdicts, rows = Counter(verdict.ours for verdict in one.verdicts), one.rows
         beside = f"{sum(row.ours is not None for row in rows)} of {len(rows)}" if rows else ""
         cells = [str(verdicts[key] or "") for key in (True, False, None)]
-        lines.append(f"| [{one.recipe.id}](#{one.recipe.id}) | {one.recipe.title} | {' | '.join(cells)} | {beside} |")
+        lines.append(f"| [{one.study.id}](#{one.study.id}) | {one.study.title} | {' | '.join(cells)} | {beside} |")
     for id, reason in (missing or {}).items():
         lines.append(f"| {id} | not measured: {reason} | | | | |")
     for one in results:
-        lines += ["", f'<a id="{one.recipe.id}"></a>', "", one.table()]
-        if one.recipe.figure:
-            lines.append(f"![{one.recipe.title}]({one.recipe.id}.png)")
+        lines += ["", f'<a id="{one.study.id}"></a>', "", one.table()]
+        if one.study.figure:
+            lines.append(f"![{one.study.title}]({one.study.id}.png)")
     return "\n".join(lines) + "\n"

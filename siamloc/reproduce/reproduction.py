@@ -1,4 +1,4 @@
-"""`Reproduction`: the measured numbers of a recipe, next to the published ones, with the claims checked."""
+"""`Reproduction`: the measured numbers of a study, next to the published ones, with the claims checked."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from siamloc.report.draw.look import save
 from siamloc.reproduce.claims import Claim, claim, holds
 from siamloc.reproduce.drawing import drawn, names_of, said, shown, titled, unit
 from siamloc.reproduce.published import Record, grouped, measures, published
-from siamloc.reproduce.recipe_book import Recipe, data_named
+from siamloc.reproduce.study_book import Study, data_named
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -38,7 +38,7 @@ class Row:
 
     Attributes:
         published: as published; None if only we have one.
-        ours: as measured; None if the recipe has none.
+        ours: as measured; None if the study has none.
     """
 
     published: Record | None
@@ -79,10 +79,10 @@ class Verdict:
 
 @dataclass(frozen=True, eq=False)
 class Reproduction:
-    """The measured numbers of a recipe.
+    """The measured numbers of a study.
 
     Attributes:
-        recipe: the recipe.
+        study: the study.
         data: name of the data set.
         scale: "smoke", "short" or "full".
         records: measured numbers.
@@ -91,7 +91,7 @@ class Reproduction:
         machines: machines they were measured on, as far as known.
     """
 
-    recipe: Recipe
+    study: Study
     data: str
     scale: str
     records: tuple[Record, ...]
@@ -100,42 +100,42 @@ class Reproduction:
     machines: tuple[str, ...] = ()
 
     def __repr__(self) -> str:
-        return f"Reproduction({self.recipe.id}: {len(self.records)} numbers on {self.data}, {self.scale})"
+        return f"Reproduction({self.study.id}: {len(self.records)} numbers on {self.data}, {self.scale})"
 
     def summary(self) -> str:
         """Return one line with what was measured and whether the claims hold."""
         verdicts = [VERDICTS[one.ours] for one in self.verdicts]
         said = ", ".join(f"{verdicts.count(word)} {word}" for word in VERDICTS.values() if word in verdicts)
-        return f"{self.recipe.id}, {len(self.records)} numbers{'; claims: ' + said if said else ''}"
+        return f"{self.study.id}, {len(self.records)} numbers{'; claims: ' + said if said else ''}"
 
     @property
     def rows(self) -> list[Row]:
-        """The published numbers, each next to ours if the recipe measures it."""
-        printed = [one for entry in self.recipe.entries for one in published(entry).records()]
-        asked = [one for one in printed if self.recipe.where.items() <= one.settings.items()]
-        best = _best(self.records, self.recipe)
-        return [Row(one, _beside(one, self.records if "bound" in one.settings else best, self.recipe)) for one in asked]
+        """The published numbers, each next to ours if the study measures it."""
+        printed = [one for entry in self.study.entries for one in published(entry).records()]
+        asked = [one for one in printed if self.study.where.items() <= one.settings.items()]
+        best = _best(self.records, self.study)
+        return [Row(one, _beside(one, self.records if "bound" in one.settings else best, self.study)) for one in asked]
 
     @property
     def verdicts(self) -> list[Verdict]:
         """The claims, each checked against our numbers."""
-        asked = [claim(id) for id in self.recipe.claims]
+        asked = [claim(id) for id in self.study.claims]
         return [Verdict(one, holds(one.check, self.records), one.printed()) for one in asked]
 
     def table(self) -> str:
         """Return published and measured numbers as a Markdown table; only our own if nothing was printed."""
-        source, title = self.recipe.source, data_named(self.data)["title"]
+        source, title = self.study.source, data_named(self.data)["title"]
         place = ", ".join(filter(None, [f"[{source.document}] section {source.section}", source.place]))
         measured = f"Scale {self.scale}, {sum(self.seconds.values()):.0f} s."
-        lines = [f"### {self.recipe.title}", "", f"{place}. On {title}; {self._protocol()}. {measured}"]
+        lines = [f"### {self.study.title}", "", f"{place}. On {title}; {self._protocol()}. {measured}"]
         lines += self._comparison() if self.rows else []
-        if self.recipe.figure:
+        if self.study.figure:
             lines += ["", *self._best_table()]
-        if self.recipe.claims:
+        if self.study.claims:
             verdicts = [_verdict_row(one) for one in self.verdicts]
             lines += ["", *_markdown(["claim", "printed numbers", "ours"], verdicts)]
-        if self.recipe.notes:
-            lines += ["", *(f"- {note}" for note in self.recipe.notes)]
+        if self.study.notes:
+            lines += ["", *(f"- {note}" for note in self.study.notes)]
         return "\n".join(lines) + "\n"
 
     def as_csv(self) -> str:
@@ -159,11 +159,11 @@ class Reproduction:
         """Return the figure in the form of the published one.
 
         Raises:
-            ConfigError: the recipe has no figure.
+            ConfigError: the study has no figure.
         """
-        if not self.recipe.figure:
-            raise ConfigError(f"{self.recipe.id} has no figure: see its table")
-        return drawn(self.recipe.figure, [*self.records, *self.beside])
+        if not self.study.figure:
+            raise ConfigError(f"{self.study.id} has no figure: see its table")
+        return drawn(self.study.figure, [*self.records, *self.beside])
 
     @typed
     def save(self, folder: str | Path) -> list[Path]:
@@ -172,7 +172,7 @@ class Reproduction:
         Raises:
             StorageError: the disk is full or cannot be written to.
         """
-        texts = {f"{self.recipe.id}.md": self.table(), f"{self.recipe.id}.csv": self.as_csv()}
+        texts = {f"{self.study.id}.md": self.table(), f"{self.study.id}.csv": self.as_csv()}
         for name, text in texts.items():
             write_text(Path(folder) / name, text)
         return [*(Path(folder) / name for name in texts), *self.save_plot(folder)]
@@ -183,19 +183,19 @@ class Reproduction:
         Raises:
             StorageError: the disk is full or cannot be written to.
         """
-        return [save(self.plot(), Path(folder) / f"{self.recipe.id}.png")] if self.recipe.figure else []
+        return [save(self.plot(), Path(folder) / f"{self.study.id}.png")] if self.study.figure else []
 
     def _protocol(self) -> str:
-        return "; ".join(f"{role}: {says}" for role, says in self.recipe.protocol(self.scale).items())
+        return "; ".join(f"{role}: {says}" for role, says in self.study.protocol(self.scale).items())
 
     def _comparison(self) -> list[str]:
         """Return the lines of the table with the published numbers next to ours."""
         rows = self.rows
         listed = {row.measure for row in rows}
-        rows += [Row(None, one) for one in _best(self.beside, self.recipe) if one.measure in listed]
+        rows += [Row(None, one) for one in _best(self.beside, self.study) if one.measure in listed]
         names = dict.fromkeys(name for row in rows for name in row.settings)
         apart = [name for name in names if len({_shown(row.settings.get(name)) for row in rows}) > 1]
-        heads = [name for name in apart if self.recipe.join is None or name in self.recipe.join]
+        heads = [name for name in apart if self.study.join is None or name in self.study.join]
         other = [name for name in dict.fromkeys([*apart, *_unlike(rows)]) if name not in heads]
         columns = {name: [_shown(row.settings.get(name)) for row in rows] for name in heads}
         columns["measure"] = [_measure(row.measure) for row in rows]
@@ -215,7 +215,7 @@ class Reproduction:
     def _best_table(self) -> list[str]:
         """Return the smallest and largest of our numbers in each figure, by its distinguishing settings."""
         lines: list[list[str]] = []
-        for figure in self.recipe.figure:
+        for figure in self.study.figure:
             found = shown(figure, [*self.records, *self.beside])
             names = _apart_by(figure, found)
             for key, part in grouped(names, found).items():
@@ -227,7 +227,7 @@ class Reproduction:
         return _markdown(["measure", "of", "smallest", "with", "largest", "with"], lines) if lines else []
 
 
-def _best(records: Sequence[Record], chosen: Recipe) -> list[Record]:
+def _best(records: Sequence[Record], chosen: Study) -> list[Record]:
     """Return the records; of those with the same `join` settings, only the ones with the largest `best`."""
     if chosen.best is None or chosen.join is None:
         return list(records)
@@ -236,7 +236,7 @@ def _best(records: Sequence[Record], chosen: Recipe) -> list[Record]:
     return [one for one in records if one.settings in kept]
 
 
-def _beside(one: Record, ours: Sequence[Record], chosen: Recipe) -> Record | None:
+def _beside(one: Record, ours: Sequence[Record], chosen: Study) -> Record | None:
     """Return our number for a published one; for a bound, the smallest or largest of ours."""
     found = [our for our in ours if _same(one, our, chosen.join)]
     if not found or "bound" not in one.settings:

@@ -1,4 +1,4 @@
-"""`reproduce`: measure what a recipe requires, and keep the results."""
+"""`reproduce`: measure what a study requires, and keep the results."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ from foundation.files import content_key, plain, read_json, storage_errors, writ
 from siamloc.errors import ConfigError, DataError, FormatError
 from siamloc.progress import track
 from siamloc.reproduce.published import Record
-from siamloc.reproduce.recipe_book import DataName, Job, Recipe, Scale, data_named, experiment, recipe
 from siamloc.reproduce.reproduction import Reproduction
+from siamloc.reproduce.study_book import DataName, Job, Scale, Study, data_named, experiment, study
 
 if TYPE_CHECKING:
     from siamloc.reproduce.experiments import Data
@@ -27,7 +27,7 @@ _VERSION = 1
 
 @typed
 def reproduce(
-    id: str | Recipe,
+    id: str | Study,
     *,
     data: DataName = "freiburg_sim",
     root: str | Path | None = None,
@@ -36,10 +36,10 @@ def reproduce(
     measure: bool = True,
     progress: bool = True,
 ) -> Reproduction:
-    """Measure what a recipe requires; earlier measurements on the same data are read from `out`.
+    """Measure what a study requires; earlier measurements on the same data are read from `out`.
 
     Args:
-        id: id of the recipe, such as "figure_3_11", or your own `Recipe`.
+        id: id of the study, such as "figure_3_11", or your own `Study`.
         data: "cold", "freiburg_sim" or "mini".
         root: folder of the data; the usual place of the data set if None.
         scale: "smoke" (seconds), "short" (minutes) or "full" (as published).
@@ -48,7 +48,7 @@ def reproduce(
         progress: whether to show the progress.
 
     Raises:
-        ConfigError: an unknown recipe, data set or scale.
+        ConfigError: an unknown study, data set or scale.
         DataError: data that do not exist or lack a drive (the message says where they should be); with
             `measure=False`, numbers that have not been measured before.
         StorageError: the disk is full or cannot be written to; finished measurements are kept.
@@ -58,7 +58,7 @@ def reproduce(
         Traceback (most recent call last):
         foundation.errors.ConfigError: scale must be smoke or short or full, got 'long'
     """
-    chosen = recipe(id) if isinstance(id, str) else id
+    chosen = study(id) if isinstance(id, str) else id
     measured = Path(out) / "measured"
     with storage_errors(measured):
         measured.mkdir(parents=True, exist_ok=True)  # fails here, not after the first job

@@ -1,4 +1,4 @@
-"""Recipes: the experiments behind a published table or figure, as data (`recipe_book.yaml`), their jobs, and a list.
+"""Studies: the experiments behind a published table or figure, as data (`study_book.yaml`), their jobs, and a list.
 
 An experiment is a call of the library with some settings varied; each combination is a job. Values may be given by
 scale, as in `{full: [1, 2, 4, 8], short: [2, 8]}`: a scale that is not listed uses the next larger one.
@@ -22,7 +22,7 @@ from siamloc.reproduce.published import Source, contents, named
 Scale = Literal["smoke", "short", "full"]
 """From seconds on a small building, through minutes to hours, to the published experiments."""
 DataName = Literal["cold", "freiburg_sim", "mini"]
-"""Data sets of `recipe_book.yaml`."""
+"""Data sets of `study_book.yaml`."""
 
 _SCALES = ("smoke", "short", "full")
 
@@ -81,7 +81,7 @@ class Experiment(Settings):
 
     def jobs(self, scale: str) -> list[Job]:
         """Return one job per combination of the varied settings."""
-        protocol = contents("recipe_book")["protocols"][self.protocol]
+        protocol = contents("study_book")["protocols"][self.protocol]
         axes = {name: _resolved(axis["to"], scale) for name, axis in self.over.items()}
         numeric = [name for name, values in axes.items() if all(isinstance(value, int | float) for value in values)]
         made = []
@@ -103,7 +103,7 @@ class Experiment(Settings):
 
 
 @dataclass(frozen=True)
-class Recipe(Settings):
+class Study(Settings):
     """How a published table or figure is measured again.
 
     Attributes:
@@ -141,42 +141,42 @@ class Recipe(Settings):
     def protocol(self, scale: str = "full") -> Mapping[str, str]:
         """Return a description in words of the frames used as map and queries."""
         protocol = experiment(self.experiments[0]).protocol
-        says: dict[str, str] = _resolved(contents("recipe_book")["protocols"][protocol]["says"], scale)
+        says: dict[str, str] = _resolved(contents("study_book")["protocols"][protocol]["says"], scale)
         return says
 
 
 @typed
-def recipe(id: str) -> Recipe:
-    """Return a recipe by its id, or by that of a figure that it covers.
+def study(id: str) -> Study:
+    """Return a study by its id, or by that of a figure that it covers.
 
     Raises:
         ConfigError: an unknown id (the message names similar ones), or one with nothing to measure (with the reason).
 
     Example:
-        >>> recipe("figure_3_11").title
+        >>> study("figure_3_11").title
         'Hit rate of HOG, by its parameters and the distance'
-        >>> recipe("figure_3_19").id
+        >>> study("figure_3_19").id
         'figure_3_17'
     """
-    known, nothing = _recipes(), without_measurement()
+    known, nothing = _studies(), without_measurement()
     covering = {covered: one.id for one in known.values() for covered in one.covers}
     if id in nothing:
         raise ConfigError(f"there is nothing to measure for {id}: it {nothing[id]}")
     if id not in known and id not in covering:
         near = [repr(one) for one in get_close_matches(str(id), [*known, *covering, *nothing], n=3, cutoff=0.5)]
         asked = f"did you mean {' or '.join(near)}? " if near else ""
-        raise ConfigError(f"there is no recipe {id!r}; {asked}`siamloc reproduce --list` lists all")
+        raise ConfigError(f"there is no study {id!r}; {asked}`siamloc reproduce --list` lists all")
     return known[covering.get(id, id)]
 
 
 def without_measurement() -> Mapping[str, str]:
     """Return the ids of tables and figures without a measurement to repeat, each with what it shows."""
-    return dict(contents("recipe_book")["nothing"])
+    return dict(contents("study_book")["nothing"])
 
 
-def recipes() -> tuple[Recipe, ...]:
-    """Return all recipes, in the order of the documents."""
-    return tuple(_recipes().values())
+def studies() -> tuple[Study, ...]:
+    """Return all studies, in the order of the documents."""
+    return tuple(_studies().values())
 
 
 def experiment(id: str) -> Experiment:
@@ -190,19 +190,19 @@ def experiment(id: str) -> Experiment:
 
 def seconds_of(job: Job, scale: str) -> float:
     """Return the approximate time in seconds of a job at a scale, on two processor cores."""
-    takes = contents("recipe_book")["takes"]
+    takes = contents("study_book")["takes"]
     return float(takes["experiment"].get(job.experiment, takes["kind"][job.kind]) * takes["scale"][scale])
 
 
 def axis(name: str) -> Mapping[str, Any]:
     """Return how a setting is labelled in figures: `says`, `short`, `unit`, `factor`."""
-    found: Mapping[str, Any] = contents("recipe_book")["axes"].get(name, {})
+    found: Mapping[str, Any] = contents("study_book")["axes"].get(name, {})
     return found
 
 
 def data_named(name: str) -> Mapping[str, Any]:
     """Return how to read a data set: `root`, `title`, and its sequences by run name."""
-    found: Mapping[str, Any] = contents("recipe_book")["data"][name]
+    found: Mapping[str, Any] = contents("study_book")["data"][name]
     return found
 
 
@@ -218,10 +218,8 @@ def listing(data: DataName = "freiburg_sim", scale: Scale = "short") -> str:
         ConfigError: an unknown data set or scale.
     """
     about = data_named(data)
-    lines = [
-        line for one in recipes() for line in (f"{one.id:<14} {one.title}", f"{'':<14} {_needs(one, data, scale)}")
-    ]
-    covered = [f"{id:<14} is measured by {one.id}" for one in recipes() for id in one.covers]
+    lines = [f"{one.id:<14} {one.title}\n{'':<14} {_needs(one, data, scale)}" for one in studies()]
+    covered = [f"{id:<14} is measured by {one.id}" for one in studies() for id in one.covers]
     nothing = [f"{id:<14} {reason}" for id, reason in without_measurement().items()]
     return "\n".join(
         [
@@ -234,7 +232,7 @@ def listing(data: DataName = "freiburg_sim", scale: Scale = "short") -> str:
     )
 
 
-def _needs(one: Recipe, data: str, scale: str) -> str:
+def _needs(one: Study, data: str, scale: str) -> str:
     jobs, about = one.jobs(scale), data_named(data)
     runs = sorted({run for job in jobs for role in job.roles.values() for run in role["runs"]})
     trained = sum(job.kind in ("trained", "named_rooms") for job in jobs)
@@ -263,9 +261,9 @@ def _resolved(value: Any, scale: str) -> Any:
 
 @cache
 def _experiments() -> dict[str, Experiment]:
-    return {one["id"]: Experiment.of(one) for one in contents("recipe_book")["experiments"]}
+    return {one["id"]: Experiment.of(one) for one in contents("study_book")["experiments"]}
 
 
 @cache
-def _recipes() -> dict[str, Recipe]:
-    return {one["id"]: Recipe.of(one) for one in contents("recipe_book")["recipes"]}
+def _studies() -> dict[str, Study]:
+    return {one["id"]: Study.of(one) for one in contents("study_book")["studies"]}

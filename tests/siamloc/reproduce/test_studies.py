@@ -1,4 +1,4 @@
-"""Every recipe runs, at its smallest, on drawn rooms; and no published number gets into what is measured."""
+"""Every study runs, at its smallest, on drawn rooms; and no published number gets into what is measured."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ import pytest
 
 from siamloc.cli import main
 from siamloc.errors import ConfigError, DataError, StorageError
-from siamloc.reproduce import listing, recipe, recipes, reproduce, write_report
+from siamloc.reproduce import listing, reproduce, studies, study, write_report
 from siamloc.reproduce.claims import claim, claims
 from siamloc.reproduce.drawing import shown
 from siamloc.reproduce.experiments import KINDS, Data
 from siamloc.reproduce.published import published
-from siamloc.reproduce.recipe_book import experiment, seconds_of, without_measurement
+from siamloc.reproduce.study_book import experiment, seconds_of, without_measurement
 from tests.drawn import draw_panorama, draw_sequence
 
 RUNS = {"cloudy1": 0, "cloudy2": 1, "cloudy3": 2, "night1": 5, "night2": 3, "sunny1": 6, "sunny2": 4}
@@ -27,7 +27,7 @@ NOT_ASKED = {"t_sun_needs_sunny_frames"}  # compares trainings of sizes that a s
 
 @pytest.fixture(scope="session")
 def root(tmp_path_factory):
-    """A data set in COLD's layout, with the runs that recipes name, and another building next to it."""
+    """A data set in COLD's layout, with the runs that studies name, and another building next to it."""
     beside = tmp_path_factory.mktemp("drawn")
     drawn(beside / "mini", RUNS, FRAMES)
     drawn(beside / "freiburg_like", {"cloudy3": 12}, FRAMES // 2)
@@ -74,9 +74,9 @@ def refuse(monkeypatch):
 
 @pytest.mark.slow
 @pytest.mark.timeout(900)  # a hundred experiments
-def test_every_recipe_runs_and_is_written(smoke, out):
+def test_every_study_runs_and_is_written(smoke, out):
     results = []
-    for one in recipes():
+    for one in studies():
         found = smoke(one.id)
         assert found.records, one.id
         assert f"### {one.title}" in found.table()
@@ -90,11 +90,11 @@ def test_every_recipe_runs_and_is_written(smoke, out):
     text = page.read_text()
     assert results[0].machines[0] in text
     assert "table_9_9 | not measured: no such data" in text
-    assert text.count("![") == sum(bool(one.figure) for one in recipes())
+    assert text.count("![") == sum(bool(one.figure) for one in studies())
     for one in results:
-        assert (page.parent / f"{one.recipe.id}.png").is_file() == bool(one.recipe.figure)
+        assert (page.parent / f"{one.study.id}.png").is_file() == bool(one.study.figure)
     for id, endings in {"figure_3_16": (".md", ".csv", ".png"), "table_5_5": (".md", ".csv")}.items():
-        one = next(one for one in results if one.recipe.id == id)
+        one = next(one for one in results if one.study.id == id)
         assert one.save(out / "saved") == [out / "saved" / f"{id}{ending}" for ending in endings]
         assert all(path.is_file() for path in one.save(out / "saved"))
 
@@ -128,7 +128,7 @@ def test_a_bound_has_no_difference_and_a_protocol_its_scale(smoke):
     assert rows["wisurf"].difference is None
     assert rows["hog"].difference < 0
     assert "frames 1.2 m apart" in found.table()
-    assert "40 cm" in found.recipe.protocol()["map"]
+    assert "40 cm" in found.study.protocol()["map"]
 
 
 @pytest.mark.parametrize(
@@ -159,7 +159,7 @@ def test_a_folder_that_cannot_be_made_is_refused_before_the_work(smoke, tmp_path
         smoke("figure_3_11", out=tmp_path / "taken")
 
 
-def test_one_recipe_is_named(capsys):
+def test_one_study_is_named(capsys):
     assert main(["reproduce", "figure_3_11", "figure_3_12"]) == 2
     assert "siamloc reproduce takes one id, got figure_3_11 figure_3_12" in capsys.readouterr().err
 
@@ -181,8 +181,8 @@ def test_no_published_number_is_ever_ours(smoke, out, monkeypatch):
     assert "97.31" not in "".join(path.read_text() for path in (out / "poisoned" / "measured").rglob("*.json"))
 
 
-def test_recipes_name_what_there_is():
-    for one in recipes():
+def test_studies_name_what_there_is():
+    for one in studies():
         for name in one.experiments:
             assert 0 < len(experiment(name).jobs("smoke")) <= len(experiment(name).jobs("full"))
         assert all(claim(name).check for name in one.claims)
@@ -191,8 +191,8 @@ def test_recipes_name_what_there_is():
         for job in one.jobs("short"):
             assert job.kind in KINDS
             assert seconds_of(job, "smoke") < seconds_of(job, "short") < seconds_of(job, "full")
-    assert {one.id for one in claims()} - {name for one in recipes() for name in one.claims} <= NOT_ASKED
-    ids = [id for one in recipes() for id in (one.id, *one.covers)] + list(without_measurement())
+    assert {one.id for one in claims()} - {name for one in studies() for name in one.claims} <= NOT_ASKED
+    ids = [id for one in studies() for id in (one.id, *one.covers)] + list(without_measurement())
     assert len(set(ids)) == len(ids), "an id has two meanings"
 
 
@@ -209,9 +209,9 @@ NUMBERED = [
 def test_every_number_is_measured_or_says_why_not(id):
     if id in without_measurement():
         with pytest.raises(ConfigError, match=f"^there is nothing to measure for {id}: it .{{20,}}"):
-            recipe(id)
+            study(id)
     else:
-        found = recipe(id)
+        found = study(id)
         assert found.id == id or id in found.covers
     listed = listing("mini", "smoke")
     assert sum(line.startswith(f"{id} ") for line in listed.splitlines()) == 1
@@ -261,7 +261,7 @@ def test_another_building_that_is_missing_is_named(smoke, root, tmp_path):
 
 def test_a_panel_shows_only_what_it_is_drawn_over(smoke):
     found = smoke("figure_3_34")
-    (figure,) = found.recipe.figure
+    (figure,) = found.study.figure
     assert all("noise" in one.settings for one in shown(figure, found.records))
     assert {one.get_title("left") for one in found.plot().axes} == {"noise 0 [°]", "noise 0.02 [°]"}
     assert "hidden" not in found.table()
@@ -285,8 +285,8 @@ def test_what_stands_beside_ours_is_left_out_of_claims(smoke):
 @pytest.mark.parametrize(
     ("options", "kind", "says"),
     [
-        ({"id": "table_5_77"}, ConfigError, "there is no recipe 'table_5_77'; did you mean 'table_5_7' or 'table_5_"),
-        ({"id": "x"}, ConfigError, "there is no recipe 'x'; `siamloc reproduce --list` lists all"),
+        ({"id": "table_5_77"}, ConfigError, "there is no study 'table_5_77'; did you mean 'table_5_7' or 'table_5_"),
+        ({"id": "x"}, ConfigError, "there is no study 'x'; `siamloc reproduce --list` lists all"),
         ({"id": "figure_4_16"}, ConfigError, "there is nothing to measure for figure_4_16: it is a drawing"),
         ({"scale": "long"}, ConfigError, "scale must be smoke or short or full, got 'long'"),
         ({"data": "colt"}, ConfigError, "data must be cold or freiburg_sim or mini, got 'colt'"),
@@ -307,14 +307,14 @@ def test_a_drive_that_is_missing_is_named(smoke, root, tmp_path):
     fewer = tmp_path / "mini"
     (fewer / "part_a").mkdir(parents=True)
     (fewer / "part_a" / "seq2_cloudy3").symlink_to(root / "part_a" / "seq2_cloudy3")
-    with pytest.raises(DataError, match=r"lacks a drive that the recipe needs .*cloudy2"):
+    with pytest.raises(DataError, match=r"lacks a drive that the study needs .*cloudy2"):
         smoke("figure_3_11", root=fewer, out=tmp_path / "out")
 
 
 def test_the_command_lists_and_measures(root, out, capsys):
     assert main(["reproduce", "--list", "data=mini", "scale=smoke"]) == 0
     listed = capsys.readouterr().out
-    assert all(f"\n{one.id} " in f"\n{listed}" for one in recipes())
+    assert all(f"\n{one.id} " in f"\n{listed}" for one in studies())
     words = ["reproduce", "figure_3_16", "data=mini", f"root={root}", "scale=smoke", f"out={out / 'command'}"]
     assert main(words) == 0
     assert f"written: {out / 'command'}/figure_3_16.png" in capsys.readouterr().out
