@@ -216,9 +216,9 @@ class Reproduction:
         """Return the smallest and largest of our numbers in each figure, by its distinguishing settings."""
         lines: list[list[str]] = []
         for figure in self.study.figure:
-            found = shown(figure, [*self.records, *self.beside])
-            names = _apart_by(figure, found)
-            for key, part in grouped(names, found).items():
+            records = shown(figure, [*self.records, *self.beside])
+            names = _apart_by(figure, records)
+            for key, part in grouped(names, records).items():
                 line = [_measure(figure["measure"]), titled(names, key)]
                 for pick in (min, max):
                     one = pick(part, key=lambda one: one.value)
@@ -238,10 +238,10 @@ def _best(records: Sequence[Record], chosen: Study) -> list[Record]:
 
 def _beside(one: Record, ours: Sequence[Record], chosen: Study) -> Record | None:
     """Return our number for a published one; for a bound, the smallest or largest of ours."""
-    found = [our for our in ours if _same(one, our, chosen.join)]
-    if not found or "bound" not in one.settings:
-        return found[0] if found else None
-    return (min if one.settings["bound"] == "lowest" else max)(found, key=lambda our: our.value)
+    records = [our for our in ours if _same(one, our, chosen.join)]
+    if not records or "bound" not in one.settings:
+        return records[0] if records else None
+    return (min if one.settings["bound"] == "lowest" else max)(records, key=lambda our: our.value)
 
 
 def _same(one: Record, ours: Record, join: Sequence[str] | None) -> bool:
@@ -252,14 +252,14 @@ def _same(one: Record, ours: Record, join: Sequence[str] | None) -> bool:
     return one.measure == ours.measure and bool(names) and same
 
 
-def _apart_by(figure: Mapping[str, Any], found: Sequence[Record]) -> list[str]:
+def _apart_by(figure: Mapping[str, Any], records: Sequence[Record]) -> list[str]:
     """Return the settings that distinguish the numbers of a figure: all if there are few groups, else the first."""
 
     def differ(*names: str) -> list[str]:
-        return [name for name in dict.fromkeys(names) if len({one.settings.get(name) for one in found}) > 1]
+        return [name for name in dict.fromkeys(names) if len({one.settings.get(name) for one in records}) > 1]
 
     names = differ(*names_of(figure, "panels"), *names_of(figure, "series")) or differ(*_METHODS)
-    if len(grouped(names, found)) > _FEW:
+    if len(grouped(names, records)) > _FEW:
         names = differ(*_METHODS, *names)[:1]
     return names or ["descriptor"]
 

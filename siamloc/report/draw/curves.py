@@ -45,18 +45,18 @@ _LINES_ACROSS = 3  # legend entries per row
 
 
 @style()
-def compact_curves(found: Mapping[str, Any]) -> Picture:
+def compact_curves(measures: Mapping[str, Any]) -> Picture:
     """Draw three panels against the number of nodes: errors, silhouettes, and search time.
 
     As in [C] figures 6-8, 16-18, 20 and 21.
 
     Args:
-        found: `measures.compact` of `results.json`.
+        measures: `measures.compact` of `results.json`.
 
     Raises:
         DataError: no compact map.
     """
-    curves, unit = found["curves"], found["unit"]
+    curves, unit = measures["curves"], measures["unit"]
     if not curves:
         raise DataError("there is nothing to draw: the results hold no compact map")
     figure, (errors, shape, took) = panels(3, 3.2, 3.9, width_ratios=[1.5, 1, 1])
@@ -83,21 +83,21 @@ def compact_curves(found: Mapping[str, Any]) -> Picture:
 
 
 @style()
-def pair_curves(found: Mapping[str, Any]) -> Picture:
+def pair_curves(measures: Mapping[str, Any]) -> Picture:
     """Draw the share of pairs judged correctly against the threshold: all pairs, and those of each lighting.
 
     Args:
-        found: `measures.room_pairs` of `results.json`.
+        measures: `measures.room_pairs` of `results.json`.
     """
-    groups = {"all pairs": {**found["overall"], "curve": found["curve"]}}
-    by_lighting = {label: group for label, group in found["lighting"].items() if "curve" in group}
+    groups = {"all pairs": {**measures["overall"], "curve": measures["curve"]}}
+    by_lighting = {label: group for label, group in measures["lighting"].items() if "curve" in group}
     groups |= by_lighting if len(by_lighting) > 1 else {}
     shared: dict[str, Any] = {"sharex": True, "sharey": True, "margin": (0.3, 0.6), "ylabel": "judged right [%]"}
     figure, every = panels(len(groups), 3.0, 2.3, **shared)
     for axes, (label, group) in zip(every, groups.items(), strict=True):
         for name, words, look in _PAIRS:
             axes.plot(column(group["curve"], "threshold"), 100 * column(group["curve"], name), label=words, **look)
-        axes.axvline(found["threshold"], color=SOFT, linewidth=0.8, linestyle=(0, (4, 3)), zorder=1)
+        axes.axvline(measures["threshold"], color=SOFT, linewidth=0.8, linestyle=(0, (4, 3)), zorder=1)
         auc = "" if group.get("auc") is None else f", AUC {group['auc']:.3f}"
         axes.set(title=f"{label}{auc}", xlim=(0, 1), ylim=(0, 101.5))
     figure.supxlabel("threshold of the dissimilarity", fontsize=9)
@@ -106,23 +106,23 @@ def pair_curves(found: Mapping[str, Any]) -> Picture:
 
 
 @style()
-def robustness_curves(found: Mapping[str, Any]) -> Picture:
+def robustness_curves(measures: Mapping[str, Any]) -> Picture:
     """Draw panels for each disturbance: mean and median error, the share within the radius, and heading errors.
 
     Headings are computed against the retrieved frame and, dashed, against the geometrically nearest one; they have a
     panel if any are known.
 
     Args:
-        found: `measures.robustness` of `results.json`.
+        measures: `measures.robustness` of `results.json`.
 
     Raises:
         DataError: no disturbances or methods.
     """
-    kinds, methods, unit = found["disturbances"], found["methods"], found["unit"]
+    kinds, methods, unit = measures["disturbances"], measures["methods"], measures["unit"]
     if not kinds or not methods:
         raise DataError("there is nothing to draw: the results hold no disturbance or no method")
     entries = [entry for curves in methods.values() for one in curves.values() for entry in one]
-    names = [f"error [{unit}]", f"within {found['radius']:g} {unit} [%]", "heading [deg]\ndashed: nearest"]
+    names = [f"error [{unit}]", f"within {measures['radius']:g} {unit} [%]", "heading [deg]\ndashed: nearest"]
     keys = (("mean", "median"), ("share",), ("heading", "heading_nearest"))
     tops = [1.06 * np.nan_to_num([column(entries, key) for key in row]).max() for row in keys]
     tops[1] = 104

@@ -1,4 +1,4 @@
-"""Errors of queries: cumulative, by what was found first, and against the expected ones."""
+"""Errors of queries: cumulative, true against expected, and by whether the right node was chosen."""
 
 from __future__ import annotations
 
@@ -133,15 +133,15 @@ def compared_curves(tables: Mapping[str, Mapping[str, NDArray]], unit: str = "m"
 
 
 @style()
-def calibration_curve(found: Mapping[str, Any], unit: str = "m") -> Picture:
+def calibration_curve(measures: Mapping[str, Any], unit: str = "m") -> Picture:
     """Draw the true mean error of each tenth of the queries against their expected error.
 
     Args:
-        found: `measures.calibration` of `results.json`.
+        measures: `measures.calibration` of `results.json`.
         unit: of the errors.
     """
-    colours = dict(zip(found["lighting"], lighting_colours(found["lighting"]), strict=True))
-    groups = found["lighting"] if len(colours) == 1 else {**found["lighting"], _ALL: found["overall"]}
+    colours = dict(zip(measures["lighting"], lighting_colours(measures["lighting"]), strict=True))
+    groups = measures["lighting"] if len(colours) == 1 else {**measures["lighting"], _ALL: measures["overall"]}
     groups = {label: group["curve"] for label, group in groups.items() if group["curve"]}
     figure, (axes,) = panels(1, 4.6, 3.6)
     curves = []
@@ -158,15 +158,15 @@ def calibration_curve(found: Mapping[str, Any], unit: str = "m") -> Picture:
 
 
 @style()
-def node_errors(found: Mapping[str, Any]) -> Picture:
+def node_errors(measures: Mapping[str, Any]) -> Picture:
     """Draw the mean errors of hierarchical localization in a row for each lighting, and one for all queries.
 
     Args:
-        found: `measures.hierarchical` of `results.json`.
+        measures: `measures.hierarchical` of `results.json`.
     """
-    groups = dict(found["lighting"])
+    groups = dict(measures["lighting"])
     if len(groups) != 1:
-        groups[_ALL] = found["overall"]
+        groups[_ALL] = measures["overall"]
     figure, (axes,) = panels(1, 9.0, 0.36 * len(groups) + 1.2)
     values = [[mean(group, path) for _, path, _ in _MEANS] for group in groups.values()]
     known = [[value for value in row if value is not None] for row in values]
@@ -176,7 +176,7 @@ def node_errors(found: Mapping[str, Any]) -> Picture:
         points = [(row[i], place) for place, row in enumerate(values) if row[i] is not None]
         x, y = zip(*points, strict=True) if points else ((), ())
         axes.plot(x, y, label=label, linestyle="none", **{"markersize": 7, "markeredgewidth": 0, "zorder": 3, **look})
-    scale_errors(axes.xaxis, known, f"mean error [{found['unit']}]", lowest=0)
+    scale_errors(axes.xaxis, known, f"mean error [{measures['unit']}]", lowest=0)
     axes.set_yticks(range(len(groups)), list(groups))
     axes.set_ylim(len(groups) - 0.4, -0.6)
     axes.grid(False, axis="y")

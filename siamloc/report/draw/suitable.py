@@ -124,9 +124,9 @@ def _of_localization(measures: Mapping[str, Any], tables: Mapping[str, Columns],
     return made
 
 
-def _of_confusion(found: Mapping[str, Any], what: str) -> Made:
-    labels, by_lighting = found["confusion"]["labels"], found["confusion"].get("lighting", {})
-    missing = found.get("rooms_missing_in_map", [])
-    counts = {"confusion": {"all queries": found["confusion"]["counts"]}}
+def _of_confusion(measures: Mapping[str, Any], what: str) -> Made:
+    labels, by_lighting = measures["confusion"]["labels"], measures["confusion"].get("lighting", {})
+    missing = measures.get("rooms_missing_in_map", [])
+    counts = {"confusion": {"all queries": measures["confusion"]["counts"]}}
     counts |= {"confusion_by_lighting": by_lighting} if len(by_lighting) > 1 else {}
     return {key: partial(confusion, labels, part, missing, what) for key, part in counts.items()}
