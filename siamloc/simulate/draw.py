@@ -92,7 +92,7 @@ def _materials(rng: Rng) -> Any:
     own = rng.random() < 0.25  # every room has its own colour
 
     def of_room(use: str) -> Entry:
-        suitable = USES[use].floors
+        suitable = USES[use].floors.split()
         if use not in floors:  # most rooms share their floor with others
             shared = [floor for floor in floors.values() if floor in suitable]
             floors[use] = str(rng.choice(shared if shared and rng.random() < 0.6 else suitable))

@@ -22,7 +22,7 @@ _HUNG = ("poster", "picture", "poster", "picture", "notice_board", "clock", "roo
 
 @dataclass(frozen=True)
 class Use:
-    """A use of rooms.
+    """A use of rooms. Floors and items are words separated by spaces.
 
     Attributes:
         code: room code, with a placeholder for the number.
@@ -34,86 +34,80 @@ class Use:
     """
 
     code: str
-    floors: tuple[str, ...]
-    walls: tuple[str, ...]
-    middle: tuple[str, ...]
-    hung: tuple[str, ...]
-    density: float
-
-
-def _use(code: str, floors: str, walls: str, middle: str = "", hung: str = "", density: float = 4.0) -> Use:
-    """Return a use of rooms whose floors and items are words separated by spaces."""
-    floor, wall, centre, hanging = (tuple(words.split()) for words in (floors, walls, middle, hung))
-    return Use(code, floor, wall, centre, hanging, density)
+    floors: str
+    walls: str
+    middle: str = ""
+    hung: str = ""
+    density: float = 4.0
 
 
 _SOFT = "carpet carpet_red carpet_gray parquet linoleum planks"
 _HARD = "linoleum linoleum_green tiles_floor terrazzo checker concrete marble"
 _CLEAN = "tiles_floor checker linoleum_green terrazzo"
 USES: dict[str, Use] = {
-    "corridor": _use(
+    "corridor": Use(
         "CR{}-A", "linoleum linoleum_green carpet_gray parquet terrazzo tiles_floor carpet planks",
         "plant bench lockers cabinet copier vending_machine bin shelf coat_rack column",
         hung="blind_door blind_door extinguisher room_sign notice_board elevator exit_sign", density=1.2,
     ),
-    "office": _use(
+    "office": Use(
         "{}PO-A", _SOFT, "desk desk desk shelf shelf cabinet sideboard plant bin coat_rack lockers",
         "desk_pair round_table", "whiteboard notice_board",
     ),
-    "open_office": _use(
+    "open_office": Use(
         "LO{}-A", _SOFT, "shelf cabinet sideboard plant copier desk desk coat_rack",
         "desk_pair desk_pair desk_pair column round_table", "whiteboard", 3.0,
     ),
-    "kitchen": _use(
+    "kitchen": Use(
         "KT{}-A", _CLEAN, "kitchen_counter kitchen_counter fridge sideboard bin visitor_chair",
         "dining round_table", "notice_board",
     ),
-    "printer": _use("PA{}-A", _HARD, "copier printer_table pigeonholes shelf cabinet carton bin"),
-    "meeting": _use(
+    "printer": Use("PA{}-A", _HARD, "copier printer_table pigeonholes shelf cabinet carton bin"),
+    "meeting": Use(
         "CNR{}-A", _SOFT, "sideboard plant visitor_chair cabinet",
         "conference conference", "whiteboard whiteboard television", 2.0,
     ),
-    "toilet": _use("TL{}-A", _CLEAN, "stall stall stall basins urinals bin", "", "dryer mirror", 5.0),
-    "storage": _use("SR{}-A", _HARD, "shelf shelf lockers carton carton cabinet shelf", "carton", "", 7.0),
-    "laboratory": _use(
+    "toilet": Use("TL{}-A", _CLEAN, "stall stall stall basins urinals bin", "", "dryer mirror", 5.0),
+    "storage": Use("SR{}-A", _HARD, "shelf shelf lockers carton carton cabinet shelf", "carton", "", 7.0),
+    "laboratory": Use(
         "RL{}-A", _HARD, "table table desk shelf cabinet lockers printer_table carton",
         "table desk_pair", "whiteboard shelf_board", 5.0,
     ),
-    "lounge": _use(
+    "lounge": Use(
         "LG{}-A", _SOFT, "sofa armchair vending_machine plant shelf floor_lamp",
         "seating round_table rug", "television",
     ),
-    "library": _use(
+    "library": Use(
         "LB{}-A", _SOFT, "shelf shelf shelf shelf shelf shelf desk armchair plant", "stacks round_table", "", 6.0,
     ),
-    "classroom": _use(
+    "classroom": Use(
         "TR{}-A", _HARD, "cabinet shelf lockers desk bin", "benches benches", "whiteboard whiteboard", 1.5,
     ),
-    "living": _use(
+    "living": Use(
         "LR{}-A", "parquet planks carpet carpet_red terrazzo marble",
         "sofa armchair shelf sideboard plant floor_lamp wardrobe television_set",
         "seating dining rug", "television shelf_board",
     ),
-    "bedroom": _use(
+    "bedroom": Use(
         "BR{}-A", "parquet planks carpet carpet_red linoleum",
         "bed bed wardrobe sideboard desk armchair floor_lamp shelf", "rug", "mirror shelf_board",
     ),
-    "bath": _use("BT{}-A", _CLEAN, "basins bathtub stall cabinet bin", "", "mirror", 5.0),
-    "study": _use("ST{}-A", _SOFT, "desk shelf shelf armchair cabinet plant", "rug", "shelf_board"),
-    "entrance": _use(
+    "bath": Use("BT{}-A", _CLEAN, "basins bathtub stall cabinet bin", "", "mirror", 5.0),
+    "study": Use("ST{}-A", _SOFT, "desk shelf shelf armchair cabinet plant", "rug", "shelf_board"),
+    "entrance": Use(
         "HL{}-A", "parquet planks tiles_floor checker terrazzo marble",
         "wardrobe sideboard coat_rack bench plant shelf", "rug", "mirror coats", 2.0,
     ),
-    "foyer": _use(
+    "foyer": Use(
         "FY{}-A", "terrazzo marble tiles_floor checker concrete parquet",
         "bench plant vending_machine sofa lockers sideboard", "column column seating plant_island rug",
         "elevator notice_board blind_door exit_sign", 2.0,
     ),
-    "workshop": _use(
+    "workshop": Use(
         "WS{}-A", "concrete linoleum tiles_floor", "table table cabinet lockers shelf carton carton bin",
         "table table column carton", "extinguisher whiteboard blind_door shelf_board",
     ),
-    "canteen": _use(
+    "canteen": Use(
         "CT{}-A", _HARD, "kitchen_counter vending_machine sideboard fridge plant bin",
         "dining dining dining round_table column", "notice_board exit_sign", 2.5,
     ),
@@ -235,11 +229,11 @@ def furnish(room: Room, style: Rng, rng: Rng, density: float) -> list[Entry]:
     area = room.cell.area
     if use.middle and area > 9:
         for _ in range(max(1, round(area / 14 * density))):
-            _in_the_middle(room, str(rng.choice(use.middle)), common, rng)
+            _in_the_middle(room, str(rng.choice(use.middle.split())), common, rng)
     length = 2 * (room.x[1] - room.x[0] + room.y[1] - room.y[0])
     for number in range(max(1, round(length / 10 * use.density * density))):
         # The most characteristic item of the room comes first.
-        kind = use.walls[0] if number == 0 else str(rng.choice(use.walls))
+        kind = use.walls.split()[0] if number == 0 else str(rng.choice(use.walls.split()))
         for _ in range(6):
             side = str(rng.choice(list(SIDES)))
             if _along_a_wall(room, kind, side, float(rng.uniform(*room.span(side))), common, rng):
@@ -248,7 +242,7 @@ def furnish(room: Room, style: Rng, rng: Rng, density: float) -> list[Entry]:
         if window["sill"] > 0.55 and rng.random() < 0.6:
             size = (min(window["width"], 1.6), 0.1, min(0.55, window["sill"] - 0.2))
             room.hang(window["wall"], window["at"], size, 0.12, {"kind": "radiator"})
-    names = [*use.hung, *_HUNG] if room.cell.use not in ("toilet", "bath", "storage") else list(use.hung)
+    names = [*use.hung.split(), *_HUNG] if room.cell.use not in ("toilet", "bath", "storage") else use.hung.split()
     for _ in range(round(length / 10 * rng.uniform(2.0, 7.0) * density) if names else 0):
         kind = str(rng.choice(names))
         side = str(rng.choice(list(SIDES)))

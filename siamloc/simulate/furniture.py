@@ -16,7 +16,7 @@ from siamloc.simulate.layout import Colour, Item, Rng
 from siamloc.simulate.mesh import WHITE, MeshBuilder, Point
 from siamloc.simulate.prints import BOOK_ROWS, SCREENS
 
-Build = Callable[[MeshBuilder, Item, Rng], None]
+Build = Callable[[MeshBuilder, Item, Rng, float, float, float], None]
 
 BLACKISH = (0.035, 0.035, 0.04)
 STEEL = (0.55, 0.56, 0.58)
@@ -38,7 +38,7 @@ class Kind:
     """Properties that all items of a kind have in common.
 
     Attributes:
-        build: adds one item to a mesh; the generator draws its details.
+        build: adds an item with a width, depth and height in metres to a mesh; the generator draws its details.
         size: usual width, depth and height in metres.
         z: usual height of the base above the floor in metres.
         blocks: whether a robot has to drive around it.
@@ -105,9 +105,8 @@ def _clutter(b: MeshBuilder, item: Item, rng: Rng, y: Point) -> None:
         clutter(b, x, float(rng.uniform(*y)) if y[0] < y[1] else 0.0, h, rng)
 
 
-def desk(b: MeshBuilder, item: Item, rng: Rng) -> None:
+def desk(b: MeshBuilder, item: Item, rng: Rng, w: float, d: float, h: float) -> None:
     """A desk: people sit at its front, the screens are at its back."""
-    w, d, h = item.size
     wood = wood_of(item)
     fill(b, item, (h - 0.035, h), wood)
     _legs(b, item, h - 0.035, STEEL)
@@ -164,7 +163,7 @@ def clutter(b: MeshBuilder, x: float, y: float, z: float, rng: Rng) -> None:
             b.prism(0, 0.06, (0.38, 0.47), (0.09, 0.05), "metal", (0.5, 0.05, 0.05), sides=6)
 
 
-def chair(b: MeshBuilder, item: Item, rng: Rng) -> None:
+def chair(b: MeshBuilder, item: Item, rng: Rng, w: float, d: float, h: float) -> None:
     """A swivel chair; a person sitting on it faces its front."""
     colour = colour_of(item, rng, SEATS)
     b.box((-0.24, -0.22, 0.43), (0.24, 0.24, 0.51), "fabric", colour)
@@ -180,10 +179,9 @@ def chair(b: MeshBuilder, item: Item, rng: Rng) -> None:
         b.box((x, -0.03, 0.45), (x + 0.04, 0.02, 0.66), "plastic", BLACKISH, "top")
 
 
-def visitor_chair(b: MeshBuilder, item: Item, rng: Rng) -> None:
+def visitor_chair(b: MeshBuilder, item: Item, rng: Rng, w: float, d: float, h: float) -> None:
     """A chair with four legs."""
     colour = colour_of(item, rng, SEATS)
-    w, d, h = item.size
     b.box((-w / 2, -d / 2 + 0.04, 0.43), (w / 2, d / 2, 0.47), "fabric", colour)
     b.box((-w / 2, -d / 2, 0.55), (w / 2, -d / 2 + 0.03, h), "fabric", colour)
     _legs(b, item, 0.43, STEEL, 0.03)
@@ -191,17 +189,16 @@ def visitor_chair(b: MeshBuilder, item: Item, rng: Rng) -> None:
         b.box((x, -d / 2, 0.43), (x + 0.03, -d / 2 + 0.03, 0.56), "metal", STEEL)
 
 
-def table(b: MeshBuilder, item: Item, rng: Rng) -> None:
+def table(b: MeshBuilder, item: Item, rng: Rng, w: float, d: float, h: float) -> None:
     """A table with things on it."""
-    _, d, h = item.size
     fill(b, item, (h - 0.04, h), wood_of(item))
     _legs(b, item, h - 0.04, STEEL, 0.06)
     _clutter(b, item, rng, (-d / 4, d / 4))
 
 
-def round_table(b: MeshBuilder, item: Item, rng: Rng) -> None:
+def round_table(b: MeshBuilder, item: Item, rng: Rng, w: float, d: float, h: float) -> None:
     """A round table on one foot."""
-    radius, h = item.size[0] / 2, item.size[2]
+    radius = w / 2
     b.prism(0, 0, (h - 0.04, h), radius, wood_of(item), sides=12)
     b.prism(0, 0, (0.03, h - 0.04), 0.05, "metal", STEEL, sides=6)
     b.prism(0, 0, (0, 0.03), radius * 0.55, "metal", STEEL, sides=8)
@@ -209,9 +206,8 @@ def round_table(b: MeshBuilder, item: Item, rng: Rng) -> None:
         clutter(b, float(rng.uniform(-0.2, 0.2)), float(rng.uniform(-0.2, 0.2)), h, rng)
 
 
-def sofa(b: MeshBuilder, item: Item, rng: Rng) -> None:
+def sofa(b: MeshBuilder, item: Item, rng: Rng, w: float, d: float, h: float) -> None:
     """A sofa with cushions."""
-    w, d, h = item.size
     colour = colour_of(item, rng, SEATS)
     fill(b, item, (0.08, 0.30), "fabric", colour)
     b.box((-w / 2, -d / 2, 0.30), (w / 2, -d / 2 + 0.2, h), "fabric", colour, "bottom")
@@ -221,16 +217,14 @@ def sofa(b: MeshBuilder, item: Item, rng: Rng) -> None:
         b.box((x0, -d / 2 + 0.2, 0.30), (x1, d / 2, 0.44), "fabric", [1.3 * value for value in colour], "bottom")
 
 
-def bench(b: MeshBuilder, item: Item, _: Rng) -> None:
+def bench(b: MeshBuilder, item: Item, _: Rng, w: float, d: float, h: float) -> None:
     """A bench without a back."""
-    h = item.size[2]
     fill(b, item, (h - 0.05, h), wood_of(item, "wood"))
     _legs(b, item, h - 0.05, BLACKISH)
 
 
-def shelf(b: MeshBuilder, item: Item, rng: Rng) -> None:
+def shelf(b: MeshBuilder, item: Item, rng: Rng, w: float, d: float, h: float) -> None:
     """An open shelf with rows of books or binders."""
-    w, d, h = item.size
     wood = wood_of(item)
     levels = max(1, round(h / 0.38))
     content = str(item.options.get("content", "mixed"))
@@ -252,17 +246,15 @@ def shelf(b: MeshBuilder, item: Item, rng: Rng) -> None:
         b.box(low, high, "plain", _DUSK, "bottom back left", front=f"{kind}{rng.integers(BOOK_ROWS)}")
 
 
-def shelf_board(b: MeshBuilder, item: Item, rng: Rng) -> None:
+def shelf_board(b: MeshBuilder, item: Item, rng: Rng, w: float, d: float, h: float) -> None:
     """A board on the wall with one row of books."""
-    w, d, _ = item.size
     fill(b, item, (0, 0.025), wood_of(item))
     low, high = (-w / 2 + 0.05, -d / 2, 0.025), (w / 2 - 0.2, d / 2 - 0.05, 0.31)
     b.box(low, high, "plain", _DUSK, "bottom back", front=f"books{rng.integers(BOOK_ROWS)}")
 
 
-def cabinet(b: MeshBuilder, item: Item, rng: Rng) -> None:
+def cabinet(b: MeshBuilder, item: Item, rng: Rng, w: float, d: float, h: float) -> None:
     """A closed cabinet with two doors, perhaps with cartons on top."""
-    w, d, h = item.size
     colour = colour_of(item, rng, FRONTS)
     fill(b, item, (0.06, h), "plain", colour, "bottom front")
     front(b, item, (0.06, h), "cabinet_doors", colour)
@@ -279,9 +271,8 @@ def cabinet(b: MeshBuilder, item: Item, rng: Rng) -> None:
         x += width + 0.04
 
 
-def sideboard(b: MeshBuilder, item: Item, rng: Rng) -> None:
+def sideboard(b: MeshBuilder, item: Item, rng: Rng, w: float, d: float, h: float) -> None:
     """A low cabinet with things on it."""
-    h = item.size[2]
     colour = colour_of(item, rng, FRONTS)
     fill(b, item, (0.04, h - 0.03), "plain", colour, "bottom front top")
     front(b, item, (0.04, h - 0.03), "cabinet_doors", colour)
@@ -289,38 +280,35 @@ def sideboard(b: MeshBuilder, item: Item, rng: Rng) -> None:
     _clutter(b, item, rng, (0, 0))
 
 
-def lockers(b: MeshBuilder, item: Item, rng: Rng) -> None:
+def lockers(b: MeshBuilder, item: Item, rng: Rng, w: float, d: float, h: float) -> None:
     """A block of steel lockers."""
     colour = colour_of(item, rng, FRONTS)
-    fill(b, item, (0, item.size[2]), "metal", colour, "bottom front")
-    front(b, item, (0, item.size[2]), "lockers", colour)
+    fill(b, item, (0, h), "metal", colour, "bottom front")
+    front(b, item, (0, h), "lockers", colour)
 
 
-def coat_rack(b: MeshBuilder, item: Item, rng: Rng) -> None:
+def coat_rack(b: MeshBuilder, item: Item, rng: Rng, w: float, d: float, h: float) -> None:
     """A coat stand with a coat."""
-    h = item.size[2]
     b.prism(0, 0, (0, 0.04), 0.2, "metal", BLACKISH)
     b.prism(0, 0, (0.04, h), 0.02, "metal", BLACKISH, sides=6)
     b.prism(0.1, 0, (0.7, h - 0.1), (0.16, 0.07), "fabric", CLOTHES[int(rng.integers(len(CLOTHES)))], sides=6)
 
 
-def waste_bin(b: MeshBuilder, item: Item, rng: Rng) -> None:
+def waste_bin(b: MeshBuilder, item: Item, rng: Rng, w: float, d: float, h: float) -> None:
     """A waste bin."""
-    radius, h = item.size[0] / 2, item.size[2]
+    radius = w / 2
     colour = colour_of(item, rng, ((0.05, 0.08, 0.20), BLACKISH, (0.35, 0.36, 0.38)))
     b.prism(0, 0, (0, h), (radius * 0.75, radius), "plastic", colour)
 
 
-def carton(b: MeshBuilder, item: Item, rng: Rng) -> None:
+def carton(b: MeshBuilder, item: Item, rng: Rng, w: float, d: float, h: float) -> None:
     """A cardboard box."""
-    _, d, h = item.size
     fill(b, item, (0, h), "plain", rng.uniform(0.8, 1.1) * _CARDBOARD, "bottom")
     b.slab((-0.04, 0.04), (-d / 2, d / 2), h + 0.003, "plain", (0.6, 0.5, 0.35))
 
 
-def plant(b: MeshBuilder, item: Item, rng: Rng) -> None:
+def plant(b: MeshBuilder, item: Item, rng: Rng, w: float, d: float, h: float) -> None:
     """A potted plant."""
-    w, _, h = item.size
     b.prism(0, 0, (0, 0.32), (w * 0.25, w * 0.33), "plastic", (0.45, 0.16, 0.08))
     b.prism(0, 0, (0.3, h * 0.55), 0.025, "wood", (0.4, 0.4, 0.4), sides=5)
     for _ in range(9):
@@ -333,17 +321,15 @@ def plant(b: MeshBuilder, item: Item, rng: Rng) -> None:
             b.quad(left, right, (half * 0.2, *tip), (-half * 0.2, *tip), "leaf")
 
 
-def floor_lamp(b: MeshBuilder, item: Item, _: Rng) -> None:
+def floor_lamp(b: MeshBuilder, item: Item, _: Rng, w: float, d: float, h: float) -> None:
     """A floor lamp (not lit)."""
-    h = item.size[2]
     b.prism(0, 0, (0, 0.03), 0.16, "metal", BLACKISH)
     b.prism(0, 0, (0.03, h - 0.3), 0.015, "metal", BLACKISH, sides=5)
     b.prism(0, 0, (h - 0.3, h), (0.2, 0.13), "fabric", (0.85, 0.8, 0.65))
 
 
-def bed(b: MeshBuilder, item: Item, rng: Rng) -> None:
+def bed(b: MeshBuilder, item: Item, rng: Rng, w: float, d: float, h: float) -> None:
     """A bed with its head at its back."""
-    w, d, h = item.size
     colour, wood = colour_of(item, rng, SEATS), wood_of(item)
     b.box((-w / 2, -d / 2, 0), (w / 2, -d / 2 + 0.05, h), wood, WHITE, "bottom")
     b.box((-w / 2, -d / 2 + 0.05, 0.12), (w / 2, d / 2, 0.3), wood, WHITE, "bottom")
@@ -353,9 +339,8 @@ def bed(b: MeshBuilder, item: Item, rng: Rng) -> None:
         b.box((x - 0.3, -d / 2 + 0.1, 0.48), (x + 0.3, -d / 2 + 0.5, 0.58), "fabric", (0.85, 0.85, 0.85))
 
 
-def armchair(b: MeshBuilder, item: Item, rng: Rng) -> None:
+def armchair(b: MeshBuilder, item: Item, rng: Rng, w: float, d: float, h: float) -> None:
     """An armchair."""
-    w, d, h = item.size
     colour = colour_of(item, rng, SEATS)
     fill(b, item, (0.1, 0.4), "fabric", colour, "bottom")
     b.box((-w / 2, -d / 2, 0.4), (w / 2, -d / 2 + 0.2, h), "fabric", colour, "bottom")
@@ -363,9 +348,8 @@ def armchair(b: MeshBuilder, item: Item, rng: Rng) -> None:
         b.box((x, -d / 2 + 0.2, 0.4), (x + 0.15, d / 2, 0.6), "fabric", colour, "bottom")
 
 
-def rug(b: MeshBuilder, item: Item, rng: Rng) -> None:
+def rug(b: MeshBuilder, item: Item, rng: Rng, w: float, d: float, h: float) -> None:
     """A rug with a border; a robot drives over it."""
-    w, d, _ = item.size
     colour = np.array(colour_of(item, rng, SEATS))
     border = np.clip(colour * rng.uniform(0.3, 2.5, 3), 0.01, 0.9)
     b.slab((-w / 2, w / 2), (-d / 2, d / 2), 0.004, "fabric", border)
@@ -373,9 +357,8 @@ def rug(b: MeshBuilder, item: Item, rng: Rng) -> None:
     b.slab((-x, x), (-y, y), 0.006, "fabric", colour)
 
 
-def wardrobe(b: MeshBuilder, item: Item, _: Rng) -> None:
+def wardrobe(b: MeshBuilder, item: Item, _: Rng, w: float, d: float, h: float) -> None:
     """A wooden wardrobe with doors."""
-    w, d, h = item.size
     fill(b, item, (0, h), wood_of(item), WHITE, "bottom back")
     count = max(2, round(w / 0.5))
     for i in range(1, count):
@@ -386,9 +369,8 @@ def wardrobe(b: MeshBuilder, item: Item, _: Rng) -> None:
     b.box((-w / 2, -d / 2, h), (w / 2, d / 2 + 0.03, h + 0.04), wood_of(item))
 
 
-def bathtub(b: MeshBuilder, item: Item, _: Rng) -> None:
+def bathtub(b: MeshBuilder, item: Item, _: Rng, w: float, d: float, h: float) -> None:
     """A bathtub."""
-    w, d, h = item.size
     white = (0.88, 0.88, 0.88)
     fill(b, item, (0, h), "plastic", white, "bottom top")
     x, y = w / 2 - 0.08, d / 2 - 0.08

@@ -36,18 +36,16 @@ _SKIN = ((0.60, 0.40, 0.29), (0.42, 0.25, 0.16), (0.20, 0.11, 0.07), (0.68, 0.48
 _HAIR = ((0.02, 0.015, 0.01), (0.10, 0.05, 0.02), (0.35, 0.22, 0.08), (0.3, 0.3, 0.3))
 
 
-def copier(b: MeshBuilder, item: Item, _: Rng) -> None:
+def copier(b: MeshBuilder, item: Item, _: Rng, w: float, d: float, h: float) -> None:
     """A large copier with paper trays and a lid."""
-    w, d, h = item.size
     fill(b, item, (0.05, h - 0.12), "plastic", (0.72, 0.73, 0.72), "bottom", front="copier")
     b.box((-w / 2 + 0.02, -d / 2, h - 0.10), (w / 2 - 0.15, d / 2 - 0.08, h), "plastic", (0.55, 0.56, 0.56))
     b.box((w / 2 - 0.14, d / 2 - 0.25, h - 0.12), (w / 2, d / 2, h - 0.04), "plastic", BLACKISH)
     b.box((w / 2, -d / 3, 0.55), (w / 2 + 0.25, d / 3, 0.58), "plastic", (0.5, 0.5, 0.5))
 
 
-def printer_table(b: MeshBuilder, item: Item, rng: Rng) -> None:
+def printer_table(b: MeshBuilder, item: Item, rng: Rng, w: float, d: float, h: float) -> None:
     """A small table with a laser printer and paper below."""
-    w, d, h = item.size
     fill(b, item, (h - 0.03, h), "beech")
     for x in sides(item, 0.03):
         b.box((x, -d / 2, 0), (x + 0.03, d / 2, h - 0.03), "beech", WHITE, "bottom top")
@@ -60,15 +58,14 @@ def printer_table(b: MeshBuilder, item: Item, rng: Rng) -> None:
     b.panel((-0.2, 0.2), (h + 0.08, h + 0.16), 0.225, "plastic", BLACKISH)
 
 
-def vending_machine(b: MeshBuilder, item: Item, _: Rng) -> None:
+def vending_machine(b: MeshBuilder, item: Item, _: Rng, w: float, d: float, h: float) -> None:
     """A vending machine with a lit front."""
-    fill(b, item, (0, item.size[2]), "metal", (0.45, 0.08, 0.08), "bottom front")
-    front(b, item, (0, item.size[2]), "machine", emission=(0.5, 0.5, 0.5))
+    fill(b, item, (0, h), "metal", (0.45, 0.08, 0.08), "bottom front")
+    front(b, item, (0, h), "machine", emission=(0.5, 0.5, 0.5))
 
 
-def kitchen_counter(b: MeshBuilder, item: Item, rng: Rng) -> None:
+def kitchen_counter(b: MeshBuilder, item: Item, rng: Rng, w: float, d: float, h: float) -> None:
     """A kitchen counter with sink, hob, coffee machine and wall units."""
-    w, d, h = item.size
     low, high = (-w / 2, -d / 2, 0.1), (w / 2, d / 2 - 0.02, h - 0.04)
     b.box(low, high, "plain", WHITE, "bottom top", front="kitchen_fronts")
     fill(b, item, (h - 0.04, h), "walnut")
@@ -87,18 +84,16 @@ def kitchen_counter(b: MeshBuilder, item: Item, rng: Rng) -> None:
         b.box((-w / 2, -d / 2, h), (w / 2, -d / 2 + 0.01, 1.45), "tiles_blue", WHITE, "back")
 
 
-def fridge(b: MeshBuilder, item: Item, rng: Rng) -> None:
+def fridge(b: MeshBuilder, item: Item, rng: Rng, w: float, d: float, h: float) -> None:
     """A fridge-freezer with notes on its door."""
-    w, d, h = item.size
     fill(b, item, (0.03, h), "plastic", WHITE, "bottom", front="fridge")
     for _ in range(3):
         x, z = rng.uniform(-w / 2 + 0.05, w / 2 - 0.2), rng.uniform(0.9, h - 0.3)
         b.panel((x, x + 0.14), (z, z + 0.18), d / 2 + 0.004, f"sheet{rng.integers(4)}")
 
 
-def stall(b: MeshBuilder, item: Item, rng: Rng) -> None:
+def stall(b: MeshBuilder, item: Item, rng: Rng, w: float, d: float, h: float) -> None:
     """A toilet cubicle with its door ajar and the bowl inside."""
-    w, d, h = item.size
     colour = colour_of(item, rng, ((0.30, 0.45, 0.60), (0.55, 0.55, 0.50)))
     for x in sides(item, 0.03):
         b.box((x, -d / 2, 0.15), (x + 0.03, d / 2, h), "plain", colour)
@@ -111,9 +106,8 @@ def stall(b: MeshBuilder, item: Item, rng: Rng) -> None:
     b.box((-0.2, -d / 2, 0.42), (0.2, -d / 2 + 0.18, 0.85), "plastic", _PORCELAIN, "back")
 
 
-def basins(b: MeshBuilder, item: Item, _: Rng) -> None:
+def basins(b: MeshBuilder, item: Item, _: Rng, w: float, d: float, h: float) -> None:
     """Wash basins below mirrors, with a towel dispenser."""
-    w, d, h = item.size
     back = -d / 2
     for x in middles(w, int(item.options.get("count", 2))):
         b.prism(x, 0.02, (h - 0.2, h), (0.14, 0.26), "plastic", _PORCELAIN, sides=10, stretch=0.85)
@@ -124,9 +118,8 @@ def basins(b: MeshBuilder, item: Item, _: Rng) -> None:
     b.box((w / 2 - 0.1, back, h + 0.25), (w / 2 + 0.1, back + 0.12, h + 0.55), "plastic", WHITE, "back")
 
 
-def urinals(b: MeshBuilder, item: Item, _: Rng) -> None:
+def urinals(b: MeshBuilder, item: Item, _: Rng, w: float, d: float, h: float) -> None:
     """A row of urinals with partitions."""
-    w, d = item.size[:2]
     count = max(1, round(w / 0.7))
     for i, x in enumerate(middles(w, count)):
         b.prism(x, -d / 2 + 0.14, (0.45, 1.05), (0.13, 0.18), "plastic", _PORCELAIN, stretch=0.8)
@@ -134,9 +127,8 @@ def urinals(b: MeshBuilder, item: Item, _: Rng) -> None:
         b.box((edge - 0.02, -d / 2, 0.5), (edge, d / 2, 1.35), "plain", (0.55, 0.6, 0.65), "back")
 
 
-def stairs_up(b: MeshBuilder, item: Item, _: Rng) -> None:
+def stairs_up(b: MeshBuilder, item: Item, _: Rng, w: float, d: float, h: float) -> None:
     """A flight of stairs that rises from its front to its back."""
-    w, d, h = item.size
     steps = max(2, round(h / 0.17))
     for i in range(steps):
         y, z = d / 2 - i * d / steps, (i + 1) * h / steps
@@ -150,9 +142,8 @@ def stairs_up(b: MeshBuilder, item: Item, _: Rng) -> None:
         b.quad(low, high, (*high[:2], high[2] + 0.07), (*low[:2], low[2] + 0.07), "wood", _HANDRAIL)
 
 
-def stairs_down(b: MeshBuilder, item: Item, _: Rng) -> None:
+def stairs_down(b: MeshBuilder, item: Item, _: Rng, w: float, d: float, h: float) -> None:
     """The head of a flight of stairs that leads down: dark steps behind a railing, which look like a lowered floor."""
-    w, d, h = item.size
     across, steps = (-w / 2, w / 2), 8
     for i in range(steps):
         shade = 0.5 * (1 - i / steps) + 0.03
@@ -173,15 +164,13 @@ def _rail(b: MeshBuilder, x: float, y: float, degrees: float, length: float, h: 
             b.box((post, -0.01, 0), (post + 0.02, 0.01, h - 0.05), "metal", _IRON, "top bottom")
 
 
-def railing(b: MeshBuilder, item: Item, _: Rng) -> None:
+def railing(b: MeshBuilder, item: Item, _: Rng, w: float, d: float, h: float) -> None:
     """A railing across its width."""
-    w, h = item.size[0], item.size[2]
     _rail(b, -w / 2, 0, 0.0, w, h)
 
 
-def person(b: MeshBuilder, item: Item, rng: Rng) -> None:
+def person(b: MeshBuilder, item: Item, rng: Rng, w: float, d: float, h: float) -> None:
     """A standing person; the clothes are drawn."""
-    h = item.size[2]
     trousers = CLOTHES[int(rng.integers(len(CLOTHES)))]
     shirt = colour_of(item, rng, CLOTHES)
     skin = _SKIN[int(rng.integers(len(_SKIN)))]
@@ -198,43 +187,39 @@ def person(b: MeshBuilder, item: Item, rng: Rng) -> None:
     b.prism(0, -0.01, (0.93 * h, h), (0.098, 0.06), "fabric", _HAIR[int(rng.integers(len(_HAIR)))])
 
 
-def poster(b: MeshBuilder, item: Item, rng: Rng) -> None:
+def poster(b: MeshBuilder, item: Item, rng: Rng, w: float, d: float, h: float) -> None:
     """A poster or a framed picture on the wall."""
     number = item.options.get("picture", int(rng.integers(POSTERS)))
-    board(f"poster{int(number) % POSTERS}")(b, item, rng)
+    board(f"poster{int(number) % POSTERS}")(b, item, rng, w, d, h)
 
 
-def television(b: MeshBuilder, item: Item, rng: Rng) -> None:
+def television(b: MeshBuilder, item: Item, rng: Rng, w: float, d: float, h: float) -> None:
     """A large flat screen, on or off."""
-    w, d, h = item.size
     b.box((-w / 2, -d / 2, 0), (w / 2, d / 2 - 0.005, h), "plastic", BLACKISH, "back")
     screen(b, rng, (-w / 2, w / 2), (0, h), d / 2, 0.5, (1.0, 1.0, 1.1))
 
 
-def whiteboard(b: MeshBuilder, item: Item, rng: Rng) -> None:
+def whiteboard(b: MeshBuilder, item: Item, rng: Rng, w: float, d: float, h: float) -> None:
     """A whiteboard with writing and a tray."""
-    board("board", BOARDS, STEEL)(b, item, rng)
-    w = item.size[0]
+    board("board", BOARDS, STEEL)(b, item, rng, w, d, h)
     b.box((-w / 3, 0, -0.03), (w / 3, 0.1, -0.01), "metal")
 
 
-def exit_sign(b: MeshBuilder, item: Item, _: Rng) -> None:
+def exit_sign(b: MeshBuilder, item: Item, _: Rng, w: float, d: float, h: float) -> None:
     """A lit emergency sign."""
-    fill(b, item, (0, item.size[2]), "plain", WHITE, "back front")
-    front(b, item, (0, item.size[2]), "exit", emission=(0.8, 0.8, 0.8))
+    fill(b, item, (0, h), "plain", WHITE, "back front")
+    front(b, item, (0, h), "exit", emission=(0.8, 0.8, 0.8))
 
 
-def extinguisher(b: MeshBuilder, item: Item, _: Rng) -> None:
+def extinguisher(b: MeshBuilder, item: Item, _: Rng, w: float, d: float, h: float) -> None:
     """A fire extinguisher with its sign."""
-    h = item.size[2]
     b.prism(0, 0, (0, h * 0.75), 0.08, "plastic", (0.60, 0.02, 0.02), sides=8)
     b.prism(0, 0, (h * 0.75, h), (0.05, 0.02), "plastic", BLACKISH, sides=6)
-    b.panel((-0.1, 0.1), (0.8, 1.0), -item.size[1] / 2 + 0.005, "plain", (0.6, 0.03, 0.03))
+    b.panel((-0.1, 0.1), (0.8, 1.0), -d / 2 + 0.005, "plain", (0.6, 0.03, 0.03))
 
 
-def blind_door(b: MeshBuilder, item: Item, rng: Rng) -> None:
+def blind_door(b: MeshBuilder, item: Item, rng: Rng, w: float, d: float, h: float) -> None:
     """A closed door to a room that is not part of the building."""
-    w, d, h = item.size
     frame = colour_of(item, rng, ((0.10, 0.13, 0.20),))
     y = -d / 2
     b.box((-w / 2 - 0.07, y, 0), (-w / 2, y + 0.04, h + 0.07), "plain", frame, "back bottom")
@@ -244,18 +229,16 @@ def blind_door(b: MeshBuilder, item: Item, rng: Rng) -> None:
     b.box((w / 2 - 0.18, y + 0.02, 1.02), (w / 2 - 0.06, y + 0.07, 1.05), "metal", _GRIP)
 
 
-def elevator(b: MeshBuilder, item: Item, _: Rng) -> None:
+def elevator(b: MeshBuilder, item: Item, _: Rng, w: float, d: float, h: float) -> None:
     """The steel doors of a lift."""
-    w, d, h = item.size
     b.box((-w / 2, -d / 2, 0), (-0.005, d / 4, h), "metal", WHITE, "back bottom")
     b.box((0.005, -d / 2, 0), (w / 2, d / 4, h), "metal", WHITE, "back bottom")
     b.box((w / 2 + 0.12, -d / 2, 1.0), (w / 2 + 0.24, -d / 2 + 0.02, 1.25), "metal", BLACKISH, "back")
     b.box((-w / 2 - 0.08, -d / 2, h), (w / 2 + 0.08, d / 2, h + 0.08), "metal", (0.4, 0.4, 0.4), "back")
 
 
-def coats(b: MeshBuilder, item: Item, rng: Rng) -> None:
+def coats(b: MeshBuilder, item: Item, rng: Rng, w: float, d: float, h: float) -> None:
     """Coats on hooks."""
-    w, d, h = item.size
     b.box((-w / 2, -d / 2, h - 0.06), (w / 2, -d / 2 + 0.03, h), "wood", WHITE, "back")
     for x in (-w / 3, 0.0, w / 3):
         if rng.random() < 0.75:
@@ -266,8 +249,8 @@ def coats(b: MeshBuilder, item: Item, rng: Rng) -> None:
 def block(texture: str, tint: Point = WHITE, skip: str = "", **faces: str) -> Build:
     """Return the builder of a plain box, with pictures on some of its faces."""
 
-    def build(b: MeshBuilder, item: Item, _: Rng) -> None:
-        fill(b, item, (0, item.size[2]), texture, tint, skip, **faces)
+    def build(b: MeshBuilder, item: Item, _: Rng, _w: float, _d: float, h: float) -> None:
+        fill(b, item, (0, h), texture, tint, skip, **faces)
 
     return build
 
@@ -275,9 +258,9 @@ def block(texture: str, tint: Point = WHITE, skip: str = "", **faces: str) -> Bu
 def board(picture: str, count: int = 0, rim: Point = (0.2, 0.2, 0.2)) -> Build:
     """Return the builder of a flat box with a picture, or with one of several, on its front."""
 
-    def build(b: MeshBuilder, item: Item, rng: Rng) -> None:
+    def build(b: MeshBuilder, item: Item, rng: Rng, _w: float, _d: float, h: float) -> None:
         drawn = f"{picture}{rng.integers(count)}" if count else picture
-        block("plain", rim, "back", front=drawn)(b, item, rng)
+        fill(b, item, (0, h), "plain", rim, "back", front=drawn)
 
     return build
 
@@ -326,5 +309,5 @@ def add_items(builder: MeshBuilder, building: Building, items: Iterable[Item]) -
     for number, item in enumerate(items):
         builder.room = building.room_index(item.room)
         with builder.at(item.x, item.y, item.z, item.facing - 90):
-            look = int(item.options.get("look", 0))
-            KINDS[item.kind].build(builder, item, seeded(building.seed, building.name, "item", number, look))
+            rng = seeded(building.seed, building.name, "item", number, int(item.options.get("look", 0)))
+            KINDS[item.kind].build(builder, item, rng, *item.size)

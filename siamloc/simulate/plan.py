@@ -125,9 +125,6 @@ def check_paths(building: Building) -> None:
     segments, names = obstacles(building)
     for path in building.paths.values():
         where = [f"{building.where(line)}: path {path.name!r}" for line in path.lines]
-        for point, index, prefix in zip(path.points, room_at(building, path.points), where, strict=True):
-            if index < 0:
-                raise DataError(f"{prefix} leaves every room at ({point[0]:.2f}, {point[1]:.2f})")
         moves = np.stack([path.points[:-1], path.points[1:]], axis=1)
         hits = crossings(moves, segments)
         if hits.any():
@@ -137,9 +134,6 @@ def check_paths(building: Building) -> None:
                 f"{where[move + 1]} runs through {names[segment]} between ({x0:.2f}, {y0:.2f}) and "
                 f"({x1:.2f}, {y1:.2f}): move the point or open a door"
             )
-        inside = blocked_points(building, path.points)
-        if inside.any():
-            row = int(np.flatnonzero(inside)[0])
-            x, y = path.points[row]
-            room = list(building.rooms)[room_at(building, path.points[row : row + 1])[0]]
-            raise DataError(f"{where[row]} hits something in room {room!r} at ({x:.2f}, {y:.2f})")
+        for (x, y), stuck, prefix in zip(path.points, blocked_points(building, path.points), where, strict=True):
+            if stuck:
+                raise DataError(f"{prefix} leaves the free floor at ({x:.2f}, {y:.2f}), for a wall, an item or outside")

@@ -61,7 +61,9 @@ def test_a_file_is_read_with_its_lines(tmp_path: Path) -> None:
     ("old", "new", "message"),
     [
         ("    - [2.5, 4.0]", "    - [3.8, 3.0]", r"line 21: path 'path1' runs through a wall of room 'hall'"),
-        ("    - [2.5, 4.0]", "    - [2.5, 9.0]", r"line 21: path 'path1' leaves every room at \(2.50, 9.00\)"),
+        ("    - [2.5, 4.0]", "    - [2.5, 9.0]", r"line 21: path 'path1' runs through a wall of room 'office' between"),
+        ("    - [1.0, 1.0]\n    - [2.5, 1.0]\n    - [2.5, 4.0]", "    - [0.3, 4.4]\n    - [0.3, 4.5]",
+         r"line 19: path 'path1' leaves the free floor at \(0.30, 4.40\)"),
         ("    - [2.5, 4.0]", "    - [2.5, 4.5]\n    - [0.2, 4.5]",
          r"line 22: path 'path1' runs through the desk of room 'office' \(line 14\)"),
         ("at: 3.0, width: 1.5", "at: 5.8, width: 1.5", r"line 9: a window .* south wall lies outside its wall"),
