@@ -9,9 +9,7 @@ import json
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from enum import Enum
-from itertools import accumulate
-from pathlib import Path
-from typing import Any, TextIO
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -97,59 +95,6 @@ class Location:
     scores: dict[str, Any]
 
 
-class EventLog:
-    """The log of a run, in memory and, if asked for, in a file. A copy keeps only the lines, not the file.
-
-    Args:
-        lines: lines of the run so far, in ASCII.
-        target: a path, which is overwritten with the whole run, or an open text file; None for memory alone.
-
-    Attributes:
-        lines: lines of the run, and perhaps one that an interrupted call left behind.
-
-    Raises:
-        AnalyticError: a path that cannot be written.
-    """
-
-    def __init__(self, lines: Iterable[str], target: str | Path | TextIO | None = None) -> None:
-        self.lines = list(lines)
-        self._ends = list(accumulate(len(line) + 1 for line in self.lines))
-        self._target = Path(target) if isinstance(target, str) else target
-        self._write("".join(f"{line}\n" for line in self.lines), None)
-
-    def __reduce__(self) -> tuple[type[EventLog], tuple[list[str]]]:
-        """Copy without the file, since two logs would write to it."""
-        return EventLog, (self.lines,)
-
-    def write(self, line: str, before: int) -> None:
-        """Write one line after the first `before` lines.
-
-        Anything after those is removed first, in memory and at the path: part of a line that did not fit on a full
-        disk, or the line of a call that was interrupted.
-        """
-        del self.lines[before:], self._ends[before:]
-        end = self._ends[-1]
-        self._write(f"{line}\n", end)
-        self._ends.append(end + len(line) + 1)
-        self.lines.append(line)
-
-    def _write(self, text: str, end: int | None) -> None:
-        """Write text to the file: after its first `end` bytes, or from the start for None."""
-        try:
-            if isinstance(self._target, Path):
-                with self._target.open("wb" if end is None else "ab") as file:
-                    if end is not None and file.tell() > end:
-                        file.truncate(end)
-                    file.write(text.encode())
-            elif self._target is not None:
-                self._target.write(text)
-        except (OSError, ValueError) as error:
-            raise AnalyticError(
-                f"the log of the mapper cannot be written to {self._target} ({error}): give a path in a folder that "
-                "can be written to"
-            ) from error
-
-
 def header(rules: Mapping[str, Any], identity: Mapping[str, Any]) -> str:
     """Return the first line of a log."""
     return json.dumps({"format": FORMAT, "version": VERSION, "parameters": rules, "descriptor": identity}, default=str)
@@ -204,7 +149,7 @@ def replay(events: Iterable[str | Mapping[str, Any]]) -> NDArray[np.int64]:
             if (event.get("format", FORMAT), event.get("version", VERSION)) != (FORMAT, VERSION):
                 raise AnalyticError(
                     f"this is not the log of a mapper in format version {VERSION} but {event['format']!r} in version "
-                    f"{event.get('version')}: give the file that `log` names"
+                    f"{event.get('version')}: give the `events` of a mapper"
                 )
             if "format" not in event:
                 _apply(labels, event)

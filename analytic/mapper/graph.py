@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from math import isfinite
 from pathlib import Path
 from typing import Any
-from xml.etree import ElementTree
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,16 +15,6 @@ from numpy.typing import NDArray
 from analytic.errors import AnalyticError
 from foundation.errors import StorageError
 from foundation.files import write_bytes
-
-_NAMESPACE = "http://graphml.graphdrawing.org/xmlns"
-_KEYS = {
-    "frames": ("node", "int"),
-    "modes": ("node", "int"),
-    "x": ("node", "double"),
-    "y": ("node", "double"),
-    "passages": ("edge", "int"),
-    "loops": ("graph", "string"),
-}
 
 
 @dataclass(frozen=True)
@@ -56,24 +45,6 @@ class NodeGraph:
         edges = [{"source": a, "target": b, "passages": n} for (a, b), n in sorted(self.edges.items())]
         nodes = [{"id": key, **values} for key, values in sorted(self.nodes.items())]
         write(path, json.dumps({"nodes": nodes, "edges": edges, "loops": self.loops}, indent=1).encode())
-
-    def to_graphml(self, path: str | Path) -> None:
-        """Write an undirected GraphML graph with the same contents; loops are a JSON list in one attribute.
-
-        Raises:
-            AnalyticError: a path that cannot be written.
-        """
-        root = ElementTree.Element("graphml", xmlns=_NAMESPACE)
-        for key, (domain, kind) in _KEYS.items():
-            ElementTree.SubElement(root, "key", {"id": key, "for": domain, "attr.name": key, "attr.type": kind})
-        graph = ElementTree.SubElement(root, "graph", id="map", edgedefault="undirected")
-        _data(graph, {"loops": json.dumps(self.loops)})
-        for node, values in sorted(self.nodes.items()):
-            _data(ElementTree.SubElement(graph, "node", id=f"n{node}"), values)
-        for (a, b), passages in sorted(self.edges.items()):
-            edge = ElementTree.SubElement(graph, "edge", source=f"n{a}", target=f"n{b}")
-            _data(edge, {"passages": passages})
-        write(path, ElementTree.tostring(root, encoding="utf-8", xml_declaration=True))
 
 
 def edges(labels: NDArray[np.int64]) -> dict[tuple[int, int], int]:
@@ -123,8 +94,3 @@ def write(path: str | Path, data: bytes) -> None:
         write_bytes(path, data)
     except StorageError as error:
         raise AnalyticError(str(error)) from error
-
-
-def _data(element: ElementTree.Element, values: dict[str, Any]) -> None:
-    for key, value in values.items():
-        ElementTree.SubElement(element, "data", key=key).text = str(value)

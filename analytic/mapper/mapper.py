@@ -6,7 +6,7 @@ import json
 from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any, TextIO
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +15,7 @@ from analytic.descriptors.base import Description, Descriptor, check_alike
 from analytic.errors import AnalyticError
 from analytic.linear_algebra import one_thread
 from analytic.mapper import graph, storage
-from analytic.mapper.decision import Decision, EventLog, Location, header, line_of
+from analytic.mapper.decision import Decision, Location, header, line_of
 from analytic.mapper.growth import State
 from analytic.mapper.node import Node
 from analytic.mapper.parameters import Parameters
@@ -32,7 +32,6 @@ class IncrementalMapper:
         descriptor: the descriptor that makes the descriptions. If these have no orientation part, or it was made
             with `circular=False`, images are compared by position alone.
         version: 1 is [I] 4 and [T] 4.3; 2 the improved version of [T] 4.6.
-        log: a path or an open text file that receives one line of JSON per frame; the lines are also kept in memory.
         others: the thresholds of `analytic.mapper.Parameters`: omega=1.85, y=1.5, gamma=5, ...
 
     Attributes:
@@ -41,7 +40,7 @@ class IncrementalMapper:
         extendable: whether frames may be added; False for a map that was loaded for queries.
 
     Raises:
-        AnalyticError: no descriptor, an unknown parameter, a value out of its range, or a log that cannot be written.
+        AnalyticError: no descriptor, an unknown parameter, or a value out of its range.
 
     Examples:
         >>> import analytic
@@ -57,14 +56,7 @@ class IncrementalMapper:
         [0.0, 0.0]
     """
 
-    def __init__(
-        self,
-        descriptor: Descriptor,
-        version: int = 1,
-        *,
-        log: str | Path | TextIO | None = None,
-        **others: Any,
-    ) -> None:
+    def __init__(self, descriptor: Descriptor, version: int = 1, **others: Any) -> None:
         if not isinstance(descriptor, Descriptor):
             raise AnalyticError(
                 f"the mapper takes a descriptor, such as analytic.descriptor('hog') returns, got {descriptor!r}"
@@ -74,7 +66,7 @@ class IncrementalMapper:
         self.extendable = True
         self._state = State(self.parameters)
         self._poses: list[Any] = []
-        self._log = EventLog([header(asdict(self.parameters), descriptor.identity)], log)
+        self._lines = [header(asdict(self.parameters), descriptor.identity)]
 
     def __len__(self) -> int:
         return len(self._state.labels)
@@ -92,14 +84,14 @@ class IncrementalMapper:
     @property
     def events(self) -> tuple[str, ...]:
         """The log: a header, then a line of JSON for each call of `add` or `maintain`."""
-        return tuple(self._log.lines[: 1 + self._state.calls])
+        return tuple(self._lines[: 1 + self._state.calls])
 
     def labels(self) -> NDArray[np.int64]:
         """Return the node of each frame (n,), -1 for none."""
         return self._state.labels.copy()
 
     def graph(self) -> graph.NodeGraph:
-        """Return nodes, edges and loop closures, which can be written as GraphML or JSON."""
+        """Return nodes, edges and loop closures, which can be written as JSON."""
         places = [graph.coordinates(pose) for pose in self.poses]
         nodes: dict[int, dict[str, float]] = {}
         for node in self.nodes:
@@ -121,7 +113,7 @@ class IncrementalMapper:
 
         Raises:
             AnalyticError: a map that is read-only; a description of several images, of another descriptor, of another
-                size or with values that are not finite; a frame that is not plain; a log that cannot be written.
+                size or with values that are not finite; a frame that is not plain.
         """
         description = self._checked(description, 1, extending=True)
         pose, draft = _plain(frame), self._state.copy()
@@ -181,21 +173,13 @@ class IncrementalMapper:
         storage.save(path, self._state, list(self.poses), self.descriptor.identity, list(self.events))
 
     @classmethod
-    def load(
-        cls,
-        path: str | Path,
-        descriptor: Descriptor | None = None,
-        *,
-        extend: bool = False,
-        log: str | Path | TextIO | None = None,
-    ) -> IncrementalMapper:
+    def load(cls, path: str | Path, descriptor: Descriptor | None = None, *, extend: bool = False) -> IncrementalMapper:
         """Load a map for queries only, or to extend it as if the run had never stopped.
 
         Args:
             path: as given to `save`.
             descriptor: descriptor of the map; may be left out if its name is in `analytic.DESCRIPTORS`.
             extend: whether frames may be added.
-            log: as for the class; it receives the whole run.
 
         Raises:
             AnalyticError: a path that cannot be read, a file that is cut short, not a map or of another version, a
@@ -209,14 +193,13 @@ class IncrementalMapper:
                 "map's own"
             )
         mapper = cls(descriptor, **asdict(state.rules))
-        mapper.extendable = extend
-        mapper._state, mapper._poses, mapper._log = state, poses, EventLog(lines, log)
+        mapper.extendable, mapper._state, mapper._poses, mapper._lines = extend, state, poses, lines
         return mapper
 
     def _commit(self, draft: State, decision: Decision, poses: list[Any]) -> None:
         """Replace the map by a draft. Until the last line, poses and events beyond those of the map do not count."""
         draft.calls += 1
-        self._log.write(line_of(decision, poses), draft.calls)
+        self._lines[draft.calls :] = [line_of(decision, poses)]
         self._poses[len(self) :] = poses
         self._state = draft
 

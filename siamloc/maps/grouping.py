@@ -145,9 +145,7 @@ class Built:
             if self.mapper is not None:
                 self.mapper.save(folder / "mapper.npz")
                 write_text(folder / "events.jsonl", "".join(f"{line}\n" for line in self.mapper.events))
-                graph = self.mapper.graph()
-                graph.to_json(folder / "graph.json")
-                graph.to_graphml(folder / "graph.graphml")
+                self.mapper.graph().to_json(folder / "graph.json")
             self.layer.save(folder / "layer.npz")
 
     def summary(self, folder: str | Path | None = None) -> str:

@@ -1,4 +1,3 @@
-import io
 import json
 
 import numpy as np
@@ -40,20 +39,6 @@ def test_a_line_says_what_the_decision_said():
     assert line["scores"]["nodes"]["0"] == pytest.approx(decision.scores["nodes"]["0"], rel=1e-5)
 
 
-def test_a_file_gets_the_same_lines(tmp_path):
-    text = io.StringIO()
-    for log in (tmp_path / "log.jsonl", text):
-        mapper = IncrementalMapper(WORLD, log=log)
-        for frame in FRAMES[:40]:
-            mapper.add(frame)
-    lines = (tmp_path / "log.jsonl").read_text().splitlines()
-    assert tuple(lines) == mapper.events == tuple(text.getvalue().splitlines())
-    assert np.array_equal(replay(lines), mapper.labels())
-    mapper.save(tmp_path / "map")
-    IncrementalMapper.load(tmp_path / "map", WORLD, log=tmp_path / "again.jsonl")
-    assert (tmp_path / "again.jsonl").read_text().splitlines() == lines
-
-
 def test_maintenance_is_in_the_log():
     mapper = IncrementalMapper(WORLD)
     for frame in FRAMES[:25]:
@@ -84,16 +69,3 @@ def test_what_is_no_log_is_refused(events, says):
 def test_an_empty_log_is_an_empty_map():
     assert replay([]).tolist() == []
     assert replay(["", '{"frames": [0], "node": null, "changes": []}']).tolist() == [-1]
-
-
-def test_part_of_a_line_that_could_not_be_written_goes_before_the_next(tmp_path):
-    path = tmp_path / "log.jsonl"
-    mapper = IncrementalMapper(WORLD, log=path)
-    for frame in FRAMES[:5]:
-        mapper.add(frame)
-    with path.open("a") as file:
-        file.write('{"frames":[5],"po')  # as far as the disk had room
-    for frame in FRAMES[5:10]:
-        mapper.add(frame)
-    assert tuple(path.read_text().splitlines()) == mapper.events
-    assert np.array_equal(replay(path.read_text().splitlines()), mapper.labels())

@@ -1,5 +1,4 @@
 import json
-from xml.etree import ElementTree
 
 import numpy as np
 import pytest
@@ -66,23 +65,7 @@ def test_a_map_as_a_graph(tmp_path):
     assert read["loops"] == [list(loop) for loop in graph.loops]
 
 
-def test_graphml_holds_the_same(tmp_path):
-    mapper, _ = mapped(False)
-    graph = mapper.graph()
-    graph.to_graphml(tmp_path / "map.graphml")
-    space = {"g": "http://graphml.graphdrawing.org/xmlns"}
-    root = ElementTree.parse(tmp_path / "map.graphml").getroot()
-    keys = {key.get("id") for key in root.findall("g:key", space)}
-    (drawn,) = root.findall("g:graph", space)
-    nodes = {node.get("id"): {d.get("key"): d.text for d in node} for node in drawn.findall("g:node", space)}
-    assert nodes == {f"n{k}": {name: str(v) for name, v in values.items()} for k, values in graph.nodes.items()}
-    found = {(e.get("source"), e.get("target")): e.find("g:data", space).text for e in drawn.findall("g:edge", space)}
-    assert found == {(f"n{a}", f"n{b}"): str(n) for (a, b), n in graph.edges.items()}
-    assert json.loads(drawn.find("g:data", space).text) == [list(loop) for loop in graph.loops]
-    assert {data.get("key") for data in root.iter(f"{{{space['g']}}}data")} <= keys
-
-
 def test_a_graph_that_cannot_be_written(tmp_path):
     mapper, _ = mapped(False)
     with pytest.raises(AnalyticError, match="cannot be written"):
-        mapper.graph().to_graphml(tmp_path)
+        mapper.graph().to_json(tmp_path)

@@ -162,7 +162,7 @@ def rewritten(path, goal, **changes):
     [
         ({"version": storage.VERSION + 1}, "format version 3, and this program reads version 2: build the map again"),
         ({"format": "other"}, "not a map"),
-        ({"parameters": {"gamma": -1}}, "gamma must be a positive number"),
+        ({"parameters": {"gamma": -1}}, "gamma must be a number above 0"),
         ({"poses": []}, "40 labels, 40 matches and 0 poses"),
         ({"labels": None}, "not a map, or it is damaged .*labels"),
     ],

@@ -109,7 +109,7 @@ def test_a_layer_is_built_and_measured(manifest, tmp_path, build, capsys):
     if build == "rooms":
         assert mapping["purity"]["overall"] == 1
     if build == "incremental":
-        assert {"mapper.npz", "events.jsonl", "graph.json", "graph.graphml"} <= {p.name for p in folder.iterdir()}
+        assert {"mapper.npz", "events.jsonl", "graph.json"} <= {p.name for p in folder.iterdir()}
         assert sum(mapping["reasons"].values()) == 30
     rows = (target / "frames.csv").read_text().strip().split("\n")
     assert len(rows) == 31

@@ -137,7 +137,7 @@ def test_an_incremental_layer_is_the_mappers(driven):
 
 def test_a_layer_that_was_built_before_is_read_and_another_is_built(driven, tmp_path):
     built = group(driven, "incremental", folder=tmp_path / "layer", progress=False)
-    names = ["events.jsonl", "graph.graphml", "graph.json", "layer.npz", "mapper.npz", "placing.json"]
+    names = ["events.jsonl", "graph.json", "layer.npz", "mapper.npz", "placing.json"]
     assert sorted(path.name for path in (tmp_path / "layer").iterdir()) == names
     again = group(driven, "incremental", folder=tmp_path / "layer", progress=False)
     assert again.mapper is None  # it was read
