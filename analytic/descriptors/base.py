@@ -342,20 +342,21 @@ def check_cells(made: Any, height: int, width: int, rows: str = "rows") -> None:
         width: width of the image in pixels.
         rows: name of the parameter with the number of bands.
     """
-    bands = getattr(made, rows)
-    if height % bands:
-        raise AnalyticError(
-            f"{made.name}'s {rows}={bands} bands do not divide the image's height of {height} pixels: use {rows}="
-            f"{divisors_near(height, bands)}, or resize the image"
-        )
-    if width % made.step:
-        raise AnalyticError(
-            f"{made.name}'s step={made.step} does not divide the image's width of {width} pixels: use step="
-            f"{divisors_near(width, made.step)}, or resize the image"
-        )
+    check_divides(made, rows, height, "height")
+    check_divides(made, "step", width, "width")
     if made.window > width:
         raise AnalyticError(
             f"{made.name}'s window={made.window} is wider than the image of {width} columns: use at most window={width}"
+        )
+
+
+def check_divides(made: Any, key: str, pixels: int, side: str) -> None:
+    """Raise AnalyticError unless a parameter of a descriptor divides the height or the width of an image."""
+    value = getattr(made, key)
+    if pixels % value:
+        raise AnalyticError(
+            f"{made.name}'s {key}={value} does not divide the image's {side} of {pixels} pixels: use {key}="
+            f"{divisors_near(pixels, value)}, or resize the image"
         )
 
 

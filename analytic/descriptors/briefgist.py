@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 
 from analytic.alignment import Turns
 from analytic.description import Description
-from analytic.descriptors.base import AlignedDescriptor, Cells, Several, divisors_near
-from analytic.errors import AnalyticError
+from analytic.descriptors.base import AlignedDescriptor, Cells, Several, check_divides
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -67,12 +66,8 @@ class BriefGist(AlignedDescriptor):
         return (self.rows * self.columns,), (self.columns, self.rows)
 
     def _check_size(self, height: int, width: int) -> None:
-        for side, pixels, windows in (("rows", height, self.rows), ("columns", width, self.columns)):
-            if pixels % windows:
-                raise AnalyticError(
-                    f"briefgist cuts the image into {windows} {side} of windows, which do not divide its {pixels} "
-                    f"{side} of pixels: use {divisors_near(pixels, windows)} for {side!r}, or resize the image"
-                )
+        check_divides(self, "rows", height, "height")
+        check_divides(self, "columns", width, "width")
 
     def _describe(self, image: NDArray[np.float32]) -> tuple[NDArray[Any], NDArray[Any]]:
         height, width = image.shape

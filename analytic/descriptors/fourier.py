@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from analytic.alignment import best_turns, euclidean, norm, whitened
 from analytic.alignment import heading as angle
 from analytic.description import Alignment, Description
-from analytic.descriptors.base import Cells, ImageDescriptor, divisors_near
+from analytic.descriptors.base import Cells, ImageDescriptor, check_divides
 from analytic.errors import AnalyticError
 
 _NOTHING = 1e-6
@@ -161,11 +161,7 @@ class FourierSignature(ImageDescriptor):
 
     def _check_size(self, height: int, width: int) -> None:
         for key in ("rows", "orientation_rows"):
-            if height % getattr(self, key):
-                raise AnalyticError(
-                    f"fs's {key}={getattr(self, key)} do not divide the image's height of {height} pixels: use {key}="
-                    f"{divisors_near(height, getattr(self, key))}, or resize the image"
-                )
+            check_divides(self, key, height, "height")
         most = (width + 1) // 2 if self.circular else width
         for key in ("columns", "orientation_columns"):
             if getattr(self, key) > most:

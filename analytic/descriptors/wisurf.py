@@ -10,7 +10,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from analytic.descriptors.base import AlignedDescriptor, Cells, Several, divisors_near
+from analytic.descriptors.base import AlignedDescriptor, Cells, Several, check_divides, divisors_near
 from analytic.errors import AnalyticError
 
 CELLS = 4  # subregions along each side of a window
@@ -92,11 +92,7 @@ class WiSurf(AlignedDescriptor):
                 f"wisurf's rows={self.rows} bands of {CELLS} subregions each do not fit an image of {height} pixel "
                 f"rows: {_heights(height, self.rows)}"
             )
-        if width % self.windows:
-            raise AnalyticError(
-                f"wisurf's windows={self.windows} do not divide the image's width of {width} pixels: use windows="
-                f"{divisors_near(width, self.windows)}, or resize the image"
-            )
+        check_divides(self, "windows", width, "width")
         side = height // self.rows
         if side > width:
             raise AnalyticError(

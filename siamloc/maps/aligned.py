@@ -10,7 +10,6 @@ from analytic.alignment import moments
 from analytic.descriptors.base import AlignedDescriptor
 from siamloc.maps.search import Retrieval, check_excluded, check_neighbours, slices
 
-_PAIRS = 1 << 17  # distances held at once
 _VALUES = 1 << 22  # of some frames, compared at once: 16 MiB, and as much for their spectra
 
 
@@ -56,29 +55,18 @@ class AlignedIndex:
         """
         m = len(self) if within is None else len(within)
         k = min(check_neighbours(k), m)
-        mask = None if excluded is None else check_excluded(excluded, (len(queries), len(self)), k)
-        found = Retrieval(np.zeros((len(queries), k), dtype=np.int64), np.zeros((len(queries), k)))
-        for part in slices(len(queries), _PAIRS // m):
-            apart = self._distances(queries.take(part), within)
-            if mask is not None:
-                apart = np.where(mask[part], np.inf, apart)
-            order = np.argsort(apart, axis=1, kind="stable")[:, :k]
-            found.indices[part] = order if within is None else within[order]
-            found.distances[part] = np.take_along_axis(apart, order, axis=1)
-        return found
+        apart = self.distances(queries, within)
+        if excluded is not None:
+            apart = np.where(check_excluded(excluded, (len(queries), len(self)), k), np.inf, apart)
+        order = np.argsort(apart, axis=1, kind="stable")[:, :k]
+        return Retrieval(order if within is None else within[order], np.take_along_axis(apart, order, axis=1))
 
-    def distances(self, queries: Description) -> NDArray[np.float64]:
-        """Return the distances (n, m) of n queries to all frames.
+    def distances(self, queries: Description, within: NDArray[np.int64] | None = None) -> NDArray[np.float64]:
+        """Return the distances (n, m) of n queries to all frames, or to some rows.
 
         Raises:
             AnalyticError: descriptions that cannot be compared.
         """
-        apart = np.empty((len(queries), len(self)))
-        for part in slices(len(queries), _PAIRS // len(self)):
-            apart[part] = self._distances(queries.take(part))
-        return apart
-
-    def _distances(self, queries: Description, within: NDArray[np.int64] | None = None) -> NDArray[np.float64]:
         if within is None:
             return self._descriptor.pairwise(queries, self._description, self._distance)
         apart = np.empty((len(queries), len(within)))

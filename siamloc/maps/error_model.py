@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Literal
 
@@ -128,7 +127,7 @@ class ErrorModel(Learned):
         """
         neighbours = min(neighbours, found.indices.shape[1])
         blank = cls("ratio", float(radius), neighbours, (0.0,), (0.0,), len(found))
-        return blank._learned(lambda: blank.scores(found, map_xy), len(found), errors)
+        return blank._learned(blank.scores(found, map_xy), errors)
 
     @classmethod
     def fit_poses(cls, poses: RefinedPoses, errors: ArrayLike) -> ErrorModel:
@@ -142,10 +141,10 @@ class ErrorModel(Learned):
             DataError: fewer than 10 queries, or not one error for each.
         """
         blank = cls("pose", 0.0, 1, (0.0,), (0.0,), len(poses), refine="relative")
-        return blank._learned(lambda: pose_score(poses), len(poses), errors)
+        return blank._learned(pose_score(poses), errors)
 
-    def _learned(self, scored: Callable[[], NDArray[np.float64]], count: int, errors: ArrayLike) -> ErrorModel:
-        values = np.asarray(errors, dtype=np.float64)
+    def _learned(self, scores: NDArray[np.float64], errors: ArrayLike) -> ErrorModel:
+        count, values = len(scores), np.asarray(errors, dtype=np.float64)
         if values.shape != (count,) or not (values >= 0).all() or not np.isfinite(values).all():
             raise DataError(f"{count} validation queries need as many errors, finite and >= 0, got {values.shape}")
         if count < _FEWEST:
@@ -153,7 +152,6 @@ class ErrorModel(Learned):
                 f"an error model needs at least {_FEWEST} validation queries, got {count}: "
                 "give protocol.validation more frames"
             )
-        scores = scored()
         order = np.argsort(scores, kind="stable")
         groups = np.array_split(order, max(1, len(order) // _GROUP))
         knots, inverse = np.unique([scores[rows].mean() for rows in groups], return_inverse=True)

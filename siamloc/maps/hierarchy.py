@@ -128,7 +128,11 @@ class HierarchicalSearch:
         if not np.array_equal(self.coarse.frames.path, known.frames.path):
             raise DataError("the map that ranks the nodes must hold the map's frames in the same order")
         if by == "classifier" and layer.classifier is None:
-            raise ConfigError(_not_naming(self.coarse, layer))
+            raise ConfigError(
+                "a classifier ranks nodes that are the rooms of the map (build=rooms) and that its network was trained "
+                "to name, all of them (loss=cross_entropy): build the nodes again over the map with such a network, or "
+                "rank them by representatives or vote"
+            )
         if by == "representatives" and self.coarse.aligned:
             raise ConfigError(
                 f"descriptors of {self.coarse.descriptor.name} are compared after turning, so their means are "
@@ -259,25 +263,3 @@ class HierarchicalSearch:
             order = np.lexsort((frame, apart))[:k]
             best.indices[row], best.distances[row] = frame[order], apart[order]
         return further.sum(axis=1)
-
-
-def _not_naming(known: VisualMap, layer: CoarseLayer) -> str:
-    """Return the reason why no classifier names the nodes of a layer."""
-    rooms = getattr(known.describes, "rooms", None)
-    if rooms is None:
-        return (
-            "nodes are ranked by a classifier where a network that was trained to name rooms describes them: train one "
-            "with loss=cross_entropy, or rank them by representatives or vote"
-        )
-    if layer.made.get("name") != "rooms":
-        return (
-            "a classifier ranks the nodes that it was trained to name, the rooms: choose build=rooms, or rank nodes by "
-            "representatives or vote"
-        )
-    unknown = [name for name in layer.names.tolist() if name not in rooms.names.tolist()]
-    return (
-        f"the classifier does not know all rooms of the map, it lacks {', '.join(unknown)}: train it on them, leave "
-        "them out of the map (protocol.map.rooms), or rank nodes by representatives or vote"
-        if unknown
-        else "the nodes were built without the classifier: build them again over the map with its network"
-    )

@@ -117,35 +117,40 @@ class VectorIndex:
         mask = None if excluded is None else check_excluded(excluded, (len(q), len(self)), k)
         found = Retrieval(np.zeros((len(q), k), dtype=np.int64), np.zeros((len(q), k)))
         for block in slices(len(q), memory // 3 // (4 * m)):
-            sight = self._look(q[block], within)
+            looked, scores, slack = self._look(q[block], within)
             if mask is not None:
-                sight.scores[mask[block]] = -np.inf
-            for part in slices(len(sight.scores), memory // 2 // (_BYTES_PER_PAIR * m)):
-                row, column = _candidates(sight.scores[part], sight.slack[part], k)
+                scores[mask[block]] = -np.inf
+            for part in slices(len(scores), memory // 2 // (_BYTES_PER_PAIR * m)):
+                row, column = _candidates(scores[part], slack[part], k)
                 rows = column if within is None else within[column]
                 if self.distance == "manhattan":
-                    apart = -sight.scores[part][row, column].astype(np.float64)
+                    apart = -scores[part][row, column].astype(np.float64)
                 else:
-                    apart = self._distances(sight.queries[part], row, rows)
+                    apart = self._distances(looked[part], row, rows)
                 place = slice(block.start + part.start, block.start + part.stop)
                 found.indices[place], found.distances[place] = _nearest(row, rows, apart, k)
         return found
 
-    def _look(self, queries: NDArray, within: NDArray[np.int64] | None) -> _Sight:
-        """Score queries against the references."""
+    def _look(self, queries: NDArray, within: NDArray[np.int64] | None) -> tuple[NDArray, NDArray, NDArray[np.float64]]:
+        """Score queries against the references: the higher, the nearer.
+
+        Returns:
+            The queries in the form from which distances are computed (n, D'), the scores (n, m), and the largest
+            possible error of each row's scores (n,).
+        """
         if self.distance == "manhattan":
             references = self._references if within is None else self._references[within]
             scores = np.empty((len(queries), len(references)))
             for columns in slices(len(references), _REFERENCES_PER_BLOCK):
                 scores[:, columns] = -DISTANCES["manhattan"](queries, references[columns])
-            return _Sight(queries, scores, np.zeros(len(queries)))
+            return queries, scores, np.zeros(len(queries))
         embedded = self._embed(queries, is_query=True)
         left = np.ones((len(queries), self._product.shape[1]), dtype=np.float32)
         left[:, :-1] = (embedded - self._centre) * self._scale
         right = self._product if within is None else self._product[within]
         norm = np.sqrt(np.einsum("ij,ij->i", left[:, :-1], left[:, :-1], dtype=np.float64))
         rounding = _ROUNDOFF * (norm * self._longest + self._longest**2) + _SMALLEST
-        return _Sight(embedded, left @ right.T, (left.shape[1] + 8) * rounding)
+        return embedded, left @ right.T, (left.shape[1] + 8) * rounding
 
     def _distances(
         self, queries: NDArray[np.float64], row: NDArray[np.int64], column: NDArray[np.int64]
@@ -214,21 +219,6 @@ class VectorIndex:
         if plain and largest * self._scale > _LARGEST:
             raise DataError("the queries' values are out of all proportion to the map's: describe both with one model")
         return q
-
-
-@dataclass(frozen=True)
-class _Sight:
-    """Scores of the references for a block of queries: the higher, the nearer.
-
-    Attributes:
-        queries: in the form from which distances are computed (n, D').
-        scores: (n, m).
-        slack: largest possible error of a row's scores (n,).
-    """
-
-    queries: NDArray
-    scores: NDArray
-    slack: NDArray[np.float64]
 
 
 def check_neighbours(k: int) -> int:

@@ -82,9 +82,9 @@ def test_heading_in_spite_of_noise_and_bars():
     [
         ({"rows": 0}, "briefgist.rows must be .*, got 0"),
         ({"columns": 1}, "briefgist.columns must be a whole number from 2 to 16,384, got 1"),
-        ({"rows": 5, "columns": 8}, "5 rows of windows, which do not divide its 16 rows of pixels: use 4 or 8"),
-        ({"rows": 64, "columns": 8}, "64 rows of windows, which do not divide its 16 rows of pixels: use 16 for"),
-        ({"rows": 4, "columns": 7}, "use 6 or 8 for 'columns', or resize"),
+        ({"rows": 5, "columns": 8}, "rows=5 does not divide the image's height of 16 pixels: use rows=4 or 8"),
+        ({"rows": 64, "columns": 8}, "rows=64 does not divide the image's height of 16 pixels: use rows=16,"),
+        ({"rows": 4, "columns": 7}, "use columns=6 or 8, or resize"),
     ],
 )
 def test_mistakes_are_one_sentence(params, says):

@@ -109,7 +109,7 @@ def test_heading_in_spite_of_noise_and_bars():
         ({"step": -1}, "gist.step must be .*, got -1"),
         ({"orientation_levels": 3}, "gist.orientation_levels must be 1 or 2, got 3"),
         ({"orientation_filters": 1}, "normalized=False"),
-        ({"blocks": 5}, "blocks=5 bands do not divide the image's height of 24 pixels: use blocks=4 or 6"),
+        ({"blocks": 5}, "blocks=5 does not divide the image's height of 24 pixels: use blocks=4 or 6"),
         ({"step": 7, "blocks": 4}, "step=7 does not divide the image's width of 60 pixels: use step=6 or 10"),
         ({"window": 61, "blocks": 4}, "wider than the image of 60 columns: use at most window=60"),
     ],

@@ -112,7 +112,7 @@ def test_wavelets_of_any_size_are_differences_of_means(reach, wraps):
             "4 subregions each do not fit an image of 32 pixel rows: use rows=2 or 4, or .* 24",
         ),
         ({"rows": 16, "windows": 12}, "use rows=8, or resize it to 64 rows"),
-        ({"rows": 2, "windows": 10}, "do not divide the image's width of 48 pixels: use windows=8 or 12"),
+        ({"rows": 2, "windows": 10}, "does not divide the image's width of 48 pixels: use windows=8 or 12"),
     ],
 )
 def test_mistakes_are_one_sentence(params, says):

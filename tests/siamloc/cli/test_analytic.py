@@ -67,7 +67,7 @@ def test_ordinary_cameras_have_no_heading(manifest, tmp_path):
 @pytest.mark.parametrize(
     ("more", "sentence"),
     [
-        (["descriptor.rows=5"], "do not divide the image's height of 32 pixels"),
+        (["descriptor.rows=5"], "does not divide the image's height of 32 pixels"),
         (["descriptor.bens=5"], "did you mean 'descriptor.bins'"),
         (["descriptor.window=200"], "wider than the image of 128 columns"),
         (["task.baselines=[hug]"], "did you mean 'hog'"),

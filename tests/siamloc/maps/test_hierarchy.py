@@ -130,7 +130,7 @@ def test_the_answer_depends_neither_on_the_other_queries_nor_on_the_size_of_the_
     part = search.search(queries[rows], NodeRanking(ranking.nodes[rows], ranking.compared[rows]), 5)
     np.testing.assert_array_equal(part.found.indices, whole.found.indices[rows])
     np.testing.assert_array_equal(part.found.distances, whole.found.distances[rows])
-    for name, value in (("hierarchy._FOUND", 40), ("aligned._PAIRS", 50)):
+    for name, value in (("hierarchy._FOUND", 40), ("aligned._VALUES", 50)):
         monkeypatch.setattr(f"siamloc.maps.{name}", value)
     small = HierarchicalSearch(known, layer).search(queries, ranking, 5)
     np.testing.assert_array_equal(small.found.indices, whole.found.indices)
