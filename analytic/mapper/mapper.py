@@ -229,16 +229,11 @@ class IncrementalMapper:
                 continue
             if len(part) != len(description):
                 raise AnalyticError(f"{len(description)} positions need as many orientation parts, got {len(part)}")
-            if part.dtype.kind not in "fiub":
-                raise AnalyticError(
-                    f"the {name} part of a description must hold real numbers, got {part.dtype}: use another "
-                    "descriptor, such as hog"
-                )
             # The fourth power of a larger value overflows.
-            if not (np.abs(part, dtype=np.float64) <= LARGEST_VALUE).all():
+            if part.dtype.kind not in "fiub" or not (np.abs(part, dtype=np.float64) <= LARGEST_VALUE).all():
                 raise AnalyticError(
-                    f"the {name} part of a description holds values that are not finite, or beyond {LARGEST_VALUE:g}: "
-                    "leave it out"
+                    f"the {name} part of a description must hold finite real numbers up to {LARGEST_VALUE:g}, and this "
+                    f"one, of {part.dtype}, does not: leave it out, or use another descriptor, such as hog"
                 )
         self.descriptor.check(description, description)
         turns = self.parameters.orientation and getattr(self.descriptor, "circular", True)

@@ -76,24 +76,19 @@ def load(path: str | Path) -> tuple[State, list[Any], dict[str, Any], list[str]]
     try:
         arrays = read_arrays(path)
         head = json.loads(_string(arrays["header"]))
-        if head["format"] != FORMAT:
-            raise ValueError(f"format {head['format']!r}")
-        if head["version"] != VERSION:
+        if (head["format"], head["version"]) != (FORMAT, VERSION):
             raise AnalyticError(
-                f"{path} has format version {head['version']}, and this program reads version {VERSION}: build the map "
-                "again"
+                f"{path} has the format {head['format']!r} in version {head['version']}, and this program reads "
+                f"{FORMAT!r} in version {VERSION}: build the map again"
             )
         lines = _string(arrays["log"]).split("\n")
         return _state(head, arrays, len(lines) - 1), head["poses"], head["descriptor"], lines
     except AnalyticError:
         raise
-    except (FileNotFoundError, IsADirectoryError, PermissionError) as error:
-        raise AnalyticError(
-            f"the map {path} cannot be read ({error.strerror}): give a file that `save` wrote"
-        ) from error
     except DAMAGE as error:
         raise AnalyticError(
-            f"{path} is not a map, or it is damaged or cut short ({error!r}): give a whole file that `save` wrote"
+            f"{path} cannot be read, is not a map, or is damaged or cut short ({error!r}): give a whole file that "
+            "`save` wrote"
         ) from error
 
 

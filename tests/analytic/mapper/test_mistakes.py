@@ -23,17 +23,23 @@ def changed(position=None, orientation=None, identity=None):
     ("frame", "says"),
     [
         (lambda: WORLD.at(corridor_drive(3)), "one image at a time, got a description of 3"),
-        (lambda: changed(position=np.full((1, 16), np.nan, dtype=np.float32)), "position part .* not finite"),
-        (lambda: changed(orientation=np.full((1, 12, 3), np.inf, dtype=np.float32)), "orientation part .* not finite"),
+        (lambda: changed(position=np.full((1, 16), np.nan, dtype=np.float32)), "position part .* finite real numbers"),
+        (
+            lambda: changed(orientation=np.full((1, 12, 3), np.inf, dtype=np.float32)),
+            "orientation part .* finite real numbers",
+        ),
         (lambda: changed(position=np.ones((1, 15), dtype=np.float32)), "different sizes .* position 15"),
         (lambda: Description(FRAMES[1].position, None), "different sizes .* no orientation part"),
         (lambda: changed(identity={"name": "other"}), "other parameters .*name=other"),
         (lambda: changed(position=np.ones(16, dtype=np.float32)), r"shape \(images, numbers\), got \(16,\)"),
         (lambda: changed(orientation=np.ones((2, 12, 3), dtype=np.float32)), "as many orientation parts, got 2"),
         (lambda: Description(np.ones((1, 5000), dtype=np.float32)), "at most 4096 numbers, got 5000"),
-        (lambda: changed(position=np.full((1, 16), 1e39)), "position part .* beyond 1e\\+38: leave it out"),
-        (lambda: changed(position=np.full((1, 16), "a")), "position part .* real numbers, got <U1"),
-        (lambda: changed(orientation=np.ones((1, 12, 3), dtype=complex)), "orientation part .* numbers, got complex"),
+        (lambda: changed(position=np.full((1, 16), 1e39)), "position part .* up to 1e\\+38, .* leave it out"),
+        (lambda: changed(position=np.full((1, 16), "a")), "position part .* real numbers .* <U1"),
+        (
+            lambda: changed(orientation=np.ones((1, 12, 3), dtype=complex)),
+            "orientation part .* real numbers .* complex128",
+        ),
         (lambda: np.ones(16), "describe\\(\\) returns, got ndarray"),
     ],
 )

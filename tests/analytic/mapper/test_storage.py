@@ -117,7 +117,7 @@ def test_a_file_that_is_cut_short_or_changed_is_refused(tmp_path):
     cuts = [0, 1, 10, 500, len(whole) // 3, len(whole) // 2, len(whole) - 30, len(whole) - 1]
     for cut in cuts:
         (tmp_path / "cut").write_bytes(whole[:cut])
-        with pytest.raises(AnalyticError, match="not a map, or it is damaged or cut short"):
+        with pytest.raises(AnalyticError, match="not a map, or is damaged or cut short"):
             IncrementalMapper.load(tmp_path / "cut", WORLD)
     (tmp_path / "cut").write_bytes(whole[:5000] + bytes([whole[5000] ^ 1]) + whole[5001:])
     with pytest.raises(AnalyticError, match="damaged"):
@@ -160,11 +160,14 @@ def rewritten(path, goal, **changes):
 @pytest.mark.parametrize(
     ("changes", "says"),
     [
-        ({"version": storage.VERSION + 1}, "format version 3, and this program reads version 2: build the map again"),
-        ({"format": "other"}, "not a map"),
+        (
+            {"version": storage.VERSION + 1},
+            "in version 3, and this program reads 'analytic.mapper' in version 2: build the map again",
+        ),
+        ({"format": "other"}, "has the format 'other' in version 2"),
         ({"parameters": {"gamma": -1}}, "gamma must be a number above 0"),
         ({"poses": []}, "40 labels, 40 matches and 0 poses"),
-        ({"labels": None}, "not a map, or it is damaged .*labels"),
+        ({"labels": None}, "not a map, or is damaged .*labels"),
     ],
 )
 def test_a_newer_or_inconsistent_file_is_refused(tmp_path, changes, says):
