@@ -2,18 +2,13 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
-import cv2
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from analytic import AnalyticError, descriptor
-from analytic.disturb import noise, occlude
 
-PHOTOS = Path("../shared/data/corridor/query")
 MADE = descriptor("briefgist", rows=4, columns=8)
 BATCH = np.random.default_rng(0).integers(0, 256, (5, 3, 16, 48), dtype=np.uint8)
 
@@ -40,41 +35,6 @@ def test_the_orientation_part_holds_the_bits_of_the_position_part():
 @given(grey=st.floats(0, 1, width=32))
 def test_a_constant_image_has_no_bit_set(grey):
     assert not MADE.describe(np.full((16, 48), grey, dtype=np.float32)).position.any()
-
-
-def test_the_distance_is_the_number_of_different_bits():
-    queries, references = MADE.describe(BATCH), MADE.describe(255 - BATCH)
-    found = MADE.pairwise(queries, references)
-    for i, query in enumerate(queries.orientation):
-        for j, reference in enumerate(references.orientation):
-            ways = [np.sum(query != np.roll(reference, s, axis=0)) for s in range(8)]
-            assert found[i, j] == min(ways)
-    assert np.array_equal(found, MADE.pairwise(queries, references, "hamming"))
-    assert np.array_equal(found, MADE.pairwise(queries, references, "manhattan"))
-    np.testing.assert_allclose(MADE.pairwise(queries, references, "euclidean") ** 2, found, rtol=1e-5)
-
-
-def test_without_wrap_around_bits_are_compared_as_they_stand():
-    made = descriptor("briefgist", rows=4, columns=8, circular=False)
-    there, turned = made.describe(BATCH), made.describe(np.roll(BATCH, 12, axis=-1))
-    expected = [[np.sum(a != b) for b in there.position] for a in turned.position]
-    assert np.array_equal(made.pairwise(turned, there), expected)
-    with pytest.raises(AnalyticError, match="circular=False"):
-        made.relative_heading(turned, there)
-
-
-def test_heading_in_spite_of_noise_and_bars():
-    if not PHOTOS.is_dir():
-        pytest.skip(f"no photographs: {PHOTOS} is missing")
-    photos = [cv2.imread(str(path), cv2.IMREAD_GRAYSCALE) for path in sorted(PHOTOS.glob("*.jpg"))[::2]]
-    panoramas = np.stack([cv2.resize(photo, (512, 128), interpolation=cv2.INTER_AREA) for photo in photos])
-    made = descriptor("briefgist")
-    rng = np.random.default_rng(0)
-    steps = rng.integers(0, 16, len(panoramas))
-    turned = np.stack([np.roll(p, 32 * s, axis=1) for p, s in zip(panoramas, steps, strict=True)])
-    query = made.describe(occlude(noise(turned, 0.005, rng), 0.1, rng))
-    found = made.relative_heading(query, made.describe(panoramas)) / made.resolution(512)
-    assert (np.abs((found - steps + 8) % 16 - 8) < 1.01).mean() >= 0.95
 
 
 @pytest.mark.parametrize(

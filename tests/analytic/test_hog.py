@@ -1,7 +1,5 @@
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from analytic import AnalyticError, descriptor
 
@@ -32,40 +30,6 @@ def test_upright_and_level_edges_lie_in_the_middle_of_a_bin_despite_noise():
     noisy = ramp(0) + np.random.default_rng(0).normal(0, 1e-3, (16, 32)).astype(np.float32)
     share = hog.describe(noisy).orientation[0, 2]
     assert share[0] > 0.95 * share.sum()
-
-
-def test_an_ordinary_camera_has_borders():
-    flat, ring = (descriptor("hog", **SMALL, circular=wraps) for wraps in (False, True))
-    step = np.zeros((16, 48), dtype=np.float32)
-    step[:, 24:] = 1
-    assert flat.describe(step).position.sum() == pytest.approx(16)  # the step in the middle alone
-    assert ring.describe(step).position.sum() == pytest.approx(32)  # and the one at the seam
-    each = descriptor("hog", **{**SMALL, "window": 1}, circular=False).describe(IMAGES).orientation
-    last = flat.describe(IMAGES).orientation[:, -1]
-    assert last.sum() < ring.describe(IMAGES).orientation[:, -1].sum()
-    assert (last >= each[:, -1]).all()  # columns 46 and 47, not those of the first windows
-    with pytest.raises(AnalyticError, match="no relative heading"):
-        flat.align(flat.describe(IMAGES), flat.describe(IMAGES))
-
-
-def test_equal_numbers_of_bins_are_no_special_case():
-    one = descriptor("hog", **{**SMALL, "bins": 12}).describe(IMAGES)
-    other = descriptor("hog", **SMALL).describe(IMAGES)
-    assert np.array_equal(one.orientation, other.orientation)
-
-
-@pytest.mark.parametrize("whitened", [True, False])
-@settings(max_examples=15, deadline=None)
-@given(steps=st.integers(0, 23), gain=st.floats(0.5, 1))
-def test_a_turn_is_found_and_the_aligned_distance_is_that_after_it(whitened, steps, gain):
-    hog = descriptor("hog", **SMALL, whitened=whitened)
-    images = IMAGES.astype(np.float32) / 255
-    here, there = hog.describe(images), hog.describe(np.roll(gain * images, 2 * steps, axis=-1))
-    found = hog.align(there, here)
-    expected = np.angle(np.exp(1j * 2 * np.pi * steps / 24))
-    assert np.allclose(np.exp(1j * np.diag(found.heading)), np.exp(1j * expected))
-    slow = np.linalg.norm(np.roll(there.orientation[0], -steps, axis=0) - here.orientation[0])
-    assert found.distance[0, 0] == pytest.approx(slow, rel=1e-3, abs=0.05)
 
 
 def test_many_queries_are_aligned_as_one(monkeypatch):

@@ -100,17 +100,6 @@ def test_any_turn_by_columns_leaves_the_magnitudes(turn):
     assert np.abs(np.angle(np.exp(1j * off))).max() <= made.resolution(64) / 2 + 1e-6
 
 
-@given(st.integers(0, 31))
-@settings(max_examples=15, deadline=None)
-def test_turns_by_whole_steps_leave_distances(turn):
-    turned = np.roll(IMAGES, 2 * turn, axis=-1)
-    here, there = POC.describe(IMAGES), POC.describe(turned)
-    np.testing.assert_allclose(POC.pairwise(there, here), POC.pairwise(here, here), atol=1e-4)
-    for made in (POC, FOURIER):
-        off = made.relative_heading(made.describe(turned), made.describe(IMAGES)) - 2 * np.pi * 2 * turn / 64
-        assert np.abs(np.angle(np.exp(1j * off))).max() < 1e-6
-
-
 @pytest.mark.parametrize("name", ["radon_fourier", "radon_poc"])
 def test_a_turned_omnidirectional_image_gives_back_its_quarter_turns(name):
     made = descriptor(name, step=3, size=64, source="omnidirectional")
