@@ -8,7 +8,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from analytic.errors import AnalyticError
-from analytic.images import with_channels
+from analytic.images import unit, with_channels
+from foundation.settings import Count, NotNegative, Share, checked
 
 NOISE_LEVELS = (0.0, 0.0025, 0.005, 0.01, 0.02, 0.05)
 OCCLUSION_LEVELS = (0.0, 0.05, 0.1, 0.2, 0.4)
@@ -35,8 +36,7 @@ def noise(batch: ArrayLike, variance: float, generator: np.random.Generator) -> 
         (dtype('uint8'), 0.05)
     """
     images = _images(batch, generator)
-    if not (np.isfinite(variance) and variance >= 0):
-        raise AnalyticError(f"the variance of noise must be a number of at least 0, got {variance}")
+    checked(variance, NotNegative, "variance", AnalyticError)
     if variance == 0:
         return images.copy()
     scale = 255 if images.dtype == np.uint8 else 1
@@ -80,11 +80,8 @@ def occlude(
         0.75
     """
     images = _images(batch, generator)
-    for key, number in (("share", share), ("value", value)):
-        if not 0 <= number <= 1:
-            raise AnalyticError(f"the {key} of an occlusion must be in [0, 1], got {number}")
-    if bars < 1:
-        raise AnalyticError(f"an occlusion needs at least 1 bar, got {bars}")
+    for key, number, kind in (("share", share, Share), ("value", value, Share), ("bars", bars, Count)):
+        checked(number, kind, key, AnalyticError)
     hidden = images.copy()
     fill = np.rint(255 * value) if images.dtype == np.uint8 else value
     for image in with_channels(hidden):
@@ -112,10 +109,5 @@ def _images(batch: ArrayLike, generator: np.random.Generator) -> NDArray[Any]:
         raise AnalyticError(
             f"draws come from a numpy.random.Generator, such as numpy.random.default_rng(seed), got {generator!r}"
         )
-    images = with_channels(batch)
-    if images.dtype != np.uint8 and not (images.min() >= 0 and images.max() <= 1):
-        raise AnalyticError(
-            f"floating-point images must have values in [0, 1], got values between {images.min():g} and "
-            f"{images.max():g}: divide them by 255 if they are bytes"
-        )
+    unit(with_channels(batch))  # refuses values out of range
     return np.asarray(batch)

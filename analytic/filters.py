@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from analytic.errors import AnalyticError
 from analytic.images import luma, unit, with_channels
+from foundation.settings import Positive, checked
 
 CUTOFF = 4.0
 LOW = 0.5
@@ -42,8 +43,7 @@ def homomorphic(
         >>> round(float(np.ptp(image)), 2), round(float(np.ptp(even)), 2)
         (0.8, 0.65)
     """
-    if not (np.isfinite(cutoff) and cutoff > 0):
-        raise AnalyticError(f"the homomorphic filter needs a cutoff above 0 cycles per image width, got {cutoff}")
+    checked(cutoff, Positive, "cutoff", AnalyticError)
     if not 0 <= low <= high < np.inf:
         raise AnalyticError(f"the homomorphic filter needs gains 0 <= low <= high, got low={low} and high={high}")
     images = with_channels(batch)

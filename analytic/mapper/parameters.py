@@ -10,7 +10,7 @@ from analytic.distances import distance as distance_named
 from analytic.errors import AnalyticError
 from foundation.settings import Count, Natural, NotNegative, Positive, Probability, Rule, Settings
 
-_CLOSE = 1e-9  # a product such as 0.2 * 15 may be off by rounding, and must not fall below the whole number
+CLOSE = 1e-9  # a product such as 0.2 * 15 may be off by rounding, and must not fall below the whole number
 _SMALLEST_GAUSSIAN = 2  # frames that a standard deviation needs
 
 
@@ -99,7 +99,7 @@ class Parameters(Settings):
                     f"{name}={getattr(self, name)} would form nodes of fewer than smallest_node={self.smallest_node} "
                     "frames: raise the one or lower the other"
                 )
-        held = floor(self.held_out * self.smallest_node + _CLOSE)
+        held = floor(self.held_out * self.smallest_node + CLOSE)
         if not _SMALLEST_GAUSSIAN <= held <= self.smallest_node - _SMALLEST_GAUSSIAN:
             raise AnalyticError(
                 f"held_out={self.held_out:g} of smallest_node={self.smallest_node} frames holds out {held}: at "
@@ -112,7 +112,7 @@ class Parameters(Settings):
 
     def holds_out(self, held: int, frames: int) -> bool:
         """Decide whether the next frame of a node is held out, so that the share is kept."""
-        return held < floor(self.held_out * (frames + 1) + _CLOSE)
+        return held < floor(self.held_out * (frames + 1) + CLOSE)
 
     @property
     def memory(self) -> int:
