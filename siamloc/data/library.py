@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from foundation.calls import typed
 from foundation.files import read_json
-from foundation.settings import Thousand
+from foundation.settings import Thousand, shortened
 from siamloc.data.decoding import Preprocessing
 from siamloc.data.frames import FrameTable
 from siamloc.data.panorama import OmnidirectionalCamera
@@ -162,11 +162,9 @@ class PanoramaLibrary:
         wanted = np.asarray(rows)
         if wanted.size == 0:
             wanted = wanted.astype(np.intp)
-        if wanted.ndim != 1 or wanted.dtype.kind not in "iu":
-            raise IndexError(f"rows must be whole numbers (B,), got shape {wanted.shape} of {wanted.dtype}")
-        if wanted.size and (wanted.min() < 0 or wanted.max() >= len(self)):
-            wrong = wanted[(wanted < 0) | (wanted >= len(self))][0]
-            raise IndexError(f"row {wrong} is outside the library, whose rows are 0 ... {len(self) - 1}")
+        if wanted.ndim != 1 or wanted.dtype.kind not in "iu" or ((wanted < 0) | (wanted >= len(self))).any():
+            got = shortened(repr(wanted.tolist()))
+            raise IndexError(f"rows must be whole numbers (B,), of the library's 0 ... {len(self) - 1}, got {got}")
         images = np.empty((len(wanted), *self.image_shape), dtype=np.uint8)
         places = zip(self._store_of[wanted].tolist(), self._row_in[wanted].tolist(), strict=True)
         for image, (store, row) in zip(images, places, strict=True):

@@ -4,6 +4,7 @@ import json
 import logging
 import os
 import pickle
+import re
 from pathlib import Path
 
 import cv2
@@ -119,19 +120,10 @@ def test_batches_agree_with_picking_one_by_one(frames, tmp_path, rows):
         np.testing.assert_array_equal(panorama, expected(int(row))[0])
 
 
-@pytest.mark.parametrize(
-    ("rows", "message"),
-    [
-        ([0, 8], r"row 8 is outside the library, whose rows are 0 \.\.\. 7"),
-        ([-1], "row -1 is outside"),
-        ([0.5], "whole numbers"),
-        ([True] * 8, "whole numbers"),
-        (3, r"whole numbers \(B,\), got shape \(\)"),
-        ([[1]], r"got shape \(1, 1\)"),
-    ],
-)
-def test_rows_outside_the_library(frames, tmp_path, rows, message):
-    with pytest.raises(IndexError, match=message):
+@pytest.mark.parametrize("rows", [[0, 8], [-1], [0.5], [True] * 8, 3, [[1]]])
+def test_rows_outside_the_library(frames, tmp_path, rows):
+    says = f"rows must be whole numbers (B,), of the library's 0 ... 7, got {rows}"
+    with pytest.raises(IndexError, match=re.escape(says)):
         open_library(frames, tmp_path).batch(rows)
 
 
