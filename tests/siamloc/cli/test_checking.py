@@ -1,4 +1,4 @@
-"""Nonsense on the command line and in files: some of the cases of `benchmarks.torture`, and the limits."""
+"""Nonsense on the command line and in files: sentences of single keys, some cases of `benchmarks.torture`, limits."""
 
 from __future__ import annotations
 
@@ -6,12 +6,14 @@ import itertools
 
 import pytest
 
+from analytic.errors import AnalyticError
 from benchmarks.torture import FILES, file_cases, outcome_of, setting_cases, unknown_cases
+from siamloc.cli import main
 from siamloc.cli.compose import composed
 from siamloc.errors import ConfigError
 
-COLD = ["data=cold", "data.root=x"]
 SECONDS = 60.0  # for a case: other tests run at the same time
+NEEDED = {"train": ["data=cold", "data.root=x"], "evaluate": ["data=cold", "data.root=x", "descriptor=hog"]}
 
 
 @pytest.mark.slow
@@ -43,40 +45,87 @@ def test_damaged_files_are_told_in_a_sentence():
     assert len(FILES) >= 16
 
 
+def test_a_mistake_is_printed_in_one_line(capsys):
+    assert main(["train", "model/branch=vg16"]) == 2
+    assert capsys.readouterr().err.startswith("siamloc: unknown option model/branch=vg16: did you mean 'vgg16'")
+    assert main(["train", "run=a (1)"]) == 2
+    error = capsys.readouterr().err
+    assert "in quotes" in error
+    assert error.count("\n") == 1
+
+
 @pytest.mark.parametrize(
-    ("words", "says"),
+    ("line", "says"),
     [
-        (["epochs=abc"], r"epochs must be a whole number from 1 to 10 million, got 'abc'"),
-        (["+foo=1"], "unknown configuration key 'foo'"),
-        (["+pairs.foo=1"], "unknown key pairs.foo"),
-        (["pairs.scale=nan"], "pairs.scale must be"),
-        (["run=[a,b]"], "run must be the name of a folder, or null, got"),
-        (["run=''"], "run must be the name of a folder, or null, got ''"),
-        (["augment.where=foo"], "augment.where must be auto or cpu or gpu, got 'foo'"),
-        (["trainer.devices=0"], "trainer.devices must be"),
-        (["+trainer.foo=1"], "unknown configuration key 'trainer.foo'"),
-        (["epochs=1000000000000"], r"epochs must be a whole number from 1 to 10 million, got 1000000000000"),
-        (["seed=4294967296"], "seed must be a whole number from 0 to 4,294,967,295, got 4294967296"),
-        (["loss.margin=1e-300"], r"loss.margin must be a number above 0, at least 1e-12, got 1e-300"),
-        (["loss.margin=1e30"], r"loss.margin must be a number above 0, at most 10,000,000,000 in size"),
-        (
-            ["model/head=flat", "model.head.outputs=1000000"],
-            "outputs must be a whole number from 1 to 65,536",
-        ),
-        (["device=tpu"], "device must be auto, cpu or cuda, got 'tpu'"),
-        (["data.image_size=[1000000,1000000]"], "data.image_size must be"),
-        (["loader.workers=100000"], "loader.workers must be"),
-        (["task.plots=maybe"], "task.plots must be true or false, got 'maybe'"),
-        (["task.baselines=hog"], "task.baselines must be a list"),
-        (["model/head=flat", "model.head.outputs=1.5"], "model.head.outputs must be"),
+        # names and keys
+        ("train data=manifst", "did you mean 'manifest'"),
+        ("train model/head=fc500_500", "did you mean 'fc500_500_5'"),
+        ("train data.rot=x", "did you mean 'data.root'"),
+        ("train protocol.trian.sequences=[a]", "did you mean 'protocol.train'"),
+        ("train epoch=3", "did you mean 'epochs'"),
+        ("train augment=thesys", "did you mean 'thesis'"),
+        ("evaluate descriptor.bens=5", "did you mean 'descriptor.bins'"),
+        ("evaluate build=spectrum", "did you mean 'spectral'"),
+        ("evaluate build=incremental build.gama=1", "did you mean 'build.gamma'"),
+        ("evaluate heading=hug", "unknown option heading=hug: did you mean 'hog'"),
+        ("evaluate heading=wisurf", "unknown option heading=wisurf"),
+        ("evaluate task.baselines=[hug]", "did you mean 'hog'"),
+        ("evaluate task=absolute task.names=[absolut]", "unknown task 'absolut': did you mean 'absolute'"),
+        ("train +foo=1", "unknown configuration key 'foo'"),
+        ("train +pairs.foo=1", "unknown key pairs.foo"),
+        ("train +trainer.foo=1", "unknown configuration key 'trainer.foo'"),
+        ("train model.branch=alexnet", "model/branch=NAME, with a slash"),
+        ("train photo.jpeg", "'photo.jpeg' is not of the form key=value"),
+        ("train --resolve", "add --cfg job"),
+        ("augment expand out=x dept=3", "did you mean 'depth'"),
+        # values
+        ("train epochs=abc", "epochs must be a whole number from 1 to 10 million, got 'abc'"),
+        ("train checkpoint_every=0", "checkpoint_every must be a whole number from 1"),
+        ("train debug=on", "debug must be overfit or one_batch or profile, or null"),
+        ("train seed=4294967296", "seed must be a whole number from 0 to 4,294,967,295, got 4294967296"),
+        ("train pairs.scale=nan", "pairs.scale must be"),
+        ("train loss.margin=1e-300", "loss.margin must be a number above 0, at least 1e-12, got 1e-300"),
+        ("train loss.margin=1e30", "loss.margin must be a number above 0, at most 10,000,000,000 in size"),
+        ("train run=[a,b]", "run must be the name of a folder, or null, got"),
+        ("train run=''", "run must be the name of a folder, or null, got ''"),
+        ("train augment.where=foo", "augment.where must be auto or cpu or gpu, got 'foo'"),
+        ("train trainer.devices=0", "trainer.devices must be"),
+        ("train loader.workers=-1", "loader.workers must be a whole number from 0"),
+        ("train model/head=flat model.head.outputs=1000000", "outputs must be a whole number from 1 to 65,536"),
+        ("train data.image_size=[32]", "rows, columns"),
+        ("evaluate checkpoint=first", "best or last"),
+        ("evaluate device=tpu", "device must be auto, cpu or cuda, got 'tpu'"),
+        ("evaluate distance=cosin", "distance must be manhattan or euclidean or correlation or cosine, or null, got"),
+        ("evaluate build=som build.grid=8", "build.grid must be a list of 2"),
+        ("evaluate build=incremental build.y=-1", "build.y must be a number above 0, got -1"),
+        ("evaluate task.plots=maybe", "task.plots must be true or false, got 'maybe'"),
+        ("evaluate task.baselines=hog", "task.baselines must be a list"),
+        ("evaluate task.radii=3", "task.radii must be a list"),
+        ("evaluate task.neighbours=0", "task.neighbours must be a whole number from 1"),
+        ("evaluate task.filter=true task.filter_settings.kidnapping=1", "must be a number between 0 and 1"),
+        ("evaluate task=robustness task.robustness.radius=-1", "radius must be a number from 0"),
+        ("evaluate task=robustness task.robustness.noise=[a]", "each item a number"),
+        ("augment preview out=x.gif", "out must be a picture's name, ending .jpg .jpeg .png .webp, got 'x.gif'"),
+        # keys that do not go together
+        ("evaluate task=hierarchical build=rooms task.filter=true", "unknown configuration key 'task.filter'"),
+        ("evaluate task=robustness task.refine=interpolate", "unknown configuration key 'task.refine'"),
+        ("evaluate task=buildings task.baselines=[gist]", "unknown configuration key 'task.baselines'"),
+        ("evaluate task=absolute task.names=[buildings]", "choose it with task=buildings"),
+        ("evaluate task=absolute task.names=[hierarchical]", "choose it with task=hierarchical"),
+        ("evaluate task=absolute task.names=[absolute,buildings]", "must be one of absolute, room_retrieval"),
+        ("evaluate task=room_retrieval task.error_model=true", "which room_retrieval leaves out: use task=absolute"),
+        ("evaluate task=absolute task.filter_tune=true", "set task.filter=true"),
     ],
 )
-def test_what_the_sentence_is(words, says):
-    command = ["evaluate", "descriptor=hog"] if words[0].startswith(("task", "device")) else ["train"]
-    with pytest.raises(ConfigError, match=says):
-        composed(command[0], [*COLD, *command[1:], *words])
+def test_what_the_sentence_is(line, says):
+    command, *words = line.split()
+    if command == "augment":
+        command, words = f"{command} {words[0]}", words[1:]
+    with pytest.raises((ConfigError, AnalyticError)) as refusal:
+        composed(command, [*NEEDED.get(command, []), *words])
+    assert says in str(refusal.value)
 
 
-def test_a_picture_that_cannot_be_one_is_refused_before_the_work():
-    with pytest.raises(ConfigError, match=r"out must be a picture's name, ending .jpg .jpeg .png .webp, got 'x.gif'"):
-        composed("augment preview", ["out=x.gif"])
+def test_a_manifest_needs_its_name():
+    with pytest.raises(ConfigError, match=r"data\.manifest is not set"):
+        composed("train", ["data=manifest"])

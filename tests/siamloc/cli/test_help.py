@@ -1,3 +1,7 @@
+"""Help and the tab key."""
+
+import os
+import shutil
 import subprocess
 import sys
 import time
@@ -5,7 +9,8 @@ import time
 import pytest
 
 from siamloc.cli import main
-from siamloc.cli.help import COMMANDS
+from siamloc.cli.help import COMMANDS, job_of, keys_of
+from tests.siamloc.cli.commands import refused
 
 
 def test_overview_names_every_command(capsys):
@@ -15,14 +20,27 @@ def test_overview_names_every_command(capsys):
 
 
 @pytest.mark.parametrize("name", COMMANDS)
-def test_each_command_helps_with_an_example(name, capsys):
-    assert main([name, "--help"]) == 0
-    assert f"siamloc {name}" in capsys.readouterr().out
+def test_each_command_helps_with_an_example_and_every_key(name, capsys):
+    assert main([*name.split(), "--help"]) == 0
+    text = capsys.readouterr().out
+    assert f"siamloc {name}" in text
+    assert "example:" in text
+    shown = text.split()
+    for group, (options, keys) in keys_of(job_of(name)).items():
+        assert group.split()[0] in shown or f"{group}=" in shown
+        assert {*options, *keys} <= set(shown)
+    if name in ("train", "evaluate"):
+        assert {"data=", "cold", "freiburg_sim", "data.manifest", "data.root", "protocol.leave_one_out"} <= set(shown)
+        assert ("loss.margin" in shown, "build.omega" in shown) == (name == "train", name == "evaluate")
 
 
-def test_a_mistyped_command_is_answered_with_the_nearest(capsys):
-    assert main(["trian"]) == 2
-    assert "did you mean 'train'" in capsys.readouterr().err
+def test_mistyped_commands_are_answered_with_the_nearest(capsys):
+    assert "did you mean 'train'" in refused(capsys, "trian")
+    assert "did you mean 'bash'" in refused(capsys, "completion", "bush")
+    says = "unknown command 'augment': use one of augment expand, augment preview"
+    assert says in refused(capsys, "augment", "depth=3")
+    assert main(["augment", "--help"]) == 0
+    assert capsys.readouterr().out.count("example:") == 2
 
 
 @pytest.mark.parametrize("words", [["localize", "--help"], ["localize", "bundle=nowhere", "images=[a.png]"]])
@@ -45,3 +63,23 @@ def test_help_is_quick_and_the_module_runs():
     seconds = time.perf_counter() - start
     assert "usage: siamloc" in shown.stdout
     assert seconds < 5, "help must not load torch"
+
+
+@pytest.mark.skipif(shutil.which("bash") is None, reason="needs bash")
+def test_the_tab_key_completes(tmp_path):
+    """By the script that users load."""
+    (tmp_path / "siamloc").write_text(f'#!/bin/sh\nexec {sys.executable} -m siamloc "$@"\n')
+    (tmp_path / "siamloc").chmod(0o755)
+    lines = {
+        "siamloc tr": "train ",
+        "siamloc augment ": "expand |preview ",
+        "siamloc train data=": "cold|folder|freiburg_sim|manifest",
+        "siamloc train data=folder pairs.l": "pairs.label=",
+        "siamloc map model/he": "model/head=",
+    }
+    asked = "COMP_LINE='{0}'; COMP_POINT={1}; _siamloc; (IFS='|'; echo \"${{COMPREPLY[*]}}\")\n"
+    script = 'eval "$(siamloc completion bash)"\n' + "".join(asked.format(line, len(line)) for line in lines)
+    path = f"{tmp_path}:{os.environ['PATH']}"
+    done = subprocess.run(["bash", "-c", script], capture_output=True, text=True, env={**os.environ, "PATH": path})
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.split("\n")[:-1] == list(lines.values())

@@ -1,0 +1,137 @@
+"""Requests that data, runs and maps do not allow: each command answers in one sentence, and writes nothing."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+import torch
+
+from tests.drawn import altered
+from tests.siamloc.cli.commands import SMALL, done, refused
+
+HIERARCHICAL = "task=hierarchical build=rooms"
+NO_LEVELS = "task.robustness.noise=[] task.robustness.occlusion=[] task.robustness.turn=[]"
+
+
+@pytest.mark.parametrize(
+    ("line", "says"),
+    [
+        ("descriptor.rows=5", "do not divide the image's height of 32 pixels"),
+        ("protocol.query.sequences=[]", "selects none of the 96 frames"),
+        ("protocol.query.sequences=[first]", "would not be honest"),
+        ("task.error_model=true protocol.validation.sequences=null", "validation.sequences is not"),
+        ("task.error_model=true protocol.validation.sequences=[first]", "validate on another sequence"),
+        ("task=mapping", "choose one with build=rooms|sample|spectral|som|incremental"),
+        (f"{HIERARCHICAL} task.coarse.descriptor=hogg", "did you mean 'hog'"),
+        (f"{HIERARCHICAL} task.coarse.descriptor=radon_poc", "task.coarse.by=vote"),
+        ("task=robustness task.robustness.effects=[noise]", "'noise' twice"),
+        (f"task=robustness {NO_LEVELS}", "no levels at all"),
+        ("descriptor=thumbnail heading=hog data.circular=false", "heading=hog needs columns that are a full turn"),
+    ],
+)
+def test_evaluations_of_a_descriptor(words, tmp_path, capsys, line, says):
+    assert says in refused(capsys, "evaluate", *words, "descriptor=hog", f"run={tmp_path}", *line.split())
+    assert not list(tmp_path.rglob("results.json"))
+
+
+@pytest.mark.parametrize(
+    ("line", "says"),
+    [
+        ("evaluate model/branch=simple2", "another architecture"),
+        ("evaluate unwrap=polar", "images"),
+        ("evaluate device=cuda:97", "torch cannot compute on device='cuda:97' here: use one of auto, cpu"),
+        ("evaluate heading=fs", "headings by hog, not by fs: make it again with `siamloc map heading=fs`"),
+        ("evaluate heading=hog heading.step=2", "gives headings by hog with step=4 instead of 2"),
+        ("localize images=[/nowhere.png]", "no image /nowhere.png"),
+        ("localize", "no images given"),
+    ],
+)
+def test_commands_on_a_run(finished, capsys, line, says):
+    command, *more = line.split()
+    roles = ["protocol.query.sequences=[second]"] if command == "evaluate" else []
+    assert says in refused(capsys, command, f"run={finished}", *roles, *more)
+
+
+def test_a_map_without_headings_asks_for_them(trained, capsys):
+    says = "holds nothing to find headings by: make it again with `siamloc map heading=hog`"
+    assert says in refused(capsys, "evaluate", f"run={trained}", "protocol.query.sequences=[second]", "heading=hog")
+
+
+NO_GPU = pytest.mark.skipif(torch.cuda.is_available(), reason="with a GPU")
+
+
+@pytest.mark.parametrize(
+    ("line", "says"),
+    [
+        ("protocol.train.sequences=[secund]", "did you mean 'second'"),
+        ("protocol.train.sequences=null", "protocol.train.sequences is not set"),
+        ("protocol.validation.sequences=[first]", "not be honest"),
+        ("pairs=room loss=cross_entropy", "loss=cross_entropy does not go with these pairs"),
+        ("model.branch.weights=/nowhere.pth", "nowhere.pth"),
+        ("trainer.accelerator=quantum", "the trainer cannot be set up"),
+        ("+trainer.max_epochs=2", "trainer.max_epochs is set by siamloc itself"),
+        pytest.param("trainer.accelerator=gpu", "trainer.accelerator=gpu needs a GPU, and torch finds none here: use "
+                     "auto or cpu", marks=NO_GPU),
+        ("resume=true", "no run to resume"),
+        ("patience=2", "patience=2 counts epochs without a better validation"),
+    ],
+)  # fmt: skip
+def test_trainings(data, tmp_path, capsys, line, says):
+    roles = ["protocol.train.sequences=[first]", f"run={tmp_path / 'run'}"]
+    assert says in refused(capsys, "train", *data, *SMALL, *roles, *line.split())
+    assert not (tmp_path / "run").exists()
+
+
+def test_runs_that_are_missing_or_not_named(data, tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert "train one first" in refused(capsys, "map")
+    assert "nowhere" in refused(capsys, "map", "run=nowhere")
+    (tmp_path / "runs/demo").mkdir(parents=True)
+    record = {"format": "siamloc-run", "version": 2, "settings": {"data": {"kind": "manifest"}}, "written": []}
+    (tmp_path / "runs/demo/run.json").write_text(json.dumps(record))
+    for command in ("map", "evaluate", "export"):
+        assert "no run is named: give run=FOLDER, such as run=runs/demo" in refused(capsys, command)
+    assert "/nowhere" in refused(capsys, "evaluate", "descriptor=hog", "data=folder", "data.root=/nowhere")
+    assert "data/freiburg_like" in refused(capsys, "evaluate", "descriptor=hog", "data=freiburg_sim")
+    robot, second = "run=runs/robot", "protocol.query.sequences=[second]"
+    done("map", robot, "descriptor=hsv", *data, "protocol.map.sequences=[first]")
+    done("evaluate", robot, second, *QUICK)  # by the only descriptor
+    done("report", "out=newest.html")  # of the newest run, trained or not
+    assert "hsv" in (tmp_path / "newest.html").read_text()
+    done("map", robot, "descriptor=thumbnail", *data, "protocol.map.sequences=[first]")
+    said = refused(capsys, "evaluate", robot, second)
+    assert "robot holds no trained network, only maps by hsv, thumbnail: choose the descriptor, such as desc" in said
+
+
+@pytest.mark.parametrize("content", [{"format": "siamloc-run", "version": 1, "settings": {}}, {"overrides": []}])
+def test_records_of_other_versions_are_refused(tmp_path, capsys, content):
+    (tmp_path / "run.json").write_text(json.dumps(content))
+    for command in ("map", "evaluate", "export"):
+        assert "run.json" in refused(capsys, command, f"run={tmp_path}")
+
+
+def test_a_table_that_changed_since_its_map_was_made(flat, words, tmp_path, capsys):
+    given = [*words, "descriptor=thumbnail", f"run={tmp_path}", "task.plots=false"]
+    done("map", *given)
+    moved = altered(flat, "moved.csv", lambda row: {"x": float(row["x"]) + 6} if row["sequence"] == "first" else {})
+    fewer = altered(flat, "fewer.csv", lambda row: {"image": row["image"].replace("first/", "third/")})
+    for table, says in (
+        (moved, "another position or room in the data now"),
+        (fewer, "24 of the map's 24 frames are not in the data"),
+    ):
+        assert says in refused(capsys, "evaluate", *given, f"data.manifest={table}")
+
+
+@pytest.mark.parametrize(
+    ("given", "says"),
+    [
+        (["report", "runs=[]"], "runs=[] names no run"),
+        (["demo", "run={file}", "data={data}"], "is a file: choose a new or empty folder as run="),
+    ],
+)
+def test_what_cannot_be_done_is_said_before_anything_is_written(given, says, tmp_path, capsys):
+    file, folder = tmp_path / "file", tmp_path / "data"
+    file.write_text("mine")
+    assert says in refused(capsys, *(word.format(file=file, data=folder) for word in given))
+    assert not folder.exists()
