@@ -69,6 +69,21 @@ def write_manifest(folder: Path, sequences: dict[str, str], frames_per_room: int
     return table
 
 
+def write_cold(part: Path, drives: dict[str, int], frames_per_room: int, size: tuple[int, int]) -> None:
+    """Draw drives (name such as "night1" -> seed) in COLD's layout into the folder of a part."""
+    codes = {"kitchen": "KT-A", "office": "1PO-A", "corridor": "CR-A"}
+    for drive, seed in drives.items():
+        folder, rows = part / f"seq2_{drive}", []
+        for time, pose in enumerate(draw_sequence(seed, frames_per_room)):
+            name = f"t{1000 + time}.0_x{pose['x']:.6f}_y{pose['y']:.6f}_a{pose['theta']:.6f}.jpeg"
+            place = pose["local_x"], pose["y"], pose["theta"], pose["room"]
+            (folder / "omni_cam").mkdir(parents=True, exist_ok=True)
+            cv2.imwrite(str(folder / "omni_cam" / name), draw_panorama(*place, drive[:-1], size=size))
+            rows.append(f"{name} {codes[pose['room']]}\n")
+        (folder / "localization").mkdir()
+        (folder / "localization" / "places.lst").write_text("".join(rows))
+
+
 def write_rows(path: Path, rows: list[dict[str, str]]) -> Path:
     """Write the rows of a manifest, and return its path."""
     with path.open("w", newline="") as file:

@@ -6,7 +6,6 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
-import cv2
 import numpy as np
 import pytest
 import torch
@@ -19,7 +18,7 @@ from siamloc.errors import ConfigError
 from siamloc.jobs.job import leaves
 from siamloc.jobs.options import choices, groups
 from siamloc.training import Run
-from tests.drawn import draw_panorama, draw_sequence, write_manifest
+from tests.drawn import write_cold, write_manifest
 
 EXPERIMENTS = list(choices("experiment"))
 RESULTS = Path(__file__).parents[3] / "docs/results"
@@ -31,18 +30,8 @@ DRIVES = ("cloudy1", "cloudy2", "cloudy3", "night1", "night2", "sunny1", "sunny2
 def cold(tmp_path_factory):
     """Draw all drives through a part of Freiburg in COLD's layout, with a few small pictures each."""
     root = tmp_path_factory.mktemp("cold")
-    codes = {"kitchen": "KT-A", "office": "1PO-A", "corridor": "CR-A"}
-    for number, drive in enumerate(DRIVES):
-        folder = root / "freiburg" / "part_a" / f"seq2_{drive}"
-        (folder / "omni_cam").mkdir(parents=True)
-        (folder / "localization").mkdir()
-        rows = []
-        for time, pose in enumerate(draw_sequence(number, 11)):
-            name = f"t{time}.5_x{pose['x']:.3f}_y{pose['y']:.3f}_a{pose['theta']:.3f}.jpeg"
-            place = pose["local_x"], pose["y"], pose["theta"], pose["room"]
-            cv2.imwrite(str(folder / "omni_cam" / name), draw_panorama(*place, drive[:-1], size=(64, 64)))
-            rows.append(f"{name} {codes[pose['room']]}")
-        (folder / "localization" / "places.lst").write_text("\n".join(rows) + "\n")
+    seeds = {drive: number for number, drive in enumerate(DRIVES)}
+    write_cold(root / "freiburg" / "part_a", seeds, frames_per_room=11, size=(64, 64))
     return root
 
 

@@ -7,7 +7,6 @@ import io
 import json
 from functools import partial
 
-import cv2
 import pytest
 
 from siamloc.cli import main
@@ -18,7 +17,7 @@ from siamloc.reproduce.drawing import shown
 from siamloc.reproduce.experiments import KINDS, Data
 from siamloc.reproduce.published import published
 from siamloc.reproduce.study_book import experiment, seconds_of, without_measurement
-from tests.drawn import draw_panorama, draw_sequence
+from tests.drawn import write_cold
 
 RUNS = {"cloudy1": 0, "cloudy2": 1, "cloudy3": 2, "night1": 5, "night2": 3, "sunny1": 6, "sunny2": 4}
 FRAMES = 36  # in each of three rooms
@@ -29,26 +28,9 @@ NOT_ASKED = {"t_sun_needs_sunny_frames"}  # compares trainings of sizes that a s
 def root(tmp_path_factory):
     """A data set in COLD's layout, with the runs that studies name, and another building next to it."""
     beside = tmp_path_factory.mktemp("drawn")
-    drawn(beside / "mini", RUNS, FRAMES)
-    drawn(beside / "freiburg_like", {"cloudy3": 12}, FRAMES // 2)
+    write_cold(beside / "mini" / "part_a", RUNS, FRAMES, size=(128, 512))
+    write_cold(beside / "freiburg_like" / "part_a", {"cloudy3": 12}, FRAMES // 2, size=(128, 512))
     return beside / "mini"
-
-
-def drawn(folder, runs, frames):
-    for run, seed in runs.items():
-        place = folder / "part_a" / f"seq2_{run}"
-        for name in ("omni_cam", "localization"):
-            (place / name).mkdir(parents=True)
-        lines = []
-        for time, pose in enumerate(draw_sequence(seed, frames)):
-            x, y, theta = pose["x"], pose["y"], pose["theta"]
-            name = f"t{1000 + time}.000000_x{x:.6f}_y{y:.6f}_a{theta:.6f}.jpeg"
-            lighting = run.rstrip("0123456789")
-            picture = draw_panorama(pose["local_x"], y, theta, pose["room"], lighting, size=(128, 512))
-            cv2.imwrite(str(place / "omni_cam" / name), picture)
-            room = {"kitchen": "KT-A", "office": "1PO-A", "corridor": "CR-A"}[pose["room"]]
-            lines.append(f"{name} {room}\n")
-        (place / "localization" / "places.lst").write_text("".join(lines))
 
 
 @pytest.fixture(scope="session")
