@@ -24,6 +24,7 @@ import types
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from difflib import SequenceMatcher
+from functools import cache
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
 
@@ -124,8 +125,13 @@ class Settings:
 
 def fields_of(kind: type) -> dict[str, Any]:
     """Return the names of a settings class's fields with their annotations."""
-    hints = get_type_hints(kind, include_extras=True)
+    hints = _hints(kind)
     return {field.name: hints[field.name] for field in dataclasses.fields(kind)}
+
+
+@cache
+def _hints(kind: Any) -> dict[str, Any]:
+    return get_type_hints(kind, include_extras=True)
 
 
 def defaults_of(kind: type[Settings]) -> dict[str, Any]:

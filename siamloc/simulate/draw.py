@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from contextlib import suppress
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -10,7 +11,7 @@ import numpy as np
 from siamloc.errors import DataError
 from siamloc.simulate.floor_plans import Cell, Plan, draw_plan
 from siamloc.simulate.furnishing import USES, Room, furnish
-from siamloc.simulate.layout import SIDES, Rng, seeded, shared_wall, side_at
+from siamloc.simulate.layout import SIDES, Path, Rng, seeded, shared_wall, side_at
 from siamloc.simulate.parse import parse_building
 from siamloc.simulate.plan import blocked_points, check_paths
 from siamloc.simulate.route import FreeSpace, visits
@@ -185,7 +186,8 @@ def _paths(content: Entry, plan: Plan, seed: int, rng: Rng) -> Entry:
         if blocked_points(building, rounded(way)).any():
             raise DataError("the robot's way is too narrow")
         ways[name] = [[round(float(x), 3), round(float(y), 3)] for x, y in way]
-    check_paths(parse_building({**content, "paths": ways}, seed, content["name"]))
+    paths = {name: Path(name, np.array(way), (0,) * len(way)) for name, way in ways.items()}
+    check_paths(replace(building, paths=paths))
     return ways
 
 
