@@ -11,15 +11,19 @@ from tests.drawn import altered, write_manifest
 from tests.siamloc.cli.commands import SMALL, done
 
 DRIVES = {"first": "cloudy", "second": "cloudy", "third": "cloudy", "dark": "night"}
-HOUSES = {"kitchen": "east", "office": "west", "corridor": "west"}
+HOUSES = {"kitchen": "north", "office": "north", "corridor": "south"}
 
 
 @pytest.fixture(scope="session")
 def flat(tmp_path_factory) -> Path:
-    """A manifest of four drives of 24 frames through three rooms of two buildings."""
-    folder = tmp_path_factory.mktemp("flat")
-    drawn = write_manifest(folder, DRIVES, frames_per_room=8)
-    return altered(drawn, "flat.csv", lambda row: {"building": HOUSES[row["room"]]})
+    """A manifest of four drives of 24 frames through three rooms."""
+    return write_manifest(tmp_path_factory.mktemp("flat"), DRIVES, frames_per_room=8)
+
+
+@pytest.fixture(scope="session")
+def town(flat) -> Path:
+    """A manifest of the same drives, in which the rooms belong to two buildings."""
+    return altered(flat, "town.csv", lambda row: {"building": HOUSES[row["room"]]})
 
 
 @pytest.fixture(scope="session")
