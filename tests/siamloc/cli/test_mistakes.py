@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from tests.drawn import altered
-from tests.siamloc.cli.commands import SMALL, done, refused
+from tests.siamloc.cli.commands import QUICK, SMALL, done, refused
 
 HIERARCHICAL = "task=hierarchical build=rooms"
 NO_LEVELS = "task.robustness.noise=[] task.robustness.occlusion=[] task.robustness.turn=[]"
