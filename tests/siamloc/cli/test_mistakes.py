@@ -17,7 +17,7 @@ NO_LEVELS = "task.robustness.noise=[] task.robustness.occlusion=[] task.robustne
 @pytest.mark.parametrize(
     ("line", "says"),
     [
-        ("descriptor.rows=5", "do not divide the image's height of 32 pixels"),
+        ("descriptor.rows=5", "does not divide the image's height of 32 pixels"),
         ("protocol.query.sequences=[]", "selects none of the 96 frames"),
         ("protocol.query.sequences=[first]", "would not be honest"),
         ("task.error_model=true protocol.validation.sequences=null", "validation.sequences is not"),
