@@ -79,16 +79,12 @@ class Record:
         measure: name of the measure.
         value: number in the measure's own unit: m, s, deg, shares instead of percent.
         settings: what the number depends on, in siamloc's names.
-        entry: id of the published table.
-        printed: the number as printed, in the column's unit; empty for a measured one.
         relation: "=", or "~", "<", ">" if the number is only approximate, or an upper or lower bound.
     """
 
     measure: str
     value: float
     settings: Mapping[str, Any]
-    entry: str = ""
-    printed: str = ""
     relation: str = "="
 
 
@@ -128,12 +124,10 @@ class Published(Settings):
         own = {column.name: _setting(cell, column, factors) for column, cell in cells if column.measure is None}
         for column, cell in cells:
             if column.measure is not None:
-                printed = as_printed(cell, column)
-                match = _NUMBER.fullmatch(printed)
-                assert match is not None, f"{printed!r} is not a number"
+                match = _NUMBER.fullmatch(as_printed(cell, column))
+                assert match is not None, f"{cell!r} is not a number"
                 value = round(float(match[2]) * (factors[column.unit] or 1), 9)
-                settings = {**self.settings, **own, **column.at}
-                yield Record(column.measure, value, settings, self.id, printed, match[1] or "=")
+                yield Record(column.measure, value, {**self.settings, **own, **column.at}, match[1] or "=")
 
 
 def published(id: str) -> Published:
@@ -147,11 +141,6 @@ def published(id: str) -> Published:
         0.8
     """
     return named(_entries(), id, "published table")
-
-
-def published_all() -> tuple[Published, ...]:
-    """Return all published tables and numbers, in the order of the documents."""
-    return tuple(_entries().values())
 
 
 def measures() -> Mapping[str, Mapping[str, str]]:

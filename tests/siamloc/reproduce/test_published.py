@@ -10,7 +10,7 @@ import siamloc.reproduce
 from analytic.distances import DISTANCES
 from siamloc.errors import ConfigError
 from siamloc.jobs.options import choices
-from siamloc.reproduce.published import Column, as_printed, measures, published, published_all
+from siamloc.reproduce.published import Column, as_printed, measures, published
 
 ROOT = Path(__file__).parents[3]
 DOCUMENTS = {
@@ -18,7 +18,7 @@ DOCUMENTS = {
     "C": ROOT / "../shared/seeds/003_clustering_compression_2019.txt",
 }
 CONTENTS = yaml.safe_load(Path(siamloc.reproduce.__file__).with_name("published.yaml").read_text(encoding="utf-8"))
-ENTRIES = published_all()
+ENTRIES = [published(entry["id"]) for entry in CONTENTS["published"]]
 EXPECTED = {
     *(f"table_5_{number}" for number in range(5, 20)),
     *("table_4_1", "table_4_2", "table_4_3", "section_4_5_4_2", "figures_4_13_to_4_15", "section_4_6"),
@@ -80,7 +80,6 @@ def test_records_are_finite_and_in_the_measures_own_unit(entry):
     assert len(keys) == len(set(keys)), "settings that do not tell two numbers apart"
     for record in records:
         assert math.isfinite(record.value)
-        assert record.entry == entry.id
         assert not [value for value in record.settings.values() if isinstance(value, float) and math.isnan(value)]
         if measures()[record.measure]["unit"] == "share":
             assert 0 <= record.value <= 1
@@ -92,7 +91,6 @@ def test_a_record_carries_all_that_it_depends_on():
     record = published("table_5_11").records()[0]
     assert record.measure == "accuracy"
     assert record.value == 0.9435
-    assert record.printed == "94.35"
     network = {"branch": "vgg16", "head": "fc500_500_5", "batch_size": 256, "epochs": 7}
     pairs = {"same_share": 0.05, "different_share": 0.95, "phase": "test", "pairs": "overall"}
     assert record.settings == {"data": "freiburg", **network, **pairs}
