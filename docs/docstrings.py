@@ -38,7 +38,8 @@ def _functions(module: griffe.Module) -> list[griffe.Function]:
 def _show_fields(function: griffe.Function, settings: griffe.Class) -> None:
     settings = settings.final_target if settings.is_alias else settings
     groups = [group for group in reversed([settings, *settings.mro()]) if group.name != "Settings"]
-    shown = [one for one in function.parameters if one.name != "settings"]
+    keyword_fields = griffe.ParameterKind.var_keyword  # the fields again, for type checkers
+    shown = [one for one in function.parameters if one.name != "settings" and one.kind is not keyword_fields]
     text = ""
     for group in groups:
         for one in group.attributes.values():
