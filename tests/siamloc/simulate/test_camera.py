@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
+from typing import get_args
 
 import numpy as np
 import pytest
 
 from siamloc.data.panorama import PanoramaView
-from siamloc.simulate.camera import draw_camera, fisheye, panorama, photograph
+from siamloc.simulate.camera import HEIGHT, Cameras, draw_camera, fisheye, panorama, photograph
 
 SIZE = (6, 10)
 
@@ -74,9 +75,14 @@ def test_directions_have_length_one_and_neighbours_lie_as_far_apart_as_said(make
     assert beside == pytest.approx(camera.spread.reshape(64, 256)[32, 127], rel=0.35 if make is photograph else 0.05)
 
 
-def test_cameras_of_all_kinds_are_drawn():
-    drawn = [draw_camera(np.random.default_rng(seed), (16, 64)) for seed in range(60)]
-    kinds = {(camera.wraps, camera.shown is None) for camera, _ in drawn}
+def test_cameras_of_all_kinds_are_drawn_from_those_asked_for():
+    drawn = {
+        cameras: [draw_camera(np.random.default_rng(seed), (16, 64), cameras) for seed in range(60)]
+        for cameras in get_args(Cameras)
+    }
+    kinds = {(camera.wraps, camera.shown is None) for camera, _ in drawn["any"]}
     assert kinds == {(True, True), (False, True), (False, False)}
-    assert 0.6 < np.mean([camera.wraps for camera, _ in drawn]) < 0.9
-    assert len({height for _, height in drawn}) > 30
+    assert 0.6 < np.mean([camera.wraps for camera, _ in drawn["any"]]) < 0.9
+    assert len({height for _, height in drawn["any"]}) > 30
+    assert all(camera.wraps for camera, _ in drawn["panoramas"])
+    assert {height for _, height in drawn["built_in"]} == {HEIGHT}
