@@ -266,6 +266,7 @@ PLANS: tuple[tuple[Callable[[Rng], Plan], float], ...] = ((offices, 0.45), (ring
 def draw_plan(rng: Rng) -> Plan:
     """Draw the floor plan of a building of any kind.
 
+    >>> import numpy as np
     >>> plan = draw_plan(np.random.default_rng(0))
     >>> all(any(cell.name in door[:2] for door in plan.doors) for cell in plan.cells)
     True

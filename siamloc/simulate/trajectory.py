@@ -101,12 +101,9 @@ def listed(building: Building, file: FilePath) -> Track:
         lines = read_text(file).splitlines()
     except (OSError, ValueError) as error:
         raise DataError(f"the trajectory {file} cannot be read: {error}") from error
-    names, rows = [], []
+    rows: list[NamedPose] = []
     lines_of: dict[str, int] = {}
-    for number, text in enumerate(lines, start=1):
-        if not text.strip():
-            continue
-        name = text.split()[0]
+    for number, name in ((number, text.split()[0]) for number, text in enumerate(lines, start=1) if text.strip()):
         pose = parse_name(name)
         if pose is None:
             raise DataError(
@@ -118,7 +115,7 @@ def listed(building: Building, file: FilePath) -> Track:
             raise DataError(f"{file}, line {number}: image {name} appears in line {lines_of[name]} already")
         lines_of[name] = number
         rows.append(pose)
-        names.append(name)
+    names = tuple(lines_of)
     if not rows:
         raise DataError(f"the trajectory {file} lists no image")
     values = np.array(rows)
@@ -137,7 +134,7 @@ def listed(building: Building, file: FilePath) -> Track:
     speed = np.clip(np.linalg.norm(change[:, 1:3], axis=1) / seconds, 0, 1.0)
     rate = np.clip(change[:, 3] / seconds, -1.5, 1.5)
     codes = tuple(room_codes(building, values[:, 1:3]))
-    return Track(values[:, 1:4], values[:, 0], speed, rate, tuple(names), codes)
+    return Track(values[:, 1:4], values[:, 0], speed, rate, names, codes)
 
 
 def rounded(points: Array) -> Array:
