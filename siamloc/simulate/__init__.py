@@ -16,7 +16,7 @@ The modules, from a building's YAML file to a panorama: `layout` (what a buildin
 file), `floor_plans`, `furnishing`, `route` and `draw` (a building drawn from a seed), `plan` (free space), `trajectory`
 and `run` (one drive), `mesh`, `shell`, `furniture`, `items`, `textures` and `prints` (what is visible), `sky` and
 `light` (light sources), `scene` (all of these), `camera` and `render` (images), `views` (many images, quickly),
-`produce` (the data set). Rendering needs the package embreex, installed by the extra "simulate".
+and `produce` (the data set). Rendering needs the package embreex, installed by the extra "simulate".
 """
 
 from siamloc.simulate.load import building_names, load_building
