@@ -36,8 +36,17 @@ def hint(name: object, valid: Iterable[object]) -> str:
     Example:
         >>> hint("manhatan", ["manhattan", "cosine"])
         "did you mean 'manhattan'? valid: manhattan, cosine"
+        >>> hint("optimizer.lr", ["optimizer.name", "optimizer.learning_rate"]).partition("?")[0]
+        "did you mean 'optimizer.learning_rate'"
     """
     options = [str(option) for option in valid]
-    close = get_close_matches(str(name), options, n=1, cutoff=0.5)
+    close = [option for option in options if "_" in option and _initials(option) == str(name)]
+    close = close or get_close_matches(str(name), options, n=1, cutoff=0.5)
     listed = ", ".join(options) if options else "none"
     return (f"did you mean {close[0]!r}? " if close else "") + f"valid: {listed}"
+
+
+def _initials(name: str) -> str:
+    """Shorten the last part of a dotted name to the initials of its words."""
+    group, dot, last = name.rpartition(".")
+    return group + dot + "".join(word[:1] for word in last.split("_"))

@@ -27,7 +27,7 @@ from siamloc.jobs.choices import OF_A_RUN, Build, DescriptorChoice, Device, Fold
 from siamloc.jobs.job import Given, Job, Say
 from siamloc.jobs.options import choices, option
 from siamloc.jobs.sweep import of_map, own_folder
-from siamloc.models.registry import PRETRAINED_SIZE, Optimizer, whole_model
+from siamloc.models.registry import PRETRAINED_SIZE, Optimizer
 from siamloc.runs import Run, newest_run
 from siamloc.training.settings import Learning
 
@@ -336,7 +336,7 @@ def _kept(
     record: Mapping[str, Any], made: Mapping[str, Any] | None, *, resumed: bool, replaces_map: bool
 ) -> dict[str, Any]:
     """Return the stored settings by section of the job."""
-    model, training = whole_model(record.get("model", {})), record.get("training", {})
+    model, training = record.get("model", {}), record.get("training", {})
     kept = _of_data(record.get("data") or (made or {}).get("data") or {})
     if "protocol" in record:
         kept["protocol"] = Protocol.of(record["protocol"]).plain()

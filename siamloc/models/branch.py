@@ -105,8 +105,8 @@ def finer_features(name: str, image_size: tuple[int, int]) -> tuple[int, tuple[i
     """Return where a circular branch has features with at least twice as many columns as its output.
 
     Returns:
-        The number of layers up to the last such features, 0 for the image itself; and their channels, rows and columns.
-        None if not even the image has so many columns.
+        The number of layers up to the last features with so many columns, 0 for the image itself; and the channels,
+        rows and columns of these features. None if not even the image has so many columns.
     """
     found = [(3, *image_size), *layer_shapes(name, image_size, circular=True)]
     finer = [number for number, one in enumerate(found) if one[2] >= 2 * found[-1][2]]

@@ -80,7 +80,7 @@ class NetworkDescriptor(BetweenColumns):
                 "this network does not name rooms: train one with loss=cross_entropy (from Python "
                 "siamloc.models.CrossEntropyLoss)"
             )
-        return rooms.named(describe(self.module, batch, chunk))
+        return rooms.named(self.describe(batch, chunk).position)
 
     @property
     def identity(self) -> dict[str, Any]:
@@ -94,17 +94,19 @@ class NetworkDescriptor(BetweenColumns):
         """Describe images: array or tensor, uint8 or floating point in [0, 1], one image or a batch.
 
         Args:
-            batch: (B, 3, H, W), (3, H, W), (B, H, W) or (H, W).
+            batch: (B, 3, H, W), (3, H, W), (B, H, W) or (H, W); grey images are repeated over the three channels.
             chunk: images per pass; bounds the memory and changes results only by rounding.
 
         Raises:
-            DataError: another shape, type or range.
+            DataError: another shape or type, values that are not finite or outside [0, 1], or a network that returns
+                anything but a descriptor for each image.
         """
-        network = orienting(self.module)
-        if network is None:
-            return Description(describe(self.module, batch, chunk))
-        position, orientation = _described(network, network.with_orientation, batch, chunk)
-        return Description(position, orientation)
+        module, network = self.module, orienting(self.module)
+        if network is not None:
+            position, orientation = _described(network, network.with_orientation, batch, chunk)
+            return Description(position, orientation)
+        described = _described(module, lambda images: (checked_descriptors(module(images), len(images)),), batch, chunk)
+        return Description(described[0])
 
     @property
     def compares(self) -> bool:
@@ -264,22 +266,6 @@ def checked_descriptors(descriptors: Any, images: int) -> Tensor:
 def shown(value: Any) -> str:
     """Describe the output of a network or a loss for an error message."""
     return f"shape {tuple(value.shape)}" if isinstance(value, Tensor) else type(value).__name__
-
-
-def describe(network: nn.Module, batch: Any, chunk: int = CHUNK) -> NDArray[np.float32]:
-    """Compute the descriptors (B, D) of images in evaluation mode and full precision.
-
-    Args:
-        network: (B, 3, H, W) in [0, 1] -> (B, D).
-        batch: array or tensor (B, 3, H, W), (3, H, W), (B, H, W) or (H, W), uint8 or floating point in [0, 1];
-            grey images are repeated over the three channels.
-        chunk: images per pass; bounds the memory and changes results only by rounding.
-
-    Raises:
-        DataError: another shape or type, values that are not finite or outside [0, 1], or a network that returns
-            anything but a descriptor for each image.
-    """
-    return _described(network, lambda images: (checked_descriptors(network(images), len(images)),), batch, chunk)[0]
 
 
 def _described(

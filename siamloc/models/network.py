@@ -250,7 +250,7 @@ class Network(nn.Module):
         if panorama.ndim != 4 or panorama.shape[1:] != (3, rows, columns):
             raise DataError(
                 f"the network was built for panoramas of shape (B, 3, {rows}, {columns}), got {tuple(panorama.shape)}: "
-                f"a library made with image_size=({rows}, {columns}) has such"
+                f"make the library with image_size=({rows}, {columns})"
             )
         if not panorama.is_floating_point():
             raise DataError(f"the network needs floating point in [0, 1], got {panorama.dtype}: divide by 255 first")

@@ -50,7 +50,7 @@ class Origins:
 
 
 class ScheduledLoss(nn.Module):
-    """Base of losses over batches, whose parameters may change during training, such as `sigma` with `sigma_start`.
+    """Base of losses over batches. Parameters with a start, such as `sigma` with `sigma_start`, change while training.
 
     A loss for descriptors of unit length has the attribute `unit_length = True`: other descriptors are refused. If it
     has a method `lacks(origins) -> str | None`, a training whose batches all lack something is refused, too.

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Literal, get_args
+from typing import Annotated, Literal, get_args
 
 from foundation.settings import Natural, NotNegative, Positive, Rule, Settings, Share, checked
 from siamloc.errors import ConfigError, hint
@@ -239,7 +238,7 @@ class Triplet(NearAndFar):
             square; or "cosine", the similarity from 1 to -1, which is 1 minus half the square.
     """
 
-    miner: Miner | Literal["semihard"] | None = None  # type: ignore[assignment]
+    miner: Literal[Miner, "semihard"] | None = None  # type: ignore[assignment]
     margin: Positive = 0.2
     distance: Closeness = "euclidean"
 
@@ -324,20 +323,6 @@ def branch_spec(name: str) -> BranchSpec:
     if name not in BRANCHES:
         raise ConfigError(f"unknown branch {name!r}: {hint(name, BRANCHES)}")
     return BRANCHES[name]
-
-
-def whole_model(model: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the arguments of `build` for a network, with defaults filled in; a custom module's record unchanged."""
-    if "branch" not in model:
-        return dict(model)
-    usual = {
-        "outputs": None,
-        "circular": False,
-        "normalize": branch_spec(model["branch"]).normalize,
-        "canonical": False,
-        "relative": False,
-    }
-    return {**usual, **model}
 
 
 def head_widths(name: str, outputs: int | None = None) -> tuple[int, ...]:

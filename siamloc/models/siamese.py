@@ -18,12 +18,10 @@ from siamloc.models.registry import Optimizer
 
 ensure_torchvision()
 
-from lightning.pytorch.loggers import TensorBoardLogger  # noqa: E402
 from torchmetrics import Metric  # noqa: E402
 
 Loss = Callable[[Tensor, Tensor, Tensor], Tensor]
 
-PICTURED_PAIRS = 6
 _BATCH_KEYS = ("first", "second", "label", "same")
 _GROUPS = ("same", "different")
 SAME_BELOW = 0.5
@@ -39,8 +37,7 @@ class SiameseModule(NetworkModule):
 
     Logged at the end of an epoch: the figures of `PairStatistics`, as `train/...` and `val/...`; and in each training
     step its loss, as `loss_step`. If the validation also has batches of map frames and queries, as for a `PlaceModule`,
-    the module also logs `val/error` and the other figures of a `PlaceModule`. A TensorBoard logger also gets an image
-    of the first pairs.
+    the module also logs `val/error` and the other figures of a `PlaceModule`.
 
     Args:
         network: (B, 3, H, W) floating point in [0, 1] -> (B, D): what `siamloc.models.build` makes, or any module.
@@ -82,7 +79,7 @@ class SiameseModule(NetworkModule):
 
     def training_step(self, batch: Mapping[str, Tensor], batch_index: int) -> Tensor:
         """Compute the loss of a batch of pairs."""
-        loss = self._step(batch, batch_index, "train", self.train_statistics)
+        loss = self._step(batch, "train", self.train_statistics)
         self.log_step(loss)
         return loss
 
@@ -91,7 +88,7 @@ class SiameseModule(NetworkModule):
         if "known" in batch:
             self.describe_drive(batch)
             return
-        self._step(batch, batch_index, "val", self.val_statistics)
+        self._step(batch, "val", self.val_statistics)
 
     def on_train_epoch_end(self) -> None:
         """Log the statistics of the training epoch."""
@@ -109,7 +106,7 @@ class SiameseModule(NetworkModule):
         """Continue an epoch with the sums that `epoch_sums` returned for a checkpoint."""
         self.train_statistics.load_sums(sums)
 
-    def _step(self, batch: Mapping[str, Tensor], batch_index: int, stage: str, statistics: PairStatistics) -> Tensor:
+    def _step(self, batch: Mapping[str, Tensor], stage: str, statistics: PairStatistics) -> Tensor:
         missing = [key for key in _BATCH_KEYS if key not in batch]
         if missing:
             raise DataError(f"a batch of pairs needs {', '.join(_BATCH_KEYS)}; missing: {', '.join(missing)}")
@@ -121,23 +118,12 @@ class SiameseModule(NetworkModule):
         loss = checked_loss(self.loss(d0, d1, label), self.loss, descriptors.requires_grad)
         distance = pair_distance(d0.detach(), d1.detach())
         statistics.update(descriptors.detach(), distance, loss.detach(), batch["same"], label)
-        if batch_index == 0:
-            self._draw(batch, stage)
         return loss
 
     def _log_epoch(self, stage: str, statistics: PairStatistics, further: Mapping[str, Tensor] | None = None) -> None:
         values = statistics.compute() if statistics.update_called else {}
         statistics.reset()
         self.log_epoch(stage, {**values, **(further or {})})
-
-    def _draw(self, batch: Mapping[str, Tensor], stage: str) -> None:
-        """Show the first pairs in TensorBoard, the images of a pair below each other."""
-        if self._trainer is None or self.trainer.sanity_checking or not self.trainer.is_global_zero:
-            return
-        for board in self.loggers:
-            if isinstance(board, TensorBoardLogger):
-                pairs = torch.cat([batch["first"][:PICTURED_PAIRS], batch["second"][:PICTURED_PAIRS]], dim=2)
-                board.experiment.add_images(f"{stage}/pairs", as_float(pairs), self.global_step)
 
 
 class PairStatistics(Metric):

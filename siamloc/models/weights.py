@@ -20,7 +20,7 @@ from augment.torchvision_compat import ensure_torchvision
 from foundation.files import atomic_path, check_version, parsed_json
 from siamloc.errors import ConfigError, FormatError, hint
 from siamloc.models.heads import GeneralizedMean, Magnitudes
-from siamloc.models.registry import BRANCHES, PRETRAINED, branch_spec, whole_model
+from siamloc.models.registry import BRANCHES, PRETRAINED, branch_spec
 from siamloc.runs import Run
 
 CONTENT_KEY = "siamloc"
@@ -306,7 +306,7 @@ def _of_training(
             f"the weights of {weights.origin} are of another architecture than {what}: their branch is "
             f"{model['branch']}"
         )
-    there = whole_model(model)
+    there = {**here, **model}
     keys = ("head", "outputs", "image_size", "circular", "normalize", "canonical", "relative")
     differing = [f"{key} is {there[key]} there and {here[key]} here" for key in keys if there[key] != here[key]]
     sizes = () if isinstance(network.get_submodule("head"), (GeneralizedMean, Magnitudes)) else ("image_size",)

@@ -44,7 +44,7 @@ def pretrain(
     settings: Training | None = None,
     **changes: Unpack[TrainingFields],
 ) -> Run:
-    """Train a network in place on random buildings, drawn, furnished, lit and rendered while it learns from others.
+    """Train a network in place on random buildings, which are drawn and rendered while the network learns.
 
     Everything follows from the seed: the n-th building, and the batch of each step, however fast buildings are
     rendered. If several processes train together, each renders its own buildings. After every epoch the network is

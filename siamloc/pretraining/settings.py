@@ -15,9 +15,9 @@ class ViewSettings(Settings):
     """The buildings for pretraining.
 
     Attributes:
-        batches: number of batches before a new building replaces the oldest one; each stays for `held` times as many.
+        batches: number of batches after which a new building replaces the oldest building in memory.
         held: number of buildings in memory, fewer at the start.
-        together: number of buildings that the places of one batch come from, if that many are held.
+        together: number of buildings that the places of one batch come from, fewer at the start.
         drives: number of drives through each building; between two drives doors, chairs and people move.
         lights: number of lightings of each drive.
         poses: maximum number of poses of each drive.

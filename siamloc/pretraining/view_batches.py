@@ -57,7 +57,7 @@ class BuildingStream:
         self._here: dict[int, tuple[Views, FrameTable]] = {}
 
     def held(self, newest: int) -> list[tuple[Views, FrameTable]]:
-        """Return the buildings up to the newest one, as many as are held; waits for those that are not ready.
+        """Return the buildings in memory up to the newest; wait for buildings that are not rendered yet.
 
         Raises:
             DataError: a rendering process has died.
@@ -125,7 +125,7 @@ class ViewBatches(Dataset[dict[str, Any]]):
         return self.places.epoch_batches
 
     def drawn(self, epoch: int, batch: int) -> tuple[list[Views], FrameTable, NDArray[np.int64]]:
-        """Return the buildings of a batch, the frames of all their images, and the rows of the drawn ones."""
+        """Return the buildings of a batch, the frames of all their images, and the rows of the frames in the batch."""
         number = epoch * len(self) + batch
         held = self.stream.held(number // self.views.batches)
         rng = np.random.default_rng([self.seed, number, self.rank, 0xB1D6])
@@ -217,11 +217,6 @@ class ViewDataModule(EpochDataModule):
         if self._validation is None:
             self._validation = validation_views(self._renderer, self._size)
         return self.loader(self._validation, None)
-
-    def paths(self, epoch: int, batch: int) -> dict[str, NDArray[np.str_]]:
-        """Return the names of the images of a training batch."""
-        _, frames, rows = self.batches().drawn(epoch, batch)
-        return {"images": frames.path[rows]}
 
     def teardown(self, stage: str) -> None:
         """End the rendering processes."""

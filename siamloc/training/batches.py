@@ -90,16 +90,16 @@ class BatchAugmentation:
 
 
 class Resident:
-    """Hold some panoramas of a library on a device, as 8-bit numbers.
+    """Keep some panoramas of a library in the memory of a device, as 8-bit numbers.
 
     Args:
         library: decoded panoramas.
         rows: the required rows of the library, in any order; repeats are allowed.
-        device: where to hold them; each process has its own copy.
+        device: whose memory; each process has its own copy.
 
     Attributes:
         images: (N, 3, H, W) uint8.
-        numbers: index of each row of the library among the images, (len(library),); -1 for rows that are not held.
+        numbers: index of each row of the library among `images`, (len(library),); -1 for rows that are not among them.
 
     Example:
         >>> import cv2, tempfile
@@ -156,7 +156,8 @@ class DriveBatches(Dataset[dict[str, Any]]):
     """Map frames, then queries, in batches; every process has all of them.
 
     Args:
-        columns: what a batch has of each frame, such as `xy` (n, 2) and `known` (n,), True for map frames.
+        columns: of the frames, by the names that they have in a batch: `known` (n,), True for map frames, `xy` (n, 2)
+            and the other fields of `siamloc.models.Origins`.
         panoramas: the images of the frames; None if they are among the columns.
     """
 
@@ -204,8 +205,8 @@ class EpochDataModule(LightningDataModule):
 
     A trainer that resumes may request the first batches long before it knows which epoch it is in, and keeps them.
 
-    On a GPU with enough memory, all panoramas are held there, and a batch transfers only their numbers, unless its
-    images are augmented on the CPU; otherwise batches are transferred from pinned memory.
+    A GPU with enough memory keeps all panoramas, and a batch transfers only their numbers, unless its images are
+    augmented on the CPU; otherwise batches are transferred from pinned memory.
 
     Args:
         library: decoded panoramas of all frames; None if images come from elsewhere.
@@ -251,10 +252,6 @@ class EpochDataModule(LightningDataModule):
     def notes(self) -> list[str]:
         """Return notes on what the frames lack for the requested batches, a sentence each."""
         return []
-
-    def paths(self, epoch: int, batch: int) -> dict[str, NDArray[np.str_]]:
-        """Return the files of a training batch of this process, by the names of the images in the batch."""
-        raise NotImplementedError
 
     def needed(self) -> list[FrameTable]:
         """Return the frames of the library in all batches."""

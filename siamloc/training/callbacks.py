@@ -141,7 +141,7 @@ class Curves(Checkpoint):
         run: of the training.
         monitor: the figure by which the best epoch is chosen; None if nothing is validated.
         pace: of the training.
-        patience: epochs without a better one after which the training stops; never if None.
+        patience: number of epochs without a better figure after which the training stops; never if None.
     """
 
     def __init__(self, run: Run, monitor: str | None, pace: Pace, patience: int | None = None) -> None:
@@ -157,7 +157,7 @@ class Curves(Checkpoint):
         self._record_events(trainer)
 
     def on_exception(self, trainer: Trainer, pl_module: LightningModule, exception: BaseException) -> None:
-        """Note that file, too, if the training ends before its first step."""
+        """Note the file of the TensorBoard logger, too, if the training ends before its first step."""
         self._record_events(trainer)
 
     def _record_events(self, trainer: Trainer) -> None:
@@ -211,7 +211,7 @@ class Curves(Checkpoint):
         return (max if higher_is_better(name) else min)(found, key=lambda pair: pair[0], default=None)
 
     def _figures_of(self, epoch: int) -> str:
-        """Name the best epoch with all its validation figures, starting with the one that it was chosen by."""
+        """Name the best epoch with its validation figures, starting with the figure by which the epoch was chosen."""
         row = next(row for row in self._rows if row["epoch"] == epoch)
         others = sorted(name for name in row if name.startswith("val/") and name != self._monitor)
         listed = f" ({', '.join(f'{name[4:]} {row[name]:.4f}' for name in others)})" if others else ""

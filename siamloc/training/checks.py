@@ -17,7 +17,7 @@ from siamloc.data.library import PanoramaLibrary
 from siamloc.data.places import PlaceSettings
 from siamloc.errors import ConfigError, DataError, SiamlocError, leave_out
 from siamloc.models.cross_entropy import CrossEntropyLoss
-from siamloc.models.describing import comparing, describe
+from siamloc.models.describing import NetworkDescriptor, comparing
 from siamloc.models.module import name_of
 from siamloc.models.origins import Origins
 from siamloc.models.places import BatchLoss
@@ -185,7 +185,7 @@ def check_network(network: nn.Module, image: NDArray[np.uint8], circular: bool, 
             "data.circular=true for panoramas"
         )
     try:
-        descriptor = describe(network, image)
+        descriptor = NetworkDescriptor(network).describe(image).position
     except SiamlocError:
         raise
     except Exception as error:  # a custom module may raise anything

@@ -20,11 +20,11 @@ _LEFT_OUT = ("frames", "data.cache", "data.name", "model.image_size")
 
 @typed
 def compare(runs: str | Path | Iterable[str | Path | Run], by: str | None = None) -> Comparison:
-    """Compare runs by their best epoch: those of a sweep, or any others.
+    """Compare runs, of a sweep or any others, by their best epochs.
 
     Args:
-        runs: a folder with runs in it, such as that of a sweep; or the folders of runs.
-        by: the figure of the curves to rank by, such as "val/error"; if None, the one by which checkpoints are chosen.
+        runs: a folder with runs in it, such as the folder of a sweep; or the folders of runs.
+        by: the figure of the curves to rank by, such as "val/error"; if None, the figure that chooses the checkpoints.
             Higher is better for recall, accuracies, rooms, spreads and distances of two rooms; lower for all others.
 
     Raises:

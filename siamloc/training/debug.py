@@ -39,14 +39,14 @@ class _Losses(Callback):
 def debug_training(
     debug: Debug, module: NetworkModule, data: EpochDataModule, make_trainer: Callable[..., Trainer]
 ) -> None:
-    """Run a part of a training, print what it shows, and leave the weights as they were.
+    """Run a part of a training, print its figures, and leave the weights as they were.
 
     - "one_batch": one step and one validation batch, an overview of the network, and their figures.
-    - "overfit": one batch over and over, without augmentation, and whether its loss goes down.
+    - "overfit": the same batch 100 times, without augmentation, and whether its loss falls by a tenth or more.
     - "profile": some steps with the time of each part (Lightning's `SimpleProfiler`).
 
     Args:
-        debug: which of these.
+        debug: "one_batch", "overfit" or "profile".
         module: the training module.
         data: the batches.
         make_trainer: makes a trainer on the device of the training, with arguments of `lightning.Trainer`.

@@ -44,12 +44,10 @@ from siamloc.training.checks import (
     monitored,
     usable,
 )
-from siamloc.training.compiled import compiles
 from siamloc.training.debug import Debug, debug_training
 from siamloc.training.pair_batches import PairDataModule
 from siamloc.training.place_batches import PlaceDataModule, rooms_of, validation_drive
 from siamloc.training.run_folder import (
-    KEPT,
     check_folder,
     check_same_training,
     monitor_before,
@@ -123,8 +121,7 @@ def fit(
 
     Raises:
         ConfigError: settings that are invalid or contradict each other, a folder that holds a run or other files, a run
-            with other settings to resume, or a training whose loss or gradient is not finite: its batch is kept in the
-            run as `bad_batch.npz`, see `siamloc.training.guard`.
+            with other settings to resume, or a training whose loss or gradient is not finite.
         DataError: frames that give no pairs, or images that the network cannot take.
         KeyboardInterrupt: the user stopped the training. It finished its step and wrote a checkpoint first; a second
             Ctrl-C stops at once, and leaves the previous checkpoint.
@@ -156,7 +153,6 @@ def fit(
     train, validated = usable(images, frames, validation, settings)
     check_headings(network, train, settings)
     change, augmented = augmentation_of(augmentation, images.circular, settings, trainer)
-    faster = compiles(settings.compile, on_gpu(trainer))
     if resume and settings.monitor == "auto":
         settings = replace(settings, monitor=monitor_before(run, settings))
     monitor = monitored(settings, train, validated, network, loss)
@@ -176,8 +172,7 @@ def fit(
     }
     if debug is not None:
         check_batches(data, module.loss)
-        _wake(network)
-        with quiet(), computing(module, settings, trainer, faster), interrupts_raised():
+        with quiet(), computing(module, settings, trainer), interrupts_raised():
             clip = {} if settings.clip is None else {"gradient_clip_val": settings.clip}
             debug_training(debug, module, data, partial(debug_trainer, {**clip, **(trainer or {})}))
         return run
@@ -228,7 +223,6 @@ def learn(
         notes: for the user, printed once everything is checked.
     """
     network, first = module.network, process_rank() == 0
-    faster = compiles(settings.compile, on_gpu(trainer))
     last = run.checkpoints / "last.ckpt"
     with quiet(), alone(run.folder) if first else nullcontext():
         if first:
@@ -245,7 +239,6 @@ def learn(
             check_same_training(run, plain(used), settings.epochs)
             if last.is_file():
                 check_architecture(last, module)
-        _wake(network)
         if first:
             open_run(run, used, resume=resume, validated=monitor is not None)
             model = content["model"]
@@ -254,15 +247,9 @@ def learn(
                 print(f"note: {text}", file=sys.stderr)
             print(f"training {name} on {what}, epochs: {settings.epochs}, into {run.folder}", file=sys.stderr)
         start = last if resume and last.is_file() else None
-        with computing(module, settings, trainer, faster):
+        with computing(module, settings, trainer):
             _train(lightning, module, data, run, start)
     load(run, network=network)
-
-
-def _wake(network: nn.Module) -> None:
-    """Put a network in evaluation mode into training mode; if only some parts are in evaluation, they stay so."""
-    if not network.training:
-        network.train()
 
 
 def _notes(settings: Training, train: FrameTable, validated: FrameTable | None, loss: object) -> list[str]:
@@ -371,8 +358,7 @@ def _train(trainer: Trainer, module: NetworkModule, data: EpochDataModule, run: 
         print(text, file=sys.stderr, flush=True)
         raise KeyboardInterrupt(text) from error
     except Exception:
-        nothing = not any((*run.checkpoints.glob("*.ckpt"), *run.folder.glob(KEPT)))
-        if start is None and nothing and process_rank() == 0:
+        if start is None and process_rank() == 0 and not any(run.checkpoints.glob("*.ckpt")):
             run.discard()  # a loss that fails at once must not block the folder for the next call
         raise
     finally:

@@ -8,7 +8,6 @@ from typing import Any, cast
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor
 from torch.utils.data import DataLoader, Dataset
 
@@ -164,15 +163,6 @@ class PairDataModule(EpochDataModule):
             return batch
         first, second = batch.pop("images").chunk(2)
         return {**batch, "first": first, "second": second}
-
-    def paths(self, epoch: int, batch: int) -> dict[str, NDArray[np.str_]]:
-        """Return the files of the first and the second images of a training batch."""
-        rank, world_size = self.share()
-        mine = len(self.sampler) // world_size
-        rows = slice(batch * self._batch_size, min((batch + 1) * self._batch_size, mine))
-        pairs = self.sampler.epoch(epoch, rank, world_size).take(rows)
-        files = self.sampler.frames.path
-        return {"first": files[pairs.first], "second": files[pairs.second]}
 
     def needed(self) -> list[FrameTable]:
         """Return the training and the validation frames."""

@@ -77,8 +77,8 @@ def validation_drive(
 class PlaceDataModule(EpochDataModule):
     """Serve batches of places to a `PlaceModule`.
 
-    The batches of an epoch follow from the seed and the number of the epoch, so that a resumed run sees the same ones
-    as an uninterrupted run. Works with any `Trainer`.
+    The batches of an epoch follow from the seed and the number of the epoch, so that a resumed run sees the same
+    batches as an uninterrupted run. Works with any `Trainer`.
 
     Args:
         library: decoded panoramas of all frames.
@@ -128,11 +128,6 @@ class PlaceDataModule(EpochDataModule):
             return []
         frames, numbers = self.sampler.frames, self.numbers(None)
         return self.loader(validation_drive(self.library, frames, self._validation, numbers), None)
-
-    def paths(self, epoch: int, batch: int) -> dict[str, NDArray[np.str_]]:
-        """Return the files of the images of a training batch."""
-        rows = self.sampler.batch(epoch, batch, *self.share())
-        return {"images": self.sampler.frames.path[rows]}
 
     def needed(self) -> list[FrameTable]:
         """Return the training and the validation frames."""

@@ -41,16 +41,8 @@ _WORDS = {
     "labels": "the labels of the {role} frames differ (room, building or lighting)",
 }
 
-KEPT = "bad_batch*.npz"
-"""Files of a run with the batch that stopped a training."""
-
 EPOCH_SUMS = "epoch_sums"
 """Key in a checkpoint within an epoch: the sums of each process since the epoch began."""
-
-
-def bad_batch(rank: int) -> str:
-    """Return the name of that file for a process."""
-    return KEPT.replace("*", f"_{rank}" if rank else "")
 
 
 def check_folder(run: Run, resume: bool, overwrite: bool) -> None:
@@ -72,9 +64,7 @@ def check_folder(run: Run, resume: bool, overwrite: bool) -> None:
         )
     elif run.folder.exists() and not run.folder.is_dir():
         raise ConfigError(f"{run.folder} is a file: choose a new or empty folder as run=")
-    kept = [path.name for path in run.folder.glob(KEPT)]
-    foreign = run.foreign([*names_written(validated=True), *kept])
-    if foreign:
+    if foreign := run.foreign(names_written(validated=True)):
         raise ConfigError(
             f"{run.folder / foreign[0]} would be replaced, but siamloc did not write it into this run: move it away, "
             "or choose another run="

@@ -35,9 +35,9 @@ class Learning(Settings):
             the share of queries found within `recall_radius`; "room", the share whose room is found; "accuracy", the
             share whose room `CrossEntropyLoss` names correctly, the choice of "auto" with that loss; "refined", the
             mean error of poses by comparison, for a network with relative=True; "loss", that of pairs, as published.
-            "auto" is the refined error for such a network, and the error for others, if both sides have positions
-            (and, with pairs, come from different drives); otherwise the loss with pairs, and the rooms with batches
-            of places.
+            "auto" is the refined error for a network with relative=True, and the error for other networks, if training
+            and validation frames have positions (and, with pairs, come from different drives); otherwise the loss with
+            pairs, and the rooms with batches of places.
         recall_radius: a query is found if the map frame with the nearest descriptor is this near, in the unit of the
             positions.
         patience: epochs without a better validation after which the training stops early; never if None. A one-cycle

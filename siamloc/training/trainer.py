@@ -22,7 +22,7 @@ from siamloc.models.network import Network
 from siamloc.runs import Run
 from siamloc.training.batch_norm import OneBatch
 from siamloc.training.callbacks import AtomicCheckpoints, Curves, MovingAverage, checkpoint_callbacks
-from siamloc.training.compiled import Wanted, compiled
+from siamloc.training.compiled import compiled, compiles
 from siamloc.training.guard import FiniteGuard
 from siamloc.training.pace import Pace
 from siamloc.training.settings import Training
@@ -49,7 +49,7 @@ def run_trainer(run: Run, settings: Training, further: Mapping[str, Any] | None,
     """
     options = dict(further or {})
     pace = Pace()
-    guard = FiniteGuard(run)
+    guard = FiniteGuard()
     own_callbacks = [_Seeds(settings.seed), guard, pace, Curves(run, monitor, pace, settings.patience)]
     callbacks = [*_listed(options.pop("callbacks", None)), *own_callbacks]
     steps = StepCheckpoints(run.checkpoints / "last.ckpt", settings.checkpoint_every, guard)
@@ -161,10 +161,10 @@ def _fast_precision(gpu: bool) -> str:
 
 
 @contextmanager
-def computing(
-    module: NetworkModule, settings: Training, further: Mapping[str, Any] | None, compile: Wanted
-) -> Iterator[None]:
-    """Compute the steps of a training, compiled if `compile` says so.
+def computing(module: NetworkModule, settings: Training, further: Mapping[str, Any] | None) -> Iterator[None]:
+    """Compute the steps of a training in training mode, compiled if the settings say so.
+
+    A network in evaluation mode is put into training mode; if only some parts are in evaluation, they stay so.
 
     With the trainer's precision "auto", a network of `build` stores the channels of a pixel together, which makes
     convolutions faster. Custom modules stay as they are, since they may rely on their layout.
@@ -172,11 +172,13 @@ def computing(
     Raises:
         ConfigError: the device or the machine has too little memory.
     """
+    if not module.network.training:
+        module.network.train()
     precision = precision_of(further)
     if layout := precision == "auto" and isinstance(module.network, Network):
         module.network.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
     try:
-        with compiled(module, compile):
+        with compiled(module, compiles(settings.compile, on_gpu(further))):
             yield
     except (MemoryError, RuntimeError) as error:
         if not (isinstance(error, MemoryError) or _NO_MEMORY.search(str(error))):

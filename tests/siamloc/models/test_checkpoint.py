@@ -10,13 +10,10 @@ import pytest
 import torch
 from torch.utils.data import DataLoader
 
-from augment.torchvision_compat import ensure_torchvision
 from siamloc.errors import ConfigError, FormatError
 from siamloc.models import ContrastiveLoss, Optimizer, SiameseModule, as_descriptor, build, load
 from siamloc.runs import Run
-
-ensure_torchvision()
-from lightning.pytorch import Trainer  # noqa: E402
+from tests.siamloc.models.conftest import trainer
 
 SIZE = (32, 64)
 
@@ -29,16 +26,9 @@ def trained(tmp_path_factory):
     module = SiameseModule(network, ContrastiveLoss(1.5), Optimizer(momentum=0.5))
     images = torch.randint(0, 256, (2, 3, 3, *SIZE), dtype=torch.uint8)
     batch = {"first": images[0], "second": images[1], "label": torch.ones(3), "same": torch.zeros(3, dtype=torch.bool)}
-    trainer = Trainer(
-        accelerator="cpu",
-        max_epochs=1,
-        logger=False,
-        enable_checkpointing=False,
-        enable_progress_bar=False,
-        enable_model_summary=False,
-    )
-    trainer.fit(module, DataLoader([batch], batch_size=None), DataLoader([batch], batch_size=None))
-    trainer.save_checkpoint(path)
+    training = trainer()
+    training.fit(module, DataLoader([batch], batch_size=None), DataLoader([batch], batch_size=None))
+    training.save_checkpoint(path)
     return module, path
 
 
@@ -69,16 +59,8 @@ def test_what_was_trained_stands_in_plain_values(trained):
     assert about(path) == {
         "format": 2,
         "model": {
-            "branch": "vgg11_bn",
-            "head": "fc500_100_10",
-            "image_size": [32, 64],
-            "weights": None,
-            "seed": 7,
-            "outputs": None,
-            "circular": False,
-            "normalize": "channels",
-            "canonical": False,
-            "relative": False,
+            **{"branch": "vgg11_bn", "head": "fc500_100_10", "image_size": [32, 64], "outputs": None, "weights": None},
+            **{"seed": 7, "circular": False, "normalize": "channels", "canonical": False, "relative": False},
         },
         "loss": {"class": "ContrastiveLoss", "margin": 1.5},
         "optimizer": {**Optimizer().plain(), "momentum": 0.5},

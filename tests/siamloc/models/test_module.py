@@ -11,9 +11,10 @@ from torch.utils.data import DataLoader
 from augment.torchvision_compat import ensure_torchvision
 from siamloc.errors import ConfigError
 from siamloc.models import Optimizer, SiameseModule, build
+from tests.siamloc.models.conftest import trainer
 
 ensure_torchvision()
-from lightning.pytorch import Callback, Trainer  # noqa: E402
+from lightning.pytorch import Callback  # noqa: E402
 
 SIZE = (32, 64)
 
@@ -40,18 +41,9 @@ def rates(steps, network=None, epochs=1, loss=None, **options):
     """Train this many steps, and return the learning rates of each."""
     network = build("simple1", "fc500_500_5", SIZE) if network is None else network
     noted = Rates()
-    trainer = Trainer(
-        accelerator="cpu",
-        max_epochs=epochs,
-        logger=False,
-        enable_checkpointing=False,
-        enable_progress_bar=False,
-        enable_model_summary=False,
-        callbacks=[noted],
-    )
     module = SiameseModule(network, loss, optimizer=Optimizer(**options))
     batches = DataLoader([draw_pairs(seed=step) for step in range(steps // epochs)], batch_size=None)
-    trainer.fit(module, batches, DataLoader([draw_pairs()], batch_size=None))
+    trainer(max_epochs=epochs, callbacks=[noted]).fit(module, batches, DataLoader([draw_pairs()], batch_size=None))
     return noted.seen
 
 
@@ -153,20 +145,10 @@ def test_the_fused_optimizer_learns_what_torch_learns_weight_by_weight(name, lay
 
 
 def test_gradients_are_clipped_in_mixed_precision():
-    trainer = Trainer(
-        accelerator="cpu",
-        precision="bf16-mixed",
-        gradient_clip_val=1e-30,
-        max_epochs=1,
-        logger=False,
-        enable_checkpointing=False,
-        enable_progress_bar=False,
-        enable_model_summary=False,
-    )
     network = build("simple1", "fc500_500_5", SIZE)
     before = {name: value.clone() for name, value in network.state_dict().items()}
     batches = DataLoader([draw_pairs()], batch_size=None)
-    trainer.fit(SiameseModule(network), batches, batches)
+    trainer(precision="bf16-mixed", gradient_clip_val=1e-30).fit(SiameseModule(network), batches, batches)
     for name, value in network.state_dict().items():
         torch.testing.assert_close(value, before[name], rtol=0, atol=1e-20)
 

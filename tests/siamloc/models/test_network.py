@@ -2,17 +2,10 @@
 
 from __future__ import annotations
 
-import ast
-import subprocess
-import sys
-from pathlib import Path
-
 import pytest
 import torch
 from torch import nn
 
-import siamloc.models
-import siamloc.runtime
 from siamloc.errors import ConfigError, DataError
 from siamloc.models import HEADS, build
 from siamloc.models.weights import state_hash
@@ -23,35 +16,6 @@ SIZE = (32, 64)
 def same_state(a, b):
     left, right = a.state_dict(), b.state_dict()
     return left.keys() == right.keys() and all(torch.equal(left[key], right[key]) for key in left)
-
-
-def test_importing_the_package_loads_no_torch():
-    code = (
-        "import siamloc.models, siamloc.runtime, sys\n"
-        "assert 'vgg16_bn' in siamloc.models.BRANCHES and 'fc500_500_5' in siamloc.models.HEADS\n"
-        "assert not {'torch', 'lightning', 'torchvision'} & set(sys.modules)\n"
-    )
-    subprocess.run([sys.executable, "-c", code], check=True)
-
-
-def test_no_module_of_the_package_imports_the_data_package():
-    files = list(Path(siamloc.models.__file__).parent.glob("*.py"))
-    imported = {
-        name
-        for file in files
-        for node in ast.walk(ast.parse(file.read_text(encoding="utf-8")))
-        for name in (
-            [node.module] if isinstance(node, ast.ImportFrom) else [part.name for part in getattr(node, "names", [])]
-        )
-    }
-    assert "siamloc.models.network" in imported
-    assert not [name for name in imported if name and name.startswith("siamloc.data")]
-
-
-def test_unknown_names_in_the_packages_are_attribute_errors():
-    for package in (siamloc.models, siamloc.runtime):
-        with pytest.raises(AttributeError, match="no attribute 'nonsense'"):
-            _ = package.nonsense
 
 
 THESIS = {

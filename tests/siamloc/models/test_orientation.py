@@ -67,9 +67,10 @@ def test_both_parts_come_from_one_pass_and_the_batch_does_not_matter():
     np.testing.assert_allclose(together.orientation, alone.orientation, atol=1e-4)
     np.testing.assert_allclose(descriptor.describe(images, chunk=2).orientation, together.orientation, atol=1e-4)
     np.testing.assert_allclose(np.square(together.orientation).mean(axis=(1, 2)), 1, rtol=1e-4)
-    inside = as_descriptor(SiameseModule(made))
-    assert inside.tells_heading
-    np.testing.assert_array_equal(inside.describe(images).orientation, together.orientation)
+    for kind in (SiameseModule, PlaceModule):  # which train a network
+        inside = as_descriptor(kind(made))
+        assert inside.tells_heading
+        np.testing.assert_array_equal(inside.describe(images).orientation, together.orientation)
 
 
 def test_orientation_is_mixed_and_averaged_over_neighbouring_columns():
@@ -157,12 +158,6 @@ def test_a_module_of_ones_own_around_a_network_is_described_by_its_own_forward()
         seen = as_descriptor(module).describe(images)
         assert seen.orientation is None
         np.testing.assert_allclose(seen.position, expected, atol=1e-5)
-
-
-def test_the_module_that_trained_a_network_finds_its_headings():
-    images = panoramas()
-    alone, inside = as_descriptor(network()).describe(images), as_descriptor(PlaceModule(network())).describe(images)
-    np.testing.assert_array_equal(alone.orientation, inside.orientation)
 
 
 def test_an_image_too_narrow_for_finer_features_is_only_described():

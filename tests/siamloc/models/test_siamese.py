@@ -12,11 +12,10 @@ from augment.torchvision_compat import ensure_torchvision
 from siamloc.errors import ConfigError, DataError
 from siamloc.models import ContrastiveLoss, Optimizer, SiameseModule, as_descriptor, build
 from tests.oracles.contrastive import pair_statistics
+from tests.siamloc.models.conftest import trainer
 
 ensure_torchvision()
-from lightning.pytorch import Trainer  # noqa: E402
 from lightning.pytorch.callbacks import ModelCheckpoint  # noqa: E402
-from lightning.pytorch.loggers import TensorBoardLogger  # noqa: E402
 
 SIZE = (32, 64)
 KEYS = ("first", "second")
@@ -35,19 +34,6 @@ def draw_pairs(count=8, seed=0, same=None):
 
 def loader(*batches):
     return DataLoader(list(batches), batch_size=None)
-
-
-def trainer(**options):
-    quiet = {
-        "accelerator": "cpu",
-        "max_epochs": 1,
-        "logger": False,
-        "enable_checkpointing": False,
-        "enable_progress_bar": False,
-        "enable_model_summary": False,
-        "log_every_n_steps": 1,
-    }
-    return Trainer(**(quiet | options))
 
 
 def as_lists(batches, descriptors):
@@ -113,13 +99,6 @@ def test_validation_figures_are_pooled_over_unequal_batches():
     assert logged == pytest.approx(expected, rel=1e-4)
 
 
-def test_an_epoch_without_same_room_pairs_logs_no_nan():
-    training = trainer()
-    training.validate(make(), loader(draw_pairs(3, same=False)), verbose=False)
-    assert "val/accuracy_same" not in training.callback_metrics
-    assert all(math.isfinite(value) for value in training.callback_metrics.values())
-
-
 def test_figures_start_again_in_every_epoch():
     module, training = make(), trainer()
     for batch in (draw_pairs(4, same=True), draw_pairs(4, same=False)):
@@ -132,22 +111,6 @@ def test_the_validation_figures_can_be_monitored(tmp_path):
     training = trainer(callbacks=[best], enable_checkpointing=True, num_sanity_val_steps=0)
     training.fit(make(), loader(draw_pairs()), loader(draw_pairs(seed=1)))
     assert best.best_model_score == training.callback_metrics["val/loss"]
-
-
-def test_a_tensorboard_logger_gets_one_picture_of_pairs_per_epoch(tmp_path):
-    from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
-
-    logger = TensorBoardLogger(tmp_path)
-    training = trainer(max_epochs=2, logger=logger)
-    training.fit(make(), loader(draw_pairs(8), draw_pairs(8, 1)), loader(draw_pairs(2, 2)))
-    logger.finalize("success")
-    events = EventAccumulator(logger.log_dir)
-    events.Reload()
-    assert sorted(events.Tags()["images"]) == ["train/pairs", "val/pairs"]
-    for tag, pairs in (("train/pairs", 6), ("val/pairs", 2)):
-        pictures = events.Images(tag)
-        assert len(pictures) == 2
-        assert pictures[0].width * pictures[0].height == pairs * 64 * 2 * 32
 
 
 @pytest.mark.parametrize(

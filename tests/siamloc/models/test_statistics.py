@@ -93,17 +93,6 @@ def test_dissimilar_pairs_beyond_the_margin_cost_nothing():
     assert statistics.compute()["active"] == pytest.approx(1 / 3)
 
 
-def test_reset_forgets_everything():
-    statistics = PairStatistics(MARGIN)
-    add(statistics, *draw(5, 4, 0))
-    statistics.reset()
-    later = draw(3, 4, 1)
-    add(statistics, *later)
-    fresh = PairStatistics(MARGIN)
-    add(fresh, *later)
-    assert statistics.compute() == fresh.compute()
-
-
 def test_a_loss_without_a_margin_has_no_accuracies():
     statistics = PairStatistics(None)
     add(statistics, *draw(5, 4, 0))

@@ -130,31 +130,26 @@ def test_a_training_that_is_resumed_is_one_that_never_stopped(rendered, tmp_path
         torch.testing.assert_close(started.state_dict()[name], value)
 
 
-def test_settings_without_a_meaning(tmp_path):
-    network = RECIPE.build(image_size=SIZE)
-    with pytest.raises(ConfigError, match="epoch_batches"):
-        pretrain(network, run=tmp_path / "a", pairs={"epoch_batches": None})
-    with pytest.raises(ConfigError, match=r"views\.together=9"):
-        pretrain(network, run=tmp_path / "a", views={"together": 9, "held": 4})
-    with pytest.raises(ConfigError, match=r"leave out pairs\.by=sequence"):
-        pretrain(network, run=tmp_path / "a", pairs={"by": "sequence"})
-    with pytest.raises(ConfigError, match=r"leave out pairs\.lightings"):
-        pretrain(network, run=tmp_path / "a", pairs={"lightings": {"night": 2}})
-    with pytest.raises(ConfigError, match=r"set views\.poses larger"):
-        pretrain(network, run=tmp_path / "a", views={"drives": 1, "lights": 1, "poses": 8})
-    with pytest.raises(ConfigError, match=r"views\.processes"):
-        pretrain(network, run=tmp_path / "a", workers=2)
-    with pytest.raises(ConfigError, match="give epochs in it"):
-        pretrain(network, run=tmp_path / "a", epochs=1, settings=siamloc.training.Training())
-    with pytest.raises(ConfigError, match="monitor=room"):
-        pretrain(network, run=tmp_path / "a", monitor="room")
-    with pytest.raises(ConfigError, match="one building after another"):
-        pretrain(network, run=tmp_path / "a", loss=siamloc.models.CrossEntropyLoss())
-    with pytest.raises(ConfigError, match="network must be a Network, got Flatten"):
-        pretrain(torch.nn.Flatten(), run=tmp_path / "a")
-    plain_head = siamloc.models.build("simple1", "fc500_500_5", image_size=SIZE)
-    with pytest.raises(ConfigError, match="length 1"):
-        pretrain(plain_head, run=tmp_path / "a")
+@pytest.mark.parametrize(
+    ("given", "says"),
+    [
+        ({"pairs": {"epoch_batches": None}}, "epoch_batches"),
+        ({"views": {"together": 9, "held": 4}}, r"views\.together=9"),
+        ({"pairs": {"by": "sequence"}}, r"leave out pairs\.by=sequence"),
+        ({"pairs": {"lightings": {"night": 2}}}, r"leave out pairs\.lightings"),
+        ({"views": {"drives": 1, "lights": 1, "poses": 8}}, r"set views\.poses larger"),
+        ({"workers": 2}, r"views\.processes"),
+        ({"epochs": 1, "settings": siamloc.training.Training()}, "give epochs in it"),
+        ({"monitor": "room"}, "monitor=room"),
+        ({"loss": siamloc.models.CrossEntropyLoss()}, "one building after another"),
+        ({"network": torch.nn.Flatten()}, "network must be a Network, got Flatten"),
+        ({"network": siamloc.models.build("simple1", "fc500_500_5", image_size=SIZE)}, "length 1"),
+    ],
+)
+def test_settings_without_a_meaning(tmp_path, given, says):
+    given = {"network": RECIPE.build(image_size=SIZE), **given}
+    with pytest.raises(ConfigError, match=says):
+        pretrain(run=tmp_path / "a", **given)
     assert not (tmp_path / "a").exists()
 
 
@@ -226,22 +221,12 @@ def test_closing_while_a_building_is_half_sent_leaves_no_thread_waiting():
     assert not reading.is_alive(), "a script would wait for it at its end, for ever"
 
 
-def test_an_interrupted_command_goes_on_with_the_settings_of_its_run(rendered, tmp_path, monkeypatch):
+def test_the_command_trains_and_says_how_to_go_on(rendered, tmp_path, capsys, monkeypatch):
     monkeypatch.setattr(view_batches, "_VALIDATION_POSES", 3)
     words = ["pairs.epoch_batches=2", "pairs.places=3", "pairs.images=2", "image_size=[16,64]", "optimizer=sgd"]
     views = ["views.held=2", "views.together=1", "views.poses=6", "views.processes=0"]
-    run = f"run={tmp_path / 'run'}"
-    assert siamloc.cli.main(["pretrain", run, "epochs=1", *words, *views, "trainer.precision=32-true"]) == 0
-    assert siamloc.cli.main(["pretrain", run, "resume=true", "epochs=2"]) == 0
-    assert len(siamloc.training.Run(tmp_path / "run").curves()["epoch"]) == 2
-
-
-def test_the_command_trains_and_says_how_to_go_on(rendered, tmp_path, capsys, monkeypatch):
-    monkeypatch.setattr(view_batches, "_VALIDATION_POSES", 3)
-    words = ["epochs=1", "pairs.epoch_batches=2", "pairs.places=3", "pairs.images=2", "image_size=[16,64]"]
-    views = ["views.held=2", "views.together=1", "views.poses=6", "views.processes=0"]
-    assert siamloc.cli.main(["pretrain", f"run={tmp_path / 'run'}", *words, *views, "trainer.precision=32-true"]) == 0
     run = tmp_path / "run"
+    assert siamloc.cli.main(["pretrain", f"run={run}", "epochs=1", *words, *views, "trainer.precision=32-true"]) == 0
     assert (
         f"next: siamloc train experiment=fine_tuning model.branch.weights={run / 'weights.safetensors'}"
         in capsys.readouterr().out
@@ -250,6 +235,8 @@ def test_the_command_trains_and_says_how_to_go_on(rendered, tmp_path, capsys, mo
     assert (best.head.name, kept.head.name) == ("fourier", "magnitudes")
     for name, value in kept.state_dict().items():
         torch.testing.assert_close(value, best.state_dict()[name], rtol=2**-11, atol=1e-7)
+    assert siamloc.cli.main(["pretrain", f"run={run}", "resume=true", "epochs=2"]) == 0
+    assert len(siamloc.training.Run(run).curves()["epoch"]) == 2
 
 
 def test_the_validation_is_of_panoramas(rendered, monkeypatch):

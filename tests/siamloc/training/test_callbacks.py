@@ -15,13 +15,11 @@ import siamloc
 from augment.torchvision_compat import ensure_torchvision
 from siamloc.errors import ConfigError, StorageError
 from siamloc.training.callbacks import AtomicCheckpoints
-from tests.siamloc.training.conftest import SETTINGS
 
 ensure_torchvision()
 from lightning.pytorch import Callback  # noqa: E402
 
 
-# Writes a checkpoint and is stopped for ever where the whole file would get its name.
 @contextmanager
 def files_of_at_most(size: int) -> Iterator[None]:
     """Let the operating system cut files short, as a full disk does."""
@@ -75,11 +73,12 @@ class Fixed(torch.nn.Module):
         return torch.nn.functional.normalize(panorama[:, :, :1].flatten(1) * (1 + 0 * self.weight))
 
 
-def test_a_training_without_progress_stops_early_and_says_so(images, drives, tmp_path, capfd):
+ONE_BATCH = {"epoch_batches": 1}
+
+
+def test_a_training_without_progress_stops_early_and_says_so(train, drives, capfd):
     def fit(**more):
-        options = {"validation": drives[1], "run": tmp_path / "run", "epochs": 9, **SETTINGS, **more}
-        options["pairs"] = {**SETTINGS["pairs"], "epoch_batches": 1}
-        return siamloc.training.fit(Fixed(), images, drives[0], **options)
+        return train(Fixed(), validation=drives[1], epochs=9, pairs=ONE_BATCH, **more)
 
     assert fit(patience=2).curves()["epoch"].tolist() == [0, 1, 2]
     said = capfd.readouterr().err
@@ -90,13 +89,12 @@ def test_a_training_without_progress_stops_early_and_says_so(images, drives, tmp
     assert "stopped early after epoch 5 of 9" in capfd.readouterr().err
 
 
-def test_a_run_that_was_moved_still_knows_its_best_epoch(images, drives, tmp_path):
-    options = {"validation": drives[1], **SETTINGS, "pairs": {**SETTINGS["pairs"], "epoch_batches": 1}}
-    run = siamloc.training.fit(Fixed(), images, drives[0], run=tmp_path / "here", epochs=1, **options)
+def test_a_run_that_was_moved_still_knows_its_best_epoch(train, drives, tmp_path):
+    run = train(Fixed(), validation=drives[1], run="here", pairs=ONE_BATCH)
     moved = run.folder.rename(tmp_path / "there")
     with warnings.catch_warnings():
         warnings.filterwarnings("error", message=".*dirpath has changed")
-        run = siamloc.training.fit(Fixed(), images, drives[0], run=moved, epochs=3, resume=True, **options)
+        run = train(Fixed(), validation=drives[1], run=moved, epochs=3, resume=True, pairs=ONE_BATCH)
     assert len(run.curves()["epoch"]) == 3
     assert torch.load(run.checkpoint("best"), weights_only=True)["epoch"] == 0
     assert not (tmp_path / "here").exists()
@@ -146,13 +144,13 @@ def test_pairs_that_have_nothing_left_to_teach_are_said(images, drives, tmp_path
     assert "warning: hardly any pairs of different places contribute to the loss, train/active is 0.00%: if the" in said
 
 
-def test_patience_needs_a_validation(images, drives, tmp_path):
+def test_patience_needs_a_validation(train, tmp_path):
     with pytest.raises(ConfigError, match="patience=3 counts epochs without a better validation, and nothing is valid"):
-        siamloc.training.fit(Fixed(), images, drives[0], run=tmp_path / "run", patience=3, **SETTINGS)
+        train(Fixed(), patience=3)
     assert not (tmp_path / "run").exists()
 
 
-def test_an_average_follows_its_formula_step_by_step(images, drives, tmp_path):
+def test_an_average_follows_its_formula_step_by_step(train):
     class Noted(Callback):
         """Must stand before the average among the callbacks."""
 
@@ -164,8 +162,7 @@ def test_an_average_follows_its_formula_step_by_step(images, drives, tmp_path):
 
     noted = Noted()
     net = siamloc.models.build("simple1", "flat", (16, 64), outputs=16, seed=0)
-    options = {"epochs": 1, "average": 0.9, "trainer": {"callbacks": [noted]}}
-    siamloc.training.fit(net, images, drives[0], run=tmp_path / "run", **options, **SETTINGS)
+    train(net, average=0.9, trainer={"callbacks": [noted]})
     average, *later = noted.weights
     for now in later:
         average = [held + (1 - 0.9) * (weight - held) for held, weight in zip(average, now, strict=True)]
@@ -173,12 +170,12 @@ def test_an_average_follows_its_formula_step_by_step(images, drives, tmp_path):
     assert all(torch.equal(*pair) for pair in zip(average, net.parameters(), strict=True))
 
 
-def test_an_average_leaves_what_does_not_change_exactly_as_it_is(images, drives, tmp_path):
+def test_an_average_leaves_what_does_not_change_exactly_as_it_is(train):
     """Frozen stages stay as they were, to the last bit, even if the weights that are kept are an average."""
-    settings = {**SETTINGS, "optimizer": {"name": "adamw", "learning_rate": 0.01, "frozen_stages": 1}}
+    optimizer = {"name": "adamw", "learning_rate": 0.01, "frozen_stages": 1}
     net = siamloc.models.build("simple1", "flat", (16, 64), outputs=16, seed=0)
     before = {name: value.clone() for name, value in net.state_dict().items()}
-    siamloc.training.fit(net, images, drives[0], run=tmp_path / "run", epochs=3, average=0.98, **settings)
+    train(net, epochs=3, average=0.98, optimizer=optimizer)
     after = net.state_dict()
     assert all(torch.equal(after[name], before[name]) for name in before if name.startswith("branch."))
     assert not torch.equal(after["head.layer.weight"], before["head.layer.weight"])

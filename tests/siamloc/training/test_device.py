@@ -66,7 +66,7 @@ def test_panoramas_that_are_too_many_or_are_changed_before_stay_where_they_are(f
 
 
 @pytest.mark.parametrize("settings", [PAIRS, PLACES], ids=["pairs", "places"])
-def test_a_compiled_network_learns_the_same_under_the_same_names(fit, monkeypatch, settings):
+def test_a_compiled_network_learns_the_same_under_the_same_names(fit, monkeypatch, settings, capfd):
     monkeypatch.setattr(compiled, "BACKEND", "aot_eager")
     more = {"average": 0.9, "trainer": {"precision": "auto"}, "epochs": 1, **settings}
     calls = []
@@ -79,6 +79,8 @@ def test_a_compiled_network_learns_the_same_under_the_same_names(fit, monkeypatc
         torch.testing.assert_close(weights[name], plain[name], atol=1e-5, rtol=1e-4)
     assert same(siamloc.models.load(run).state_dict(), weights)
     fit("compiled", **{**more, "compile": False, "epochs": 2}, resume=True)
+    fit("one", compile=True, debug="one_batch", **settings)
+    assert "one batch, nothing is kept: loss" in capfd.readouterr().err
 
 
 @pytest.mark.parametrize(
@@ -106,12 +108,6 @@ def test_the_modern_network_is_one_graph_compiled_once(frames, tmp_path, monkeyp
         **settings,
     )
     assert len(graphs) == 1 + relative
-
-
-def test_looking_at_a_batch_sees_the_compiled_network(fit, monkeypatch, capfd):
-    monkeypatch.setattr(compiled, "BACKEND", "aot_eager")
-    fit("one", compile=True, debug="one_batch", **PLACES)
-    assert "one batch, nothing is kept: loss" in capfd.readouterr().err
 
 
 def refuse(graph, inputs):
