@@ -355,7 +355,8 @@ class Effect(ABC):
 
     def paint(self, params: Mapping[str, float], frame: Frame) -> None:
         """Alter one frame in place, as 8-bit levels, with parameters in plain numbers; by default as `render` does."""
-        values = self.tensors({name: torch.tensor([value]) for name, value in params.items()}, *frame.shape[1:])
+        numbers = {name: np.array([value], dtype=np.float64) for name, value in params.items()}
+        values = _as_tensors(self.coefficients(numbers, *frame.shape[1:]))
         done = self.render(torch.from_numpy(frame)[None].float().div_(255), values)[0]
         frame[:] = done.mul(255).round_().clamp_(0, 255).to(torch.uint8).numpy()
 
@@ -372,11 +373,7 @@ class Effect(ABC):
 
     def tensors(self, params: Mapping[str, Tensor], height: int, width: int) -> dict[str, Tensor]:
         """Return the coefficients as `render` takes them, in main memory."""
-        numbers = self.coefficients(as_numbers(params), height, width)
-        return {
-            name: torch.from_numpy(np.atleast_2d(value).T.astype(np.float32))[..., None, None]
-            for name, value in numbers.items()
-        }
+        return _as_tensors(self.coefficients(as_numbers(params), height, width))
 
     def checked(self, params: Mapping[str, Any], count: int, height: int, width: int) -> Params:
         """Return parameters as tensors (B,) in main memory.
@@ -510,6 +507,14 @@ def by_frame(params: Mapping[str, Tensor]) -> list[dict[str, Any]]:
 def as_numbers(params: Mapping[str, Tensor]) -> Numbers:
     """Return parameters as arrays, in double precision."""
     return {key: value.numpy().astype(np.float64) for key, value in params.items()}
+
+
+def _as_tensors(numbers: Numbers) -> dict[str, Tensor]:
+    """Return numbers (B,) or (k, B) as tensors (B, 1, 1, 1) or (B, k, 1, 1), float32."""
+    return {
+        name: torch.from_numpy(np.atleast_2d(value).T.astype(np.float32))[..., None, None]
+        for name, value in numbers.items()
+    }
 
 
 def _count(params: Mapping[str, Tensor]) -> int:

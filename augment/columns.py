@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import partial
 from math import ceil, floor, pi
 from typing import ClassVar
 
@@ -11,8 +12,8 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from augment.base import Effect, Numbers, Params, Range, places_in
-from augment.brushes import Frame
+from augment.base import Effect, Numbers, Params, Range, as_numbers, places_in
+from augment.brushes import Brush, Frame
 
 _MOST = 4  # bars
 _PLACES = tuple(f"place{number}" for number in range(_MOST))
@@ -52,7 +53,8 @@ class Rotate(Effect):
 
     def paint(self, params: Mapping[str, float], frame: Frame) -> None:
         """Move the columns of a frame."""
-        frame[:] = np.roll(frame, int(params["shift"]), axis=2)
+        shift = int(params["shift"]) % frame.shape[2]
+        frame[:] = np.concatenate([frame[:, :, -shift:], frame[:, :, :-shift]], axis=2)
 
     def coefficients(self, params: Numbers, height: int, width: int) -> Numbers:
         """The shift within one turn."""
@@ -90,13 +92,10 @@ class Occlude(Effect):
         column = Range(0, width - 1 if self.circular else 0, whole=True)
         return {"column": column, **{place: Range(0, 1, minimum=0, maximum=1) for place in _PLACES}}
 
-    def paint(self, params: Mapping[str, float], frame: Frame) -> None:
-        """Fill the bars of a frame."""
-        width = frame.shape[2]
-        bars = _bars({key: np.array([value]) for key, value in params.items()}, width)
-        for start, length in np.concatenate(bars, axis=1).astype(int).tolist():
-            frame[:, :, start : start + length] = params["level"]
-            frame[:, :, : max(start + length - width, 0)] = params["level"]
+    def brushes(self, params: Params, height: int, width: int) -> list[Brush]:
+        """Return for each frame what fills its bars; the bars of all frames are computed at once."""
+        starts, lengths = (value.T.astype(int).tolist() for value in _bars(as_numbers(params), width))
+        return [partial(_fill, *bars) for bars in zip(starts, lengths, params["level"].tolist(), strict=True)]
 
     def coefficients(self, params: Numbers, height: int, width: int) -> Numbers:
         """The bars."""
@@ -124,3 +123,9 @@ def _bars(params: Numbers, width: int) -> tuple[NDArray[np.float64], NDArray[np.
     length = np.minimum(np.floor(params["share"] * width / bars + 0.5), room)
     start = sector + np.minimum(np.floor(place * (room - length + 1)), room - length)
     return (start + params["column"]) % width, np.where(number < bars, length, 0)
+
+
+def _fill(starts: list[int], lengths: list[int], level: int, frame: Frame) -> None:
+    for start, length in zip(starts, lengths, strict=True):
+        frame[:, :, start : start + length] = level
+        frame[:, :, : max(start + length - frame.shape[2], 0)] = level
