@@ -8,51 +8,28 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
 import onnx
 import pytest
 
 from foundation.files import file_hash, read_json, write_json
-from siamloc.data.frames import FrameTable
 from siamloc.errors import ConfigError, FormatError, SiamlocError
 from siamloc.maps import VisualMap
 from siamloc.models import as_descriptor, build
 from siamloc.runtime import Bundle, Localizer, export
-from tests.drawn import draw_panorama, draw_sequence
-
-SIZE = (32, 128)
-IMAGES = {"height": 32, "width": 128, "camera": None}
-
-
-def drive(seed):
-    poses = draw_sequence(seed, 6)
-    pictures = np.stack([draw_panorama(p["local_x"], p["y"], p["theta"], p["room"], "cloudy") for p in poses])
-    columns = {key: np.array([pose[key] for pose in poses]) for key in ("x", "y", "theta", "room")}
-    return pictures[..., ::-1], FrameTable(np.array([f"{seed}/{i}.png" for i in range(len(poses))]), **columns)
+from tests.siamloc.runtime.conftest import IMAGES, SIZE, batch, drive
 
 
 @pytest.fixture(scope="module")
 def world():
     network = as_descriptor(build("simple1", "fc500_500_5", SIZE))
-    pictures, frames = drive(0)
-    seen = network.describe(pictures.transpose(0, 3, 1, 2))
+    pictures, frames = drive(0, 6)
+    seen = network.describe(batch(pictures))
     return network, VisualMap(seen.position, frames, {**network.identity, "images": IMAGES}, describes=network)
 
 
 @pytest.fixture(scope="module")
 def folder(world, tmp_path_factory):
     return export(*world, tmp_path_factory.mktemp("robot") / "bundle").path
-
-
-def answers(bundle, images=None, **options):
-    localizer = Localizer(bundle, **options)
-    return [replace(localizer.locate(image), ms=0.0) for image in (drive(1)[0] if images is None else images)]
-
-
-def same(one, other):
-    return all(
-        (a.x, a.y, a.room, a.candidates) == (b.x, b.y, b.room, b.candidates) for a, b in zip(one, other, strict=True)
-    )
 
 
 def told(location):
@@ -64,7 +41,7 @@ def told(location):
 @pytest.mark.parametrize("threads", [1, 2])
 @pytest.mark.parametrize("precision", ["float32", "float16"])
 def test_an_image_has_one_answer_alone_again_in_a_batch_and_from_four_threads(world, tmp_path, precision, threads):
-    images = list(drive(1)[0])
+    images = list(drive(1, 6)[0])
     localizer = Localizer(export(*world, tmp_path / "bundle", precision=precision).path, threads=threads)
     alone = [told(localizer.locate(image)) for image in images]
     assert [told(localizer.locate(image)) for image in images] == alone
@@ -139,4 +116,7 @@ def test_options_without_a_meaning_are_one_sentence(folder, options, says):
 
 
 def test_threads_and_providers_do_not_change_the_answer(folder):
-    assert same(answers(folder, threads=2, providers=("CPUExecutionProvider",)), answers(folder))
+    one, other = Localizer(folder, threads=2, providers=("CPUExecutionProvider",)), Localizer(folder)
+    for picture in drive(1, 6)[0]:
+        a, b = one.locate(picture), other.locate(picture)
+        assert (a.x, a.y, a.room, a.candidates) == (b.x, b.y, b.room, b.candidates)

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-import json
+import shutil
 from dataclasses import replace
+from pathlib import Path
 
 import cv2
 import numpy as np
@@ -50,6 +51,25 @@ def network():
     return as_descriptor(build("simple1", "fc500_500_5", (32, 64)))
 
 
+@pytest.fixture(scope="module")
+def known(world, network):
+    images, monday, _ = world
+    return maps.build(network, images, monday, progress=False)
+
+
+@pytest.fixture(scope="module")
+def made(network, known, tmp_path_factory):
+    """A bundle with a coarse layer."""
+    layer = maps.group(known, "sample", nodes=2)
+    return runtime.export(network, known, tmp_path_factory.mktemp("made") / "bundle", layer=layer)
+
+
+@pytest.fixture
+def bundle(made, tmp_path):
+    """A copy of the bundle, to be changed."""
+    return Path(shutil.copytree(made.path, tmp_path / "copy"))
+
+
 @pytest.mark.parametrize("name", analytic.DESCRIPTORS)
 def test_every_analytic_descriptor_locates_as_its_map_does(world, tmp_path, name):
     images, monday, tuesday = world
@@ -78,10 +98,12 @@ def test_a_descriptor_of_ones_own_is_not_exported(world, tmp_path):
         runtime.export(Own(), maps.build(Own(), images, monday, progress=False), tmp_path / "bundle")
 
 
-def altered(bundle, **changed):
-    """Change bundle.json, and keep the hashes."""
-    path = bundle / "bundle.json"
-    write_json(path, {**read_json(path), **changed})
+def altered(bundle, file=None, **changed):
+    """Change bundle.json, and keep the hashes, except that of a file that was replaced."""
+    about = {**read_json(bundle / "bundle.json"), **changed}
+    if file is not None:
+        about["sha256"][file] = file_hash(bundle / file)
+    write_json(bundle / "bundle.json", about)
     return bundle
 
 
@@ -95,18 +117,15 @@ def test_parameters_that_did_not_make_the_map_are_refused_before_they_take_memor
     ):
         identity = {**known.identity, **hostile}
         replace(known, identity=identity).save(bundle / "map.npz")
-        about = read_json(bundle / "bundle.json")
-        about["sha256"]["map.npz"] = file_hash(bundle / "map.npz")
-        altered(bundle, identity={k: v for k, v in identity.items() if k != "images"}, sha256=about["sha256"])
+        altered(bundle, "map.npz", identity={k: v for k, v in identity.items() if k != "images"})
         with pytest.raises(FormatError, match=says):
             runtime.Localizer(bundle)
 
 
 @pytest.mark.parametrize("by", ["representatives", "vote"])
 @pytest.mark.parametrize("coarse", [None, "hog"])
-def test_a_coarse_layer_is_searched_first_as_the_evaluation_does(world, network, tmp_path, by, coarse):
+def test_a_coarse_layer_is_searched_first_as_the_evaluation_does(world, network, known, tmp_path, by, coarse):
     images, monday, tuesday = world
-    known = maps.build(network, images, monday, progress=False)
     ranks = None if coarse is None else maps.build(described(coarse), images, monday, progress=False)
     layer = maps.group(known if ranks is None else ranks, "sample", nodes=3)
     search = LayerSearch(by=by, candidates=1, neighbours=3)
@@ -121,41 +140,33 @@ def test_a_coarse_layer_is_searched_first_as_the_evaluation_does(world, network,
     assert [whole.locate(path).candidates[0].row for path in tuesday.path.tolist()] == everywhere.indices[:, 0].tolist()
 
 
-def test_where_nodes_hold_too_few_frames_the_whole_map_is_searched(world, network, tmp_path):
-    images, monday, tuesday = world
-    known = maps.build(network, images, monday, progress=False)
+def test_where_nodes_hold_too_few_frames_the_whole_map_is_searched(world, network, known, tmp_path):
+    _, _, tuesday = world
     layer = maps.group(known, "sample", nodes=len(known))
     bundle = runtime.export(network, known, tmp_path / "b", layer=layer, search=LayerSearch(candidates=1))
     both = [runtime.Localizer(bundle.path, top=3, hierarchical=h).locate(tuesday.path[0]) for h in (None, False)]
     assert both[0].candidates == both[1].candidates
 
 
-def test_layers_that_do_not_belong_are_refused(world, network, tmp_path):
-    images, monday, tuesday = world
-    known, other = (maps.build(network, images, frames, progress=False) for frames in (monday, tuesday))
+def test_layers_that_do_not_belong_are_refused(world, network, known, bundle, tmp_path):
+    images, _, tuesday = world
+    layer, other = (
+        maps.group(one, "sample", nodes=2) for one in (known, maps.build(network, images, tuesday, progress=False))
+    )
     with pytest.raises(siamloc.errors.DataError, match="was not built over"):
-        runtime.export(network, known, tmp_path / "b", layer=maps.group(other, "sample", nodes=2))
+        runtime.export(network, known, tmp_path / "b", layer=other)
     with pytest.raises(ConfigError, match="a coarse layer needs the map"):
-        runtime.export(
-            network,
-            None,
-            tmp_path / "b",
-            layer=maps.group(known, "sample", nodes=2),
-            preprocessing=images.preprocessing,
-        )
-    bundle = runtime.export(network, known, tmp_path / "b")
+        runtime.export(network, None, tmp_path / "b", layer=layer, preprocessing=images.preprocessing)
+    plain = runtime.export(network, known, tmp_path / "b")
     with pytest.raises(ConfigError, match="holds no coarse layer: run `siamloc map build=spectral`"):
-        runtime.Localizer(bundle.path, hierarchical=True)
-    bundle = runtime.export(network, known, tmp_path / "b", layer=maps.group(known, "sample", nodes=2))
-    altered(bundle.path, search={"by": "guess"})
+        runtime.Localizer(plain.path, hierarchical=True)
     with pytest.raises(FormatError, match=r"cannot search its coarse layer \(search\.by must be"):
-        runtime.Localizer(bundle.path)
+        runtime.Localizer(altered(bundle, search={"by": "guess"}))
 
 
-def test_pictures_of_the_map_come_along(world, network, tmp_path):
+def test_pictures_of_the_map_come_along_and_damaged_ones_are_refused(world, network, known, made, tmp_path):
     images, monday, _ = world
-    known = maps.build(network, images, monday, progress=False)
-    assert runtime.export(network, known, tmp_path / "none").thumbnail(0) is None
+    assert made.thumbnail(0) is None
     bundle = runtime.export(network, known, tmp_path / "b", images=images, thumbnails=True)
     for row, panorama in enumerate(next(images.batches(monday))):
         picture = cv2.imdecode(np.frombuffer(bundle.thumbnail(row), np.uint8), cv2.IMREAD_COLOR)
@@ -163,26 +174,10 @@ def test_pictures_of_the_map_come_along(world, network, tmp_path):
         assert np.abs(picture[..., ::-1].astype(float) - panorama.transpose(1, 2, 0)).mean() < 12
     with pytest.raises(IndexError):
         bundle.thumbnail(len(monday))
-    with pytest.raises(
-        ConfigError, match="with pictures of the map needs the panoramas of the map's frames: give images="
-    ):
-        runtime.export(network, known, tmp_path / "b", thumbnails=True)
-
-
-def test_damaged_pictures_are_refused(world, network, tmp_path):
-    images, monday, _ = world
-    known = maps.build(network, images, monday, progress=False)
-    bundle = runtime.export(network, known, tmp_path / "b", images=images, thumbnails=True).path
-    for arrays in (
-        {"jpeg": np.zeros(3, np.uint8), "ends": np.array([9])},
-        {"jpeg": np.zeros(3), "ends": np.array([3])},
-    ):
-        np.savez(bundle / "thumbnails.npz", **arrays)
-        about = read_json(bundle / "bundle.json")
-        about["sha256"]["thumbnails.npz"] = file_hash(bundle / "thumbnails.npz")
-        write_json(bundle / "bundle.json", about)
+    for jpeg, end in ((np.zeros(3, np.uint8), 9), (np.zeros(3), 3)):
+        np.savez(bundle.path / "thumbnails.npz", jpeg=jpeg, ends=np.array([end]))
         with pytest.raises(FormatError, match="holds no pictures, or not all of them"):
-            runtime.Bundle.open(bundle).thumbnail(0)
+            runtime.Bundle.open(altered(bundle.path, "thumbnails.npz")).thumbnail(0)
 
 
 @pytest.mark.slow
@@ -211,17 +206,15 @@ def test_fewer_digits_are_shorter_and_locate_alike(world, tmp_path, precision, s
         assert [one.distance for one in candidates] == nearest.distances[0].tolist()
 
 
-def test_int8_gives_the_same_file_again(world, network, tmp_path):
-    images, monday, _ = world
-    known = maps.build(network, images, monday, progress=False)
+def test_int8_gives_the_same_file_again(world, network, known, tmp_path):
+    images, _, _ = world
     for name in ("one", "two"):
         runtime.export(network, known, tmp_path / name, precision="int8", images=images)
     assert file_hash(tmp_path / "one" / "model.onnx") == file_hash(tmp_path / "two" / "model.onnx")
 
 
-def test_auto_takes_the_smallest_that_loses_little(world, network, tmp_path):
-    images, monday, tuesday = world
-    known = maps.build(network, images, monday, progress=False)
+def test_auto_takes_the_smallest_that_loses_little(world, network, known, tmp_path):
+    images, _, tuesday = world
     bundle = runtime.export(network, known, tmp_path / "b", precision="auto", images=images, validation=tuesday)
     rows = [Measured(**row) for row in bundle.about["precisions"]]
     assert [row.precision for row in rows] == ["float32", "float16", "int8"]
@@ -238,7 +231,6 @@ def test_auto_takes_the_smallest_that_loses_little(world, network, tmp_path):
     runtime.Localizer(bundle.path)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
     ("key", "value"),
     [
@@ -253,31 +245,41 @@ def test_auto_takes_the_smallest_that_loses_little(world, network, tmp_path):
         ("precisions", 3),
         ("unit", 5),
         ("sha256", ["model.onnx"]),
+        ("sha256", []),
+        ("preprocessing", 5),
+        ("preprocessing", None),
+        ("preprocessing", {"height": 32}),
+        ("preprocessing", {"height": 32, "width": 128, "camera": {"kind": "Fisheye"}}),
+        ("identity", "vgg16"),
     ],
 )
-def test_altered_descriptions_are_refused(world, network, tmp_path, key, value):
-    images, monday, _ = world
-    known = maps.build(network, images, monday, progress=False)
-    bundle = runtime.export(network, known, tmp_path / "b", layer=maps.group(known, "sample", nodes=2)).path
-    altered(bundle, **{key: value})
-    with pytest.raises(FormatError, match=rf"is not whole, or was altered in {key}[a-z_.]*: export again"):
-        runtime.Bundle.open(bundle)
-    altered(bundle, **{key: None})
+def test_altered_descriptions_are_refused(bundle, key, value):
+    with pytest.raises(FormatError, match=rf"altered in {key}.*: export again"):
+        runtime.Bundle.open(altered(bundle, **{key: value}))
     if key in ("heading", "errors", "precisions", "refinement", "unit"):
-        assert runtime.Bundle.open(bundle).summary()
+        assert runtime.Bundle.open(altered(bundle, **{key: None})).summary()
 
 
-def test_altered_precisions_are_refused(world, network, tmp_path):
-    images, monday, _ = world
-    known = maps.build(network, images, monday, progress=False)
-    bundle = runtime.export(network, known, tmp_path / "b").path
-    for rows in ([{"precision": "int8"}], [["a"]], [{**smallest_row(), "ms": "fast"}]):
+@pytest.mark.parametrize(
+    ("changed", "says"),
+    [
+        ({"version": None}, "has format version None"),
+        ({"version": "2"}, "has format version 2"),
+        ({"version": 1}, "has format version 1, this siamloc reads version 4: export again"),
+        ({"version": 5}, "has format version 5, this siamloc reads version 4: update siamloc"),
+        ({"sha256": {}}, "lists no model.onnx"),
+    ],
+)
+def test_other_versions_and_missing_files_are_refused(bundle, changed, says):
+    with pytest.raises(FormatError, match=says):
+        runtime.Localizer(altered(bundle, **changed))
+
+
+def test_altered_precisions_are_refused(bundle):
+    row = Measured("int8", 1, 1.0, 0.0, 0.1, 3).plain()
+    for rows in ([{"precision": "int8"}], [["a"]], [{**row, "ms": "fast"}]):
         with pytest.raises(FormatError, match="is altered in its precisions"):
             runtime.precision_table(runtime.Bundle.open(altered(bundle, precisions=rows)))
-
-
-def smallest_row():
-    return Measured("int8", 1, 1.0, 0.0, 0.1, 3).plain()
 
 
 def test_the_smallest_is_chosen_among_those_that_lose_little():
@@ -293,22 +295,20 @@ def test_the_smallest_is_chosen_among_those_that_lose_little():
         smallest([replace(full, located=0)])
 
 
-@pytest.mark.parametrize(
-    ("options", "says"),
-    [
-        ({"precision": "int8"}, "precision=int8 needs the panoramas of the map's frames: give images="),
-        ({"precision": "int4"}, "precision must be"),
-    ],
-)
-def test_precisions_that_cannot_be_made_are_one_sentence(world, network, tmp_path, options, says):
-    images, monday, _ = world
-    known = maps.build(network, images, monday, progress=False)
-    with pytest.raises(ConfigError, match=says):
-        runtime.export(network, known, tmp_path / "b", **options)
-    with pytest.raises(ConfigError, match="give frames with positions as validation="):
-        runtime.export(network, known, tmp_path / "b", precision="auto", images=images)
-    with pytest.raises(ConfigError, match="without a map there are neither pictures"):
-        runtime.export(network, None, tmp_path / "b", precision="float16", preprocessing=images.preprocessing)
+def test_what_cannot_be_made_is_one_sentence(world, network, known, tmp_path):
+    images, _, _ = world
+    other = siamloc.data.PanoramaLibrary(images.frames, tmp_path / "cache", image_size=(32, 128))
+    panoramas = "needs the panoramas of the map's frames: give images="
+    for given, options, says in (
+        (known, {"precision": "int8"}, f"precision=int8 {panoramas}"),
+        (known, {"precision": "int4"}, "precision must be"),
+        (known, {"precision": "auto", "images": images}, "give frames with positions as validation="),
+        (known, {"thumbnails": True}, f"with pictures of the map {panoramas}"),
+        (known, {"thumbnails": True, "images": other}, r"images\.width is 64 in the map, 128 here"),
+        (None, {"precision": "float16", "preprocessing": images.preprocessing}, "without a map there are neither"),
+    ):
+        with pytest.raises(ConfigError, match=says):
+            runtime.export(network, given, tmp_path / "b", **options)
     assert not (tmp_path / "b").exists()
 
 
@@ -349,9 +349,8 @@ def test_a_shortened_map_is_read_back(world, tmp_path):
             assert read.description.orientation.shape == known.orientation.shape
 
 
-def test_several_images_at_once_give_the_same_answers(world, network, tmp_path):
-    images, monday, tuesday = world
-    known = maps.build(network, images, monday, progress=False)
+def test_several_images_at_once_give_the_same_answers(world, network, known, tmp_path):
+    images, _, tuesday = world
     errors = evaluation.error_model(known, images, tuesday, lost_above=1.0)
     localizer = runtime.Localizer(runtime.export(network, known, tmp_path / "b", errors=errors).path)
     paths = tuesday.path.tolist()
@@ -366,26 +365,14 @@ def test_several_images_at_once_give_the_same_answers(world, network, tmp_path):
         assert repr(replace(localizer.locate_panorama(same), ms=0)) == repr(replace(alone[0], ms=0))
 
 
-def test_panoramas_of_another_size_are_one_sentence(world, network, tmp_path):
-    images, monday, _ = world
-    known = maps.build(network, images, monday, progress=False)
-    localizer = runtime.Localizer(runtime.export(network, known, tmp_path / "b").path)
+def test_panoramas_of_another_size_are_one_sentence(made):
+    localizer = runtime.Localizer(made.path)
     for wrong in (np.zeros((3, 16, 64), np.uint8), np.zeros((3, 32, 64)), np.zeros((16, 64, 3), np.uint8)):
         with pytest.raises(siamloc.errors.DataError, match=r"a panorama has shape \(3, 32, 64\) and dtype uint8, got"):
             localizer.locate_panorama(wrong)
 
 
-def test_images_made_in_another_way_are_refused(world, network, tmp_path):
-    images, monday, _ = world
-    known = maps.build(network, images, monday, progress=False)
-    other = siamloc.data.PanoramaLibrary(images.frames, tmp_path / "cache", image_size=(32, 128))
-    with pytest.raises(ConfigError, match=r"images\.width is 64 in the map, 128 here"):
-        runtime.export(network, known, tmp_path / "b", images=other, thumbnails=True)
-
-
-def test_figures_of_the_evaluation_are_kept(world, network, tmp_path):
-    images, monday, _ = world
-    known = maps.build(network, images, monday, progress=False)
+def test_figures_of_the_evaluation_are_kept(network, known, tmp_path):
     figures = {"errors": {"absolute": {"mean": 0.2}}}
     bundle = runtime.export(network, known, tmp_path / "b", figures=figures)
-    assert json.loads((bundle.path / "bundle.json").read_text())["figures"] == bundle.about["figures"] == figures
+    assert read_json(bundle.path / "bundle.json")["figures"] == bundle.about["figures"] == figures

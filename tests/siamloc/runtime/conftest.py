@@ -1,0 +1,24 @@
+"""Drawn drives for the tests of bundles."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from siamloc.data.frames import FrameTable
+from tests.drawn import draw_panorama, draw_sequence
+
+SIZE = (32, 128)
+IMAGES = {"height": 32, "width": 128, "camera": None}
+
+
+def drive(seed: int, frames_per_room: int = 8) -> tuple[np.ndarray, FrameTable]:
+    """Return the pictures (N, H, W, 3), RGB, and the frames of a drive through the drawn flat."""
+    poses = draw_sequence(seed, frames_per_room)
+    pictures = [draw_panorama(p["local_x"], p["y"], p["theta"], p["room"])[..., ::-1] for p in poses]
+    columns = {key: np.array([pose[key] for pose in poses]) for key in ("x", "y", "theta", "room")}
+    return np.stack(pictures), FrameTable(np.array([f"{seed}/{i}.png" for i in range(len(poses))]), **columns)
+
+
+def batch(pictures: np.ndarray) -> np.ndarray:
+    """Return pictures as a batch of panoramas (N, 3, H, W)."""
+    return pictures.transpose(0, 3, 1, 2)
