@@ -87,7 +87,7 @@ def main() -> None:
                                 continue
                             queries = table.select(sequence=drive)
                             if (place, drive) not in described:
-                                found = siamloc.maps.describing.describe(known.describer, images[place], queries)
+                                found = siamloc.maps.describing.describe(known.descriptor, images[place], queries)
                                 described[place, drive] = list(found)
                             lost, xy = lost_of(described[place, drive], known, model)
                             if place == home:

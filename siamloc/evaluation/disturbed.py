@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Annotated, Any, TypedDict
 import numpy as np
 from numpy.typing import NDArray
 
-from analytic import Descriptor
 from foundation.calls import OF_FIELDS, takes
 from foundation.settings import Count, NotNegative, Rule, Seed, Settings
 from siamloc.data.frames import FrameTable
@@ -212,14 +211,13 @@ def _located(
     clock: Stopwatch,
 ) -> dict[tuple[str, float], Answer]:
     """Locate queries, batch by batch, at every level of every disturbance."""
-    describer: Descriptor = known.describer
     barred: NDArray[np.bool_] | None = None
     nearest = _geometrically_nearest(known.frames, queries, excluded)
     asked = slice(0)
 
     def locate(images: Images) -> Answer:
         with clock.of("describe", len(images)):
-            described = describer.describe(images)
+            described = known.describe(images)
         with clock.of("search", len(images)):
             answer = match(known, described, 1, excluded=barred)
         with clock.of("heading", len(images)):

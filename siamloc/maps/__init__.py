@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from siamloc.maps.describing import build, describe
     from siamloc.maps.error_model import ErrorModel
     from siamloc.maps.grouping import WAYS, Built, group
-    from siamloc.maps.heading import HeadingPart, WithHeading
+    from siamloc.maps.heading import HeadingPart
     from siamloc.maps.hierarchy import HierarchicalRetrieval, HierarchicalSearch, LayerSearch
     from siamloc.maps.interpolation import interpolate_poses
     from siamloc.maps.matching import frame_distances, headings, match
@@ -39,7 +39,6 @@ _HOMES = {
     "Built": "grouping",
     "group": "grouping",
     "HeadingPart": "heading",
-    "WithHeading": "heading",
     "HierarchicalRetrieval": "hierarchy",
     "HierarchicalSearch": "hierarchy",
     "LayerSearch": "hierarchy",
@@ -81,7 +80,6 @@ __all__ = [
     "SequenceFilter",
     "VectorIndex",
     "VisualMap",
-    "WithHeading",
     "build",
     "describe",
     "frame_distances",

@@ -12,7 +12,7 @@ from analytic import DESCRIPTORS, Description, Descriptor, descriptor
 from foundation.calls import typed
 from siamloc.data.frames import FrameTable
 from siamloc.errors import ConfigError, DataError, hint
-from siamloc.maps.heading import HeadingPart, NetworkHeading, WithHeading
+from siamloc.maps.heading import HeadingPart, NetworkHeading, described
 from siamloc.maps.visual_map import VisualMap
 from siamloc.progress import track
 from siamloc.stopwatch import Stopwatch
@@ -77,7 +77,11 @@ def build(
         )
     if turning is not None and turning.name == NetworkHeading.name:
         raise ConfigError("a network finds headings only in the map that it describes itself: leave heading out")
-    both = by if turning is None else WithHeading(by, turning)
+    if turning is not None and (by.aligned or turning.aligned):
+        raise ConfigError(
+            f"{(by if by.aligned else turning).name} compares whole images after turning them and finds headings by "
+            "itself: use it as the descriptor, and one such as hog for the heading of others"
+        )
     by_network = by.name == NetworkHeading.name
     if turning is None and images.circular and by_network and by.tells_heading:
         turning = NetworkHeading()
@@ -85,19 +89,20 @@ def build(
     if not len(readable):
         raise DataError(f"none of the images of the {len(frames)} map frames could be read")
     what = "describing the map" if progress else None
-    described = Description.concatenate(list(describe(both, images, readable, progress=what)))
+    second = None if isinstance(turning, NetworkHeading) else turning
+    found = Description.concatenate(list(describe(by, images, readable, heading=second, progress=what)))
     part = None
-    if turning is not None and described.orientation is not None:
-        part = HeadingPart.of(turning, described.orientation)
+    if turning is not None and found.orientation is not None:
+        part = HeadingPart.of(turning, found.orientation)
     data = {**readable.source, **images.settings()}
     return VisualMap(
-        described.position,
+        found.position,
         readable,
         {**by.identity, "images": images.preprocessing.parameters()},
         by.default_distance if distance is None else distance,
         unit=readable.unit,
         made={"data": data, "sequences": list(readable.rows_by("sequence")), "frames": len(readable), **(made or {})},
-        orientation=None if turning is not None or by_network else described.orientation,
+        orientation=None if turning is not None or by_network else found.orientation,
         heading=part,
         describes=by,
     )
@@ -109,6 +114,7 @@ def describe(
     images: PanoramaLibrary,
     frames: FrameTable,
     *,
+    heading: Descriptor | None = None,
     progress: str | None = None,
     clock: Stopwatch | None = None,
 ) -> Iterator[Description]:
@@ -117,10 +123,11 @@ def describe(
     Descriptions that are compared after turning are large, so it is better to search batch by batch.
 
     Args:
-        by: a descriptor, or the map in which the frames are to be found: then its `describer`, after a check that the
+        by: a descriptor, or the map in which the frames are to be found: then its descriptors, after a check that the
             panoramas are made in the same way.
         images: panoramas of the frames.
         frames: n frames, all readable.
+        heading: a second descriptor, whose orientation parts are used; that of the map if `by` is a map.
         progress: label of the progress bar; None to show nothing.
         clock: measures the time spent on describing, without decoding, as its step "describe".
 
@@ -129,15 +136,16 @@ def describe(
     """
     if isinstance(by, VisualMap):
         by.check_images(images.preprocessing.parameters())
-        by = by.describer
+        heading = by.heading_descriptor
+        by = by.descriptor
     clock = Stopwatch() if clock is None else clock
-    parts = (_timed(clock, by, batch) for batch in images.batches(frames))
+    parts = (_timed(clock, by, heading, batch) for batch in images.batches(frames))
     return parts if progress is None else track(parts, len(frames), progress, size=len)
 
 
-def _timed(clock: Stopwatch, by: Descriptor, batch: NDArray[np.uint8]) -> Description:
+def _timed(clock: Stopwatch, by: Descriptor, heading: Descriptor | None, batch: NDArray[np.uint8]) -> Description:
     with clock.of("describe", len(batch)):
-        return by.describe(batch)
+        return described(by, heading, batch)
 
 
 def descriptor_from(by: Descriptor | nn.Module | str, *, circular: bool, device: str | None = "auto") -> Descriptor:

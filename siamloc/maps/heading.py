@@ -12,7 +12,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from analytic import DESCRIPTORS, Description, Descriptor, ImageDescriptor, descriptor
 from analytic.descriptors.between_columns import BetweenColumns
-from foundation.calls import typed
 from foundation.files import plain
 from siamloc.errors import ConfigError, DataError
 from siamloc.maps.packing import all_finite, packed
@@ -141,50 +140,10 @@ class NetworkHeading(BetweenColumns):
         Raises:
             ConfigError: always.
         """
-        raise ConfigError("orientation parts by a network come from the network: describe images with known.describer")
+        raise ConfigError("orientation parts by a network come from the network: describe images with known.describe")
 
 
-class WithHeading(Descriptor):
-    """The position part of one descriptor with the orientation part of another, in one pass over the images.
-
-    Args:
-        position: descriptor that finds places, such as a trained network.
-        heading: analytic descriptor that gives headings.
-
-    Raises:
-        ConfigError: a pair that does not work together.
-    """
-
-    name: ClassVar[str] = "with_heading"
-
-    @typed
-    def __init__(self, position: Descriptor, heading: Descriptor) -> None:
-        if position.aligned or heading.aligned:
-            found = position if position.aligned else heading
-            raise ConfigError(
-                f"{found.name} compares whole images after turning them and finds headings by itself: use it as the "
-                "descriptor, and one such as hog for the heading of others"
-            )
-        if not heading.tells_heading:
-            raise ConfigError("headings need columns that wrap around: leave heading out, or set data.circular=true")
-        self.position = position
-        self.heading = heading
-
-    @property
-    def identity(self) -> dict[str, Any]:
-        """Names and parameters of the position descriptor and of the heading descriptor, as plain values."""
-        return {**self.position.identity, "heading": self.heading.identity}
-
-    def describe(self, batch: ArrayLike) -> Description:
-        """Describe images: position parts from one descriptor, orientation parts from the other."""
-        return Description(self.position.describe(batch).position, self.heading.describe(batch).orientation)
-
-    def pairwise(
-        self, queries: Description, references: Description, distance: str | None = None
-    ) -> NDArray[np.float64]:
-        """Return the distances (n, m) between position parts."""
-        return self.position.pairwise(queries, references, distance or self.position.default_distance)
-
-    def relative_heading(self, query: Description, reference: Description) -> NDArray[np.float64]:
-        """Return the relative heading from the orientation parts; see `Descriptor.relative_heading`."""
-        return self.heading.relative_heading(query, reference)
+def described(by: Descriptor, heading: Descriptor | None, batch: ArrayLike) -> Description:
+    """Describe images with one descriptor, and with the orientation parts of a second one if there is one."""
+    found = by.describe(batch)
+    return found if heading is None else Description(found.position, heading.describe(batch).orientation)

@@ -57,7 +57,7 @@ def headings(known: VisualMap, queries: Description, found: Retrieval, count: in
 
     Args:
         known: a map of m frames, whose headings and orientation parts are used; see `siamloc.maps.build(heading=...)`.
-        queries: n descriptions by `known.describer`.
+        queries: n descriptions by `known.describe`.
         found: the nearest map frames of each query, at least `count`.
         count: number of map frames to use for each query.
 

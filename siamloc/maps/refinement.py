@@ -160,7 +160,7 @@ def refine(
 
     Args:
         known: a map of m frames with positions, headings and orientation parts.
-        queries: n descriptions with orientation parts, by `known.describer`.
+        queries: n descriptions with orientation parts, by `known.describe`.
         found: the nearest map frames of each query.
         compares: a comparison function; the `compare` method of the map's descriptor if None.
         k: number of map frames to compare, at least 1.

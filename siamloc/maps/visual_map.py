@@ -20,7 +20,7 @@ from foundation.files import plain
 from siamloc.data.frames import FrameTable
 from siamloc.errors import ConfigError, DataError, FormatError, hint
 from siamloc.maps.aligned import AlignedIndex
-from siamloc.maps.heading import HeadingPart, WithHeading, descriptor_of, is_analytic
+from siamloc.maps.heading import HeadingPart, described, descriptor_of, is_analytic
 from siamloc.maps.map_file import not_whole, read_map, write_map
 from siamloc.maps.packing import Precision, all_finite, shares_values
 from siamloc.maps.search import Retrieval, VectorIndex
@@ -126,12 +126,21 @@ class VisualMap:
             )
         return descriptor_of(self.identity)
 
-    @cached_property
-    def describer(self) -> Descriptor:
-        """The descriptor that describes queries, including the part that gives their headings."""
-        if self.heading is None or self.heading.own:
-            return self.descriptor
-        return WithHeading(self.descriptor, self.heading.descriptor)
+    @property
+    def heading_descriptor(self) -> Descriptor | None:
+        """The second descriptor, which gives the headings; None if the map's own descriptor does, or nothing."""
+        return None if self.heading is None or self.heading.own else self.heading.descriptor
+
+    def describe(self, batch: ArrayLike) -> Description:
+        """Describe images as the frames of the map were described, including the parts that give their headings.
+
+        Args:
+            batch: images, as for `analytic.Descriptor.describe`.
+
+        Raises:
+            ConfigError: the map holds no descriptor, see `descriptor`.
+        """
+        return described(self.descriptor, self.heading_descriptor, batch)
 
     @property
     def aligned(self) -> bool:

@@ -48,7 +48,7 @@ def test_a_chunk_of_images_waits_once_and_a_comparison_once(gpu, network, here, 
 def test_refinement_waits_twice_at_most(gpu, network, images, drives):
     known = siamloc.maps.build(network, images, drives[0], progress=False)
     assert known.descriptor.module is network
-    queries = known.describer.describe(images.batch(range(16, 32)))
+    queries = known.describe(images.batch(range(16, 32)))
     found = known.search(queries.position, k=3)
     siamloc.maps.refine(known, queries, found)
     gpu.clear()

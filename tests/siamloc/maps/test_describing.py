@@ -104,6 +104,8 @@ def test_what_cannot_be_built(images, tmp_path):
         build("hgo", library, frames)
     with pytest.raises(ConfigError, match="briefgist compares whole images after turning them"):
         build(analytic.descriptor("briefgist", rows=8), library, frames, heading="hog")
+    with pytest.raises(ConfigError, match="briefgist compares whole images after turning them"):
+        build("thumbnail", library, frames, heading=analytic.descriptor("briefgist", rows=8))
     flat = PanoramaLibrary(frames, tmp_path, image_size=SIZE, circular=False)
     with pytest.raises(ConfigError, match="heading=hog needs columns that are a full turn"):
         build("thumbnail", flat, frames, heading="hog")
@@ -132,7 +134,7 @@ def test_a_network_that_finds_headings_keeps_them_in_its_map(images, tmp_path):
     assert known.orientation is None
     assert known.heading.own
     assert known.heading.values.dtype == np.float16
-    assert known.describer is known.descriptor
+    assert known.heading_descriptor is None
     seen = Description.concatenate(list(describe(known, library, library.readable(frames))))
     found = match(known, seen)
     np.testing.assert_array_equal(found.indices[:, 0], np.arange(6))

@@ -14,8 +14,8 @@ import analytic
 from analytic import Description
 from siamloc.data.frames import FrameTable
 from siamloc.errors import ConfigError, DataError, FormatError
-from siamloc.maps import HeadingPart, Retrieval, VisualMap, WithHeading, headings
-from siamloc.maps.heading import is_analytic
+from siamloc.maps import HeadingPart, Retrieval, VisualMap, headings
+from siamloc.maps.heading import described, is_analytic
 from tests.drawn import draw_panorama
 
 SIZE = (32, 128)
@@ -40,7 +40,7 @@ def map_with_headings(thetas, heading) -> VisualMap:
         y=np.zeros(len(thetas)),
         theta=np.array(thetas),
     )
-    both = WithHeading(THUMBNAIL, heading).describe(views(thetas))
+    both = described(THUMBNAIL, heading, views(thetas))
     part = HeadingPart.of(heading, both.orientation)
     return VisualMap(both.position, frames, THUMBNAIL.identity, "correlation", heading=part)
 
@@ -86,7 +86,7 @@ def test_round_trip_through_the_file(tmp_path: Path, name: str) -> None:
 def test_the_map_frames_own_heading_is_added() -> None:
     hog = analytic.descriptor("hog")
     known = map_with_headings([0.5, -2.0], hog)
-    seen = known.describer.describe(views([3.1, -1.0]))
+    seen = known.describe(views([3.1, -1.0]))
     found = Retrieval(np.array([[0], [1]]), np.zeros((2, 1)))
     told = headings(known, seen, found)[:, 0]
     step = hog.resolution(SIZE[1])
@@ -127,28 +127,6 @@ def test_headings_by_another_descriptor_are_refused() -> None:
         known.with_heading(analytic.descriptor("fs", **SMALL["fs"]))
     with pytest.raises(ConfigError, match=r"gives headings by hog with rows=.* instead of 2"):
         known.with_heading(analytic.descriptor("hog", rows=2))
-
-
-def test_both_parts_come_from_one_pass() -> None:
-    hog, thumbnail = analytic.descriptor("hog"), THUMBNAIL
-    both, images = WithHeading(thumbnail, hog), views([0.0, 1.0])
-    seen = both.describe(images)
-    np.testing.assert_array_equal(seen.position, thumbnail.describe(images).position)
-    np.testing.assert_array_equal(seen.orientation, hog.describe(images).orientation)
-    expected = thumbnail.pairwise(thumbnail.describe(images), thumbnail.describe(images))
-    np.testing.assert_allclose(both.pairwise(seen, seen), expected, atol=1e-12)
-    np.testing.assert_allclose(both.pairwise(seen, seen, "cosine"), thumbnail.pairwise(seen, seen, "cosine"))
-    np.testing.assert_array_equal(both.relative_heading(seen, seen), [0, 0])
-    assert both.identity == {**thumbnail.identity, "heading": hog.identity}
-
-
-def test_pairs_that_cannot_stand_together() -> None:
-    hog, aligned = analytic.descriptor("hog"), analytic.descriptor("briefgist", rows=8)
-    for first, second in ((aligned, hog), (THUMBNAIL, aligned)):
-        with pytest.raises(ConfigError, match="briefgist compares whole images after turning them"):
-            WithHeading(first, second)
-    with pytest.raises(ConfigError, match=r"leave heading out, or set data\.circular=true"):
-        WithHeading(THUMBNAIL, analytic.descriptor("hog", circular=False))
 
 
 def test_parts_that_are_no_heading_parts() -> None:

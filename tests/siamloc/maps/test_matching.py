@@ -56,7 +56,7 @@ def test_no_headings_where_there_is_nothing_to_find_them_by():
     flat, ordinary = THUMBNAIL, analytic.descriptor("hog", rows=4, window=16, circular=False)
     unknown = map_of(HOG, IMAGES)  # the map frames have no heading
     for known in (unknown, map_of(flat, IMAGES, np.zeros(9)), map_of(ordinary, IMAGES, np.zeros(9))):
-        queries = known.describer.describe(IMAGES)
+        queries = known.describe(IMAGES)
         told = headings(known, queries, match(known, queries, 3), 2)
         assert told.shape == (9, 2)
         assert np.isnan(told).all()
@@ -65,7 +65,7 @@ def test_no_headings_where_there_is_nothing_to_find_them_by():
 @pytest.mark.parametrize("descriptor", [HOG, BRIEF, THUMBNAIL], ids=lambda d: d.name)
 def test_excluded_frames_are_not_found_and_the_others_exactly(descriptor):
     known = map_of(descriptor, IMAGES)
-    queries = known.describer.describe(np.roll(IMAGES, 8, axis=2))
+    queries = known.describe(np.roll(IMAGES, 8, axis=2))
     excluded = np.eye(9, dtype=bool) | (np.arange(9) == 4)
     apart = np.where(excluded, np.inf, descriptor.pairwise(queries, known.description))
     found = match(known, queries, 5, excluded=excluded)

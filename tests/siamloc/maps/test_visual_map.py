@@ -75,7 +75,7 @@ def test_a_map_knows_its_descriptor(tmp_path: Path) -> None:
     hog_map = VisualMap(np.eye(2), frames, {**hog.identity, "images": {"height": 16, "width": 64, "camera": None}})
     hog_map.save(tmp_path / "map.npz")
     assert VisualMap.load(tmp_path / "map.npz").descriptor == hog
-    assert VisualMap.load(tmp_path / "map.npz", hog).describer is hog
+    assert VisualMap.load(tmp_path / "map.npz", hog).descriptor is hog
     with pytest.raises(ConfigError, match=r"rows is 2 in the map, 4 here.*build the map again"):
         VisualMap.load(tmp_path / "map.npz", analytic.descriptor("hog", rows=4))
     hog_map.check_images({"height": 16, "width": 64, "camera": None})

@@ -19,9 +19,9 @@ from foundation.files import file_hash, read_json, write_json
 from siamloc.data.decoding import Preprocessing
 from siamloc.data.names import NamedPose
 from siamloc.errors import ConfigError, DataError, FormatError
-from siamloc.maps import HeadingPart, VisualMap, WithHeading, headings
+from siamloc.maps import HeadingPart, VisualMap, headings
 from siamloc.maps.error_model import ErrorModel
-from siamloc.maps.heading import NetworkHeading
+from siamloc.maps.heading import NetworkHeading, described
 from siamloc.models import as_descriptor, build
 from siamloc.runtime import Bundle, Localizer, Located, export, locate_all, written
 from tests.drawn import ROOMS
@@ -33,9 +33,8 @@ def world():
     """A network, a map with headings, and an error model."""
     network = as_descriptor(build("simple1", "fc500_500_5", SIZE))
     hog = analytic.descriptor("hog", rows=1)
-    both = WithHeading(network, hog)
     pictures, frames = drive(0)
-    seen = both.describe(batch(pictures))
+    seen = described(network, hog, batch(pictures))
     part = HeadingPart.of(hog, seen.orientation)
     known = VisualMap(seen.position, frames, {**network.identity, "images": IMAGES}, heading=part, describes=network)
     pictures, _ = drive(1)
@@ -81,7 +80,7 @@ def rewritten(bundle, folder, **parts):
 def test_theta_and_error_are_those_of_the_evaluation(world, bundle):
     _, known, errors = world
     pictures, _ = drive(2)
-    seen = known.describer.describe(batch(pictures))
+    seen = known.describe(batch(pictures))
     found = known.search(seen.position, 20)
     theta = headings(known, seen, found)[:, 0]
     expected = errors.predict(found, known.frames.xy)
@@ -391,7 +390,7 @@ def test_a_network_that_finds_headings_needs_nothing_beside_it(tmp_path):
     assert bundle.parity["orientation"]["max_relative_difference"] <= 1e-4
     assert "the robot gets: position, heading (by network)" in bundle.summary()
     queries, _ = drive(1)
-    described = known.describer.describe(batch(queries))
+    described = known.describe(batch(queries))
     found = known.search(described.position)
     expected = headings(known, described, found)[:, 0]
     localizer = Localizer(tmp_path / "bundle")

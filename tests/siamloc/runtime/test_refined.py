@@ -75,7 +75,7 @@ def test_the_robot_refines_as_the_evaluation_does(network, known, bundle, tmp_pa
     relative = method == "relative"
     folder = bundle if relative else bundled(tmp_path / "bundle", network, known, method=method, widening=2.0)
     pictures, _ = drive(2)
-    seen = known.describer.describe(batch(pictures))
+    seen = known.describe(batch(pictures))
     expected = refinement(known, method, widening=2.0).poses(known, seen, match(known, seen, 3))
     localizer = Localizer(folder, top=1)
     found = [localizer.locate(picture) for picture in pictures]
@@ -97,7 +97,7 @@ def test_the_robot_is_followed_as_the_filter_of_the_evaluation_does(known, bundl
     alone = [localizer.locate(picture) for picture in pictures]
     tracker = localizer.tracker(step=0.3)
     found = [localizer.locate(picture, tracker) for picture in pictures]
-    seen = known.describer.describe(batch(pictures))
+    seen = known.describe(batch(pictures))
     poses = refinement(known, "relative", widening=2.0).poses(known, seen, match(known, seen, 3))
     expected = PoseFilter(0.3).run(poses, np.full(len(poses), "drive"))
     np.testing.assert_allclose([[one.x, one.y] for one in found], expected.xy, atol=1e-2)
@@ -144,7 +144,7 @@ def test_poses_that_are_map_frames_are_followed_as_by_the_sequence_filter(networ
     pictures, localizer = drive(2)[0], Localizer(plain)
     tracker = localizer.tracker(step=0.3)
     found = [localizer.locate(picture, tracker) for picture in pictures]
-    seen = known.describer.describe(batch(pictures))
+    seen = known.describe(batch(pictures))
     robot = SequenceFilter(MotionModel.learn(known.frames, step=0.3), temperature_of_map(known))
     expected = robot.run(frame_distances(known, seen), np.full(len(pictures), "drive"))
     np.testing.assert_allclose([[one.x, one.y] for one in found], known.frames.xy[expected.frame])
@@ -179,7 +179,7 @@ def test_a_map_without_some_positions_is_refined_by_the_others(network, known, t
     folder = tmp_path / "bundle"
     export(network, partly, folder, refinement=refinement(placed, "relative"))
     pictures, _ = drive(2)
-    seen = known.describer.describe(batch(pictures))
+    seen = known.describe(batch(pictures))
     nearest = match(partly, seen, 1).indices[:, 0]
     expected = refinement(placed, "relative").poses(placed, seen, match(placed, seen, 3))
     found = [Localizer(folder).locate(picture) for picture in pictures]
@@ -192,7 +192,7 @@ def test_a_map_without_some_positions_is_refined_by_the_others(network, known, t
 
 def test_expected_errors_are_those_of_the_refined_poses(network, known, tmp_path):
     pictures, frames = drive(2)
-    seen = known.describer.describe(batch(pictures))
+    seen = known.describe(batch(pictures))
     poses = refinement(known, "relative").poses(known, seen, match(known, seen, 3))
     errors = replace(
         ErrorModel.fit_poses(poses, np.hypot(*(poses.xy - frames.xy).T)), lost_above=1.0, map_digest=known.digest
