@@ -104,6 +104,10 @@ def test_no_public_name_is_that_of_a_module_which_would_hide_it(package):
         if isinstance(node, ast.Assign) and "_HOMES" in ast.dump(node) and isinstance(node.value, ast.Dict):
             homes = zip(node.value.keys, node.value.values, strict=True)
             names |= {name.value for name, home in homes if home.value}
+        if isinstance(node, ast.If):  # names that are loaded on first use
+            imports = [one for one in node.body if isinstance(one, ast.ImportFrom)]
+            parts = [one for one in imports if one.module != ".".join(package.parts)]
+            names |= {alias.name for one in parts for alias in one.names}
     modules = {path.stem for path in (ROOT / package).iterdir()}
     assert not names & modules, f"importing these modules of {package} would hide the names"
 
