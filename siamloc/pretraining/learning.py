@@ -84,16 +84,14 @@ def pretrain(
     run = run if isinstance(run, Run) else Run(run)  # type: ignore[arg-type]
     views = views if isinstance(views, ViewSettings) else ViewSettings.of(views or {})
     options = RECIPE.options({"trainer": trainer or {}, **changes})
-    loss, trainer = options.pop("loss") if loss is None else loss, options.pop("trainer")
-    augmentation = options["augmentation"] if augmentation is None else augmentation
+    of_recipe, trainer = {key: options.pop(key) for key in ("loss", "augmentation")}, options.pop("trainer")
+    loss = of_recipe["loss"] if loss is None else loss
+    augmentation = of_recipe["augmentation"] if augmentation is None else augmentation
     if settings is None:
-        fields = {key: value for key, value in options.items() if key not in ("loss", "augmentation")}
-        settings = Training.of(fields)
+        settings = Training.of(options)
     elif changes:
         raise ConfigError(f"settings= has all fields: give {', '.join(changes)} in it, or leave it out")
     places = _check(settings, views)
-    if not isinstance(network, Network):
-        raise ConfigError("pretraining needs a network of siamloc.models.build, whose image size it renders at")
     if isinstance(loss, CrossEntropyLoss):
         raise ConfigError(
             "loss=cross_entropy learns the rooms of one building by name, and pretraining takes one building after "

@@ -31,10 +31,11 @@ def building_seed(seed: int, number: int) -> int:
     return (seed * _STEP + number) % _SEEDS
 
 
+@dataclass(eq=False)
 class BuildingStream:
     """Random buildings in order, rendered before they are needed.
 
-    Args:
+    Attributes:
         renderer: renders them.
         image_size: rows and columns of the images.
         settings: of the buildings.
@@ -43,17 +44,14 @@ class BuildingStream:
         world_size: number of those processes.
     """
 
-    def __init__(
-        self,
-        renderer: Renderer,
-        image_size: Sequence[int],
-        settings: ViewSettings,
-        seed: int,
-        rank: int = 0,
-        world_size: int = 1,
-    ) -> None:
-        self._renderer, self._size, self._settings, self._seed = renderer, tuple(image_size), settings, seed
-        self._rank, self._world_size = rank, world_size
+    renderer: Renderer
+    image_size: Sequence[int]
+    settings: ViewSettings
+    seed: int
+    rank: int = 0
+    world_size: int = 1
+
+    def __post_init__(self) -> None:
         self._here: dict[int, tuple[Views, FrameTable]] = {}
 
     def held(self, newest: int) -> list[tuple[Views, FrameTable]]:
@@ -62,22 +60,22 @@ class BuildingStream:
         Raises:
             DataError: a rendering process has died.
         """
-        numbers = range(max(0, newest + 1 - self._settings.held), newest + 1)
+        numbers = range(max(0, newest + 1 - self.settings.held), newest + 1)
         self._here = {number: here for number, here in self._here.items() if number in numbers}
-        for number in range(numbers.start, numbers.stop + max(2, 2 * self._settings.processes)):
+        for number in range(numbers.start, numbers.stop + max(2, 2 * self.settings.processes)):
             if number not in self._here:
-                self._renderer.begin(self._wanted(number))
+                self.renderer.begin(self._wanted(number))
         for number in numbers:
             if number not in self._here:
-                views = self._renderer.views(self._wanted(number))
-                self._here[number] = views, frames_of(views, f"building {number * self._world_size + self._rank}")
+                views = self.renderer.views(self._wanted(number))
+                self._here[number] = views, frames_of(views, f"building {number * self.world_size + self.rank}")
         return [self._here[number] for number in numbers]
 
     def _wanted(self, number: int) -> Wanted:
-        settings = self._settings
-        seed = building_seed(self._seed, number * self._world_size + self._rank)
+        settings = self.settings
+        seed = building_seed(self.seed, number * self.world_size + self.rank)
         return (
-            *(seed, self._size, settings.drives, settings.lights, settings.poses, settings.spacing),
+            *(seed, tuple(self.image_size), settings.drives, settings.lights, settings.poses, settings.spacing),
             *(settings.cameras, settings.exposure),
         )
 
@@ -121,8 +119,7 @@ class ViewBatches(Dataset[dict[str, Any]]):
     world_size: int = 1
 
     def __len__(self) -> int:
-        assert self.places.epoch_batches is not None
-        return self.places.epoch_batches
+        return self.places.epoch_batches or 0
 
     def drawn(self, epoch: int, batch: int) -> tuple[list[Views], FrameTable, NDArray[np.int64]]:
         """Return the buildings of a batch, the frames of all their images, and the rows of the frames in the batch."""
