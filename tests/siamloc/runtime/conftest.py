@@ -1,9 +1,14 @@
-"""Drawn drives for the tests of bundles."""
+"""Drawn drives for the tests of bundles, and bundles with other parts."""
 
 from __future__ import annotations
 
+import shutil
+from pathlib import Path
+from typing import Any
+
 import numpy as np
 
+from foundation.files import file_hash, read_json, write_json
 from siamloc.data.frames import FrameTable
 from tests.drawn import draw_panorama, draw_sequence
 
@@ -22,3 +27,15 @@ def drive(seed: int, frames_per_room: int = 8) -> tuple[np.ndarray, FrameTable]:
 def batch(pictures: np.ndarray) -> np.ndarray:
     """Return pictures as a batch of panoramas (N, 3, H, W)."""
     return pictures.transpose(0, 3, 1, 2)
+
+
+def rewritten(bundle: Path, folder: Path, **parts: Any) -> Path:
+    """A copy of a bundle with other parts, as if it had been exported with them."""
+    shutil.copytree(bundle, folder)
+    about = read_json(folder / "bundle.json")
+    for name, part in parts.items():
+        file = {"map": "map.npz", "errors": "error_model.json"}[name]
+        part.save(folder / file)
+        about["sha256"][file] = file_hash(folder / file)
+    write_json(folder / "bundle.json", about)
+    return folder

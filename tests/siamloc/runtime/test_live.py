@@ -48,10 +48,22 @@ def world(tmp_path_factory):
 @pytest.fixture
 def played(world):
     """A page whose images have all been located."""
-    folder, _ = world
-    with runtime.Live(runtime.Localizer(folder / "bundle"), folder / "drive", port=0, fps=0) as page:
+    with served(world, fps=0) as page:
         assert page.join(30)
         yield page
+
+
+def state_of(page):
+    """Return the first state that a browser receives."""
+    events = Events(page)
+    state = next(events)
+    events.close()
+    return state
+
+
+def served(world, images=None, **options):
+    """Return a page on the bundle that locates the images at once."""
+    return runtime.Live(runtime.Localizer(world[0] / "bundle"), images or world[0] / "drive", port=0, **options)
 
 
 def asked(page, path, method="GET", **headers):
@@ -85,15 +97,13 @@ class Events:
 
 def test_a_late_browser_gets_the_whole_state(world, played):
     _, count = world
-    events = Events(played)
-    state = next(events)
+    state = state_of(played)
     assert (state["status"], state["number"], state["first"]) == ("ended", count, True)
     assert len(state["track"]) == count
     assert state["off_by"] == pytest.approx(np.hypot(state["x"] - state["pose"]["x"], state["y"] - state["pose"]["y"]))
     assert state["picture"] is True
     assert state["candidates"][0]["row"] >= 0
     assert "/" not in json.dumps(state), "no folders"
-    events.close()
 
 
 def test_what_is_served(world, played):
@@ -112,27 +122,20 @@ def test_what_is_served(world, played):
         assert cv2.imdecode(np.frombuffer(body, np.uint8), cv2.IMREAD_COLOR) is not None
 
 
-@pytest.mark.parametrize(
-    "path", ["/map/99999.jpg", "/map/-1.jpg", "/map/x.jpg", "/../bundle.json", "/bundle.json", "/no"]
-)
-def test_nothing_else_is_served(played, path):
-    assert asked(played, path)[0] == 404
-
-
-@pytest.mark.parametrize("method", ["POST", "PUT", "DELETE", "PATCH", "OPTIONS"])
-@pytest.mark.parametrize("path", ["/", "/events", "/map.json"])
-def test_the_page_is_read_only(played, method, path):
-    assert asked(played, path, method)[0] == 405
-
-
-def test_a_name_of_elsewhere_for_this_machine_is_refused(played):
+def test_nothing_else_is_served_or_taken(played):
+    for path in ("/map/99999.jpg", "/map/-1.jpg", "/map/x.jpg", "/../bundle.json", "/bundle.json", "/no"):
+        assert asked(played, path)[0] == 404, path
+    for method in ("POST", "PUT", "DELETE", "PATCH", "OPTIONS"):
+        for path in ("/", "/events", "/map.json"):
+            assert asked(played, path, method)[0] == 405, (method, path)
+    # the name of another site for this machine
     assert asked(played, "/map.json", Host="evil.example:80")[0] == 403
     assert asked(played, "/map.json", Host=f"localhost:{played.port}")[0] == 200
 
 
 def test_every_image_is_told_while_it_happens(world):
-    folder, count = world
-    with runtime.Live(runtime.Localizer(folder / "bundle"), folder / "drive", port=0, fps=20) as page:
+    _, count = world
+    with served(world, fps=20) as page:
         events, numbers, way = Events(page), [], []
         state = {}
         while state.get("status") != "ended":
@@ -148,9 +151,7 @@ def test_every_image_is_told_while_it_happens(world):
 
 
 def test_a_browser_that_does_not_read_holds_nobody_up(world):
-    folder, _ = world
-    localizer = runtime.Localizer(folder / "bundle")
-    with runtime.Live(localizer, [folder / "drive"] * 20, port=0, fps=0) as page:
+    with served(world, [world[0] / "drive"] * 20, fps=0) as page:
         idle = socket.create_connection(("127.0.0.1", page.port))
         idle.sendall(b"GET /events HTTP/1.1\r\nHost: localhost\r\n\r\n")
         assert page.join(60)
@@ -160,35 +161,27 @@ def test_a_browser_that_does_not_read_holds_nobody_up(world):
 
 def test_the_way_is_bounded(world, monkeypatch):
     monkeypatch.setattr(live_module, "_TRACK", 5)
-    folder, count = world
-    with runtime.Live(runtime.Localizer(folder / "bundle"), folder / "drive", port=0, fps=0) as page:
+    _, count = world
+    with served(world, fps=0) as page:
         page.join(30)
-        events = Events(page)
-        state = next(events)
-        events.close()
+        state = state_of(page)
         assert len(state["track"]) == min(5, count)
 
 
 def test_images_that_cannot_be_read_are_left_out_and_said(world, tmp_path):
-    folder, _ = world
     (tmp_path / "a.png").write_bytes(b"nothing")
-    with runtime.Live(runtime.Localizer(folder / "bundle"), tmp_path, port=0, fps=0) as page:
+    with served(world, tmp_path, fps=0) as page:
         page.join(30)
-        events = Events(page)
-        assert next(events)["number"] == 1
-        events.close()
+        assert state_of(page)["number"] == 1
         assert asked(page, "/live.jpg")[0] == 404
 
 
 def test_an_empty_video_ends_in_a_sentence(world, tmp_path):
-    folder, _ = world
     (tmp_path / "a.mp4").write_bytes(b"")
-    with runtime.Live(runtime.Localizer(folder / "bundle"), tmp_path / "a.mp4", port=0) as page:
+    with served(world, tmp_path / "a.mp4") as page:
         with pytest.raises(DataError, match=r"a\.mp4 gives no image"):
             page.join(30)
-        events = Events(page)
-        state = next(events)
-        events.close()
+        state = state_of(page)
         assert (state["status"], "gives no image" in state["text"]) == ("fault", True)
 
 
@@ -244,11 +237,10 @@ def test_without_the_framework_the_extra_is_named(world):
 
 
 def test_nothing_of_it_runs_on(world):
-    folder, _ = world
     before = threading.active_count()
-    page = runtime.Live(runtime.Localizer(folder / "bundle"), folder / "drive", port=0, fps=1)
+    page = served(world, fps=1)
     page.close()  # never started
-    with runtime.Live(runtime.Localizer(folder / "bundle"), folder / "drive", port=0, fps=1):
+    with served(world, fps=1):
         pass
     for _ in range(50):
         if threading.active_count() <= before:
@@ -264,9 +256,7 @@ def test_a_lost_robot_is_nowhere(world, monkeypatch):
     monkeypatch.setattr(localizer, "locate", lambda *given, **more: replace(locate(*given, **more), lost=True))
     with runtime.Live(localizer, folder / "drive", port=0, fps=0) as page:
         assert page.join(30)
-        events = Events(page)
-        state = next(events)
-        events.close()
+        state = state_of(page)
     assert state["lost"] is True
     assert len(state["candidates"]) == 3
     assert {state[key] for key in ("x", "y", "theta", "room", "error_m", "off_by", "covariance")} == {None}
@@ -281,7 +271,7 @@ def test_a_browser_watches_a_drive(world, tmp_path):
     shutil.copy(next((folder / "drive").iterdir()), hostile / "<b>a.png")
     images = [folder / "drive", hostile]
     with (
-        runtime.Live(runtime.Localizer(folder / "bundle"), images, port=0, fps=20) as page,
+        served(world, images, fps=20) as page,
         Browser(tmp_path / "profile") as browser,
     ):
         browser.go(page.url)

@@ -30,26 +30,21 @@ def exported(tmp_path_factory):
     return network, path, export_onnx(network, path, SIZE)
 
 
+def small(**options):
+    return build("simple1", "fc500_500_5", SIZE, **options)
+
+
 def test_report_and_file_agree(exported):
     network, path, report = exported
-    assert report["path"] == str(path)
-    assert report["bytes"] == path.stat().st_size
-    assert report["identity"] == network.identity
-    assert report["parity"]["batches"] == [1, 2, 7]
-    assert 0 <= report["parity"]["max_abs_difference"] <= report["parity"]["tolerance"] == 1e-4
-    assert report["parity"]["max_abs_value"] > 0.1
-    expected = report["parity"]["max_abs_difference"] / report["parity"]["max_abs_value"]
-    assert report["parity"]["max_relative_difference"] == expected
-    json.dumps(report, allow_nan=False)
-
-
-def test_the_folder_holds_the_file_and_nothing_else(exported):
-    _, path, _ = exported
     assert [entry.name for entry in path.parent.iterdir()] == [path.name]
-
-
-def test_the_file_is_valid_and_says_what_it_is(exported):
-    network, path, report = exported
+    assert (report["path"], report["bytes"]) == (str(path), path.stat().st_size)
+    assert report["identity"] == network.identity
+    found = report["parity"]
+    assert found["batches"] == [1, 2, 7]
+    assert 0 <= found["max_abs_difference"] <= found["tolerance"] == 1e-4
+    assert found["max_abs_value"] > 0.1
+    assert found["max_relative_difference"] == found["max_abs_difference"] / found["max_abs_value"]
+    json.dumps(report, allow_nan=False)
     onnx.checker.check_model(str(path), full_check=True)
     model = onnx.load(path, load_external_data=False)
     metadata = {entry.key: entry.value for entry in model.metadata_props}
@@ -58,18 +53,13 @@ def test_the_file_is_valid_and_says_what_it_is(exported):
     assert model.opset_import[0].version == report["opset"]
 
 
-def test_input_and_output_are_named_and_only_the_batch_is_free(exported):
-    _, path, _ = exported
+def test_the_file_computes_what_describe_computes_for_any_batch(exported):
+    network, path, _ = exported
     session = onnxruntime.InferenceSession(path, providers=["CPUExecutionProvider"])
     (entrance,), (exit_,) = session.get_inputs(), session.get_outputs()
     assert (entrance.name, entrance.type, entrance.shape[1:]) == ("panorama", "tensor(uint8)", [3, *SIZE])
     assert (exit_.name, exit_.shape[1:]) == ("descriptor", [5])
     assert isinstance(entrance.shape[0], str)
-
-
-def test_the_file_computes_what_describe_computes(exported):
-    network, path, _ = exported
-    session = onnxruntime.InferenceSession(path, providers=["CPUExecutionProvider"])
     images = np.random.default_rng(1).integers(0, 256, (5, 3, *SIZE), dtype=np.uint8)
     (got,) = session.run(None, {"panorama": images})
     np.testing.assert_allclose(got, as_descriptor(network).describe(images).position, atol=1e-4)
@@ -85,11 +75,14 @@ def test_the_modes_and_the_random_state_stay(tmp_path):
     assert network.identity == statistics
 
 
-def test_it_is_quiet(tmp_path, capfd, recwarn, caplog):
-    export_onnx(build("simple1", "fc500_500_5", SIZE), tmp_path / "network.onnx", SIZE)
+def test_a_lightning_module_is_exported_as_its_network_and_without_a_word(tmp_path, capfd, recwarn, caplog):
+    module = SiameseModule(small())
+    report = export_onnx(module, tmp_path / "network.onnx", SIZE)
     assert capfd.readouterr() == ("", "")
     assert not recwarn.list
     assert not [record for record in caplog.records if record.levelno >= logging.INFO]
+    assert report["identity"] == module.network.identity
+    assert parity(module, tmp_path / "network.onnx") == report["parity"]
 
 
 def test_a_network_of_ones_own_is_exported_whole(tmp_path):
@@ -115,70 +108,36 @@ def test_the_simple_branches_export_at_any_size(tmp_path, size):
     assert report["parity"]["max_abs_difference"] <= 1e-4
 
 
-def test_a_lightning_module_is_exported_as_its_network(tmp_path):
-    module = SiameseModule(build("simple1", "fc500_500_5", SIZE))
-    report = export_onnx(module, tmp_path / "network.onnx", SIZE)
-    assert report["identity"] == module.network.identity
-    assert parity(module, tmp_path / "network.onnx") == report["parity"]
+def test_files_of_other_networks_and_other_files_fail_the_comparison(exported, tmp_path):
+    _, path, _ = exported
+    (tmp_path / "text.onnx").write_text("no graph")
+    for head, file, error, says in (
+        ("fc500_500_5", path, SiamlocError, r"differ by .* from the network's, .* of the largest value .*do not use"),
+        ("fc500_100_10", path, SiamlocError, r"shape \(1, 5\) instead of \(1, 10\)"),
+        ("fc500_500_5", tmp_path / "text.onnx", FormatError, "not an ONNX file that onnxruntime can run"),
+        ("fc500_500_5", tmp_path / "missing.onnx", FormatError, "not an ONNX file that onnxruntime can run"),
+    ):
+        with pytest.raises(error, match=says):
+            parity(build("vgg11_bn", head, SIZE, seed=1), file)
 
 
-def test_weights_too_large_for_one_file_are_refused(tmp_path, monkeypatch):
+def test_what_cannot_be_exported_is_refused_and_keeps_the_older_file(tmp_path, monkeypatch):
+    path, broken = tmp_path / "network.onnx", small()
+    path.write_text("older")
+    with torch.no_grad():
+        broken.head.layers[-1].bias[0] = float("nan")
+    for network, size, error, says in (
+        (broken, SIZE, SiamlocError, "differ by nan"),
+        (small(), (64, 64), DataError, r"built for panoramas of shape \(B, 3, 32, 64\)"),
+        (small().bfloat16(), SIZE, ConfigError, r"needs float32 weights, got torch\.bfloat16"),
+    ):
+        with pytest.raises(error, match=says):
+            export_onnx(network, path, size)
     monkeypatch.setattr(onnx_model, "MOST_BYTES", 1000)
     with pytest.raises(ConfigError, match="2 GB or more does not fit"):
-        export_onnx(build("simple1", "fc500_500_5", SIZE), tmp_path / "network.onnx", SIZE)
-    assert not list(tmp_path.iterdir())
-
-
-def test_a_file_of_other_weights_fails_the_comparison(exported):
-    _, path, _ = exported
-    other = build("vgg11_bn", "fc500_500_5", SIZE, seed=1)
-    with pytest.raises(SiamlocError, match=r"differ by .* from the network's, .* of the largest value .*do not use"):
-        parity(other, path)
-
-
-def test_a_network_of_another_length_fails_the_comparison(exported):
-    _, path, _ = exported
-    with pytest.raises(SiamlocError, match=r"shape \(1, 5\) instead of \(1, 10\)"):
-        parity(build("vgg11_bn", "fc500_100_10", SIZE), path)
-
-
-def test_values_that_are_not_finite_fail_the_comparison(tmp_path):
-    network = build("simple1", "fc500_500_5", SIZE)
-    with torch.no_grad():
-        network.head.layers[-1].bias[0] = float("nan")
-    with pytest.raises(SiamlocError, match="differ by nan"):
-        export_onnx(network, tmp_path / "network.onnx", SIZE)
-    assert not list(tmp_path.iterdir())
-
-
-def test_a_file_that_differs_never_replaces_the_older_one(tmp_path, monkeypatch):
-    def refuse(network, path):
-        raise SiamlocError("differs")
-
-    path = tmp_path / "network.onnx"
-    path.write_text("older")
-    monkeypatch.setattr(onnx_model, "parity", refuse)
-    with pytest.raises(SiamlocError, match="differs"):
-        export_onnx(build("simple1", "fc500_500_5", SIZE), path, SIZE)
+        export_onnx(small(), path, SIZE)
     assert path.read_text() == "older"
     assert list(tmp_path.iterdir()) == [path]
-
-
-def test_another_image_size_is_refused(tmp_path):
-    with pytest.raises(DataError, match=r"built for panoramas of shape \(B, 3, 32, 64\)"):
-        export_onnx(build("simple1", "fc500_500_5", SIZE), tmp_path / "network.onnx", (64, 64))
-
-
-def test_half_precision_is_refused(tmp_path):
-    with pytest.raises(ConfigError, match=r"needs float32 weights, got torch\.bfloat16"):
-        export_onnx(build("simple1", "fc500_500_5", SIZE).bfloat16(), tmp_path / "network.onnx", SIZE)
-
-
-def test_other_files_are_refused(tmp_path):
-    (tmp_path / "text.onnx").write_text("no graph")
-    for name in ("text.onnx", "missing.onnx"):
-        with pytest.raises(FormatError, match="not an ONNX file that onnxruntime can run"):
-            parity(build("simple1", "fc500_500_5", SIZE), tmp_path / name)
 
 
 OF_THE_THESIS = [name for name, head in HEADS.items() if len(head.widths) == 3]

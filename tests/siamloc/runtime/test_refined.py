@@ -12,7 +12,6 @@ import numpy as np
 import pytest
 import torch
 
-import siamloc
 from foundation.files import file_hash, read_json, write_json
 from siamloc.errors import ConfigError, FormatError, SiamlocError
 from siamloc.maps import (
@@ -29,7 +28,7 @@ from siamloc.maps import (
 )
 from siamloc.maps.heading import NetworkHeading
 from siamloc.models import as_descriptor, build
-from siamloc.runtime import Localizer, export, locate_all
+from siamloc.runtime import Bundle, Localizer, export, locate_all
 from siamloc.runtime.localizer import _spacing
 from siamloc.runtime.onnx_relative import export_relative, relative_parity
 from tests.siamloc.runtime.conftest import IMAGES, SIZE, batch, drive
@@ -69,15 +68,29 @@ def bundle(network, known, tmp_path_factory):
     return bundled(tmp_path_factory.mktemp("robot") / "bundle", network, known, method="relative", widening=2.0)
 
 
+@pytest.fixture(scope="module")
+def between(network, known, tmp_path_factory):
+    return bundled(tmp_path_factory.mktemp("robot") / "between", network, known, method="interpolate", widening=2.0)
+
+
+@pytest.fixture(scope="module")
+def plain(network, known, tmp_path_factory):
+    return export(network, known, tmp_path_factory.mktemp("robot") / "plain").path
+
+
+@pytest.fixture(scope="module")
+def seen(known):
+    """The descriptions of the pictures of a third drive."""
+    return known.describe(batch(drive(2)[0]))
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("method", ["relative", "interpolate"])
-def test_the_robot_refines_as_the_evaluation_does(network, known, bundle, tmp_path, method):
+def test_the_robot_refines_as_the_evaluation_does(known, seen, bundle, between, method):
     relative = method == "relative"
-    folder = bundle if relative else bundled(tmp_path / "bundle", network, known, method=method, widening=2.0)
     pictures, _ = drive(2)
-    seen = known.describe(batch(pictures))
     expected = refinement(known, method, widening=2.0).poses(known, seen, match(known, seen, 3))
-    localizer = Localizer(folder, top=1)
+    localizer = Localizer(bundle if relative else between, top=1)
     found = [localizer.locate(picture) for picture in pictures]
     np.testing.assert_allclose([[one.x, one.y] for one in found], expected.xy, atol=1e-3)
     np.testing.assert_allclose([math.cos(one.theta) for one in found], np.cos(expected.theta), atol=1e-3)
@@ -91,13 +104,12 @@ def test_the_robot_refines_as_the_evaluation_does(network, known, bundle, tmp_pa
         assert np.abs(expected.xy - known.frames.xy[match(known, seen, 1).indices[:, 0]]).max() > 0.1
 
 
-def test_the_robot_is_followed_as_the_filter_of_the_evaluation_does(known, bundle):
+def test_the_robot_is_followed_as_the_filter_of_the_evaluation_does(known, seen, bundle):
     pictures, _ = drive(2)
     localizer = Localizer(bundle)
     alone = [localizer.locate(picture) for picture in pictures]
     tracker = localizer.tracker(step=0.3)
     found = [localizer.locate(picture, tracker) for picture in pictures]
-    seen = known.describe(batch(pictures))
     poses = refinement(known, "relative", widening=2.0).poses(known, seen, match(known, seen, 3))
     expected = PoseFilter(0.3).run(poses, np.full(len(poses), "drive"))
     np.testing.assert_allclose([[one.x, one.y] for one in found], expected.xy, atol=1e-2)
@@ -125,7 +137,7 @@ def test_a_picture_without_contrast_ends_no_drive(bundle):
     np.testing.assert_allclose([one.x for one in found[4:]], [one.x for one in seen[3:]], atol=0.5)
 
 
-def test_each_folder_is_a_drive(network, known, bundle, tmp_path):
+def test_each_folder_is_a_drive(known, bundle, between, tmp_path):
     pictures, localizer = drive(2)[0], Localizer(bundle)
     for name, some in (("a", pictures[:3]), ("b", pictures[3:6])):
         (tmp_path / name).mkdir()
@@ -134,17 +146,14 @@ def test_each_folder_is_a_drive(network, known, bundle, tmp_path):
     both = [one.location.x for one in locate_all(localizer, [tmp_path / "a", tmp_path / "b"], track=True)]
     single = [one.location.x for name in "ab" for one in locate_all(localizer, tmp_path / name, track=True)]
     assert both == single
-    between = bundled(tmp_path / "between", network, known, method="interpolate")
     followed = [one.location for one in locate_all(Localizer(between), tmp_path / "a", track=True)]
     assert {(one.x, one.y) for one in followed} <= set(map(tuple, known.frames.xy.tolist()))
 
 
-def test_poses_that_are_map_frames_are_followed_as_by_the_sequence_filter(network, known, tmp_path):
-    plain = siamloc.runtime.export(network, known, tmp_path / "bundle").path
+def test_poses_that_are_map_frames_are_followed_as_by_the_sequence_filter(known, seen, plain):
     pictures, localizer = drive(2)[0], Localizer(plain)
     tracker = localizer.tracker(step=0.3)
     found = [localizer.locate(picture, tracker) for picture in pictures]
-    seen = known.describe(batch(pictures))
     robot = SequenceFilter(MotionModel.learn(known.frames, step=0.3), temperature_of_map(known))
     expected = robot.run(frame_distances(known, seen), np.full(len(pictures), "drive"))
     np.testing.assert_allclose([[one.x, one.y] for one in found], known.frames.xy[expected.frame])
@@ -153,25 +162,24 @@ def test_poses_that_are_map_frames_are_followed_as_by_the_sequence_filter(networ
     assert localizer.locate(pictures[0], tracker).x == found[0].x
 
 
-def test_a_map_without_positions_follows_nobody(network, known, tmp_path):
-    bare = replace(
-        known, frames=known.frames.with_columns(x=np.full(len(known), np.nan), y=np.full(len(known), np.nan))
+def test_a_map_without_positions_follows_nobody(known, plain, tmp_path):
+    unknown = np.full(len(known), np.nan)
+    folder = replaced(
+        plain, tmp_path / "bundle", replace(known, frames=known.frames.with_columns(x=unknown, y=unknown))
     )
-    folder = siamloc.runtime.export(network, bare, tmp_path / "bundle").path
     with pytest.raises(ConfigError, match="cannot follow a robot: none of its map frames has a position"):
         Localizer(folder).tracker()
 
 
-def test_the_summary_says_that_poses_are_finer(bundle, network, known, tmp_path):
-    assert "position (by comparison with 3 map frames)" in siamloc.runtime.Bundle.open(bundle).summary()
-    between = bundled(tmp_path / "bundle", network, known, method="interpolate", neighbours=2)
-    assert "position (between 2 map frames)" in siamloc.runtime.Bundle.open(between).summary()
+def test_the_summary_says_that_poses_are_finer(bundle, between):
+    assert "position (by comparison with 3 map frames)" in Bundle.open(bundle).summary()
+    assert "position (between 3 map frames)" in Bundle.open(between).summary()
     assert not (between / "relative.onnx").exists()
     assert read_json(bundle / "bundle.json")["refinement"]["parity"]["max_relative_difference"] < 1e-3
 
 
 @pytest.mark.slow
-def test_a_map_without_some_positions_is_refined_by_the_others(network, known, tmp_path):
+def test_a_map_without_some_positions_is_refined_by_the_others(network, known, seen, tmp_path):
     x = known.frames.x.copy()
     x[::3] = np.nan
     partly = replace(known, frames=known.frames.with_columns(x=x))
@@ -179,7 +187,6 @@ def test_a_map_without_some_positions_is_refined_by_the_others(network, known, t
     folder = tmp_path / "bundle"
     export(network, partly, folder, refinement=refinement(placed, "relative"))
     pictures, _ = drive(2)
-    seen = known.describe(batch(pictures))
     nearest = match(partly, seen, 1).indices[:, 0]
     expected = refinement(placed, "relative").poses(placed, seen, match(placed, seen, 3))
     found = [Localizer(folder).locate(picture) for picture in pictures]
@@ -190,9 +197,8 @@ def test_a_map_without_some_positions_is_refined_by_the_others(network, known, t
             assert math.isnan(one.x)
 
 
-def test_expected_errors_are_those_of_the_refined_poses(network, known, tmp_path):
+def test_expected_errors_are_those_of_the_refined_poses(network, known, seen, tmp_path):
     pictures, frames = drive(2)
-    seen = known.describe(batch(pictures))
     poses = refinement(known, "relative").poses(known, seen, match(known, seen, 3))
     errors = replace(
         ErrorModel.fit_poses(poses, np.hypot(*(poses.xy - frames.xy).T)), lost_above=1.0, map_digest=known.digest
@@ -230,15 +236,6 @@ def test_what_does_not_fit_is_refused(network, known, bundle, tmp_path):
         relative_parity(different, bundle / "relative.onnx")
 
 
-def test_a_bundle_that_lacks_what_compares_is_refused(bundle, tmp_path):
-    folder = shutil.copytree(bundle, tmp_path / "bundle")
-    about = read_json(folder / "bundle.json")
-    del about["sha256"]["relative.onnx"]
-    write_json(folder / "bundle.json", about)
-    with pytest.raises(FormatError, match="holds no network for it: export again"):
-        Localizer(folder)
-
-
 def test_how_poses_are_refined_is_saved(tmp_path):
     path = tmp_path / "refinement.json"
     made = Refinement("interpolate", 5, 2.0, 1.5, "abc")
@@ -260,14 +257,19 @@ def test_how_poses_are_refined_is_saved(tmp_path):
         made.save(path)
 
 
-def test_altered_files_are_found(bundle, tmp_path):
-    copy = tmp_path / "bundle"
-    shutil.copytree(bundle, copy)
-    (copy / "refinement.json").write_text("{}")
+def test_missing_and_altered_files_are_found(bundle, tmp_path):
+    folder = shutil.copytree(bundle, tmp_path / "bundle")
+    (folder / "refinement.json").write_text("{}")
     with pytest.raises(FormatError, match="not the file the bundle was written with"):
-        Localizer(copy)
-    about = read_json(copy / "bundle.json")
-    about["sha256"]["refinement.json"] = file_hash(copy / "refinement.json")
-    write_json(copy / "bundle.json", about)
+        Localizer(folder)
+    about = read_json(folder / "bundle.json")
+    about["sha256"]["refinement.json"] = file_hash(folder / "refinement.json")
+    write_json(folder / "bundle.json", about)
     with pytest.raises(FormatError, match="is not a siamloc refinement of poses"):
-        Localizer(copy)
+        Localizer(folder)
+    shutil.copy(bundle / "refinement.json", folder)
+    about = read_json(bundle / "bundle.json")
+    del about["sha256"]["relative.onnx"]
+    write_json(folder / "bundle.json", about)
+    with pytest.raises(FormatError, match="holds no network for it: export again"):
+        Localizer(folder)
