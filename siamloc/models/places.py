@@ -8,7 +8,6 @@ from functools import partial
 import torch
 from torch import Tensor, nn
 
-from augment.torchvision_compat import ensure_torchvision
 from siamloc.errors import DataError
 from siamloc.models.batch_losses import SoftContrastiveLoss
 from siamloc.models.cross_entropy import CrossEntropyLoss
@@ -19,8 +18,6 @@ from siamloc.models.network_stages import comparing_weights
 from siamloc.models.origins import Origins
 from siamloc.models.registry import Optimizer
 from siamloc.models.relative import relative_loss
-
-ensure_torchvision()
 
 BatchLoss = Callable[[Tensor, Origins], Tensor]
 
