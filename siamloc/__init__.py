@@ -13,31 +13,8 @@
 Importing the package loads neither torch nor lightning; each subpackage loads what it needs on first use.
 """
 
-from __future__ import annotations
-
-from typing import TYPE_CHECKING
-
-from siamloc.errors import SiamlocError
 from siamloc.lazy import lazy
-
-if TYPE_CHECKING:
-    from siamloc import data, evaluation, maps, models, pretraining, report, runtime, simulate, training
 
 __version__ = "0.1.0"
 
-_PARTS = ("data", "evaluation", "maps", "models", "pretraining", "report", "runtime", "simulate", "training")
-__all__ = [
-    "SiamlocError",
-    "__version__",
-    "data",
-    "evaluation",
-    "maps",
-    "models",
-    "pretraining",
-    "report",
-    "runtime",
-    "simulate",
-    "training",
-]
-
-__getattr__, __dir__ = lazy(__name__, dict.fromkeys(_PARTS, ""))
+__getattr__, __dir__, __all__ = lazy(__name__, __file__)

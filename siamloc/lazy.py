@@ -2,32 +2,27 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from importlib import import_module
+from collections.abc import Callable
 from typing import Any
+
+import lazy_loader
 
 from siamloc.errors import lacking
 
 
-def lazy(package: str, homes: Mapping[str, str]) -> tuple[Callable[[str], Any], Callable[[], list[str]]]:
-    """Return a package's `__getattr__` and `__dir__`.
+def lazy(package: str, file: str) -> tuple[Callable[[str], Any], Callable[[], list[str]], list[str]]:
+    """Return the `__getattr__`, `__dir__` and `__all__` of a package, whose public names its `__init__.pyi` lists.
 
     Args:
-        package: its name.
-        homes: the module of the package in which each name is defined; "" for names that are modules themselves.
+        package: the name of the package.
+        file: the path of its `__init__.py`.
     """
+    load, names, public = lazy_loader.attach_stub(package, file)
 
-    def getattribute(name: str) -> Any:
-        if name not in homes:
-            raise AttributeError(f"module {package!r} has no attribute {name!r}", name=name)
+    def loaded(name: str) -> Any:
         try:
-            module = import_module(f"{package}.{homes[name] or name}")
+            return load(name)
         except ModuleNotFoundError as error:
             raise ModuleNotFoundError(lacking(error) or str(error), name=error.name) from error
-        return getattr(module, name) if homes[name] else module
 
-    def names() -> list[str]:
-        known = vars(import_module(package))
-        return sorted({*known, *homes})
-
-    return getattribute, names
+    return loaded, names, public

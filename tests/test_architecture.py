@@ -98,15 +98,10 @@ def test_every_package_is_typed():
 
 @pytest.mark.parametrize("package", sorted({path.parent for path in MODULES if path.name == "__init__.py"}), ids=str)
 def test_no_public_name_is_that_of_a_module_which_would_hide_it(package):
-    source, names = (ROOT / package / "__init__.py").read_text(encoding="utf-8"), set()
-    for node in ast.walk(ast.parse(source)):
-        if isinstance(node, ast.Assign) and "_HOMES" in ast.dump(node) and isinstance(node.value, ast.Dict):
-            homes = zip(node.value.keys, node.value.values, strict=True)
-            names |= {name.value for name, home in homes if home.value}
-        if isinstance(node, ast.If) and "lazy(__name__" in source:  # names that are loaded on first use
-            imports = [one for one in node.body if isinstance(one, ast.ImportFrom)]
-            parts = [one for one in imports if one.module != ".".join(package.parts)]
-            names |= {alias.name for one in parts for alias in one.names}
+    stub = ROOT / package / "__init__.pyi"  # lists the names that are loaded on first use
+    imports = ast.parse(stub.read_text(encoding="utf-8")).body if stub.is_file() else []
+    parts = [one for one in imports if isinstance(one, ast.ImportFrom) and one.module]
+    names = {alias.name for one in parts for alias in one.names}
     modules = {path.stem for path in (ROOT / package).iterdir()}
     assert not names & modules, f"importing these modules of {package} would hide the names"
 
@@ -124,6 +119,7 @@ def test_declared_is_what_is_imported():
         "PIL": "pillow",
         "cv2": "opencv-python-headless",
         "hydra": "hydra-core",
+        "lazy_loader": "lazy-loader",
         "pytorch_metric_learning": "pytorch-metric-learning",
         "sklearn": "scikit-learn",
         "yaml": "pyyaml",
@@ -134,14 +130,11 @@ def test_declared_is_what_is_imported():
 
 
 def test_there_are_no_import_circles_not_even_lazy_ones():
-    """Imports inside functions and for types alone count too; a package stands for its `__init__`.
-
-    What an `__init__` imports for types is its list of public names, which it loads when they are asked for.
-    """
+    """Imports inside functions and for types alone count too; a package stands for its `__init__`."""
     modules = {".".join(path.with_suffix("").parts).removesuffix(".__init__"): path for path in MODULES}
     imports = {}
     for module, path in modules.items():
-        names = {name for name in imported(path, for_types=path.name != "__init__.py") if name in modules}
+        names = {name for name in imported(path, for_types=True) if name in modules}
         # `from package import module` names the package as well, which runs first and may be what imports us.
         parents = {module.rsplit(".", count)[0] for count in range(1, module.count(".") + 1)}
         imports[module] = names - parents - {module}

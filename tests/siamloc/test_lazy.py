@@ -21,5 +21,5 @@ def test_every_public_name_is_there_and_listed(package):
 @pytest.mark.parametrize("package", PACKAGES)
 def test_an_unknown_name_is_an_attribute_error(package):
     module = importlib.import_module(package)
-    with pytest.raises(AttributeError, match=f"module '{package}' has no attribute 'nothing'"):
+    with pytest.raises(AttributeError, match="nothing"):
         _ = module.nothing

@@ -1,0 +1,14 @@
+from . import (
+    data as data,
+    evaluation as evaluation,
+    maps as maps,
+    models as models,
+    pretraining as pretraining,
+    report as report,
+    runtime as runtime,
+    simulate as simulate,
+    training as training,
+)
+from .errors import SiamlocError as SiamlocError
+
+__version__: str

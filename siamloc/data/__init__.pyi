@@ -1,0 +1,17 @@
+from .checks import check as check, room_sizes as room_sizes, summary as summary
+from .decoding import Preprocessing as Preprocessing
+from .examples import example as example
+from .expansion import Expanded as Expanded, expand as expand
+from .frames import FrameTable as FrameTable, concatenate as concatenate
+from .library import PanoramaLibrary as PanoramaLibrary
+from .panorama import (
+    HyperbolicMirror as HyperbolicMirror,
+    OmnidirectionalCamera as OmnidirectionalCamera,
+    PanoramaView as PanoramaView,
+    PolarRing as PolarRing,
+    azimuth_column as azimuth_column,
+    column_azimuth as column_azimuth,
+    unwrap as unwrap,
+)
+from .protocol import Protocol as Protocol, Role as Role
+from .reading import DataSettings as DataSettings, READERS as READERS, read as read

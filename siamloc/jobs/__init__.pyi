@@ -1,0 +1,11 @@
+from .augment import Expand as Expand, Preview as Preview
+from .evaluate import Evaluate as Evaluate
+from .export import Export as Export
+from .job import Job as Job
+from .map import MapFrames as MapFrames
+from .prepare import Prepare as Prepare
+from .report import Compare as Compare, Report as Report
+from .reproduce import Reproduce as Reproduce
+from .robot import Localize as Localize, Watch as Watch
+from .simulate import Simulate as Simulate
+from .train import Pretrain as Pretrain, Train as Train

@@ -1,0 +1,24 @@
+from .coarse import CoarseLayer as CoarseLayer, UNASSIGNED as UNASSIGNED
+from .describing import build as build, describe as describe
+from .error_model import ErrorModel as ErrorModel
+from .grouping import Built as Built, WAYS as WAYS, group as group
+from .heading import HeadingPart as HeadingPart
+from .hierarchy import (
+    HierarchicalRetrieval as HierarchicalRetrieval,
+    HierarchicalSearch as HierarchicalSearch,
+    LayerSearch as LayerSearch,
+)
+from .interpolation import interpolate_poses as interpolate_poses
+from .matching import frame_distances as frame_distances, headings as headings, match as match
+from .pose_filter import PoseFilter as PoseFilter
+from .projector import write_projector as write_projector
+from .ranking import NodeRanking as NodeRanking
+from .refinement import RefinedPoses as RefinedPoses, Refinement as Refinement, refine as refine
+from .search import Retrieval as Retrieval, VectorIndex as VectorIndex
+from .sequence_filter import (
+    MotionModel as MotionModel,
+    SequenceFilter as SequenceFilter,
+    temperature_of_map as temperature_of_map,
+    tune_filter as tune_filter,
+)
+from .visual_map import VisualMap as VisualMap

@@ -1,0 +1,1 @@
+from .suitable import pictures as pictures, save_all as save_all
