@@ -9,12 +9,6 @@ import torch
 from tests.gpu.pretend import NAME, Pretend
 
 
-@pytest.fixture
-def gpu():
-    with Pretend() as gpu:
-        yield gpu
-
-
 def here():
     return torch.arange(6.0).view(2, 3)
 

@@ -56,16 +56,8 @@ def test_no_step_waits(fit, there, steps, monkeypatch, settings, where):
     assert (steps.waits, steps.count) == ({}, 3)
 
 
-FAULTS = {
-    "a number is read": lambda loss: loss.item(),
-    "a blocking copy to the device": lambda loss: torch.ones(2).to(loss.device),
-    "a blocking copy to main memory": lambda loss: loss.cpu(),
-}
-
-
-@pytest.mark.parametrize("fault", FAULTS.values(), ids=FAULTS)
-def test_a_step_that_waits_is_noticed(fit, there, steps, monkeypatch, fault):
-    monkeypatch.setattr(NetworkModule, "log_step", lambda self, loss: fault(loss))
+def test_a_step_that_waits_is_noticed(fit, there, steps, monkeypatch):
+    monkeypatch.setattr(NetworkModule, "log_step", lambda self, loss: loss.item())
     fit(small(), **there, **PLACES)
     ((place, count),) = steps.waits.items()
     assert count == 3

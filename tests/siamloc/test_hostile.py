@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import struct
 import subprocess
@@ -24,15 +23,6 @@ from siamloc.runtime import Bundle
 from siamloc.simulate.parse import read_building_file
 from siamloc.simulate.trajectory import listed
 
-GOOD = {
-    "format": "siamloc-run",
-    "version": 2,
-    "created": "2026-01-01",
-    "settings": {"data": {}, "model": {"branch": "simple1", "head": "fc500_500_5"}, "training": {}},
-    "versions": {},
-    "written": [],
-}
-
 
 def test_a_file_never_takes_the_place_of_a_device_or_a_pipe(tmp_path):
     pipe = tmp_path / "pipe.csv"
@@ -43,37 +33,9 @@ def test_a_file_never_takes_the_place_of_a_device_or_a_pipe(tmp_path):
     assert [path.name for path in tmp_path.iterdir()] == ["pipe.csv"]
 
 
-@pytest.mark.parametrize(
-    ("key", "value"),
-    [
-        *(("version", value) for value in ("x", [9], float("nan"), True, None)),
-        *(("settings", value) for value in (3, [["a"]], None)),
-        *(("written", value) for value in (5, [[1], {}], "a", None)),
-        ("created", {}),
-        ("versions", 3),
-        *((f"settings.{name}", 3) for name in ("data", "model", "training", "loss", "augment", "protocol", "trainer")),
-    ],
-)
-def test_a_record_is_checked_to_its_sections(tmp_path, key, value):
-    record = json.loads(json.dumps(GOOD))
-    section, _, name = key.partition(".")
-    (record[section] if name else record).__setitem__(name or section, value)
-    (tmp_path / "run.json").write_text(json.dumps(record))
-    says = "has format version" if key == "version" else f"was altered in {key}"
-    with pytest.raises(FormatError, match=says):
-        Run(tmp_path).load_record()
-
-
-def test_a_whole_record_is_read(tmp_path):
-    (tmp_path / "run.json").write_text(json.dumps(GOOD))
-    assert Run(tmp_path).settings["model"]["branch"] == "simple1"
-
-
 @pytest.mark.parametrize("stored", ["${oc.env:HOME}", "${nokey}"])
 def test_stored_texts_are_never_looked_up(tmp_path, stored):
-    record = json.loads(json.dumps(GOOD))
-    record["settings"]["data"] = {"kind": "manifest", "manifest": stored}
-    (tmp_path / "run.json").write_text(json.dumps(record))
+    Run(tmp_path).start({"data": {"kind": "manifest", "manifest": stored}}, [])
     assert composed("map", [f"run={tmp_path}"]).data.manifest == Path(stored)
 
 

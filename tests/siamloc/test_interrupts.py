@@ -27,10 +27,10 @@ entry()
 """
 
 
-def started(seconds):
-    process = subprocess.Popen(
-        [sys.executable, "-c", WAITS, str(seconds)], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
-    )
+def started(code, *arguments):
+    """Start a program, interrupt it once it is ready, and return it while it cleans up."""
+    command = [sys.executable, "-c", code, *map(str, arguments)]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     assert process.stdout is not None
     assert process.stdout.readline() == "ready\n"
     process.send_signal(signal.SIGINT)
@@ -39,12 +39,12 @@ def started(seconds):
 
 
 def test_once_stops_and_cleans_up():
-    said = started(0).communicate(timeout=60)
+    said = started(WAITS, 0).communicate(timeout=60)
     assert said == ("clean\n", "siamloc: interrupted\n")
 
 
 def test_twice_ends_at_once_and_says_nothing():
-    begin, process = time.monotonic(), started(50)
+    begin, process = time.monotonic(), started(WAITS, 50)
     process.send_signal(signal.SIGINT)
     assert process.communicate(timeout=40) == ("", "")
     assert process.returncode == -signal.SIGINT
@@ -82,23 +82,9 @@ entry()
 """
 
 
-def swallowed(fails: str = "other", cleaning: int = 0):
-    process = subprocess.Popen(
-        [sys.executable, "-c", IGNORES, fails, str(cleaning)],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-    )
-    assert process.stdout is not None
-    assert process.stdout.readline() == "ready\n"
-    process.send_signal(signal.SIGINT)
-    assert process.stdout.readline() == "cleaning\n"
-    return process
-
-
 @pytest.mark.parametrize(("fails", "said"), [("other", "of another kind"), ("thread", "of another thread")])
 def test_an_interrupt_that_a_destructor_swallows_is_raised_again(fails, said):
-    process = swallowed(fails)
+    process = started(IGNORES, fails, 0)
     out, err = process.communicate(timeout=40)
     assert (process.returncode, out) == (130, "")
     assert said in err, "what else is ignored is told as ever"
@@ -107,7 +93,7 @@ def test_an_interrupt_that_a_destructor_swallows_is_raised_again(fails, said):
 
 
 def test_after_a_swallowed_one_the_next_ends_the_process_at_once():
-    begin, process = time.monotonic(), swallowed(cleaning=50)
+    begin, process = time.monotonic(), started(IGNORES, "other", 50)
     process.send_signal(signal.SIGINT)
     process.communicate(timeout=40)
     assert process.returncode == -signal.SIGINT
@@ -139,6 +125,5 @@ def test_other_errors_do_not_follow_from_one():
 @pytest.mark.parametrize("status", [0, 2])
 def test_the_process_has_the_status_of_the_command(status):
     words = ["--version"] if status == 0 else ["tain"]
-    assert (
-        subprocess.run([sys.executable, "-m", "siamloc", *words], capture_output=True, check=False).returncode == status
-    )
+    done = subprocess.run([sys.executable, "-m", "siamloc", *words], capture_output=True, check=False)
+    assert done.returncode == status

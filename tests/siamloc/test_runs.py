@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+
 import pytest
 
 from foundation.files import read_json, write_json
@@ -23,19 +25,32 @@ def test_a_record_comes_back(run):
     assert read_json(run.record)["written"] == ["evaluation/a.csv", "map.npz", "metrics.csv"]
 
 
+SECTIONS = ("data", "model", "training", "loss", "augment", "protocol", "trainer")
+
+
 @pytest.mark.parametrize(
-    ("changes", "says"),
+    ("key", "value", "says"),
     [
-        ({"version": 1}, "has format version 1, this siamloc reads version 2: train again"),
-        ({"version": 3}, "has format version 3, this siamloc reads version 2: update siamloc"),
-        ({"format": "other"}, "was not written by siamloc"),
-        ({"settings": None}, "is not whole"),
+        ("version", 1, "has format version 1, this siamloc reads version 2: train again"),
+        ("version", 3, "has format version 3, this siamloc reads version 2: update siamloc"),
+        *(("version", value, "has format version") for value in ("x", [9], float("nan"), True, None)),
+        ("format", "other", "was not written by siamloc"),
+        *(("settings", value, "was altered in settings") for value in (3, [["a"]], None)),
+        *(("written", value, "was altered in written") for value in (5, [[1], {}], "a", None)),
+        ("created", {}, "was altered in created"),
+        ("versions", 3, "was altered in versions"),
+        *(("settings", {name: 3}, rf"was altered in settings\.{name}") for name in SECTIONS),
     ],
 )
-def test_other_records_are_refused(run, changes, says):
-    record = {key: value for key, value in {**read_json(run.record), **changes}.items() if value is not None}
-    write_json(run.record, record)
+def test_altered_records_are_refused(run, key, value, says):
+    run.record.write_text(json.dumps({**read_json(run.record), key: value}))
     with pytest.raises(FormatError, match=says):
+        run.load_record()
+
+
+def test_a_record_without_settings_is_refused(run):
+    write_json(run.record, {key: value for key, value in read_json(run.record).items() if key != "settings"})
+    with pytest.raises(FormatError, match="is not whole"):
         run.load_record()
 
 

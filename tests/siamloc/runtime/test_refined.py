@@ -31,7 +31,7 @@ from siamloc.models import as_descriptor, build
 from siamloc.runtime import Bundle, Localizer, export, locate_all
 from siamloc.runtime.localizer import _spacing
 from siamloc.runtime.onnx_relative import export_relative, relative_parity
-from tests.siamloc.runtime.conftest import IMAGES, SIZE, batch, drive
+from tests.siamloc.runtime.conftest import IMAGES, SIZE, batch, drive, rewritten
 
 
 @pytest.fixture(scope="module")
@@ -164,9 +164,8 @@ def test_poses_that_are_map_frames_are_followed_as_by_the_sequence_filter(known,
 
 def test_a_map_without_positions_follows_nobody(known, plain, tmp_path):
     unknown = np.full(len(known), np.nan)
-    folder = replaced(
-        plain, tmp_path / "bundle", replace(known, frames=known.frames.with_columns(x=unknown, y=unknown))
-    )
+    bare = replace(known, frames=known.frames.with_columns(x=unknown, y=unknown))
+    folder = rewritten(plain, tmp_path / "bundle", map=bare)
     with pytest.raises(ConfigError, match="cannot follow a robot: none of its map frames has a position"):
         Localizer(folder).tracker()
 
