@@ -14,10 +14,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from analytic import Description
 from foundation.calls import takes
+from foundation.columns import Rows
 from foundation.settings import Count, Natural, Rule, Settings
 from siamloc.errors import ConfigError, DataError
 from siamloc.maps.coarse import UNASSIGNED, CoarseLayer
-from siamloc.maps.columns import Columns
 from siamloc.maps.matching import match
 from siamloc.maps.ranking import NodeRanking, rank_by_classifier, rank_by_representatives, rank_by_vote
 from siamloc.maps.search import Retrieval, VectorIndex, check_neighbours
@@ -35,7 +35,7 @@ _FOUND = 1 << 21  # neighbours gathered before they are sorted
 
 
 @dataclass(frozen=True, eq=False)
-class HierarchicalRetrieval(Columns):
+class HierarchicalRetrieval(Rows):
     """Result of a hierarchical search.
 
     Attributes:

@@ -8,15 +8,15 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from foundation.calls import typed
+from foundation.columns import Rows
 from foundation.settings import Count, NotNegative, Positive
 from siamloc.data.frames import FrameTable
 from siamloc.errors import DataError
-from siamloc.maps.columns import Columns
 from siamloc.maps.search import Retrieval
 
 
 @dataclass(frozen=True, eq=False)
-class Poses(Columns):
+class Poses(Rows):
     """Estimated poses.
 
     Attributes:

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from foundation.columns import Rows
 from siamloc.errors import DataError
 from siamloc.maps.coarse import UNASSIGNED
-from siamloc.maps.columns import Columns
 from siamloc.maps.search import Retrieval, VectorIndex
 from siamloc.models.room_classifier import RoomClassifier
 
@@ -17,7 +17,7 @@ _COUNTS = 1 << 22  # votes counted at once
 
 
 @dataclass(frozen=True, eq=False)
-class NodeRanking(Columns):
+class NodeRanking(Rows):
     """The candidate nodes of each query.
 
     Attributes:

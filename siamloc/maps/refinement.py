@@ -11,9 +11,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from analytic import Description
 from foundation.calls import typed
+from foundation.columns import Rows
 from foundation.settings import Count, NotNegative, Positive
 from siamloc.errors import ConfigError, DataError
-from siamloc.maps.columns import Columns
 from siamloc.maps.interpolation import interpolate_poses
 from siamloc.maps.learned import Learned
 from siamloc.maps.matching import headings
@@ -41,7 +41,7 @@ in rad; information (n, 3, 3): the inverse of the scale matrix of a t-distributi
 
 
 @dataclass(frozen=True, eq=False)
-class RefinedPoses(Columns):
+class RefinedPoses(Rows):
     """Poses of n queries.
 
     Attributes:

@@ -19,9 +19,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from analytic.distances import DISTANCES
 from foundation.calls import typed
+from foundation.columns import Rows
 from foundation.settings import Count, checked
 from siamloc.errors import ConfigError, DataError, hint
-from siamloc.maps.columns import Columns
 
 MEMORY = 256 << 20  # bytes that a search uses on top of its input and output
 _BYTES_PER_PAIR = 80  # if everything ties: score, mask, two indices, distance, and sorting them
@@ -35,7 +35,7 @@ _LARGEST = 1e15  # of a scaled query; beyond, float32 products overflow
 
 
 @dataclass(frozen=True)
-class Retrieval(Columns):
+class Retrieval(Rows):
     """Result of a search, the nearest reference first.
 
     Attributes:

@@ -16,11 +16,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from foundation.calls import typed
+from foundation.columns import Rows
 from foundation.settings import Positive, Probability
 from siamloc.data.frames import FrameTable
 from siamloc.errors import ConfigError, DataError
 from siamloc.maps.coarse import UNASSIGNED
-from siamloc.maps.columns import Columns
 from siamloc.maps.matching import frame_distances
 from siamloc.maps.visual_map import VisualMap
 
@@ -30,7 +30,7 @@ _SAMPLE = 500  # map frames from which a temperature is learned
 
 
 @dataclass(frozen=True, eq=False)
-class Track(Columns):
+class Track(Rows):
     """Output of the filter after each query.
 
     Attributes:
