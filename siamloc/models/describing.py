@@ -182,7 +182,7 @@ def identity_of(network: nn.Module) -> dict[str, Any]:
     own = getattr(network, "identity", None)
     if isinstance(own, dict):
         return own
-    return {"name": "siamese", "class": type(network).__qualname__, "weights": state_hash(network.state_dict())}
+    return {"name": "network", "class": type(network).__qualname__, "weights": state_hash(network.state_dict())}
 
 
 def network_of(module: nn.Module) -> nn.Module:

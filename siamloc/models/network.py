@@ -203,7 +203,7 @@ class Network(nn.Module):
         Reads every weight, which takes about a second for the largest networks: keep the result.
         """
         return {
-            "name": "siamese",
+            "name": "network",
             "branch": self.branch.name,
             "head": self.head.name,
             "image_size": list(self.image_size),

@@ -13,7 +13,7 @@ from siamloc.data.frames import FrameTable
 from siamloc.errors import ConfigError, DataError, FormatError
 from siamloc.maps import VectorIndex, VisualMap
 
-IDENTITY = {"name": "siamese", "branch": {"name": "vgg16", "weights": None}, "width": 3}
+IDENTITY = {"name": "network", "branch": {"name": "vgg16", "weights": None}, "width": 3}
 
 
 def make_map(n: int = 6) -> VisualMap:
@@ -83,7 +83,7 @@ def test_a_map_knows_its_descriptor(tmp_path: Path) -> None:
         hog_map.check_images({"height": 16, "width": 128, "camera": None})
     learned = make_map()
     assert not learned.aligned
-    with pytest.raises(ConfigError, match="described by 'siamese', which it does not hold"):
+    with pytest.raises(ConfigError, match="described by 'network', which it does not hold"):
         learned.descriptor  # noqa: B018
 
 
@@ -128,9 +128,9 @@ def test_maps_that_cannot_be(
 
 def test_check_describer_names_what_differs() -> None:
     visual_map = make_map()
-    visual_map.check_describer({"width": 3, "branch": {"weights": None, "name": "vgg16"}, "name": "siamese"})
+    visual_map.check_describer({"width": 3, "branch": {"weights": None, "name": "vgg16"}, "name": "network"})
     with pytest.raises(ConfigError) as raised:
-        visual_map.check_describer({"name": "siamese", "branch": {"name": "alexnet", "weights": None}, "hash": "ab"})
+        visual_map.check_describer({"name": "network", "branch": {"name": "alexnet", "weights": None}, "hash": "ab"})
     message = str(raised.value)
     assert "branch.name is 'vgg16' in the map, 'alexnet' here" in message
     assert "width is 3 in the map, absent here" in message

@@ -145,7 +145,7 @@ def test_identity_follows_the_weights():
     network = build("simple1", "fc500_500_5", SIZE)
     before = network.identity
     assert before == {
-        "name": "siamese",
+        "name": "network",
         "branch": "simple1",
         "head": "fc500_500_5",
         "image_size": [32, 64],
