@@ -191,7 +191,7 @@ def costs(building: Building, network: siamloc.models.Network) -> dict[str, floa
     """
     import onnxruntime
 
-    from siamloc.runtime.onnx_relative import export_relative
+    from siamloc.runtime.onnx_model import export_relative
 
     known = siamloc.maps.build(network, building.images, building.drives(MAP, 20), progress=False)
     query = description(known).take(np.array([0]))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -15,6 +16,8 @@ from siamloc.errors import ConfigError, DataError, FormatError, hint
 from siamloc.maps import VisualMap
 from siamloc.maps.heading import descriptor_of
 from siamloc.runtime.bundle import MODEL, RELATIVE, Bundle
+
+CPU = "CPUExecutionProvider"
 
 
 class Describer:
@@ -35,31 +38,12 @@ class Describer:
     """
 
     def __init__(self, bundle: Bundle, known: VisualMap, threads: int | None, providers: Sequence[str]) -> None:
-        import onnxruntime
-
         checked(threads, Count | None, "threads")
-        there = onnxruntime.get_available_providers()
-        for provider in providers:
-            if provider not in there:
-                raise ConfigError(f"this onnxruntime has no provider {provider!r}: {hint(provider, there)}")
-        options = onnxruntime.SessionOptions()
-        options.log_severity_level = 3
-        options.enable_mem_pattern = False  # a block for all steps of an image costs memory and saves no time
-        if threads is not None:
-            options.intra_op_num_threads = threads
-
-        def session(name: str) -> Any:
-            if name not in bundle.files:
-                return None
-            try:
-                return onnxruntime.InferenceSession(str(bundle.path / name), options, providers=list(providers))
-            except Exception as error:  # onnxruntime's exceptions have no common base
-                raise FormatError(
-                    f"onnxruntime cannot run {bundle.path}/{name} ({type(error).__name__}): export again"
-                ) from error
-
+        self._session, self._relative = (
+            session_of(bundle.path / name, threads, providers) if name in bundle.files else None
+            for name in (MODEL, RELATIVE)
+        )
         self._size = bundle.image_size
-        self._session, self._relative = session(MODEL), session(RELATIVE)
         if self._session is None:
             turned = known.orientation if known.heading is None else known.heading.values
             known = known.with_descriptor(analytic_descriptor(known.identity, bundle, known.width, turned))
@@ -101,6 +85,36 @@ class Describer:
         assert self._relative is not None
         pose, information, match = self._relative.run(None, {"query": queries, "known": known})
         return pose.astype(np.float64), information.astype(np.float64), match.astype(np.float64)
+
+
+def session_of(path: str | Path, threads: int | None = None, providers: Sequence[str] = (CPU,)) -> Any:
+    """Open an ONNX file with onnxruntime.
+
+    Args:
+        path: of the file.
+        threads: number of threads; onnxruntime's own choice if None.
+        providers: execution providers in order of preference.
+
+    Raises:
+        ConfigError: a provider that this onnxruntime lacks.
+        FormatError: a file that onnxruntime cannot run.
+    """
+    import onnxruntime
+
+    there = onnxruntime.get_available_providers()
+    for provider in providers:
+        if provider not in there:
+            raise ConfigError(f"this onnxruntime has no provider {provider!r}: {hint(provider, there)}")
+    options = onnxruntime.SessionOptions()
+    options.log_severity_level = 3
+    options.enable_mem_pattern = False  # a block for all steps of an image costs memory and saves no time
+    options.intra_op_num_threads = threads or 0
+    try:
+        return onnxruntime.InferenceSession(str(path), options, providers=list(providers))
+    except Exception as error:  # onnxruntime's exceptions have no common base
+        raise FormatError(
+            f"{path} is not an ONNX file that onnxruntime can run ({type(error).__name__}): export again"
+        ) from error
 
 
 def analytic_descriptor(

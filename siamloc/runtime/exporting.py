@@ -37,7 +37,6 @@ from siamloc.runtime.bundle import (
 )
 from siamloc.runtime.localizer import Localizer
 from siamloc.runtime.precision import CALIBRATION, Measured, measured, smallest, spread
-from siamloc.runtime.quantization import quantize
 from siamloc.runtime.thumbnails import save_thumbnails
 
 if TYPE_CHECKING:
@@ -214,8 +213,7 @@ class _Ingredients:
         self, module: nn.Module, fresh: Path, precision: Precision, finer: dict[str, Any] | None
     ) -> dict[str, Any]:
         """Write the network, and its comparing part if `finer` needs it; return the parity of the network's file."""
-        from siamloc.runtime.onnx_model import export_onnx
-        from siamloc.runtime.onnx_relative import export_relative
+        from siamloc.runtime.onnx_model import export_onnx, export_relative, quantize
 
         rows, columns = self.about["preprocessing"]["height"], self.about["preprocessing"]["width"]
         parity: dict[str, Any] = export_onnx(module, fresh / MODEL, (rows, columns))["parity"]

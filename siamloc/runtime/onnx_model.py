@@ -3,24 +3,34 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Sequence
+import json
+import logging
+import warnings
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import nn
 
 from augment.base import on_host
 from foundation.calls import typed
 from foundation.files import atomic_path, file_hash
 from siamloc.errors import ConfigError, SiamlocError
-from siamloc.models.describing import evaluating, identity_of, network_of, orienting
-from siamloc.runtime.onnx_file import OPSET, label, quiet, session_of, traced
+from siamloc.maps.refinement import OUTPUTS
+from siamloc.models.describing import evaluating, identity_of, network_of, orienting, required_comparing
+from siamloc.models.orientation import VALUES
+from siamloc.models.relative import RelativePose
+from siamloc.runtime.describing import session_of
 
-FORMAT = "siamloc-network"
+FORMAT, FORMAT_OF_RELATIVE, FORMAT_VERSION = "siamloc-network", "siamloc-relative", 2
+OPSET = 20
 INPUT, OUTPUT, HEADING_OUTPUT = "panorama", "descriptor", "orientation"
-TOLERANCE = 1e-4
+RELATIVE_INPUTS = ("query", "known")
+TOLERANCE, RELATIVE_TOLERANCE = 1e-4, 1e-3
 MOST_BYTES = 2**31 - 2**24  # protobuf is limited to 2 GiB, and the graph needs a little of that
 _WORDS = {OUTPUT: "descriptors", HEADING_OUTPUT: "orientation parts"}
 
@@ -51,19 +61,13 @@ def export_onnx(network: nn.Module, path: str | Path, image_size: Sequence[int])
     """
     path = Path(path)
     network = on_cpu(network)
-    identity = identity_of(network)
-    rows, columns = int(image_size[0]), int(image_size[1])
-    example = torch.zeros(2, 3, rows, columns, dtype=torch.uint8)  # an example of 1 would fix the batch to 1
-    graph, outputs = _graph(network)
+    identity, graph = identity_of(network), _FromPixels(network)
+    example = torch.zeros(2, 3, int(image_size[0]), int(image_size[1]), dtype=torch.uint8)
     with evaluating(graph):
         graph(example)  # a wrong size fails here, with the network's own message
     if sum(tensor.nbytes for tensor in network.state_dict().values()) >= MOST_BYTES:
         raise ConfigError("a network of 2 GB or more does not fit into an ONNX file: export a smaller one")
-    program = traced(graph, (example,), [INPUT], outputs, free_batch=True)
-    label(program, FORMAT, identity)
-    with atomic_path(path) as temporary:
-        with quiet():
-            program.save(temporary, external_data=False)
+    with _written(path, graph, {INPUT: example}, graph.outputs, FORMAT, identity) as temporary:
         report = parity(network, temporary)
     return {
         "path": str(path),
@@ -107,46 +111,116 @@ def parity(
         FormatError: a file that onnxruntime cannot run.
         SiamlocError: a difference above the tolerance, or values that are not finite.
     """
-    import onnxruntime
-
-    network = on_cpu(network)
-    session = session_of(path)
-    graph, outputs = _graph(network)
-    rows, columns = session.get_inputs()[0].shape[2:]
-    generator = np.random.default_rng(seed)
-    difference, value = np.zeros(len(outputs)), np.zeros(len(outputs))
-    with evaluating(graph):
-        for batch in batches:
-            images = generator.integers(0, 256, (batch, 3, rows, columns), dtype=np.uint8)
-            expected = [one.numpy() for one in graph(torch.from_numpy(images))]
-            got = session.run(None, {INPUT: images})
-            shapes = [[one.shape for one in given] for given in (got, expected)]
-            if shapes[0] != shapes[1]:
-                said = [" and ".join(map(str, given)) for given in shapes]
-                raise SiamlocError(f"{path} gives descriptors of shape {said[0]} instead of {said[1]}: do not use it")
-            # np.maximum propagates NaN, while the built-in max may drop it.
-            apart = [np.abs(one - other).max() for one, other in zip(got, expected, strict=True)]
-            difference = np.maximum(difference, apart)
-            value = np.maximum(value, [np.abs(one).max() for one in expected])
-    reports = []
-    for name, most, largest in zip(outputs, difference.tolist(), value.tolist(), strict=True):
+    graph, session, generator = _FromPixels(on_cpu(network)), session_of(path), np.random.default_rng(seed)
+    size = session.get_inputs()[0].shape[2:]
+    drawn = ({INPUT: generator.integers(0, 256, (batch, 3, *size), dtype=np.uint8)} for batch in batches)
+    apart, values = (found.max(axis=0).tolist() for found in _differences(graph, session, path, drawn))
+    reports = {}
+    for name, most, largest in zip(graph.outputs, apart, values, strict=True):
         relative = most / largest if largest > 0 else most
         if not most <= tolerance * max(1.0, largest):
             raise SiamlocError(
                 f"the {_WORDS[name]} of {path} differ by {most:.3g} from the network's, {relative:.3g} of the largest "
                 f"value {largest:.3g} (tolerance {tolerance:g}): do not use the file"
             )
-        reports.append(
-            {"max_abs_difference": most, "max_abs_value": largest, "max_relative_difference": relative},
+        reports[name] = {"max_abs_difference": most, "max_abs_value": largest, "max_relative_difference": relative}
+    return {**reports.pop(OUTPUT), **_conditions(tolerance, batches, seed), **reports}
+
+
+@on_host()
+def export_relative(network: nn.Module, path: str | Path) -> dict[str, Any]:
+    """Write a network's comparing part, see `siamloc.models.relative.RelativePose`, as an ONNX file.
+
+    The file takes orientation parts `query` and `known` (B, K, F), where B is free, and gives `pose` (B, 3),
+    `information` (B, 3, 3) and `match` (B,). It gets its final name only after `relative_parity` has passed.
+
+    Args:
+        network: built with relative=True; its weights must be float32.
+        path: of the file; its folder is created if needed.
+
+    Returns:
+        What `relative_parity` returns.
+
+    Raises:
+        ConfigError: a network that does not compare, or weights that are not float32.
+        SiamlocError: the file gives different poses.
+        StorageError: the disk is full or cannot be written to.
+    """
+    network = on_cpu(network)
+    relative = required_comparing(network)
+    example = {name: torch.zeros(2, relative.columns, VALUES) for name in RELATIVE_INPUTS}
+    identity = identity_of(network)
+    with _written(path, _Compared(relative), example, OUTPUTS, FORMAT_OF_RELATIVE, identity) as temporary:
+        return relative_parity(network, temporary)
+
+
+def relative_parity(
+    network: nn.Module, path: str | Path, batches: Sequence[int] = (1, 2, 7), seed: int = 0
+) -> dict[str, Any]:
+    """Compare an ONNX file, run by onnxruntime on the CPU, with its network, on random parts, rotated and disturbed.
+
+    Args:
+        network: the network that was exported.
+        path: of the ONNX file.
+        batches: numbers of pairs to try.
+        seed: of the random parts.
+
+    Returns:
+        `max_relative_difference` (each output's relative to its largest value), `tolerance`, `batches`, `seed`,
+        `onnxruntime` (its version).
+
+    Raises:
+        ConfigError: a network that does not compare.
+        FormatError: a file that onnxruntime cannot run.
+        SiamlocError: a difference above the tolerance, or values that are not finite.
+    """
+    relative, session = required_comparing(on_cpu(network)), session_of(path)
+    generator = np.random.default_rng(seed)
+
+    def drawn() -> Iterator[dict[str, NDArray[Any]]]:
+        for batch in batches:
+            known = generator.standard_normal((batch, relative.columns, VALUES), dtype=np.float32)
+            noise = generator.standard_normal(known.shape, dtype=np.float32)
+            query = np.roll(known, int(generator.integers(relative.columns)), axis=1) + noise / 2
+            yield dict(zip(RELATIVE_INPUTS, (query, known), strict=True))
+
+    apart, values = _differences(_Compared(relative), session, path, drawn())
+    largest = float((apart / values).max())
+    if not largest <= RELATIVE_TOLERANCE:
+        raise SiamlocError(
+            f"the poses that {path} gives differ by {largest:.3g} of the largest value from those that the network "
+            f"gives (tolerance {RELATIVE_TOLERANCE:g}): do not use the file"
         )
-    return {
-        **reports[0],
-        "tolerance": tolerance,
-        "batches": list(batches),
-        "seed": seed,
-        "onnxruntime": onnxruntime.__version__,
-        **dict(zip(outputs[1:], reports[1:], strict=True)),
-    }
+    return {"max_relative_difference": largest, **_conditions(RELATIVE_TOLERANCE, batches, seed)}
+
+
+def quantize(path: Path, panoramas: NDArray[np.uint8]) -> None:
+    """Make the convolutions and fully connected layers of an ONNX file compute with 8-bit integers, in place.
+
+    Args:
+        path: of the file.
+        panoramas: (n, 3, H, W) from which the value ranges are taken.
+    """
+    from onnxruntime.quantization import CalibrationDataReader, QuantFormat, QuantType, quantize_static
+
+    feeds = ({INPUT: panorama[None]} for panorama in panoramas)
+
+    class Panoramas(CalibrationDataReader):  # type: ignore[misc]
+        def get_next(self) -> dict[str, NDArray[np.uint8]] | None:
+            return next(feeds, None)
+
+    with atomic_path(path) as temporary, _quiet():
+        quantize_static(
+            str(path),
+            str(temporary),
+            Panoramas(),
+            quant_format=QuantFormat.QDQ,
+            activation_type=QuantType.QUInt8,
+            weight_type=QuantType.QInt8,
+            op_types_to_quantize=["Conv", "Gemm"],
+            per_channel=True,
+            reduce_range=True,
+        )
 
 
 class _FromPixels(nn.Module):
@@ -155,6 +229,7 @@ class _FromPixels(nn.Module):
     def __init__(self, network: nn.Module) -> None:
         super().__init__()
         self.network = network
+        self.outputs = (OUTPUT,) if orienting(network) is None else (OUTPUT, HEADING_OUTPUT)
 
     def forward(self, panorama: torch.Tensor) -> tuple[torch.Tensor, ...]:
         images = panorama.to(torch.float32) / 255  # the input of networks everywhere
@@ -162,9 +237,82 @@ class _FromPixels(nn.Module):
         return (self.network(images),) if oriented is None else oriented.with_orientation(images)
 
 
-def _graph(network: nn.Module) -> tuple[nn.Module, tuple[str, ...]]:
-    """Return the module to export for a network, and the names of its outputs."""
-    return _FromPixels(network), (OUTPUT,) if orienting(network) is None else (OUTPUT, HEADING_OUTPUT)
+class _Compared(nn.Module):
+    """`RelativePose` with plain outputs."""
+
+    def __init__(self, relative: RelativePose) -> None:
+        super().__init__()
+        self.relative = relative
+
+    def forward(self, query: torch.Tensor, known: torch.Tensor) -> tuple[torch.Tensor, ...]:
+        return tuple(self.relative(query, known))
+
+
+@contextmanager
+def _written(
+    path: str | Path,
+    graph: nn.Module,
+    example: Mapping[str, torch.Tensor],
+    outputs: Sequence[str],
+    kind: str,
+    identity: Mapping[str, Any],
+) -> Iterator[Path]:
+    """Write a module as an ONNX file, and yield a temporary path, which becomes `path` if the block has no error.
+
+    Args:
+        path: of the file.
+        graph: the module, traced in evaluation mode; afterwards the mode of every part is restored.
+        example: its arguments by name, in batches of two: a batch of one would be taken as constant.
+        outputs: names of its outputs.
+        kind: format of the file, for its metadata.
+        identity: of the network, for the metadata.
+    """
+    batch = {0: torch.export.Dim("batch")}
+    with evaluating(graph), torch.inference_mode(mode=False), torch.no_grad(), _quiet():
+        program: Any = torch.onnx.export(
+            graph,
+            tuple(example.values()),
+            dynamo=True,
+            input_names=list(example),
+            output_names=list(outputs),
+            opset_version=OPSET,
+            verbose=False,
+            dynamic_shapes=tuple(batch for _ in example),
+        )
+    about = {"format": kind, "format_version": str(FORMAT_VERSION), "identity": json.dumps(identity, sort_keys=True)}
+    program.model.metadata_props.update(about)
+    with atomic_path(path) as temporary:
+        with _quiet():
+            program.save(temporary, external_data=False)
+        yield temporary
+
+
+def _differences(
+    graph: nn.Module, session: Any, path: str | Path, batches: Iterable[dict[str, NDArray[Any]]]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return the largest difference between file and network, and the largest value, for each batch and output.
+
+    Raises:
+        SiamlocError: outputs of another shape.
+    """
+    apart, values = [], []
+    with evaluating(graph):
+        for given in batches:
+            expected = [one.numpy() for one in graph(*map(torch.from_numpy, given.values()))]
+            got = session.run(None, given)
+            shapes = [" and ".join(str(one.shape) for one in several) for several in (got, expected)]
+            if shapes[0] != shapes[1]:
+                raise SiamlocError(f"{path} gives outputs of shape {shapes[0]} instead of {shapes[1]}: do not use it")
+            apart.append([float(np.abs(one - other).max()) for one, other in zip(got, expected, strict=True)])
+            values.append([float(np.abs(one).max()) for one in expected])
+    return np.array(apart), np.array(values)
+
+
+def _conditions(tolerance: float, batches: Sequence[int], seed: int) -> dict[str, Any]:
+    """Return what a comparison was made with."""
+    import onnxruntime
+
+    return {"tolerance": tolerance, "batches": list(batches), "seed": seed, "onnxruntime": onnxruntime.__version__}
 
 
 def on_cpu(network: nn.Module) -> nn.Module:
@@ -181,3 +329,16 @@ def on_cpu(network: nn.Module) -> nn.Module:
     if {tensor.device.type for tensor in network.parameters()} <= {"cpu"}:
         return network
     return copy.deepcopy(network).cpu()
+
+
+@contextmanager
+def _quiet() -> Iterator[None]:
+    """Silence the exporter's deprecation warnings and progress lines, and the quantizer's advice, but not errors."""
+    before = logging.root.manager.disable
+    logging.disable(logging.WARNING)
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            yield
+    finally:
+        logging.disable(before)

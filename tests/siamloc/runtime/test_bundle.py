@@ -85,7 +85,7 @@ def test_weights_outside_of_the_bundle_are_not_read(folder, tmp_path, monkeypatc
     about["sha256"]["model.onnx"] = file_hash(copied / "model.onnx")
     write_json(copied / "bundle.json", about)
     monkeypatch.chdir(tmp_path)
-    with pytest.raises(FormatError, match="onnxruntime cannot run"):
+    with pytest.raises(FormatError, match="not an ONNX file that onnxruntime can run"):
         Localizer(copied)
 
 

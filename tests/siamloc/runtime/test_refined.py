@@ -30,7 +30,7 @@ from siamloc.maps.heading import NetworkHeading
 from siamloc.models import as_descriptor, build
 from siamloc.runtime import Bundle, Localizer, export, locate_all
 from siamloc.runtime.localizer import _spacing
-from siamloc.runtime.onnx_relative import export_relative, relative_parity
+from siamloc.runtime.onnx_model import export_relative, relative_parity
 from tests.siamloc.runtime.conftest import IMAGES, SIZE, batch, drive, rewritten
 
 
