@@ -10,7 +10,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+import analytic
 from analytic import Description
+from analytic.clustering.checks import row_slices
 from foundation.calls import typed
 from siamloc.data.frames import FrameTable
 from siamloc.data.library import PanoramaLibrary
@@ -182,10 +184,12 @@ def _nearest(
     if one.descriptor.aligned:
         found = match(one, queries, 1)
         return found.distances[:, 0], found.indices[:, 0]
-    from analytic.buildings import choose_building
-
-    choice = choose_building(queries.position, [vectors], one.distance)
-    return choice.apart[:, 0], choice.representative
+    between = analytic.distance(one.distance)
+    apart, rows = np.empty(len(queries)), np.empty(len(queries), dtype=np.int64)
+    for block in row_slices(len(queries), len(vectors)):
+        distances = between(queries.position[block], vectors)
+        apart[block], rows[block] = distances.min(axis=1), distances.argmin(axis=1)
+    return apart, rows
 
 
 def evaluate_buildings(
