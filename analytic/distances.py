@@ -45,10 +45,6 @@ def minkowski(a: ArrayLike, b: ArrayLike, p: float = 2.0, weights: ArrayLike | N
         from scipy.spatial.distance import cdist
     except ImportError:  # as on a robot
         return np.array([np.linalg.norm(b - row, p, axis=1) for row in a]).reshape(len(a), len(b))
-    if p == 1:
-        return cdist(a, b, "cityblock")
-    if p == 2:
-        return cdist(a, b, "euclidean")
     return cdist(a, b, "minkowski", p=p)
 
 

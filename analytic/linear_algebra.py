@@ -26,15 +26,10 @@ def one_thread(*, openmp: bool = False) -> Iterator[None]:
         openmp: also limit libraries with threads of their own, such as scikit-learn. This takes longer to enter, since
             the loaded libraries are looked up each time.
     """
-    with _LOCK:
-        if openmp:
-            from threadpoolctl import threadpool_limits
+    from threadpoolctl import threadpool_limits
 
-            with threadpool_limits(1):
-                yield
-        else:
-            with _controller().limit(limits=1, user_api="blas"):
-                yield
+    with _LOCK, threadpool_limits(1) if openmp else _controller().limit(limits=1, user_api="blas"):
+        yield
 
 
 @lru_cache(maxsize=1)

@@ -197,9 +197,9 @@ class ImageDescriptor(Descriptor):
     def resolution(self, width: int) -> float:
         """Return the smallest turn visible in the orientation part of images with that many columns, rad.
 
-        A descriptor that is `oriented` defines it; for others no turn is visible, and the result is infinite.
+        It is the angle of one step of the orientation part; infinite for a descriptor that is not `oriented`.
         """
-        return math.inf
+        return 2 * math.pi / self.sizes(1, width)[1][0] if self.oriented else math.inf
 
     @abstractmethod
     def sizes(self, height: int, width: int) -> tuple[tuple[int, ...], tuple[int, ...]]:
@@ -241,18 +241,13 @@ class ImageDescriptor(Descriptor):
                 "ask for fewer"
             )
 
-    def align(self, queries: Description, references: Description) -> Alignment:
-        """Return the relative heading and the aligned distance of every query to every reference; see `Descriptor`."""
-        self.check_turns()
-        return super().align(queries, references)
-
-    def check_turns(self) -> None:
-        """Raise AnalyticError if columns do not wrap around, so that there is no heading to be found."""
+    def _steps(self, queries: Description, references: Description) -> int:
         if not self.circular:
             raise AnalyticError(
                 f"{self.name} was made with circular=False: the columns of an ordinary camera are no full turn, so "
                 "there is no relative heading to be found"
             )
+        return super()._steps(queries, references)
 
     def _check_parameters(self) -> None:  # most descriptors have nothing to check
         """Raise AnalyticError for parameters that do not go together."""

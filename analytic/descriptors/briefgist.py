@@ -57,10 +57,6 @@ class BriefGist(AlignedDescriptor):
     rows: Cells = 64
     columns: Several = 16
 
-    def resolution(self, width: int) -> float:
-        """Return the angle of one window, rad."""
-        return 2 * np.pi / self.columns
-
     def sizes(self, height: int, width: int) -> tuple[tuple[int, ...], tuple[int, ...]]:
         """Return (rows * columns,) and (columns, rows)."""
         return (self.rows * self.columns,), (self.columns, self.rows)

@@ -98,7 +98,6 @@ class FourierSignature(ImageDescriptor):
 
     def align(self, queries: Description, references: Description) -> Alignment:
         """Return the relative heading and the aligned distance of every query to every reference; see the class."""
-        self.check_turns()
         self.check(queries, references)
         self._steps(queries, references)  # checks that both have an orientation part
         if self.heading == "correlation":

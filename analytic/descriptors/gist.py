@@ -99,10 +99,6 @@ class Gist(ImageDescriptor):
     orientation_levels: Literal[1, 2] = 1
     normalized: bool = True
 
-    def resolution(self, width: int) -> float:
-        """Return the angle of one step, rad."""
-        return 2 * pi * self.step / width
-
     def sizes(self, height: int, width: int) -> tuple[tuple[int, ...], tuple[int, ...]]:
         """Return (2 k7 m1,) and (k8, levels m2), k8 = width / step."""
         position = (LEVELS * self.blocks * self.orientations,)

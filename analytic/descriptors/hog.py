@@ -74,10 +74,6 @@ class Hog(ImageDescriptor):
     orientation_bins: Cells = 16
     whitened: bool = True
 
-    def resolution(self, width: int) -> float:
-        """Return the angle of one step, rad."""
-        return 2 * pi * self.step / width
-
     def sizes(self, height: int, width: int) -> tuple[tuple[int, ...], tuple[int, ...]]:
         """Return (k5 b1,) and (k6, b2), k6 = width / step."""
         return (self.rows * self.bins,), (width // self.step, self.orientation_bins)

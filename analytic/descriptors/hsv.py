@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import pi
 from typing import Any, ClassVar
 
 import numpy as np
@@ -73,10 +72,6 @@ class Hsv(ImageDescriptor):
     values: Cells = 8
     window: Cells = 32
     step: Cells = 2
-
-    def resolution(self, width: int) -> float:
-        """Return the angle of one step, rad."""
-        return 2 * pi * self.step / width
 
     def sizes(self, height: int, width: int) -> tuple[tuple[int, ...], tuple[int, ...]]:
         """Return (rows * (hues * saturations + values),) and (W / step, hues + values)."""

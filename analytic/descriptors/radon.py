@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import pi
 from typing import Any, ClassVar
 
 import numpy as np
@@ -80,10 +79,6 @@ class RadonFourier(ImageDescriptor):
     lines: Cells = 32
     orientation_lines: Cells = 32
     source: Source = "panorama"
-
-    def resolution(self, width: int) -> float:
-        """Return the angle of one step, rad."""
-        return 2 * pi / steps(self.step)
 
     def sizes(self, height: int, width: int) -> tuple[tuple[int, ...], tuple[int, ...]]:
         """Return (360 / p1, k11) and (360 / p1, k12); the arrays are (B, 360 / p1 * k11) and (B, 360 / p1, k12)."""
@@ -167,10 +162,6 @@ class RadonPoc(AlignedDescriptor):
     step: Step = 4.0
     size: Even = 256
     source: Source = "panorama"
-
-    def resolution(self, width: int) -> float:
-        """Return the angle of one step, rad."""
-        return 2 * pi / steps(self.step)
 
     def sizes(self, height: int, width: int) -> tuple[tuple[int, ...], tuple[int, ...]]:
         """Return (360 / p1, Nx / 2) twice; the arrays are (B, 360 / p1 * Nx / 2) and (B, 360 / p1, Nx / 2)."""

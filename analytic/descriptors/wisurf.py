@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
-from math import pi
 from typing import Any, ClassVar
 
 import numpy as np
@@ -77,10 +76,6 @@ class WiSurf(AlignedDescriptor):
 
     rows: Cells = 4
     windows: Several = 512
-
-    def resolution(self, width: int) -> float:
-        """Return the angle of one window, rad."""
-        return 2 * pi / self.windows
 
     def sizes(self, height: int, width: int) -> tuple[tuple[int, ...], tuple[int, ...]]:
         """Return (k9 w1 64,) and (w1, k9 64)."""
