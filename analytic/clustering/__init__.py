@@ -7,11 +7,10 @@ from __future__ import annotations
 
 from analytic.clustering.compact import positions, representatives, sample, sample_rows
 from analytic.clustering.self_organizing import som
-from analytic.clustering.spectral_clustering import affinity, partition, spectral
+from analytic.clustering.spectral_clustering import affinity, spectral
 
 __all__ = [
     "affinity",
-    "partition",
     "positions",
     "representatives",
     "sample",

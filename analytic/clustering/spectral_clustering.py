@@ -82,12 +82,8 @@ def spectral(
     if count in (1, len(different)):
         return checks.renumbered(inverse if count > 1 else np.zeros_like(inverse))
     graph, width = _similarities(scaled, width, t)
-    matrix = _normalized(graph)
-    part = _parts(matrix)
-    while part.max() >= count:
+    while (part := _parts(matrix := _normalized(graph))).max() >= count:
         graph = _linked(graph, part, scaled, width)
-        matrix = _normalized(graph)
-        part = _parts(matrix)
     return checks.renumbered(_clustered(matrix, part, count, seed, assign)[inverse])
 
 
@@ -118,39 +114,6 @@ def affinity(X: ArrayLike, sigma: float | None = None, neighbours: int | None = 
     t = _checked_neighbours(neighbours, len(x))
     scaled, unit = checks.to_unit_range(x)
     return _similarities(scaled, _checked_sigma(sigma, unit), t)[0]
-
-
-def partition(similarities: Any, n_clusters: int, *, seed: int = 0, assign: Assign = "kmeans") -> NDArray[np.int64]:
-    """Cluster frames from given similarities, however these were computed (n,); otherwise as `spectral`.
-
-    Args:
-        similarities: symmetric, finite, not negative (n, n), an array or scipy.sparse; the diagonal does not count.
-        n_clusters: from 1 to n.
-        seed: as in `spectral`.
-        assign: as in `spectral`.
-
-    Raises:
-        AnalyticError: invalid similarities, a parameter out of range, or a graph with more parts
-            than clusters.
-
-    Examples:
-        >>> partition([[1, 0.9, 0.1], [0.9, 1, 0.1], [0.1, 0.1, 1]], 2).tolist()
-        [0, 0, 1]
-    """
-    graph = _checked_similarities(similarities)
-    count = checks.clusters(n_clusters, graph.shape[0])
-    checked(assign, Assign, "assign", AnalyticError)
-    seed = checks.whole(seed, Seed, "the seed")
-    if count == 1:
-        return np.zeros(graph.shape[0], dtype=np.int64)
-    matrix = _normalized(graph)
-    part = _parts(matrix)
-    if part.max() >= count:
-        raise AnalyticError(
-            f"the similarities leave {part.max() + 1} parts without any link, more than the {count} clusters asked "
-            "for: make sigma or the number of neighbours larger, or ask for more clusters"
-        )
-    return checks.renumbered(_clustered(matrix, part, count, seed, assign))
 
 
 def _similarities(x: NDArray[np.float64], sigma: float | None, neighbours: int | None) -> tuple[Any, float]:
@@ -333,19 +296,3 @@ def _checked_neighbours(neighbours: int | None, frames: int) -> int | None:
     if count >= frames:
         raise AnalyticError(f"{frames} frames have at most {frames - 1} neighbours each, got neighbours={count}")
     return count
-
-
-def _checked_similarities(similarities: Any) -> Any:
-    from scipy import sparse
-
-    is_sparse = sparse.issparse(similarities)
-    graph: Any = (sparse.csr_array if is_sparse else np.asarray)(similarities, dtype=np.float64)
-    if graph.ndim != 2 or graph.shape[0] != graph.shape[1] or not graph.shape[0]:
-        raise AnalyticError(f"similarities must have shape (n, n), got {graph.shape}")
-    values = graph.data if is_sparse else graph
-    if not np.isfinite(values).all() or (values < 0).any():
-        raise AnalyticError("similarities must be finite and not negative, such as those of `affinity`")
-    difference = float(abs(graph - graph.T).max())
-    if difference > 1e-8 * values.max(initial=0):
-        raise AnalyticError(f"similarities must be symmetric, but two of a pair differ by {difference:.3g}")
-    return graph

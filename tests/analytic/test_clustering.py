@@ -34,6 +34,12 @@ def first_first(labels):
     return np.array(oracle.renumbered(np.asarray(labels).tolist()))
 
 
+def partition(similarity, count):
+    """The clusters of given similarities, in the order of first appearance."""
+    matrix = spectral_clustering._normalized(similarity)
+    return first_first(spectral_clustering._clustered(matrix, spectral_clustering._parts(matrix), count, 0, "kmeans"))
+
+
 @pytest.mark.parametrize("shape", [(2, 1), (9, 2), (25, 3), (30, 40)])
 def test_similarity_follows_its_equation(shape):
     x = np.random.default_rng(1).normal(size=shape) * 5 + 100
@@ -92,7 +98,7 @@ def test_equal_eigenvalues_of_separate_parts_are_all_found():
     found = spectral_clustering._leading_eigenvectors(matrix, spectral_clustering._parts(matrix), 20)
     np.testing.assert_allclose(matrix @ found, found, atol=1e-9)
     np.testing.assert_allclose(found.T @ found, np.eye(20), atol=1e-9)
-    assert np.array_equal(clustering.partition(graph, 20), first_first(part))
+    assert np.array_equal(partition(graph, 20), first_first(part))
 
 
 @pytest.mark.usefixtures("small")
@@ -107,7 +113,7 @@ def test_parts_with_hardly_a_link_are_told_apart(weak, kind):
     graph = kind(dense + dense.T)
     matrix = spectral_clustering._normalized(graph)
     assert spectral_clustering._parts(matrix).max() == 0
-    assert np.array_equal(clustering.partition(graph, 12), first_first(part))
+    assert np.array_equal(partition(graph, 12), first_first(part))
 
 
 @pytest.mark.usefixtures("small")
@@ -118,7 +124,7 @@ def test_blocks_of_equal_similarities_are_clusters():
     ends = size * np.arange(blocks)
     graph[ends, np.roll(ends, 1)] = graph[np.roll(ends, 1), ends] = 6e-11
     order = np.random.default_rng(0).permutation(len(graph))
-    labels = clustering.partition(graph[np.ix_(order, order)], blocks)
+    labels = partition(graph[np.ix_(order, order)], blocks)
     assert adjusted_rand_score(labels, order // size) == 1
 
 
@@ -147,7 +153,7 @@ def test_the_partition_is_that_of_scikit_learn(neighbours, seed):
     similarity = similarity + 1e-6 if neighbours is None else similarity + sparse.csr_array(np.full((450, 450), 1e-6))
     judge = SpectralClustering(5, affinity="precomputed", assign_labels="kmeans", random_state=0)
     expected = judge.fit_predict(similarity)
-    found = clustering.partition(similarity, 5)
+    found = partition(similarity, 5)
     assert adjusted_rand_score(expected, found) == 1.0
     assert adjusted_rand_score(planted, found) > 0.95
 
@@ -220,12 +226,9 @@ def test_a_lonely_frame_goes_to_what_is_nearest():
     assert found[-1] == 0
 
 
-def test_a_part_without_link_needs_a_cluster_of_its_own():
-    similarity = np.kron(np.eye(3), np.ones((4, 4)))
-    assert clustering.partition(similarity, 3).tolist() == [0] * 4 + [1] * 4 + [2] * 4
-    assert clustering.partition(np.eye(3), 3).tolist() == [0, 1, 2]
-    with pytest.raises(AnalyticError, match="3 parts without any link, more than the 2 clusters"):
-        clustering.partition(similarity, 2)
+def test_each_part_without_link_is_a_cluster():
+    assert partition(np.kron(np.eye(3), np.ones((4, 4))), 3).tolist() == [0] * 4 + [1] * 4 + [2] * 4
+    assert partition(np.eye(3), 3).tolist() == [0, 1, 2]
 
 
 @pytest.mark.parametrize("grid", [(1, 1), (2, 2), (3, 2), (2, 5), (6, 1)])
@@ -312,9 +315,6 @@ X = np.arange(12.0).reshape(6, 2) ** 2
         (lambda: clustering.spectral(X, 2, assign="dbscan"), "assign must be kmeans or som, got 'dbscan'"),
         (lambda: clustering.spectral(X, 2, seed=-1), "the seed must be a whole number from 0 to 4,294,967,295, got -1"),
         (lambda: clustering.affinity(X[:1], None, 1), "a single frame has no neighbours"),
-        (lambda: clustering.partition(np.ones((2, 3)), 1), r"shape \(n, n\), got \(2, 3\)"),
-        (lambda: clustering.partition(-np.ones((2, 2)), 1), "finite and not negative"),
-        (lambda: clustering.partition(np.array([[1, 0.5], [0.2, 1]]), 1), "must be symmetric, .* differ by 0.3"),
         (lambda: clustering.som(X, 4), r"the grid must be two whole numbers \(W, H\), each at least 1, got 4"),
         (lambda: clustering.som(X, (2, 2, 1)), r"two whole numbers \(W, H\)"),
         (lambda: clustering.som(X, (2, 0)), r"the grid must be two whole numbers .* got \(2, 0\)"),
