@@ -7,7 +7,6 @@ import tokenize
 import zipfile
 import zlib
 from collections.abc import Mapping
-from io import BytesIO
 from math import prod
 from pathlib import Path
 from typing import Any
@@ -55,22 +54,23 @@ def write_arrays(path: str | Path, header: Mapping[str, Any], arrays: Mapping[st
 
 
 def read_headed(
-    content: Path | bytes, path: str | Path, what: str, version: int, again: str
+    path: str | Path, what: str, version: int, again: str
 ) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
     """Read the header and the arrays that `write_arrays` wrote.
 
     Args:
-        content: the file, or its content.
-        path: what to call it in error messages.
+        path: the file.
         what: `format` in the header, such as "siamloc map".
         version: `version` in the header.
         again: how to make it again.
 
     Raises:
-        FormatError: a damaged file, another format, or another version of it.
+        FormatError: no such file, a damaged file, another format, or another version of it.
     """
+    if not Path(path).is_file():
+        raise FormatError(f"{path} does not exist: {again}")
     try:
-        arrays = read_arrays(content)
+        arrays = read_arrays(path)
         header = parsed_json(str(arrays.pop("header")[()]))
     except DAMAGE as error:
         raise FormatError(f"{path} is not a {what}, or not a whole one: {again}") from error
@@ -80,8 +80,8 @@ def read_headed(
     return header, arrays
 
 
-def read_arrays(path: str | Path | bytes) -> dict[str, NDArray[Any]]:
-    """Read all arrays of a file in the format of `numpy.savez`, given as a path or its bytes.
+def read_arrays(path: str | Path) -> dict[str, NDArray[Any]]:
+    """Read all arrays of a file in the format of `numpy.savez`.
 
     Nothing in the file is executed, each array must be as long as its header says, and all arrays together may take at
     most a hundred times the length of the file plus 64 MB, however well they were compressed.
@@ -90,8 +90,8 @@ def read_arrays(path: str | Path | bytes) -> dict[str, NDArray[Any]]:
         OSError, ValueError, ...: one of `DAMAGE`, saying what is wrong.
     """
     found: dict[str, NDArray[Any]] = {}
-    with zipfile.ZipFile(BytesIO(path) if isinstance(path, bytes) else path) as archive:
-        left = _SPARE + _DENSEST * (len(path) if isinstance(path, bytes) else Path(path).stat().st_size)
+    with zipfile.ZipFile(path) as archive:
+        left = _SPARE + _DENSEST * Path(path).stat().st_size
         for member in archive.infolist():
             name = member.filename.removesuffix(".npy")
             if name == member.filename or name in found:

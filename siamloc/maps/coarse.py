@@ -160,23 +160,7 @@ class CoarseLayer:
         Raises:
             FormatError: the file is missing, truncated, not a coarse layer, or of another version.
         """
-        path = Path(path)
-        if not path.is_file():
-            raise FormatError(f"{path} does not exist: build the layer first with `siamloc map build=...`")
-        return cls.read(path, path)
-
-    @classmethod
-    def read(cls, content: Path | bytes, path: str | Path) -> CoarseLayer:
-        """Read a layer that `save` wrote, from its path or its content.
-
-        Args:
-            content: the path, or the content of the file.
-            path: name of the file in error messages.
-
-        Raises:
-            FormatError: as for `load`.
-        """
-        header, held = read_headed(content, path, _FORMAT, _VERSION, "build it again with `siamloc map build=...`")
+        header, held = read_headed(path, _FORMAT, _VERSION, "build the layer with `siamloc map build=...`")
         try:
             classes = [held[name] for name in _CLASSES if name in held]
             classifier = RoomClassifier(held["names"], *classes) if classes else None

@@ -18,10 +18,10 @@ from analytic.distances import DISTANCES
 from foundation.calls import typed
 from foundation.files import plain
 from siamloc.data.frames import FrameTable
-from siamloc.errors import ConfigError, DataError, FormatError, hint
+from siamloc.errors import ConfigError, DataError, hint
 from siamloc.maps.aligned import AlignedIndex
 from siamloc.maps.heading import HeadingPart, described, descriptor_of, is_analytic
-from siamloc.maps.map_file import not_whole, read_map, write_map
+from siamloc.maps.map_file import read_map, write_map
 from siamloc.maps.packing import Precision, all_finite, shares_values
 from siamloc.maps.search import Retrieval, VectorIndex
 
@@ -328,8 +328,7 @@ class VisualMap:
         Raises:
             StorageError: the disk is full or cannot be written to.
         """
-        about = {"identity": self.identity, "distance": self.distance, "unit": self.unit, "made": plain(self.made)}
-        write_map(path, self.descriptors, self.frames, about, self.orientation, self.heading, precision)
+        write_map(path, self, precision)
 
     @classmethod
     @typed
@@ -344,34 +343,8 @@ class VisualMap:
             ConfigError: the map was described by another descriptor.
             FormatError: the file is missing, truncated, altered, not a map, or of another version.
         """
-        path = Path(path)
-        if not path.is_file():
-            raise FormatError(f"{path} does not exist: build the map first")
-        loaded = cls.read(path, path)
+        loaded = read_map(path, cls)
         return loaded if descriptor is None else loaded.with_descriptor(descriptor)
-
-    @classmethod
-    def read(cls, content: Path | bytes, path: str | Path) -> VisualMap:
-        """Read a map that `save` wrote, from its path or its content.
-
-        Args:
-            content: the path, or the content of the file.
-            path: name of the file in error messages.
-
-        Raises:
-            FormatError: as for `load`.
-        """
-        fields, announced = read_map(content, path)
-        try:
-            loaded = cls(**fields)
-        except (TypeError, ValueError) as error:
-            raise not_whole(path, error) from error
-        if (len(loaded), loaded.width) != announced:
-            raise FormatError(
-                f"{path} announces {announced[0]} descriptors of {announced[1]} values and holds {len(loaded)} of "
-                f"{loaded.width}: build it again"
-            )
-        return loaded
 
 
 _ABSENT = object()

@@ -55,7 +55,7 @@ def test_a_layer_is_the_same_after_saving(tmp_path):
 
 
 def test_files_that_are_no_layer(tmp_path):
-    with pytest.raises(FormatError, match="does not exist: build the layer first"):
+    with pytest.raises(FormatError, match="does not exist: build the layer with"):
         CoarseLayer.load(tmp_path / "none.npz")
     path = tmp_path / "layer.npz"
     CoarseLayer.of_rooms(KNOWN).save(path)

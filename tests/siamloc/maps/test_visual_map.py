@@ -183,11 +183,11 @@ def test_load_refuses_what_is_not_a_whole_map(tmp_path: Path) -> None:
     newer = rewritten(good, tmp_path / "newer.npz", header={"version": 3})
     cases[newer] = "format version 3, this siamloc reads version 2: update siamloc"
     older = rewritten(good, tmp_path / "older.npz", header={"version": 1})
-    cases[older] = "format version 1, this siamloc reads version 2: build it again"
+    cases[older] = "format version 1, this siamloc reads version 2: build the map again"
     cases[rewritten(good, tmp_path / "short.npz", descriptors=np.ones((2, 3)))] = "got 2 for 6 frames"
     cases[rewritten(good, tmp_path / "lacking.npz", descriptors=None)] = "not a whole siamloc map ('descriptors')"
     cases[rewritten(good, tmp_path / "extra.npz", frame_colour=np.ones(6))] = "not a whole siamloc map"
-    cases[rewritten(good, tmp_path / "lies.npz", header={"width": 9})] = "announces 6 descriptors of 9 values"
+    cases[rewritten(good, tmp_path / "lies.npz", header={"width": 9})] = "announces descriptors (6, 9) and holds (6, 3)"
     for path, message in cases.items():
         with pytest.raises(FormatError) as raised:
             VisualMap.load(path)
