@@ -101,8 +101,6 @@ _NEVER_A_NUMBER = {
 }
 _NEVER_A_TEXT = (_NEVER_A_NUMBER - {"a text", "a huge whole number"}) | {"three halves"}
 _MAY_BE = {
-    ("pairs.lightings", "a mapping"),  # weights by lighting
-    ("pairs.lightings", "an empty mapping"),
     ("pairs.scale", "a mapping"),  # by building
     ("pairs.scale", "an empty mapping"),
     ("compile", "true"),  # true, false or auto

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import ClassVar, Literal
 
@@ -10,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from foundation.calls import typed
-from foundation.settings import Count, NotNegative, Positive, Seed, Settings, Share, checked
+from foundation.settings import Count, NotNegative, Seed, Settings, Share
 from siamloc.data.frames import FrameTable
-from siamloc.errors import ConfigError, DataError, hint
+from siamloc.errors import ConfigError, DataError
 
 
 @dataclass(frozen=True)
@@ -30,11 +29,6 @@ class PlaceSettings(Settings):
         near: share of the places that lie within `reach` of another place of the batch, so that the network also
             learns to tell neighbours apart.
         reach: the distance of `near`, in the unit of the positions, or in frames.
-        same_room_share: share of the places that lie in the room of an earlier place of the batch, as the places `near`
-            another place do; each of the other places lies in a room of its own, as far as there are enough rooms. If
-            None, rooms are not considered.
-        lightings: weights by which the images of a place are divided among its lightings; 1 for a lighting without a
-            weight. If None, the lightings take turns.
         epoch_batches: batches in an epoch; if None, enough to show every frame once on average.
     """
 
@@ -49,19 +43,7 @@ class PlaceSettings(Settings):
     radius: NotNegative = 0.3
     near: Share = 0.0
     reach: NotNegative = 2.0
-    same_room_share: Share | None = None
-    lightings: Mapping[str, float] | None = None
     epoch_batches: Count | None = None
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        for name, weight in (self.lightings or {}).items():
-            checked(weight, Positive, f"pairs.lightings.{name}")
-        if self.same_room_share is not None and self.near > self.same_room_share:
-            raise ConfigError(
-                f"pairs.near, {self.near:g}, must not be more than pairs.same_room_share, {self.same_room_share:g}: "
-                "places near another one are drawn from its room"
-            )
 
 
 class PlaceSampler:
@@ -101,14 +83,6 @@ class PlaceSampler:
                 f"{missing} of {len(frames)} frames have no position, by which places are drawn: give their x and y, "
                 "leave them out, or set pairs.by to sequence"
             )
-        if settings.same_room_share is not None and (unknown := int((frames.room == "").sum())):
-            raise DataError(
-                f"{unknown} of {len(frames)} frames have no room, by which pairs.same_room_share draws places: give "
-                "their room labels, leave them out, or set pairs.same_room_share to null"
-            )
-        for name in settings.lightings or {}:
-            if name not in (known := sorted(set(frames.lighting.tolist()) - {""})):
-                raise ConfigError(f"pairs.lightings names {name!r}, which no training frame has: {hint(name, known)}")
         self.frames = frames
         self.seed = int(seed)
         self.check_processes(1)
@@ -121,9 +95,6 @@ class PlaceSampler:
         self._tree = cKDTree(self._points)
         self._kind = _kinds(frames)
         self._position = np.unique(self._points, axis=0, return_inverse=True)[1].reshape(-1)
-        self._room = np.unique(frames.place, return_inverse=True)[1]
-        weights = settings.lightings or {}
-        self._weight = np.array([weights.get(name, 1.0) for name in frames.lighting.tolist()])
         self._nearest = np.full(len(frames), np.inf)
         for number in range(apart.max() + 1):
             rows = apart == number
@@ -200,39 +171,19 @@ class PlaceSampler:
     def _centres(self, generator: np.random.Generator, count: int) -> NDArray[np.int64]:
         """Draw the first frame of each place, in random order: some places anywhere, the rest near those."""
         near = min(round(self.settings.near * count), count - 1)
-        by_room = self.settings.same_room_share is not None
-        if by_room:
-            first = self._of_rooms(generator.permutation(len(self.frames)), count)[: count - near]
-        else:
-            first = generator.choice(len(self.frames), count - near, replace=False)
+        first = generator.choice(len(self.frames), count - near, replace=False)
         anchors = first[generator.integers(0, len(first), near)]
         around = self._tree.query_ball_point(self._points[anchors], self.settings.reach, return_sorted=True)
-        if by_room:
-            pairs = zip(anchors, map(np.asarray, around), strict=True)
-            around = [found[self._room[found] == self._room[anchor]] for anchor, found in pairs]
         second = [found[generator.integers(0, len(found))] for found in around]
         return generator.permutation(np.concatenate([first, np.asarray(second, dtype=np.int64)]))
 
-    def _of_rooms(self, frames: NDArray[np.int64], count: int) -> NDArray[np.int64]:
-        """Order shuffled frames: first a frame of each room, for enough rooms, then more frames of these rooms."""
-        assert self.settings.same_room_share is not None
-        rooms = max(1, count - round(self.settings.same_room_share * count))
-        turn = _turns(self._room[frames])
-        firsts = np.flatnonzero(turn == 0)[:rooms]
-        rank = np.where(np.isin(self._room[frames], self._room[frames[firsts]]), 1, 2)
-        rank[firsts] = 0
-        return frames[np.argsort(rank, kind="stable")]
-
     def _images(self, generator: np.random.Generator, centre: np.int64) -> NDArray[np.int64]:
-        """Draw the images of a place, its lightings by weight or in turn; a place with too few images repeats them."""
+        """Draw the images of a place, its lightings in turn; a place with too few images repeats them."""
         found = np.asarray(self._tree.query_ball_point(self._points[centre], self.settings.radius), dtype=np.int64)
         found = generator.permutation(found[found != centre])
         order = np.concatenate([[centre], found])
         turn = _turns(self._kind[order])
-        if self.settings.lightings is not None:  # first the number due of each, then the rest in turn
-            due = _due(self._kind[order], self._weight[order], self.settings.images, generator.random())
-            turn = np.where(turn < due, -1, turn)
-        elif (again := _turns(self._position[order])).any():  # images from one position under several lights
+        if (again := _turns(self._position[order])).any():  # images from one position under several lights
             # First those that share neither position nor lighting, then other positions, then these ones again.
             first = self._apart(order)
             again += np.isin(self._position[order], self._position[order][first])
@@ -280,11 +231,3 @@ def _turns(kinds: NDArray[np.int64]) -> NDArray[np.int64]:
     turns = np.empty(len(kinds), dtype=np.int64)
     turns[order] = np.arange(len(ordered)) - starts
     return turns
-
-
-def _due(kinds: NDArray[np.int64], weights: NDArray[np.float64], count: int, offset: float) -> NDArray[np.int64]:
-    """Return, for each item, how many of its kind are due among `count`, by weight averaged over offsets in [0, 1)."""
-    _, first, kind = np.unique(kinds, return_index=True, return_inverse=True)
-    ends = np.cumsum(weights[first])
-    marks = (np.arange(count) + offset) / count * ends[-1]
-    return np.bincount(np.searchsorted(ends, marks, side="right"), minlength=len(first))[kind]

@@ -140,7 +140,6 @@ def _check(settings: Training, views: ViewSettings) -> PlaceSettings:
         raise ConfigError("pretraining learns from batches of places: give pairs a number of epoch_batches")
     wrong = {
         f"draws places by their positions: leave out pairs.by={places.by}": places.by != "position",
-        "shows every place under lights that take turns: leave out pairs.lightings": places.lightings is not None,
         f"draws pairs.places={places.places} images of a building, which has {most}: set views.poses larger": (
             places.places > most
         ),

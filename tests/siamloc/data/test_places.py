@@ -125,68 +125,6 @@ def test_without_positions_places_are_stretches_of_a_sequence():
         assert np.abs(step - step[:, :1]).max() <= 2
 
 
-def roomed(length=60, rooms=12):
-    rows = [
-        {"path": f"{number}", "x": 0.25 * number, "y": 0.0, "room": f"room{number * rooms // length}"}
-        for number in range(length)
-    ]
-    return FrameTable.from_rows(rows)
-
-
-@pytest.mark.parametrize(("share", "near"), [(0.25, 0.0), (0.5, 0.0), (0.5, 0.5), (0.75, 0.25), (1.0, 0.5)])
-def test_the_share_of_places_in_the_room_of_another_is_the_one_asked_for(share, near):
-    frames = roomed(length=240)
-    sampler = PlaceSampler(frames, PlaceSettings(places=8, images=1, near=near, reach=0.6, same_room_share=share))
-    for number in range(20):
-        rows = sampler.batch(1, number)
-        assert len(rows) == 8
-        assert len(set(frames.room[rows].tolist())) == max(1, 8 - 8 * share)
-        apart = np.abs(frames.x[rows][:, None] - frames.x[rows][None])
-        assert (apart <= 0.6).sum() - 8 >= 8 * near
-    two = PlaceSampler(frames, PlaceSettings(places=4, images=1, near=near, same_room_share=share))
-    one = PlaceSampler(frames, PlaceSettings(places=8, images=1, near=near, same_room_share=share))
-    assert np.array_equal(np.concatenate([two.batch(1, 2, rank, 2) for rank in (0, 1)]), one.batch(1, 2))
-
-
-def test_rooms_that_are_too_small_or_too_few_are_filled_up():
-    frames = roomed(length=60)  # five in a room
-    few = PlaceSampler(frames, PlaceSettings(places=8, images=1, same_room_share=1.0)).batch(0, 0)
-    assert len(set(few.tolist())) == 8
-    assert sorted(np.unique(frames.room[few], return_counts=True)[1].tolist())[-1] == 5
-    many = PlaceSampler(frames, PlaceSettings(places=20, images=1, same_room_share=0.0)).batch(0, 0)
-    assert len(set(frames.room[many].tolist())) == 12
-
-
-@pytest.mark.parametrize("images", [1, 3, 4])
-def test_images_are_divided_among_lightings_by_weight(images):
-    frames = building(length=40, apart=0.05)  # 2 m with plenty of each lighting everywhere
-    settings = PlaceSettings(places=20, images=images, radius=0.5, lightings={"night": 2, "sunny": 0.5})
-    sampler = PlaceSampler(frames, settings)
-    lighting = np.concatenate([frames.lighting[sampler.batch(0, number)] for number in range(40)])
-    for name, share in (("night", 2 / 3.5), ("cloudy", 1 / 3.5), ("sunny", 0.5 / 3.5)):
-        assert (lighting == name).mean() == pytest.approx(share, abs=0.04)
-    again = PlaceSampler(frames, settings).batch(0, 3)
-    assert np.array_equal(again, sampler.batch(0, 3))
-    assert len(set(again.reshape(20, images)[0].tolist())) == images
-
-
-def test_weights_divide_what_a_place_was_seen_under():
-    frames = building(drives=("cloudy", "night"), apart=5.0)  # a place has one frame of each
-    sampler = PlaceSampler(frames, PlaceSettings(places=4, images=2, lightings={"night": 5}))
-    assert all(set(place) == {"cloudy", "night"} for place in frames.lighting[sampler.batch(0, 0)].reshape(4, 2))
-
-
-def test_rooms_and_lightings_that_have_no_meaning_are_refused():
-    with pytest.raises(ConfigError, match=r"pairs\.near, 0\.5, must not be more than pairs\.same_room_share, 0\.2"):
-        PlaceSettings(near=0.5, same_room_share=0.2)
-    with pytest.raises(ConfigError, match=r"pairs\.lightings\.night must be a number above 0, got 0"):
-        PlaceSettings(lightings={"night": 0})
-    with pytest.raises(ConfigError, match=r"names 'nigth', which no training frame has: did you mean 'night'\?"):
-        PlaceSampler(building(), PlaceSettings(lightings={"nigth": 2}))
-    with pytest.raises(DataError, match=r"120 of 120 frames have no room, by which pairs\.same_room_share draws"):
-        PlaceSampler(building(), PlaceSettings(same_room_share=0.5))
-
-
 def test_what_cannot_be_drawn_is_refused():
     frames = building()
     with pytest.raises(ConfigError, match="a batch of one place has nothing to tell apart"):
@@ -231,12 +169,3 @@ def test_positions_that_are_left_come_before_those_that_are_taken():
     for number in range(50):
         for rows in sampler.batch(0, number).reshape(2, 3):
             assert len(set(frames.x[rows].tolist())) == 3
-
-
-def test_weights_of_lightings_hold_where_frames_share_positions():
-    x = np.repeat([0.0, 0.05, 0.1, 0.15, 0.2, 0.25], 2)
-    frames = FrameTable(path=[str(n) for n in range(12)], x=x, y=np.zeros(12), lighting=["night", "sunny"] * 6)
-    settings = PlaceSettings(places=4, images=4, radius=0.3, lightings={"night": 3, "sunny": 1})
-    sampler = PlaceSampler(frames, settings, seed=1)
-    drawn = np.concatenate([frames.lighting[sampler.batch(0, number)] for number in range(20)])
-    assert (drawn == "night").mean() == pytest.approx(0.75, abs=0.02)

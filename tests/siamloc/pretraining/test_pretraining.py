@@ -136,7 +136,6 @@ def test_a_training_that_is_resumed_is_one_that_never_stopped(rendered, tmp_path
         ({"pairs": {"epoch_batches": None}}, "epoch_batches"),
         ({"views": {"together": 9, "held": 4}}, r"views\.together=9"),
         ({"pairs": {"by": "sequence"}}, r"leave out pairs\.by=sequence"),
-        ({"pairs": {"lightings": {"night": 2}}}, r"leave out pairs\.lightings"),
         ({"views": {"drives": 1, "lights": 1, "poses": 8}}, r"set views\.poses larger"),
         ({"workers": 2}, r"views\.processes"),
         ({"epochs": 1, "settings": siamloc.training.Training()}, "give epochs in it"),
