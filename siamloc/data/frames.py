@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import html
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from fnmatch import fnmatchcase
@@ -225,14 +224,6 @@ class FrameTable:
     def __repr__(self) -> str:
         return f"FrameTable({self.describe()})"
 
-    def _repr_html_(self) -> str:
-        rows = []
-        for name, own in self.rows_by("sequence").items():
-            part = self.take(own)
-            labels = [_listed(_labels(column)) for column in (part.lighting, part.room)]
-            rows.append([name or "(unnamed)", len(part), *labels, part._positions()])
-        return html_table(f"{len(self)} frames", ["sequence", "frames", "lighting", "rooms", "positions"], rows)
-
     def _positions(self) -> str:
         known = int(self.has_position.sum())
         if known == 0:
@@ -276,16 +267,6 @@ def image_files(folder: Path) -> list[Path]:
     """Return the image files directly inside a folder, in name order."""
     suffixes = {".jpeg", ".jpg", ".png", ".bmp", ".ppm", ".tif", ".tiff", ".webp"}
     return sorted(path for path in folder.iterdir() if path.suffix.lower() in suffixes and path.is_file())
-
-
-def html_table(caption: str, header: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
-    """Return a small HTML table for notebooks; the texts are escaped."""
-    lines = [
-        "".join(f"<{tag}>{html.escape(str(cell))}</{tag}>" for cell in cells)
-        for tag, cells in [("th", header), *(("td", row) for row in rows)]
-    ]
-    body = "".join(f"<tr>{line}</tr>" for line in lines)
-    return f"<table><caption>{html.escape(caption)}</caption>{body}</table>"
 
 
 def _labels(column: NDArray[np.str_]) -> list[str]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import html
 import os
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
@@ -103,15 +102,10 @@ class PanoramaLibrary:
         return len(self.frames)
 
     def __repr__(self) -> str:
-        return f"PanoramaLibrary({self._summary()}; {self.frames.describe()})"
-
-    def _repr_html_(self) -> str:
-        return f"<p>{html.escape(self._summary())}</p>{self.frames._repr_html_()}"
-
-    def _summary(self) -> str:
         rows, columns = self.image_size
         left_out = f", {len(self.rejected)} images left out" if self.rejected else ""
-        return f"{len(self)} panoramas of {rows} x {columns} px in {self._cache}{left_out}"
+        panoramas = f"{len(self)} panoramas of {rows} x {columns} px in {self._cache}{left_out}"
+        return f"PanoramaLibrary({panoramas}; {self.frames.describe()})"
 
     @property
     def image_shape(self) -> tuple[int, int, int]:
