@@ -26,7 +26,6 @@ class PairSettings(Settings):
         same_room_share: share of same-room pairs; exact up to rounding. None: one half, or 1 if there is only one
             room.
         epoch_pairs: pairs in an epoch; the number of frames if None.
-        balance: "frames": every frame is equally likely to be the first of a pair; "rooms": every room is.
         scale: divisor of "distance", in the unit of the positions: a number for all frames, or numbers by building.
             Buildings without a number get the largest distance between two of their frames in the same room (18.99 m
             in Freiburg A).
@@ -38,7 +37,6 @@ class PairSettings(Settings):
     label: Literal["auto", "room", "distance"] = "auto"
     same_room_share: Share | None = None
     epoch_pairs: Count | None = None
-    balance: Literal["frames", "rooms"] = "frames"
     scale: Positive | Mapping[str, Any] | None = None
 
 
@@ -135,16 +133,15 @@ class PairSampler:
         same = np.zeros(self.epoch_pairs, dtype=bool)
         same[np.argsort(uniform[:, 0], kind="stable")[: round(self.same_room_share * self.epoch_pairs)]] = True
         mine = slice(rank, None, world_size)
-        return self._draw(uniform[mine, 1:], same[mine])
+        return self._draw(uniform[mine, 2:], same[mine])  # column 1 keeps the draws that runs are reproduced with
 
     def _draw(self, uniform: NDArray[np.float64], same: NDArray[np.bool_]) -> Pairs:
         first = np.empty(len(same), dtype=np.int64)
         second = np.empty(len(same), dtype=np.int64)
         for kind in (True, False):
             rows = same == kind
-            anchor = self._rooms.anchors(uniform[rows, 0], uniform[rows, 1], same=kind, balance=self.settings.balance)
-            first[rows] = anchor
-            second[rows] = self._rooms.partners(anchor, uniform[rows, 2], same=kind)
+            first[rows] = self._rooms.anchors(uniform[rows, 0], same=kind)
+            second[rows] = self._rooms.partners(first[rows], uniform[rows, 1], same=kind)
         return Pairs(first, second, self._labels(first, second, same), same)
 
     def _labels(
@@ -191,16 +188,10 @@ class _Rooms:
         self.count = len(self.size)
         self.has_pairs = bool((self.size > 1).any())
 
-    def anchors(
-        self, room: NDArray[np.float64], frame: NDArray[np.float64], *, same: bool, balance: str
-    ) -> NDArray[np.int64]:
+    def anchors(self, uniform: NDArray[np.float64], *, same: bool) -> NDArray[np.int64]:
         """Return the first frame of each pair; rooms with only one frame have no same-room pairs."""
-        usable = np.flatnonzero(self.size > 1) if same else np.arange(self.count)
-        if balance == "rooms":
-            chosen = usable[_scaled(room, len(usable))]
-            return self.order[self.start[chosen] + _scaled(frame, self.size[chosen])]
-        candidates = self.order[np.isin(self.room[self.order], usable)]
-        return candidates[_scaled(frame, len(candidates))]
+        candidates = self.order[self.size[self.room[self.order]] > 1] if same else self.order
+        return candidates[_scaled(uniform, len(candidates))]
 
     def partners(self, anchor: NDArray[np.int64], uniform: NDArray[np.float64], *, same: bool) -> NDArray[np.int64]:
         """Return the second frame: the k-th of the anchor's room, not counting the anchor, or of all other rooms."""
