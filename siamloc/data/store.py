@@ -126,7 +126,6 @@ def _reopened(folder: Path, total: int) -> Store:
 
 def _build(folder: Path, paths: Sequence[str], preprocessing: Preprocessing, workers: int, on_error: str) -> Store:
     """Decode the images into a new store, or open the store that another process makes in the meantime."""
-    _require_a_folder(paths)
     lock = folder.with_name(f".{folder.name}.lock")
     with storage_errors(folder), ExitStack() as stack:
         folder.parent.mkdir(parents=True, exist_ok=True)
@@ -138,21 +137,6 @@ def _build(folder: Path, paths: Sequence[str], preprocessing: Preprocessing, wor
             with atomic_folder(folder) as temporary:
                 _write(temporary, paths, preprocessing, workers, on_error)
     return store or _reopened(folder, len(paths))
-
-
-def _require_a_folder(paths: Sequence[str]) -> None:
-    """Distinguish lists that come without images from images that cannot be read.
-
-    Raises:
-        DataError: there are paths, but none of their folders exists.
-    """
-    folders = list(dict.fromkeys(Path(path).parent for path in paths))
-    if folders and not any(folder.exists() for folder in folders):
-        others = f" (nor do {len(folders) - 1} others)" if len(folders) > 1 else ""
-        raise DataError(
-            f"the images' folder {folders[0]} does not exist{others}: these lists come without images; "
-            "add the images, or name the folder that holds them"
-        )
 
 
 def _write(folder: Path, paths: Sequence[str], preprocessing: Preprocessing, workers: int, on_error: str) -> None:

@@ -295,18 +295,6 @@ def test_a_cache_where_a_file_stands_is_an_error(paths, tmp_path, caplog, inside
     assert "damaged" not in caplog.text
 
 
-@pytest.mark.parametrize("on_error", ["skip", "raise"])
-def test_lists_that_come_without_images_are_told_from_damaged_images(tmp_path, on_error):
-    paths = [str(tmp_path / f"seq{i % 2}" / f"{i}.jpeg") for i in range(4)]
-    with pytest.raises(DataError) as raised:
-        build(paths, tmp_path, on_error=on_error)
-    assert str(raised.value) == (
-        f"the images' folder {tmp_path / 'seq0'} does not exist (nor do 1 others): these lists come without images; "
-        "add the images, or name the folder that holds them"
-    )
-    assert not (tmp_path / "cache").exists()
-
-
 @pytest.mark.parametrize("shape", [(1, 3, 4, 8), (10**6, 3, 128, 512), (10**12, 3, 10**5, 10**5)])
 def test_the_header_is_numpys_whatever_the_shape(tmp_path, shape):
     header = _header(shape)
