@@ -125,14 +125,7 @@ def expand(
     return Expansion(written, kept, failed)
 
 
-def headings(
-    frames: int,
-    depth: int,
-    seed: int,
-    size: tuple[int, int],
-    circular: bool = True,
-    progress: Progress | None = None,
-) -> NDArray[np.float64]:
+def headings(frames: int, depth: int, seed: int, size: tuple[int, int], circular: bool = True) -> NDArray[np.float64]:
     """Return what each image's rotation adds to the robot's heading (frames, depth), rad in (-pi, pi].
 
     For layouts that carry the heading in the file name: it is known before any image is made.
@@ -143,7 +136,6 @@ def headings(
         seed: seed of the expansion.
         size: rows and columns of the images.
         circular: whether columns wrap around; if not, all are 0.
-        progress: for a progress bar; called with (items, total, what), yields the items.
 
     Example:
         >>> headings(2, 17, seed=0, size=(128, 512))[:, 14:].round(2)
@@ -151,9 +143,8 @@ def headings(
                [ 0.  , -2.86, -0.74]])
     """
     out = np.zeros((frames, depth))
-    turning = [v for v in variants(depth, circular) if any(effect.name == "rotate" for effect in v.policy.effects)]
-    if circular and frames:
-        for variant in progress(turning, len(turning), "drawing headings") if progress else turning:
+    for variant in variants(depth, circular) if circular and frames else []:
+        if any(effect.name == "rotate" for effect in variant.policy.effects):
             out[:, variant.number] = variant.parameters(seed, range(frames), size)["heading"]
     return out
 

@@ -79,22 +79,8 @@ def test_headings_are_known_before_any_picture_is_made(images, tmp_path):
     for row in read_table(out / TABLE):
         assert float(row["heading"]) == known[int(row["frame"]), int(row["variant"])]
         assert (float(row["heading"]) != 0) == ("rotate" in row["label"])
-
-
-def test_headings_of_many_variants_show_their_progress():
-    seen = []
-
-    def bar(items, total, what):
-        for item in items:
-            seen.append((item.label, total, what))
-            yield item
-
-    turns = headings(2, 30, 0, (16, 32), progress=bar)
-    assert [label for label, *_ in seen] == [v.label for v in augment.variants(30) if "rotate" in v.label]
-    assert {(total, what) for _, total, what in seen} == {(len(seen), "drawing headings")}
     assert not headings(2, 30, 0, (16, 32), circular=False).any()
     assert headings(0, 30, 0, (16, 32)).shape == (0, 30)
-    assert turns.any()
 
 
 def test_resuming_makes_only_what_is_missing(images, tmp_path):
