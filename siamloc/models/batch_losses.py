@@ -12,7 +12,7 @@ from torch import Tensor, nn
 from foundation.calls import takes
 from siamloc.errors import ConfigError, hint
 from siamloc.models.origins import Origins, ScheduledLoss, check_batch
-from siamloc.models.registry import LOSSES, SoftContrastive
+from siamloc.models.registry import LOSSES, MetricCalibrated, SoftContrastive
 
 
 class SoftContrastiveLoss(ScheduledLoss):
@@ -113,6 +113,50 @@ def _shares(weights: Tensor) -> Tensor:
     """Divide rows by their sums; a row that is almost 0 becomes 0."""
     total = weights.sum(dim=1, keepdim=True)
     return torch.where(total > _LEAST_WEIGHT, weights / total.clamp(min=_LEAST_WEIGHT), 0)
+
+
+class MetricCalibratedLoss(ScheduledLoss):
+    """Make the distance of two descriptors grow with that of the two images, up to a cap.
+
+    The mean over all pairs of images, from one building or two, of (|d_i - d_j| - sqrt(2) min(x_ij / cap, 1))^2. At the
+    cap two descriptors of unit length are orthogonal. After training, the distance of descriptors measures metres.
+    Pairs with an unknown position do not count.
+
+    Args:
+        settings: see `siamloc.models.registry.MetricCalibrated`.
+
+    Raises:
+        ConfigError: a cap that is not positive.
+    """
+
+    unit_length: ClassVar[bool] = True
+
+    @takes(MetricCalibrated)
+    def __init__(self, settings: MetricCalibrated) -> None:
+        super().__init__(settings)
+        self.cap = float(settings.cap)
+        self.settings = {"name": "metric_calibrated", **settings.plain()}
+
+    def forward(self, descriptors: Tensor, origins: Origins) -> Tensor:
+        """Compute the loss of a batch, a scalar, from descriptors (N, D) of unit length.
+
+        Raises:
+            DataError: other shapes.
+        """
+        check_batch(descriptors, origins)
+        with torch.autocast(device_type=descriptors.device.type, enabled=False):
+            found = descriptors.float()
+            one, other = torch.triu_indices(len(found), len(found), offset=1, device=found.device)
+            apart = torch.linalg.vector_norm(found[one] - found[other], dim=1)
+            wanted = 2**0.5 * (origins.distances()[one, other].float() / self.cap).clamp(max=1)
+            known = torch.isfinite(wanted)
+            cost = torch.where(known, apart - wanted.nan_to_num(0), 0).square()
+            return cost.sum() / known.sum().clamp(min=1)
+
+    def lacks(self, origins: Origins) -> str | None:
+        """Name what a batch lacks for this loss: two different frames nearer each other than the cap."""
+        cap = self.bounds("cap")[1]
+        return None if bool(origins.apart().min() < cap) else f"two frames less than loss.cap={cap:g} apart"
 
 
 _LEAST_WEIGHT = 1e-6

@@ -10,8 +10,9 @@ from torch import Tensor, nn
 from foundation.calls import takes
 from foundation.settings import fields_of
 from siamloc.models.origins import Origins, ScheduledLoss, check_batch
-from siamloc.models.registry import MultiSimilarity, NearAndFar, Triplet
+from siamloc.models.registry import Circle, MultiSimilarity, NearAndFar, Triplet
 
+_LEAST_SLOPE = 1e-3  # of a pair that contributes to learning
 _TRIPLETS = 3  # columns: an image, a positive and a negative of it
 _MINERS: dict[str, tuple[str, dict[str, Any]]] = {
     "multi_similarity": ("MultiSimilarityMiner", {}),
@@ -30,13 +31,13 @@ class NearAndFarLoss(ScheduledLoss):
     compares two anchor images, so that nothing is lost.
 
     Pairs and triplets are chosen and compared in main memory, in many small steps, which would take longer on a GPU.
-    So a training step on a GPU waits up to four times for a copy: of the descriptors, of the descriptors again in
-    `active`, and of the gradients in both directions.
+    So a training step on a GPU waits four times for a copy: of the descriptors, of the descriptors again in `active`,
+    and of the gradients in both directions.
     """
 
     unit_length: ClassVar[bool] = True
 
-    def __init__(self, name: str, published: str, settings: Triplet | MultiSimilarity) -> None:
+    def __init__(self, name: str, published: str, settings: Triplet | Circle | MultiSimilarity) -> None:
         from pytorch_metric_learning import distances, losses, miners
 
         super().__init__(settings)
@@ -136,7 +137,45 @@ class TripletLoss(NearAndFarLoss):
         return share.to(descriptors.device, non_blocking=True)
 
 
-class MultiSimilarityLoss(NearAndFarLoss):
+class _PairLoss(NearAndFarLoss):
+    """Base of the losses that add up over the pairs of each image."""
+
+    steepest = 1.0  # roughly the largest slope of the loss of an image in the similarity of a pair
+
+    def active(self, descriptors: Tensor, origins: Origins) -> Tensor:
+        """Return the share of pairs (an image, and one near it or far from it) that contribute to learning.
+
+        No pair has a loss of exactly 0: pairs count if their gradient is above a thousandth of its maximum. With a
+        miner, only pairs that it picks count; 0 if there are none.
+        """
+        with torch.enable_grad(), torch.autocast(device_type=descriptors.device.type, enabled=False):
+            found, picked = self._picked(descriptors.detach(), origins)
+            pairs = (*picked[:2], picked[0], picked[2]) if len(picked) == _TRIPLETS else picked
+            alike = self.loss.distance(found).requires_grad_()
+            cost = self.loss.loss_method(alike, pairs)["loss"]["losses"].sum()
+            (slope,) = torch.autograd.grad(cost, alike)
+        of_pairs = slope[torch.cat([pairs[0], pairs[2]]), torch.cat([pairs[1], pairs[3]])]
+        share = (of_pairs.abs() > _LEAST_SLOPE * self.steepest).sum() / max(len(of_pairs), 1)
+        return share.to(descriptors.device, non_blocking=True)
+
+
+class CircleLoss(_PairLoss):
+    """Pull positives and push negatives the more, the farther they are from their targets ([Sun 2020]).
+
+    The mean over the images i with a non-zero loss of log(1 + sum_n exp(gamma [s_n + m]+ (s_n - m)) times
+    sum_p exp(-gamma [1 + m - s_p]+ (s_p - 1 + m))), with the similarities s to the negatives and positives of i.
+
+    Args:
+        settings: see `siamloc.models.registry.Circle`.
+    """
+
+    @takes(Circle)
+    def __init__(self, settings: Circle) -> None:
+        super().__init__("circle", "CircleLoss", settings)
+        self.steepest = float(settings.gamma)
+
+
+class MultiSimilarityLoss(_PairLoss):
     """Weigh each pair by how it compares with the other pairs of its image ([Wang 2019]).
 
     The mean over the images i of log(1 + sum_p exp(-alpha (s_p - base))) / alpha

@@ -34,11 +34,12 @@ class PlaceModule(NetworkModule):
 
     Logged at the end of an epoch: `train/loss` and `train/spread`, the mean distance of descriptors from their mean,
     near 0 if the network gives every image the same descriptor; with losses that report it, such as `TripletLoss`,
-    `train/active`, the share of triplets with a non-zero loss; if displacements are learned, `train/relative`, the mean
-    error of those within reach. For the validation: `val/error`, the mean distance from the map frame with the nearest
-    descriptor; `val/median`; `val/recall`, the share within a radius of it; `val/room`, the share with the same room as
-    that frame; and `val/refined`, the mean error of the pose by comparison with that frame. With a `CrossEntropyLoss`,
-    `train/accuracy` and `val/accuracy` are the shares of images whose room is named correctly.
+    `train/active`, the share of triplets with a non-zero loss, or of pairs with a gradient; if displacements are
+    learned, `train/relative`, the mean error of those within reach. For the validation: `val/error`, the mean distance
+    from the map frame with the nearest descriptor; `val/median`; `val/recall`, the share within a radius of it;
+    `val/room`, the share with the same room as that frame; and `val/refined`, the mean error of the pose by comparison
+    with that frame. With a `CrossEntropyLoss`, `train/accuracy` and `val/accuracy` are the shares of images whose room
+    is named correctly.
 
     Args:
         network: (B, 3, H, W) floating point in [0, 1] -> (B, D): what `siamloc.models.build` makes, or any module.

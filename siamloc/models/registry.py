@@ -169,6 +169,21 @@ class SoftContrastive(Settings):
     room: Share = 0.0
 
 
+@dataclass(frozen=True)
+class MetricCalibrated(Settings):
+    """The distance of descriptors grows with that of the images, up to a cap (`MetricCalibratedLoss`).
+
+    Attributes:
+        cap: distance from which two images are maximally different, in the unit of the positions.
+        cap_start: cap at the beginning of a training; see `sigma_start` of `SoftContrastive`.
+    """
+
+    WHERE = "loss"
+
+    cap: Positive = 2.0
+    cap_start: Positive | None = None
+
+
 Miner = Literal["multi_similarity", "batch_hard", "batch_easy_hard"]
 Closeness = Literal["cosine", "euclidean", "squared"]
 
@@ -229,6 +244,21 @@ class Triplet(NearAndFar):
 
 
 @dataclass(frozen=True)
+class Circle(NearAndFar):
+    """The circle loss over near and far images of a batch (`CircleLoss`).
+
+    Attributes:
+        m: how far similarities may be from 1 and from 0.
+        gamma: scale of the similarities.
+        distance: "cosine", the only one for this loss.
+    """
+
+    m: Positive = 0.4
+    gamma: Positive = 80.0
+    distance: Literal["cosine"] = "cosine"
+
+
+@dataclass(frozen=True)
 class MultiSimilarity(NearAndFar):
     """The multi-similarity loss over near and far images of a batch (`MultiSimilarityLoss`).
 
@@ -275,7 +305,9 @@ class Contrastive(Settings):
 
 LOSSES: dict[str, tuple[type[Settings], str]] = {
     "soft_contrastive": (SoftContrastive, "batch_losses.SoftContrastiveLoss"),
+    "metric_calibrated": (MetricCalibrated, "batch_losses.MetricCalibratedLoss"),
     "triplet": (Triplet, "near_and_far.TripletLoss"),
+    "circle": (Circle, "near_and_far.CircleLoss"),
     "multi_similarity": (MultiSimilarity, "near_and_far.MultiSimilarityLoss"),
     "cross_entropy": (CrossEntropy, "cross_entropy.CrossEntropyLoss"),
 }

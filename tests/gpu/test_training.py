@@ -19,7 +19,7 @@ SIZE = (16, 64)
 PAIRS = {"batch_size": 4, "pairs": {"label": "room", "epoch_pairs": 20}}
 PLACES = {"pairs": {"places": 3, "images": 2, "radius": 0.6, "epoch_batches": 5}}
 KINDS = pytest.mark.parametrize("settings", [PAIRS, PLACES], ids=["pairs", "places"])
-WAITING = ("triplet", "multi_similarity")
+WAITING = ("triplet", "circle", "multi_similarity")
 
 
 def small(**options):

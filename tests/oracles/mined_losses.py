@@ -58,6 +58,16 @@ def _mean_of_positive(costs):
     return sum(costs) / max(len(costs), 1)
 
 
+def metric_calibrated(descriptors, places, cap):
+    """Every pair once."""
+    pairs = [(i, j) for i in range(len(places)) for j in range(i)]
+    costs = [
+        (math.dist(descriptors[i], descriptors[j]) - math.sqrt(2) * min(math.dist(places[i], places[j]) / cap, 1)) ** 2
+        for i, j in pairs
+    ]
+    return sum(costs) / max(len(costs), 1)
+
+
 def triplet(descriptors, places, near, far, margin, miner=None, distance="euclidean"):
     """Every anchor with every one of its positives and every one of its negatives."""
     return _mean_of_positive(triplet_costs(descriptors, places, near, far, margin, miner, distance))
@@ -70,6 +80,38 @@ def triplet_costs(descriptors, places, near, far, margin, miner=None, distance="
             gap = unlike(descriptors[a], descriptors[p]) - unlike(descriptors[a], descriptors[n])
             costs.append(max(gap + margin, 0))
     return costs
+
+
+def circle(descriptors, places, near, far, m, gamma, miner=None):
+    """An anchor needs both kinds."""
+    costs = []
+    for a in range(len(places)):
+        pull, push = _circle_terms(descriptors, places, a, near, far, m, gamma, miner)
+        if pull and push:
+            costs.append(math.log(1 + sum(pull.values()) * sum(push.values())))
+    return _mean_of_positive(costs)
+
+
+def _circle_terms(descriptors, places, a, near, far, m, gamma, miner):
+    positives, negatives = _pairs(descriptors, places, a, near, far, miner, "cosine")
+    low = {p: _similarity(descriptors[a], descriptors[p]) for p in positives}
+    high = {n: _similarity(descriptors[a], descriptors[n]) for n in negatives}
+    pull = {p: math.exp(-gamma * max(1 + m - s, 0) * (s - 1 + m)) for p, s in low.items()}
+    push = {n: math.exp(gamma * max(s + m, 0) * (s - m)) for n, s in high.items()}
+    return pull, push
+
+
+def circle_slopes(descriptors, places, near, far, m, gamma, miner=None):
+    """What each pair's similarity changes the cost by, over gamma."""
+    slopes = []
+    for a in range(len(places)):
+        pull, push = _circle_terms(descriptors, places, a, near, far, m, gamma, miner)
+        both = sum(pull.values()) * sum(push.values())
+        for terms, reach in ((pull, lambda s: 1 + m - s), (push, lambda s: max(s + m, 0))):
+            for j, term in terms.items():
+                weight = reach(_similarity(descriptors[a], descriptors[j]))
+                slopes.append(both / (1 + both) * term / sum(terms.values()) * weight)
+    return slopes
 
 
 def multi_similarity(descriptors, places, near, far, alpha, beta, base, miner=None, distance="cosine"):
@@ -87,3 +129,12 @@ def _similarity_terms(descriptors, places, a, near, far, alpha, beta, base, mine
     pull = [math.exp(alpha * (unlike(descriptors[a], descriptors[p]) - base)) for p in positives]
     push = [math.exp(beta * (base - unlike(descriptors[a], descriptors[n]))) for n in negatives]
     return pull, push
+
+
+def multi_similarity_slopes(descriptors, places, near, far, alpha, beta, base, miner=None, distance="cosine"):
+    """What each pair's similarity changes the cost by."""
+    slopes = []
+    for a in range(len(places)):
+        for terms in _similarity_terms(descriptors, places, a, near, far, alpha, beta, base, miner, distance):
+            slopes.extend(term / (1 + sum(terms)) for term in terms)
+    return slopes

@@ -93,7 +93,9 @@ def test_gradients_are_finite_also_where_descriptors_are_equal():
 
 
 MINED = {
+    "metric_calibrated": (mined_losses.metric_calibrated, {"cap": 1.3}),
     "triplet": (mined_losses.triplet, {"near": 0.5, "far": 0.9, "margin": 0.3}),
+    "circle": (mined_losses.circle, {"near": 0.5, "far": 0.9, "m": 0.3, "gamma": 8.0}),
     "multi_similarity": (
         mined_losses.multi_similarity,
         {"near": 0.5, "far": 0.9, "alpha": 2.0, "beta": 5.0, "base": 0.4},
@@ -118,6 +120,7 @@ MINED_WITH = [
     for name, distances in (
         ("triplet", ("euclidean", "squared", "cosine")),
         ("multi_similarity", ("cosine", "euclidean", "squared")),
+        ("circle", ("cosine",)),
     )
     for distance in distances
     for miner in (None, *MINERS[: None if name == "triplet" else 3])
@@ -130,17 +133,21 @@ def test_miners_and_distances_agree_with_loops(name, further, seed):
     descriptors, xy, _ = draw(9 + seed, 3, seed)
     oracle, parameters = MINED[name]
     loss = make_loss(name, **parameters, **further)
-    expected = oracle(descriptors.tolist(), xy.tolist(), **parameters, **further)
+    told = {key: value for key, value in further.items() if (name, key) != ("circle", "distance")}
+    expected = oracle(descriptors.tolist(), xy.tolist(), **parameters, **told)
     assert loss(descriptors, origins(xy)).item() == pytest.approx(expected, rel=2e-4, abs=2e-5)
-    if name == "triplet":
-        costs = mined_losses.triplet_costs(descriptors.tolist(), xy.tolist(), **parameters, **further)
-        active = sum(cost > 0 for cost in costs) / max(len(costs), 1)
-        assert loss.active(descriptors, origins(xy)).item() == pytest.approx(active)
+    costs = {
+        "triplet": mined_losses.triplet_costs,
+        "circle": mined_losses.circle_slopes,
+        "multi_similarity": mined_losses.multi_similarity_slopes,
+    }[name](descriptors.tolist(), xy.tolist(), **parameters, **told)
+    active = sum(cost > (0 if name == "triplet" else 1e-3) for cost in costs) / max(len(costs), 1)
+    assert loss.active(descriptors, origins(xy)).item() == pytest.approx(active)
 
 
 @settings(deadline=None, max_examples=25)
 @given(
-    name=st.sampled_from(["triplet", "multi_similarity"]),
+    name=st.sampled_from(["triplet", "circle", "multi_similarity"]),
     miner=st.sampled_from(MINERS[:3]),
     images=st.integers(4, 14),
     seed=st.integers(0, 1000),
@@ -183,8 +190,9 @@ def test_images_that_nobody_knows_a_place_of_cost_nothing(name):
 @pytest.mark.parametrize(
     ("name", "given", "says"),
     [
+        ("circle", {"distance": "euclidean"}, "loss.distance must be cosine, got 'euclidean'"),
         (
-            "multi_similarity",
+            "circle",
             {"miner": "semihard"},
             "loss.miner must be multi_similarity or batch_hard or batch_easy_hard, or nul",
         ),
@@ -226,7 +234,9 @@ def test_sigma_goes_from_its_start_to_its_end_by_equal_factors():
 @pytest.mark.parametrize(
     ("name", "begin", "middle", "end"),
     [
+        ("metric_calibrated", {"cap": 4.0}, {"cap": 2.0}, {"cap": 1.0}),
         ("triplet", {"near": 0.9, "far": 1.6}, {"near": 0.6, "far": 1.2}, {"near": 0.4, "far": 0.9}),
+        ("circle", {"far": 1.8}, {"far": 1.2}, {"far": 0.8}),
     ],
 )
 def test_other_distances_shrink_in_the_same_way(name, begin, middle, end):

@@ -218,7 +218,8 @@ def test_mistakes_with_pairs_are_found_before_anything_is_written(images, drives
         (siamloc.models.SoftContrastiveLoss(sigma=0.01), 1, r"near enough for loss\.sigma=0\.01; the nearest"),
         (siamloc.models.SoftContrastiveLoss(room=1), 2, r"two frames of one room, for loss\.room=1;"),
         (siamloc.models.TripletLoss(near=0.1), 2, r"up to loss\.near=0\.1 apart; the nearest are 0\.25 apart"),
-        (siamloc.models.MultiSimilarityLoss(far=50.0), 2, r"two frames more than loss\.far=50 apart;"),
+        (siamloc.models.CircleLoss(far=50.0), 2, r"two frames more than loss\.far=50 apart;"),
+        (siamloc.models.MetricCalibratedLoss(cap=0.1), 1, r"two frames less than loss\.cap=0\.1 apart"),
     ],
 )
 @pytest.mark.parametrize("debug", [None, "one_batch"])
