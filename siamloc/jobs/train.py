@@ -117,7 +117,6 @@ class Train(_Training, DataJob):
                                           for triplet and similar losses: which pairs count and how they are compared
         pairs.by=sequence pairs.radius=1    batches without positions; loss.room=0.5 to learn from rooms as well
         pairs.same_room_share=0.4 pairs.epoch_pairs=10000
-        pairs.lightings={night:2}         twice as many night images per batch as images of each other lighting
         augment=thesis                    augmentation of training images; augment.where=cpu|gpu sets the device
         epochs=30 batch_size=16 optimizer.learning_rate=0.001 seed=0
         monitor=error|recall|room|accuracy|loss
