@@ -6,8 +6,10 @@ folder, it removes the temporary files there that killed processes on this machi
 
 from __future__ import annotations
 
+import csv
 import errno
 import hashlib
+import io
 import json
 import os
 import platform
@@ -16,7 +18,7 @@ import shutil
 import stat
 import threading
 import zlib
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
 from itertools import count
 from pathlib import Path
@@ -152,6 +154,19 @@ def _is_left(name: str) -> bool:
     return False
 
 
+_FULL = "no space left on the disk while writing {path}: free some space or write elsewhere"
+_FORBIDDEN = "writing {path} is not permitted: write elsewhere or change the permissions"
+_A_FILE = "{path} cannot be written: a file stands where a folder is needed"
+_REFUSALS = {
+    **dict.fromkeys((errno.ENOSPC, errno.EDQUOT), _FULL),
+    **dict.fromkeys((errno.EACCES, errno.EPERM, errno.EROFS), _FORBIDDEN),
+    **dict.fromkeys((errno.ENOTDIR, errno.EEXIST), _A_FILE),
+    errno.EISDIR: "{path} cannot be written: a folder stands where the file is to be",
+    errno.ENOENT: "{path} cannot be written: its folder is gone, or cannot be made there",
+}
+"""What the disk refuses, in words, by the number of the error."""
+
+
 @contextmanager
 def storage_errors(path: str | Path) -> Iterator[None]:
     """Turn the operating system's refusals while writing `path` into one clear sentence."""
@@ -162,19 +177,8 @@ def storage_errors(path: str | Path) -> Iterator[None]:
     except OSError as error:
         if error.errno is None:  # such as a time limit
             raise
-        if error.errno in (errno.ENOSPC, errno.EDQUOT):
-            message = f"no space left on the disk while writing {path}: free some space or write elsewhere"
-        elif error.errno in (errno.EACCES, errno.EPERM, errno.EROFS):
-            message = f"writing {path} is not permitted: write elsewhere or change the permissions"
-        elif error.errno in (errno.ENOTDIR, errno.EEXIST):
-            message = f"{path} cannot be written: a file stands where a folder is needed"
-        elif error.errno == errno.EISDIR:
-            message = f"{path} cannot be written: a folder stands where the file is to be"
-        elif error.errno == errno.ENOENT:
-            message = f"{path} cannot be written: its folder is gone, or cannot be made there"
-        else:
-            message = f"{path} cannot be written ({error.strerror or error}): write elsewhere"
-        raise StorageError(message) from error
+        refusal = _REFUSALS.get(error.errno, f"{{path}} cannot be written ({error.strerror or error}): write elsewhere")
+        raise StorageError(refusal.replace("{path}", str(path))) from error
 
 
 def write_json(path: str | Path, value: Any) -> None:
@@ -186,6 +190,18 @@ def write_json(path: str | Path, value: Any) -> None:
 def write_text(path: str | Path, text: str) -> None:
     """Write a text file in UTF-8, atomically."""
     write_bytes(path, text.encode())
+
+
+def csv_text(rows: Iterable[Iterable[Any]]) -> str:
+    """Return rows of plain values as CSV: numbers with full precision, None and NaN as empty cells.
+
+    >>> csv_text([["x", "room"], [0.1 + 0.2, "a, b"], [float("nan"), None]])
+    'x,room\\n0.30000000000000004,"a, b"\\n,\\n'
+    """
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerows(["" if cell is None or cell != cell else cell for cell in row] for row in rows)
+    return text.getvalue()
 
 
 def write_bytes(path: str | Path, content: bytes) -> None:

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import csv
 import datetime
-import io
 import platform
 import sys
 from collections.abc import Callable, Mapping
@@ -19,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from foundation.calls import typed
-from foundation.files import check_version, read_json, write_json, write_text
+from foundation.files import check_version, csv_text, read_json, write_json, write_text
 from siamloc import __version__
 from siamloc.errors import ConfigError, DataError, FormatError, hint
 
@@ -104,7 +103,8 @@ def write_results(
         every["queries"] = rows
     checked = {name: _as_table(name, columns) for name, columns in every.items()}
     for name, columns in checked.items():
-        write_text(folder / f"{name}.csv", _csv_text(columns))
+        lines = zip(*(column.tolist() for column in columns.values()), strict=True)
+        write_text(folder / f"{name}.csv", csv_text([columns, *lines]))
     described = {
         name: {
             "file": f"{name}.csv",
@@ -246,21 +246,6 @@ def _as_table(name: str, columns: Mapping[str, NDArray]) -> Columns:
         if column.dtype.kind not in _KINDS:
             raise DataError(f"column {key!r} of {name!r} holds {column.dtype}, expected text, bool, int or float")
     return table
-
-
-def _csv_text(columns: Columns) -> str:
-    buffer = io.StringIO()
-    writer = csv.writer(buffer, lineterminator="\n")
-    writer.writerow(columns)
-    writer.writerows(zip(*(_cells(column) for column in columns.values()), strict=True))
-    return buffer.getvalue()
-
-
-def _cells(column: NDArray) -> list[Any]:
-    if column.dtype.kind != "f":
-        return column.tolist()
-    # The shortest text that reads back as the same float64; an unknown value is an empty cell.
-    return ["" if value != value else repr(value) for value in column.astype(np.float64).tolist()]
 
 
 def _parse(kind: str, cells: tuple[str, ...]) -> NDArray:

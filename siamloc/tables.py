@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import math
 import textwrap
 from dataclasses import dataclass
 from typing import Any, Literal
+
+from foundation.files import csv_text
 
 NOTHING = "–"
 WIDTH = 116
@@ -115,13 +115,8 @@ class Table:
 
     def csv(self) -> str:
         """Return the table as CSV: numbers in full precision, unknown values empty."""
-        text = io.StringIO()
-        writer = csv.writer(text, lineterminator="\n")
-        writer.writerow(column.heading for column in self.columns)
-        for row in self.rows:
-            plain = (value[0] / max(value[1], 1) if isinstance(value, tuple) else value for value in row)
-            writer.writerow("" if value is None or value != value else value for value in plain)
-        return text.getvalue()
+        rows = ([one[0] / max(one[1], 1) if isinstance(one, tuple) else one for one in row] for row in self.rows)
+        return csv_text([[column.heading for column in self.columns], *rows])
 
     def _justified(self) -> list[list[str]]:
         """Return the lines of each column, equally long: heading, unit, and cells."""

@@ -111,9 +111,9 @@ class Localize(Robot):
         located = locate_all(localizer, self.images, on_error=self.on_error, track=self.track)
         target = self.target
         off, faults, count, stopped = list[float](), 0, 0, False
-        line = None if self.format == "table" else LINES[f".{self.format}"]()
-        if line and line.head:
-            say(line.head.rstrip("\n"))
+        head, line = ("", None) if self.format == "table" else LINES[f".{self.format}"]
+        if head:
+            say(head.rstrip("\n"))
         with closing(located if target is None else written(target, located)) as passing:
             try:
                 for one in passing:

@@ -14,7 +14,7 @@ from siamloc.data.decoding import Preprocessing
 from siamloc.errors import ConfigError, FormatError
 from siamloc.maps.heading import is_analytic
 from siamloc.maps.packing import Precision
-from siamloc.runtime.thumbnails import Thumbnails
+from siamloc.runtime.thumbnails import read_thumbnails
 
 if TYPE_CHECKING:
     from siamloc.maps import CoarseLayer, ErrorModel, Refinement, VisualMap
@@ -144,7 +144,7 @@ class Bundle:
             FormatError: the thumbnails are damaged.
             IndexError: there is no such row.
         """
-        return None if self._thumbnails is None else self._thumbnails[row]
+        return self._thumbnails[row] if THUMBNAILS in self.files else None
 
     def summary(self) -> str:
         """Return two lines with the accuracy of the exported descriptor and what the robot gets."""
@@ -162,7 +162,11 @@ class Bundle:
             gets.append(f"heading (by {self.about['heading']['identity']['name']})")
         if ERRORS in self.files:
             lost = self.about["errors"].get("lost_above")
-            gets.append("expected error" if lost is None else f"expected error (lost above {lost:g} {self._unit})")
+            gets.append(
+                "expected error"
+                if lost is None
+                else f"expected error (lost above {lost:g} {self.about.get('unit', 'm')})"
+            )
         if LAYER in self.files:
             gets.append(f"a coarse layer by {self.about['search']['by']}")
         if THUMBNAILS in self.files:
@@ -215,26 +219,17 @@ class Bundle:
         return sum((self.path / name).stat().st_size for name in (DESCRIPTION, *self.files))
 
     @cached_property
-    def _thumbnails(self) -> Thumbnails | None:
-        if THUMBNAILS not in self.files:
-            return None
-        return Thumbnails(self.path / THUMBNAILS)
-
-    @property
-    def _unit(self) -> str:
-        return str(self.about.get("unit", "m"))
+    def _thumbnails(self) -> list[Any]:
+        return read_thumbnails(self.path / THUMBNAILS)
 
     def _map(self, name: str) -> VisualMap | None:
         from siamloc.maps import VisualMap
 
-        if name not in self.files:
-            return None
-        return VisualMap.load(self.path / name)
+        return VisualMap.load(self.path / name) if name in self.files else None
 
     def _learned(self, kind: type[_Kind], name: str) -> _Kind | None:
-        if name not in self.files:
-            return None
-        return kind.from_dict(read_json(self.path / name), f"{self.path}/{name}")
+        file = self.path / name
+        return kind.from_dict(read_json(file), str(file)) if name in self.files else None
 
 
 def _holds(file: Path) -> bool:

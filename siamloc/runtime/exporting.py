@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import shutil
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -20,21 +20,8 @@ from siamloc.maps import Built, CoarseLayer, HierarchicalSearch, LayerSearch, Vi
 from siamloc.maps.describing import descriptor_from
 from siamloc.maps.heading import is_analytic
 from siamloc.maps.packing import PRECISIONS, Precision
-from siamloc.runtime.bundle import (
-    COARSE,
-    DESCRIPTION,
-    ERRORS,
-    FORMAT,
-    LAYER,
-    MAP,
-    MODEL,
-    PARTS,
-    REFINEMENT,
-    RELATIVE,
-    THUMBNAILS,
-    VERSION,
-    Bundle,
-)
+from siamloc.runtime import bundle as files
+from siamloc.runtime.bundle import Bundle
 from siamloc.runtime.localizer import Localizer
 from siamloc.runtime.precision import CALIBRATION, Measured, measured, smallest, spread
 from siamloc.runtime.thumbnails import save_thumbnails
@@ -107,14 +94,11 @@ def export(
         SiamlocError: the bundle differs from the original.
         StorageError: the disk is full or cannot be written to.
     """
-    from siamloc.models import as_descriptor
-
     folder = Path(folder).absolute()
     precision = checked(precision, Literal["float32", "float16", "int8", "auto"], "precision")
     _check_replaceable(folder)
     circular = known is None or bool(known.identity.get("circular", True))
     given = descriptor_from(described_by, circular=circular, device=None)
-    _check_exportable(given, known)
     identity, parameters = _described_alike(given, known, preprocessing)
     _check_learned(known, errors, refinement)
     if layer is not None:
@@ -122,8 +106,8 @@ def export(
         layer = _checked_layer(known, layer, coarse_map, search)
     _check_given(given, known, images, thumbnails, precision, validation)
     about = {
-        "format": FORMAT,
-        "version": VERSION,
+        "format": files.FORMAT,
+        "version": files.VERSION,
         "preprocessing": parameters,
         "identity": identity,
         "unit": None if known is None else known.unit,
@@ -133,32 +117,31 @@ def export(
         "figures": None if figures is None else plain(dict(figures)),
     }
     if hasattr(given, "module"):
+        from siamloc.models import as_descriptor
         from siamloc.runtime.onnx_model import on_cpu
 
         given = as_descriptor(on_cpu(given.module), None)  # as the robot computes
-    made = _Ingredients(about, given, known, errors, refinement, layer, coarse_map, images, thumbnails)
+    parts: dict[str, Any] = {files.MAP: known, files.ERRORS: errors, files.REFINEMENT: refinement}
+    parts |= {files.LAYER: layer, files.COARSE: coarse_map}
+    made = _Ingredients(about, given, known, refinement, parts, images, thumbnails)
     with atomic_folder(folder) as fresh:
-        if precision != "auto":
-            made.write(fresh, precision)
+        if precision == "auto":
+            made.write_smallest(fresh, validation)
         else:
-            assert images is not None
-            assert validation is not None
-            made.write_smallest(fresh, images, validation)
+            made.write(fresh, precision)
     return Bundle.open(folder)
 
 
 @dataclass(frozen=True)
 class _Ingredients:
-    """Everything a bundle is made from."""
+    """Everything a bundle is made from; `parts` are the objects that save themselves, by the names of their files."""
 
     about: dict[str, Any]
     given: Descriptor
     known: VisualMap | None
-    errors: ErrorModel | None
     refinement: Refinement | None
-    layer: CoarseLayer | None
-    coarse_map: VisualMap | None
-    images: PanoramaLibrary | None
+    parts: dict[str, Any]
+    images: Any
     thumbnails: bool
 
     def write(self, fresh: Path, precision: Precision) -> None:
@@ -167,47 +150,37 @@ class _Ingredients:
         Raises:
             SiamlocError: the bundle differs from the original.
         """
-        about = {**self.about, "precision": precision, "refinement": self._finer()}
-        module, known = getattr(self.given, "module", None), self.known
-        if module is not None:
-            about["parity"] = self._write_networks(module, fresh, precision, about["refinement"])
-        if known is not None:
-            known.save(fresh / MAP, precision)
-        if self.errors is not None:
-            self.errors.save(fresh / ERRORS)
+        module, known, finer = getattr(self.given, "module", None), self.known, None
         if self.refinement is not None:
-            self.refinement.save(fresh / REFINEMENT)
-        if self.layer is not None:
-            self.layer.save(fresh / LAYER)
-        if self.coarse_map is not None:
-            self.coarse_map.save(fresh / COARSE, precision)
-        if self.thumbnails and self.images is not None and known is not None:
-            save_thumbnails(fresh / THUMBNAILS, self.images, known.frames)
-        about["sha256"] = {file: file_hash(fresh / file) for file in PARTS if (fresh / file).is_file()}
-        write_json(fresh / DESCRIPTION, {"parity": _UNKNOWN, **about})  # to be opened, and compared
+            finer = {"method": self.refinement.method, "neighbours": self.refinement.neighbours}
+        about = {**self.about, "precision": precision, "refinement": finer}
+        if module is not None:
+            about["parity"] = self._write_networks(module, fresh, precision, finer)
+        for file, part in self.parts.items():
+            if part is not None:
+                part.save(fresh / file, *([precision] if isinstance(part, VisualMap) else []))
+        if self.thumbnails and known is not None:
+            save_thumbnails(fresh / files.THUMBNAILS, self.images, known.frames)
+        about["sha256"] = {file: file_hash(fresh / file) for file in files.PARTS if (fresh / file).is_file()}
+        write_json(fresh / files.DESCRIPTION, {"parity": _UNKNOWN, **about})  # to be opened, and compared
         if known is not None:
             apart = _check_alike(fresh, self.given, known, precision, self.images)
             if module is None or precision != "float32":
-                write_json(fresh / DESCRIPTION, {**about, "parity": {**about.get("parity", {}), **apart}})
+                write_json(fresh / files.DESCRIPTION, {**about, "parity": {**about.get("parity", {}), **apart}})
 
-    def write_smallest(self, fresh: Path, images: PanoramaLibrary, frames: FrameTable) -> None:
+    def write_smallest(self, fresh: Path, frames: Any) -> None:
         """Write the smallest bundle whose localization error on frames grows by at most `LOSS`."""
-        rows, (panoramas, asked) = list[Measured](), spread(images, frames.take(frames.has_position))
+        rows, (panoramas, asked) = list[Measured](), spread(self.images, frames.take(frames.has_position))
         for precision in PRECISIONS:
-            folder = fresh / precision
-            folder.mkdir()
-            self.write(folder, precision)
-            rows.append(measured(folder, self.given, panoramas, asked.xy))
+            (fresh / precision).mkdir()
+            self.write(fresh / precision, precision)
+            rows.append(measured(fresh / precision, self.given, panoramas, asked.xy))
         for file in (fresh / smallest(rows).precision).iterdir():
             file.replace(fresh / file.name)
         for precision in PRECISIONS:
             shutil.rmtree(fresh / precision)
-        about = read_json(fresh / DESCRIPTION)
-        write_json(fresh / DESCRIPTION, {**about, "precisions": [row.plain() for row in rows]})
-
-    def _finer(self) -> dict[str, Any] | None:
-        found = self.refinement
-        return None if found is None else {"method": found.method, "neighbours": found.neighbours}
+        about = read_json(fresh / files.DESCRIPTION)
+        write_json(fresh / files.DESCRIPTION, {**about, "precisions": [asdict(row) for row in rows]})
 
     def _write_networks(
         self, module: nn.Module, fresh: Path, precision: Precision, finer: dict[str, Any] | None
@@ -215,14 +188,12 @@ class _Ingredients:
         """Write the network, and its comparing part if `finer` needs it; return the parity of the network's file."""
         from siamloc.runtime.onnx_model import export_onnx, export_relative, quantize
 
-        rows, columns = self.about["preprocessing"]["height"], self.about["preprocessing"]["width"]
-        parity: dict[str, Any] = export_onnx(module, fresh / MODEL, (rows, columns))["parity"]
+        size = self.about["preprocessing"]["height"], self.about["preprocessing"]["width"]
+        parity: dict[str, Any] = export_onnx(module, fresh / files.MODEL, size)["parity"]
         if finer is not None and finer["method"] == "relative":
-            finer["parity"] = export_relative(module, fresh / RELATIVE)
-        if precision == "int8":
-            assert self.images is not None
-            assert self.known is not None
-            quantize(fresh / MODEL, spread(self.images, self.known.frames, CALIBRATION)[0])
+            finer["parity"] = export_relative(module, fresh / files.RELATIVE)
+        if precision == "int8" and self.known is not None:
+            quantize(fresh / files.MODEL, spread(self.images, self.known.frames, CALIBRATION)[0])
         return parity
 
 
@@ -266,16 +237,6 @@ def _check_alike(
         "max_relative_difference": most / largest if largest else most,
         "tolerance": TOLERANCE,
     }
-
-
-def _check_exportable(given: Descriptor, known: VisualMap | None) -> None:
-    """Check that a robot can describe images in this way, and has a map if it needs one."""
-    if getattr(given, "module", None) is not None:
-        return
-    if not is_analytic(given.identity):
-        raise ConfigError(f"only networks and analytic descriptors can be exported, not {given.name}")
-    if known is None:
-        raise ConfigError(f"a bundle by {given.name} needs a map: run `siamloc map descriptor={given.name}` first")
 
 
 def _check_given(
@@ -348,7 +309,17 @@ def _heading_of(known: VisualMap | None) -> dict[str, Any] | None:
 def _described_alike(
     descriptor: Descriptor, known: VisualMap | None, preprocessing: Preprocessing | None
 ) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Return the descriptor's identity and how panoramas are made, after checking that the map's are the same."""
+    """Return the descriptor's identity and how panoramas are made.
+
+    Raises:
+        ConfigError: a robot cannot describe images in this way, or those of the map were described otherwise.
+    """
+    if getattr(descriptor, "module", None) is None and not is_analytic(descriptor.identity):
+        raise ConfigError(f"only networks and analytic descriptors can be exported, not {descriptor.name}")
+    if getattr(descriptor, "module", None) is None and known is None:
+        raise ConfigError(
+            f"a bundle by {descriptor.name} needs a map: run `siamloc map descriptor={descriptor.name}` first"
+        )
     identity = plain(descriptor.identity)
     held = None if known is None else known.identity.get("images")
     if preprocessing is None and held is None:
@@ -370,6 +341,6 @@ def _check_replaceable(path: Path) -> None:
     if not path.is_dir():
         raise ConfigError(f"{path} is a file: name a folder for the bundle")
     names = {file.name for file in path.iterdir()}
-    others = sorted(names - {DESCRIPTION, *PARTS})
-    if others or (names and DESCRIPTION not in names):
+    others = sorted(names - {files.DESCRIPTION, *files.PARTS})
+    if others or (names and files.DESCRIPTION not in names):
         raise ConfigError(f"{path} holds other files, such as {(others or sorted(names))[0]}: name another folder")

@@ -13,10 +13,10 @@ from collections import deque
 from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
-from types import TracebackType
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from aiohttp import web
 from numpy.typing import NDArray
 
 from foundation.calls import typed
@@ -26,9 +26,6 @@ from siamloc.errors import ConfigError, DataError, SiamlocError
 from siamloc.runtime.localizer import Localizer
 from siamloc.runtime.stream import CAMERA, Located, locate_all, named
 from siamloc.runtime.thumbnails import jpeg
-
-if TYPE_CHECKING:
-    from aiohttp import web
 
 _TRACK = 2000  # number of poses of the path so far that a page gets
 _DOTS = 4000  # number of map frames that it draws
@@ -42,6 +39,7 @@ _STATIC = {
     "/live.js": ("live.js", "text/javascript"),
     "/icon.svg": ("icon.svg", "image/svg+xml"),
 }
+_PICTURE = "/map/{row:[0-9]{1,9}}.jpg"
 _HEADERS = {
     "Cache-Control": "no-store",
     "Content-Security-Policy": "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self'; "
@@ -90,8 +88,6 @@ class Live:
         port: int = 8000,
         fps: float = 5.0,
     ) -> None:
-        from aiohttp import web  # noqa: F401 (fails here, not in another thread)
-
         self.host, self.fps = checked(host, Text, "host"), checked(fps, Pace, "fps")
         named(images)
         localizer.bundle.thumbnail(0)  # fails here if the thumbnails are damaged
@@ -104,7 +100,7 @@ class Live:
         self._state: dict[str, Any] = {"status": "waiting", "number": 0, "text": "waiting for the first image"}
         self._way: deque[tuple[int, list[Any]]] = deque(maxlen=_TRACK)
         self._panorama: NDArray[np.uint8] | None = None
-        self._fault: SiamlocError | None = None
+        self._fault: Exception | None = None
         self._loop: asyncio.AbstractEventLoop | None = None
         self._up = threading.Event()
         self._changed = asyncio.Event()  # for this state; the next one gets its own
@@ -119,9 +115,7 @@ class Live:
             raise ConfigError(f"the page did not come up within {_SILENCE:.0f} s at {self.url}: try another port")
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
     @property
@@ -171,13 +165,10 @@ class Live:
                 if self._stopped.wait(max(0.0, due - time.monotonic())):
                     located.close()
                     break
-        except SiamlocError as error:
-            self._fault, text = error, str(error)
         except Exception as error:  # a page that stops says why
-            self._fault, text = (
-                DataError(f"locating ended ({type(error).__name__}: {error})"),
-                f"locating ended: {error}",
-            )
+            ours = isinstance(error, SiamlocError)
+            self._fault = error if ours else DataError(f"locating ended ({type(error).__name__}: {error})")
+            text = str(self._fault)
         self._publish({**self._state, "status": "fault" if self._fault else "ended", "text": text})
         self._ended.set()
 
@@ -215,7 +206,6 @@ class Live:
 
     def _serve(self) -> None:
         """Answer browsers until the loop is stopped."""
-        from aiohttp import web
 
         @web.middleware
         async def guarded(request: web.Request, handler: Any) -> web.StreamResponse:
@@ -237,12 +227,9 @@ class Live:
         asyncio.set_event_loop(loop)
         application = web.Application(middlewares=[guarded])
         application.on_response_prepare.append(headed)
-        for path in _STATIC:
-            application.router.add_get(path, self._static)
-        application.router.add_get("/map.json", self._map)
-        application.router.add_get("/events", self._events)
-        application.router.add_get("/live.jpg", self._live)
-        application.router.add_get("/map/{row:[0-9]{1,9}}.jpg", self._matched)
+        pages = {"/map.json": self._map, "/events": self._events, "/live.jpg": self._live, _PICTURE: self._matched}
+        for path, handler in {**dict.fromkeys(_STATIC, self._static), **pages}.items():
+            application.router.add_get(path, handler)
         runner = web.AppRunner(application, access_log=None, handle_signals=False, shutdown_timeout=0.5)
         loop.run_until_complete(runner.setup())
         loop.run_until_complete(web.SockSite(runner, self._socket).start())
@@ -253,35 +240,21 @@ class Live:
         loop.close()
 
     async def _static(self, request: web.Request) -> web.StreamResponse:
-        from aiohttp import web
-
         name, kind = _STATIC[request.path]
         return web.Response(text=(_ASSETS / name).read_text(encoding="utf-8"), content_type=kind, charset="utf-8")
 
     async def _map(self, request: web.Request) -> web.StreamResponse:
         """Answer with the constant data: the map's frames and rooms."""
-        from aiohttp import web
-
         frames = self._localizer.map.frames
         rows = np.flatnonzero(frames.has_position)
         rows = rows[np.unique(np.linspace(0, len(rows) - 1, min(len(rows), _DOTS)).round().astype(int))]
         rooms, room = np.unique(frames.room[rows], return_inverse=True)
-        return web.json_response(
-            {
-                "bundle": self._localizer.bundle.path.name,
-                "unit": self._localizer.unit,
-                "frames": len(frames),
-                "rooms": rooms.tolist(),
-                "room": room.tolist(),
-                "x": frames.x[rows].round(3).tolist(),
-                "y": frames.y[rows].round(3).tolist(),
-            }
-        )
+        about = {"bundle": self._localizer.bundle.path.name, "unit": self._localizer.unit, "frames": len(frames)}
+        x, y = frames.xy[rows].round(3).T
+        return web.json_response(plain({**about, "rooms": rooms, "room": room, "x": x, "y": y}))
 
     async def _events(self, request: web.Request) -> web.StreamResponse:
         """Send the newest state whenever it changes; a slow browser misses states in between."""
-        from aiohttp import web
-
         response = web.StreamResponse(headers={"Content-Type": "text/event-stream"})
         await response.prepare(request)
         told, last, first = None, 0, True
@@ -304,21 +277,23 @@ class Live:
 
     async def _live(self, request: web.Request) -> web.StreamResponse:
         """Answer with the newest panorama."""
-        from aiohttp import web
-
-        if self._panorama is None:
-            raise web.HTTPNotFound
-        return web.Response(body=jpeg(self._panorama, _COLUMNS), content_type="image/jpeg")
+        return _picture(None if self._panorama is None else jpeg(self._panorama, _COLUMNS))
 
     async def _matched(self, request: web.Request) -> web.StreamResponse:
         """Answer with the thumbnail of a map frame."""
-        from aiohttp import web
-
         row = int(request.match_info["row"])
-        picture = self._localizer.bundle.thumbnail(row) if row < len(self._localizer.map) else None
-        if picture is None:
-            raise web.HTTPNotFound
-        return web.Response(body=picture, content_type="image/jpeg")
+        return _picture(self._localizer.bundle.thumbnail(row) if row < len(self._localizer.map) else None)
+
+
+def _picture(content: bytes | None) -> web.Response:
+    """Return the answer with a JPEG.
+
+    Raises:
+        HTTPNotFound: there is none.
+    """
+    if content is None:
+        raise web.HTTPNotFound
+    return web.Response(body=content, content_type="image/jpeg")
 
 
 def _listening(host: str, port: int) -> socket.socket:

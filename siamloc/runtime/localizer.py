@@ -159,6 +159,7 @@ class Localizer:
     """
 
     @typed
+    @returned_memory()
     def __init__(
         self,
         bundle_path: str | Path,
@@ -167,15 +168,7 @@ class Localizer:
         providers: Sequence[str] = ("CPUExecutionProvider",),
         hierarchical: bool | None = None,
     ) -> None:
-        checked(top, Count, "top")
-        self._top = top
-        with returned_memory():
-            self._start(bundle_path, threads, providers, hierarchical)
-
-    def _start(
-        self, bundle_path: str | Path, threads: int | None, providers: Sequence[str], hierarchical: bool | None
-    ) -> None:
-        """Read the bundle, and prepare everything for the first image."""
+        self._top = checked(top, Count, "top")
         self.bundle = Bundle.open(bundle_path)
         known = self.bundle.load_map()
         if known is None:
@@ -294,8 +287,7 @@ class Localizer:
     def _located(
         self, panorama: NDArray[np.uint8], query: Description, tracker: PoseFilter | FrameFilter | None, start: float
     ) -> Location:
-        found = self._found(panorama, query)
-        frames = self.map.frames
+        found, frames = self._found(panorama, query), self.map.frames
         candidates = tuple(
             Candidate(
                 image=str(frames.path[row]),
@@ -307,49 +299,31 @@ class Localizer:
             )
             for row, distance in zip(found.indices[0, : self._top], found.distances[0, : self._top], strict=True)
         )
-        best = candidates[0]
         pose, error, lost = self._estimates(query, found)
+        known, row, covariance = self.map, candidates[0].row, None
         if isinstance(tracker, FrameFilter):
-            return self._followed(query, tracker, candidates, error, lost, start)
-        if pose is not None and tracker is not None:
-            pose = tracker.step(pose)
-        return Location(
-            x=best.x if pose is None else float(pose.xy[0, 0]),
-            y=best.y if pose is None else float(pose.xy[0, 1]),
-            theta=float((headings(self.map, query, found)[:, 0] if pose is None else pose.theta)[0]),
-            room=best.room,
-            error_m=error,
-            lost=lost,
-            candidates=candidates,
-            ms=1000 * (time.perf_counter() - start),
-            covariance=None if pose is None else _told(pose),
-            agreement=math.nan if pose is None else float(pose.agreement[0]),
+            assert self._placed is not None
+            known, pose = self._placed, None
+            row, spread = tracker.step(frame_distances(known, query)[0])
+            found = Retrieval(np.array([[row]]), np.zeros((1, 1)))
+            covariance = ((spread**2 / 2, 0.0), (0.0, spread**2 / 2))
+        elif pose is not None:
+            pose = pose if tracker is None else tracker.step(pose)
+            covariance = _told(pose)
+        xy, theta = (
+            (known.frames.xy[row], headings(known, query, found)[:, 0]) if pose is None else (pose.xy[0], pose.theta)
         )
-
-    def _followed(
-        self,
-        query: Description,
-        tracker: FrameFilter,
-        candidates: tuple[Candidate, ...],
-        error: float,
-        lost: bool | None,
-        start: float,
-    ) -> Location:
-        """Return the likeliest map frame of a tracked robot."""
-        assert self._placed is not None
-        row, spread = tracker.step(frame_distances(self._placed, query)[0])
-        frames, found = self._placed.frames, Retrieval(np.array([[row]]), np.zeros((1, 1)))
-        variance = spread**2 / 2  # of x and of y
         return Location(
-            x=float(frames.x[row]),
-            y=float(frames.y[row]),
-            theta=float(headings(self._placed, query, found)[0, 0]),
-            room=str(frames.room[row]),
+            x=float(xy[0]),
+            y=float(xy[1]),
+            theta=float(theta[0]),
+            room=str(known.frames.room[row]),
             error_m=error,
             lost=lost,
             candidates=candidates,
             ms=1000 * (time.perf_counter() - start),
-            covariance=((variance, 0.0), (0.0, variance)),
+            covariance=covariance,
+            agreement=math.nan if pose is None else float(pose.agreement[0]),
         )
 
     @typed
@@ -363,14 +337,13 @@ class Localizer:
 
     def _layered(self, wanted: bool | None) -> HierarchicalSearch | None:
         """Return the search through the coarse layer; None if there is none, or if it is not to be used."""
-        held = None if wanted is False else self.bundle.load_layer()
-        if held is None:
-            if wanted:
-                raise ConfigError(
-                    f"{self.bundle.path} holds no coarse layer: run `siamloc map build=spectral`, then `siamloc export "
-                    "build=spectral`"
-                )
-            return None
+        if (held := None if wanted is False else self.bundle.load_layer()) is None:
+            if not wanted:
+                return None
+            raise ConfigError(
+                f"{self.bundle.path} holds no coarse layer: run `siamloc map build=spectral`, then `siamloc export "
+                "build=spectral`"
+            )
         layer, coarse = held
         if coarse is not None:
             coarse = coarse.with_descriptor(

@@ -11,9 +11,9 @@ from __future__ import annotations
 
 import statistics
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -60,10 +60,6 @@ class Measured:
     images: int
     located: int = 0
 
-    def plain(self) -> dict[str, Any]:
-        """Return the measures as plain values."""
-        return asdict(self)
-
 
 def smallest(rows: Sequence[Measured]) -> Measured:
     """Return the smallest bundle whose error exceeds that of the float32 bundle by at most `LOSS`."""
@@ -90,25 +86,19 @@ def precision_table(bundle: Bundle) -> str:
     about = bundle.about
     try:
         rows = [Measured(**row) for row in about.get("precisions") or []]
-        columns = (
-            *(Column("precision"), Column("size", "MB", 2), Column("time", "ms", 2)),
-            *(Column("change of descriptor", form="percent"), Column("error", about["unit"], 3)),
-        )
-        table = Table(
-            "precisions",
-            columns,
-            tuple(
-                (
-                    f"{row.precision}{' *' * (row.precision == about['precision'])}",
-                    row.bytes / 1e6,
-                    row.ms,
-                    row.change,
-                    row.error,
-                )
-                for row in rows
-            ),
-        )
-        return table.text() if rows else ""
+        columns = [Column("precision"), Column("size", "MB", 2), Column("time", "ms", 2)]
+        columns += [Column("change of descriptor", form="percent"), Column("error", about["unit"], 3)]
+        cells = [
+            (
+                row.precision + " *" * (row.precision == about["precision"]),
+                row.bytes / 1e6,
+                row.ms,
+                row.change,
+                row.error,
+            )
+            for row in rows
+        ]
+        return Table("precisions", tuple(columns), tuple(cells)).text() if rows else ""
     except (TypeError, ValueError) as error:
         raise FormatError(f"{bundle.path} is altered in its precisions: export again") from error
 

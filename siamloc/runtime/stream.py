@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import json
 import math
 import os
@@ -18,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from foundation.calls import typed
-from foundation.files import atomic_path, plain
+from foundation.files import atomic_path, csv_text, plain
 from siamloc.data.frames import image_files
 from siamloc.data.names import NamedPose, parse_name
 from siamloc.errors import ConfigError, DataError
@@ -68,13 +66,11 @@ class Located:
         """Return the location as a row of a table, by the names in `COLUMNS`; unknown values are ""."""
         if self.location is None:
             return {**dict.fromkeys(COLUMNS, ""), "image": self.image}
-        location, best = self.location, self.location.candidates[0]
-        (xx, xy), (_, yy) = location.covariance or ((math.nan, math.nan), (math.nan, math.nan))
-        values = (
-            *(self.image, location.x, location.y, location.theta, location.room, location.error_m, location.lost),
-            *(xx, xy, yy, location.agreement, best.image, best.distance, round(location.ms, 2), self.off_by),
-        )
-        return dict(zip(COLUMNS, map(_cell, values), strict=True))
+        told = self.as_dict()
+        best, ((xx, xy), (_, yy)) = told["candidates"][0], told["covariance"] or ((None, None), (None, None))
+        told |= {"covariance_xx": xx, "covariance_xy": xy, "covariance_yy": yy}
+        told |= {"match": best["image"], "distance": best["distance"], "ms": round(told["ms"], 2)}
+        return {name: "" if told[name] is None else told[name] for name in COLUMNS}
 
     def as_dict(self) -> dict[str, Any]:
         """Return the location as plain values for a line of JSON; unknown values are None."""
@@ -230,10 +226,10 @@ def written(path: str | Path, located: Iterable[Located]) -> Generator[Located, 
     path = Path(path)
     if path.suffix not in LINES:
         raise ConfigError(f"{path} must be a table (.csv) or lines of JSON (.jsonl)")
-    line = LINES[path.suffix]()
+    head, line = LINES[path.suffix]
     count, stopped = 0, None
     with atomic_path(path) as temporary, temporary.open("w", encoding="utf-8", newline="") as file:
-        file.write(line.head)
+        file.write(head)
         try:
             for one in located:
                 file.write(line(one))
@@ -247,36 +243,18 @@ def written(path: str | Path, located: Iterable[Located]) -> Generator[Located, 
         raise stopped
 
 
-class CsvLines:
-    """Formats locations as lines of a table."""
-
-    def __init__(self) -> None:
-        self._text = io.StringIO()
-        self._writer = csv.DictWriter(self._text, COLUMNS, lineterminator="\n")
-        self.head = ",".join(COLUMNS) + "\n"
-
-    def __call__(self, one: Located) -> str:
-        """Return the line of a location."""
-        self._writer.writerow(one.row())
-        line = self._text.getvalue()
-        self._text.seek(0)
-        self._text.truncate()
-        return line
+def csv_line(one: Located) -> str:
+    """Format a location as a line of a table."""
+    return csv_text([one.row().values()])
 
 
-class JsonLines:
-    """Formats locations as lines of JSON."""
-
-    head = ""
-
-    def __call__(self, one: Located) -> str:
-        """Return the line of a location."""
-        return json.dumps(one.as_dict(), ensure_ascii=False, allow_nan=False) + "\n"
+def json_line(one: Located) -> str:
+    """Format a location as a line of JSON."""
+    return json.dumps(one.as_dict(), ensure_ascii=False, allow_nan=False) + "\n"
 
 
-LINES: dict[str, type[CsvLines] | type[JsonLines]] = {".csv": CsvLines, ".jsonl": JsonLines}
-"""Line formatter by file extension; its `head` is the first line of the file."""
-
-
-def _cell(value: object) -> object:
-    return "" if value is None or (isinstance(value, float) and math.isnan(value)) else value
+LINES: dict[str, tuple[str, Callable[[Located], str]]] = {
+    ".csv": (csv_text([COLUMNS]), csv_line),
+    ".jsonl": ("", json_line),
+}
+"""The first line of a file and what formats each further line, by file extension."""

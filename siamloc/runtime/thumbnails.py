@@ -19,34 +19,23 @@ if TYPE_CHECKING:
 _COLUMNS, _QUALITY = 256, 75
 
 
-class Thumbnails:
-    """JPEG thumbnails by row of the map.
-
-    Args:
-        path: of the file that `save_thumbnails` wrote.
+def read_thumbnails(path: Path) -> list[bytes | None]:
+    """Read the thumbnails that `save_thumbnails` wrote: a JPEG for each map frame, None if its image was unreadable.
 
     Raises:
         FormatError: the file is damaged.
     """
-
-    def __init__(self, path: Path) -> None:
-        try:
-            arrays = read_arrays(path)
-            self._bytes, self._ends = arrays["jpeg"], arrays["ends"]
-            right = self._bytes.dtype == np.uint8 and self._ends.dtype == np.int64 and self._bytes.ndim == 1
-            steps = np.diff(self._ends, prepend=0)
-            if not right or self._ends.ndim != 1 or (steps < 0).any() or steps.sum() != len(self._bytes):
-                raise ValueError("arrays that do not fit together")
-        except DAMAGE as error:
-            raise FormatError(f"{path} holds no pictures, or not all of them: export again") from error
-
-    def __len__(self) -> int:
-        return len(self._ends)
-
-    def __getitem__(self, row: int) -> bytes | None:
-        """Return the thumbnail of a map frame; None if its image could not be read."""
-        begin = int(self._ends[row - 1]) if row else 0
-        return self._bytes[begin : int(self._ends[row])].tobytes() or None
+    try:
+        arrays = read_arrays(path)
+        content, ends = arrays["jpeg"], arrays["ends"]
+        lengths = np.diff(ends, prepend=0)
+        if content.dtype != np.uint8 or ends.dtype != np.int64 or content.ndim != 1 or ends.ndim != 1:
+            raise ValueError("arrays of other types")
+        if (lengths < 0).any() or lengths.sum() != len(content):
+            raise ValueError("arrays that do not fit together")
+    except DAMAGE as error:
+        raise FormatError(f"{path} holds no pictures, or not all of them: export again") from error
+    return [content[end - length : end].tobytes() or None for length, end in zip(lengths, ends, strict=True)]
 
 
 def save_thumbnails(path: str | Path, images: PanoramaLibrary, frames: FrameTable) -> None:
@@ -64,10 +53,9 @@ def save_thumbnails(path: str | Path, images: PanoramaLibrary, frames: FrameTabl
     readable = set(images.readable(frames).identities())
     rows = [row for row, key in enumerate(frames.identities()) if key in readable]
     pictures = [b""] * len(frames)
-    at = iter(rows)
-    for batch in images.batches(frames.take(rows)):
-        for panorama in batch:
-            pictures[next(at)] = jpeg(panorama)
+    panoramas = (panorama for batch in images.batches(frames.take(rows)) for panorama in batch)
+    for row, panorama in zip(rows, panoramas, strict=True):
+        pictures[row] = jpeg(panorama)
     ends = np.cumsum([len(picture) for picture in pictures], dtype=np.int64)
     write_arrays(path, {}, {"jpeg": np.frombuffer(b"".join(pictures), dtype=np.uint8), "ends": ends})
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import shutil
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import cv2
@@ -276,7 +276,7 @@ def test_other_versions_and_missing_files_are_refused(bundle, changed, says):
 
 
 def test_altered_precisions_are_refused(bundle):
-    row = Measured("int8", 1, 1.0, 0.0, 0.1, 3).plain()
+    row = asdict(Measured("int8", 1, 1.0, 0.0, 0.1, 3))
     for rows in ([{"precision": "int8"}], [["a"]], [{**row, "ms": "fast"}]):
         with pytest.raises(FormatError, match="is altered in its precisions"):
             runtime.precision_table(runtime.Bundle.open(altered(bundle, precisions=rows)))
