@@ -33,7 +33,6 @@ DAMAGE = (
 """The exceptions that reading a damaged file can raise: a changed byte may also claim an encryption or a compression
 that does not exist, or corrupt the header of an array."""
 
-_AT_ONCE = 2**20  # bytes
 _SPARE, _DENSEST = 64_000_000, 100  # bytes that arrays may always take, and that they may take per byte of the file
 
 
@@ -109,21 +108,13 @@ def _read(archive: zipfile.ZipFile, member: zipfile.ZipInfo, name: str) -> NDArr
         if version not in ((1, 0), (2, 0)):
             raise ValueError(f"{name} has version {version} of numpy's format")
         read_header = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
-        shape, in_columns, dtype = read_header(held)
+        shape, _, dtype = read_header(held)
         if dtype.hasobject:
             raise ValueError(f"{name} holds objects, which may be programs")
         there, claimed = member.file_size - held.tell(), prod(shape) * dtype.itemsize
         if claimed != there or any(size < 0 for size in shape):
             raise ValueError(f"{name} claims {claimed} bytes, but there are {there}")
-        content = bytearray(claimed)
-        with memoryview(content) as view:
-            at = 0
-            while at < claimed:
-                part = held.read(min(_AT_ONCE, claimed - at))
-                if not part:
-                    raise EOFError(f"{name} is cut short")
-                view[at : at + len(part)] = part
-                at += len(part)
+    with archive.open(member) as held:
+        values: NDArray[Any] = np.lib.format.read_array(held, allow_pickle=False)
         held.read(1)  # reaching the end verifies the checksum of the bytes
-    values = np.frombuffer(content, dtype=dtype) if claimed else np.empty(0, dtype=dtype)
-    return values.reshape(shape, order="F" if in_columns else "C")
+    return values

@@ -38,9 +38,8 @@ class Comparison:
     def in_order(self) -> Comparison:
         """Return the comparison with the best row first; ties keep their order."""
         sign = -1 if self.highest else 1
-        known = [row for row in self.rows if not math.isnan(row[self.by])]
-        unknown = [row for row in self.rows if math.isnan(row[self.by])]
-        return replace(self, rows=(*sorted(known, key=lambda row: sign * row[self.by]), *unknown))
+        ranked = sorted(self.rows, key=lambda row: (math.isnan(row[self.by]), sign * row[self.by]))
+        return replace(self, rows=tuple(ranked))
 
     @property
     def columns(self) -> tuple[str, ...]:

@@ -60,16 +60,16 @@ def returned_memory() -> Iterator[None]:
 
 @contextmanager
 def _adjusted(options: Mapping[int, int]) -> Iterator[None]:
-    library = _glibc()
-    if library is None:
-        yield
-        return
-    for option, value in options.items():
-        library.mallopt(option, value)
+    _adjust(options)
     try:
         yield
     finally:
-        for option, value in _USUAL.items():
+        _adjust(_USUAL)
+
+
+def _adjust(options: Mapping[int, int]) -> None:
+    if (library := _glibc()) is not None:
+        for option, value in options.items():
             library.mallopt(option, value)
 
 

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import csv
-import html
-import io
 import time
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
@@ -60,14 +58,6 @@ class Run:
 
     def __repr__(self) -> str:
         return f"Run({str(self.folder)!r}: {self._summary()})"
-
-    def _repr_html_(self) -> str:
-        lines = f"<p><b>{html.escape(str(self.folder))}</b>: {html.escape(self._summary())}</p>"
-        if not self.metrics.is_file():
-            return lines
-        picture = io.StringIO()
-        self.plot().savefig(picture, format="svg")
-        return lines + picture.getvalue()[picture.getvalue().index("<svg") :]
 
     @property
     def record(self) -> Path:
@@ -154,7 +144,11 @@ class Run:
                 rows = list(csv.DictReader(file))
             names = ["epoch", *(name for name in rows[0] if name != "epoch")]
             curves = {name: np.array([float(row[name] or "nan") for row in rows]) for name in names}
-            _check_curves(curves)
+            epochs, values = curves["epoch"], np.concatenate(list(curves.values()))
+            if not np.isfinite(epochs).all() or (epochs < 0).any() or (np.diff(epochs) <= 0).any():
+                raise ValueError("its epochs do not grow from row to row")
+            if (np.abs(values[np.isfinite(values)]) > 1e12).any():
+                raise ValueError("a value is beyond 1e12")
             return curves
         except (ValueError, TypeError, LookupError, csv.Error, UnicodeDecodeError) as error:
             raise FormatError(f"{self.metrics} is not a table of training curves ({error}): train again") from error
@@ -233,7 +227,8 @@ class Run:
             StorageError: removing is not permitted.
         """
         names = [name for name in self.load_record()["written"] if self._holds(name)]
-        self._remove([self.folder / name for name in names])
+        for name in names:
+            _remove(self.folder / name)
         # Folders from the inside out, and only if empty.
         folders = {parent for name in names for parent in Path(name).parents if parent != Path()}
         for folder in sorted((self.folder / folder for folder in folders), key=lambda path: -len(path.parts)):
@@ -243,7 +238,7 @@ class Run:
     def discard(self) -> None:
         """Remove the run: the files that siamloc wrote, the record, and the folder if nothing else is in it."""
         self.clear()
-        self._remove([self.record])
+        _remove(self.record)
         if not any(self.folder.iterdir()):
             self.folder.rmdir()
 
@@ -251,11 +246,6 @@ class Run:
         """List the names of files that siamloc did not write into this run, among the given names."""
         written = set(self.load_record()["written"]) if self.record.is_file() else set()
         return [name for name in names if (self.folder / name).exists() and name not in written]
-
-    def _remove(self, paths: Iterable[Path]) -> None:
-        for path in paths:
-            with storage_errors(path):
-                path.unlink(missing_ok=True)
 
     def _inside(self, name: str | Path) -> str:
         path = Path(name)
@@ -282,6 +272,11 @@ class Run:
         return ", ".join([name, f"{epochs} epoch{'s' if epochs != 1 else ''}", *losses])
 
 
+def _remove(path: Path) -> None:
+    with storage_errors(path):
+        path.unlink(missing_ok=True)
+
+
 _SECTIONS = ("data", "model", "training", "loss", "augment", "protocol", "trainer", "views")
 _KINDS = {
     "settings": dict.fromkeys(_SECTIONS, dict | None),
@@ -289,20 +284,6 @@ _KINDS = {
     "created": str | None,
     "versions": dict | None,
 }
-
-
-def _check_curves(curves: Mapping[str, NDArray[np.float64]]) -> None:
-    """Refuse what no training writes: epochs that do not grow, and numbers that cannot be plotted.
-
-    Raises:
-        ValueError: such values.
-    """
-    epochs = curves["epoch"]
-    if not np.isfinite(epochs).all() or (epochs < 0).any() or (np.diff(epochs) <= 0).any():
-        raise ValueError("its epochs do not grow from row to row")
-    for name, values in curves.items():
-        if (np.abs(values[np.isfinite(values)]) > 1e12).any():
-            raise ValueError(f"{name} is beyond 1e12")
 
 
 @typed
