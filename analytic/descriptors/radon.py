@@ -13,7 +13,7 @@ from analytic.descriptors.radon_transform import (
     Even,
     Source,
     Step,
-    check_image,
+    check_square,
     harmonics,
     orientations,
     steps,
@@ -94,7 +94,7 @@ class RadonFourier(ImageDescriptor):
                 )
 
     def _check_size(self, height: int, width: int) -> None:
-        check_image(self.name, self.source, height, width)
+        check_square(self.name, self.source, height, width)
 
     def _describe(self, image: NDArray[np.float32]) -> tuple[NDArray[Any], NDArray[Any]]:
         count = steps(self.step)
@@ -130,7 +130,7 @@ class RadonPoc(AlignedDescriptor):
 
     Position (T * N,): value t * N + k is x[t, k]. Orientation (T, N): the same matrix.
     The distance is 1 - max over s of poc[s], in [0, 2]: "cosine" at the best turn, as the lengths are 1. Other
-    distances are computed at that turn. r itself is what `radon_transform` returns.
+    distances are computed at that turn.
 
     Turns by multiples of `step` leave the distances unchanged. Turns by other angles lower the peak, and are found
     to within half a step.
@@ -168,7 +168,7 @@ class RadonPoc(AlignedDescriptor):
         return (steps(self.step), self.size // 2), (steps(self.step), self.size // 2)
 
     def _check_size(self, height: int, width: int) -> None:
-        check_image(self.name, self.source, height, width)
+        check_square(self.name, self.source, height, width)
 
     def _describe(self, image: NDArray[np.float32]) -> tuple[NDArray[Any], NDArray[Any]]:
         kept = harmonics(image, self.step, self.size, self.size // 2, self.source, self.circular)

@@ -40,11 +40,10 @@ from math import ceil, pi
 from typing import Annotated, Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from analytic.errors import AnalyticError
-from analytic.images import luma, unit, with_channels
-from foundation.settings import Rule, checked
+from foundation.settings import Rule
 
 Source = Literal["panorama", "omnidirectional"]
 Step = Annotated[
@@ -59,42 +58,13 @@ INNER = 0.2  # inner radius of a panorama's ring, as a share of the outer one
 _SPACING = 0.5  # pixels between the points of a line
 
 
-def radon_transform(
-    batch: ArrayLike, *, step: float = 1.0, size: int = 256, source: str = "panorama"
-) -> NDArray[np.float32]:
-    """Return the Radon transform r (B, 360 / step, size / 2) of grey or colour images; see the module.
-
-    Args:
-        batch: images, as for `ImageDescriptor.describe`; square images for the source "omnidirectional".
-        step: degrees between orientations, p1 of [T] table 3.1.
-        size: side of the omnidirectional image in pixels, Nx.
-        source: "panorama" or "omnidirectional".
-
-    Raises:
-        AnalyticError: images that `describe` does not take, a step that does not divide 360, an odd size, images of
-            the source "omnidirectional" that are not square.
-
-    Example:
-        >>> radon_transform(np.ones((64, 256)), step=90, size=32)[0, 0, :3].round(1)
-        array([26., 26., 28.], dtype=float32)
-    """
-    for key, value, kind in (("step", step, Step), ("size", size, Even), ("source", source, Source)):
-        checked(value, kind, key, AnalyticError)
-    grey = luma(unit(with_channels(batch)))[:, 0]
-    check_image("radon_transform", source, grey.shape[1], grey.shape[2])
-    found = [orientations(harmonics(image, step, size, size // 2, source), steps(step)) for image in grey]
-    return np.stack(found).astype(np.float32)
-
-
 def steps(step: float) -> int:
     """Return the number of orientations of a full turn."""
     return round(360 / step)
 
 
-def check_image(name: str, source: str, height: int, width: int) -> None:
-    """Raise AnalyticError for a single column of pixels, and for an omnidirectional image that is not square."""
-    if width < 2:
-        raise AnalyticError(f"{name} needs images of at least 2 columns, got {height} x {width} pixels")
+def check_square(name: str, source: str, height: int, width: int) -> None:
+    """Raise AnalyticError for an omnidirectional image that is not square."""
     if source == "omnidirectional" and height != width:
         raise AnalyticError(
             f"{name} with source='omnidirectional' takes square images with the mirror's centre in the middle, got "

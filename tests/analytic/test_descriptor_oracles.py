@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from analytic import DISTANCES, AnalyticError, descriptor, distance
-from analytic.descriptors.radon_transform import radon_transform
 from analytic.filters import homomorphic
+from tests.analytic.radon_lines import radon_transform
 from tests.oracles.descriptors import briefgist, fourier, gist, hog, hsv, radon, turns, wisurf
 from tests.oracles.descriptors.cases import ODD, SHAPES, SWEEP
 from tests.oracles.descriptors.images import grey, homomorphic_colour

@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from analytic import AnalyticError, descriptor
-from analytic.descriptors.radon_transform import radon_transform
+from tests.analytic.radon_lines import radon_transform
 
 RNG = np.random.default_rng(4)
 IMAGES = RNG.integers(0, 256, (4, 12, 64), dtype=np.uint8)
@@ -165,12 +165,3 @@ def test_an_ordinary_camera_has_no_seam():
 def test_mistakes_are_one_sentence(name, params, says):
     with pytest.raises(AnalyticError, match=says):
         descriptor(name, **params).describe(IMAGES)
-
-
-def test_the_transform_checks_its_images():
-    with pytest.raises(AnalyticError, match="radon_transform with source='omnidirectional' takes square images"):
-        radon_transform(IMAGES, source="omnidirectional")
-    with pytest.raises(AnalyticError, match="at least 2 columns, got 1 x 1 pixels"):
-        radon_transform(np.zeros((1, 1)), source="omnidirectional")
-    with pytest.raises(AnalyticError, match="not finite"):
-        radon_transform(np.full((12, 64), np.nan))
