@@ -25,6 +25,8 @@ from analytic.distances import distance as distance_named
 from analytic.threads import each
 
 Spectra = NDArray[np.complex64]  # (frequencies, B, F)
+Turned = Callable[[int], NDArray[Any]]  # returns a query turned back by a number of steps
+Measure = Callable[[NDArray[Any], NDArray[Any]], float]  # the distance of two arrays of the same shape
 _CLOSE = 2e-2  # a squared distance below this share of the squared lengths is not computed from a float32 peak
 _FAINT = 1e-5
 _VALUES = 1 << 23  # of correlations in memory at once: 32 MiB
@@ -86,13 +88,12 @@ def best_turns(
         correlation = fft().irfft(crossed, n=steps, axis=2)
         if whole:
             np.rint(correlation, out=correlation)
-        best = correlation.argmax(axis=2)
-        found.step[rows, columns] = best
+        best = found.step[rows, columns] = correlation.argmax(axis=2)
         if product is None:
-            peak = np.take_along_axis(correlation, best[..., None], axis=2)[..., 0]
+            found.peak[rows, columns] = np.take_along_axis(correlation, best[..., None], axis=2)[..., 0]
         else:
-            peak = _at(_crossed(product[0][:, rows], product[1][:, columns]), best, steps)
-        found.peak[rows, columns] = peak
+            crossed = _crossed(product[0][:, rows], product[1][:, columns])
+            found.peak[rows, columns] = np.einsum("nmu,nmu->nm", crossed, _waves(len(product[0]), steps)[best]).real
     return found
 
 
@@ -123,7 +124,7 @@ def aligned_distances(name: str, queries: Description, references: Description, 
         array([0., 0.])
     """
     values, known = queries.turnable, references.turnable
-    measure: Callable[[NDArray[Any], NDArray[Any]], float]
+    measure: Measure
     if name in ("euclidean", "minkowski"):
         lengths = queries.squares[:, None] + references.squares[None, :]
         return euclidean(turns.peak, lengths, turns.step, lambda row: rolled(values[row]), known)
@@ -140,9 +141,9 @@ def euclidean(
     product: NDArray[np.float64],
     lengths: NDArray[np.float64],
     step: NDArray[np.int64],
-    turned: Callable[[int], Callable[[int], NDArray[Any]]],
+    turned: Callable[[int], Turned],
     references: NDArray[Any],
-    measure: Callable[[NDArray[Any], NDArray[Any]], float] | None = None,
+    measure: Measure | None = None,
 ) -> NDArray[np.float64]:
     """Return Euclidean distances (n, m) at given turns, from scalar products where these are precise enough.
 
@@ -186,7 +187,7 @@ def moments(description: Description) -> tuple[NDArray[np.float64], NDArray[np.f
     return mean, np.sqrt(np.array(squares, dtype=np.float64))
 
 
-def rolled(query: NDArray[Any]) -> Callable[[int], NDArray[Any]]:
+def rolled(query: NDArray[Any]) -> Turned:
     """Return the function that turns one orientation part (K, F) back by a number of steps, without copying it."""
     twice = np.concatenate([query, query])  # each turn of the query is a stretch of it: Q[k + s] against R[k]
     return lambda step: twice[step : step + len(query)]
@@ -206,11 +207,6 @@ def _crossed(queries: Spectra, references: Spectra) -> Spectra:
     """Return the sum over the features of Q conj(R), (n, m, U)."""
     # Computed as conj(R conj(Q)), which needs no conjugate copy of a whole map.
     return (queries.conj() @ references.transpose(0, 2, 1)).conj().transpose(1, 2, 0)
-
-
-def _at(crossed: Spectra, step: NDArray[np.int64], steps: int) -> NDArray[np.float32]:
-    """Return the correlation (n, m) at one turn of each pair."""
-    return np.einsum("nmu,nmu->nm", crossed, _waves(crossed.shape[2], steps)[step]).real
 
 
 @lru_cache(maxsize=8)
@@ -240,29 +236,20 @@ def _directly(
     apart: NDArray[np.float64],
     close: NDArray[np.bool_],
     step: NDArray[np.int64],
-    turned: Callable[[int], Callable[[int], NDArray[Any]]],
+    turned: Callable[[int], Turned],
     references: NDArray[Any],
-    measure: Callable[[NDArray[Any], NDArray[Any]], float],
+    measure: Measure,
 ) -> NDArray[np.float64]:
     """Return distances (n, m) after comparing close pairs value by value."""
+
+    def compare(query: Turned, row: int, columns: NDArray[np.int64]) -> list[float]:
+        return [measure(query(int(step[row, column])), references[column]) for column in columns]
+
     for row in np.flatnonzero(close.any(axis=1)).tolist():
         columns = np.flatnonzero(close[row])
-        compare = partial(_compare, turned(row), step[row], references, measure)
         parts = np.array_split(columns, max(1, columns.size * references[0].size >> 24))
-        apart[row, columns] = np.concatenate(each(compare, parts))
+        apart[row, columns] = np.concatenate(each(partial(compare, turned(row), row), parts))
     return apart
-
-
-def _compare(
-    turned: Callable[[int], NDArray[Any]],
-    step: NDArray[np.int64],
-    references: NDArray[Any],
-    measure: Callable[[NDArray[Any], NDArray[Any]], float],
-    columns: NDArray[np.int64],
-) -> NDArray[np.float64]:
-    """Return the distances of one query to some of the references, each at its turn."""
-    pairs = zip(step[columns].tolist(), columns.tolist(), strict=True)
-    return np.array([measure(turned(turn), references[column]) for turn, column in pairs], dtype=np.float64)
 
 
 def _norm(kind: int, one: NDArray[Any], other: NDArray[Any]) -> float:

@@ -191,12 +191,10 @@ def check_alike(first: Description, second: Description) -> None:
     """
     if first.identity is not None and second.identity is not None and first.identity != second.identity:
         raise AnalyticError(other_parameters(first.identity, second.identity))
-    shapes = [
-        (d.position.shape[1:], None if d.orientation is None else d.orientation.shape[1:]) for d in (first, second)
-    ]
-    if shapes[0] != shapes[1]:
+    sizes = [_sizes(description) for description in (first, second)]
+    if sizes[0] != sizes[1]:
         raise AnalyticError(
-            f"descriptions of different sizes cannot be compared: {_sizes(shapes[0])} against {_sizes(shapes[1])}; "
+            f"descriptions of different sizes cannot be compared: {sizes[0]} against {sizes[1]}; "
             "describe images of one size with the same descriptor"
         )
 
@@ -210,6 +208,8 @@ def other_parameters(expected: dict[str, Any], found: dict[str, Any]) -> str:
     return f"the descriptions were made with other parameters ({said}): describe all images with the same descriptor"
 
 
-def _sizes(shape: tuple[tuple[int, ...], tuple[int, ...] | None]) -> str:
-    orientation = "no orientation part" if shape[1] is None else "orientation " + " x ".join(map(str, shape[1]))
-    return f"position {' x '.join(map(str, shape[0]))} and {orientation}"
+def _sizes(made: Description) -> str:
+    position = " x ".join(map(str, made.position.shape[1:]))
+    if made.orientation is None:
+        return f"position {position} and no orientation part"
+    return f"position {position} and orientation {' x '.join(map(str, made.orientation.shape[1:]))}"

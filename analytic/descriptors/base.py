@@ -295,9 +295,7 @@ class AlignedDescriptor(ImageDescriptor):
         name = self._distance(distance)
         if not self.circular:
             return super().pairwise(queries, references, name)
-        self.check(queries, references)
-        turns = self._best_turns(queries, references, self._steps(queries, references))
-        return self._compared(queries, references, turns, name)
+        return self._turned(queries, references, name)[1]
 
     def localize(self, queries: Description, references: Description, distance: str | None = None) -> Match:
         """Return the nearest reference at its best turn, and the heading given by that turn ([T] 3.3.4-3.3.5).
@@ -307,13 +305,19 @@ class AlignedDescriptor(ImageDescriptor):
         """
         if not len(references) or not self.circular:
             return super().localize(queries, references, distance)
+        headings, apart = self._turned(queries, references, self._distance(distance))
+        index = apart.argmin(axis=1)
+        rows = np.arange(len(queries))
+        return Match(index, apart[rows, index], headings[rows, index])
+
+    def _turned(
+        self, queries: Description, references: Description, name: str
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Return the heading and the named distance (n, m) of each pair at its best turn."""
         self.check(queries, references)
         steps = self._steps(queries, references)
         turns = self._best_turns(queries, references, steps)
-        apart = self._compared(queries, references, turns, self._distance(distance))
-        index = apart.argmin(axis=1)
-        rows = np.arange(len(queries))
-        return Match(index, apart[rows, index], heading(turns.step[rows, index], steps))
+        return heading(turns.step, steps), self._compared(queries, references, turns, name)
 
     def _best_turns(self, queries: Description, references: Description, steps: int) -> Turns:
         return best_turns(queries.spectrum, references.spectrum, steps, whole=self.whole)
