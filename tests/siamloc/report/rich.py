@@ -118,9 +118,12 @@ def write_robustness(folder: Path, queries: FrameTable, known: FrameTable, worse
                 vectors = scenes.describe(queries, seed=3, noise=0.3 + worse * rank + i) + 0.01 * rng.normal()
                 distance = np.linalg.norm(vectors[:, None, :2] - known.xy[None], axis=2)
                 found[one.name, level] = distance.argmin(axis=1)
+        none = np.full(len(queries), np.nan)
         tables.append(
             disturbed.curves(
-                disturbed.answers(method, known, queries, {key: disturbed.Answer(row) for key, row in found.items()}),
+                disturbed.answers(
+                    method, known, queries, {key: disturbed.Answer(row, none, none) for key, row in found.items()}
+                ),
                 0.5,
                 len(known),
             )
