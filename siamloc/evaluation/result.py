@@ -103,16 +103,9 @@ class Result:
         return f"Result({self.name}: {', '.join(self.parts) or 'nothing measured'}; {rows})"
 
     def _repr_html_(self) -> str:
-        from base64 import b64encode
         from html import escape
-        from io import BytesIO
 
-        shown, picture = f"<pre>{escape(self.table())}</pre>", BytesIO()
-        try:
-            self.plot().savefig(picture, format="png", dpi=80)
-        except DataError:
-            return shown
-        return f'{shown}<img src="data:image/png;base64,{b64encode(picture.getvalue()).decode()}">'
+        return f"<pre>{escape(self.table())}</pre>"
 
     def summaries(self) -> list[Table]:
         """Return the measures as tables: by method and lighting, and what a query costs.
