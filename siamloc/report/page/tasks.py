@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 
-from siamloc.report.page.markup import Content, Markup, grid, key_values, plural, section, tag
+from siamloc.report.page.markup import Markup, grid, plural, section, tag
 from siamloc.report.page.parts import Part
 from siamloc.summaries import pairs as pairs_table
 from siamloc.summaries import robustness as robustness_tables
 from siamloc.tables import count, percent
 
-_MOST_CELLS = 40  # rooms; a larger matrix would be unreadable
 _ESTIMATES = {
     "filtered": "Sequence filter",
     "interpolated": "Interpolation between map frames",
@@ -131,14 +130,13 @@ def confusion(part: Part) -> Markup | None:
     rooms = part.evaluation.rooms
     if rooms is None:
         return None
-    labels, counts = rooms["confusion"]["labels"], rooms["confusion"]["counts"]
+    counts = rooms["confusion"]["counts"]
     right, total = int(np.trace(counts)), int(np.sum(counts))
     text = (
         f"{count(right)} of {count(total)} queries ({percent(right / total if total else None)}) in the right room. "
         "Rows are true rooms, columns are retrieved rooms; shares are of the queries in a row."
     )
-    shown = _mistakes(labels, counts) if len(labels) > _MOST_CELLS else _matrices(part, "rooms")
-    return section("Confusion of rooms", shown, tag("p.caption", text), name="rooms")
+    return section("Confusion of rooms", _matrices(part, "rooms"), tag("p.caption", text), name="rooms")
 
 
 def buildings(part: Part) -> Markup | None:
@@ -215,15 +213,3 @@ def _matrices(part: Part, what: str) -> Markup:
     """Return the confusion matrix of all queries, and one for each lighting if there are several."""
     every = part.figure("confusion", f"confusion of {what}")
     return tag("div.side", every, part.figure("confusion_by_lighting", f"confusion of {what} by lighting"))
-
-
-def _mistakes(labels: Sequence[str], counts: Sequence[Sequence[int]]) -> Markup:
-    """Return the most frequent mistakes among very many rooms."""
-    wrong = [
-        (value, labels[i], labels[j]) for i, row in enumerate(counts) for j, value in enumerate(row) if i != j and value
-    ]
-    wrong.sort(key=lambda item: (-item[0], item[1], item[2]))
-    rows: list[tuple[str, Content]] = [
-        (f"{true} taken for {taken}", plural(value, "query", "queries")) for value, true, taken in wrong[:30]
-    ]
-    return key_values(rows or [(f"{len(labels)} rooms", "no mistakes")])
