@@ -92,7 +92,7 @@ def errors(methods: Mapping[str, Measures], by: str = "lighting") -> list[Table]
         (labels, {**group, "first": [one["recall"] for one in group["recall"] if one["k"] == 1]})
         for labels, group in _rows(methods, "absolute", by)
     ]
-    return _made("errors", ("method", by), columns, rows, notes=notes)
+    return measured("errors", ("method", by), columns, rows, notes=notes)
 
 
 def rooms(methods: Mapping[str, Measures], by: str = "lighting") -> list[Table]:
@@ -104,7 +104,7 @@ def rooms(methods: Mapping[str, Measures], by: str = "lighting") -> list[Table]:
         "chance": "chance",
     }
     columns = [*_as("percent", shares), *_as("count", {"queries": "queries"})]
-    return _made("rooms", ("method", by), columns, _rows(methods, "room_retrieval", by))
+    return measured("rooms", ("method", by), columns, _rows(methods, "room_retrieval", by))
 
 
 def pairs(methods: Mapping[str, Measures]) -> list[Table]:
@@ -115,7 +115,7 @@ def pairs(methods: Mapping[str, Measures]) -> list[Table]:
         *_as("count", {"pairs of one room": "n_same", "of two rooms": "n_different"}),
     ]
     rows = _rows(methods, "room_pairs")
-    return _made("pairs", ("method", "lighting"), columns, rows, "pairs judged correctly: one room or two")
+    return measured("pairs", ("method", "lighting"), columns, rows, "pairs judged correctly: one room or two")
 
 
 def expected_errors(found: Measures) -> list[Table]:
@@ -128,7 +128,7 @@ def expected_errors(found: Measures) -> list[Table]:
         *_as("count", {"queries": "queries"}),
     ]
     title = f"expected errors; lost above {found['overall']['lost']['lost_above']:g} {unit}"
-    return _made("calibration", ("lighting",), columns, _labelled(found), title)
+    return measured("calibration", ("lighting",), columns, _labelled(found), title)
 
 
 def nodes(found: Measures) -> list[Table]:
@@ -143,7 +143,7 @@ def nodes(found: Measures) -> list[Table]:
         *_as(1, {"comparisons a query": "comparisons.mean"}),
         *_as("percent", {"frames compared": "comparisons.frames_share", "with nodes": "comparisons.share"}),
     ]
-    return _made("nodes", ("lighting",), columns, _labelled(found), f"hierarchical localization, {found['name']}")
+    return measured("nodes", ("lighting",), columns, _labelled(found), f"hierarchical localization, {found['name']}")
 
 
 def mapping(found: Measures) -> list[Table]:
@@ -167,8 +167,8 @@ def mapping(found: Measures) -> list[Table]:
     per_room = [*_as("percent", {"in a node of this room": "purity"}), *_as("count", {"frames": "frames"})]
     by_room = (((room,), one) for room, one in found["purity"]["room"].items())
     return [
-        *_made("mapping", (), columns, [((), found)], f"nodes of a map, {found['name']}", upright=True),
-        *_made("purity", ("room",), per_room, by_room),
+        *measured("mapping", (), columns, [((), found)], f"nodes of a map, {found['name']}", upright=True),
+        *measured("purity", ("room",), per_room, by_room),
     ]
 
 
@@ -188,7 +188,7 @@ def compact(found: Measures) -> list[Table]:
     rows = (((one["way"], label), one) for label, several in curves.items() for one in several)
     note = f"map: {found['map_frames']:,} frames, grouped by {found['clustered']}; {found['queries']:,} queries"
     title = f"localization in compact maps, {found['name']}, {found['distance']} distance"
-    return _made("compact", ("nodes by", "lighting"), columns, rows, title, [note])
+    return measured("compact", ("nodes by", "lighting"), columns, rows, title, [note])
 
 
 def buildings(found: Measures) -> list[Table]:
@@ -207,7 +207,7 @@ def buildings(found: Measures) -> list[Table]:
     ]
     note = [f"maps: {'; '.join(maps)}"] if maps else []
     by = f", {found['distance']} distance" if "distance" in found else ""
-    return _made("buildings", ("lighting",), columns, rows, f"building chosen correctly, {found['name']}{by}", note)
+    return measured("buildings", ("lighting",), columns, rows, f"building chosen correctly, {found['name']}{by}", note)
 
 
 def robustness(found: Measures) -> list[Table]:
@@ -228,7 +228,7 @@ def robustness(found: Measures) -> list[Table]:
             for entry in sorted(by_name[kind["name"]], key=lambda entry: entry["level"])
         )
         title = _DISTURBANCES.get(kind["kind"], f"effect: {kind['name'].replace('_', ' ')}")
-        made += _made("robustness", ("method", kind["unit"]), columns, rows, title, [note] if kind is last else [])
+        made += measured("robustness", ("method", kind["unit"]), columns, rows, title, [note] if kind is last else [])
     return made
 
 
@@ -238,7 +238,7 @@ def cost(costs: Mapping[str, Measures]) -> list[Table]:
     times = [(Column(step, "ms", "short"), f"{step}_ms") for step in steps]
     columns = [*times, *_as("count", {"numbers": "numbers", "bytes": "bytes"})]
     rows = (((method,), taken) for method, taken in costs.items() if taken)
-    return _made("cost", ("method",), columns, rows, "cost of a query, and size of a map frame")
+    return measured("cost", ("method",), columns, rows, "cost of a query, and size of a map frame")
 
 
 _OF_ONE: dict[str, Callable[[Measures], list[Table]]] = {
@@ -268,7 +268,7 @@ def _as(form: Form, paths: Mapping[str, Path]) -> list[tuple[Column, Path]]:
     return [(Column(name, form=form), path) for name, path in paths.items()]
 
 
-def _made(
+def measured(
     name: str,
     labels: Sequence[str],
     columns: Sequence[tuple[Column, Path]],

@@ -17,19 +17,20 @@ from siamloc.report.page.markup import Markup, grid, section, tag
 from siamloc.report.page.parts import Part
 from siamloc.report.page.tasks import robustness_section
 from siamloc.results import Columns, finest
-from siamloc.summaries import middle_recall
+from siamloc.summaries import measured, middle_recall
 from siamloc.tables import NOTHING, Column, Table, count, percent
 
 _MOST_METHODS = 8
+_SINGLE = "single frame"
 
 Frames = set[tuple[Any, ...]]
 
 
 def comparison(parts: list[Part]) -> Markup | None:
     """Return the tables and curves of what several evaluations measured; None if nothing was measured twice."""
-    measured = [part for part in parts if part.evaluation.measured]
+    scored = [part for part in parts if part.evaluation.measured]
     disturbed = _robustness({part.method: part.evaluation for part in parts if part.evaluation.kind == "robustness"})
-    own = _localization(measured) if len(measured) > 1 else None
+    own = _localization(scored) if len(scored) > 1 else None
     return tag("article.overview", own, disturbed) if own or disturbed else None
 
 
@@ -68,64 +69,51 @@ def _localization(parts: list[Part]) -> Markup:
         for i, (unit, columns) in enumerate(by_unit.items())
     ]
     return section(
-        "Comparison", grid(_compared(parts)), *(tag("p.note", note) for note in notes), *curves, name="compared"
+        "Comparison", *map(grid, _compared(parts)), *(tag("p.note", note) for note in notes), *curves, name="compared"
     )
 
 
-def _compared(parts: list[Part]) -> Table:
-    """Return a table with a row for each evaluation: errors of its finest estimates, over all queries and by lighting.
+def _compared(parts: list[Part]) -> list[Table]:
+    """Return the table with a row for each evaluation: errors of its finest estimates, of all queries and by lighting.
 
-    Columns in which the evaluations do not differ, such as the protocol, are left out.
+    Columns without a value, and those in which the evaluations do not differ, such as the protocol, are left out.
     """
     lightings = list(dict.fromkeys(label for part in parts for label in part.evaluation.lightings))
-    units = list(dict.fromkeys(part.evaluation.unit for part in parts if part.evaluation.absolute is not None))
-    unit = units[0] if len(units) == 1 else ""
-    columns = (
-        *(Column("run"), Column("map", form="count"), Column("queries", form="count")),
-        *(Column("protocol"), Column("unit"), Column("estimate"), Column("mean", unit, 3)),
-        *(Column(f"mean, {label}", form=3) for label in lightings),
-        *(Column(name, unit, 3) for name in ("median", "95 %", "floor", "excess")),
-        *(Column("recall@1"), Column("heading", "deg", 1), Column("room retrieved", form="percent")),
-    )
-    rows = [_row(part, lightings) for part in parts]
-    finer = any(part.evaluation.finest[1] for part in parts)
-    hidden = {
-        *(["protocol"] if len({row[3] for row in rows}) == 1 else []),
-        *(["unit"] if len(units) < 2 else []),
-        *([] if finer else ["estimate"]),
-    }
-    used = [i for i, column in enumerate(columns) if column.name not in hidden]
-    shown = tuple(tuple(row[i] for i in used) for row in rows)
-    return Table("comparison", tuple(columns[i] for i in used), shown)
+    rows = [((tag("a", part.title, href=f"#{part.anchor}"),), _measures(part, lightings)) for part in parts]
+    values = {name: {row[name] for _, row in rows} - {None} for name in ("protocol", "unit", "estimate")}
+    values["estimate"].add(_SINGLE)  # anything else has to be said, even of all evaluations
+    differing = [name for name, every in values.items() if len(every) > 1]
+    unit = "" if "unit" in differing else "".join(values["unit"])
+    columns: list[tuple[Column, str]] = [
+        *((Column(name, form="count"), name) for name in ("map", "queries")),
+        *((Column(name), name) for name in differing),
+        (Column("mean", unit, 3), "error.mean"),
+        *((Column(f"mean, {label}", form=3), f"lighting.{i}.error.mean") for i, label in enumerate(lightings)),
+        *((Column(name, unit, 3), f"error.{key}") for name, key in (("median", "median"), ("95 %", "p95"))),
+        *((Column(name, unit, 3), f"{name}.mean") for name in ("floor", "excess")),
+        *((Column("recall@1"), "recall@1"), (Column("heading", "deg", 1), "heading_error.mean")),
+        (Column("room retrieved", form="percent"), "rooms.overall.accuracy"),
+    ]
+    return measured("comparison", ("run",), columns, rows)
 
 
-def _row(part: Part, lightings: list[str]) -> list[Any]:
-    """Return the row of an evaluation in the table of all."""
+def _measures(part: Part, lightings: list[str]) -> dict[str, Any]:
+    """Return the measures of an evaluation for its row in the table of all."""
     evaluation = part.evaluation
     absolute, rooms, (finest_, estimate) = evaluation.absolute, evaluation.rooms, evaluation.finest
     overall: Mapping[str, Any] = (finest_ or {}).get("overall", {})
-    by_lighting = (finest_ or {}).get("lighting", {})
-    queries = (overall or (rooms or {}).get("overall", {})).get("queries", 0)
     recall = middle_recall(overall)
-
-    def mean(group: Mapping[str, Any], key: str = "error", which: str = "mean") -> float | None:
-        return group.get(key, {}).get(which)
-
-    return [
-        tag("a", part.title, href=f"#{part.anchor}"),
-        (absolute or {}).get("map_frames"),
-        queries,
-        str(evaluation.results.get("protocol") or NOTHING).replace("_", " "),
-        evaluation.unit if absolute else None,
-        estimate or "single frame",
-        mean(overall),
-        *(mean(by_lighting.get(label, {})) for label in lightings),
-        *(mean(overall, which=which) for which in ("median", "p95")),
-        *(mean(overall, key) for key in ("floor", "excess")),
-        recall and f"{percent(recall['recall'])}, {recall['radius']:g} {evaluation.unit}",
-        mean(overall, "heading_error"),
-        rooms and rooms["overall"]["accuracy"],
-    ]
+    return {
+        **overall,
+        "map": (absolute or {}).get("map_frames"),
+        "queries": (overall or (rooms or {}).get("overall", {})).get("queries", 0),
+        "protocol": str(evaluation.results.get("protocol") or NOTHING).replace("_", " "),
+        "unit": evaluation.unit if absolute else None,
+        "estimate": estimate or _SINGLE,
+        "lighting": [(finest_ or {}).get("lighting", {}).get(label) for label in lightings],
+        "recall@1": recall and f"{percent(recall['recall'])}, {recall['radius']:g} {evaluation.unit}",
+        "rooms": rooms,
+    }
 
 
 def _robustness(evaluations: Mapping[str, Evaluation]) -> Markup | None:
