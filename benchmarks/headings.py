@@ -83,8 +83,8 @@ def trained(building: Building, seed: int, run: Path) -> Any:
 def row(building: Building, described_by: Any, heading: Any) -> dict[str, Any]:
     """Return the heading errors in degrees with each part of the map under each lighting, and bytes of a map frame."""
     known = siamloc.maps.build(described_by, building.images, building.drives(MAP), heading=heading, progress=False)
-    assert known.heading is not None
-    found: dict[str, Any] = {"bytes": known.heading.values[0].nbytes}
+    assert known.orientation is not None
+    found: dict[str, Any] = {"bytes": known.orientation[0].nbytes}
     queries = building.drives(QUERIES)
     seen = Description.concatenate(list(siamloc.maps.describe(known, building.images, queries)))
     for every in EVERY:

@@ -209,8 +209,8 @@ def costs(building: Building, network: siamloc.models.Network) -> dict[str, floa
     for k in sorted(set(COMPARED.values())):
         time = milliseconds(partial(siamloc.maps.refine, known, query, nearest, compares, k), _RUNS)
         found[f"ms_{k}"] = time["ms"]
-    assert known.heading is not None
-    return {**found, "bytes": known.heading.values[0].nbytes}
+    assert known.orientation is not None
+    return {**found, "bytes": known.orientation[0].nbytes}
 
 
 def judge(report: Report, name: str, rows: list[dict[str, Any]]) -> None:

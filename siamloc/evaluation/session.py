@@ -257,7 +257,7 @@ class Session:
             "protocol": self.protocol.kind,
             "descriptor": self.known.descriptor.identity,
             "distance": self.known.distance,
-            **({} if self.known.heading is None else {"heading": self.known.heading.identity}),
+            **({} if self.known.heading is None else {"heading": self.known.heading}),
         }
 
     def finished(self, result: Result, task: Settings, **about: Any) -> Result:
@@ -316,7 +316,7 @@ def cost(known: VisualMap, clock: Stopwatch) -> dict[str, Any]:
         bytes: bytes of a map frame, including its orientation part.
         map_frames: number of frames searched.
     """
-    turning = known.orientation if known.heading is None else known.heading.values
+    turning = known.orientation
     kept: list[NDArray[Any]] = [known.descriptors]
     if turning is not None and not shares_values(turning, known.descriptors):
         kept.append(turning)

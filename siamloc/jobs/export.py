@@ -95,7 +95,7 @@ class Export(RunJob):
         label, lines = self.descriptor.title, []
         folder, named = self.here.evaluation(label), f"run={self.here.folder}"
         named += "" if label == "network" else f" descriptor={label}"
-        none = known.heading is None and known.orientation is None
+        none = known.orientation is None
         if none and known.made.get("data", {}).get("circular", True):
             which = "" if known.descriptor.tells_heading else " heading=hog"
             lines.append(f"for a heading as well: siamloc map {named}{which}, then export again")

@@ -54,9 +54,9 @@ class MapFrames(RunJob):
         if self.projector:
             run.record_written(maps.write_projector(known, run.tensorboard))
             say(f"projector: tensorboard --logdir {run.tensorboard}, color by room")
-        if known.heading is not None:
-            size = known.heading.values[0].nbytes
-            say(f"headings: by {known.heading.identity['name']}, {size} bytes a frame")
+        if known.heading is not None and known.orientation is not None:
+            size = known.orientation[0].nbytes
+            say(f"headings: by {known.heading['name']}, {size} bytes a frame")
         if self.build.name != "none":
             folder = own_folder(run.layer(label, self.build.title), self.titles, of_layer)
             built = maps.group(known, folder=folder, **self.way)

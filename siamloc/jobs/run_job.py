@@ -391,8 +391,8 @@ def _map_made(run: Run, values: Mapping[str, Any]) -> dict[str, Any] | None:
         found["data"] = {**known.made["data"], "unit": known.unit}
     if "role" in known.made:
         found["protocol.map"] = known.made["role"]
-    if known.heading is not None and not known.heading.own:  # headings need columns that are a full turn
-        found["heading"] = {key: value for key, value in known.heading.identity.items() if key != "circular"}
+    if known.heading is not None and not known.heading_by_network:  # headings need columns that are a full turn
+        found["heading"] = {key: value for key, value in known.heading.items() if key != "circular"}
     return found
 
 

@@ -2,7 +2,6 @@ from .coarse import CoarseLayer as CoarseLayer, UNASSIGNED as UNASSIGNED
 from .describing import build as build, describe as describe
 from .error_model import ErrorModel as ErrorModel
 from .grouping import Built as Built, WAYS as WAYS, group as group
-from .heading import HeadingPart as HeadingPart
 from .hierarchy import (
     HierarchicalRetrieval as HierarchicalRetrieval,
     HierarchicalSearch as HierarchicalSearch,

@@ -12,7 +12,7 @@ from analytic import DESCRIPTORS, Description, Descriptor, descriptor
 from foundation.calls import typed
 from siamloc.data.frames import FrameTable
 from siamloc.errors import ConfigError, DataError, hint
-from siamloc.maps.heading import HeadingPart, NetworkHeading, described
+from siamloc.maps.heading import NetworkHeading, described, halved
 from siamloc.maps.visual_map import VisualMap
 from siamloc.progress import track
 from siamloc.stopwatch import Stopwatch
@@ -91,9 +91,9 @@ def build(
     what = "describing the map" if progress else None
     second = None if isinstance(turning, NetworkHeading) else turning
     found = Description.concatenate(list(describe(by, images, readable, heading=second, progress=what)))
-    part = None
-    if turning is not None and found.orientation is not None:
-        part = HeadingPart.of(turning, found.orientation)
+    orientation = None if turning is None and by_network else found.orientation
+    if turning is not None and orientation is not None:
+        orientation = halved(turning, orientation)
     data = {**readable.source, **images.settings()}
     return VisualMap(
         found.position,
@@ -102,8 +102,8 @@ def build(
         by.default_distance if distance is None else distance,
         unit=readable.unit,
         made={"data": data, "sequences": list(readable.rows_by("sequence")), "frames": len(readable), **(made or {})},
-        orientation=None if turning is not None or by_network else found.orientation,
-        heading=part,
+        orientation=orientation,
+        heading=None if turning is None or orientation is None else turning.identity,
         describes=by,
     )
 

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
-from functools import cached_property
 from typing import Any, ClassVar
 
 import numpy as np
@@ -12,7 +10,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from analytic import DESCRIPTORS, Description, Descriptor, ImageDescriptor, descriptor
 from analytic.descriptors.between_columns import BetweenColumns
-from foundation.files import plain
 from siamloc.errors import ConfigError, DataError
 from siamloc.maps.packing import all_finite, packed
 
@@ -26,76 +23,27 @@ HEADINGS: dict[str, dict[str, Any]] = {
 that one band, which divides every height, is enough for it."""
 
 
-@dataclass(frozen=True, eq=False)
-class HeadingPart:
-    """Orientation parts of a map's frames, from a network or an additional analytic descriptor, that give headings.
+def halved(by: Descriptor, orientation: NDArray[Any]) -> NDArray[np.float16]:
+    """Return orientation parts (n, K, F) by a descriptor in half precision, complex ones as (n, K, F, 2).
 
-    Values are in half precision, those of each frame scaled by a power of two that brings the largest one to
-    2^13 ... 2^14: a heading is the turn with the largest correlation, and no scale changes that.
-
-    Attributes:
-        identity: name and parameters of the analytic descriptor, as plain values; {"name": "network"} if the parts
-            come from the network that describes the map.
-        values: (n, K, F) float16, or (n, K, F, 2) for complex ones; read-only.
+    Those of each frame are scaled by a power of two that brings the largest value to 2^13 ... 2^14: a heading is the
+    turn with the largest correlation, and no scale changes that.
 
     Raises:
-        DataError: another shape or type, or values that are not finite.
+        DataError: values that are not finite.
     """
+    if not all_finite(orientation):
+        raise DataError(f"the orientation parts of {by.name} hold values that are not finite")
+    return packed("values", orientation, "float16")["values"]
 
-    identity: dict[str, Any]
-    values: NDArray[np.float16]
 
-    def __post_init__(self) -> None:
-        values = np.asarray(self.values)
-        values = values.copy() if values.flags.writeable else values
-        if values.dtype != np.float16 or 0 in values.shape or not (values.ndim == 3 or values.shape[3:] == (2,)):
-            raise DataError(
-                f"a map's heading part must be float16 of shape (n, K, F) or (n, K, F, 2), got {values.dtype} "
-                f"{values.shape}"
-            )
-        if not all_finite(values):
-            raise DataError("a map's heading part holds values that are not finite: look at the images")
-        values.flags.writeable = False
-        object.__setattr__(self, "values", values)
-        object.__setattr__(self, "identity", plain(dict(self.identity)))
+def heading_descriptor(identity: Mapping[str, Any]) -> Descriptor:
+    """Return the descriptor with this identity, which compares orientation parts; an analytic one runs without torch.
 
-    @classmethod
-    def of(cls, descriptor: Descriptor, orientation: NDArray[Any]) -> HeadingPart:
-        """Create the heading part from the orientation parts (n, K, F) of a descriptor.
-
-        Raises:
-            DataError: values that are not finite.
-        """
-        if not all_finite(orientation):
-            raise DataError(f"the orientation parts of {descriptor.name} hold values that are not finite")
-        return cls(descriptor.identity, packed("values", orientation, "float16")["values"])
-
-    def __len__(self) -> int:
-        return len(self.values)
-
-    @property
-    def own(self) -> bool:
-        """Whether the orientation parts come from the map's own descriptor, in one pass with the position parts."""
-        return self.identity.get("name") == NetworkHeading.name
-
-    @property
-    def orientation(self) -> NDArray[Any]:
-        """The orientation parts (n, K, F) up to their scale, float32 or complex64."""
-        full = self.values.astype(np.float32)
-        return full if full.ndim == 3 else full.view(np.complex64)[..., 0]
-
-    def take(self, rows: Any) -> HeadingPart:
-        """Return some rows, given by index or by a mask."""
-        return HeadingPart(self.identity, self.values[rows])
-
-    @cached_property
-    def descriptor(self) -> Descriptor:
-        """The descriptor that compares the parts; an analytic one runs without torch.
-
-        Raises:
-            AnalyticError: a descriptor or a parameter that this version does not know.
-        """
-        return NetworkHeading() if self.own else descriptor_of(self.identity)
+    Raises:
+        AnalyticError: a descriptor or a parameter that this version does not know.
+    """
+    return NetworkHeading() if identity.get("name") == NetworkHeading.name else descriptor_of(identity)
 
 
 def is_analytic(identity: Mapping[str, Any]) -> bool:

@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 from foundation.arrays import read_headed, write_arrays
 from siamloc.data.frames import FrameTable
 from siamloc.errors import FormatError
-from siamloc.maps.heading import HeadingPart
 from siamloc.maps.packing import Precision, packed, shares_values, unpacked
 
 if TYPE_CHECKING:
@@ -42,13 +41,13 @@ def write_map(path: str | Path, known: VisualMap, precision: Precision) -> None:
         "made": known.made,
     }
     arrays: dict[str, NDArray[Any]] = {"descriptors": known.descriptors}
-    if known.orientation is not None:
+    if known.heading is not None and known.orientation is not None:
+        header["heading"] = known.heading
+        arrays["heading"] = known.orientation
+    elif known.orientation is not None:
         header["orientation"] = list(known.orientation.shape)
         if not shares_values(known.orientation, known.descriptors):
             arrays["orientation"] = known.orientation
-    if known.heading is not None:
-        header["heading"] = known.heading.identity
-        arrays["heading"] = known.heading.values
     arrays.update({f"frame_{name}": column for name, column in known.frames.columns().items()})
     if precision != "float32":
         arrays = {**arrays, **packed("descriptors", known.descriptors, precision)}
@@ -77,7 +76,8 @@ def read_map(path: str | Path, kind: type[VisualMap]) -> VisualMap:
         columns: dict[str, Any] = {
             name.removeprefix("frame_"): array for name, array in arrays.items() if name.startswith("frame_")
         }
-        descriptors, orientation = arrays["descriptors"], arrays.get("orientation")
+        descriptors = arrays["descriptors"]
+        orientation = arrays["heading"] if "heading" in header else arrays.get("orientation")
         if orientation is None and header.get("orientation") is not None:
             orientation = descriptors.reshape(header["orientation"])
         known = kind(
@@ -88,7 +88,7 @@ def read_map(path: str | Path, kind: type[VisualMap]) -> VisualMap:
             header["unit"],
             header.get("made", {}),
             orientation,
-            HeadingPart(header["heading"], arrays["heading"]) if "heading" in header else None,
+            header.get("heading"),
         )
         announced = (header.get("frames"), header.get("width"))
         if descriptors.shape != announced:

@@ -66,9 +66,9 @@ def headings(known: VisualMap, queries: Description, found: Retrieval, count: in
         compare.
     """
     turned = np.full((len(queries), count), np.nan)
-    if queries.orientation is None or (known.orientation is None and known.heading is None):
+    if queries.orientation is None or known.orientation is None:
         return turned
-    by = known.descriptor if known.heading is None else known.heading.descriptor
+    by = known.heading_by
     for place in range(min(count, found.indices.shape[1])):
         rows = found.indices[:, place]
         theta = known.frames.theta[rows]

@@ -173,7 +173,7 @@ def refine(
         check_compares(known)
         compares = known.descriptor.compare  # type: ignore[attr-defined]
     parts = queries.orientation
-    if parts is None or (known.heading is None and known.orientation is None):
+    if parts is None or known.orientation is None:
         raise DataError("the map or the queries have no orientation parts to compare: use a network that computes them")
     if not (np.isfinite(known.frames.theta) & known.frames.has_position).any():
         raise DataError("no map frame has a heading: refining needs the column theta, in rad")
@@ -296,7 +296,7 @@ def check_compares(known: VisualMap) -> None:
             "model.relative=true (from Python build(..., relative=True)) and map by it, take descriptor=pretrained, or "
             "use task.refine=interpolate"
         )
-    if known.heading is None or not known.heading.own:
+    if not known.heading_by_network:
         raise ConfigError(
             "the map does not hold what its network compares by: make it again without heading= of another descriptor"
         )

@@ -20,7 +20,7 @@ from foundation.files import plain
 from siamloc.data.frames import FrameTable
 from siamloc.errors import ConfigError, DataError, hint
 from siamloc.maps.aligned import AlignedIndex
-from siamloc.maps.heading import HeadingPart, described, descriptor_of, is_analytic
+from siamloc.maps.heading import NetworkHeading, described, descriptor_of, heading_descriptor, is_analytic
 from siamloc.maps.map_file import read_map, write_map
 from siamloc.maps.packing import Precision, all_finite, shares_values
 from siamloc.maps.search import Retrieval, VectorIndex
@@ -38,14 +38,15 @@ class VisualMap:
         distance: how descriptors are compared: a name in `analytic.DISTANCES`.
         unit: unit of x and y; the frames' unit if None.
         made: what the frames were read from, as plain values; for reference only.
-        orientation: (n, K, F) orientation parts that give the headings, read-only; None for a descriptor without them.
-        heading: what gives the headings if the descriptors do not: the network's own heading part or that of another
-            descriptor; None if there is neither.
+        orientation: (n, K, F) orientation parts that give the headings, read-only; in half precision those that
+            `heading` describes, see `siamloc.maps.heading.halved`; None if there are none.
+        heading: identity of what computed the orientation parts, if it was not an analytic descriptor together with the
+            descriptors: {"name": "network"} for the network that describes the map, or another descriptor's.
         describes: the descriptor, ready to describe queries; not saved. Use `descriptor`, which creates an analytic one
             from the identity, or `with_descriptor`.
 
     Raises:
-        DataError: no frames, a different number of descriptors or heading parts than frames, or values that are not
+        DataError: no frames, a different number of descriptors or orientation parts than frames, or values that are not
             finite.
         ConfigError: an unknown distance, or one that is meaningless for so few values.
 
@@ -64,7 +65,7 @@ class VisualMap:
     unit: str = None  # type: ignore[assignment]
     made: dict[str, Any] = field(default_factory=dict)
     orientation: NDArray[Any] | None = None
-    heading: HeadingPart | None = None
+    heading: dict[str, Any] | None = None
     describes: Descriptor | None = None
 
     def __post_init__(self) -> None:
@@ -88,12 +89,11 @@ class VisualMap:
         object.__setattr__(self, "descriptors", descriptors)
         if self.unit is None:
             object.__setattr__(self, "unit", self.frames.unit)
-        if self.orientation is not None:
-            object.__setattr__(self, "orientation", _checked_orientation(self.orientation, descriptors))
-        if self.heading is not None and len(self.heading) != len(self.frames):
-            raise DataError(
-                f"a map needs one heading part per frame, got {len(self.heading)} for {len(self.frames)} frames"
-            )
+        if self.heading is not None:
+            object.__setattr__(self, "heading", plain(dict(self.heading)))
+        if self.orientation is not None or self.heading is not None:
+            orientation = _checked_orientation(self.orientation, descriptors, halved=self.heading is not None)
+            object.__setattr__(self, "orientation", orientation)
         object.__setattr__(self, "identity", plain(dict(self.identity)))
 
     def __len__(self) -> int:
@@ -101,7 +101,7 @@ class VisualMap:
 
     def __repr__(self) -> str:
         name = f" by {self.identity['name']}" if "name" in self.identity else ""
-        heading = f", headings by {self.heading.identity['name']}" if self.heading is not None else ""
+        heading = f", headings by {self.heading['name']}" if self.heading is not None else ""
         return f"VisualMap({len(self)} frames, {self.width} numbers each{name}, compared by {self.distance}{heading})"
 
     @property
@@ -126,10 +126,24 @@ class VisualMap:
             )
         return descriptor_of(self.identity)
 
+    @cached_property
+    def heading_by(self) -> Descriptor:
+        """The descriptor that compares the orientation parts: that of the map, its network's stand-in, or a second one.
+
+        Raises:
+            AnalyticError: a descriptor or a parameter that this version does not know.
+        """
+        return self.descriptor if self.heading is None else heading_descriptor(self.heading)
+
     @property
     def heading_descriptor(self) -> Descriptor | None:
         """The second descriptor, which gives the headings; None if the map's own descriptor does, or nothing."""
-        return None if self.heading is None or self.heading.own else self.heading.descriptor
+        return None if self.heading is None or self.heading_by_network else self.heading_by
+
+    @property
+    def heading_by_network(self) -> bool:
+        """Whether the orientation parts come from the network that describes the map."""
+        return self.heading is not None and self.heading.get("name") == NetworkHeading.name
 
     def describe(self, batch: ArrayLike) -> Description:
         """Describe images as the frames of the map were described, including the parts that give their headings.
@@ -150,7 +164,7 @@ class VisualMap:
     @cached_property
     def description(self) -> Description:
         """The map as a description that its descriptor can compare; its spectrum is computed once for all queries."""
-        return Description(self.descriptors, self.orientation)
+        return Description(self.descriptors, self.orientation if self.heading is None else None)
 
     @cached_property
     def index(self) -> VectorIndex:
@@ -183,7 +197,6 @@ class VisualMap:
             descriptors=descriptors,
             frames=self.frames.take(key),
             orientation=orientation,
-            heading=None if self.heading is None else self.heading.take(key),
         )
 
     def placed(self) -> VisualMap:
@@ -199,9 +212,10 @@ class VisualMap:
 
     def turning(self, rows: NDArray[np.int64]) -> Description:
         """Return some rows (p,) as the description that headings are estimated from."""
-        if self.heading is None:
+        if self.heading is None or self.orientation is None:
             return self.description.take(rows)
-        return Description(self.descriptors[rows], self.heading.take(rows).orientation)
+        parts = self.orientation[rows].astype(np.float32)
+        return Description(self.descriptors[rows], parts if parts.ndim == 3 else parts.view(np.complex64)[..., 0])
 
     @typed
     def search(self, descriptors: ArrayLike, k: int = 1, *, excluded: ArrayLike | None = None) -> Retrieval:
@@ -249,8 +263,8 @@ class VisualMap:
             ConfigError: the map holds no heading part of this descriptor.
         """
         if heading is None:
-            return self if self.heading is None or self.heading.own else replace(self, heading=None)
-        held, wanted = None if self.heading is None else self.heading.identity, plain(heading.identity)
+            return self if self.heading_descriptor is None else replace(self, orientation=None, heading=None)
+        held, wanted = self.heading, plain(heading.identity)
         if held == wanted:
             return self
         if held is None:
@@ -356,13 +370,18 @@ def _own(array: NDArray, given: Any) -> NDArray:
     return array.copy() if shared and array.flags.writeable else array
 
 
-def _checked_orientation(orientation: Any, descriptors: NDArray) -> NDArray:
+def _checked_orientation(orientation: Any, descriptors: NDArray, *, halved: bool) -> NDArray:
     """Return valid orientation parts, as the descriptors in another shape if both are the same values."""
     array = _own(np.asarray(orientation), orientation)
     frames = len(descriptors)
-    if array.ndim != 3 or len(array) != frames or 0 in array.shape or array.dtype.kind not in "fcu":
+    if halved:
+        fits = array.dtype == np.float16 and (array.ndim == 3 or array.shape[3:] == (2,))
+    else:
+        fits = array.dtype.kind in "fcu" and array.ndim == 3
+    if not fits or len(array) != frames or 0 in array.shape:
+        kind = "float16" if halved else "numbers"
         raise DataError(
-            f"a map's orientation parts must be numbers of shape ({frames}, K, F), got {array.dtype} {array.shape}"
+            f"a map's orientation parts must be {kind} of shape ({frames}, K, F), got {array.dtype} {array.shape}"
         )
     same = array.dtype == descriptors.dtype and array.size == descriptors.size
     if same and np.array_equal(array.reshape(descriptors.shape), descriptors):

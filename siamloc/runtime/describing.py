@@ -45,11 +45,10 @@ class Describer:
         )
         self._size = bundle.image_size
         if self._session is None:
-            turned = known.orientation if known.heading is None else known.heading.values
-            known = known.with_descriptor(analytic_descriptor(known.identity, bundle, known.width, turned))
-        self.known, self._turning, part = known, None, known.heading
-        if part is not None and not part.own:
-            self._turning = analytic_descriptor(part.identity, bundle, orientation=part.values)
+            known = known.with_descriptor(analytic_descriptor(known.identity, bundle, known.width, known.orientation))
+        self.known, self._turning = known, None
+        if known.heading is not None and not known.heading_by_network:
+            self._turning = analytic_descriptor(known.heading, bundle, orientation=known.orientation)
 
     @property
     def compares(self) -> bool:

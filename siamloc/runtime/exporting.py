@@ -301,9 +301,9 @@ def _checked_layer(
 
 def _heading_of(known: VisualMap | None) -> dict[str, Any] | None:
     """Return the source of the robot's heading; None if it has none."""
-    if known is None or (known.heading is None and (known.orientation is None or not known.descriptor.tells_heading)):
+    if known is None or known.orientation is None or not known.heading_by.tells_heading:
         return None
-    return {"identity": known.identity if known.heading is None else known.heading.identity}
+    return {"identity": known.identity if known.heading is None else known.heading}
 
 
 def _described_alike(

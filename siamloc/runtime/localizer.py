@@ -347,7 +347,7 @@ class Localizer:
         layer, coarse = held
         if coarse is not None:
             coarse = coarse.with_descriptor(
-                analytic_descriptor(coarse.identity, self.bundle, coarse.width, coarse.orientation)
+                analytic_descriptor(coarse.identity, self.bundle, coarse.width, coarse.description.orientation)
             )
         try:
             settings = LayerSearch.of(self.bundle.about.get("search") or {})

@@ -28,8 +28,7 @@ def test_from_a_map_to_a_located_photograph(flat, given, tmp_path, capsys):
     done("map", *given)
     known = VisualMap.load(tmp_path / MAP)
     assert known.width == 2048
-    assert known.heading is not None
-    assert known.heading.own
+    assert known.heading_by_network
     done("evaluate", *given, "task.baselines=[hog]", "task.plots=false")
     results = read_results(tmp_path / "evaluation/pretrained")
     assert results["measures"]["absolute"]["overall"]["heading_error"]["count"] == 24

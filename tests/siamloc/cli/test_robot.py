@@ -52,7 +52,7 @@ def test_a_network_tells_headings_as_an_analytic_method_does(finished):
     known = VisualMap.load(finished / "map.npz")
     for row in table(finished / "evaluation/network/queries.csv"):
         theta = float(row["est_theta"])
-        steps = (theta - known.frames.theta[int(row["match"])]) / known.heading.descriptor.resolution(128)
+        steps = (theta - known.frames.theta[int(row["match"])]) / known.heading_by.resolution(128)
         assert steps == pytest.approx(round(steps), abs=1e-6)
         assert math.degrees(apart(theta, row["theta"])) == pytest.approx(float(row["heading_error"]), abs=1e-6)
         assert -math.pi < theta <= math.pi
@@ -158,12 +158,12 @@ def test_an_export_without_headings_and_errors_says_how_to_add_them(bare, flat, 
 
 
 def test_an_error_model_is_left_out_for_another_map_and_kept_for_other_headings(run, capsys):
-    before = VisualMap.load(run / "map.npz").heading
+    before = VisualMap.load(run / "map.npz").orientation
     done("map", f"run={run}", "heading=hog")
     errors, known = ErrorModel.load(run / "evaluation/network/error_model.json"), VisualMap.load(run / "map.npz")
     assert errors.lost_above == 1.5
     assert errors.learned_on(known)
-    assert np.prod(known.heading.values.shape) == 2 * np.prod(before.values.shape)
+    assert known.orientation.size == 2 * before.size
     done("map", f"run={run}", "protocol.map.every=2")
     capsys.readouterr()
     done("export", f"run={run}")

@@ -131,9 +131,8 @@ def test_a_network_that_finds_headings_keeps_them_in_its_map(images, tmp_path):
     frames, library = images
     network = build_network("panoresnet", "fourier", SIZE, circular=True)
     known = build(network, library, frames, progress=False)
-    assert known.orientation is None
-    assert known.heading.own
-    assert known.heading.values.dtype == np.float16
+    assert known.heading_by_network
+    assert known.orientation.dtype == np.float16
     assert known.heading_descriptor is None
     seen = Description.concatenate(list(describe(known, library, library.readable(frames))))
     found = match(known, seen)
@@ -142,10 +141,10 @@ def test_a_network_that_finds_headings_keeps_them_in_its_map(images, tmp_path):
 
     known.save(tmp_path / "map.npz")
     bare = VisualMap.load(tmp_path / "map.npz")
-    np.testing.assert_array_equal(bare.heading.values, known.heading.values)
+    np.testing.assert_array_equal(bare.orientation, known.orientation)
     np.testing.assert_array_equal(headings(bare, seen, found), headings(known, seen, found))  # without the network
     with pytest.raises(ConfigError, match="come from the network: describe images with known"):
-        bare.heading.descriptor.describe(library.batch([0]))
+        bare.heading_by.describe(library.batch([0]))
     assert bare.with_heading(None) is bare
     with pytest.raises(ConfigError, match="gives headings by network, not by hog: make it again"):
         bare.with_heading(analytic.descriptor("hog"))
@@ -159,8 +158,8 @@ def test_another_descriptor_can_be_chosen_for_the_headings_of_a_network(images):
     frames, library = images
     network = build_network("panoresnet", "fourier", SIZE, circular=True)
     known = build(network, library, frames, heading="hog", progress=False)
-    assert known.heading.identity["name"] == "hog"
-    assert not known.heading.own
+    assert known.heading["name"] == "hog"
+    assert not known.heading_by_network
     with pytest.raises(ConfigError, match="a network finds headings only in the map that it describes itself"):
         build("hog", library, frames, heading=as_descriptor(network), progress=False)
     other = build(build_network("panoresnet", "flat", SIZE, circular=True), library, frames, progress=False)

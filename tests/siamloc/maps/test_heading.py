@@ -14,8 +14,8 @@ import analytic
 from analytic import Description
 from siamloc.data.frames import FrameTable
 from siamloc.errors import ConfigError, DataError, FormatError
-from siamloc.maps import HeadingPart, Retrieval, VisualMap, headings
-from siamloc.maps.heading import described, is_analytic
+from siamloc.maps import Retrieval, VisualMap, headings
+from siamloc.maps.heading import described, halved, is_analytic
 from tests.drawn import draw_panorama
 
 SIZE = (32, 128)
@@ -41,32 +41,31 @@ def map_with_headings(thetas, heading) -> VisualMap:
         theta=np.array(thetas),
     )
     both = described(THUMBNAIL, heading, views(thetas))
-    part = HeadingPart.of(heading, both.orientation)
-    return VisualMap(both.position, frames, THUMBNAIL.identity, "correlation", heading=part)
+    parts = halved(heading, both.orientation)
+    return VisualMap(
+        both.position, frames, THUMBNAIL.identity, "correlation", orientation=parts, heading=heading.identity
+    )
 
 
 @pytest.mark.parametrize("name", SMALL)
 def test_half_precision_gives_the_headings_of_the_descriptor(name: str) -> None:
     heading = analytic.descriptor(name, **SMALL[name])
-    seen = heading.describe(views(np.linspace(-3, 3, 8)))
-    part = HeadingPart.of(heading, seen.orientation)
-    assert part.orientation.dtype == seen.orientation.dtype
-    assert part.values.nbytes * 2 == seen.orientation.nbytes
-    kept = replace(seen, orientation=part.orientation)
+    thetas = np.linspace(-3, 3, 8)
+    seen, known = heading.describe(views(thetas)), map_with_headings(thetas, heading)
+    assert known.orientation.nbytes * 2 == seen.orientation.nbytes
+    kept = replace(seen, orientation=known.turning(np.arange(8)).orientation)
+    assert kept.orientation.dtype == seen.orientation.dtype
     for row in range(8):
         expected = heading.relative_heading(seen, seen.take([row]))
-        np.testing.assert_array_equal(part.descriptor.relative_heading(seen, kept.take([row])), expected)
+        np.testing.assert_array_equal(known.heading_by.relative_heading(seen, kept.take([row])), expected)
 
 
 def test_frames_are_scaled_one_by_one_and_to_full_use() -> None:
     hog = analytic.descriptor("hog")
     faint, strong, empty = np.full((8, 2), 1e-20), np.full((8, 2), 7e18), np.zeros((8, 2))
-    part = HeadingPart.of(hog, np.stack([faint, strong, empty]).astype(np.float32))
-    largest = part.values.max(axis=(1, 2))
+    largest = halved(hog, np.stack([faint, strong, empty]).astype(np.float32)).max(axis=(1, 2))
     assert ((largest[:2] >= 2**13) & (largest[:2] < 2**14)).all()
     assert largest[2] == 0
-    np.testing.assert_array_equal(part.take([1]).values, part.values[1:2])
-    assert part.identity == hog.identity
 
 
 @pytest.mark.parametrize("name", ["hog", "fs"])
@@ -75,12 +74,11 @@ def test_round_trip_through_the_file(tmp_path: Path, name: str) -> None:
     saved = map_with_headings([0.0, 1.0, 2.0], heading)
     saved.save(tmp_path / "map.npz")
     loaded = VisualMap.load(tmp_path / "map.npz")
-    assert loaded.orientation is None
-    assert loaded.heading.identity == heading.identity == loaded.heading.descriptor.identity
-    np.testing.assert_array_equal(loaded.heading.values, saved.heading.values)
-    np.testing.assert_array_equal(loaded.turning(np.arange(3)).orientation, saved.heading.orientation)
+    assert loaded.description.orientation is None
+    assert loaded.heading == heading.identity == loaded.heading_by.identity
+    np.testing.assert_array_equal(loaded.orientation, saved.orientation)
     part = loaded.take(np.array([2, 0]))
-    np.testing.assert_array_equal(part.heading.values, saved.heading.values[[2, 0]])
+    np.testing.assert_array_equal(part.orientation, saved.orientation[[2, 0]])
 
 
 def test_the_map_frames_own_heading_is_added() -> None:
@@ -96,7 +94,7 @@ def test_the_map_frames_own_heading_is_added() -> None:
 
 def test_headings_count_neither_for_the_digest_nor_for_the_describer() -> None:
     known = map_with_headings([0.5, -2.0], analytic.descriptor("hog"))
-    bare = replace(known, heading=None)
+    bare = replace(known, orientation=None, heading=None)
     assert known.digest == bare.digest
     known.check_describer(THUMBNAIL.identity)
     others = [
@@ -109,7 +107,7 @@ def test_headings_count_neither_for_the_digest_nor_for_the_describer() -> None:
 
 
 def test_a_map_need_not_have_a_heading_part(tmp_path: Path) -> None:
-    known = replace(map_with_headings([0.5, -2.0], analytic.descriptor("hog")), heading=None)
+    known = replace(map_with_headings([0.5, -2.0], analytic.descriptor("hog")), orientation=None, heading=None)
     known.save(tmp_path / "map.npz")
     with zipfile.ZipFile(tmp_path / "map.npz") as archive:
         assert not [name for name in archive.namelist() if "heading" in name]
@@ -130,17 +128,14 @@ def test_headings_by_another_descriptor_are_refused() -> None:
 
 
 def test_parts_that_are_no_heading_parts() -> None:
-    values = np.ones((2, 4, 3), dtype=np.float16)
-    for bad in (values.astype(np.float32), values[0], values[:0], np.ones((2, 4, 3, 3), dtype=np.float16)):
-        with pytest.raises(DataError, match=r"must be float16 of shape \(n, K, F\) or \(n, K, F, 2\), got"):
-            HeadingPart({}, bad)
+    known, values = map_with_headings([0.0, 1.0], analytic.descriptor("hog")), np.ones((2, 4, 3), dtype=np.float16)
+    for bad in (None, values.astype(np.float32), values[0], values[:1], np.ones((2, 4, 3, 3), dtype=np.float16)):
+        with pytest.raises(DataError, match=r"must be float16 of shape \(2, K, F\), got"):
+            replace(known, orientation=bad)
     with pytest.raises(DataError, match="not finite"):
-        HeadingPart({}, values * np.float16("nan"))
+        replace(known, orientation=values * np.float16("nan"))
     with pytest.raises(DataError, match="the orientation parts of hog hold values that are not finite"):
-        HeadingPart.of(analytic.descriptor("hog"), np.full((1, 4, 2), np.inf))
-    known = map_with_headings([0.0, 1.0, 2.0], analytic.descriptor("hog"))
-    with pytest.raises(DataError, match="one heading part per frame, got 2 for 3 frames"):
-        replace(known, heading=HeadingPart({}, values))
+        halved(analytic.descriptor("hog"), np.full((1, 4, 2), np.inf))
 
 
 def test_a_file_whose_heading_part_is_missing_is_refused(tmp_path: Path) -> None:

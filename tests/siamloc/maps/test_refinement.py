@@ -11,7 +11,7 @@ from analytic import Description
 from analytic.descriptors.thumbnail import Thumbnail
 from siamloc.data import FrameTable
 from siamloc.errors import ConfigError, DataError
-from siamloc.maps import HeadingPart, RefinedPoses, Retrieval, VisualMap, refine
+from siamloc.maps import RefinedPoses, Retrieval, VisualMap, refine
 from siamloc.maps.refinement import _most_likely as most_likely
 
 THETA = np.array([0.3, -2.0, 3.0, 1.0])
@@ -24,7 +24,7 @@ def map_of(theta: np.ndarray = THETA) -> VisualMap:
     # The parts say which frame they are of, so that what compares them knows the right answer.
     parts = np.ones((4, 8, 2), dtype=np.float16)
     parts[:, 0, 0] = 2 + np.arange(4)
-    return VisualMap(np.eye(4), frames, heading=HeadingPart({"name": "network"}, parts))
+    return VisualMap(np.eye(4), frames, orientation=parts, heading={"name": "network"})
 
 
 def number(parts: np.ndarray) -> np.ndarray:
@@ -114,7 +114,7 @@ def test_frames_without_a_heading_say_nothing():
     assert poses.frame.tolist() == [1]
     bare = map_of()
     frames = bare.frames.with_columns(x=np.where(np.arange(4) == 0, np.nan, XY[:, 0]))
-    unplaced = VisualMap(np.eye(4), frames, heading=bare.heading)
+    unplaced = replace(bare, frames=frames)
     np.testing.assert_allclose(refine(unplaced, asked(), found(0, 1), exact, k=2).xy[0], TRUE, atol=1e-9)
     alone = refine(map_of(theta), asked(), found(0), exact, k=1)
     np.testing.assert_array_equal(alone.xy[0], XY[0])
@@ -148,12 +148,11 @@ def test_what_cannot_be_refined_is_refused():
         refine(known, Description(np.zeros((1, 4))), found(0), exact)
     with pytest.raises(ConfigError, match="k must be a whole number from 1"):
         refine(known, asked(), found(0), exact, k=0)
-    thumbnails = VisualMap(np.eye(4), known.frames, {"name": "hog"}, heading=known.heading)
+    thumbnails = replace(known, identity={"name": "hog"})
     able = Compares()
-    elsewhere = HeadingPart({"name": "hog"}, known.heading.values)
     with pytest.raises(ConfigError, match="does not hold what its network compares by"):
-        refine(VisualMap(np.eye(4), known.frames, heading=elsewhere, describes=able), asked(), found(0))
-    own = VisualMap(np.eye(4), known.frames, heading=known.heading, describes=able)
+        refine(replace(known, heading={"name": "hog"}, describes=able), asked(), found(0))
+    own = replace(known, describes=able)
     np.testing.assert_allclose(refine(own, asked(), found(0)).xy[0], TRUE, atol=1e-9)
     with pytest.raises(ConfigError, match=r"hog does not tell .*model\.relative=true"):
         refine(thumbnails, asked(), found(0))

@@ -18,9 +18,9 @@ from foundation.files import file_hash, read_json
 from siamloc.data.decoding import Preprocessing
 from siamloc.data.names import NamedPose
 from siamloc.errors import ConfigError, DataError, FormatError
-from siamloc.maps import HeadingPart, VisualMap, headings
+from siamloc.maps import VisualMap, headings
 from siamloc.maps.error_model import ErrorModel
-from siamloc.maps.heading import NetworkHeading, described
+from siamloc.maps.heading import NetworkHeading, described, halved
 from siamloc.models import as_descriptor, build
 from siamloc.runtime import Bundle, Localizer, Located, export, locate_all, written
 from tests.drawn import ROOMS
@@ -34,8 +34,8 @@ def world():
     hog = analytic.descriptor("hog", rows=1)
     pictures, frames = drive(0)
     seen = described(network, hog, batch(pictures))
-    part = HeadingPart.of(hog, seen.orientation)
-    known = VisualMap(seen.position, frames, {**network.identity, "images": IMAGES}, heading=part, describes=network)
+    parts = {"orientation": halved(hog, seen.orientation), "heading": hog.identity}
+    known = VisualMap(seen.position, frames, {**network.identity, "images": IMAGES}, **parts, describes=network)
     pictures, _ = drive(1)
     found = known.search(network.describe(batch(pictures)).position, 20)
     errors = ErrorModel("ratio", 1.0, 20, (0.0, 0.5, 1.0), (0.1, 0.4, 3.0), 24, map_digest=known.digest)
@@ -97,7 +97,7 @@ def test_bundle_json_says_what_the_robot_is_told(world, bundle):
     _, known, errors = world
     about = read_json(bundle / "bundle.json")
     assert set(about["sha256"]) == {"model.onnx", "map.npz", "error_model.json"}
-    assert about["heading"]["identity"] == known.heading.identity
+    assert about["heading"]["identity"] == known.heading
     assert (about["precision"], about["search"], about["figures"]) == ("float32", None, None)
     assert ErrorModel.from_dict(about["errors"]) == errors == ErrorModel.load(bundle / "error_model.json")
     opened = Bundle.open(bundle)
@@ -352,8 +352,9 @@ def test_a_network_that_finds_headings_needs_nothing_beside_it(tmp_path):
     network = as_descriptor(build("panoresnet", "fourier", SIZE, circular=True))
     pictures, frames = drive(0)
     seen = network.describe(batch(pictures))
-    part = HeadingPart.of(NetworkHeading(), seen.orientation)
-    known = VisualMap(seen.position, frames, {**network.identity, "images": IMAGES}, heading=part, describes=network)
+    by = NetworkHeading()
+    parts = {"orientation": halved(by, seen.orientation), "heading": by.identity}
+    known = VisualMap(seen.position, frames, {**network.identity, "images": IMAGES}, **parts, describes=network)
     bundle = export(network, known, tmp_path / "bundle")
     assert bundle.about["heading"]["identity"] == {"name": "network", "version": 1}
     assert bundle.parity["orientation"]["max_relative_difference"] <= 1e-4

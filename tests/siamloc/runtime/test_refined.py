@@ -16,7 +16,6 @@ from foundation.files import file_hash, read_json, write_json
 from siamloc.errors import ConfigError, FormatError, SiamlocError
 from siamloc.maps import (
     ErrorModel,
-    HeadingPart,
     MotionModel,
     PoseFilter,
     Refinement,
@@ -26,7 +25,7 @@ from siamloc.maps import (
     match,
     temperature_of_map,
 )
-from siamloc.maps.heading import NetworkHeading
+from siamloc.maps.heading import NetworkHeading, halved
 from siamloc.models import as_descriptor, build
 from siamloc.runtime import Bundle, Localizer, export, locate_all
 from siamloc.runtime.localizer import _spacing
@@ -49,9 +48,10 @@ def known(network) -> VisualMap:
     pictures, frames = drive(0)
     descriptor = as_descriptor(network)
     seen = descriptor.describe(batch(pictures))
-    part = HeadingPart.of(NetworkHeading(), seen.orientation)
+    by = NetworkHeading()
+    parts = {"orientation": halved(by, seen.orientation), "heading": by.identity}
     identity = {**descriptor.identity, "images": IMAGES}
-    return VisualMap(seen.position, frames, identity, heading=part, describes=descriptor)
+    return VisualMap(seen.position, frames, identity, **parts, describes=descriptor)
 
 
 def refinement(known: VisualMap, method: str, **options) -> Refinement:
