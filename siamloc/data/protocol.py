@@ -195,16 +195,12 @@ class Protocol(Settings):
                 )
         return found
 
-    def excluded(
-        self, queries: FrameTable, known: FrameTable, drives: FrameTable | None = None
-    ) -> NDArray[np.bool_] | None:
+    def excluded(self, queries: FrameTable, known: FrameTable) -> NDArray[np.bool_] | None:
         """Return which map frames each query may not be compared with, or None if all comparisons are allowed.
 
         Args:
             queries: n frames.
-            known: the map's m frames.
-            drives: frames in capture order along which `apart_metres` measures the distance, such as the whole data
-                set. If None, the queries and the map's frames, in order of time.
+            known: the map's m frames. `apart_metres` measures distances along the queries and these, in order of time.
 
         Returns:
             (n, m), True where the two must not be compared.
@@ -223,7 +219,7 @@ class Protocol(Settings):
             _exclude_near(excluded, queries, known, (queries.time, known.time), self.apart_seconds, lack)
         if self.apart_metres is not None:
             lack = "position along a drive, which protocol.apart_metres needs: give x and y, or use apart_seconds"
-            _exclude_near(excluded, queries, known, _travelled(queries, known, drives), self.apart_metres, lack)
+            _exclude_near(excluded, queries, known, _travelled(queries, known), self.apart_metres, lack)
         return excluded
 
     def _role(self, name: str) -> Role:
@@ -276,11 +272,9 @@ def _exclude_near(
             excluded[row, columns] |= np.abs(known_at[columns] - query_at[row]) < apart
 
 
-def _travelled(
-    queries: FrameTable, known: FrameTable, drives: FrameTable | None
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _travelled(queries: FrameTable, known: FrameTable) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return how far the robot had driven on its drive at each query (n,) and each map frame (m,); NaN if unknown."""
-    drives = _in_order(queries, known) if drives is None else drives
+    drives = _in_order(queries, known)
     drives = drives.take(drives.has_position)
     way: dict[tuple[str, str], float] = {}
     for rows in drives.rows_by("sequence").values():
@@ -303,7 +297,5 @@ def _in_order(queries: FrameTable, known: FrameTable) -> FrameTable:
     new = [row for row, key in enumerate(query_keys) if key not in known_keys]
     both = concatenate([known, queries.take(new)])
     if new and np.isnan(both.time).any():
-        raise DataError(
-            "protocol.apart_metres needs the order in which the frames were taken: give times, or the whole drives"
-        )
+        raise DataError("protocol.apart_metres needs the order in which the frames were taken: give times")
     return both.take(np.argsort(both.time, kind="stable")) if new else known
