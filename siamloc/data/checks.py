@@ -45,7 +45,7 @@ def check(frames: FrameTable, images: PanoramaLibrary | None = None) -> list[str
         'theta looks like degrees: 7 of 8 headings lie beyond one turn, up to 315. Give radians (multiply by pi / 180).'
     """
     return [
-        *wrong_headings(frames, doubtful=True),
+        *wrong_headings(frames),
         *_missing(frames),
         *_drives(frames),
         *_sizes(frames, images),
@@ -104,13 +104,8 @@ def _spacing(frames: FrameTable) -> str:
     return f"path of {steps.sum():.1f} {frames.unit}, median step {np.median(steps):.3g} {frames.unit}"
 
 
-def wrong_headings(frames: FrameTable, doubtful: bool = False) -> Iterator[str]:
-    """Check headings: their range, and whether they follow the direction in which the robot moves.
-
-    Args:
-        frames: the data set.
-        doubtful: also report headings beyond one turn if there are only a few, which may be right.
-    """
+def wrong_headings(frames: FrameTable) -> Iterator[str]:
+    """Check headings: their range, and whether they follow the direction in which the robot moves."""
     theta = frames.theta[np.isfinite(frames.theta)]
     beyond, largest = int((np.abs(theta) > _TURN + 0.01).sum()), np.abs(theta).max(initial=0)
     heading, travel = _moving(frames)
@@ -123,29 +118,21 @@ def wrong_headings(frames: FrameTable, doubtful: bool = False) -> Iterator[str]:
             f"{largest:.4g}. Give radians (multiply by pi / 180)."
         )
         return
-    if beyond and doubtful:
-        yield (
-            f"{beyond} of {len(theta)} headings lie beyond one turn, up to {largest:.4g} rad: if they are degrees, "
-            "multiply them by pi / 180."
-        )
     if not follows < _FAILS:
         return
-    if _agreement(np.radians(heading) - travel)[0] >= _FITS:
-        yield "theta follows the direction of travel if it counts degrees: give radians (multiply by pi / 180)."
-        return
     share, offset = _agreement(-heading - travel)
-    if share < _FITS:
+    if _agreement(np.radians(heading) - travel)[0] >= _FITS:
+        remedy = "it counts degrees: give radians (multiply by pi / 180)."
+    elif share < _FITS:
         return
-    if abs(abs(offset) - np.pi / 2) < np.pi / 4:
-        yield (
-            "theta follows the direction of travel if x and y are exchanged, as a compass bearing does: headings run "
-            "counter-clockwise from +x. Exchange x and y, or give pi / 2 - theta."
+    elif abs(abs(offset) - np.pi / 2) < np.pi / 4:
+        remedy = (
+            "x and y are exchanged, as a compass bearing does: headings run counter-clockwise from +x. "
+            "Exchange x and y, or give pi / 2 - theta."
         )
     else:
-        yield (
-            "theta follows the direction of travel if it runs clockwise: headings run counter-clockwise from +x. "
-            "Give -theta, or check the sign of y."
-        )
+        remedy = "it runs clockwise: headings run counter-clockwise from +x. Give -theta, or check the sign of y."
+    yield f"theta follows the direction of travel if {remedy}"
 
 
 def _moving(frames: FrameTable) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
