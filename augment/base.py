@@ -130,6 +130,7 @@ class Effect(ABC):
         name: the name used in configurations.
         ranges: what its parameters are drawn from.
         options: its other settings; `circular=False` means that the columns do not wrap around.
+        effects: the single effects in their order.
         stages: for each step of `program`, the numbers of its parts.
 
     Raises:
@@ -162,6 +163,7 @@ class Effect(ABC):
         }
         self.options: dict[str, Any] = {key: params.get(key, value) for key, value in options.items()}
         checked(self.options["circular"], bool, f"circular of {self.name}", AugmentError)
+        self.effects: tuple[Effect, ...] = (self,)
         self.stages = [[0]]
         self._spans: dict[tuple[int, int], dict[str, Range]] = {}
         self._limits: dict[tuple[int, int], Any] = {}
@@ -313,11 +315,6 @@ class Effect(ABC):
     def parts(self, params: Mapping[str, Tensor]) -> list[tuple[Effect, Params, NDArray[np.bool_]]]:
         """Return the effects, the parameters of each, and which frames (B,) each of them changes."""
         return [(self, dict(params), self.active(params))]
-
-    @property
-    def effects(self) -> tuple[Effect, ...]:
-        """The single effects in their order."""
-        return (self,)
 
     @cached_property
     def renderer(self) -> Effect:

@@ -88,16 +88,12 @@ class Policy(Effect):
         self._inner = [step for step in _walk(self.tree) if step.probability < 1]
         self._choices = [step for step in _walk(self.tree) if step.kind == "one_of"]
         self._prefixed = [(step.name, step.effect) for step in self.slots if step.effect is not None]
+        self.effects = tuple(inner for _, inner in self._prefixed)
         renderers = [inner.renderer for inner in self.effects]
         self.stages = _stages(self.tree, [(type(one), repr(one.options)) for one in renderers])
 
     def __repr__(self) -> str:
         return f"Policy({self.name!r}, {len(self.slots)} slots)"
-
-    @property
-    def effects(self) -> tuple[Effect, ...]:
-        """The effects by slot."""
-        return tuple(inner for _, inner in self._prefixed)
 
     def places(self, height: int, width: int) -> dict[str, Range]:
         """The parameters of all slots, and one number for each decision."""
@@ -131,8 +127,13 @@ class Policy(Effect):
 
     def parts(self, params: Mapping[str, Tensor]) -> list[tuple[Effect, Params, NDArray[np.bool_]]]:
         """Return effect, parameters and changed frames of each slot. See `Effect.parts`."""
+        owns: dict[str, Params] = {prefix: {} for prefix, _ in self._prefixed}
+        for key, value in params.items():
+            prefix, _, name = key.rpartition(".")
+            if prefix:
+                owns[prefix][name] = value
         parts = []
-        for own, inner in zip(self._owns(params), self.effects, strict=True):
+        for own, inner in zip(owns.values(), self.effects, strict=True):
             on = own.pop("on").numpy().astype(bool)
             parts.append((inner, own, on & inner.active(own) if on.any() else on))
         return parts
@@ -140,15 +141,6 @@ class Policy(Effect):
     def render(self, batch: Tensor, values: Mapping[str, Tensor]) -> Tensor:
         """Not called: the steps of a policy are its effects."""
         raise NotImplementedError
-
-    def _owns(self, params: Mapping[str, Tensor]) -> list[Params]:
-        """Return the parameters of each slot, without its prefix."""
-        owns: dict[str, Params] = {step.name: {} for step in self.slots}
-        for key, value in params.items():
-            prefix, _, name = key.rpartition(".")
-            if prefix:
-                owns[prefix][name] = value
-        return list(owns.values())
 
     def _decide(self, params: Params, count: int) -> list[Tensor]:
         """Return for each slot which frames got it (B,)."""

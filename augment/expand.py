@@ -198,18 +198,16 @@ def _prepared(
         if not settings.is_file():
             raise AugmentError(f"{folder} has no {SETTINGS}, so there is nothing to resume: choose another folder")
         there = read_json(settings)
-        for key, value in wanted.items():
-            found = there.get(key) if isinstance(there, dict) else None
-            if found != value:
-                raise AugmentError(
-                    f"{folder} was expanded with {key}={found}, now asked for {value}: "
-                    "resume with the same settings, or choose another folder"
-                )
+        before = there if isinstance(there, dict) else {}
+        differing = [key for key, value in wanted.items() if before.get(key) != value]
+        if differing:
+            changed = "; ".join(f"{key}={before.get(key)}, now asked for {wanted[key]}" for key in differing)
+            raise AugmentError(
+                f"{folder} was expanded with {changed}: resume with the same settings, or choose another folder"
+            )
     rows = read_table(table) if table.is_file() else []
-    asked = {}
-    if rows:
-        named = zip(sources, outputs, strict=True)
-        asked = {_name(target, folder): str(source) for source, row in named for target in row}
+    named = zip(sources, outputs, strict=True)
+    asked = {_name(target, folder): str(source) for source, row in named for target in row} if rows else {}
     for row in rows:
         if asked.get(row["image"]) != row["source"]:
             raise AugmentError(
