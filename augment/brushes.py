@@ -9,6 +9,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from functools import cache
 
 import numpy as np
 import torch
@@ -16,8 +17,6 @@ from numpy.typing import NDArray
 
 Frame = NDArray[np.uint8]
 Brush = Callable[[Frame], None]
-
-_pool: ThreadPoolExecutor | None = None
 
 
 def paint(frames: Frame, brushes: Sequence[Sequence[Brush]]) -> None:
@@ -43,18 +42,11 @@ def _paint_some(frames: Frame, brushes: Sequence[Sequence[Brush]], first: int, s
             brush(frames[index])
 
 
+@cache
 def _threads() -> ThreadPoolExecutor:
-    global _pool
-    if _pool is None:
-        _pool = ThreadPoolExecutor(thread_name_prefix="augment")
-    return _pool
-
-
-def _forget_threads() -> None:
-    global _pool
-    _pool = None
+    return ThreadPoolExecutor(thread_name_prefix="augment")
 
 
 # A forked loader process inherits the object but not its threads.
 if hasattr(os, "register_at_fork"):
-    os.register_at_fork(after_in_child=_forget_threads)
+    os.register_at_fork(after_in_child=_threads.cache_clear)
