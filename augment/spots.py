@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from abc import abstractmethod
 from collections.abc import Mapping
 from functools import cached_property
 from math import ceil, floor
@@ -63,9 +62,10 @@ class Spot(Layer):
         """The shapes of this module, in one formula."""
         return _AnySpot(circular=self.circular) if type(self) in (Bulb, Square, Trapezoid) else self
 
-    @abstractmethod
     def distance(self, across: Tensor, down: Tensor, values: Mapping[str, Any]) -> Tensor:
-        """Return rho at offsets from the centre, in units of the half width and the half height."""
+        """Return rho at offsets from the centre, in units of the half width and the half height; a trapezoid's here."""
+        half = down.clamp(-1, 1) * values["lean"] + values["middle"]
+        return torch.maximum(across.abs() / half, down.abs())
 
     def coefficients(self, params: Numbers, height: int, width: int) -> Numbers:
         """The place and the half sizes of the spot, and the layer as a line centre + slope rho; the taper of its edges.
@@ -132,10 +132,6 @@ class Square(Spot):
     name = "square"
     RANGES: ClassVar[Mapping[str, Range]] = {**_SPOT, "aspect": Range(0.7, 1.4, minimum=0.05, maximum=20, log=True)}
 
-    def distance(self, across: Tensor, down: Tensor, values: Mapping[str, Any]) -> Tensor:
-        """Maximum of both."""
-        return torch.maximum(across.abs(), down.abs())
-
 
 class Trapezoid(Spot):
     """A spot with horizontal upper and lower edges of different lengths, like a window ([T] 5.3.2, figure 5.3 d).
@@ -154,14 +150,11 @@ class Trapezoid(Spot):
         "taper": Range(-0.6, 0.6, minimum=-0.95, maximum=0.95),
     }
 
-    def distance(self, across: Tensor, down: Tensor, values: Mapping[str, Any]) -> Tensor:
-        """Maximum of both, the width changing from row to row."""
-        half = down.clamp(-1, 1) * values["lean"] + values["middle"]
-        return torch.maximum(across.abs() / half, down.abs())
 
-
-class _AnySpot(Trapezoid):
+class _AnySpot(Spot):
     """Spots of different shapes in one batch: a square is a trapezoid without taper."""
+
+    name = "spot"
 
     def distance(self, across: Tensor, down: Tensor, values: Mapping[str, Any]) -> Tensor:
         """Euclidean for the round ones."""
