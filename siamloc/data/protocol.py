@@ -273,8 +273,19 @@ def _exclude_near(
 
 
 def _travelled(queries: FrameTable, known: FrameTable) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return how far the robot had driven on its drive at each query (n,) and each map frame (m,); NaN if unknown."""
-    drives = _in_order(queries, known)
+    """Return how far the robot had driven on its drive at each query (n,) and each map frame (m,); NaN if unknown.
+
+    Raises:
+        DataError: the order of the frames is unknown, since some have no time.
+    """
+    query_keys, known_keys = queries.identities(), set(known.identities())
+    new = [row for row, key in enumerate(query_keys) if key not in known_keys]
+    drives = queries if known_keys <= set(query_keys) else known
+    if drives is known and new:
+        drives = concatenate([known, queries.take(new)])
+        if np.isnan(drives.time).any():
+            raise DataError("protocol.apart_metres needs the order in which the frames were taken: give times")
+        drives = drives.take(np.argsort(drives.time, kind="stable"))
     drives = drives.take(drives.has_position)
     way: dict[tuple[str, str], float] = {}
     for rows in drives.rows_by("sequence").values():
@@ -283,19 +294,3 @@ def _travelled(queries: FrameTable, known: FrameTable) -> tuple[NDArray[np.float
         way.update(zip(own.identities(), [0.0, *np.cumsum(steps).tolist()], strict=True))
     found = [np.array([way.get(key, np.nan) for key in table.identities()]) for table in (queries, known)]
     return found[0], found[1]
-
-
-def _in_order(queries: FrameTable, known: FrameTable) -> FrameTable:
-    """Return the frames of both tables in capture order.
-
-    Raises:
-        DataError: the order is unknown, since some frames have no time.
-    """
-    query_keys, known_keys = queries.identities(), set(known.identities())
-    if known_keys <= set(query_keys):
-        return queries
-    new = [row for row, key in enumerate(query_keys) if key not in known_keys]
-    both = concatenate([known, queries.take(new)])
-    if new and np.isnan(both.time).any():
-        raise DataError("protocol.apart_metres needs the order in which the frames were taken: give times")
-    return both.take(np.argsort(both.time, kind="stable")) if new else known
