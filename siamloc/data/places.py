@@ -110,32 +110,30 @@ class PlaceSampler:
 
     def notes(self) -> list[str]:
         """Return notes on the frames whose batches cannot be as requested."""
-        settings, unit = self.settings, self._unit
+        settings = self.settings
+        unit = self.frames.unit if settings.by == "position" else "frames"
         instead = {
             "radius": "their places have the same image again, which augmentation alone makes different",
             "reach": "places near them are the same place again",
         }
-        asked = [("radius", settings.images > 1 and settings.radius > 0), ("reach", settings.near > 0)]
-        lonely = {key: int((self._nearest > getattr(settings, key)).sum()) for key, wanted in asked if wanted}
+        wanted = {"radius": settings.images > 1 and settings.radius > 0, "reach": settings.near > 0}
+        lonely = {key: int((self._nearest > getattr(settings, key)).sum()) for key in instead if wanted[key]}
         return [
             f"{count} of {len(self.frames)} frames have no other one within pairs.{key}={getattr(settings, key):g} "
-            f"{unit}: {instead[key]}; a larger pairs.{key} finds some ({self._far_off()})"
+            f"{unit}: {instead[key]}; a larger pairs.{key} finds some (half of the frames have one within "
+            f"{np.median(self._nearest):.3g} {unit})"
             for key, count in lonely.items()
             if count
         ]
 
     def check_processes(self, processes: int) -> None:
         """Raise ConfigError unless there are enough frames for the places that so many processes draw together."""
-        places, most = self.settings.places * processes, len(self.frames) // processes
-        if places <= len(self.frames):
-            return
-        shared, advice = "", [f"set pairs.places to {most} or less"] if most > 1 else ["give more frames"]
-        if processes > 1:
-            shared = f", {self.settings.places} for each of the {processes} processes that train together,"
-            advice.append("train with fewer processes (trainer.devices, trainer.num_nodes)")
-        raise ConfigError(
-            f"a batch of {places} places{shared} cannot be drawn from {len(self.frames)} frames: {', or '.join(advice)}"
-        )
+        places = self.settings.places * processes
+        if places > len(self.frames):
+            raise ConfigError(
+                f"a batch of {places} places, {self.settings.places} for each process, cannot be drawn from "
+                f"{len(self.frames)} frames: set pairs.places lower, train with fewer processes, or give more frames"
+            )
 
     def batch(self, epoch: int, number: int, rank: int = 0, world_size: int = 1) -> NDArray[np.int64]:
         """Return the rows of a batch (places * images,), one place after another.
@@ -156,17 +154,6 @@ class PlaceSampler:
         generator = np.random.default_rng([self.seed, epoch, number, 0x91ACE])
         centres = self._centres(generator, self.settings.places * world_size)
         return np.concatenate([self._images(generator, centre) for centre in centres])
-
-    @property
-    def _unit(self) -> str:
-        return self.frames.unit if self.settings.by == "position" else "frames"
-
-    def _far_off(self) -> str:
-        """Describe how far apart frames are."""
-        half = float(np.median(self._nearest))
-        if not np.isfinite(half):
-            return f"most are the only ones of their {'building' if self.settings.by == 'position' else 'sequence'}"
-        return f"half of the frames have one within {half:.3g} {self._unit}"
 
     def _centres(self, generator: np.random.Generator, count: int) -> NDArray[np.int64]:
         """Draw the first frame of each place, in random order: some places anywhere, the rest near those."""

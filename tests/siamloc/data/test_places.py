@@ -51,9 +51,6 @@ def test_images_that_no_place_has_are_said():
     assert "within pairs.reach=0.1 m: places near them are the same place again" in note
     (note,) = PlaceSampler(frames, PlaceSettings(by="sequence", places=4, radius=0.5)).notes()
     assert "within pairs.radius=0.5 frames" in note
-    singles = frames.with_columns(sequence=frames.path)
-    (note,) = PlaceSampler(singles, PlaceSettings(by="sequence", places=4, radius=1)).notes()
-    assert note.endswith("(most are the only ones of their sequence)")
     assert not PlaceSampler(frames, PlaceSettings(places=4, images=1, radius=0.1)).notes()
 
 
@@ -129,14 +126,11 @@ def test_what_cannot_be_drawn_is_refused():
     frames = building()
     with pytest.raises(ConfigError, match="a batch of one place has nothing to tell apart"):
         PlaceSampler(frames, PlaceSettings(places=1))
-    with pytest.raises(ConfigError, match=r"cannot be drawn from 120 frames: set pairs\.places to 120 or less$"):
+    with pytest.raises(ConfigError, match=r"cannot be drawn from 120 frames: set pairs\.places lower"):
         PlaceSampler(frames, PlaceSettings(places=121))
-    shared = (
-        "a batch of 200 places, 100 for each of the 2 processes that train together, cannot be drawn from 120 frames"
-    )
-    advice = r"set pairs\.places to 60 or less, or train with fewer processes \(trainer\.devices, trainer\.num_nodes\)"
+    shared = "a batch of 200 places, 100 for each process, cannot be drawn from 120 frames"
     for call in (lambda one: one.batch(0, 0, 0, 2), lambda one: one.check_processes(2)):
-        with pytest.raises(ConfigError, match=f"{shared}: {advice}"):
+        with pytest.raises(ConfigError, match=shared):
             call(PlaceSampler(frames, PlaceSettings(places=100)))
     nowhere = FrameTable(path=["a", "b"], x=[0.0, np.nan], y=[0.0, np.nan])
     with pytest.raises(DataError, match="1 of 2 frames have no position, by which places are drawn"):

@@ -144,7 +144,11 @@ def stripped(table, *columns):
 @pytest.mark.parametrize(
     ("given", "error", "says"),
     [
-        ({"pairs": {"places": 40, "images": 1}}, ConfigError, "a batch of 40 places cannot be drawn from 16 frames"),
+        (
+            {"pairs": {"places": 40, "images": 1}},
+            ConfigError,
+            "a batch of 40 places, .*, cannot be drawn from 16 frames",
+        ),
         ({"known": ()}, DataError, r"have no position, which places need .*experiment=photographs"),
         (
             {"pairs": {"places": 10}, **TWO},
