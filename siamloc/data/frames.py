@@ -150,16 +150,13 @@ class FrameTable:
                 raise ConfigError(f"frames cannot be selected by {column!r}; {hint(column, _TEXT)}")
             values = getattr(self, column)
             present = sorted(set(values.tolist()))
-            labelled = [value for value in present if value]
             chosen: set[str] = set()
             if not isinstance(labels, Iterable):
                 raise ConfigError(f"{column} must be a label or a list of labels, got {labels!r}")
             for label in [labels] if isinstance(labels, str) else labels:
                 matches = [value for value in present if value == label or fnmatchcase(value, str(label))]
-                if not matches and not labelled:
-                    raise ConfigError(f"no frame has a {column} label, so {str(label)!r} cannot be selected")
                 if not matches:
-                    raise ConfigError(f"no frame has {column} {str(label)!r}; {hint(str(label), labelled)}")
+                    raise ConfigError(f"no frame has {column} {str(label)!r}; {hint(label, filter(None, present))}")
                 chosen.update(matches)
             mask &= np.isin(values, sorted(chosen))
         return self.take(mask)

@@ -135,7 +135,8 @@ class PolarRing(Settings):
             )
         share = (np.arange(view.height) + 0.5) / view.height
         radius = inner + share * (outer - inner) if self.inside_up else outer - share * (outer - inner)
-        angle = _image_angle(column_azimuth(view.width), self.forward, self.mirrored)
+        azimuth = column_azimuth(view.width)
+        angle = np.radians(self.forward) + (azimuth if self.mirrored else -azimuth)  # clockwise from the upper edge
         x, y = cx + radius[:, None] * np.sin(angle), cy - radius[:, None] * np.cos(angle)
         inside = ((x >= 0) & (x <= columns - 1) & (y >= 0) & (y <= rows - 1)).mean()
         if inside < 0.5:
@@ -305,11 +306,6 @@ def _remap_tables(
 ) -> tuple[Array, Array]:
     columns, rows = camera.sampling(view, image_size)
     return columns.astype(np.float32), rows.astype(np.float32)
-
-
-def _image_angle(azimuth: Array, forward: float, mirrored: bool) -> Array:
-    """Return the angle in the image, clockwise from its upper edge, at which an azimuth appears."""
-    return np.radians(forward) + (azimuth if mirrored else -azimuth)
 
 
 def _turned(right: Array, front: Array, degrees: float) -> tuple[Array, Array]:

@@ -88,7 +88,7 @@ def test_select_by_labels_and_patterns():
 
 def test_selecting_where_there_are_no_labels_says_so():
     frames = FrameTable(path=["0.png", "1.png"], sequence=["one", ""])
-    with pytest.raises(ConfigError, match=r"^no frame has a room label, so 'kitchen' cannot be selected$"):
+    with pytest.raises(ConfigError, match=r"^no frame has room 'kitchen'; valid: none$"):
         frames.select(room="kitchen")
     with pytest.raises(ConfigError, match=r"^no frame has sequence 'two'; valid: one$"):
         frames.select(sequence="two")
