@@ -34,7 +34,7 @@ FURTHER = {
 FINEST = ("tracked", "refined")
 """The estimates that stand for the whole evaluation where there are any, the first of them that was made."""
 
-REMARKS = ("rooms",)
+REMARKS = ("rooms", "positions")
 """Keys of `skipped` in a result whose text is a remark on what was measured, rather than why it was not."""
 
 _OF_ESTIMATES = ("est_x", "est_y", "est_theta", "error", "heading_error", "match")

@@ -21,6 +21,7 @@ from siamloc.evaluation.metrics import (
     recall_from_ranks,
     summarize,
 )
+from siamloc.evaluation.offsets import implausible_offsets
 from siamloc.evaluation.result import Result
 from siamloc.maps.search import Retrieval
 from siamloc.maps.visual_map import VisualMap
@@ -70,11 +71,13 @@ def evaluate_absolute(
     counts = {
         by: {label: len(rows) for label, rows in rows_by_label(columns[by]).items()} for by in ("lighting", "room")
     }
+    aside = list(implausible_offsets(known, frames, found.indices[:, 0]))
     return Result(
         name="absolute",
         parts={"absolute": pose_measures(columns, radii, ks, len(known), visual_map.unit)},
         tables={"queries": columns, "map": map_columns(known, frames)},
         denominators={"queries": len(frames), "map_frames": len(known), **counts},
+        skipped={"positions": " ".join(aside)} if aside else {},
     )
 
 

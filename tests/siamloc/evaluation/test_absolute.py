@@ -5,6 +5,7 @@ import math
 import numpy as np
 import pytest
 
+from siamloc.data.frames import FrameTable
 from siamloc.errors import ConfigError, DataError
 from siamloc.evaluation import absolute, metrics
 from siamloc.evaluation.absolute import (
@@ -110,6 +111,41 @@ def test_a_given_retrieval_is_used() -> None:
     short = known.search(scenes.describe(queries), 1)
     with pytest.raises(DataError, match=r"must hold 10 neighbours of 80 queries, got \(80, 1\)"):
         absolute.evaluate_absolute(known, queries, short, RADII, KS)
+
+
+def on_a_path(name: str, n: int, **columns: object) -> FrameTable:
+    """A drive around a square of 8 m, one frame every 32 / n m."""
+    along = np.arange(n) / n * 4
+    corner = np.array([[0.0, 0.0], [8, 0], [8, 8], [0, 8], [0, 0]])
+    xy = np.stack([np.interp(along, np.arange(5), corner[:, axis]) for axis in (0, 1)], axis=1)
+    return FrameTable(
+        **{"path": [f"{name}/{i}" for i in range(n)], "x": xy[:, 0], "y": xy[:, 1], "sequence": [name] * n, **columns}
+    )
+
+
+@pytest.mark.parametrize(
+    ("drift", "says"),
+    [
+        (np.zeros((100, 2)), False),
+        (np.full((100, 2), 1.5), True),
+        (np.linspace(0, 4, 100)[:, None] * [1, 0], True),
+        # Long runs of queries are taken for the same wrong place, as in corridors that look alike.
+        (None, False),
+    ],
+    ids=["as the map's", "own origin", "drift", "wrong matches"],
+)
+def test_a_drive_whose_positions_disagree_with_the_map_s_is_remarked(drift: np.ndarray | None, says: bool) -> None:
+    known, queries = on_a_path("monday", 150), on_a_path("tuesday", 100)
+    seen, moved = scenes.describe(queries, seed=3, noise=0.1), queries
+    if drift is None:
+        wrong = np.repeat(np.random.default_rng(0).uniform(0, 8, (10, 2)), 10, axis=0)
+        seen = np.column_stack([wrong, np.zeros(100)]).astype("f4")
+    else:
+        moved = queries.with_columns(x=queries.x + drift[:, 0], y=queries.y + drift[:, 1])
+    result = evaluate_absolute(VisualMap(scenes.describe(known, seed=1, noise=0.1), known, {"name": "p"}), seen, moved)
+    assert ("positions" in result.skipped) == says
+    assert ("tuesday look like map frames" in result.table()) == says
+    assert "left out" not in result.table()
 
 
 def test_a_baseline_is_measured_on_the_same_queries() -> None:
