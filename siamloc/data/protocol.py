@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from foundation.settings import Count, Natural, Positive, Rule, Settings
-from siamloc.data.frames import FrameTable, concatenate
+from siamloc.data.frames import FrameTable, concatenate, html_table
 from siamloc.errors import ConfigError, DataError
 
 Way = Annotated[float, Rule("a number above 0 and up to 1,000,000", lambda value: 0 < value <= 1e6)]
@@ -149,10 +149,20 @@ class Protocol(Settings):
         return super().of({**values, **roles})
 
     def __repr__(self) -> str:
-        roles = [f"{name}: {words}" for name in ROLES if (words := str(getattr(self, name)))]
+        roles = [f"{name}: {words}" for name, words in self._roles_in_words()]
+        return f"Protocol({'; '.join([self.kind, *roles, *self._apart_in_words()])})"
+
+    def _repr_html_(self) -> str:
+        caption = "; ".join([f"protocol {self.kind}", *self._apart_in_words()])
+        return html_table(caption, ["role", "frames"], self._roles_in_words())
+
+    def _roles_in_words(self) -> list[tuple[str, str]]:
+        return [(name, words) for name in ROLES if (words := str(getattr(self, name)))]
+
+    def _apart_in_words(self) -> list[str]:
         apart = {"apart_seconds": self.apart_seconds, "apart_metres": self.apart_metres}
         distances = [f"{name} {value:g}" for name, value in apart.items() if value is not None]
-        return f"Protocol({'; '.join([self.kind, *roles, *['leave_one_out'] * self.leave_one_out, *distances])})"
+        return ["leave_one_out", *distances] if self.leave_one_out else distances
 
     @property
     def excludes(self) -> bool:
@@ -195,12 +205,16 @@ class Protocol(Settings):
                 )
         return found
 
-    def excluded(self, queries: FrameTable, known: FrameTable) -> NDArray[np.bool_] | None:
+    def excluded(
+        self, queries: FrameTable, known: FrameTable, drives: FrameTable | None = None
+    ) -> NDArray[np.bool_] | None:
         """Return which map frames each query may not be compared with, or None if all comparisons are allowed.
 
         Args:
             queries: n frames.
-            known: the map's m frames. `apart_metres` measures distances along the queries and these, in order of time.
+            known: the map's m frames.
+            drives: frames in capture order along which `apart_metres` measures the distance, such as the whole data
+                set. If None, the queries and the map's frames, in order of time.
 
         Returns:
             (n, m), True where the two must not be compared.
@@ -219,7 +233,7 @@ class Protocol(Settings):
             _exclude_near(excluded, queries, known, (queries.time, known.time), self.apart_seconds, lack)
         if self.apart_metres is not None:
             lack = "position along a drive, which protocol.apart_metres needs: give x and y, or use apart_seconds"
-            _exclude_near(excluded, queries, known, _travelled(queries, known), self.apart_metres, lack)
+            _exclude_near(excluded, queries, known, _travelled(queries, known, drives), self.apart_metres, lack)
         return excluded
 
     def _role(self, name: str) -> Role:
@@ -272,20 +286,11 @@ def _exclude_near(
             excluded[row, columns] |= np.abs(known_at[columns] - query_at[row]) < apart
 
 
-def _travelled(queries: FrameTable, known: FrameTable) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return how far the robot had driven on its drive at each query (n,) and each map frame (m,); NaN if unknown.
-
-    Raises:
-        DataError: the order of the frames is unknown, since some have no time.
-    """
-    query_keys, known_keys = queries.identities(), set(known.identities())
-    new = [row for row, key in enumerate(query_keys) if key not in known_keys]
-    drives = queries if known_keys <= set(query_keys) else known
-    if drives is known and new:
-        drives = concatenate([known, queries.take(new)])
-        if np.isnan(drives.time).any():
-            raise DataError("protocol.apart_metres needs the order in which the frames were taken: give times")
-        drives = drives.take(np.argsort(drives.time, kind="stable"))
+def _travelled(
+    queries: FrameTable, known: FrameTable, drives: FrameTable | None
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return how far the robot had driven on its drive at each query (n,) and each map frame (m,); NaN if unknown."""
+    drives = _in_order(queries, known) if drives is None else drives
     drives = drives.take(drives.has_position)
     way: dict[tuple[str, str], float] = {}
     for rows in drives.rows_by("sequence").values():
@@ -294,3 +299,21 @@ def _travelled(queries: FrameTable, known: FrameTable) -> tuple[NDArray[np.float
         way.update(zip(own.identities(), [0.0, *np.cumsum(steps).tolist()], strict=True))
     found = [np.array([way.get(key, np.nan) for key in table.identities()]) for table in (queries, known)]
     return found[0], found[1]
+
+
+def _in_order(queries: FrameTable, known: FrameTable) -> FrameTable:
+    """Return the frames of both tables in capture order.
+
+    Raises:
+        DataError: the order is unknown, since some frames have no time.
+    """
+    query_keys, known_keys = queries.identities(), set(known.identities())
+    if known_keys <= set(query_keys):
+        return queries
+    new = [row for row, key in enumerate(query_keys) if key not in known_keys]
+    both = concatenate([known, queries.take(new)])
+    if new and np.isnan(both.time).any():
+        raise DataError(
+            "protocol.apart_metres needs the order in which the frames were taken: give times, or the whole drives"
+        )
+    return both.take(np.argsort(both.time, kind="stable")) if new else known
