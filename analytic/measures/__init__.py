@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from analytic.measures.closures import ClosureScores, closure_scores
 from analytic.measures.compactness import (
+    Silhouettes,
     moment_of_inertia,
     moments_of_inertia,
     silhouette,
@@ -14,6 +15,7 @@ from analytic.measures.rooms import Purity, purity
 __all__ = [
     "ClosureScores",
     "Purity",
+    "Silhouettes",
     "closure_scores",
     "moment_of_inertia",
     "moments_of_inertia",

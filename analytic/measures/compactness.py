@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
@@ -18,6 +19,32 @@ Mode = Literal["nearest", "pooled"]
 _FEW_DIMENSIONS = 16  # up to this, subtracting is as fast as a matrix product, and exact
 
 
+@dataclass(frozen=True)
+class Silhouettes:
+    """Silhouettes of one clustering, each in [-1, 1].
+
+    Attributes:
+        frames: silhouette of each frame; NaN for a frame in no cluster (n,).
+        labels: labels of the clusters, ascending (k,).
+        clusters: mean over the frames of each cluster (k,).
+        sizes: number of frames in each cluster (k,).
+        mode: "nearest" or "pooled".
+    """
+
+    frames: NDArray[np.float64]
+    labels: NDArray[np.int64]
+    clusters: NDArray[np.float64]
+    sizes: NDArray[np.int64]
+    mode: str
+
+    @property
+    def mean(self) -> float:
+        """The average for the mode: over frames for "nearest", over clusters for "pooled"."""
+        if self.mode == "pooled":
+            return float(self.clusters.mean())
+        return float(np.nanmean(self.frames))
+
+
 def silhouette(X: ArrayLike, labels: ArrayLike, mode: Mode = "nearest", distance: str = "euclidean") -> float:
     """Measure how compact clusters are by the average silhouette of positions or of descriptors, in [-1, 1].
 
@@ -29,17 +56,11 @@ def silhouette(X: ArrayLike, labels: ArrayLike, mode: Mode = "nearest", distance
         >>> round(silhouette(points, [0, 0, 1, 1]), 3)
         0.889
     """
-    frames = silhouettes(X, labels, mode, distance)
-    if mode == "nearest":
-        return float(np.nanmean(frames))
-    rows, _, start, _, sizes = _by_cluster(np.asarray(labels))
-    return float((np.add.reduceat(frames[rows], start) / sizes).mean())
+    return silhouettes(X, labels, mode, distance).mean
 
 
-def silhouettes(
-    X: ArrayLike, labels: ArrayLike, mode: Mode = "nearest", distance: str = "euclidean"
-) -> NDArray[np.float64]:
-    """Compute the silhouette (b - a) / max(a, b) of each frame, in [-1, 1]; NaN for a frame in no cluster (n,).
+def silhouettes(X: ArrayLike, labels: ArrayLike, mode: Mode = "nearest", distance: str = "euclidean") -> Silhouettes:
+    """Compute the silhouettes (b - a) / max(a, b) of frames and clusters.
 
     a is the mean distance of a frame to the *other* frames of its cluster. b is, with "nearest", the smallest of its
     mean distances to the frames of each other cluster ([C] eq. 9, 11); with "pooled", its mean distance to all frames
@@ -57,14 +78,17 @@ def silhouettes(
             an unknown mode or distance.
 
     Examples:
-        >>> silhouettes([[0.0], [1.0], [9.0]], [0, 0, 1], mode="pooled").round(3).tolist()
-        [0.889, 0.875, 0.0]
+        >>> found = silhouettes([[0.0], [1.0], [9.0]], [0, 0, 1], mode="pooled")
+        >>> found.frames.round(3).tolist(), found.sizes.tolist()
+        ([0.889, 0.875, 0.0], [2, 1])
     """
     checked(mode, Mode, "mode", AnalyticError)
     distance_named(distance)
     x = checks.vectors(X, "positions or descriptors")
     names = checks.cluster_labels(labels, len(x))
-    rows, present, start, number, sizes = _by_cluster(names)
+    rows = np.flatnonzero(names >= 0)
+    rows = rows[np.argsort(names[rows], kind="stable")]
+    present, start, number, sizes = np.unique(names[rows], return_index=True, return_inverse=True, return_counts=True)
     if len(present) < 2:
         raise AnalyticError(f"a silhouette compares clusters, so it needs at least two, got {len(present)}")
     found = np.zeros(len(rows))
@@ -73,7 +97,7 @@ def silhouettes(
         found[block] = _of_frames(sums, number[block], sizes, mode)
     frames = np.full(len(x), np.nan)
     frames[rows] = found
-    return frames
+    return Silhouettes(frames, present, np.add.reduceat(found, start) / sizes, sizes, mode)
 
 
 def moment_of_inertia(points: ArrayLike, labels: ArrayLike) -> float:
@@ -109,13 +133,6 @@ def moments_of_inertia(points: ArrayLike, labels: ArrayLike) -> NDArray[np.float
         raise AnalyticError("no frame is in a cluster: labels from 0 on are needed")
     groups = [positions[names == name] for name in np.unique(names[names >= 0])]
     return np.array([((group - group.mean(axis=0)) ** 2).sum(axis=1).mean() for group in groups])
-
-
-def _by_cluster(labels: NDArray[np.int64]) -> tuple[NDArray[np.int64], ...]:
-    """Return the frames cluster by cluster, and the clusters' labels, first places, numbers by frame, and sizes."""
-    rows = np.flatnonzero(labels >= 0)
-    rows = rows[np.argsort(labels[rows], kind="stable")]
-    return rows, *np.unique(labels[rows], return_index=True, return_inverse=True, return_counts=True)
 
 
 def _of_frames(

@@ -26,6 +26,8 @@ class Purity:
         labels: labels of the nodes with counted frames, ascending (k,).
         room_of_node: the room that each of these nodes belongs to.
         counted: frames with a room label and a node.
+        unlabelled: frames without a room label, left out.
+        unassigned: frames with a room label but without a node, left out.
     """
 
     overall: float
@@ -35,6 +37,8 @@ class Purity:
     labels: NDArray[np.int64]
     room_of_node: list[str]
     counted: int
+    unlabelled: int
+    unassigned: int
 
 
 def purity(labels: ArrayLike, rooms: ArrayLike) -> Purity:
@@ -59,7 +63,8 @@ def purity(labels: ArrayLike, rooms: ArrayLike) -> Purity:
         raise AnalyticError("rooms must be strings; use an empty string for an unknown room")
     texts = names.astype(np.str_)
     node = checks.cluster_labels(np.asarray(labels, dtype=np.int64) if not np.size(labels) else labels, len(texts))
-    counted = (texts != "") & (node >= 0)
+    labelled = texts != ""
+    counted = labelled & (node >= 0)
     present, node_rank = np.unique(node[counted], return_inverse=True)
     room_names, room_rank = np.unique(texts[counted], return_inverse=True)
     table = np.zeros((len(present), len(room_names)), dtype=np.int64)
@@ -77,4 +82,6 @@ def purity(labels: ArrayLike, rooms: ArrayLike) -> Purity:
         labels=present,
         room_of_node=[str(room_names[i]) for i in major],
         counted=total,
+        unlabelled=int((~labelled).sum()),
+        unassigned=int((labelled & (node < 0)).sum()),
     )

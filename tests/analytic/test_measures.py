@@ -27,8 +27,13 @@ def grouped(frames=60, count=5, length=2, seed=0):
 def test_the_nearest_silhouette_is_that_of_scikit_learn(length, count):
     x, labels = grouped(count=count, length=length, seed=length)  # 40 of 60: many clusters of one frame
     found = measures.silhouettes(x, labels)
-    np.testing.assert_allclose(found, silhouette_samples(x, labels), atol=1e-9)
+    np.testing.assert_allclose(found.frames, silhouette_samples(x, labels), atol=1e-9)
     assert measures.silhouette(x, labels) == pytest.approx(silhouette_score(x, labels), abs=1e-10)
+    assert found.labels.tolist() == list(range(count))
+    np.testing.assert_allclose(
+        found.clusters, [silhouette_samples(x, labels)[labels == c].mean() for c in range(count)], atol=1e-9
+    )
+    assert found.sizes.tolist() == np.bincount(labels).tolist()
 
 
 @pytest.mark.parametrize("mode", ["nearest", "pooled"])
@@ -39,7 +44,7 @@ def test_silhouettes_follow_their_definition(mode, length):
     labels[[5, 17]] = -1
     labels[9] = 100  # a cluster of one
     expected = oracle.silhouettes(x.tolist(), labels.tolist(), mode)
-    np.testing.assert_allclose(measures.silhouettes(x, labels, mode), expected, atol=1e-9)
+    np.testing.assert_allclose(measures.silhouettes(x, labels, mode).frames, expected, atol=1e-9)
     average = oracle.average_silhouette(x.tolist(), labels.tolist(), mode)
     assert measures.silhouette(x, labels, mode) == pytest.approx(average, abs=1e-10)
 
@@ -48,8 +53,8 @@ def test_the_two_silhouettes_by_hand():
     x = np.array([[0.0], [1], [3], [10], [10], [12]])
     labels = [0, 0, 1, 2, 2, 2]
     # Frame 0: a = 1; nearest b = 3 (cluster 1); pooled b = (3 + 10 + 10 + 12) / 4 = 8.75
-    assert measures.silhouettes(x, labels)[0] == pytest.approx(2 / 3)
-    assert measures.silhouettes(x, labels, "pooled")[0] == pytest.approx(7.75 / 8.75)
+    assert measures.silhouettes(x, labels).frames[0] == pytest.approx(2 / 3)
+    assert measures.silhouettes(x, labels, "pooled").frames[0] == pytest.approx(7.75 / 8.75)
     first = ((7.75 / 8.75) + (6.75 / 7.75)) / 2
     # Cluster 2: b is the mean distance to 0, 1 and 3; a is (0 + 2) / 2 and, for the last, 2.
     last = (2 * (26 / 3 - 1) / (26 / 3) + (32 / 3 - 2) / (32 / 3)) / 3
@@ -62,7 +67,7 @@ def test_silhouettes_of_descriptors_take_any_distance(name):
     expected = silhouette_score(x, labels, metric={"minkowski": "euclidean"}.get(name, name))
     assert measures.silhouette(x, labels, distance=name) == pytest.approx(expected, abs=1e-10)
     apart = distance(name)(x, x)
-    pooled = measures.silhouettes(x, labels, "pooled", name)
+    pooled = measures.silhouettes(x, labels, "pooled", name).frames
     for i in range(len(x)):
         own = labels == labels[i]
         a, b = apart[i, own].sum() / (own.sum() - 1), apart[i, ~own].mean()
@@ -76,10 +81,10 @@ def test_silhouettes_are_bounded_and_ignore_scale_origin_and_order(frames, count
     x = rng.integers(-2, 3, (frames, 2)).astype(float)
     labels = rng.integers(0, count, frames)
     labels[:2] = (0, 1)
-    found = measures.silhouettes(x, labels, mode)
+    found = measures.silhouettes(x, labels, mode).frames
     assert (np.abs(found) <= 1).all()
     order = rng.permutation(frames)
-    again = measures.silhouettes(1e3 * x[order] + 7, labels[order], mode)
+    again = measures.silhouettes(1e3 * x[order] + 7, labels[order], mode).frames
     np.testing.assert_allclose(again, found[order], atol=1e-9)
 
 
@@ -116,7 +121,9 @@ rooms_of = st.lists(st.tuples(st.integers(-1, 4), st.sampled_from(["", "a", "b",
 def test_purity_counts_frames_in_nodes_of_their_room(frames):
     labels, rooms = [label for label, _ in frames], [room for _, room in frames]
     found = measures.purity(labels, rooms)
-    assert found.counted == sum(label >= 0 and room != "" for label, room in frames)
+    assert found.unlabelled == rooms.count("")
+    assert found.unassigned == sum(label < 0 and room != "" for label, room in frames)
+    assert found.counted + found.unlabelled + found.unassigned == len(frames)
     if not found.counted:
         assert math.isnan(found.overall)
         assert found.rooms == {}
@@ -136,7 +143,7 @@ def test_purity_by_hand():
     assert found.labels.tolist() == [0, 1]
     assert found.nodes.tolist() == pytest.approx([2 / 3, 2 / 3])
     assert found.room_of_node == ["KT-A", "CR-A"]
-    assert found.counted == 6
+    assert (found.counted, found.unlabelled, found.unassigned) == (6, 1, 1)
     assert measures.purity([0, 1], ["b", "a"]).overall == 1
     assert measures.purity([0, 0], np.array(["b", "a"], dtype=object)).room_of_node == ["a"]
 
