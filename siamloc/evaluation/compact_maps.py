@@ -115,8 +115,11 @@ def compact(
     session.refuse_exclusion("localization in compact maps")
     if clusters is not None and clusters.frames.identities() != known.frames.identities():
         raise DataError("the map whose descriptors are clustered must hold the map's frames in the same order")
-    placed, scored = session.placed("compact")
+    placed = known.frames.has_position
     known, clusters = known.placed(), (known if clusters is None else clusters).take(placed)
+    scored = session.queries.take(session.queries.has_position)
+    for has, what in ((placed, "map frames"), (session.queries.has_position, "queries")):
+        session.leave_out(has, f"{what} have no position", f"compact, {what}", ": add x and y to the data")
     _check(settings, known, clusters)
     clock = Stopwatch()
     described = Description.concatenate(list(session.parts_of(known, scored, f"the queries, {session.name}", clock)))

@@ -110,6 +110,9 @@ def robustness(
 ) -> Result:
     """Measure how errors grow when the queries' images are disturbed.
 
+    If the map or the queries have no positions at all, answers are judged by their room: the error is 1 in a wrong
+    room and 0 in the right one.
+
     Args:
         known: the map; frames without a position are left out, and so are queries without one.
         images: panoramas of the queries (and of the map's frames for baselines).
@@ -124,9 +127,6 @@ def robustness(
         A result with the tables "robustness", a row per method, disturbance and level, and "answers", a row per query
         as well.
 
-    Raises:
-        DataError: no map frame or no query has a position.
-
     Example:
         >>> import siamloc
         >>> images = siamloc.data.example()
@@ -138,7 +138,8 @@ def robustness(
     """
     session = Session(known, images, queries, protocol=protocol, baselines=baselines, name=name, seed=seed)
     disturbances = settings.disturbances(images.circular)
-    in_map, scored = session.placed(session.name)
+    in_map, in_queries, by_room = session.comparable()
+    scored = session.queries.take(in_queries)
     rows = np.arange(0, len(scored), settings.every)
     asked = scored.take(rows)
     parts, tables, costs = [], [], {}
@@ -148,10 +149,10 @@ def robustness(
         clock = Stopwatch()
         found = _located(session, own, asked, rows, excluded, disturbances, label, clock)
         costs[label] = cost(own, clock)
-        parts.append(answers(label, own.frames, asked, found, excluded))
+        parts.append(answers(label, own.frames, asked, found, by_room, excluded))
         tables.append(curves(parts[-1], settings.radius, len(own)))
     table = concatenated(tables)
-    measured = measures(table, disturbances, known.unit, settings.every)
+    measured = measures(table, disturbances, "wrong rooms" if by_room else known.unit, settings.every)
     result = Result(
         name=session.name,
         parts={"robustness": measured},
@@ -211,8 +212,7 @@ def _located(
 ) -> dict[tuple[str, float], Answer]:
     """Locate queries, batch by batch, at every level of every disturbance."""
     barred: NDArray[np.bool_] | None = None
-    apart = np.hypot(*(known.frames.xy[None] - queries.xy[:, None]).transpose(2, 0, 1))
-    nearest = (apart if excluded is None else np.where(excluded, np.inf, apart)).argmin(axis=1)
+    nearest = _geometrically_nearest(known.frames, queries, excluded)
     asked = slice(0)
 
     def locate(images: Images) -> Answer:
@@ -222,6 +222,8 @@ def _located(
             answer = match(known, described, 1, excluded=barred)
         with clock.of("heading", len(images)):
             turned = headings(known, described, answer)[:, 0]
+        if nearest is None:
+            return Answer(answer.indices[:, 0], turned)
         row = nearest[asked, None]
         by_nearest = headings(known, described, Retrieval(row, np.zeros(row.shape)))[:, 0]
         return Answer(answer.indices[:, 0], turned, by_nearest)
@@ -235,3 +237,13 @@ def _located(
         found.append(locate_disturbed(locate, images, part, disturbances, session.seed))
         start += len(images)
     return {key: Answer.concatenate([part[key] for part in found]) for key in found[0]}
+
+
+def _geometrically_nearest(
+    known: FrameTable, queries: FrameTable, excluded: NDArray[np.bool_] | None
+) -> NDArray[np.int64] | None:
+    """Return the map frame (n,) that is nearest to each query in position; None if a position is unknown."""
+    if not known.has_position.all() or not queries.has_position.all():
+        return None
+    apart = np.hypot(*(known.xy[None] - queries.xy[:, None]).transpose(2, 0, 1))
+    return (apart if excluded is None else np.where(excluded, np.inf, apart)).argmin(axis=1)

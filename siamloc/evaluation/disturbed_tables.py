@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from foundation.columns import Rows
 from siamloc.data.frames import FrameTable
-from siamloc.evaluation.columns import heading_errors
+from siamloc.evaluation.columns import heading_errors, room_names
 from siamloc.evaluation.disturbance import Disturbance
 from siamloc.evaluation.metrics import error_floor, localization_error, recall_from_ranks, summarize
 from siamloc.results import Columns
@@ -24,13 +24,19 @@ class Answer(Rows):
     Attributes:
         nearest: rows of the most similar map frames (B,).
         heading: headings from these map frames (B,), rad; NaN where there is none.
-        heading_nearest: headings from the geometrically nearest map frames (B,), rad; NaN where there is none ([T]
-            3.5.3-3.5.4).
+        heading_nearest: headings from the geometrically nearest map frames (B,), rad ([T] 3.5.3-3.5.4).
+
+    Headings that are not given are NaN.
     """
 
     nearest: NDArray[np.int64]
-    heading: NDArray[np.float64]
-    heading_nearest: NDArray[np.float64]
+    heading: NDArray[np.float64] = None  # type: ignore[assignment]
+    heading_nearest: NDArray[np.float64] = None  # type: ignore[assignment]
+
+    def __post_init__(self) -> None:
+        for name in ("heading", "heading_nearest"):
+            if getattr(self, name) is None:
+                object.__setattr__(self, name, np.full(len(self.nearest), np.nan))
 
 
 def answers(
@@ -38,6 +44,7 @@ def answers(
     known: FrameTable,
     queries: FrameTable,
     found: Mapping[tuple[str, float], Answer],
+    by_room: bool = False,
     excluded: NDArray[np.bool_] | None = None,
 ) -> Columns:
     """Return a row for each query, disturbance and level: the columns of `answers.csv`.
@@ -47,14 +54,22 @@ def answers(
         known: m map frames with positions.
         queries: n frames with positions.
         found: the answers for all queries (n,), by name of the disturbance and level.
+        by_room: judge by rooms instead of positions: the error is 1 in a wrong room.
         excluded: (n, m) map frames that a query was not compared with; the error floor leaves them out, too.
 
     Raises:
         DataError: frames without positions.
     """
-    floor, parts = error_floor(known.xy, queries.xy, excluded), []
+    known_rooms, rooms = room_names(known, queries)
+    if by_room:
+        findable = known_rooms[None, :] == rooms[:, None]
+        floor = (~(findable if excluded is None else findable & ~excluded).any(axis=1)).astype(float)
+    else:
+        floor = error_floor(known.xy, queries.xy, excluded)
+    parts = []
     for (name, level), answer in found.items():
-        error = localization_error(known.xy[answer.nearest], queries.xy)
+        row = answer.nearest
+        error = (known_rooms[row] != rooms).astype(float) if by_room else localization_error(known.xy[row], queries.xy)
         parts.append(
             {
                 "method": np.full(len(queries), method),
@@ -63,7 +78,7 @@ def answers(
                 "path": queries.path,
                 "lighting": queries.lighting,
                 "room": queries.room,
-                "match_path": known.path[answer.nearest],
+                "match_path": known.path[row],
                 "error": error,
                 "floor": np.minimum(floor, error),
                 "heading_error": heading_errors(answer.heading, queries),

@@ -235,16 +235,24 @@ class Session:
                 raise DataError(f"{text}{remedy}")
             self.skipped[key] = text
 
-    def placed(self, task: str) -> tuple[NDArray[np.bool_], FrameTable]:
-        """Return which map frames have a position (m,), and the queries that have one; `skipped` gets how many do not.
+    def comparable(self) -> tuple[NDArray[np.bool_], NDArray[np.bool_], bool]:
+        """Return which map frames (m,) and queries (n,) can be judged, and whether they are judged by room.
+
+        Queries are judged by position, or by room if the map or the queries have no positions at all. `skipped` gets
+        the number of frames without a position or a room.
 
         Raises:
-            DataError: no map frame or no query has a position, or some lack one and `on_error` is "raise".
+            DataError: the map and the queries share neither positions nor rooms, or some frames lack them and
+                `on_error` is "raise".
         """
-        in_map, in_queries = self.known.frames.has_position, self.queries.has_position
-        for has, what in ((in_map, "map frames"), (in_queries, "queries")):
-            self.leave_out(has, f"{what} have no position", f"{task}, {what}", ": add x and y to the data")
-        return in_map, self.queries.take(in_queries)
+        tables = {"map frames": self.known.frames, "queries": self.queries}
+        by_room = any(not frames.has_position.any() for frames in tables.values())
+        masks = {what: frames.room != "" if by_room else frames.has_position for what, frames in tables.items()}
+        for what, has in masks.items():
+            remedy = ", and not all tables have positions: add x and y, or rooms, to the data"
+            lacks = f"{what} have no {'room label' if by_room else 'position'}"
+            self.leave_out(has, lacks, f"{self.name}, {what}", remedy)
+        return masks["map frames"], masks["queries"], by_room
 
     def about(self) -> dict[str, Any]:
         """Return what is evaluated (data, protocol and descriptor) as plain values."""

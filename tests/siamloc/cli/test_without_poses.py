@@ -145,6 +145,9 @@ def test_rooms_that_the_map_lacks_are_not_called_left_out(given, tmp_path):
     assert note.startswith("16 of 24 queries are in rooms that the map lacks")
 
 
-def test_robustness_needs_poses(without, given, capsys):
-    said = refused(capsys, *given, "task=robustness", "task.baselines=[]", f"data.manifest={without('x')}")
-    assert "24 of 24 queries have no position: add x and y to the data" in said
+def test_robustness_without_poses_is_judged_by_rooms(without, given, capsys):
+    robust = [*given, "task=robustness", "task.baselines=[]"]
+    done(*robust, f"data.manifest={without('x')}")
+    assert "[wrong rooms]" in capsys.readouterr().out
+    neither = without("x", "room", which=lambda row: row["sequence"] in ("first", "second"))
+    assert "have no room label" in refused(capsys, *robust, f"data.manifest={neither}", "overwrite=true")

@@ -93,7 +93,7 @@ def test_unchanged_images_are_located_once(images: np.ndarray) -> None:
 
     def locate(changed: np.ndarray) -> Answer:
         asked.append(changed)
-        return Answer(np.full(3, len(asked)), np.zeros(3), np.zeros(3))
+        return Answer(np.full(3, len(asked)), np.zeros(3))
 
     wanted = [Disturbance("noise", (0, 0.01), "noise"), Disturbance("turn", (0, 90, 360), "turn")]
     found = locate_disturbed(locate, images, ROWS, wanted)
@@ -110,8 +110,7 @@ def test_curves_are_those_of_a_loop_over_the_answers() -> None:
     rng = np.random.default_rng(1)
     known, queries = frames([0, 1, 2, 3]), frames([0.2, 1.4, 2.9, 8.0])
     wanted = [Disturbance("noise", (0, 0.5), "noise"), Disturbance("bulb", (0, 1), "effect")]
-    none = np.full(4, np.nan)
-    found = {(one.name, level): Answer(rng.integers(0, 4, 4), none, none) for one in wanted for level in one.levels}
+    found = {(one.name, level): Answer(rng.integers(0, 4, 4)) for one in wanted for level in one.levels}
     columns = concatenated([answers("a", known, queries, found), answers("b", known, queries, found)])
     table = curves(columns, 0.5, 4)
     assert len(table["method"]) == 8

@@ -245,6 +245,18 @@ def test_noise_makes_errors_larger_and_turns_of_a_ring_do_not_matter_to_a_mean(w
     assert result.denominators["queries"] == 15
 
 
+def test_without_positions_disturbed_queries_are_judged_by_their_room(world):
+    images, monday, tuesday, _, _ = world
+    blind = [frames.with_columns(x=np.full(len(frames), np.nan)) for frames in (monday, tuesday)]
+    known = maps.build(Reads(), images, blind[0], progress=False)
+    result = evaluation.robustness(known, images, blind[1], every=1, noise=(0,), occlusion=(), turn=())
+    right = evaluation.rooms(known, images, blind[1]).measures["accuracy"]
+    assert result.measures["unit"] == "wrong rooms"
+    entry = result.measures["methods"]["reads"]["noise"][0]
+    assert entry["mean"] == pytest.approx(1 - right)
+    assert entry["share"] == pytest.approx(right)
+
+
 def test_frames_left_out_stay_left_out_under_disturbances_and_are_refused_where_they_cannot(world):
     images, monday, _, _, known = world
     apart = Protocol(leave_one_out=True)
