@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from foundation.settings import Count, Natural, Positive, Rule, Settings
-from siamloc.data.frames import FrameTable, concatenate, html_table
+from siamloc.data.frames import FrameTable, concatenate
 from siamloc.errors import ConfigError, DataError
 
 Way = Annotated[float, Rule("a number above 0 and up to 1,000,000", lambda value: 0 < value <= 1e6)]
@@ -151,10 +151,6 @@ class Protocol(Settings):
     def __repr__(self) -> str:
         roles = [f"{name}: {words}" for name, words in self._roles_in_words()]
         return f"Protocol({'; '.join([self.kind, *roles, *self._apart_in_words()])})"
-
-    def _repr_html_(self) -> str:
-        caption = "; ".join([f"protocol {self.kind}", *self._apart_in_words()])
-        return html_table(caption, ["role", "frames"], self._roles_in_words())
 
     def _roles_in_words(self) -> list[tuple[str, str]]:
         return [(name, words) for name in ROLES if (words := str(getattr(self, name)))]

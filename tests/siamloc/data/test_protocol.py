@@ -180,7 +180,6 @@ def test_a_protocol_shows_what_is_set_alone():
     given = Protocol.of({"train": {"sequences": "a"}, "query": {"sequences": ["b"], "every": 5}, "leave_one_out": True})
     assert repr(given) == "Protocol(cross_run; train: sequences a; query: sequences b, every 5; leave_one_out)"
     assert repr(Protocol()) == "Protocol(cross_run)"
-    assert "<td>sequences b, every 5</td>" in given._repr_html_()
     assert Protocol.of(given.plain()) == given
 
 
