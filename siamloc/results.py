@@ -175,8 +175,10 @@ def read_rows(folder: str | Path, table: str = "queries") -> Columns:
         kinds = described["columns"]
         if names != list(kinds) or len(rows) != described["rows"]:
             raise ValueError(f"{len(rows)} rows of {len(names)} columns for {described['rows']} of {len(kinds)}")
-        cells = list(zip(*rows, strict=True)) if rows else [()] * len(names)
-        parsed = {name: _parse(kinds[name], column) for name, column in zip(names, cells, strict=True)}
+        parsed = {}
+        for name, column in zip(names, zip(*rows, strict=True) if rows else [()] * len(names), strict=True):
+            dtype, parse = _PARSERS[kinds[name]]
+            parsed[name] = np.array([parse(cell) for cell in column], dtype=dtype)
     except (ValueError, KeyError, TypeError, OverflowError, csv.Error) as error:
         raise FormatError(f"{path} is not what results.json describes ({error}): evaluate again") from error
     return parsed
@@ -216,9 +218,8 @@ def by_label(
 def versions() -> dict[str, str]:
     """Return the software versions that results depend on; torch only if it is loaded."""
     found = {"python": platform.python_version(), "siamloc": __version__, "numpy": np.__version__}
-    for package, distribution in (("opencv", "opencv-python-headless"), ("torch", "torch")):
-        if package == "torch" and "torch" not in sys.modules:
-            continue
+    distributions = {"opencv": "opencv-python-headless", **({"torch": "torch"} if "torch" in sys.modules else {})}
+    for package, distribution in distributions.items():
         try:
             found[package] = metadata.version(distribution)
         except metadata.PackageNotFoundError:
@@ -232,8 +233,7 @@ def tables_of(folder: str | Path) -> set[str]:
         tables = read_results(folder).get("tables", {})
     except FormatError:
         return set()
-    files = {str(table.get("file", "")) for table in tables.values() if isinstance(table, Mapping)}
-    return {name for name in files if name.endswith(".csv") and Path(name).name == name}
+    return {table["file"] for table in tables.values() if table["file"].endswith(".csv")}
 
 
 def _as_table(name: str, columns: Mapping[str, NDArray]) -> Columns:
@@ -246,11 +246,6 @@ def _as_table(name: str, columns: Mapping[str, NDArray]) -> Columns:
         if column.dtype.kind not in _KINDS:
             raise DataError(f"column {key!r} of {name!r} holds {column.dtype}, expected text, bool, int or float")
     return table
-
-
-def _parse(kind: str, cells: tuple[str, ...]) -> NDArray:
-    dtype, parse = _PARSERS[kind]
-    return np.array([parse(cell) for cell in cells], dtype=dtype)
 
 
 def _length(columns: Mapping[str, NDArray]) -> int:

@@ -387,20 +387,17 @@ class Localizer:
         return pose, expected, lost
 
     def _panorama(self, image: Any) -> NDArray[np.uint8]:
-        if isinstance(image, (str, Path)):
-            try:
-                return self.bundle.preprocessing.panorama(image)
-            except (UnreadableImageError, ConfigError) as error:  # damaged, or too small for the camera's ring
-                raise DataError(f"{image} cannot be located: {error}") from error
-        pixels = np.asarray(image)
-        if pixels.size == 0:
+        pixels = None if isinstance(image, (str, Path)) else np.asarray(image)
+        if pixels is not None and pixels.size == 0:
             raise DataError("the image is empty: the camera returned no data")
-        if pixels.ndim != 3 or pixels.shape[2] != 3 or pixels.dtype != np.uint8:
+        if pixels is not None and (pixels.ndim != 3 or pixels.shape[2] != 3 or pixels.dtype != np.uint8):
             raise DataError(f"an image has shape (rows, columns, 3) and dtype uint8, got {pixels.shape} {pixels.dtype}")
+        make = self.bundle.preprocessing
         try:
-            return self.bundle.preprocessing.prepare(pixels)
-        except ConfigError as error:
-            raise DataError(f"an image of {pixels.shape[0]} x {pixels.shape[1]} cannot be located: {error}") from error
+            return make.panorama(image) if pixels is None else make.prepare(pixels)
+        except (UnreadableImageError, ConfigError) as error:  # damaged, or too small for the camera's ring
+            what = image if pixels is None else f"an image of {pixels.shape[0]} x {pixels.shape[1]}"
+            raise DataError(f"{what} cannot be located: {error}") from error
 
 
 def _spacing(known: VisualMap) -> float:
