@@ -87,7 +87,10 @@ class Description:
             AnalyticError: there is none.
         """
         if self.orientation is None:
-            raise AnalyticError("this description has no orientation part")
+            raise AnalyticError(
+                "this description has no orientation part, so that no turn can be found: describe the images with a "
+                "descriptor that has one, such as 'hog', and keep it"
+            )
         return self.orientation
 
     @cached_property

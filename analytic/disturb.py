@@ -105,9 +105,6 @@ def _covered(width: int, share: float, bars: int, circular: bool, generator: np.
 
 
 def _images(batch: ArrayLike, generator: np.random.Generator) -> NDArray[Any]:
-    if not isinstance(generator, np.random.Generator):
-        raise AnalyticError(
-            f"draws come from a numpy.random.Generator, such as numpy.random.default_rng(seed), got {generator!r}"
-        )
+    checked(generator, np.random.Generator, "generator", AnalyticError)
     unit(with_channels(batch))  # refuses values out of range
     return np.asarray(batch)

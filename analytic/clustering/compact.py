@@ -64,7 +64,7 @@ def representatives(X: ArrayLike, labels: ArrayLike) -> NDArray[np.float64]:
         [[1.0, 2.0], [9.0, 9.0]]
     """
     x = checks.vectors(X)
-    return _means(x, checks.cluster_labels(labels, len(x)))
+    return _means(x, checks.cluster_labels(labels, len(x)), np.ones(len(x)))
 
 
 def positions(points: ArrayLike, labels: ArrayLike) -> NDArray[np.float64]:
@@ -85,29 +85,19 @@ def positions(points: ArrayLike, labels: ArrayLike) -> NDArray[np.float64]:
         [[1.0, 1.0], [nan, nan]]
     """
     array = real(points, "positions")
-    unknown = np.isnan(array).any(axis=-1) if array.ndim == 2 else np.zeros(0, dtype=bool)
-    known = checks.vectors(np.where(np.isnan(array), 0.0, array), "positions")
-    names = checks.cluster_labels(labels, len(known))
-    rows, number = _numbered(names)
-    means = np.full((number.max() + 1, known.shape[1]), np.nan)
-    counted = np.isin(rows, np.flatnonzero(~unknown))
-    filled = np.unique(number[counted])
-    if len(filled):
-        means[filled] = _means(known[rows[counted]], number[counted])
-    return means
+    unknown = np.isnan(array)
+    known = checks.vectors(np.where(unknown, 0.0, array), "positions")
+    return _means(known, checks.cluster_labels(labels, len(known)), 1.0 - unknown.any(axis=1))
 
 
-def _means(x: NDArray[np.float64], labels: NDArray[np.int64]) -> NDArray[np.float64]:
+def _means(x: NDArray[np.float64], labels: NDArray[np.int64], weights: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the weighted mean of each cluster (k, D); NaN for a cluster whose frames all have weight 0."""
     from scipy import sparse
 
-    rows, number = _numbered(labels)
-    member = sparse.csr_array((np.ones(len(rows)), (number, rows)), shape=(number.max() + 1, len(x)))
-    return (member @ x) / np.bincount(number)[:, None]
-
-
-def _numbered(labels: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return the frames that are in a cluster, and the rank of their label among the labels."""
     rows = np.flatnonzero(labels >= 0)
     if not len(rows):
         raise AnalyticError("no frame is in a cluster: labels from 0 on are needed")
-    return rows, np.unique(labels[rows], return_inverse=True)[1].reshape(-1)
+    cluster = np.unique(labels[rows], return_inverse=True)[1].reshape(-1)
+    sums = sparse.csr_array((weights[rows], (cluster, rows)), shape=(cluster.max() + 1, len(x))) @ x
+    counts = np.bincount(cluster, weights[rows])[:, None]
+    return np.divide(sums, counts, out=np.full_like(sums, np.nan), where=counts > 0)

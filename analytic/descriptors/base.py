@@ -148,14 +148,7 @@ class Descriptor(ABC):
         return best_turns(queries.spectrum, references.spectrum, steps)
 
     def _steps(self, queries: Description, references: Description) -> int:
-        for description in (queries, references):
-            if description.orientation is None:
-                raise AnalyticError(
-                    f"a description for {self.name!r} has no orientation part, so that no turn can be found: describe "
-                    "the images with a descriptor that has one, such as 'hog', and keep it"
-                )
-        assert queries.orientation is not None
-        return int(queries.orientation.shape[1])
+        return int(queries.turnable.shape[1])
 
 
 @dataclass(frozen=True, kw_only=True)

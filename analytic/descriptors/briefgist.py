@@ -33,7 +33,7 @@ class BriefGist(AlignedDescriptor):
     Orientation: (columns, rows), value [c, r] is bit(r, c).
 
     The default distance, "manhattan", is the number of different bits at that turn (Hamming), from 0 to
-    rows * columns; "hamming" is another name for it. `pairwise` accepts every other distance as well; of those that
+    rows * columns. `pairwise` accepts every other distance as well; of those that
     [T] 3.5.1 tried, "correlation" found the nearest frame most often.
 
     Args:
@@ -73,9 +73,6 @@ class BriefGist(AlignedDescriptor):
         if not self.circular:
             bits[:, 0] = 0
         return bits.reshape(-1), bits.T
-
-    def _distance(self, name: str | None) -> str:
-        return super()._distance("manhattan" if name == "hamming" else name)
 
     def _compared(self, queries: Description, references: Description, turns: Turns, name: str) -> NDArray[np.float64]:
         if name != "manhattan":

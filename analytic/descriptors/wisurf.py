@@ -9,7 +9,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from analytic.descriptors.base import AlignedDescriptor, Cells, Several, check_divides, divisors_near
+from analytic.descriptors.base import AlignedDescriptor, Cells, Several, check_divides
 from analytic.errors import AnalyticError
 
 CELLS = 4  # subregions along each side of a window
@@ -85,7 +85,7 @@ class WiSurf(AlignedDescriptor):
         if height % (CELLS * self.rows):
             raise AnalyticError(
                 f"wisurf's rows={self.rows} bands of {CELLS} subregions each do not fit an image of {height} pixel "
-                f"rows: {_heights(height, self.rows)}"
+                f"rows: use other rows, or resize it to a multiple of {CELLS * self.rows} rows"
             )
         check_divides(self, "windows", width, "width")
         side = height // self.rows
@@ -147,16 +147,6 @@ def _runs(values: NDArray[np.float32], length: int, axis: int) -> NDArray[np.flo
         values = values[:-power] + values[power:] if length else values
         power *= 2
     return total.swapaxes(0, axis)
-
-
-def _heights(height: int, rows: int) -> str:
-    """Return the advice for a height that 4 * rows does not divide."""
-    unit = CELLS * rows
-    below = height // unit * unit
-    sizes = " or ".join(str(size) for size in (below, below + unit) if size)
-    if height % CELLS:
-        return f"resize it to {sizes} rows"
-    return f"use rows={divisors_near(height // CELLS, rows)}, or resize it to {sizes} rows"
 
 
 @lru_cache(maxsize=8)

@@ -79,7 +79,7 @@ def closure_scores(closures: ArrayLike, positions: ArrayLike, radius: float, gap
     return ClosureScores(
         precision=precision,
         recall=recall,
-        f1=_harmonic(precision, recall),
+        f1=2 * precision * recall / (precision + recall) if recall else 0.0,
         right=right,
         closures=len(nontrivial),
         closed=closed,
@@ -104,14 +104,6 @@ def _revisits(xy: NDArray[np.float64], radius: float, gap: int) -> NDArray[np.bo
 
 def _within(difference: NDArray[np.float64], radius: float) -> NDArray[np.bool_]:
     return np.sqrt((difference**2).sum(axis=-1)) <= radius
-
-
-def _harmonic(precision: float, recall: float) -> float:
-    if math.isnan(recall):
-        return math.nan
-    if recall == 0:
-        return 0.0
-    return 2 * precision * recall / (precision + recall)
 
 
 def _checked(closures: ArrayLike, frames: int) -> NDArray[np.int64]:

@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from analytic.clustering import checks
-from analytic.distances import DISTANCES
 from analytic.distances import distance as distance_named
 from analytic.errors import AnalyticError
 from foundation.settings import checked
@@ -156,7 +155,7 @@ def _of_frames(
 
 def _blocks(x: NDArray[np.float64], distance: str) -> Iterator[tuple[slice, NDArray[np.float64]]]:
     between = distance_named(distance)
-    if between is DISTANCES["euclidean"]:
+    if distance == "euclidean":
         x, _ = checks.to_unit_range(x)  # a silhouette is a ratio
         if x.shape[1] > _FEW_DIMENSIONS:
             from sklearn.metrics.pairwise import euclidean_distances

@@ -57,10 +57,10 @@ def purity(labels: ArrayLike, rooms: ArrayLike) -> Purity:
         (0.75, {'corridor': 0.5, 'kitchen': 1.0})
     """
     names = np.asarray(rooms)
-    if names.ndim != 1 or (names.dtype.kind not in "UO" and names.size):
-        raise AnalyticError(f"rooms must be strings of shape (n,), got {names.dtype} of shape {names.shape}")
-    if not all(isinstance(name, str) for name in names.tolist()):
-        raise AnalyticError("rooms must be strings; use an empty string for an unknown room")
+    if names.ndim != 1 or not all(isinstance(name, str) for name in names.tolist()):
+        raise AnalyticError(
+            f"rooms must be strings of shape (n,), empty for an unknown room, got {names.dtype} of shape {names.shape}"
+        )
     texts = names.astype(np.str_)
     node = checks.cluster_labels(np.asarray(labels, dtype=np.int64) if not np.size(labels) else labels, len(texts))
     labelled = texts != ""

@@ -109,9 +109,8 @@ def test_wavelets_of_any_size_are_differences_of_means(reach, wraps):
         ({"windows": 1}, "wisurf.windows must be a whole number from 2 to 16,384, got 1"),
         (
             {"rows": 3, "windows": 12},
-            "4 subregions each do not fit an image of 32 pixel rows: use rows=2 or 4, or .* 24",
+            "4 subregions each do not fit an image of 32 pixel rows: use other rows, or .* a multiple of 12 rows",
         ),
-        ({"rows": 16, "windows": 12}, "use rows=8, or resize it to 64 rows"),
         ({"rows": 2, "windows": 10}, "does not divide the image's width of 48 pixels: use windows=8 or 12"),
     ],
 )
@@ -123,5 +122,3 @@ def test_mistakes_are_one_sentence(params, says):
 def test_images_that_no_window_fits():
     with pytest.raises(AnalyticError, match="squares of 32 pixels with rows=1, wider than the image of 24 columns"):
         descriptor("wisurf", rows=1, windows=12).describe(IMAGES[:, :, :24])
-    with pytest.raises(AnalyticError, match=r"an image of 30 pixel rows: resize it to 24 or 32 rows$"):
-        MADE.describe(IMAGES[:, :30])
