@@ -87,7 +87,7 @@ def positions(points: ArrayLike, labels: ArrayLike) -> NDArray[np.float64]:
     array = real(points, "positions")
     unknown = np.isnan(array)
     known = checks.vectors(np.where(unknown, 0.0, array), "positions")
-    return _means(known, checks.cluster_labels(labels, len(known)), 1.0 - unknown.any(axis=1))
+    return _means(known, checks.cluster_labels(labels, len(known)), np.asarray(~unknown.any(axis=1), np.float64))
 
 
 def _means(x: NDArray[np.float64], labels: NDArray[np.int64], weights: NDArray[np.float64]) -> NDArray[np.float64]:

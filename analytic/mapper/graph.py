@@ -12,8 +12,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from analytic.errors import AnalyticError
-from foundation.errors import StorageError
 from foundation.files import write_bytes
 
 
@@ -40,11 +38,11 @@ class NodeGraph:
         """Write a JSON object with lists `nodes`, `edges` and `loops`.
 
         Raises:
-            AnalyticError: a path that cannot be written.
+            StorageError: a path that cannot be written.
         """
         edges = [{"source": a, "target": b, "passages": n} for (a, b), n in sorted(self.edges.items())]
         nodes = [{"id": key, **values} for key, values in sorted(self.nodes.items())]
-        write(path, json.dumps({"nodes": nodes, "edges": edges, "loops": self.loops}, indent=1).encode())
+        write_bytes(path, json.dumps({"nodes": nodes, "edges": edges, "loops": self.loops}, indent=1).encode())
 
 
 def edges(labels: NDArray[np.int64]) -> dict[tuple[int, int], int]:
@@ -82,15 +80,3 @@ def coordinates(pose: Any) -> tuple[float, float] | None:
         pair = pose[:2] if isinstance(pose, list) else []
     numbers = [float(v) for v in pair if isinstance(v, (int, float)) and not isinstance(v, bool) and isfinite(v)]
     return (numbers[0], numbers[1]) if len(numbers) == 2 else None
-
-
-def write(path: str | Path, data: bytes) -> None:
-    """Write a file, whole or not at all.
-
-    Raises:
-        AnalyticError: a path that cannot be written.
-    """
-    try:
-        write_bytes(path, data)
-    except StorageError as error:
-        raise AnalyticError(str(error)) from error

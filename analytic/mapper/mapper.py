@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -168,7 +168,7 @@ class IncrementalMapper:
         """Save the map in one file: arrays without pickles, written under a temporary name and renamed.
 
         Raises:
-            AnalyticError: a path that cannot be written.
+            StorageError: a path that cannot be written.
         """
         storage.save(path, self._state, list(self.poses), self.descriptor.identity, list(self.events))
 
@@ -213,35 +213,32 @@ class IncrementalMapper:
             raise AnalyticError(
                 f"the mapper takes what a descriptor's describe() returns, got {type(description).__name__}"
             )
-        if description.position.ndim != 2 or 0 in description.position.shape:
-            raise AnalyticError(
-                f"a position descriptor must have shape (images, numbers), got {description.position.shape}"
-            )
-        if description.position.shape[1] > LARGEST_POSITION:
+        shape = description.position.shape
+        if len(shape) != 2 or 0 in shape:
+            raise AnalyticError(f"a position descriptor must have shape (images, numbers), got {shape}")
+        if shape[1] > LARGEST_POSITION:
             raise AnalyticError(
                 f"a node keeps a covariance of its position descriptors, which may have at most {LARGEST_POSITION} "
-                f"numbers, got {description.position.shape[1]}: choose a smaller one, such as hog with rows=16, bins=16"
+                f"numbers, got {shape[1]}: choose a smaller one, such as hog with rows=16, bins=16"
             )
         if count is not None and len(description) != count:
             raise AnalyticError(f"the mapper takes one image at a time, got a description of {len(description)}")
         for name, part in (("position", description.position), ("orientation", description.orientation)):
-            if part is None:
-                continue
-            if len(part) != len(description):
-                raise AnalyticError(f"{len(description)} positions need as many orientation parts, got {len(part)}")
             # The fourth power of a larger value overflows.
-            if part.dtype.kind not in "fiub" or not (np.abs(part, dtype=np.float64) <= LARGEST_VALUE).all():
+            if part is not None and (
+                len(part) != shape[0]
+                or part.dtype.kind not in "fiub"
+                or not (np.abs(part, dtype=np.float64) <= LARGEST_VALUE).all()
+            ):
                 raise AnalyticError(
-                    f"the {name} part of a description must hold finite real numbers up to {LARGEST_VALUE:g}, and this "
-                    f"one, of {part.dtype}, does not: leave it out, or use another descriptor, such as hog"
+                    f"the {name} part of a description of {shape[0]} images must hold as many rows of finite real "
+                    f"numbers up to {LARGEST_VALUE:g}, and this one, of {part.dtype} in shape {part.shape}, does not: "
+                    "leave it out, or use another descriptor, such as hog"
                 )
         self.descriptor.check(description, description)
-        turns = self.parameters.orientation and getattr(self.descriptor, "circular", True)
-        kept = Description(
-            description.position.copy(),
-            description.orientation.copy() if turns and description.orientation is not None else None,
-            description.identity,
-        )
+        kept = description.take(np.arange(len(description)))
+        if not (self.parameters.orientation and getattr(self.descriptor, "circular", True)):
+            kept = replace(kept, orientation=None)
         if self._state.recent:
             check_alike(self._state.recent[-1][1], kept)
         return kept

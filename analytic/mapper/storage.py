@@ -15,11 +15,11 @@ from numpy.typing import NDArray
 from analytic.descriptors.base import Description, Descriptor
 from analytic.descriptors.registry import DESCRIPTORS, descriptor
 from analytic.errors import AnalyticError
-from analytic.mapper.graph import write
 from analytic.mapper.growth import State
 from analytic.mapper.node import Gallery, Mode, Node
 from analytic.mapper.parameters import Parameters
 from foundation.arrays import DAMAGE, read_arrays
+from foundation.files import write_bytes
 
 FORMAT = "analytic.mapper"
 VERSION = 2
@@ -33,7 +33,7 @@ def save(path: str | Path, state: State, poses: list[Any], identity: Mapping[str
     """Write a map under a temporary name and rename it.
 
     Raises:
-        AnalyticError: a path that cannot be written.
+        StorageError: a path that cannot be written.
     """
     nodes = [*state.ordered(), *state.parked]
     head = {
@@ -61,7 +61,7 @@ def save(path: str | Path, state: State, poses: list[Any], identity: Mapping[str
             arrays[f"{name}.orientation"] = gallery.shown.orientation
     buffer = io.BytesIO()
     np.savez(buffer, **arrays)  # type: ignore[arg-type]
-    write(path, buffer.getvalue())
+    write_bytes(path, buffer.getvalue())
 
 
 def load(path: str | Path) -> tuple[State, list[Any], dict[str, Any], list[str]]:

@@ -3,9 +3,9 @@ import json
 import numpy as np
 import pytest
 
-from analytic import AnalyticError
 from analytic.mapper import IncrementalMapper
 from analytic.mapper.graph import coordinates, edges, loops
+from foundation.errors import StorageError
 from tests.analytic.mapper.world import World, corridor_drive, rows
 
 LABELS = np.array([-1, 0, 0, 1, -1, 1, 2, -1, 0, 0, 2, 1])
@@ -67,5 +67,5 @@ def test_a_map_as_a_graph(tmp_path):
 
 def test_a_graph_that_cannot_be_written(tmp_path):
     mapper, _ = mapped(False)
-    with pytest.raises(AnalyticError, match="cannot be written"):
+    with pytest.raises(StorageError, match="cannot be written"):
         mapper.graph().to_json(tmp_path)

@@ -32,7 +32,10 @@ def changed(position=None, orientation=None, identity=None):
         (lambda: Description(FRAMES[1].position, None), "different sizes .* no orientation part"),
         (lambda: changed(identity={"name": "other"}), "other parameters .*name=other"),
         (lambda: changed(position=np.ones(16, dtype=np.float32)), r"shape \(images, numbers\), got \(16,\)"),
-        (lambda: changed(orientation=np.ones((2, 12, 3), dtype=np.float32)), "as many orientation parts, got 2"),
+        (
+            lambda: changed(orientation=np.ones((2, 12, 3), dtype=np.float32)),
+            "orientation part .* of 1 images .* as many rows",
+        ),
         (lambda: Description(np.ones((1, 5000), dtype=np.float32)), "at most 4096 numbers, got 5000"),
         (lambda: changed(position=np.full((1, 16), 1e39)), "position part .* up to 1e\\+38, .* leave it out"),
         (lambda: changed(position=np.full((1, 16), "a")), "position part .* real numbers .* <U1"),

@@ -8,6 +8,7 @@ import pytest
 import analytic
 from analytic import AnalyticError
 from analytic.mapper import IncrementalMapper, replay, storage
+from foundation.errors import StorageError
 from tests.analytic.mapper.world import World, corridor_drive, rows
 
 WORLD = World(size=8, reach=5.0, seed=1)
@@ -182,7 +183,7 @@ def test_files_that_are_no_maps_and_paths_that_lead_nowhere(tmp_path):
         IncrementalMapper.load(tmp_path / "missing", WORLD)
     with pytest.raises(AnalyticError, match="cannot be read"):
         IncrementalMapper.load(tmp_path, WORLD)
-    with pytest.raises(AnalyticError, match="cannot be written"):
+    with pytest.raises(StorageError, match="cannot be written"):
         mapped(3).save(tmp_path)
     np.save(tmp_path / "array.npy", np.ones(3))
     with pytest.raises(AnalyticError, match="not a map"):
@@ -207,7 +208,7 @@ def test_a_failed_write_leaves_the_file_that_was_there(tmp_path, monkeypatch):
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr("foundation.files.os.fsync", full)
-    with pytest.raises(AnalyticError, match="no space left"):
+    with pytest.raises(StorageError, match="no space left"):
         mapped(20).save(tmp_path / "map")
     assert (tmp_path / "map").read_bytes() == before
     assert [path.name for path in tmp_path.iterdir()] == ["map"]
