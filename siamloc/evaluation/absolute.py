@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -122,9 +122,22 @@ def most_neighbours(k: int, map_frames: int, excluded: NDArray[np.bool_] | None)
 
 
 def pose_measures(
-    columns: Mapping[str, NDArray], radii: Sequence[float], ks: Sequence[int], map_frames: int, unit: str
+    columns: Mapping[str, NDArray],
+    radii: Sequence[float],
+    ks: Sequence[int],
+    map_frames: int,
+    unit: str,
+    further: Callable[[NDArray[np.int64]], dict[str, Any]] | None = None,
 ) -> dict[str, Any]:
     """Return all measures of localization, pooled over queries, from the columns of `queries.csv`.
+
+    Args:
+        columns: of `queries.csv`.
+        radii: radii of the recall, in units of x and y.
+        ks: numbers of retrieved frames for the recall.
+        map_frames: number of frames in the map.
+        unit: of x and y.
+        further: returns more measures of a group, from the rows of its queries.
 
     Returns:
         unit, map_frames, radii, ks, the groups "overall", "lighting" (by label) and "room" (by label), and
@@ -149,6 +162,7 @@ def pose_measures(
             "recall_at_one_percent": _recalls(ranks, floor, [one_percent(map_frames)]),
             "baselines": baselines,
             **_heading(numbers.get("heading_error")),
+            **({} if further is None else further(rows)),
         }
 
     return {

@@ -27,7 +27,7 @@ from siamloc.maps import Built, Retrieval, VisualMap, headings, match
 from siamloc.maps.coarse import UNASSIGNED, CoarseLayer
 from siamloc.maps.hierarchy import HierarchicalRetrieval, HierarchicalSearch, LayerSearch, Ranking
 from siamloc.maps.ranking import NodeRanking, rank_by_position
-from siamloc.results import Columns, by_label
+from siamloc.results import Columns
 from siamloc.stopwatch import Stopwatch
 
 if TYPE_CHECKING:
@@ -207,7 +207,7 @@ def evaluate_hierarchical(
         **base.tables["queries"],
         "node": found.node,
         "true_node": true,
-        "nodes_tried": np.array([_listed(row) for row in found.tried.tolist()], dtype=np.str_),
+        "nodes_tried": np.array([" ".join(map(str, row[row != UNASSIGNED])) for row in found.tried], dtype=np.str_),
         "coarse_correct": (found.tried == true[:, None]).any(axis=1) | (true == UNASSIGNED),
         "frames_compared": found.frames_compared,
         "comparisons": found.compared,
@@ -244,38 +244,28 @@ def node_measures(
         `error`; `loss`, the share by which the mean error exceeds the mean error of a search in the whole map; and
         `comparisons` (mean, max, share of the map, frames_share without the comparisons with the coarse layer).
     """
-    measures = pose_measures(columns, radii, ks, map_frames, unit)
-    more = by_label(columns, lambda rows: _coarse(columns, rows, map_frames), "lighting", "room")
-    measures["overall"].update(more["overall"])
-    for by in ("lighting", "room"):
-        for label, group in more[by].items():
-            measures[by][label].update(group)
-    return measures
-
-
-def _coarse(columns: Mapping[str, NDArray], rows: NDArray[np.int64], map_frames: int) -> dict[str, Any]:
     names = ("error", "coarse_correct", "comparisons", "frames_compared", "error_perfect_coarse", "error_absolute")
-    error, right, compared, frames_compared, perfect, whole = (columns[name][rows] for name in names)
-    parts = {"given_right": error[right], "given_wrong": error[~right], "perfect_coarse": perfect, "absolute": whole}
-    return {
-        "coarse": {"accuracy": _mean(right), "correct": int(right.sum()), "queries": len(rows)},
-        **{name: {"queries": len(errors), "error": summarize(errors)} for name, errors in parts.items()},
-        "loss": _mean(error) / _mean(whole) - 1 if _mean(whole) > 0 else math.nan,
-        "comparisons": {
-            "mean": _mean(compared),
-            "max": int(compared.max(initial=0)),
-            "share": _mean(compared) / map_frames,
-            "frames_share": _mean(frames_compared) / map_frames,
-        },
-    }
 
+    def group(rows: NDArray[np.int64]) -> dict[str, Any]:
+        error, right, compared, frames_compared, perfect, whole = (columns[name][rows] for name in names)
+        parts = {"given_right": error[right], "given_wrong": error[~right], "perfect_coarse": perfect}
+        base = float(whole.mean())
+        return {
+            "coarse": {"accuracy": float(right.mean()), "correct": int(right.sum()), "queries": len(rows)},
+            **{
+                name: {"queries": len(errors), "error": summarize(errors)}
+                for name, errors in {**parts, "absolute": whole}.items()
+            },
+            "loss": float(error.mean()) / base - 1 if base > 0 else math.nan,
+            "comparisons": {
+                "mean": float(compared.mean()),
+                "max": int(compared.max()),
+                "share": float(compared.mean()) / map_frames,
+                "frames_share": float(frames_compared.mean()) / map_frames,
+            },
+        }
 
-def _mean(values: NDArray) -> float:
-    return float(values.mean()) if len(values) else math.nan
-
-
-def _listed(nodes: list[int]) -> str:
-    return " ".join(str(node) for node in nodes if node != UNASSIGNED)
+    return pose_measures(columns, radii, ks, map_frames, unit, group)
 
 
 @dataclass(frozen=True)
