@@ -23,7 +23,7 @@ from siamloc.models.describing import (
 )
 from siamloc.models.drive_figures import RECALL_RADIUS, DriveFigures
 from siamloc.models.network import Network
-from siamloc.models.network_stages import FrozenStages, comparing_weights, weights_by_stage
+from siamloc.models.network_stages import FrozenStages, stages
 from siamloc.models.registry import Optimizer
 from siamloc.models.weights import CONTENT_KEY, FORMAT_VERSION
 
@@ -63,12 +63,11 @@ class NetworkModule(LightningModule):
         self.optimizer = Optimizer() if optimizer is None else optimizer
         self._drive = DriveFigures(recall_radius)
         self.compiled: Callable[..., Any] | None = None  # calls a part of the network, compiled, if steps are compiled
-        self._by_stage = self.optimizer.frozen_stages > 0 or self.optimizer.stage_decay < 1
         self._frozen: FrozenStages | None = None
-        if self._by_stage and self.optimizer.frozen_stages >= (count := sum(map(bool, weights_by_stage(network)))):
+        if (frozen := self.optimizer.frozen_stages) and frozen >= (count := sum(map(bool, stages(network)))):
             raise ConfigError(
-                f"optimizer.frozen_stages={self.optimizer.frozen_stages} leaves nothing to train: the network has "
-                f"{count} stages, so freeze {count - 1} at most"
+                f"optimizer.frozen_stages={frozen} leaves nothing to train: the network has {count} stages, so freeze "
+                f"{count - 1} at most"
             )
 
     @property
@@ -129,41 +128,20 @@ class NetworkModule(LightningModule):
         fused = self.device.type in ("cpu", "cuda") or None  # one kernel for all weights where torch has one
         common: dict[str, Any] = {"lr": settings.learning_rate, "weight_decay": settings.weight_decay, "fused": fused}
         if settings.name == "sgd":
-            made: torch.optim.Optimizer = torch.optim.SGD(self._weights(), momentum=settings.momentum, **common)
+            made: torch.optim.Optimizer = torch.optim.SGD(self.parameters(), momentum=settings.momentum, **common)
         else:
             kind = torch.optim.Adam if settings.name == "adam" else torch.optim.AdamW
-            made = kind(self._weights(), betas=(settings.momentum, 0.999), **common)
+            made = kind(self.parameters(), betas=(settings.momentum, 0.999), **common)
         # Gradients of half precision are unscaled before they are clipped, and so not by the optimizer.
         made._step_supports_amp_scaling = False  # type: ignore[attr-defined]
         if settings.schedule == "constant":
             return made
         steps = max(int(self.trainer.estimated_stepping_batches), 2)
-        schedule: torch.optim.lr_scheduler.LRScheduler
-        if settings.schedule == "cosine":
-            schedule = torch.optim.lr_scheduler.LambdaLR(made, lambda step: cosine_share(step, steps, settings.warm_up))
-        else:
-            if math.isclose(steps * settings.warm_up, 1):
-                steps += 1  # torch divides by the steps after the first of the warm-up
-            rates = [group["lr"] for group in made.param_groups]
-            schedule = torch.optim.lr_scheduler.OneCycleLR(
-                made, rates, total_steps=steps, pct_start=float(settings.warm_up), cycle_momentum=False
-            )
+        if math.isclose(steps * settings.warm_up, 1):
+            steps += 1  # torch divides by the steps after the first of the warm-up
+        rate, warm_up = settings.learning_rate, float(settings.warm_up)
+        schedule = torch.optim.lr_scheduler.OneCycleLR(made, rate, steps, pct_start=warm_up, cycle_momentum=False)
         return {"optimizer": made, "lr_scheduler": {"scheduler": schedule, "interval": "step"}}
-
-    def _weights(self) -> Any:
-        """Return all weights, by stage with their learning rates if those differ; the loss goes with the head."""
-        if not self._by_stage:
-            return self.parameters()
-        of_network = set(self.network.parameters())
-        *stages, head = weights_by_stage(self.network)
-        stages.append([*head, *(weight for weight in self.parameters() if weight not in of_network)])
-        # A last stage that only compares images has the rate of the stage before it.
-        compares = {id(weight) for weight in comparing_weights(self.network)}
-        last = len(stages) - 1 - all(id(weight) in compares for weight in stages[-1])
-        decay = self.optimizer.stage_decay
-        rates = [self.optimizer.learning_rate * decay ** max(last - stage, 0) for stage in range(len(stages))]
-        groups = [{"params": weights, "lr": rate} for weights, rate in zip(stages, rates, strict=True)]
-        return groups[self.optimizer.frozen_stages :]
 
     def content(self) -> dict[str, Any]:
         """Describe in plain values what is trained: the network, the loss, its rooms, and the optimizer."""
@@ -226,27 +204,6 @@ class NetworkModule(LightningModule):
         rate = self.optimizer.learning_rate
         advice = f"train again with a smaller optimizer.learning_rate than {rate:g}"
         return ConfigError(f"the training diverged: {sign}; {advice}")
-
-
-def cosine_share(step: int, steps: int, warm_up: float) -> float:
-    """Compute the share of the full learning rate in a step: a linear rise, then half a cosine to almost 0.
-
-    With w whole steps of warm-up this is (t + 1) / (w + 1) in the steps t before w, and then
-    (1 + cos(pi (t - w) / (steps - w))) / 2.
-
-    Args:
-        step: t, from 0.
-        steps: of the whole training.
-        warm_up: share of the steps in which the learning rate rises.
-
-    Example:
-        >>> [round(cosine_share(step, steps=6, warm_up=0.4), 3) for step in range(6)]
-        [0.333, 0.667, 1.0, 0.854, 0.5, 0.146]
-    """
-    growing = int(warm_up * steps)
-    if step < growing:
-        return (step + 1) / (growing + 1)
-    return (1 + math.cos(math.pi * min((step - growing) / (steps - growing), 1))) / 2
 
 
 def name_of(thing: object) -> str:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable
+from itertools import chain
 from typing import Any
 
 from torch import nn
@@ -28,28 +29,13 @@ def stages(network: nn.Module) -> list[list[str]]:
         branch.features.0.weight ... 6
         head.layer.weight ... 2
     """
-    found = weights_by_stage(network)
-    names = {parameter: name for name, parameter in network.named_parameters()}
-    return [[names[parameter] for parameter in weights] for weights in found]
-
-
-def weights_by_stage(network: nn.Module) -> list[list[nn.Parameter]]:
-    """List the weights of a network by stage; `stages` lists their names.
-
-    Raises:
-        ConfigError: as `stages`.
-    """
-    found = [list(nn.ModuleList(parts).parameters()) for parts in _parts(network)]
-    counts = Counter(weight for weights in found for weight in weights)
-    for name, parameter in network.named_parameters():
-        count = counts.pop(parameter, 0)
-        if count != 1:
-            raise ConfigError(
-                f"the stages of {type(network).__name__} must hold every weight once, and {name} is in {count} of "
-                "them: let its property `stages` list all parts from the image to the descriptor"
-            )
-    if counts:
-        raise ConfigError(f"the stages of {type(network).__name__} hold {len(counts)} weights that are not its own")
+    names = {weight: name for name, weight in network.named_parameters()}
+    found = [[names.get(weight, "") for weight in nn.ModuleList(parts).parameters()] for parts in _parts(network)]
+    if Counter(chain(*found)) != Counter(names.values()):
+        raise ConfigError(
+            f"the stages of {type(network).__name__} must hold each of its weights once, and no others: let its "
+            "property `stages` list all parts from the image to the descriptor"
+        )
     return found
 
 
@@ -93,6 +79,6 @@ def _parts(network: nn.Module) -> list[list[nn.Module]]:
     if not all(isinstance(part, nn.Module) for parts in listed for part in parts) or not all(listed):
         raise ConfigError(
             f"{type(network).__name__} does not say its stages: give it a property `stages`, a list of its parts from "
-            "the image to the descriptor, or leave out optimizer.frozen_stages and optimizer.stage_decay"
+            "the image to the descriptor, or leave out optimizer.frozen_stages"
         )
     return listed

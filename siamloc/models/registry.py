@@ -112,14 +112,11 @@ class Optimizer(Settings):
         learning_rate: step size.
         momentum: of "sgd"; for the other two the decay of the first moment (beta 1).
         weight_decay: share of a weight that each step removes, times the learning rate.
-        schedule: "constant"; "one_cycle": the learning rate rises to `learning_rate` and falls to almost 0, each along
-            half a cosine, over the whole training ([Smith 2018]); or "cosine": it rises linearly and falls along half a
-            cosine ([Loshchilov 2017]).
+        schedule: "constant"; or "one_cycle": the learning rate rises to `learning_rate` and falls to almost 0, each
+            along half a cosine, over the whole training ([Smith 2018]).
         warm_up: share of the steps in which the learning rate rises.
         frozen_stages: number of stages, starting at the image, that are not trained, including the statistics of their
             batch normalizations; `siamloc.models.stages` lists the stages.
-        stage_decay: factor from the learning rate of a stage to that of the stage before it. The last stage, the head
-            if it has weights, has the full learning rate.
     """
 
     WHERE = "optimizer"
@@ -128,10 +125,9 @@ class Optimizer(Settings):
     learning_rate: Positive = 0.001
     momentum: BelowOne = 0.9
     weight_decay: NotNegative = 0.0
-    schedule: Literal["constant", "one_cycle", "cosine"] = "constant"
+    schedule: Literal["constant", "one_cycle"] = "constant"
     warm_up: BelowOne = 0.2
     frozen_stages: Natural = 0
-    stage_decay: Annotated[float, Rule("a number above 0, at most 1", lambda value: 0 < value <= 1)] = 1.0
 
 
 OPTIMIZERS: dict[str, tuple[Optimizer, str]] = {

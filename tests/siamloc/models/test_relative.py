@@ -333,15 +333,6 @@ def test_what_does_not_go_with_it_is_refused(network):
         PlaceModule(network).training_step(batch, 0)
 
 
-def test_branches_learn_at_the_rates_that_they_have_without_it():
-    rates = []
-    for relative in (False, True):
-        network = build("panoresnet", "magnitudes", SIZE, circular=True, relative=relative)
-        module = PlaceModule(network, optimizer=Optimizer(learning_rate=0.1, stage_decay=0.5))
-        rates.append([group["lr"] for group in module.configure_optimizers().param_groups])
-    assert rates[1] == [*rates[0], 0.1]
-
-
 def test_the_validation_tells_how_far_off_the_refined_poses_are():
     """The comparing part gets the truth from the parts themselves: displacement along the map frame's own axes."""
 

@@ -77,12 +77,12 @@ def test_a_training_learns_where_pictures_were_taken(train, images, drives, capf
     assert all(torch.equal(value, again[name]) for name, value in net.state_dict().items())
 
 
-@pytest.mark.parametrize("schedule", ["constant", "one_cycle", "cosine"])
+@pytest.mark.parametrize("schedule", ["constant", "one_cycle"])
 def test_a_resumed_training_is_the_one_that_never_stopped(train, drives, schedule):
     options = {"validation": drives[1], "average": 0.9, "clip": 1.0, "augmentation": "lighting", "epochs": 4}
     options["optimizer"] = {"name": "adamw", "schedule": schedule}
-    if schedule == "cosine":  # everything that changes with the training or with the stage
-        options["optimizer"] |= {"frozen_stages": 1, "stage_decay": 0.5}
+    if schedule == "one_cycle":  # everything that changes with the training
+        options["optimizer"] |= {"frozen_stages": 1}
         options["loss"] = siamloc.models.SoftContrastiveLoss(sigma_start=3.0)
     whole = train(run="whole", **options)
 
