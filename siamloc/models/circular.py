@@ -34,7 +34,7 @@ def circular(module: nn.Module) -> nn.Module:
     """Make all convolutions and pools of a module wrap around the azimuth, in place; names and weights stay.
 
     Returns:
-        The module, or the circular layer in its place if the module is itself a convolution or a pool.
+        The module.
 
     Example:
         >>> from torch import nn
@@ -44,31 +44,10 @@ def circular(module: nn.Module) -> nn.Module:
         >>> torch.allclose(turned, layer(panorama).roll(1, dims=3), atol=1e-6)
         True
     """
-    for name, part in module.named_children():
-        setattr(module, name, circular(part))
-    if type(module) is nn.Conv2d and isinstance(module.padding, tuple):
-        return _same_weights(
-            module,
-            CircularConv2d(
-                module.in_channels,
-                module.out_channels,
-                module.kernel_size,  # type: ignore[arg-type]
-                module.stride,  # type: ignore[arg-type]
-                module.padding,  # type: ignore[arg-type]
-                module.dilation,  # type: ignore[arg-type]
-                module.groups,
-                bias=module.bias is not None,
-                device="meta",
-            ),
-        )
-    if type(module) is nn.MaxPool2d:
-        return CircularMaxPool2d(module.kernel_size, module.stride, module.padding, ceil_mode=module.ceil_mode)
+    kinds = {nn.Conv2d: CircularConv2d, nn.MaxPool2d: CircularMaxPool2d}
+    for part in module.modules():
+        part.__class__ = kinds.get(type(part), type(part))
     return module
-
-
-def _same_weights(source: nn.Conv2d, target: nn.Conv2d) -> nn.Conv2d:
-    target.weight, target.bias = source.weight, source.bias
-    return target.train(source.training)
 
 
 def _wrapped(features: Tensor, kernel: int, stride: int, left: int, dilation: int = 1) -> Tensor:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import copy
+
 import pytest
 import torch
 import torch.nn.functional as F
@@ -33,7 +35,7 @@ def test_turning_the_panorama_turns_the_features(branch):
 def test_a_convolution_is_that_of_the_repeated_panorama(kernel, stride, padding):
     layer = nn.Conv2d(2, 3, kernel, stride, padding)
     image = torch.rand(1, 2, 16, 32)
-    wrapped = circular(layer)(image)
+    wrapped = circular(copy.deepcopy(layer))(image)
     # Far from the ends of three panoramas side by side the plain layer sees what the wrapped one sees.
     three = layer(torch.cat([image] * 3, dim=3))
     columns = 32 // stride
