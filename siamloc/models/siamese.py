@@ -83,7 +83,7 @@ class SiameseModule(NetworkModule):
         self.log_step(loss)
         return loss
 
-    def validation_step(self, batch: Mapping[str, Tensor], batch_index: int) -> None:
+    def validation_step(self, batch: Mapping[str, Tensor], batch_index: int, dataloader_idx: int = 0) -> None:
         """Add a batch of pairs to the validation statistics, or describe a batch of map frames and queries."""
         if "known" in batch:
             self.describe_drive(batch)

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sized
 from dataclasses import dataclass, replace
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 import torch
@@ -149,12 +148,12 @@ class PairDataModule(EpochDataModule):
         """Make the loader of the training batches."""
         return self.loader(self._batches(self.sampler, self.augmentation), self.next_epoch())
 
-    def val_dataloader(self) -> DataLoader[Any] | list[Any]:
-        """Make the loader of the validation batches; an empty list if there are no validation frames."""
+    def val_dataloader(self) -> list[DataLoader[Any]]:
+        """Make the loaders of the validation pairs and of the drive; an empty list without validation frames."""
         if self.validation_sampler is None:
             return []
-        pairs = self._batches(self.validation_sampler, None)
-        return self.loader(pairs if self._drive is None else _InTurn(pairs, self._drive), None)
+        parts = [self._batches(self.validation_sampler, None), *([] if self._drive is None else [self._drive])]
+        return [self.loader(part, None) for part in parts]
 
     def on_after_batch_transfer(self, batch: dict[str, Any], dataloader_idx: int) -> dict[str, Any]:
         """Gather and augment the images if that is done on the device, and part them into `first` and `second`."""
@@ -172,19 +171,3 @@ class PairDataModule(EpochDataModule):
     def _batches(self, sampler: PairSampler, augmentation: BatchAugmentation | None) -> PairBatches:
         panoramas = Panoramas(self.library, sampler.frames, self.numbers(augmentation))
         return PairBatches(panoramas, sampler, self._batch_size, augmentation, *self.share())
-
-
-@dataclass(eq=False)
-class _InTurn(Dataset[dict[str, Any]]):
-    """All batches of pairs, then those of a drive."""
-
-    pairs: PairBatches
-    drive: Dataset[Any]
-
-    def __len__(self) -> int:
-        return len(self.pairs) + len(cast(Sized, self.drive))
-
-    def __getitem__(self, number: tuple[int, int]) -> dict[str, Any]:
-        epoch, batch = number
-        before = len(self.pairs)
-        return self.pairs[number] if batch < before else self.drive[epoch, batch - before]

@@ -123,7 +123,7 @@ def test_a_plain_trainer_draws_new_pairs_in_every_epoch_also_after_resuming(libr
 def test_validation_pairs_share_label_and_scale(library):
     train, validation = library.frames.take(slice(0, 6)), library.frames.take(slice(6, None))
     data = PairDataModule(library, train, validation, pairs=PairSettings(label="distance"), batch_size=4)
-    batch = next(iter(data.val_dataloader()))
+    batch = next(iter(data.val_dataloader()[0]))
     first, second = torch.tensor(grey(batch["images"])).chunk(2)
     expected = torch.where(batch["same"], (first - second).abs() / data.sampler.scale, 1).clamp(max=1)
     torch.testing.assert_close(batch["label"], expected.float())
@@ -163,7 +163,7 @@ def test_augmentation_changes_training_images_only(library):
     data = PairDataModule(library, library.frames, library.frames, augmentation=augmentation, **options)
     plain = PairDataModule(library, library.frames, library.frames, **options)
     changed, as_it_was = (
-        [next(iter(one)) for one in (d.train_dataloader(), d.val_dataloader())] for d in (data, plain)
+        [next(iter(one)) for one in (d.train_dataloader(), *d.val_dataloader())] for d in (data, plain)
     )
     assert not torch.equal(changed[0]["images"], as_it_was[0]["images"])
     assert torch.equal(changed[1]["images"], as_it_was[1]["images"])
