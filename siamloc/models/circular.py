@@ -46,7 +46,8 @@ def circular(module: nn.Module) -> nn.Module:
     """
     kinds = {nn.Conv2d: CircularConv2d, nn.MaxPool2d: CircularMaxPool2d}
     for part in module.modules():
-        part.__class__ = kinds.get(type(part), type(part))
+        if type(part) in kinds and not isinstance(part.padding, str):  # "same" or "valid"
+            part.__class__ = kinds[type(part)]
     return module
 
 
