@@ -7,25 +7,11 @@ from collections.abc import Iterable, Sequence
 
 from foundation.errors import ConfigError, DataError, FormatError, SiamlocError, StorageError, hint
 
-__all__ = [
-    "ON_ERROR",
-    "ConfigError",
-    "DataError",
-    "FormatError",
-    "SiamlocError",
-    "StorageError",
-    "check_policy",
-    "hint",
-    "installing",
-    "lacking",
-    "leave_out",
-    "logger",
-]
+__all__ = ["ConfigError", "DataError", "FormatError", "SiamlocError", "StorageError", "hint"]
+
 logger = logging.getLogger("siamloc")
 
 ON_ERROR = ("skip", "raise")
-
-
 _OURS = ("siamloc", "analytic", "augment", "foundation")
 _EXTRAS = {"embreex": "simulate", "hydra_plugins": "sweeps", "aiohttp": "live"}
 
@@ -83,6 +69,6 @@ def check_known(values: Iterable[str], names: Iterable[str], where: str) -> None
     """
     before = f"{where}." if where else ""
     valid = sorted(f"{before}{name}" for name in names)
-    for key in values:
-        if f"{before}{key}" not in valid:
-            raise ConfigError(f"unknown configuration key {f'{before}{key}'!r}: {hint(f'{before}{key}', valid)}")
+    for key in (f"{before}{value}" for value in values):
+        if key not in valid:
+            raise ConfigError(f"unknown configuration key {key!r}: {hint(key, valid)}")

@@ -69,9 +69,9 @@ def errors(methods: Mapping[str, Measures], by: str = "lighting") -> list[Table]
     recall = {f"recall@1 {radius:g} {unit}": f"first.{i}" for i, radius in enumerate(radii)}
     columns: list[tuple[Column, Path]] = [
         (Column("mean", unit, 3, part="floor"), "error.mean"),
-        *_in(unit, 3, {"median": "error.median", "95 %": "error.p95", "floor": "floor.mean", "excess": "excess.mean"}),
+        *_as(3, {"median": "error.median", "95 %": "error.p95", "floor": "floor.mean", "excess": "excess.mean"}, unit),
         *_as("percent", {"hit rate": "hit_rate.0.rate", **recall}),
-        *_in("deg", 1, {"heading": "heading_error.mean"}),
+        *_as(1, {"heading": "heading_error.mean"}, "deg"),
         *_as("count", {"queries": "queries"}),
     ]
     notes = [f"map: {first['map_frames']:,} frames"]
@@ -122,7 +122,7 @@ def expected_errors(found: Measures) -> list[Table]:
     """Return the table of expected and true errors, and of the queries called lost: a row for each lighting."""
     unit = found["unit"]
     columns = [
-        *_in(unit, 3, {"expected, mean": "predicted", "true, mean": "observed", "gap": "gap"}),
+        *_as(3, {"expected, mean": "predicted", "true, mean": "observed", "gap": "gap"}, unit),
         *_as("count", {"called lost": "lost.called", "truly lost": "lost.lost"}),
         *_as("percent", {"precision": "lost.precision", "recall": "lost.recall"}),
         *_as("count", {"queries": "queries"}),
@@ -136,9 +136,9 @@ def nodes(found: Measures) -> list[Table]:
     unit = found["unit"]
     parts = {"perfect nodes": "perfect_coarse", "right node": "given_right", "wrong node": "given_wrong"}
     columns = [
-        *_in(unit, 3, {"mean": "error.mean", "whole map": "absolute.error.mean"}),
+        *_as(3, {"mean": "error.mean", "whole map": "absolute.error.mean"}, unit),
         *_as("percent", {"loss": "loss"}),
-        *_in(unit, 3, {name: f"{part}.error.mean" for name, part in parts.items()}),
+        *_as(3, {name: f"{part}.error.mean" for name, part in parts.items()}, unit),
         *_as("share", {"node found": ("coarse.correct", "coarse.queries")}),
         *_as(1, {"comparisons a query": "comparisons.mean"}),
         *_as("percent", {"frames compared": "comparisons.frames_share", "with nodes": "comparisons.share"}),
@@ -155,14 +155,14 @@ def mapping(found: Measures) -> list[Table]:
         *_as("share", {"frames in no node": ("unassigned.frames", "frames")}),
         *_as(3, {f"{points}, to the nearest node": "silhouette.nearest", f"{points}, pooled": "silhouette.pooled"}),
         *_as(3, {"silhouette of descriptors": "descriptor_silhouette"}),
-        *_in(f"{found['unit']}²", 3, {"moment of inertia": "inertia"}),
+        *_as(3, {"moment of inertia": "inertia"}, f"{found['unit']}²"),
         *_as("percent", {"purity by room": "purity.overall"}),
         *_as("count", {"frames with a room": "purity.frames"}),
         *_as("share", {closures: ("closures.right", "closures.closures")}),
         *_as("share", {"revisits that are closed": ("closures.closed", "closures.revisits")}),
         *_as("percent", {"F1 of loop closures": "closures.f1"}),
-        *_in("ms", 3, {f"time per frame, {name}": f"ms_per_frame.{key}" for name, key in _SPREAD.items()}),
-        *((Column(name, "bytes", "count"), f"bytes.{name}") for name in ("representatives", "descriptors")),
+        *_as(3, {f"time per frame, {name}": f"ms_per_frame.{key}" for name, key in _SPREAD.items()}, "ms"),
+        *_as("count", {name: f"bytes.{name}" for name in ("representatives", "descriptors")}, "bytes"),
     ]
     per_room = [*_as("percent", {"in a node of this room": "purity"}), *_as("count", {"frames": "frames"})]
     by_room = (((room,), one) for room, one in found["purity"]["room"].items())
@@ -178,10 +178,10 @@ def compact(found: Measures) -> list[Table]:
     lengths = {"mean": "error.mean", "median": "error.median", "floor": "floor", "in frames": "error_frames.mean"}
     columns = [
         *_as("count", {"nodes": "nodes"}),
-        *_in(unit, 3, lengths),
+        *_as(3, lengths, unit),
         *_as(3, {"silhouette": "silhouette", "inertia": "inertia"}),
-        (Column("search", "ms", "short"), "search_ms"),
-        *_in("s", 2, {"built in": "build_seconds"}),
+        *_as("short", {"search": "search_ms"}, "ms"),
+        *_as(2, {"built in": "build_seconds"}, "s"),
     ]
     lightings = found["lighting"] if len(found["lighting"]) > 1 else {}
     curves = {ALL: found["curves"], **lightings}
@@ -214,10 +214,10 @@ def robustness(found: Measures) -> list[Table]:
     """Return a table for each disturbance: a row for each method and level."""
     unit = found["unit"]
     columns = [
-        *_in(unit, 3, {"mean": "mean", "median": "median", "floor": "floor"}),
+        *_as(3, {"mean": "mean", "median": "median", "floor": "floor"}, unit),
         *_as("percent", {"hit rate": "hit_rate", f"within {found['radius']:g} {unit}": "share"}),
         *_as("count", {"queries within": "within"}),
-        *_in("deg", 1, {"heading": "heading", "by the nearest frame": "heading_nearest"}),
+        *_as(1, {"heading": "heading", "by the nearest frame": "heading_nearest"}, "deg"),
     ]
     made, last = [], found["disturbances"][-1]
     note = f"queries: {found['queries']:,} (one in {found['every']}), map: {found['map_frames']:,} frames"
@@ -235,7 +235,7 @@ def robustness(found: Measures) -> list[Table]:
 def cost(costs: Mapping[str, Measures]) -> list[Table]:
     """Return the table of the time a query takes and of the memory a map frame takes: a row for each method."""
     steps = ("describe", "rank", "search", "heading")
-    times = [(Column(step, "ms", "short"), f"{step}_ms") for step in steps]
+    times = _as("short", {step: f"{step}_ms" for step in steps}, "ms")
     columns = [*times, *_as("count", {"numbers": "numbers", "bytes": "bytes"})]
     rows = (((method,), taken) for method, taken in costs.items() if taken)
     return measured("cost", ("method",), columns, rows, "cost of a query, and size of a map frame")
@@ -258,14 +258,9 @@ def middle_recall(group: Measures | None) -> Measures | None:
     return first[len(first) // 2] if first else None
 
 
-def _in(unit: str, digits: int, paths: Mapping[str, Path]) -> list[tuple[Column, Path]]:
-    """Return columns of numbers in a unit, by their headings."""
-    return [(Column(name, unit, digits), path) for name, path in paths.items()]
-
-
-def _as(form: Form, paths: Mapping[str, Path]) -> list[tuple[Column, Path]]:
-    """Return columns without a unit, by their headings."""
-    return [(Column(name, form=form), path) for name, path in paths.items()]
+def _as(form: Form, paths: Mapping[str, Path], unit: str = "") -> list[tuple[Column, Path]]:
+    """Return columns of one form and unit, by their headings."""
+    return [(Column(name, unit, form), path) for name, path in paths.items()]
 
 
 def measured(

@@ -289,7 +289,7 @@ def _written(
 
 def _differences(
     graph: nn.Module, session: Any, path: str | Path, batches: Iterable[dict[str, NDArray[Any]]]
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """Return the largest difference between file and network, and the largest value, for each batch and output.
 
     Raises:
@@ -303,8 +303,8 @@ def _differences(
             shapes = [" and ".join(str(one.shape) for one in several) for several in (got, expected)]
             if shapes[0] != shapes[1]:
                 raise SiamlocError(f"{path} gives outputs of shape {shapes[0]} instead of {shapes[1]}: do not use it")
-            apart.append([float(np.abs(one - other).max()) for one, other in zip(got, expected, strict=True)])
-            values.append([float(np.abs(one).max()) for one in expected])
+            apart.append([np.abs(one - other).max() for one, other in zip(got, expected, strict=True)])
+            values.append([np.abs(one).max() for one in expected])
     return np.array(apart), np.array(values)
 
 
