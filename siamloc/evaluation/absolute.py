@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from siamloc.data.frames import FrameTable
 from siamloc.errors import ConfigError, DataError
-from siamloc.evaluation.columns import heading_errors, map_columns, require, room_names
+from siamloc.evaluation.columns import heading_errors, map_columns, room_names
 from siamloc.evaluation.metrics import (
     error_floor,
     first_rank_within,
@@ -50,18 +50,9 @@ def evaluate_absolute(
         ks: numbers of retrieved frames for the recall; the recall for 1 % of the map is always measured, too.
         headings: estimated headings of the queries (n,), rad; evaluated where the true heading is known.
         excluded: (n, m) map frames that a query was not compared with; the error floor leaves them out, too.
-
-    Raises:
-        DataError: frames without positions, or too few neighbours.
     """
-    radii, ks = tuple(map(float, radii)), tuple(ks)
-    for what, table in (("queries", frames), ("map frames", visual_map.frames)):
-        remedy = "leave them out, or add their positions"
-        require(table.has_position, table, f"{what} have no position (x, y)", remedy)
-    k = most_neighbours(neighbours(ks, len(visual_map)), len(visual_map), excluded)
-    if len(found) != len(frames) or found.indices.shape[1] < k:
-        raise DataError(f"the retrieval must hold {k} neighbours of {len(frames)} queries, got {found.indices.shape}")
-    known = visual_map.frames
+    radii, ks, known = tuple(map(float, radii)), tuple(ks), visual_map.frames
+    k = most_neighbours(neighbours(ks, len(known)), len(known), excluded)
     columns = _columns(known, frames, found, excluded)
     if headings is not None:
         columns["est_theta"] = np.asarray(headings, dtype=np.float64)
@@ -82,15 +73,8 @@ def evaluate_absolute(
 
 
 def with_baseline(result: Result, name: str, baseline: Result) -> Result:
-    """Return a result that also has the errors of another method on the same queries.
-
-    Raises:
-        DataError: the baseline was evaluated on other queries.
-    """
-    own, other = result.tables["queries"], baseline.tables["queries"]
-    if not np.array_equal(own["path"], other["path"]):
-        raise DataError(f"baseline {name!r} answered other queries than the result it is compared with")
-    columns = {**own, f"baseline_{name}": other["error"]}
+    """Return a result that also has the errors of another method on the same queries."""
+    columns = {**result.tables["queries"], f"baseline_{name}": baseline.tables["queries"]["error"]}
     held = result.parts["absolute"]
     parts = {
         **result.parts,
@@ -220,7 +204,7 @@ def estimate_columns(
         `<name>_heading_error` in degrees, NaN if one of the two headings is unknown.
 
     Raises:
-        DataError: arrays that do not match each other, or unknown positions.
+        DataError: unknown positions.
     """
     xy = np.asarray(estimated_xy, dtype=np.float64)
     error = localization_error(xy, frames.xy)

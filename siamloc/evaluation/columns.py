@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from siamloc.data.frames import FrameTable
-from siamloc.errors import DataError
 from siamloc.evaluation.metrics import confusion_matrix, heading_error
 from siamloc.maps.error_model import ErrorModel
 from siamloc.maps.refinement import RefinedPoses
@@ -66,34 +65,11 @@ def confusions(columns: Mapping[str, NDArray], what: str, labels: Sequence[str])
 
 
 def heading_errors(estimated: ArrayLike, frames: FrameTable) -> NDArray[np.float64]:
-    """Return the errors of headings (n,) in degrees; NaN if the estimated or the true heading is unknown.
-
-    Raises:
-        DataError: not one heading for each frame.
-    """
+    """Return the errors of headings (n,) in degrees; NaN if the estimated or the true heading is unknown."""
     theta = np.asarray(estimated, dtype=np.float64)
-    if theta.shape != (len(frames),):
-        raise DataError(f"{len(frames)} queries need as many headings, got shape {theta.shape}")
     known, error = np.isfinite(theta) & np.isfinite(frames.theta), np.full(len(frames), np.nan)
     error[known] = np.degrees(heading_error(theta[known], frames.theta[known]))
     return error
-
-
-def require(has: NDArray[np.bool_], frames: FrameTable, what: str, remedy: str) -> None:
-    """Check that all frames have what a measure needs.
-
-    Args:
-        has: which of the frames have it (n,).
-        frames: the frames (n).
-        what: what is missing, and of which frames, such as "queries have no position (x, y)".
-        remedy: what to do.
-
-    Raises:
-        DataError: some frames do not have it.
-    """
-    if not has.all():
-        first = frames.path[np.flatnonzero(~has)[0]]
-        raise DataError(f"{int((~has).sum())} of {len(has)} {what}, the first is {first}: {remedy}")
 
 
 def located_columns(

@@ -196,9 +196,6 @@ def evaluate_hierarchical(
         radii: radii of the recall, in units of x and y.
         ks: numbers of retrieved frames for the recall.
         headings: estimated headings of the queries (n,), rad; evaluated where the true heading is known.
-
-    Raises:
-        DataError: as for `evaluate_absolute`.
     """
     base = evaluate_absolute(visual_map, frames, found.found, radii, ks, headings)
     known = visual_map.frames.xy

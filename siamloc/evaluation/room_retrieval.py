@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from siamloc.data.frames import FrameTable
-from siamloc.evaluation.columns import confusions, map_columns, require, room_names
+from siamloc.evaluation.columns import confusions, map_columns, room_names
 from siamloc.evaluation.metrics import pair_accuracy, pair_dissimilarity, pair_threshold_curve
 from siamloc.evaluation.result import Result
 from siamloc.maps.search import Retrieval
@@ -135,13 +135,7 @@ def evaluate_rooms(
         found: the nearest map frames of each query, `neighbours(m)` or fewer: then top-k and average precision use only
             these.
         excluded: (n, m) map frames that a query was not compared with.
-
-    Raises:
-        DataError: frames without room labels.
     """
-    for what, table in (("queries", frames), ("map frames", visual_map.frames)):
-        remedy = "room retrieval needs one for every frame"
-        require(table.room != "", table, f"{what} have no room label", remedy)
     match = found.indices[:, 0]
     room, known = room_names(frames, visual_map.frames)
     predicted = known[match]

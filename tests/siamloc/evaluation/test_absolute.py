@@ -16,7 +16,7 @@ from siamloc.evaluation.absolute import (
 )
 from siamloc.evaluation.columns import located_columns
 from siamloc.evaluation.localize import Localization
-from siamloc.maps import Retrieval, VisualMap
+from siamloc.maps import Retrieval
 from tests.siamloc.evaluation import scenes
 from tests.siamloc.evaluation.scenes import evaluate_absolute
 
@@ -108,9 +108,6 @@ def test_a_given_retrieval_is_used() -> None:
     found = known.search(scenes.describe(queries, seed=2), 20)
     again = absolute.evaluate_absolute(known, queries, found, RADII, KS)
     assert again.parts["absolute"] == result.parts["absolute"]
-    short = known.search(scenes.describe(queries), 1)
-    with pytest.raises(DataError, match=r"must hold 10 neighbours of 80 queries, got \(80, 1\)"):
-        absolute.evaluate_absolute(known, queries, short, RADII, KS)
 
 
 def on_a_path(name: str, n: int, **columns: object) -> FrameTable:
@@ -154,9 +151,6 @@ def test_a_baseline_is_measured_on_the_same_queries() -> None:
     noisy = evaluate_absolute(known, vectors, queries, RADII, KS)
     measures = with_baseline(result, "thumbnail", noisy).parts["absolute"]
     assert measures["overall"]["baselines"]["thumbnail"]["error"] == noisy.parts["absolute"]["overall"]["error"]
-    other = evaluate_absolute(known, vectors[::-1], queries.take(slice(None, None, -1)))
-    with pytest.raises(DataError, match="baseline 'hog' answered other queries"):
-        with_baseline(result, "hog", other)
 
 
 @pytest.mark.parametrize(
@@ -174,21 +168,7 @@ def test_groups_have_the_labels_of_the_queries(columns: dict, labels: dict) -> N
     assert ("lighting" in columns) == (measures["lighting"] == {})
 
 
-def test_errors() -> None:
-    known, queries = scenes.visual_map(20), scenes.frames(2, 6)
-    descriptors = scenes.describe(queries)
-    unknown = queries.with_columns(x=np.array([0, np.nan, 1, np.nan, 2, 3]))
-    lost = VisualMap(known.descriptors, known.frames.with_columns(y=np.full(20, np.nan)))
-    for arguments, says in (
-        (
-            (known, descriptors, unknown),
-            r"2 of 6 queries have no position \(x, y\), the first is run2/0001.*leave them",
-        ),
-        ((lost, descriptors, queries), "20 of 20 map frames have no position"),
-        ((known, descriptors[:5], queries), r"must hold 20 neighbours of 6 queries, got \(5, 20\)"),
-    ):
-        with pytest.raises(DataError, match=says):
-            evaluate_absolute(*arguments)
+def test_radii_and_ks_out_of_range() -> None:
     for wrong in ((), (-1,), (1, 1), (math.inf,)):
         with pytest.raises(ConfigError, match=r"task\.radii|needs radii"):
             Localization(radii=wrong)
@@ -238,9 +218,7 @@ def test_queries_without_a_pose_are_listed_with_their_estimates() -> None:
     assert not {"error", "floor", "x"} & set(columns)
 
 
-def test_estimates_of_another_number_of_queries_are_refused() -> None:
+def test_unknown_estimates_are_refused() -> None:
     queries = scenes.frames(2, 5)
-    with pytest.raises(DataError, match="as many headings"):
-        estimate_columns("it", queries.xy, queries, [0.0])
     with pytest.raises(DataError, match="positions"):
         estimate_columns("it", np.full((5, 2), np.nan), queries)
