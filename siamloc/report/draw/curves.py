@@ -52,13 +52,8 @@ def compact_curves(measures: Mapping[str, Any]) -> Picture:
 
     Args:
         measures: `measures.compact` of `results.json`.
-
-    Raises:
-        DataError: no compact map.
     """
     curves, unit = measures["curves"], measures["unit"]
-    if not curves:
-        raise DataError("there is nothing to draw: the results hold no compact map")
     figure, (errors, shape, took) = panels(3, 3.2, 3.9, width_ratios=[1.5, 1, 1])
     top = 0.0
     for i, way in enumerate(dict.fromkeys(one["way"] for one in curves)):
@@ -114,13 +109,8 @@ def robustness_curves(measures: Mapping[str, Any]) -> Picture:
 
     Args:
         measures: `measures.robustness` of `results.json`.
-
-    Raises:
-        DataError: no disturbances or methods.
     """
     kinds, methods, unit = measures["disturbances"], measures["methods"], measures["unit"]
-    if not kinds or not methods:
-        raise DataError("there is nothing to draw: the results hold no disturbance or no method")
     entries = [entry for curves in methods.values() for one in curves.values() for entry in one]
     names = [f"error [{unit}]", f"within {measures['radius']:g} {unit} [%]", "heading [deg]\ndashed: nearest"]
     keys = (("mean", "median"), ("share",), ("heading", "heading_nearest"))

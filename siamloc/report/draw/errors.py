@@ -21,7 +21,6 @@ from siamloc.report.draw.look import (
     lighting_colours,
     method_look,
     panels,
-    require_rows,
     scale_errors,
     shared_legend,
     style,
@@ -56,16 +55,12 @@ def error_curve(columns: Mapping[str, NDArray], unit: str = "m", name: str = "me
         unit: of the errors.
         name: name of what was measured, for the legend.
 
-    Raises:
-        DataError: no queries.
-
     Example:
         >>> columns = {"error": np.array([0.1, 0.4]), "floor": np.zeros(2), "lighting": np.array(["night", "night"])}
         >>> figure = error_curve(columns)
         >>> [text.get_text() for text in figure.axes[0].get_legend().get_texts()]
         ['night: 0.25 m', 'floor: 0.00 m']
     """
-    require_rows(columns)
     error, floor, groups = columns["error"], columns["floor"], rows_by_label(columns["lighting"])
     curves: list[Curve] = [(_ALL, error, method_look(0))] if len(groups) != 1 else []
     for (label, rows), colour in zip(groups.items(), lighting_colours(groups), strict=True):
@@ -87,11 +82,7 @@ def estimate_curve(columns: Mapping[str, NDArray], estimate: str, unit: str = "m
         columns: of `queries.csv`: error, floor, lighting, `<estimate>_error`.
         estimate: name of the estimate, such as "filtered".
         unit: of the errors.
-
-    Raises:
-        DataError: no queries.
     """
-    require_rows(columns)
     error, other, floor = columns["error"], columns[f"{estimate}_error"], columns["floor"]
     groups = rows_by_label(columns["lighting"]) or {_ALL: np.arange(len(error))}
     single = {"color": SERIES[5], "linestyle": DASHES[1], "zorder": 3}
@@ -109,11 +100,7 @@ def compared_curves(tables: Mapping[str, Mapping[str, NDArray]], unit: str = "m"
     Args:
         tables: columns of `queries.csv` by the name of the evaluation: error, floor, lighting.
         unit: of all errors.
-
-    Raises:
-        DataError: an evaluation without queries.
     """
-    require_rows(*tables.values())
     lightings = {title: rows_by_label(columns["lighting"]) for title, columns in tables.items()}
     labels = list(dict.fromkeys(label for rows in lightings.values() for label in rows))
     order = [SERIES[i] for i in (0, 5, 3, 2, 1, 4, 6, 7)]

@@ -15,7 +15,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patheffects import withStroke
 from numpy.typing import NDArray
 
-from siamloc.report.draw.look import PALE, PAPER, SOFT, TEXT, Picture, lighting_colours, panels, require_rows, style
+from siamloc.report.draw.look import PALE, PAPER, SOFT, TEXT, Picture, lighting_colours, panels, style
 from siamloc.results import rows_by_label
 
 Table = Mapping[str, NDArray]
@@ -35,11 +35,7 @@ def floor_plan(columns: Table, map_columns: Table, unit: str = "m") -> Picture:
         columns: of `queries.csv`: x, y, est_x, est_y, error, floor, lighting.
         map_columns: of `map.csv`: x, y, room.
         unit: of x and y.
-
-    Raises:
-        DataError: no queries or no map frames.
     """
-    require_rows(columns, map_columns)
     groups = rows_by_label(columns["lighting"]) or {"": np.arange(len(columns["error"]))}
     axis = along(columns, map_columns)
     if axis is None:

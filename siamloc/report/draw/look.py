@@ -16,7 +16,6 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from foundation.files import atomic_path
-from siamloc.errors import DataError
 
 # In dark mode the page's style sheet replaces these colours with others. So white that has to stay white, such as a
 # number on a dark dot, and the colours of nodes differ from them, if only by an invisible shade.
@@ -211,14 +210,3 @@ def scale_errors(
 def column(entries: Sequence[Mapping[str, Any]], name: str) -> NDArray[np.float64]:
     """Return a measure of several entries (n,), NaN if unknown."""
     return np.array([entry[name] for entry in entries], dtype=np.float64)
-
-
-def require_rows(*tables: Mapping[str, NDArray]) -> None:
-    """Check that there is something to draw.
-
-    Raises:
-        DataError: a table without rows.
-    """
-    for columns in tables:
-        if not len(next(iter(columns.values()))):
-            raise DataError("there is nothing to draw: the table has no rows")

@@ -12,7 +12,7 @@ from matplotlib.collections import LineCollection
 from matplotlib.lines import Line2D
 from numpy.typing import ArrayLike, NDArray
 
-from siamloc.errors import DataError, FormatError
+from siamloc.errors import FormatError
 from siamloc.report.draw.floor_plan import along
 from siamloc.report.draw.look import INK, Picture, panels, style
 from siamloc.report.draw.node_colours import NO_NODE, ink, neighbouring, node_colours
@@ -103,13 +103,8 @@ def nodes_on_plan(plan: NodePlan) -> Picture:
     """Draw frames coloured by node, with the graph of the nodes and the loop closures on top.
 
     Frames that lie on a line are drawn along it, one row of the plot for each node, without loop closures.
-
-    Raises:
-        DataError: no frames or no nodes.
     """
     k = len(plan.places)
-    if not len(plan.node) or not k:
-        raise DataError("there is nothing to draw: the map has no frames or no nodes")
     line, frames, places = along(dict(zip("xy", plan.xy.T, strict=True))), plan.xy, plan.places
     size, margin = plan_size(plan.xy), (0.9, 1.15)
     if line is not None:

@@ -10,7 +10,6 @@ from matplotlib.axes import Axes
 from matplotlib.patches import Rectangle
 from numpy.typing import ArrayLike, NDArray
 
-from siamloc.errors import DataError
 from siamloc.report.draw.look import GRID, INK, PAPER, SERIES, SOFT, Picture, panels, style
 
 _CELL = 0.52  # inches; room for a share and a count
@@ -30,9 +29,6 @@ def confusion(
         missing: rooms that the map lacks; they are marked.
         what: kind of the classes.
 
-    Raises:
-        DataError: no labels, no counts, or counts of another shape.
-
     Example:
         >>> figure = confusion(["kitchen", "office"], {"night": [[3, 1], [0, 4]]})
         >>> figure.axes[0].get_title("left")
@@ -40,9 +36,6 @@ def confusion(
     """
     n = len(labels)
     matrices = {title: np.asarray(part) for title, part in counts.items()}
-    shapes = [part.shape for part in matrices.values()]
-    if not n or not matrices or any(shape != (n, n) for shape in shapes):
-        raise DataError(f"a confusion matrix of {n} {what}s needs counts of shape ({n}, {n}), got {shapes}")
     cell = _CELL if len(matrices) == 1 else 0.8 * _CELL
     side = float(np.clip(cell * n, 1.5, _LARGEST if len(matrices) == 1 else 4.0))
     fits = side / n >= 0.36

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from siamloc.data.frames import FrameTable
-from siamloc.errors import DataError, FormatError
+from siamloc.errors import FormatError
 from siamloc.evaluation.absolute import with_baseline
 from siamloc.maps import VisualMap
 from siamloc.report.draw import pictures, save_all
@@ -201,5 +201,3 @@ def test_drawing_leaves_the_users_settings_alone() -> None:
 def test_errors(tmp_path: Path) -> None:
     with pytest.raises(FormatError, match="does not exist"):
         save_all(tmp_path)
-    with pytest.raises(DataError, match="nothing to draw"):
-        error_curve({"error": np.empty(0)})
