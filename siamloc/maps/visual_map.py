@@ -264,17 +264,12 @@ class VisualMap:
         """
         if heading is None:
             return self if self.heading_descriptor is None else replace(self, orientation=None, heading=None)
-        held, wanted = self.heading, plain(heading.identity)
-        if held == wanted:
+        wanted = plain(heading.identity)
+        if self.heading == wanted:
             return self
-        if held is None:
-            found = "holds nothing to find headings by"
-        else:
-            keys = [key for key in {**held, **wanted} if held.get(key) != wanted.get(key)]
-            said = [f"{key}={held.get(key)} instead of {wanted.get(key)}" for key in keys]
-            found = f"gives headings by {held['name']}" + (
-                f", not by {heading.name}" if "name" in keys else f" with {', '.join(said)}"
-            )
+        found = "holds nothing to find headings by"
+        if self.heading is not None:
+            found = f"finds headings in another way: {_differences(self.heading, wanted)}"
         raise ConfigError(
             f"the map {found}: make it again with `siamloc map heading={heading.name}` and the same heading keys, or "
             "evaluate with heading=none"
@@ -321,10 +316,7 @@ class VisualMap:
         Raises:
             ConfigError: another descriptor; the message lists the keys that differ, with both values.
         """
-        ours, theirs = _flat(self.identity), _flat(plain(dict(identity)))
-        keys = [key for key in {**ours, **theirs} if ours.get(key, _ABSENT) != theirs.get(key, _ABSENT)]
-        if ours and keys:
-            listed = "; ".join(f"{key} is {_shown(ours, key)} in the map, {_shown(theirs, key)} here" for key in keys)
+        if self.identity and (listed := _differences(self.identity, plain(dict(identity)))):
             raise ConfigError(
                 f"the map was described differently from the queries: {listed}. "
                 "Describe the queries with the map's model, or build the map again"
@@ -359,9 +351,6 @@ class VisualMap:
         """
         loaded = read_map(path, cls)
         return loaded if descriptor is None else loaded.with_descriptor(descriptor)
-
-
-_ABSENT = object()
 
 
 def _own(array: NDArray, given: Any) -> NDArray:
@@ -403,8 +392,14 @@ def _flat(value: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
     return flat
 
 
-def _shown(identity: Mapping[str, Any], key: str) -> str:
-    return repr(identity[key]) if key in identity else "absent"
+def _differences(ours: Mapping[str, Any], theirs: Mapping[str, Any]) -> str:
+    """Return a text with the keys in which two identities differ, and their values; empty if there are none."""
+    ours, theirs = ({key: repr(item) for key, item in _flat(one).items()} for one in (ours, theirs))
+    return "; ".join(
+        f"{key} is {ours.get(key, 'absent')} in the map, {theirs.get(key, 'absent')} here"
+        for key in {**ours, **theirs}
+        if ours.get(key) != theirs.get(key)
+    )
 
 
 def _check_distance(name: str, width: int) -> None:
