@@ -20,7 +20,6 @@ from foundation.columns import Rows
 from foundation.settings import Positive, Probability
 from siamloc.data.frames import FrameTable
 from siamloc.errors import ConfigError, DataError
-from siamloc.maps.coarse import UNASSIGNED
 from siamloc.maps.matching import frame_distances
 from siamloc.maps.visual_map import VisualMap
 
@@ -37,8 +36,6 @@ class Track(Rows):
         frame: (n,) the most probable map frame, the smallest row of equally probable ones.
         probability: (n,) probability of the most probable frame.
         spread: (n,) root mean square distance of the belief from that frame, in units of x and y.
-        node: (n,) the most probable node, -1 for no node; None if the filter has no nodes.
-        node_probability: (n,) probability of the most probable node; None if the filter has no nodes.
         xy: (n, 2) position between map frames: the mean of the belief within a radius of the most probable frame; None
             if no radius was given.
     """
@@ -46,8 +43,6 @@ class Track(Rows):
     frame: NDArray[np.int64]
     probability: NDArray[np.float64]
     spread: NDArray[np.float64]
-    node: NDArray[np.int64] | None = None
-    node_probability: NDArray[np.float64] | None = None
     xy: NDArray[np.float64] | None = None
 
 
@@ -63,28 +58,17 @@ class SequenceFilter:
         motion: motion model of a robot in this map (m frames).
         temperature: of the softmax, in units of the descriptor distance; see `temperature_of_map`.
         kidnapping: probability that the robot could be anywhere, in (0, 1).
-        labels: (m,) the node of each frame, -1 for none; given to report nodes as well.
 
     Attributes:
         belief: (m,) probability of each map frame after the last query; uniform at first.
 
     Raises:
         ConfigError: a temperature or probability out of range.
-        DataError: not one label for each map frame.
     """
 
     @typed
-    def __init__(
-        self,
-        motion: MotionModel,
-        temperature: Positive,
-        kidnapping: Probability = 1e-3,
-        labels: ArrayLike | None = None,
-    ) -> None:
+    def __init__(self, motion: MotionModel, temperature: Positive, kidnapping: Probability = 1e-3) -> None:
         self.motion, self.temperature, self.kidnapping = motion, float(temperature), float(kidnapping)
-        self._labels = None if labels is None else np.asarray(labels, dtype=np.int64)
-        if self._labels is not None and self._labels.shape != (len(motion),):
-            raise DataError(f"{len(motion)} map frames need as many labels, got shape {self._labels.shape}")
         self.reset()
 
     def reset(self) -> None:
@@ -129,8 +113,8 @@ class SequenceFilter:
             raise DataError(
                 f"{len(names)} queries need distances of shape ({len(names)}, {len(self.motion)}), got {apart.shape}"
             )
-        frame, node = np.zeros(len(names), dtype=np.int64), np.zeros(len(names), dtype=np.int64)
-        probability, spread, in_node = np.zeros(len(names)), np.zeros(len(names)), np.zeros(len(names))
+        frame = np.zeros(len(names), dtype=np.int64)
+        probability, spread = np.zeros(len(names)), np.zeros(len(names))
         xy = None if radius is None else np.zeros((len(names), 2))
         for name in dict.fromkeys(names.tolist()):
             self.reset()
@@ -140,13 +124,8 @@ class SequenceFilter:
                 probability[row], spread[row] = belief[best], self._spread(best)
                 if xy is not None and radius is not None:
                     xy[row] = self._between(best, radius)
-                if self._labels is not None:
-                    mass = np.bincount(self._labels - UNASSIGNED, belief)
-                    node[row], in_node[row] = mass.argmax() + UNASSIGNED, mass.max()
         self.reset()
-        if self._labels is None:
-            return Track(frame, probability, spread, xy=xy)
-        return Track(frame, probability, spread, node, in_node, xy)
+        return Track(frame, probability, spread, xy)
 
     def _between(self, frame: int, radius: float) -> NDArray[np.float64]:
         offset = self.motion.xy - self.motion.xy[frame]

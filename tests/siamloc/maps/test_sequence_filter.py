@@ -47,8 +47,7 @@ def test_the_filter_equals_the_naive_forward_algorithm(seed: int, kidnapping: fl
     motion = MotionModel.learn(known, step=float(rng.uniform(0.1, 2)))
     table = oracle.transitions(known.xy.tolist(), motion.step, motion.spacing)
     distances, sequence = rng.uniform(0, 3, (12, 9)), np.array(["a"] * 5 + ["b"] * 7)
-    labels = rng.integers(-1, 3, 9)
-    track = SequenceFilter(motion, temperature, kidnapping, labels).run(distances, sequence)
+    track = SequenceFilter(motion, temperature, kidnapping).run(distances, sequence)
     expected = [
         belief
         for part in (slice(0, 5), slice(5, 12))
@@ -60,13 +59,6 @@ def test_the_filter_equals_the_naive_forward_algorithm(seed: int, kidnapping: fl
         best = known.xy[track.frame[i]]
         squares = [p * math.dist(xy, best) ** 2 for p, xy in zip(expected[i], known.xy, strict=True)]
         assert track.spread[i] == pytest.approx(math.sqrt(math.fsum(squares)))
-        mass = {
-            node: sum(p for p, own in zip(expected[i], labels, strict=True) if own == node) for node in range(-1, 3)
-        }
-        assert track.node is not None
-        assert track.node_probability is not None
-        assert track.node[i] == max(mass, key=lambda node: mass[node])
-        assert track.node_probability[i] == pytest.approx(max(mass.values()))
 
 
 def test_transitions_are_probabilities_that_fall_with_the_distance_both_ways() -> None:
@@ -215,8 +207,6 @@ def test_errors() -> None:
         SequenceFilter(motion, 0)
     with pytest.raises(ConfigError, match="kidnapping must be a number between 0 and 1, got 0"):
         SequenceFilter(motion, 1, 0)
-    with pytest.raises(DataError, match="4 map frames need as many labels"):
-        SequenceFilter(motion, 1, labels=[0, 1])
     for wrong in ([0.0, 1, 2, math.nan], [0.0, 1, 2, -math.inf], [math.inf] * 4, [0.0, 1, 2]):
         with pytest.raises(DataError, match="a query needs 4 distances to the map"):
             SequenceFilter(motion, 1).step(wrong)
