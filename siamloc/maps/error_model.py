@@ -34,7 +34,7 @@ def ratio_score(found: Retrieval, map_xy: NDArray[np.float64], radius: float) ->
     the query. If all neighbours lie within the radius, the largest descriptor distance among them replaces the missing
     one: the score is then too high rather than too low.
     """
-    apart = _from_best(found, map_xy)
+    apart = np.hypot(*(map_xy[found.indices] - map_xy[found.indices[:, :1]]).transpose(2, 0, 1))
     known = np.isfinite(found.distances)
     other = np.where((apart > radius) & known, found.distances, np.inf).min(axis=1)
     last = np.where(known, found.distances, -np.inf).max(axis=1)
@@ -283,9 +283,3 @@ class ErrorModel(Learned):
         if self.lost_above is None:
             raise ConfigError("the error model has no threshold of being lost: learn it again with task.lost_above")
         return np.asarray(expected) > self.lost_above
-
-
-def _from_best(found: Retrieval, map_xy: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return how far each match lies from the best one (n, k)."""
-    offset = map_xy[found.indices] - map_xy[found.indices[:, :1]]
-    return np.hypot(offset[..., 0], offset[..., 1])

@@ -100,13 +100,8 @@ def rank_by_vote(found: Retrieval, labels: ArrayLike, candidates: int = 1, compa
         labels: (m,) the node of each frame of the coarse map.
         candidates: number of nodes to keep.
         compared: number of descriptors compared for one query; m if None.
-
-    Raises:
-        DataError: retrieved frames that have no label.
     """
-    node = _labels(labels)
-    if found.indices.size and (found.indices.min() < 0 or found.indices.max() >= len(node)):
-        raise DataError(f"the votes must come from the {len(node)} frames that have labels, rows 0 to {len(node) - 1}")
+    node = np.asarray(labels)
     n, k = found.indices.shape
     total = max(int(node.max()) + 1, 1)
     kept = np.full((n, min(candidates, total)), UNASSIGNED, dtype=np.int64)
@@ -128,13 +123,10 @@ def rank_by_position(query_xy: ArrayLike, map_xy: ArrayLike, labels: ArrayLike) 
         labels: (m,) the node of each map frame.
 
     Raises:
-        DataError: arrays of different lengths, or a position that is not finite.
+        DataError: a position that is not finite.
     """
-    node, index = _labels(labels), VectorIndex(map_xy)
-    if len(node) != len(index):
-        raise DataError(f"{len(index)} map frames need as many labels, got {len(node)}")
-    closest = index.search(query_xy)
-    return NodeRanking(node[closest.indices], np.zeros(len(closest), dtype=np.int64))
+    closest = VectorIndex(map_xy).search(query_xy)
+    return NodeRanking(np.asarray(labels)[closest.indices], np.zeros(len(closest), dtype=np.int64))
 
 
 def _elected(votes: NDArray[np.int64], total: int, k: int) -> NDArray[np.int64]:
@@ -147,10 +139,3 @@ def _elected(votes: NDArray[np.int64], total: int, k: int) -> NDArray[np.int64]:
     np.minimum.at(first, (row, node), place)
     order = np.argsort(first - count * (k + 1), axis=1, kind="stable")
     return np.where(np.take_along_axis(count, order, axis=1) > 0, order, UNASSIGNED)
-
-
-def _labels(labels: ArrayLike) -> NDArray[np.int64]:
-    node = np.asarray(labels)
-    if node.ndim != 1 or not len(node) or node.dtype.kind not in "iu" or (node < UNASSIGNED).any():
-        raise DataError(f"labels must be whole numbers of shape (m,), -1 or more, got {node.dtype} {node.shape}")
-    return node.astype(np.int64, copy=False)

@@ -80,10 +80,6 @@ def test_equal_x_and_different_y() -> None:
     ("call", "message"),
     [
         (lambda: rank_by_representatives([[0.0, 1]], [[0.0]], 1), "2 values each"),
-        (lambda: rank_by_vote(ONE, [], 1), "labels must be whole numbers"),
-        (lambda: rank_by_vote(ONE, [0.0], 1), "labels must be whole numbers"),
-        (lambda: rank_by_vote(Retrieval(np.array([[3]]), np.zeros((1, 1))), [0, 0]), "rows 0 to 1"),
-        (lambda: rank_by_position([[0.0, 0]], [[0.0, 0]], [0, 1]), "1 map frames need as many labels"),
         (lambda: rank_by_position([[0.0, np.nan]], [[0.0, 0]], [0]), "not finite"),
         (lambda: NodeRanking(np.array([[1, 1]]), np.array([2])), "names a node twice"),
         (lambda: NodeRanking(np.array([[1, 0]]), np.array([2, 2])), r"got int64 \(1, 2\) and int64 \(2,\)"),
