@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike, NDArray
 from analytic import Description, Descriptor
 from analytic.alignment import moments
 from analytic.descriptors.base import AlignedDescriptor
-from siamloc.maps.search import Retrieval, check_excluded, check_neighbours, slices
+from siamloc.maps.search import Retrieval, check_excluded, slices
 
 _VALUES = 1 << 22  # of some frames, compared at once: 16 MiB, and as much for their spectra
 
@@ -54,7 +54,7 @@ class AlignedIndex:
                 fewer than k frames that are not excluded.
         """
         m = len(self) if within is None else len(within)
-        k = min(check_neighbours(k), m)
+        k = min(k, m)
         apart = self.distances(queries, within)
         if excluded is not None:
             apart = np.where(check_excluded(excluded, (len(queries), len(self)), k), np.inf, apart)

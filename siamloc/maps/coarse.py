@@ -136,10 +136,6 @@ class CoarseLayer:
         layer = cls.of_labels(known, labels, names, {"name": "rooms"})
         return replace(layer, classifier=naming(known, layer))
 
-    def members(self, node: int) -> NDArray[np.int64]:
-        """Return the rows of the map that are in a node."""
-        return np.flatnonzero(self.labels == node)
-
     @typed
     def save(self, path: str | Path) -> None:
         """Write the layer to an npz file, atomically.

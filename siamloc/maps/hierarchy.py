@@ -7,25 +7,21 @@ candidate node are compared with it together. With all nodes as candidates, the 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import Annotated, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from analytic import Description
-from foundation.calls import takes
+from foundation.calls import takes, typed
 from foundation.columns import Rows
 from foundation.settings import Count, Natural, Rule, Settings
 from siamloc.errors import ConfigError, DataError
 from siamloc.maps.coarse import UNASSIGNED, CoarseLayer
 from siamloc.maps.matching import match
 from siamloc.maps.ranking import NodeRanking, rank_by_classifier, rank_by_representatives, rank_by_vote
-from siamloc.maps.search import Retrieval, VectorIndex, check_neighbours
+from siamloc.maps.search import Retrieval, VectorIndex
 from siamloc.maps.visual_map import VisualMap
-
-if TYPE_CHECKING:
-    from siamloc.data.frames import FrameTable
-    from siamloc.data.library import PanoramaLibrary
 
 Ranking = Literal["representatives", "vote", "classifier"]
 """How nodes are ranked for a query: by their representatives ([C] 4), by the votes of the nearest map frames, or, if
@@ -150,27 +146,6 @@ class HierarchicalSearch:
     def __len__(self) -> int:
         return len(self.known)
 
-    def find(self, images: PanoramaLibrary, frames: FrameTable, k: int = 1) -> HierarchicalRetrieval:
-        """Describe frames, rank the nodes for each, and return its k nearest map frames in the best nodes.
-
-        Args:
-            images: panoramas of the frames.
-            frames: n queries.
-            k: number of map frames to return for each.
-
-        Raises:
-            AnalyticError, ConfigError, DataError: as for `rank` and `search`.
-        """
-        from siamloc.maps.describing import describe
-
-        fine = describe(self.known, images, frames, progress="describing the queries")
-        if self.coarse is self.known:
-            return HierarchicalRetrieval.concatenate([self.search(part, self.rank(part), k) for part in fine])
-        by = describe(self.coarse, images, frames)
-        return HierarchicalRetrieval.concatenate(
-            [self.search(part, self.rank(other), k) for part, other in zip(fine, by, strict=True)]
-        )
-
     def rank(self, queries: Description) -> NodeRanking:
         """Return the candidate nodes of queries (n) that were described with the descriptor of `coarse`.
 
@@ -189,7 +164,8 @@ class HierarchicalSearch:
         ratio = self._settings.ratio
         return rank_by_representatives(queries.position, self._representatives, candidates, ratio=ratio)
 
-    def search(self, queries: Description | ArrayLike, ranking: NodeRanking, k: int = 1) -> HierarchicalRetrieval:
+    @typed
+    def search(self, queries: Description | ArrayLike, ranking: NodeRanking, k: Count = 1) -> HierarchicalRetrieval:
         """Return the exact k nearest frames of each query in its candidate nodes, and `along` the nearest one.
 
         Of equally near frames, the smaller row of the map comes first. The result does not depend on other queries.
@@ -204,7 +180,7 @@ class HierarchicalSearch:
                 nothing to search, or a k below 1.
         """
         described = queries if isinstance(queries, Description) else Description(np.asarray(queries))
-        n, k = len(described), min(check_neighbours(k), len(self))
+        n, k = len(described), min(k, len(self))
         nodes = ranking.nodes
         if n != len(ranking):
             raise DataError(f"{n} queries need as many rows in the ranking, got {len(ranking)}")

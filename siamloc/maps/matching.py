@@ -8,6 +8,7 @@ from numpy.typing import ArrayLike, NDArray
 from analytic import Description
 from analytic.distances import distance as distance_named
 from foundation.calls import typed
+from foundation.settings import Count
 from siamloc.maps.search import Retrieval
 from siamloc.maps.visual_map import VisualMap
 
@@ -16,7 +17,7 @@ from siamloc.maps.visual_map import VisualMap
 def match(
     known: VisualMap,
     queries: Description,
-    k: int = 1,
+    k: Count = 1,
     *,
     excluded: ArrayLike | None = None,
     within: NDArray[np.int64] | None = None,

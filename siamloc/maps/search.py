@@ -20,7 +20,7 @@ from numpy.typing import ArrayLike, NDArray
 from analytic.distances import DISTANCES
 from foundation.calls import typed
 from foundation.columns import Rows
-from foundation.settings import Count, checked
+from foundation.settings import Count
 from siamloc.errors import ConfigError, DataError, hint
 
 MEMORY = 256 << 20  # bytes that a search uses on top of its input and output
@@ -86,7 +86,7 @@ class VectorIndex:
     def search(
         self,
         queries: ArrayLike,
-        k: int = 1,
+        k: Count = 1,
         *,
         excluded: ArrayLike | None = None,
         within: NDArray[np.int64] | None = None,
@@ -109,7 +109,7 @@ class VectorIndex:
             DataError: queries of another shape, values that are not finite or far larger than the references', or a
                 query with fewer than k references that are not excluded.
         """
-        k, q = check_neighbours(k), self._checked_queries(queries)
+        q = self._checked_queries(queries)
         if not memory > 0:
             raise ConfigError(f"the memory of a search must be a positive number of bytes, got {memory}")
         m = len(self) if within is None else len(within)
@@ -219,15 +219,6 @@ class VectorIndex:
         if plain and largest * self._scale > _LARGEST:
             raise DataError("the queries' values are out of all proportion to the map's: describe both with one model")
         return q
-
-
-def check_neighbours(k: int) -> int:
-    """Return a number of neighbours as a plain integer.
-
-    Raises:
-        ConfigError: it is not a whole number of at least 1.
-    """
-    return int(checked(k, Count, "k, the number of neighbours,"))
 
 
 def _candidates(scores: NDArray, slack: NDArray, k: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:

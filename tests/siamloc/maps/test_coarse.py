@@ -27,7 +27,6 @@ def test_a_layer_of_labels_has_their_means_and_connections():
         np.testing.assert_allclose(layer.representatives[node], DESCRIPTORS[labels == node].mean(axis=0), rtol=1e-5)
         np.testing.assert_allclose(layer.positions[node, 0], np.flatnonzero(labels == node).mean())
     assert layer.edges.tolist() == [[0, 1], [0, 2], [1, 2]]
-    assert layer.members(1).tolist() == [2, 3]
     assert not layer.labels.flags.writeable
 
 

@@ -211,7 +211,7 @@ def test_memory_is_bounded() -> None:
     [
         ({"distance": "euclidian"}, ConfigError, "unknown distance 'euclidian': did you mean 'euclidean'"),
         ({"k": 0}, ConfigError, "must be a whole number from 1 to 10 million, got 0"),
-        ({"k": 1.5}, ConfigError, "k must be a whole number, got 1.5"),
+        ({"k": 1.5}, ConfigError, "k must be a whole number from 1 to 10 million, got 1.5"),
         ({"memory": 0}, ConfigError, "positive number of bytes, got 0"),
         ({"references": np.empty((0, 3))}, DataError, "the map holds no descriptors"),
         ({"references": np.ones((2, 4))}, DataError, "queries have 3 values each, the map's descriptors 4"),

@@ -132,7 +132,11 @@ def test_a_coarse_layer_is_searched_first_as_the_evaluation_does(world, network,
     bundle = runtime.export(network, known, tmp_path / "bundle", layer=layer, coarse_map=ranks, search=search)
     assert f"a coarse layer by {by}" in bundle.summary()
     localizer = runtime.Localizer(bundle.path, top=1)
-    found = HierarchicalSearch(known, layer.layer, coarse=ranks, settings=search).find(images, tuesday)
+    prepared = HierarchicalSearch(known, layer.layer, coarse=ranks, settings=search)
+    fine, ranked = (
+        analytic.Description.concatenate(list(maps.describe(one, images, tuesday))) for one in (known, ranks or known)
+    )
+    found = prepared.search(fine, prepared.rank(ranked))
     located = [localizer.locate(path) for path in tuesday.path.tolist()]
     assert [one.candidates[0].row for one in located] == found.found.indices[:, 0].tolist()
     whole = runtime.Localizer(bundle.path, top=1, hierarchical=False)
