@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache, partial
 from numbers import Real
@@ -34,10 +34,7 @@ _ROUNDING = torch.tensor([-1e-5, 1e-5])  # relative, of values that were drawn i
 @contextmanager
 def on_host() -> Iterator[None]:
     """Make tensors in main memory, whatever torch's default device is."""
-    if torch.get_default_device().type == "cpu":
-        yield
-        return
-    with torch.device("cpu"):
+    with nullcontext() if torch.get_default_device().type == "cpu" else torch.device("cpu"):
         yield
 
 

@@ -21,10 +21,7 @@ Brush = Callable[[Frame], None]
 
 def paint(frames: Frame, brushes: Sequence[Sequence[Brush]]) -> None:
     """Alter frames (B, 3, H, W) in place, each with its own brushes, in order; uses torch's number of threads."""
-    threads = min(torch.get_num_threads(), len(frames))
-    if threads <= 1:
-        _paint_some(frames, brushes, 0, 1)
-        return
+    threads = max(min(torch.get_num_threads(), len(frames)), 1)
     work = [_threads().submit(_paint_some, frames, brushes, first, threads) for first in range(1, threads)]
     _paint_some(frames, brushes, 0, threads)
     for future in work:
