@@ -17,6 +17,7 @@ from siamloc.errors import ConfigError, DataError, hint
 
 _TEXT = ("path", "room", "sequence", "lighting", "building")
 _COLUMNS = ("path", "x", "y", "theta", "room", "sequence", "lighting", "time", "building")
+_UNKNOWN = {name: "" if name in _TEXT else np.nan for name in _COLUMNS}
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -75,7 +76,7 @@ class FrameTable:
         n = len(self.path)
         for name in _COLUMNS:
             value = getattr(self, name)
-            column = _filled(name, n) if value is None else _as_column(name, value)
+            column = _as_column(name, [_UNKNOWN[name]] * n if value is None else value)
             if column.shape != (n,):
                 raise DataError(f"column {name!r} has shape {column.shape}, expected ({n},) like 'path'")
             column.flags.writeable = False
@@ -230,8 +231,7 @@ class FrameTable:
     @classmethod
     def from_rows(cls, rows: Sequence[Mapping[str, Any]]) -> FrameTable:
         """Build a table from dictionaries; missing keys become NaN or the empty string."""
-        empty = {name: "" if name in _TEXT else np.nan for name in _COLUMNS}
-        return cls(**{name: [row.get(name, empty[name]) for row in rows] for name in _COLUMNS})  # type: ignore[arg-type]
+        return cls(**{name: [row.get(name, _UNKNOWN[name]) for row in rows] for name in _COLUMNS})  # type: ignore[arg-type]
 
 
 @typed
@@ -273,10 +273,6 @@ def _labels(column: NDArray[np.str_]) -> list[str]:
 def _listed(names: Sequence[str], most: int = 12) -> str:
     more = f" and {len(names) - most} more" if len(names) > most else ""
     return (", ".join(names[:most]) or "none") + more
-
-
-def _filled(name: str, n: int) -> NDArray[Any]:
-    return np.full(n, "", dtype=np.str_) if name in _TEXT else np.full(n, np.nan)
 
 
 def _as_column(name: str, value: ArrayLike) -> NDArray[Any]:
