@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 
 from foundation.files import plain
 from foundation.settings import Size, checked
-from siamloc.data.panorama import CAMERAS, OmnidirectionalCamera, PanoramaView, camera_from_config, unwrap
-from siamloc.errors import ConfigError, DataError
+from siamloc.data.panorama import CAMERAS, OmnidirectionalCamera, PanoramaView, unwrap
+from siamloc.errors import ConfigError, DataError, hint
 
 
 class UnreadableImageError(Exception):
@@ -50,15 +50,23 @@ class Preprocessing:
 
         Args:
             image_size: rows and columns (H, W) of a panorama.
-            unwrap: the camera, or plain values, see `camera_from_config`; None to resize.
+            unwrap: the camera; or plain values, `kind` none, polar or hyperbolic and the parameters of `PolarRing`, or
+                of `HyperbolicMirror` and the view's `top` and `bottom`. None or "none" to resize what is a panorama.
 
         Raises:
-            ConfigError: an impossible size, or a camera whose parameters cannot be read.
+            ConfigError: an impossible size, an unknown kind or parameter, or a camera whose parameters cannot be read.
         """
         size = checked(image_size, Size, "image_size")
         if isinstance(unwrap, Mapping):
-            camera, view = camera_from_config(unwrap, size)
-            return cls(view, camera)
+            options = dict(unwrap)
+            kind = checked(options.pop("kind", "none"), str, "unwrap.kind")
+            if kind not in CAMERAS:
+                raise ConfigError(f"unknown unwrap.kind {kind!r}: {hint(kind, CAMERAS)}")
+            view = PanoramaView(*size, **{key: options.pop(key) for key in ("top", "bottom") if key in options})
+            camera = CAMERAS[kind]
+            if camera is None and options:
+                raise ConfigError(f"unwrap.kind={kind} has no parameters, got {next(iter(options))!r}: leave it out")
+            return cls(view, None if camera is None else camera.of(options))
         if unwrap is not None and not (dataclasses.is_dataclass(unwrap) and hasattr(unwrap, "sampling")):
             raise ConfigError(f"a camera must be a dataclass with a method `sampling`, got {unwrap!r}")
         return cls(PanoramaView(*size), cast("OmnidirectionalCamera | None", unwrap))

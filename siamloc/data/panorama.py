@@ -14,7 +14,7 @@ Axes. An image in a file or in memory (`unwrap`, `Localizer.locate`) is (rows, c
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Mapping
+from collections.abc import Hashable
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Annotated, Any, ClassVar, Protocol
@@ -24,8 +24,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from foundation.calls import typed
-from foundation.settings import Count, NotNegative, Positive, Rule, Settings, checked
-from siamloc.errors import ConfigError, DataError, hint
+from foundation.settings import Count, NotNegative, Positive, Rule, Settings
+from siamloc.errors import ConfigError, DataError
 
 Array = NDArray[Any]
 
@@ -274,30 +274,6 @@ def unwrap(image: Array, camera: OmnidirectionalCamera, view: PanoramaView | Non
         raise DataError(f"an omnidirectional image has shape (rows, columns[, 3]), got {image.shape}")
     columns, rows = _remap_tables(camera, view or PanoramaView(), image.shape[:2])
     return cv2.remap(image, columns, rows, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=0)
-
-
-def camera_from_config(
-    options: Mapping[str, Any], image_size: tuple[int, int]
-) -> tuple[OmnidirectionalCamera | None, PanoramaView]:
-    """Return the camera and the view that plain values describe.
-
-    Args:
-        options: `kind` none, polar or hyperbolic, and the parameters of `PolarRing`, or of `HyperbolicMirror` and the
-            view's `top` and `bottom`. "none" is for images that are already panoramas: there is no camera.
-        image_size: rows and columns of the panorama.
-
-    Raises:
-        ConfigError: an unknown kind or parameter; the message names the nearest valid one.
-    """
-    parameters = dict(options)
-    kind = checked(parameters.pop("kind", "none"), str, "unwrap.kind")
-    if kind not in CAMERAS:
-        raise ConfigError(f"unknown unwrap.kind {kind!r}: {hint(kind, CAMERAS)}")
-    view = PanoramaView(*image_size, **{key: parameters.pop(key) for key in ("top", "bottom") if key in parameters})
-    camera = CAMERAS[kind]
-    if camera is None and parameters:
-        raise ConfigError(f"unwrap.kind={kind} has no parameters, got {next(iter(parameters))!r}: leave it out")
-    return (camera.of(parameters) if camera is not None else None), view
 
 
 @lru_cache(maxsize=8)

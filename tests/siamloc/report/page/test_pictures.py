@@ -11,7 +11,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from siamloc.data.decoding import Preprocessing
-from siamloc.data.panorama import camera_from_config
 from siamloc.report.page import pictures as module
 from siamloc.report.page.markup import Markup, tag
 from siamloc.report.page.pictures import Decoder, make_large, make_sheets
@@ -53,8 +52,7 @@ def test_omnidirectional_images_are_unwrapped_as_the_run_did(tmp_path: Path) -> 
     pages.draw(path, 5, (240, 320))
     options = {"kind": "polar", "inner": 20, "outer": 110}
     decoder = Decoder({"data": {"image_size": [64, 256], "unwrap": options}})
-    camera, view = camera_from_config(options, (64, 256))
-    expected = Preprocessing(view, camera).panorama(path).transpose(1, 2, 0)[..., ::-1]
+    expected = Preprocessing.checked((64, 256), options).panorama(path).transpose(1, 2, 0)[..., ::-1]
     picture = decoder.read(path, 10**6)
     assert picture is not None
     np.testing.assert_array_equal(picture, expected)
