@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -20,7 +21,7 @@ def minkowski(a: ArrayLike, b: ArrayLike, p: float = 2.0, weights: ArrayLike | N
     Args:
         a: (n, D).
         b: (m, D).
-        p: order, at least 1; 1 is Manhattan, 2 Euclidean.
+        p: order, at least 1; 1 is Manhattan ([T] eq. 3.9), 2 Euclidean ([T] eq. 3.10).
         weights: (D,), not negative; ones if None.
 
     Raises:
@@ -48,26 +49,6 @@ def minkowski(a: ArrayLike, b: ArrayLike, p: float = 2.0, weights: ArrayLike | N
     return cdist(a, b, "minkowski", p=p)
 
 
-def manhattan(a: ArrayLike, b: ArrayLike) -> NDArray[np.float64]:
-    """Return the Manhattan distances (n, m) ([T] eq. 3.9).
-
-    Example:
-        >>> manhattan([[0, 0]], [[3, 4]])
-        array([[7.]])
-    """
-    return minkowski(a, b, p=1)
-
-
-def euclidean(a: ArrayLike, b: ArrayLike) -> NDArray[np.float64]:
-    """Return the Euclidean distances (n, m) ([T] eq. 3.10).
-
-    Example:
-        >>> euclidean([[0, 0]], [[3, 4]])
-        array([[5.]])
-    """
-    return minkowski(a, b, p=2)
-
-
 def cosine(a: ArrayLike, b: ArrayLike) -> NDArray[np.float64]:
     """Return 1 - cosine similarity (n, m), in [0, 2] ([T] eq. 3.12). A zero vector has distance 1 to everything.
 
@@ -91,8 +72,8 @@ def correlation(a: ArrayLike, b: ArrayLike) -> NDArray[np.float64]:
 
 
 DISTANCES: dict[str, Pairwise] = {
-    "manhattan": manhattan,
-    "euclidean": euclidean,
+    "manhattan": partial(minkowski, p=1),
+    "euclidean": minkowski,
     "minkowski": minkowski,
     "correlation": correlation,
     "cosine": cosine,

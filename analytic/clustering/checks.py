@@ -30,22 +30,13 @@ def vectors(values: ArrayLike, what: str = "descriptors") -> NDArray[np.float64]
     return array
 
 
-def whole(value: Any, kind: Any, what: str) -> int:
-    """Check a whole number against its annotation, such as `Count`, and return it.
-
-    Raises:
-        AnalyticError: not a whole number, or out of range.
-    """
-    return int(checked(value, kind, what, AnalyticError))
-
-
 def clusters(n_clusters: Any, frames: int) -> int:
     """Check the requested number of clusters and return it.
 
     Raises:
         AnalyticError: not a whole number, below 1, or more than there are frames.
     """
-    count = whole(n_clusters, Count, "the number of clusters")
+    count = int(checked(n_clusters, Count, "the number of clusters", AnalyticError))
     if count > frames:
         raise AnalyticError(f"{count} clusters need at least as many frames, got {frames}: ask for fewer clusters")
     return count

@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike, NDArray
 from analytic.arrays import real
 from analytic.clustering import checks
 from analytic.errors import AnalyticError
-from foundation.settings import Count
+from foundation.settings import Count, checked
 
 
 def sample(n: int, n_clusters: int) -> NDArray[np.int64]:
@@ -28,7 +28,7 @@ def sample(n: int, n_clusters: int) -> NDArray[np.int64]:
         >>> sample(5, 2).tolist()
         [0, 0, 0, 1, 1]
     """
-    frames = checks.whole(n, Count, "the number of frames")
+    frames = int(checked(n, Count, "the number of frames", AnalyticError))
     count = checks.clusters(n_clusters, frames)
     return np.arange(frames, dtype=np.int64) * count // frames
 

@@ -51,7 +51,7 @@ def som(X: ArrayLike, grid: tuple[int, int], *, seed: int = 0) -> NDArray[np.int
             f"a grid of {width} x {height} units needs at least {width * height} frames, got {len(x)}: "
             "make the grid smaller"
         )
-    seed = checks.whole(seed, Seed, "the seed")
+    seed = checked(seed, Seed, "the seed", AnalyticError)
     different, inverse, counts = checks.distinct(x)
     scaled, _ = checks.to_unit_range(different)
     return checks.renumbered(winners(scaled, counts.astype(np.float64), (width, height), seed)[inverse])

@@ -69,7 +69,7 @@ def spectral(
     x = checks.vectors(X)
     count = checks.clusters(n_clusters, len(x))
     checked(assign, Assign, "assign", AnalyticError)
-    seed = checks.whole(seed, Seed, "the seed")
+    seed = checked(seed, Seed, "the seed", AnalyticError)
     different, inverse, _ = checks.distinct(x)
     if count > len(different):
         raise AnalyticError(
@@ -160,24 +160,21 @@ def _normalized(similarity: Any) -> Any:
 
     The diagonal of S does not count (Ng, Jordan, Weiss, step 1). The row of a frame that resembles no other is 0.
     """
-    if isinstance(similarity, np.ndarray):
-        matrix = similarity.copy()
+    from scipy import sparse
+
+    matrix, dense = similarity.copy(), isinstance(similarity, np.ndarray)
+    if dense:
         np.fill_diagonal(matrix, 0)
-        scale = _inverse_root(matrix.sum(axis=1))
+    else:
+        matrix.setdiag(0)
+        matrix.eliminate_zeros()
+    degree = matrix.sum(axis=1)
+    scale = np.divide(1, np.sqrt(degree), out=np.zeros_like(degree), where=degree > 0)
+    if dense:
         matrix *= scale[:, None]
         matrix *= scale
         return matrix
-    from scipy import sparse
-
-    matrix = sparse.csr_array(similarity, copy=True)
-    matrix.setdiag(0)
-    matrix.eliminate_zeros()
-    diagonal = sparse.diags_array(_inverse_root(matrix.sum(axis=1)))
-    return (diagonal @ matrix @ diagonal).tocsr()
-
-
-def _inverse_root(degree: NDArray[np.float64]) -> NDArray[np.float64]:
-    return np.divide(1, np.sqrt(degree), out=np.zeros_like(degree), where=degree > 0)
+    return (sparse.diags_array(scale) @ matrix @ sparse.diags_array(scale)).tocsr()
 
 
 def _parts(matrix: Any) -> NDArray[np.int64]:
@@ -292,7 +289,7 @@ def _checked_neighbours(neighbours: int | None, frames: int) -> int | None:
         return None
     if frames == 1:
         raise AnalyticError("a single frame has no neighbours: leave neighbours out")
-    count = checks.whole(neighbours, Count, "the number of neighbours")
+    count = int(checked(neighbours, Count, "the number of neighbours", AnalyticError))
     if count >= frames:
         raise AnalyticError(f"{frames} frames have at most {frames - 1} neighbours each, got neighbours={count}")
     return count

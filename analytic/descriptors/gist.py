@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from fractions import Fraction
 from functools import lru_cache
 from math import ceil, cos, floor, pi, sin
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal
 
 import cv2
 import numpy as np
@@ -19,6 +19,8 @@ LEVELS = 2
 CENTRE = 0.25  # cycles per pixel of the level's image
 _FLOOR = 2.0**-9
 _FAINT = 1e-3
+
+Places = tuple[list[int], list[int]]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -116,16 +118,16 @@ class Gist(ImageDescriptor):
 
     def _describe(self, image: NDArray[np.float32]) -> tuple[NDArray[Any], NDArray[Any]]:
         height, width = image.shape
-        chosen = choose(self.orientations, self.orientation_filters)
+        angles, needed, of_position, of_orientation = choose(self.orientations, self.orientation_filters)
         tall = np.concatenate([image, image[::-1]])
         picture = tall if self.circular else np.concatenate([tall, tall[:, ::-1]], axis=1)
         transformed = cv2.dft(picture, flags=cv2.DFT_COMPLEX_OUTPUT).view(np.complex64)[..., 0]
         # The inverse transform equals the forward one of the conjugate, up to scale and what a magnitude does not show.
         spectrum = np.fft.fftshift(transformed.conj())
-        rows = np.empty((LEVELS, len(chosen.angles), 2 * height), dtype=np.float32)
+        rows = np.empty((LEVELS, len(angles), 2 * height), dtype=np.float32)
         columns: list[NDArray[np.float32]] = []
         for level in range(LEVELS):
-            values, corners = bank(*picture.shape, CENTRE / 2**level, chosen.angles)
+            values, corners = bank(*picture.shape, CENTRE / 2**level, angles)
             down, right = values.shape[1:]
             product = np.zeros_like(spectrum)
             for a, (top, left) in enumerate(corners):
@@ -134,15 +136,15 @@ class Gist(ImageDescriptor):
                 answer = cv2.dft(product.view(np.float32).reshape(*product.shape, 2))
                 magnitude = np.abs(answer.view(np.complex64)[:, :width, 0])
                 rows[level, a] = magnitude[: 2 * height].mean(axis=1)
-                if level < self.orientation_levels and a in chosen.columns:
+                if level < self.orientation_levels and a in needed:
                     halves = magnitude[: 2 * height].reshape(2, height, width)
                     columns.append(halves.mean(axis=1))
         scale = np.float32(1 / picture.size)
         both = np.stack([rows[..., :height], rows[..., : height - 1 : -1]], axis=2) * scale
-        bands = both.reshape(LEVELS, len(chosen.angles), 2, self.blocks, -1).mean(axis=4)
-        position = bands[:, chosen.position[0], chosen.position[1]].transpose(0, 2, 1)
-        upright = np.stack(columns).reshape(self.orientation_levels, len(chosen.columns), 2, width) * scale
-        means = upright[:, chosen.orientation[0], chosen.orientation[1]].reshape(-1, width)
+        bands = both.reshape(LEVELS, len(angles), 2, self.blocks, -1).mean(axis=4)
+        position = bands[:, of_position[0], of_position[1]].transpose(0, 2, 1)
+        upright = np.stack(columns).reshape(self.orientation_levels, len(needed), 2, width) * scale
+        means = upright[:, of_orientation[0], of_orientation[1]].reshape(-1, width)
         orientation = (means @ windows(width, self.window, self.step, self.circular)).T
         if self.normalized:
             orientation = orientation - orientation.mean(axis=1, keepdims=True)
@@ -151,43 +153,27 @@ class Gist(ImageDescriptor):
         return position.reshape(-1).astype(np.float32), orientation.astype(np.float32)
 
 
-class Chosen(NamedTuple):
-    """Which filters are computed, and where to find those of each part among them.
-
-    Attributes:
-        angles: orientations in [0, pi / 2]; the others are reflections of these.
-        columns: indices of the angles that the orientation part needs.
-        position: for each filter of the position part its index, and 1 if it is the reflected one.
-        orientation: the same for the orientation part, with indices into `columns`.
-    """
-
-    angles: tuple[float, ...]
-    columns: tuple[int, ...]
-    position: tuple[list[int], list[int]]
-    orientation: tuple[list[int], list[int]]
-
-
 @lru_cache(maxsize=32)
-def choose(orientations: int, orientation_filters: int) -> Chosen:
+def choose(orientations: int, orientation_filters: int) -> tuple[tuple[float, ...], list[int], Places, Places]:
     """Choose the filters to compute for two sets of orientations.
 
     The image is its own reflection, so the response of the orientation pi - theta in its rows is that of theta in the
     reflected rows, up to the sign of its phase: one transform of the 2 H rows gives two orientations.
+
+    Returns:
+        The angles in [0, pi / 2] to compute, the others being reflections of these; the indices of the angles that the
+        orientation part needs; for each filter of the position part the index of its angle, and 1 if it is the
+        reflected one; and the same for the orientation part, among the angles that it needs.
     """
     wanted = [[Fraction(k, m) for k in range(m)] for m in (orientations, orientation_filters)]
     folded = [sorted({min(share, 1 - share) for share in shares}) for shares in wanted]
     computed = sorted({*folded[0], *folded[1]})
-    columns = tuple(computed.index(share) for share in folded[1])
 
-    def places(shares: list[Fraction], among: list[Fraction]) -> tuple[list[int], list[int]]:
+    def places(shares: list[Fraction], among: list[Fraction]) -> Places:
         return [among.index(min(s, 1 - s)) for s in shares], [int(s > 1 - s) for s in shares]
 
-    return Chosen(
-        tuple(float(share) * pi for share in computed),
-        columns,
-        places(wanted[0], computed),
-        places(wanted[1], folded[1]),
-    )
+    angles, needed = tuple(float(share) * pi for share in computed), [computed.index(share) for share in folded[1]]
+    return angles, needed, places(wanted[0], computed), places(wanted[1], folded[1])
 
 
 @lru_cache(maxsize=8)

@@ -66,7 +66,7 @@ def closure_scores(closures: ArrayLike, positions: ArrayLike, radius: float, gap
         (0.5, 1.0)
     """
     xy = checks.vectors(positions, "positions")
-    gap = checks.whole(gap, Count, "the gap")
+    gap = int(checked(gap, Count, "the gap", AnalyticError))
     checked(radius, NotNegative, "the radius", AnalyticError)
     ends = _checked(closures, len(xy))
     nontrivial = ends[ends[:, 1] - ends[:, 0] >= gap]
