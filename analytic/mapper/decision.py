@@ -145,26 +145,21 @@ def replay(events: Iterable[str | Mapping[str, Any]]) -> NDArray[np.int64]:
         if line in ("", "\n"):
             continue
         try:
-            event = json.loads(line) if isinstance(line, str) else line
-            if (event.get("format", FORMAT), event.get("version", VERSION)) != (FORMAT, VERSION):
-                raise AnalyticError(
-                    f"this is not the log of a mapper in format version {VERSION} but {event['format']!r} in version "
-                    f"{event.get('version')}: give the `events` of a mapper"
-                )
-            if "format" not in event:
-                _apply(labels, event)
-        except AnalyticError:
-            raise
+            _apply(labels, json.loads(line) if isinstance(line, str) else line)
         except (ValueError, KeyError, TypeError, IndexError, AttributeError, RecursionError) as error:
             raise AnalyticError(
                 f"event {number} of the log is not a line that a mapper wrote ({error!r}): the file is cut short, not "
-                "a log, or not whole and in order"
+                "a log, of another version, or not in order"
             ) from error
     return np.array(labels, dtype=np.int64)
 
 
 def _apply(labels: list[int], event: Mapping[str, Any]) -> None:
-    """Add the frames of an event to the labels of those before it, and make its changes."""
+    """Add the frames of an event to the labels of those before it, and make its changes; check a header."""
+    if "format" in event:
+        if (event["format"], event.get("version")) != (FORMAT, VERSION):
+            raise ValueError(f"{event['format']} in version {event.get('version')}, not {FORMAT} in version {VERSION}")
+        return
     frames = [int(frame) for frame in event["frames"]]
     if frames != list(range(len(labels), len(labels) + len(frames))):
         raise ValueError(f"it is about frames {frames}, but {len(labels)} came before it")

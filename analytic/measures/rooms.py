@@ -70,8 +70,7 @@ def purity(labels: ArrayLike, rooms: ArrayLike) -> Purity:
     table = np.zeros((len(present), len(room_names)), dtype=np.int64)
     np.add.at(table, (node_rank.reshape(-1), room_rank.reshape(-1)), 1)
     major = table.argmax(axis=1) if table.size else np.zeros(0, dtype=np.int64)
-    right = np.zeros_like(table)
-    right[np.arange(len(major)), major] = table[np.arange(len(major)), major]
+    right = np.where(np.arange(len(room_names)) == major[:, None], table, 0)
     per_room = table.sum(axis=0)
     total = int(table.sum())
     return Purity(
