@@ -18,19 +18,6 @@ if TYPE_CHECKING:
     from siamloc.maps.refinement import Refinement
     from siamloc.tables import Table
 
-_KEPT = (
-    "config",
-    "measures",
-    "baselines",
-    "cost",
-    "denominators",
-    "skipped",
-    "tables",
-    "schema",
-    "created",
-    "versions",
-)
-
 
 @dataclass(frozen=True, eq=False)
 class Result:
@@ -207,7 +194,8 @@ class Result:
         held = read_results(folder)
         tables = {name: read_rows(folder, name) for name in held.get("tables", {})}
         name, costs = held.get("name", Path(folder).name), held.get("cost", {})
-        about = {key: value for key, value in held.items() if key not in (*_KEPT, "command", "name")}
+        others = {*cls("", {}, {}).as_dict(), "tables", "schema", "created", "versions"}
+        about = {key: value for key, value in held.items() if key not in others}
         return cls(
             name=name,
             parts=held["measures"],

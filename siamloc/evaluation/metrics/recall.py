@@ -83,7 +83,16 @@ def first_rank_within(retrieved: ArrayLike, map_xy: ArrayLike, query_xy: ArrayLi
         ConfigError: a negative radius.
         DataError: other shapes, rows outside the map, or a position that is not finite.
     """
-    within = _distances_of_retrieved(retrieved, map_xy, query_xy) <= _radius(radius)
+    if not radius >= 0:
+        raise ConfigError(f"the radius must not be negative, got {radius}")
+    known, queries, found = map_positions(map_xy), positions_of(query_xy, "query"), np.asarray(retrieved)
+    if found.ndim != 2 or found.shape[1] < 1 or found.dtype.kind not in "iu" or len(found) != len(queries):
+        raise DataError(
+            f"retrieved frames must be whole numbers of shape ({len(queries)}, K), got {found.dtype} of {found.shape}"
+        )
+    if found.size and (found.min() < 0 or found.max() >= len(known)):
+        raise DataError(f"retrieved frames must be rows of the map, 0 to {len(known) - 1}")
+    within = np.hypot(known[found, 0] - queries[:, :1], known[found, 1] - queries[:, 1:]) <= radius
     return np.where(within.any(axis=1), within.argmax(axis=1) + 1, 0)
 
 
@@ -103,21 +112,3 @@ def recall_from_ranks(rank: ArrayLike, floor: ArrayLike, radius: float, k: int) 
         k=int(k),
         radius=float(radius),
     )
-
-
-def _radius(radius: float) -> float:
-    if not radius >= 0:
-        raise ConfigError(f"the radius must not be negative, got {radius}")
-    return float(radius)
-
-
-def _distances_of_retrieved(retrieved: ArrayLike, map_xy: ArrayLike, query_xy: ArrayLike) -> NDArray[np.float64]:
-    """Return the distances of retrieved map frames to their queries (n, K)."""
-    known, queries, found = map_positions(map_xy), positions_of(query_xy, "query"), np.asarray(retrieved)
-    if found.ndim != 2 or found.shape[1] < 1 or found.dtype.kind not in "iu" or len(found) != len(queries):
-        raise DataError(
-            f"retrieved frames must be whole numbers of shape ({len(queries)}, K), got {found.dtype} of {found.shape}"
-        )
-    if found.size and (found.min() < 0 or found.max() >= len(known)):
-        raise DataError(f"retrieved frames must be rows of the map, 0 to {len(known) - 1}")
-    return np.hypot(known[found, 0] - queries[:, :1], known[found, 1] - queries[:, 1:])
