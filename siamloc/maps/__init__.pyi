@@ -7,12 +7,16 @@ from .hierarchy import (
     HierarchicalSearch as HierarchicalSearch,
     LayerSearch as LayerSearch,
 )
-from .interpolation import interpolate_poses as interpolate_poses
 from .matching import frame_distances as frame_distances, headings as headings, match as match
 from .pose_filter import PoseFilter as PoseFilter
 from .projector import write_projector as write_projector
 from .ranking import NodeRanking as NodeRanking
-from .refinement import RefinedPoses as RefinedPoses, Refinement as Refinement, refine as refine
+from .refinement import (
+    RefinedPoses as RefinedPoses,
+    Refinement as Refinement,
+    interpolate_poses as interpolate_poses,
+    refine as refine,
+)
 from .search import Retrieval as Retrieval, VectorIndex as VectorIndex
 from .sequence_filter import (
     MotionModel as MotionModel,

@@ -51,18 +51,14 @@ def is_analytic(identity: Mapping[str, Any]) -> bool:
     return identity.get("name") in list(DESCRIPTORS)  # a name from a file may be anything, also a list
 
 
-def without_images(identity: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the identity of the descriptor alone, without the entry on how images became panoramas."""
-    return {key: value for key, value in identity.items() if key != "images"}
-
-
 def descriptor_of(identity: Mapping[str, Any]) -> ImageDescriptor:
     """Return the analytic descriptor that an identity, its name and parameters, stands for.
 
     Raises:
         AnalyticError: a descriptor or a parameter that this version does not know.
     """
-    return descriptor(**{"name": "", **without_images(identity)})
+    alone = {key: value for key, value in identity.items() if key != "images"}  # how images became panoramas
+    return descriptor(**{"name": "", **alone})
 
 
 class NetworkHeading(BetweenColumns):

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from siamloc.data.frames import FrameTable
 from siamloc.errors import ConfigError, DataError
 from siamloc.maps import Retrieval
-from siamloc.maps.interpolation import interpolate_poses, path_positions
+from siamloc.maps.refinement import interpolate_poses, path_positions
 from tests.oracles import interpolation as oracle
 
 
@@ -32,14 +32,13 @@ def test_poses_equal_the_loop(seed: int, k: int, radius: float) -> None:
     frames = path(np.cumsum(rng.normal(size=(10, 2)), axis=0), rng.choice(["a", "b"], 10))
     found, headings = retrieval(seed, 5, 10, 6), rng.uniform(-math.pi, math.pi, (5, 6))
     poses = interpolate_poses(found, frames, k, radius, headings, 1e-3)
-    assert poses.theta is not None
     for i in range(5):
         x, y, theta = oracle.pose(
             found.indices[i], found.distances[i], frames.xy, frames.sequence, headings[i], k, radius, 1e-3
         )
         assert poses.xy[i] == pytest.approx([x, y])
         assert math.cos(poses.theta[i] - theta) == pytest.approx(1)
-    assert ((poses.used >= 1) & (poses.used <= k)).all()
+    assert ((poses.agreement >= 1 / k) & (poses.agreement <= 1)).all()
 
 
 @given(seed=st.integers(0, 2**32 - 1))
@@ -51,7 +50,7 @@ def test_one_neighbour_is_the_nearest_frame_to_the_last_bit(seed: int) -> None:
         poses = interpolate_poses(found, frames, k, radius, headings)
         np.testing.assert_array_equal(poses.xy, frames.xy[found.indices[:, 0]])
         np.testing.assert_array_equal(poses.theta, headings[:, 0])
-        assert poses.used.tolist() == [1] * 4
+        assert poses.agreement.tolist() == [1 / k] * 4
 
 
 def test_a_query_between_two_frames_lies_between_them() -> None:
@@ -59,7 +58,7 @@ def test_a_query_between_two_frames_lies_between_them() -> None:
     found = Retrieval(np.array([[0, 1]]), np.array([[0.25, 0.75]]))
     poses = interpolate_poses(found, frames, 2, 1.5)
     np.testing.assert_allclose(poses.xy, [[0.25, 0]], atol=1e-5)
-    assert poses.theta is None
+    assert np.isnan(poses.theta).all()
 
 
 def test_frames_across_a_wall_and_aliases_do_not_count() -> None:
@@ -68,9 +67,9 @@ def test_frames_across_a_wall_and_aliases_do_not_count() -> None:
     found = Retrieval(np.array([[0, 11, 1]]), np.array([[0.1, 0.1, 0.1]]))
     poses = interpolate_poses(found, frames, 3, 2.0)
     np.testing.assert_allclose(poses.xy, [[0.5, 0]])
-    assert poses.used.tolist() == [2]
+    assert poses.agreement.tolist() == [2 / 3]
     two = path(frames.xy, ["a"] * 6 + ["b"] * 6)
-    assert interpolate_poses(found, two, 3, 100.0).used.tolist() == [2]
+    assert interpolate_poses(found, two, 3, 100.0).agreement.tolist() == [2 / 3]
     assert path_positions(two).tolist() == [0, 1, 2, 3, 4, 5, 0, 1, 2, 3, 4, 5]
 
 
