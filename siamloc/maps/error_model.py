@@ -204,7 +204,7 @@ class ErrorModel(Learned):
         expected = self.predict(found, map_xy, poses)
         if self.lost_above is None:
             return expected, None
-        return expected, self.lost(expected) | self.foreign(found, map_xy, poses)
+        return expected, (expected > self.lost_above) | self.foreign(found, map_xy, poses)
 
     def foreign(self, found: Retrieval, map_xy: ArrayLike, poses: RefinedPoses | None = None) -> NDArray[np.bool_]:
         """Return which queries (n,) show nothing that is on the map; no query if no threshold was learned for it.
@@ -273,13 +273,3 @@ class ErrorModel(Learned):
         if poses is None:
             raise ConfigError("the error model was learned from refined poses: give it those")
         return poses
-
-    def lost(self, expected: ArrayLike) -> NDArray[np.bool_]:
-        """Return for which expected errors (n,) the robot counts as lost; `judged` also considers foreign queries.
-
-        Raises:
-            ConfigError: no threshold was chosen.
-        """
-        if self.lost_above is None:
-            raise ConfigError("the error model has no threshold of being lost: learn it again with task.lost_above")
-        return np.asarray(expected) > self.lost_above

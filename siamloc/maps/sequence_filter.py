@@ -254,19 +254,12 @@ def learn_temperature(distances: ArrayLike, true: ArrayLike) -> float:
 
     Args:
         distances: (n, m) from queries to the map; infinite where a frame is left out.
-        true: (n,) the geometrically nearest map frame of each.
-
-    Raises:
-        DataError: no queries, or arrays that do not match each other.
+        true: (n,) the geometrically nearest map frame of each, at a finite distance.
     """
     apart, rows = np.asarray(distances, dtype=np.float64), np.asarray(true)
-    if apart.ndim != 2 or not apart.size or rows.shape != apart.shape[:1] or rows.dtype.kind not in "iu":
-        raise DataError(f"a temperature needs distances (n, m) and true frames (n,), got {apart.shape}, {rows.shape}")
     apart = apart - apart.min(axis=1, keepdims=True)
     wanted = apart[np.arange(len(apart)), rows]
     finite = apart[np.isfinite(apart)]
-    if not np.isfinite(wanted).all():
-        raise DataError("a true frame is at no finite distance from its query: leave that query out")
     scale = float(np.median(finite[finite > 0])) if (finite > 0).any() else 1.0
     values = np.where(np.isfinite(apart), apart, 0.0)
     low, high = -12.0, 5.0  # logarithm of temperature / scale

@@ -103,9 +103,12 @@ def test_the_file_holds_plain_numbers_and_gives_the_model_back(tmp_path: Path) -
 def test_lost_is_an_expected_error_above_the_threshold() -> None:
     model = replace(MODEL, lost_above=0.5, map_digest="abc")
     assert ErrorModel.from_dict(json.loads(json.dumps(model.as_dict()))) == model
-    assert model.lost([0.4, 0.5, 0.51]).tolist() == [False, False, True]
-    with pytest.raises(ConfigError, match=r"no threshold of being lost: learn it again with task\.lost_above"):
-        MODEL.lost([1.0])
+    xy, found = (
+        np.array([[0.0, 0], [9, 0]]),
+        Retrieval(np.tile([0, 1], (3, 1)), np.array([[0.35, 1], [0.5, 1], [1, 1]])),
+    )
+    assert replace(MODEL, lost_above=0.4).judged(found, xy)[1].tolist() == [False, False, True]
+    assert MODEL.judged(found, xy)[1] is None
     for threshold in (0.0, -1.0, float("inf"), float("nan")):
         with pytest.raises(ConfigError, match="lost_above must be a number"):
             replace(MODEL, lost_above=threshold)

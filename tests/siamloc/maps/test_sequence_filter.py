@@ -213,10 +213,6 @@ def test_errors() -> None:
     assert SequenceFilter(motion, 1).step([0.0, 1, 2, math.inf])[3] == 0
     with pytest.raises(DataError, match=r"distances of shape \(1, 4\), got \(1, 3\)"):
         SequenceFilter(motion, 1).run([[0.0, 1, 2]], ["a"])
-    with pytest.raises(DataError, match="a temperature needs distances"):
-        learn_temperature([[0.0, 1]], [0.0])
-    with pytest.raises(DataError, match="at no finite distance"):
-        learn_temperature([[0.0, math.inf]], [1])
     with pytest.raises(DataError, match="whose frames all have positions"):
         temperature_of_map(VisualMap([[1.0]], frames([[math.nan, 0]])))
     with pytest.raises(ConfigError, match="at least one factor"):

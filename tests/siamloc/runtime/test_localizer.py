@@ -75,7 +75,7 @@ def test_theta_and_error_are_those_of_the_evaluation(world, bundle):
     locations = [localizer.locate(picture) for picture in pictures]
     np.testing.assert_allclose([location.theta for location in locations], theta, rtol=0, atol=1e-9)
     np.testing.assert_allclose([location.error_m for location in locations], expected, rtol=1e-3)
-    assert [location.lost for location in locations] == errors.lost(expected).tolist()
+    assert [location.lost for location in locations] == (expected > errors.lost_above).tolist()
     assert {location.lost for location in locations} == {True, False}
     assert [location.x for location in locations] == known.frames.x[found.indices[:, 0]].tolist()
     assert {len(location.candidates) for location in locations} == {2}
