@@ -133,7 +133,7 @@ class PairSampler:
         same = np.zeros(self.epoch_pairs, dtype=bool)
         same[np.argsort(uniform[:, 0], kind="stable")[: round(self.same_room_share * self.epoch_pairs)]] = True
         mine = slice(rank, None, world_size)
-        return self._draw(uniform[mine, 2:], same[mine])  # column 1 keeps the draws that runs are reproduced with
+        return self._draw(uniform[mine, 2:], same[mine])  # without the unused column 1, seeds would draw other pairs
 
     def _draw(self, uniform: NDArray[np.float64], same: NDArray[np.bool_]) -> Pairs:
         first = np.empty(len(same), dtype=np.int64)
