@@ -322,7 +322,7 @@ class Effect(ABC):
         """Return which frames (B,) the effect changes: the frames whose strength is not neutral."""
         strengths = {key: span.neutral for key, span in self.ranges.items() if span.neutral is not None}
         changed = [(params[key] != neutral).numpy() for key, neutral in strengths.items()]
-        return np.any(changed, axis=0) if changed else np.ones(_count(params), dtype=bool)
+        return np.any(changed, axis=0) if changed else np.ones(len(next(iter(params.values()))), dtype=bool)
 
     def coefficients(self, params: Numbers, height: int, width: int) -> Numbers:
         """Return the numbers in the formula of the effect, for each frame; by default the parameters themselves."""
@@ -509,7 +509,3 @@ def _as_tensors(numbers: Numbers) -> dict[str, Tensor]:
         name: torch.from_numpy(np.atleast_2d(value).T.astype(np.float32))[..., None, None]
         for name, value in numbers.items()
     }
-
-
-def _count(params: Mapping[str, Tensor]) -> int:
-    return len(next(iter(params.values())))
