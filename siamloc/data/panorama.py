@@ -74,11 +74,6 @@ class PanoramaView(Settings):
         high, low = np.tan(np.radians([self.top, self.bottom]))
         return np.arctan(high + (np.arange(self.height) + 0.5) / self.height * (low - high))
 
-    def elevation_row(self, elevation: Array | float) -> Array:
-        """Return the fractional row at which an elevation in rad appears; the inverse of `row_elevation`."""
-        high, low = np.tan(np.radians([self.top, self.bottom]))
-        return (np.tan(np.asarray(elevation, dtype=np.float64)) - high) / (low - high) * self.height - 0.5
-
     def directions(self) -> Array:
         """Return the unit viewing direction of every pixel in the robot's frame (H, W, 3)."""
         azimuth, elevation = np.meshgrid(column_azimuth(self.width), self.row_elevation())
