@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from foundation.calls import typed
+from foundation.settings import Count, Natural, Positive
 from siamloc.errors import ConfigError, DataError, hint
 
 _TEXT = ("path", "room", "sequence", "lighting", "building")
@@ -163,15 +164,13 @@ class FrameTable:
         return self.take(mask)
 
     @typed
-    def every(self, k: int, offset: int = 0) -> FrameTable:
+    def every(self, k: Count, offset: Natural = 0) -> FrameTable:
         """Return every k-th frame of each sequence, starting with its first, or `offset` frames later.
 
         Raises:
             ConfigError: k is not a positive whole number, or the offset is not a whole number from 0 to k - 1.
         """
-        if k < 1:
-            raise ConfigError(f"every k-th frame needs a whole k >= 1, got {k}")
-        if not 0 <= offset < k:
+        if offset >= k:
             raise ConfigError(f"of every {k} frames the first one kept is 0 to {k - 1}, got offset={offset}")
         keep = np.zeros(len(self), dtype=bool)
         for rows in self.rows_by("sequence").values():
@@ -179,15 +178,13 @@ class FrameTable:
         return self.take(keep)
 
     @typed
-    def spaced(self, metres: float) -> FrameTable:
+    def spaced(self, metres: Positive) -> FrameTable:
         """Keep the first frame of each sequence, and each frame at least `metres` from the last kept frame.
 
         Raises:
             ConfigError: the distance is not positive.
             DataError: a frame without a position.
         """
-        if not metres > 0:
-            raise ConfigError(f"the spacing must be a positive number of metres, got {metres}")
         if not self.has_position.all():
             missing = int((~self.has_position).sum())
             raise DataError(f"{missing} of {len(self)} frames have no position, so they cannot be spaced by distance")
