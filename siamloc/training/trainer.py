@@ -58,8 +58,8 @@ def run_trainer(run: Run, settings: Training, further: Mapping[str, Any] | None,
     if settings.clip is not None:
         options.setdefault("gradient_clip_val", settings.clip)
     plugins = _listed(options.pop("plugins", None))
-    if on_gpu(options) and "sync_batchnorm" not in options and not any(isinstance(one, LayerSync) for one in plugins):
-        plugins.append(OneBatch())  # torch has none for CPUs
+    if "sync_batchnorm" not in options and not any(isinstance(one, LayerSync) for one in plugins):
+        plugins.append(OneBatch(gpu=on_gpu(options)))
     own: dict[str, Any] = {
         "max_epochs": settings.epochs,
         "default_root_dir": run.folder,
