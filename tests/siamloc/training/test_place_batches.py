@@ -153,7 +153,7 @@ def stripped(table, *columns):
         (
             {"pairs": {"places": 10}, **TWO},
             ConfigError,
-            r"a batch of 20 places, 10 for each of the 2 processes .* 8 or less, or train",
+            r"a batch of 20 places, 10 for each process, .* set pairs.places lower",
         ),
         (
             {"loss": siamloc.models.SoftContrastiveLoss(room=0.5), "known": ("x", "y")},
