@@ -103,11 +103,6 @@ class SoftContrastiveLoss(ScheduledLoss):
         unknown = (origins.room < 0)[None] & (mates.sum(dim=1) > 0)[:, None]
         return share * wanted, share * mates, unknown
 
-    def extra_repr(self) -> str:
-        """Name the parameters when the loss is printed."""
-        room = f", room={self.room:g}" if self.room else ""
-        return f"temperature={self.temperature:g}, kernel={self.kernel}, sigma={self.sigma:g}{room}"
-
 
 def _shares(weights: Tensor) -> Tensor:
     """Divide rows by their sums; a row that is almost 0 becomes 0."""

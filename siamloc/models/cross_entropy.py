@@ -108,7 +108,3 @@ class CrossEntropyLoss(nn.Module):
         right = self.scores(descriptors.detach()).detach().argmax(dim=1) == room
         known = room >= 0
         return (right & known).sum() / known.sum()
-
-    def extra_repr(self) -> str:
-        """Name the parameters when the loss is printed."""
-        return f"{len(self.rooms)} rooms, temperature={self.temperature:g}"

@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping
 import torch
 from torch import Tensor
 
-from siamloc.errors import DataError
+from siamloc.models.origins import required
 from siamloc.models.relative import RelativePose
 
 ELSEWHERE = 100.0
@@ -56,12 +56,7 @@ class DriveFigures:
             DataError: a batch without one of these.
         """
         columns = _COLUMNS if orientation is None else (*_COLUMNS, "theta")
-        missing = [name for name in columns if name not in batch]
-        if missing:
-            raise DataError(
-                f"a batch of the validation needs {', '.join(columns)} (known says what belongs to the map); missing: "
-                f"{', '.join(missing)}"
-            )
+        required(batch, columns, "map frames and queries")
         # In the training's precision, which is faster: these figures only choose among its own checkpoints, and an
         # evaluation describes in full precision.
         held = {} if orientation is None else {"orientation": orientation.float()}

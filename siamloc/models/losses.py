@@ -69,10 +69,6 @@ class ContrastiveLoss(nn.Module):
         y = y.to(distance.dtype)
         return ((1 - y) * distance**2 + y * (self.margin - distance).clamp(min=0) ** 2).mean()
 
-    def extra_repr(self) -> str:
-        """Name the margin when the loss is printed."""
-        return f"margin={self.margin:g}"
-
 
 def check_labels(y: Tensor, pairs: int) -> None:
     """Raise DataError unless the labels are (pairs,), and in [0, 1] if they are on the CPU."""

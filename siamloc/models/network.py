@@ -24,7 +24,7 @@ from siamloc.models.branch import (
     layers_by_stage,
 )
 from siamloc.models.canonical import Canonical
-from siamloc.models.heads import Fourier, GeneralizedMean, Head, Magnitudes, Spectrum, make_head
+from siamloc.models.heads import Fourier, GeneralizedMean, Head, Magnitudes, make_head
 from siamloc.models.orientation import VALUES, Orientation
 from siamloc.models.registry import Normalization, branch_spec, head_widths
 from siamloc.models.relative import RelativePose
@@ -292,8 +292,8 @@ def _initialize(network: Network, seed: int) -> None:
                     module.weight /= (2 * network.outputs) ** 0.5
             if module.bias is not None:
                 nn.init.zeros_(module.bias)
-        elif isinstance(module, (Magnitudes, Spectrum, GeneralizedMean, Orientation, Canonical)):
-            module.reset()
+        elif hasattr(module, "reset") and not isinstance(module, RelativePose):
+            module.reset()  # type: ignore[operator]
         elif next(module.parameters(recurse=False), None) is not None:
             raise TypeError(f"no initialization is known for {type(module).__name__}")
     if network.relative is not None:

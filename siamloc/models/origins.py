@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import torch
@@ -71,6 +72,12 @@ class ScheduledLoss(nn.Module):
         """Set the changing parameters for a share of the training, from 0 in the first step to 1 in the last."""
         for name, (first, last) in self._courses.items():
             setattr(self, name, float(first ** (1 - share) * last**share))
+
+
+def required(batch: Mapping[str, Tensor], keys: Sequence[str], what: str) -> None:
+    """Raise DataError unless a batch has all of these keys; `what` is in it, in words."""
+    if missing := [key for key in keys if key not in batch]:
+        raise DataError(f"a batch of {what} needs {', '.join(keys)}; missing: {', '.join(missing)}")
 
 
 def check_batch(descriptors: Tensor, origins: Origins) -> None:

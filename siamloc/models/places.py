@@ -15,7 +15,7 @@ from siamloc.models.describing import as_float, checked_descriptors, required_co
 from siamloc.models.drive_figures import RECALL_RADIUS
 from siamloc.models.module import NetworkModule, checked_loss
 from siamloc.models.network_stages import comparing_weights
-from siamloc.models.origins import Origins
+from siamloc.models.origins import Origins, required
 from siamloc.models.registry import Optimizer
 from siamloc.models.relative import relative_loss
 
@@ -145,7 +145,5 @@ class PlaceModule(NetworkModule):
 
 
 def _origins(batch: Mapping[str, Tensor]) -> Origins:
-    missing = [key for key in _KEYS if key not in batch]
-    if missing:
-        raise DataError(f"a batch of places needs {', '.join(_KEYS)}; missing: {', '.join(missing)}")
+    required(batch, _KEYS, "places")
     return Origins(**{key: batch[key] for key in _KEYS[1:]}, theta=batch.get("theta"))

@@ -8,12 +8,13 @@ import torch
 from torch import Tensor, nn
 
 from augment.torchvision_compat import ensure_torchvision
-from siamloc.errors import ConfigError, DataError
+from siamloc.errors import ConfigError
 from siamloc.models.describing import as_float, checked_descriptors, margin_of
 from siamloc.models.drive_figures import RECALL_RADIUS
 from siamloc.models.losses import ContrastiveLoss, check_labels, pair_distance
 from siamloc.models.module import NetworkModule, checked_loss
 from siamloc.models.network_stages import comparing_weights
+from siamloc.models.origins import required
 from siamloc.models.registry import Optimizer
 
 ensure_torchvision()
@@ -107,9 +108,7 @@ class SiameseModule(NetworkModule):
         self.train_statistics.load_sums(sums)
 
     def _step(self, batch: Mapping[str, Tensor], stage: str, statistics: PairStatistics) -> Tensor:
-        missing = [key for key in _BATCH_KEYS if key not in batch]
-        if missing:
-            raise DataError(f"a batch of pairs needs {', '.join(_BATCH_KEYS)}; missing: {', '.join(missing)}")
+        required(batch, _BATCH_KEYS, "pairs")
         label = batch["label"]
         check_labels(label, len(batch["first"]))
         images = as_float(torch.cat([batch["first"], batch["second"]]))

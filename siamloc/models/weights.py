@@ -175,10 +175,9 @@ def _check_there(path: Path) -> None:
 def _checked_content(content: Any, path: str | Path) -> dict[str, Any]:
     """Return the contents of a checkpoint, unless they are not of a training of siamloc, or of another version."""
     about = content.get(CONTENT_KEY) if isinstance(content, dict) else None
-    if not isinstance(about, dict) or not isinstance(content.get("state_dict"), dict):
-        raise FormatError(f"{path} is not a checkpoint of a siamese network: it has no weights, or does not say whose")
-    if not {"format", "model", "loss"} <= set(about):
-        raise FormatError(f"{path} is not a checkpoint of a siamese network: it does not say what was trained")
+    needs = {"format", "model", "loss"}
+    if not isinstance(about, dict) or not needs <= set(about) or not isinstance(content.get("state_dict"), dict):
+        raise FormatError(f"{path} is not a checkpoint of a siamese network: it lacks weights, or what was trained")
     check_version(about["format"], FORMAT_VERSION, f"the checkpoint {path}", "train again")
     return content
 

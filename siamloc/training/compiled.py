@@ -16,21 +16,8 @@ from siamloc.models.module import NetworkModule
 BACKEND = "inductor"
 
 
-Wanted = Literal["auto"] | bool
-
-
-def compiles(wanted: Wanted, on_gpu: bool) -> Wanted:
-    """Decide whether to compile the network of a training: if requested; with "auto" only on a GPU.
-
-    Example:
-        >>> compiles("auto", on_gpu=False)
-        False
-    """
-    return False if wanted == "auto" and not on_gpu else wanted
-
-
 @contextmanager
-def compiled(module: NetworkModule, wanted: Wanted) -> Iterator[None]:
+def compiled(module: NetworkModule, wanted: Literal["auto"] | bool) -> Iterator[None]:
     """Let training steps use the compiled network; validation and later calls use the network as it is.
 
     The network, or each of the two parts of one that learns displacements, is compiled once, for the size of a whole

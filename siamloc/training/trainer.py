@@ -22,7 +22,7 @@ from siamloc.models.network import Network
 from siamloc.runs import Run
 from siamloc.training.batch_norm import OneBatch
 from siamloc.training.callbacks import AtomicCheckpoints, Curves, MovingAverage, checkpoint_callbacks
-from siamloc.training.compiled import compiled, compiles
+from siamloc.training.compiled import compiled
 from siamloc.training.guard import FiniteGuard
 from siamloc.training.pace import Pace
 from siamloc.training.settings import Training
@@ -178,7 +178,7 @@ def computing(module: NetworkModule, settings: Training, further: Mapping[str, A
     if layout := precision == "auto" and isinstance(module.network, Network):
         module.network.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
     try:
-        with compiled(module, compiles(settings.compile, on_gpu(further))):
+        with compiled(module, settings.compile if on_gpu(further) else settings.compile is True):
             yield
     except (MemoryError, RuntimeError) as error:
         if not (isinstance(error, MemoryError) or _NO_MEMORY.search(str(error))):

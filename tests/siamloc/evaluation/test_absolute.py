@@ -16,7 +16,7 @@ from siamloc.evaluation.absolute import (
 )
 from siamloc.evaluation.columns import located_columns
 from siamloc.evaluation.localize import Localization
-from siamloc.maps import Retrieval
+from siamloc.maps import Retrieval, VisualMap
 from tests.siamloc.evaluation import scenes
 from tests.siamloc.evaluation.scenes import evaluate_absolute
 
@@ -139,7 +139,8 @@ def test_a_drive_whose_positions_disagree_with_the_map_s_is_remarked(drift: np.n
         seen = np.column_stack([wrong, np.zeros(100)]).astype("f4")
     else:
         moved = queries.with_columns(x=queries.x + drift[:, 0], y=queries.y + drift[:, 1])
-    result = evaluate_absolute(VisualMap(scenes.describe(known, seed=1, noise=0.1), known, {"name": "p"}), seen, moved)
+    of_monday = VisualMap(scenes.describe(known, seed=1, noise=0.1), known, {"name": "p"})
+    result = evaluate_absolute(of_monday, seen, moved)
     assert ("positions" in result.skipped) == says
     assert ("tuesday look like map frames" in result.table()) == says
     assert "left out" not in result.table()

@@ -108,7 +108,3 @@ def test_descriptors_of_other_shapes_are_refused(shapes):
 def test_labels_outside_zero_to_one_are_refused(label):
     with pytest.raises(DataError, match=r"must lie in \[0, 1\]"):
         ContrastiveLoss()(torch.zeros(2, 3), torch.zeros(2, 3), torch.tensor([0.0, label]))
-
-
-def test_shows_its_margin():
-    assert repr(ContrastiveLoss(1.5)) == "ContrastiveLoss(margin=1.5)"

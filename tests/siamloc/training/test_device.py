@@ -130,7 +130,6 @@ def test_a_network_that_cannot_be_compiled_is_one_sentence_or_a_note(fit, monkey
 def test_what_a_gpu_is(monkeypatch):
     monkeypatch.setattr(torch.cuda, "is_available", lambda: True)
     assert on_gpu(None)
-    assert [compiled.compiles("auto", on_gpu=gpu) for gpu in (False, True)] == [False, "auto"]
     assert on_gpu({"accelerator": "gpu"})
     assert not on_gpu({"accelerator": "cpu"})
 
