@@ -10,56 +10,6 @@ torch module and torchvision transform. `augment.expand` writes expanded data se
 not load torch.
 """
 
-from __future__ import annotations
+import lazy_loader
 
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
-
-from augment.errors import AugmentError
-from augment.registry import EFFECTS, POLICIES
-
-if TYPE_CHECKING:
-    from augment.base import Effect
-    from augment.combinations import variants
-    from augment.compose import Policy
-    from augment.contact_sheet import preview
-    from augment.policies import policy, policy_from_config
-    from augment.registry import effect
-    from augment.transforms import Augment
-
-__all__ = [
-    "EFFECTS",
-    "POLICIES",
-    "Augment",
-    "AugmentError",
-    "Effect",
-    "Policy",
-    "effect",
-    "policy",
-    "policy_from_config",
-    "preview",
-    "variants",
-]
-
-_HOMES = {
-    "Augment": "augment.transforms",
-    "Effect": "augment.base",
-    "Policy": "augment.compose",
-    "effect": "augment.registry",
-    "policy": "augment.policies",
-    "policy_from_config": "augment.policies",
-    "preview": "augment.contact_sheet",
-    "variants": "augment.combinations",
-}
-
-
-def __getattr__(name: str) -> Any:
-    if name not in _HOMES:
-        raise AttributeError(f"module 'augment' has no attribute {name!r}")
-    value = getattr(import_module(_HOMES[name]), name)
-    globals()[name] = value
-    return value
-
-
-def __dir__() -> list[str]:
-    return sorted(__all__)
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

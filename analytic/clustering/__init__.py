@@ -3,18 +3,6 @@
 Every method numbers its clusters from 0 to k-1 in the order in which they first appear among the frames.
 """
 
-from __future__ import annotations
+import lazy_loader
 
-from analytic.clustering.compact import positions, representatives, sample, sample_rows
-from analytic.clustering.self_organizing import som
-from analytic.clustering.spectral_clustering import affinity, spectral
-
-__all__ = [
-    "affinity",
-    "positions",
-    "representatives",
-    "sample",
-    "sample_rows",
-    "som",
-    "spectral",
-]
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any, TypeVar
 
 from numpy.typing import NDArray
 
@@ -12,14 +13,13 @@ from siamloc.data.frames import FrameTable
 from siamloc.errors import FormatError
 from siamloc.maps.packing import Precision, packed, shares_values, unpacked
 
-if TYPE_CHECKING:
-    from siamloc.maps.visual_map import VisualMap
+Map = TypeVar("Map")
 
 _FORMAT = "siamloc map"
 _VERSION = 2
 
 
-def write_map(path: str | Path, known: VisualMap, precision: Precision) -> None:
+def write_map(path: str | Path, known: Any, precision: Precision) -> None:
     """Write a map, atomically; equal maps give equal files.
 
     Args:
@@ -56,7 +56,7 @@ def write_map(path: str | Path, known: VisualMap, precision: Precision) -> None:
     write_arrays(path, header, arrays)
 
 
-def read_map(path: str | Path, kind: type[VisualMap]) -> VisualMap:
+def read_map(path: str | Path, kind: Callable[..., Map]) -> Map:
     """Read what `write_map` wrote.
 
     Args:
