@@ -66,3 +66,11 @@ def test_names_and_commands_of_a_page_exist(page):
             )
     commands = set(re.findall(r"(?:^|`|\$\()siamloc ([a-z]+)", text, flags=re.MULTILINE))
     assert commands <= {name.partition(" ")[0] for name in COMMANDS} | {"completion"}
+
+
+def test_the_files_to_open_exist():
+    text = (ROOT / "docs/design.md").read_text(encoding="utf-8").partition("## Which file to open")[2]
+    names = set(re.findall(r"`([\w/]+\.(?:py|yaml|md))`", text.partition("## Sources")[0]))
+    homes = (ROOT, *(ROOT / home for home in ("siamloc", "siamloc/reproduce", "analytic/mapper")))
+    assert len(names) > 40
+    assert not sorted(name for name in names if not any((home / name).is_file() for home in homes))
