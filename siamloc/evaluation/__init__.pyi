@@ -6,5 +6,5 @@ from .disturbed import robustness as robustness
 from .hierarchy import hierarchical as hierarchical
 from .layers import mapping as mapping
 from .localize import error_model as error_model, localization as localization, rooms as rooms
-from .result import Result as Result
+from .result import Measures as Measures, Result as Result
 from .session import Session as Session

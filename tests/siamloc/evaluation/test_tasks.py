@@ -14,7 +14,7 @@ from foundation.files import plain
 from siamloc import evaluation, maps
 from siamloc.data import PanoramaLibrary, Protocol
 from siamloc.errors import ConfigError, DataError
-from siamloc.evaluation import Result
+from siamloc.evaluation import Measures, Result
 from siamloc.models import build
 from siamloc.results import finest
 from tests.siamloc.evaluation.scenes import evaluate_absolute
@@ -396,3 +396,19 @@ def test_the_hit_rate_counts_answers_that_are_the_nearest_frame(world):
         hits = int((found - apart.min(axis=1) <= one["tolerance"] + 1e-9).sum())
         assert (one["hits"], one["rate"], one["queries"]) == (hits, hits / len(tuesday), len(tuesday))
     assert 0 < rates[0]["rate"] <= rates[1]["rate"] <= rates[2]["rate"]
+
+
+def test_the_measures_of_every_task_have_the_keys_that_are_listed(world):
+    images, monday, tuesday, _, known = world
+    layer = maps.group(known, "sample", nodes=4)
+    results = [
+        evaluation.localization(known, images, tuesday, names=["absolute"]),
+        evaluation.rooms(known, images, tuesday),
+        evaluation.hierarchical(known, images, tuesday, layer),
+        evaluation.mapping(known, layer),
+        evaluation.compact(known, images, tuesday, nodes=[4]),
+        evaluation.robustness(known, images, tuesday, noise=[0.1], every=9),
+    ]
+    for result in results:
+        assert result.measures
+        assert set(result.measures) <= set(Measures.__annotations__), result
