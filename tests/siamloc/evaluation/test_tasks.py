@@ -399,7 +399,7 @@ def test_the_hit_rate_counts_answers_that_are_the_nearest_frame(world):
 
 
 def test_the_measures_of_every_task_have_the_keys_that_are_listed(world):
-    images, monday, tuesday, _, known = world
+    images, _, tuesday, _, known = world
     layer = maps.group(known, "sample", nodes=4)
     results = [
         evaluation.localization(known, images, tuesday, names=["absolute"]),
