@@ -395,11 +395,9 @@ def _flat(value: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
 def _differences(ours: Mapping[str, Any], theirs: Mapping[str, Any]) -> str:
     """Return a text with the keys in which two identities differ, and their values; empty if there are none."""
     ours, theirs = ({key: repr(item) for key, item in _flat(one).items()} for one in (ours, theirs))
-    return "; ".join(
-        f"{key} is {ours.get(key, 'absent')} in the map, {theirs.get(key, 'absent')} here"
-        for key in {**ours, **theirs}
-        if ours.get(key) != theirs.get(key)
-    )
+    keys = [key for key in {**ours, **theirs} if ours.get(key) != theirs.get(key)]
+    keys = ["name"] if "name" in keys else keys  # the parameters of different descriptors are unrelated
+    return "; ".join(f"{key} is {ours.get(key, 'absent')} in the map, {theirs.get(key, 'absent')} here" for key in keys)
 
 
 def _check_distance(name: str, width: int) -> None:

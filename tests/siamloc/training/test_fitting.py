@@ -436,8 +436,8 @@ def test_frames_without_a_room_are_left_out_of_pairs_where_others_have_one(train
     night = frames.select(sequence="night1")
     nameless, one = (night.with_columns(room=[room] * len(night)) for room in ("", "office"))
     for given, says in (
-        ({"frames": nameless}, r"all 12 frames belong to one, \(no label\)"),
-        ({"frames": one}, "all 12 frames belong to one, office"),
+        ({"frames": nameless}, r"all 12 frames belong to one room, \(no label\)"),
+        ({"frames": one}, "all 12 frames belong to one room, office"),
     ):
         with pytest.raises(ConfigError, match=says):
             train("refused", pairs={"label": "room"}, **given)
