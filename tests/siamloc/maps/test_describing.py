@@ -129,7 +129,7 @@ def test_a_network_that_finds_headings_keeps_them_in_its_map(images, tmp_path):
     with pytest.raises(ConfigError, match="come from the network: describe images with known"):
         bare.heading_by.describe(library.batch([0]))
     assert bare.with_heading(None) is bare
-    with pytest.raises(ConfigError, match=r"name is 'network' in the map, 'hog' here;.* make it again"):
+    with pytest.raises(ConfigError, match=r"name is 'network' in the map, 'hog' here: make it again"):
         bare.with_heading(analytic.descriptor("hog"))
     loaded = VisualMap.load(tmp_path / "map.npz", as_descriptor(network))
     np.testing.assert_array_equal(headings(loaded, seen, found), headings(known, seen, found))

@@ -121,7 +121,7 @@ def test_headings_by_another_descriptor_are_refused() -> None:
     known = map_with_headings([0.5, -2.0], analytic.descriptor("hog"))
     assert known.with_heading(analytic.descriptor("hog")) is known
     assert known.with_heading(None).heading is None
-    with pytest.raises(ConfigError, match=r"another way: name is 'hog' in the map, 'fs' here;.* make it again"):
+    with pytest.raises(ConfigError, match=r"another way: name is 'hog' in the map, 'fs' here: make it again"):
         known.with_heading(analytic.descriptor("fs", **SMALL["fs"]))
     with pytest.raises(ConfigError, match=r"another way: rows is .* in the map, 2 here: make it again"):
         known.with_heading(analytic.descriptor("hog", rows=2))
