@@ -3,6 +3,6 @@
 Inputs and outputs are NumPy arrays. Importing the package does not load torch.
 """
 
-import lazy_loader
+from foundation.lazy import lazy
 
-__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
+__getattr__, __dir__, __all__ = lazy(__name__, __file__)

@@ -10,6 +10,6 @@ torch module and torchvision transform. `augment.expand` writes expanded data se
 not load torch.
 """
 
-import lazy_loader
+from foundation.lazy import lazy
 
-__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
+__getattr__, __dir__, __all__ = lazy(__name__, __file__)

@@ -1,23 +1,17 @@
-"""Public names of a package that are loaded on first use, so that importing the package stays light."""
+"""Public names of a package that are loaded on first use; what is not installed is named with the extra that has it."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from typing import Any
 
-import lazy_loader
-
+from foundation import lazy as plain
 from siamloc.errors import lacking
 
 
 def lazy(package: str, file: str) -> tuple[Callable[[str], Any], Callable[[], list[str]], list[str]]:
-    """Return the `__getattr__`, `__dir__` and `__all__` of a package, whose public names its `__init__.pyi` lists.
-
-    Args:
-        package: the name of the package.
-        file: the path of its `__init__.py`.
-    """
-    load, names, public = lazy_loader.attach_stub(package, file)
+    """Return the `__getattr__`, `__dir__` and `__all__` of a package; see `foundation.lazy.lazy`."""
+    load, names, public = plain.lazy(package, file)
 
     def loaded(name: str) -> Any:
         try:

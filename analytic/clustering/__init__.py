@@ -3,6 +3,6 @@
 Every method numbers its clusters from 0 to k-1 in the order in which they first appear among the frames.
 """
 
-import lazy_loader
+from foundation.lazy import lazy
 
-__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
+__getattr__, __dir__, __all__ = lazy(__name__, __file__)

@@ -1,5 +1,5 @@
 """The incremental topological mapper: nodes, loop closures and a reason for every decision."""
 
-import lazy_loader
+from foundation.lazy import lazy
 
-__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
+__getattr__, __dir__, __all__ = lazy(__name__, __file__)

@@ -1,5 +1,5 @@
 """Measures of a clustering of frames: silhouettes, moments of inertia, purity by room, loop closures."""
 
-import lazy_loader
+from foundation.lazy import lazy
 
-__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
+__getattr__, __dir__, __all__ = lazy(__name__, __file__)
