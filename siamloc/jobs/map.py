@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from siamloc import maps
 from siamloc.jobs.choices import OF_A_RUN
 from siamloc.jobs.job import Say, quiet
+from siamloc.jobs.options import choices, option
 from siamloc.jobs.run_job import RunJob, files_in, map_of_job
 from siamloc.jobs.sweep import of_layer, own_folder, swept
 from siamloc.maps import VisualMap
@@ -63,8 +64,14 @@ class MapFrames(RunJob):
             run.record_written(files_in(folder))
             say(built.summary(folder))
         if not swept():
-            further = "" if self.descriptor.name in OF_A_RUN else f" descriptor={label}"
+            further = "" if self.descriptor.name in OF_A_RUN else f" descriptor={label}{self._changed()}"
             if self.build.name != "none":
                 further = f" task=hierarchical build={self.build.title}"
             say(f"next: siamloc evaluate run={run.folder}{further}")
         return known
+
+    def _changed(self) -> str:
+        """Return the parameters of the descriptor that are not those of its option, as words of the command line."""
+        chosen, title = self.descriptor.parameters, self.descriptor.title
+        usual = option("descriptor", title if title in choices("descriptor") else self.descriptor.name).values
+        return "".join(f" descriptor.{key}={value}" for key, value in chosen.items() if value != usual.get(key))

@@ -85,7 +85,7 @@ def test_every_analytic_descriptor_locates_as_its_map_does(world, tmp_path, name
         assert [candidate.row for candidate in location.candidates] == expected.indices[row].tolist()
         np.testing.assert_allclose(location.candidates[0].distance, expected.distances[row, 0], rtol=1e-3, atol=1e-4)
         np.testing.assert_allclose(location.theta, theta[row], atol=1e-6)
-    assert ("heading" in bundle.summary()) == (name != "thumbnail")
+    assert ("heading" in bundle.summary()) == described(name).oriented
     assert "model.onnx" not in bundle.files
 
 
