@@ -140,14 +140,16 @@ class Evaluate(RunJob):
             return
         if self.out is not None:
             raise ConfigError(f"{folder} holds results already: choose another out=, or replace them by overwrite=true")
-        wanted = _frames_measured(self.protocol, {key: getattr(self.data, key) for key in _PLACES})
+        maps_only = isinstance(self.task, MapMeasures)
+        protocol = Protocol(map=self.protocol.map) if maps_only else self.protocol
+        wanted = _frames_measured(protocol, {key: getattr(self.data, key) for key in (*_PLACES, "kind", "camera")})
         try:
             config = read_results(folder).get("config", {})
-            before = _frames_measured(Protocol.of(config.get("protocol") or {}), config.get("data", {}))
+            before = _frames_measured(Protocol.of(config.get("protocol") or {}), config.get("data") or {})
         except SiamlocError:
             return  # no result that could be read
-        names = ("protocol.map", "data") if isinstance(self.task, MapMeasures) else tuple(wanted)
-        names = names if config.get("protocol") else ("data",)
+        known = [name for name in wanted if config.get(name.partition(".")[0])]
+        names = [name for name in known if name in ("protocol.map", "data")] if maps_only else known
         if other := [name for name in names if before[name] != wanted[name]]:
             raise ConfigError(
                 f"{folder} holds results of other frames ({', '.join(other)}): write to another folder with "
@@ -350,7 +352,10 @@ def _frames_measured(protocol: Protocol, data: Mapping[str, Any]) -> dict[str, A
             for name, role in roles.items()
         },
         **{f"protocol.{key}": value for key, value in rest.items()},
-        "data": [str(real_path(data[key])) for key in _PLACES if data.get(key) is not None],
+        "data": [
+            *(str(real_path(str(data[key]))) for key in _PLACES if data.get(key) is not None),
+            *([data.get("camera", "omni_cam")] if data.get("kind") == "cold" else []),
+        ],
     }
 
 

@@ -12,13 +12,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, is_dataclass
-from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
+from typing import Any, ClassVar, TypeVar
 
-from foundation.settings import Settings, defaults_of, fields_of, merged
+from foundation.settings import Settings, Text, checked, defaults_of, fields_of, merged
 from siamloc.errors import ConfigError, check_known
-
-if TYPE_CHECKING:
-    from siamloc.jobs.options import Option
 
 Kind = TypeVar("Kind", bound="Job")
 Say = Callable[[str], None]
@@ -144,44 +141,48 @@ def with_options(kind: type[Job], values: Mapping[str, Any]) -> dict[str, Any]:
     from siamloc.jobs.options import Option, choices, option  # the robot has no YAML
 
     own = dict(values)
-    name = own.pop("experiment", None)
+    name = checked(own.pop("experiment", None), Text | None, "experiment")
     experiment = Option({}, "") if name is None else option("experiment", name)
-    chosen = _with_choices(kind.GROUPS, experiment.chooses or {})
-    named: dict[str, str] = {}
+    picked = {group: one for group, one in (experiment.chooses or {}).items() if group in kind.GROUPS}
+    chosen = _with_choices(kind.GROUPS, picked)
     for group in kind.GROUPS:
         given = _at(own, group)
         if isinstance(given, str):
-            named[group] = given
+            picked[group] = given
             own = merged(own, _nested(group, {}))
         elif given is not None:
             _check_group(given, group)
             tag = next((given[key] for key in ("kind", "name") if key in given), None)
-            if isinstance(tag, str) and tag in choices(group) and not _fits(given, option(group, chosen[group])):
-                named[group] = tag
-    chosen = _with_choices(chosen, named)
+            if isinstance(tag, str) and tag in choices(group) and not _fits(group, given, chosen[group]):
+                picked[group] = tag
+    chosen = _with_choices(kind.GROUPS, picked)
     whole: dict[str, Any] = {}
     for group in kind.GROUPS:
-        if _fits(_at(own, group) or {}, option(group, chosen[group])):
+        if _fits(group, _at(own, group) or {}, chosen[group]):
             whole = merged(whole, _nested(group, option(group, chosen[group]).values))
     whole = merged(whole, kind.defaults())
     whole = merged(whole, {key: value for key, value in experiment.values.items() if key in kind.key_names()})
     return merged(whole, own)
 
 
-def _with_choices(chosen: Mapping[str, str], named: Mapping[str, str]) -> dict[str, str]:
-    """Return the options chosen by group, together with others and what these choose in other groups."""
+def _with_choices(usual: Mapping[str, str], picked: Mapping[str, str]) -> dict[str, str]:
+    """Return the option of each group: the picked ones, then those that these choose, then the usual ones."""
     from siamloc.jobs.options import option
 
-    further: dict[str, str] = {}
-    for group, name in named.items():
-        further |= option(group, name).chooses or {}
-    return {**chosen, **further, **named}
+    followed: dict[str, str] = {}
+    for group, name in {**usual, **picked}.items():
+        followed |= option(group, name).chooses or {}
+    return {**usual, **followed, **picked}
 
 
-def _fits(given: Mapping[str, Any], option: Option) -> bool:
+def _fits(group: str, given: Mapping[str, Any], name: str) -> bool:
     """Return whether keys that are given may be those of an option, by its kind or names or else by its keys."""
-    tag = next((key for key in ("kind", "name", "names") if key in option.values), None)
-    return set(given) <= set(option.values) if tag is None else given.get(tag, option.values[tag]) == option.values[tag]
+    from siamloc.jobs.options import choices, option
+
+    values = option(group, name).values
+    tag = next((key for key in ("kind", "name") if values.get(key) in choices(group)), None)
+    tag = "names" if "names" in values else tag
+    return set(given) <= set(values) if tag is None else given.get(tag, values[tag]) == values[tag]
 
 
 def _at(values: Mapping[str, Any], group: str) -> Any:

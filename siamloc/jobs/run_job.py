@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Literal
 import numpy as np
 
 from analytic import DESCRIPTORS, Descriptor, descriptor
+from analytic.descriptors.registry import parameters
 from foundation.settings import Seed, fields_of
 from siamloc.data.decoding import Preprocessing
 from siamloc.data.frames import FrameTable
@@ -25,7 +26,7 @@ from siamloc.data.reading import DataSettings
 from siamloc.errors import ConfigError
 from siamloc.jobs.choices import OF_A_RUN, Build, DescriptorChoice, Device, Folder, Heading, Model
 from siamloc.jobs.job import Given, Job, Say
-from siamloc.jobs.options import choices, option
+from siamloc.jobs.options import option
 from siamloc.jobs.sweep import of_map, own_folder
 from siamloc.models.registry import PRETRAINED_SIZE, Optimizer
 from siamloc.runs import Run, newest_run
@@ -148,7 +149,8 @@ class RunJob(DataJob):
         """Return values together with the settings of the run."""
         chosen = values["descriptor"]
         if values.get("run") is not None:
-            if not any(key.partition(".")[0] == "descriptor" for key in given.keys):
+            told = cls.REPLACES_MAP or any(key.partition(".")[0] == "descriptor" for key in given.keys)
+            if not told and chosen.get("name") == "network" and chosen.get("run") is None:
                 values = {**values, "descriptor": _described_by(values["run"]) or chosen}
             values = with_settings_of_the_run(values, given, cls.key_names(), replaces_map=cls.REPLACES_MAP)
         elif chosen.get("name") in OF_A_RUN and chosen.get("run") is None:
@@ -312,10 +314,17 @@ def suggestion() -> str:
 def _described_by(run: Any) -> dict[str, Any] | None:
     """Return the only descriptor that a folder without a trained network has a map of; None if there are others."""
     folder = Path(str(run))
-    made = [file.parent.name for file in folder.glob("evaluation/*/map.npz")]
-    if Run(folder).record.is_file() or len(made) != 1 or made[0] not in choices("descriptor"):
+    made = list(folder.glob("evaluation/*/map.npz"))
+    if Run(folder).record.is_file() or len(made) != 1:
         return None
-    return dict(option("descriptor", made[0]).values)
+    from siamloc.maps import VisualMap
+
+    label, identity = made[0].parent.name, VisualMap.load(made[0]).identity
+    name = identity.get("name")
+    if name not in DESCRIPTORS:
+        return dict(option("descriptor", label).values) if label == "pretrained" else None
+    values = {key: identity[key] for key in ("name", *parameters(name)) if key in identity and key != "circular"}
+    return values if label == name else {**values, "label": label}
 
 
 def _hint_at_maps(folder: Path) -> None:

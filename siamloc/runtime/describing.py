@@ -45,7 +45,8 @@ class Describer:
         )
         self._size = bundle.image_size
         if self._session is None:
-            known = known.with_descriptor(analytic_descriptor(known.identity, bundle, known.width, known.orientation))
+            own = known.orientation if known.heading is None else None  # else the parts are the heading's
+            known = known.with_descriptor(analytic_descriptor(known.identity, bundle, known.width, own))
         self.known, self._turning = known, None
         if known.heading is not None and not known.heading_by_network:
             self._turning = analytic_descriptor(known.heading, bundle, orientation=known.orientation)

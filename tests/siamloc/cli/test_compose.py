@@ -94,6 +94,19 @@ def test_every_option_of_every_group_composes(override):
                 "model": {"branch": "simple1"},
             },
         ),
+        # An experiment chooses before its data do, and what it does not choose follows the data that are given.
+        (
+            "train",
+            ["experiment=demo", "data=freiburg_sim", "protocol.kind=same_run"],
+            Train,
+            {"experiment": "demo", "data": "freiburg_sim", "protocol": {"kind": "same_run"}},
+        ),
+        (
+            "train",
+            ["experiment=thesis_absolute", "data=folder", "data.root=x"],
+            Train,
+            {"experiment": "thesis_absolute", "data": {"kind": "folder", "root": "x", "name": "freiburg"}},
+        ),
         (
             "train",
             ["experiment=thesis_augmented", "data.root=x"],

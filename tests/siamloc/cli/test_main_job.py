@@ -202,3 +202,10 @@ def test_results_of_other_queries_are_not_replaced_in_silence(flat, words, tmp_p
     assert path.read_bytes() != before
     path.write_bytes(before[:100])  # cut short: nothing to lose
     done(*given)
+
+
+def test_nodes_over_the_training_frames_are_measured_again(data, tmp_path):
+    given = [*data, "protocol.train.sequences=[first]", "descriptor=thumbnail", "build=rooms", f"run={tmp_path}"]
+    done("map", *given)
+    for _ in range(2):
+        done("evaluate", *given, "task=mapping", "task.plots=false")

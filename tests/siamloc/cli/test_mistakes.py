@@ -95,7 +95,8 @@ def test_runs_that_are_missing_or_not_named(data, tmp_path, capsys, monkeypatch)
     assert "/nowhere" in refused(capsys, "evaluate", "descriptor=hog", "data=folder", "data.root=/nowhere")
     assert "data/freiburg_like" in refused(capsys, "evaluate", "descriptor=hog", "data=freiburg_sim")
     robot, second = "run=runs/robot", "protocol.query.sequences=[second]"
-    done("map", robot, "descriptor=hsv", *data, "protocol.map.sequences=[first]")
+    done("map", robot, "descriptor=hsv", "descriptor.homomorphic=true", *data, "protocol.map.sequences=[first]")
+    assert "holds no trained network" in refused(capsys, "map", robot)  # it would be replaced by another
     done("evaluate", robot, second, *QUICK)  # by the only descriptor
     done("report", "out=newest.html")  # of the newest run, trained or not
     assert "hsv" in (tmp_path / "newest.html").read_text()
