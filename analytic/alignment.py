@@ -188,7 +188,11 @@ def moments(description: Description) -> tuple[NDArray[np.float64], NDArray[np.f
 
 
 def rolled(query: NDArray[Any]) -> Turned:
-    """Return the function that turns one orientation part (K, F) back by a number of steps, without copying it."""
+    """Return a function that takes a number of steps s, and returns an orientation part turned back by s, as a view.
+
+    Args:
+        query: the orientation part (K, F): K steps of a full turn with F numbers each.
+    """
     twice = np.concatenate([query, query])  # each turn of the query is a stretch of it: Q[k + s] against R[k]
     return lambda step: twice[step : step + len(query)]
 

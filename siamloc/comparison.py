@@ -22,10 +22,11 @@ class Comparison:
     """Trainings or evaluations as the rows of a table, best first.
 
     Attributes:
-        by: the figure by which the rows are ordered, such as "val/error" or "error".
+        by: the measure by which the rows are ordered, such as "val/error" or "error".
         differing: the settings in which the rows differ, such as "model.branch" and "seed".
         measured: the other columns, including `by`; the last one is the folder.
-        rows: for each, the differing settings and the measurements. Rows without the figure have NaN and come last.
+        rows: for each training or evaluation, the differing settings and the measures. Rows without the measure `by`
+            have NaN and come last.
         highest: whether a higher value is better.
     """
 

@@ -33,7 +33,7 @@ class Demo(Job):
     overwrite: bool = False
 
     def run(self, say: Say = quiet) -> None:
-        """Simulate, train, map, evaluate, export, localize, report."""
+        """Run the commands of the demo one after the other; they simulate, train, map, evaluate, export, locate and report."""
         from siamloc.data.frames import image_files
         from siamloc.runs import Run
         from siamloc.training.run_folder import check_folder

@@ -225,7 +225,7 @@ def _room_by_lighting(columns: Mapping[str, NDArray]) -> dict[str, dict[str, Any
 
 
 def rank_column(radius: float) -> str:
-    """Return the name of the column with the rank of the first retrieved frame within a radius."""
+    """Return the name of the column with the rank of the first retrieved frame within a radius, in the unit of x."""
     return f"first_rank_within_{float(radius)!r}"
 
 

@@ -59,7 +59,7 @@ class Compact(Settings):
 
 
 class CompactFields(TypedDict, total=False):
-    """The fields of `Compact` as keywords, for type checkers."""
+    """Keyword arguments with the names and types of the fields of `Compact`, for type checkers."""
 
     nodes: Sequence[int]
     ways: Sequence[Way]

@@ -84,7 +84,7 @@ class Robustness(Settings):
 
 
 class RobustnessFields(TypedDict, total=False):
-    """The fields of `Robustness` as keywords, for type checkers."""
+    """Keyword arguments with the names and types of the fields of `Robustness`, for type checkers."""
 
     every: int
     radius: float

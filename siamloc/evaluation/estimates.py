@@ -145,7 +145,11 @@ def search_validation(session: Session, frames: FrameTable | None, settings: Est
 
 
 def refinement(settings: Estimates, known: VisualMap) -> Refinement | None:
-    """Return the method for poses finer than a map, before learning; None if the settings ask for no such poses."""
+    """Return an untrained `Refinement`, which computes a query's pose from several map frames instead of the nearest.
+
+    Returns:
+        None if `settings.refine` is "none".
+    """
     if settings.refine == "none":
         return None
     return Refinement(settings.refine, settings.neighbours, settings.place_radius, map_digest=known.digest)

@@ -80,7 +80,7 @@ class Hierarchical(Settings):
 
 
 class HierarchicalFields(TypedDict, total=False):
-    """The fields of `Hierarchical` as keywords, for type checkers."""
+    """Keyword arguments with the names and types of the fields of `Hierarchical`, for type checkers."""
 
     candidates: int
     coarse: CoarseRanking | Mapping[str, Any]

@@ -41,7 +41,7 @@ class MapMeasures(Settings):
 
 
 class MapMeasuresFields(TypedDict, total=False):
-    """The fields of `MapMeasures` as keywords, for type checkers."""
+    """Keyword arguments with the names and types of the fields of `MapMeasures`, for type checkers."""
 
     closure_radius: float
     closure_gap: int

@@ -90,7 +90,7 @@ class Localization(Estimates):
 
 
 class LocalizationFields(TypedDict, total=False):
-    """The fields of `Localization` as keywords, for type checkers."""
+    """Keyword arguments with the names and types of the fields of `Localization`, for type checkers."""
 
     filter: bool
     filter_settings: FilterSettings | Mapping[str, Any]

@@ -166,7 +166,7 @@ class Spectrum(nn.Module):
             self.sine.copy_(angle.sin() / columns**0.5)
 
     def forward(self, features: Tensor) -> Tensor:
-        """Return (B, C, h, w // 2 + 1) of features (B, C, h, w); never 0, where the root has no gradient."""
+        """Return (B, C, h, w // 2 + 1) of features (B, C, h, w); above 0, so that its square root has a gradient."""
         # As a product with the basis: w is small, and every device and runtime supports it.
         return (features @ self.cosine) ** 2 + (features @ self.sine) ** 2 + _SMALLEST
 

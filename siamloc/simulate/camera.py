@@ -27,14 +27,14 @@ _VIGNETTE = 0.42
 
 @dataclass(frozen=True)
 class Pixels:
-    """The pixels of an image that see something.
+    """The pixels inside the mirror's image, or of a panorama.
 
     Attributes:
         rows: row of each pixel (n,).
         columns: column of each pixel (n,).
         directions: unit vectors in the robot's frame for each entry of OFFSETS (4, n, 3), float32.
         spread: angle in rad that a pixel covers (n,).
-        vignette: share of the light that arrives (n,).
+        vignette: share of the light that arrives, from 0 to 1 (n,).
     """
 
     rows: Array
@@ -343,15 +343,18 @@ def metered(values: Array, steps: int = 24) -> float:
 
 
 def develop(light: Array, gain: float, balance: Array, wraps: bool, rng: np.random.Generator, quiet: float) -> Array:
-    """Turn radiosity (rows, columns, 3) into a uint8 image.
+    """Expose an image as a camera does: gain, white balance, glare, noise and tone curve.
 
     Args:
-        light: radiosity after lens and motion.
-        gain: pixel value per radiosity.
-        balance: colour gains (3,).
+        light: radiosity (rows, columns, 3), linear, after lens and motion.
+        gain: pixel value, with 1 for white, per unit of radiosity.
+        balance: gains of red, green and blue (3,).
         wraps: whether the left edge continues at the right one.
         rng: draws the noise.
         quiet: scale of the noise; below 1 where unwrapping would have averaged it.
+
+    Returns:
+        The image (rows, columns, 3), uint8.
     """
     value = light * (gain * balance).astype(np.float32)
     _glare(value, wraps)

@@ -22,7 +22,7 @@ _HUNG = ("poster", "picture", "poster", "picture", "notice_board", "clock", "roo
 
 @dataclass(frozen=True)
 class Use:
-    """A use of rooms. Floors and items are words separated by spaces.
+    """A kind of room, such as an office: its floors and items, as words separated by spaces.
 
     Attributes:
         code: room code, with a placeholder for the number.

@@ -58,7 +58,11 @@ def key_figures(evaluation: Evaluation) -> Markup | None:
 
 
 def unscored(evaluation: Evaluation) -> Markup | None:
-    """Return a note on located queries whose true poses are unknown; None if there are none."""
+    """Return a note with the number of queries that were located and have no true pose to compare with.
+
+    Returns:
+        None if every located query has a true pose.
+    """
     if not evaluation.located:
         return None
     many = plural(evaluation.located, "query", "queries")
