@@ -33,7 +33,7 @@ class Demo(Job):
     overwrite: bool = False
 
     def run(self, say: Say = quiet) -> None:
-        """Run the commands of the demo one after the other; they simulate, train, map, evaluate, export, locate and report."""
+        """Run the commands one after the other, in the folder of the run, from rendering a building to the report."""
         from siamloc.data.frames import image_files
         from siamloc.runs import Run
         from siamloc.training.run_folder import check_folder
