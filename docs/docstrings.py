@@ -22,12 +22,24 @@ class Docstrings(griffe.Extension):
             obj.docstring.value = _BARE.sub(_under_heading, _EXAMPLE.sub("Examples:", obj.docstring.value))
 
     def on_package(self, *, pkg: griffe.Module, **others: Any) -> None:
-        """Change the functions of a package, after all its settings are known."""
+        """Change the functions of a package, whose settings are all known by then, and what its stubs make public."""
+        for module in _modules(pkg):
+            listed = [name for name, one in module.members.items() if one.is_alias and _within(one, module)]
+            if module.exports is None and module.is_init_module and listed:
+                module.exports = listed
         for function in _functions(pkg):
             for decorator in function.decorators:
                 if found := re.fullmatch(r"takes\((\w+)\)", str(decorator.value)):
                     path = function.parent.resolve(found[1])
                     _show_fields(function, pkg[path.removeprefix(f"{pkg.name}.")])
+
+
+def _modules(module: griffe.Module) -> list[griffe.Module]:
+    return [module, *(one for part in module.modules.values() if not part.is_alias for one in _modules(part))]
+
+
+def _within(member: griffe.Object | griffe.Alias, package: griffe.Module) -> bool:
+    return str(getattr(member, "target_path", "")).startswith(f"{package.path}.")
 
 
 def _functions(module: griffe.Module) -> list[griffe.Function]:

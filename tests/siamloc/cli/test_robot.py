@@ -212,5 +212,5 @@ def test_a_network_that_finds_headings_needs_no_heading_key(data, flat, tmp_path
     assert "heading (by network)" in capsys.readouterr().out
     done("localize", f"run={run}", f"images=[{flat.parent / 'second'}]")
     assert all(apart(here["theta"], there["est_theta"]) <= 1.01 * math.tau / 1024 for here, there in answers(run))
-    says = "the map gives headings by network, not by hog"
+    says = "name is 'network' in the map, 'hog' here"
     assert says in refused(capsys, "evaluate", f"run={run}", *ABSOLUTE, "heading=hog")
