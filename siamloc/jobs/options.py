@@ -210,7 +210,6 @@ def groups() -> list[str]:
     return sorted({*folders, *(group for group in options() if not group.startswith("settings"))} - {"building"})
 
 
-@lru_cache
 def choices(group: str) -> dict[str, str]:
     """Return the options of a group, from the registries and from files, with one line about each."""
     found = {name: option.summary for name, option in options().get(group, {}).items()}
