@@ -21,7 +21,7 @@ from __future__ import annotations
 
 import dataclasses
 import types
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from difflib import SequenceMatcher
 from functools import cache
@@ -195,6 +195,15 @@ def merged(values: Mapping[str, Any], others: Mapping[str, Any]) -> dict[str, An
         else:
             result[key] = str(value) if isinstance(value, Path) else value
     return result
+
+
+def leaves(values: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
+    """Yield the keys of nested values, with dots, and the values."""
+    for key, value in values.items():
+        if isinstance(value, Mapping) and value:
+            yield from leaves(value, f"{prefix}{key}.")
+        else:
+            yield f"{prefix}{key}", value
 
 
 def shortened(text: str, most: int = 120) -> str:

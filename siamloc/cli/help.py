@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
 from importlib import import_module
 from inspect import cleandoc
 from textwrap import fill, indent, shorten
 from typing import Any
 
+from foundation.settings import leaves
 from siamloc.jobs.job import Job
 
 COMMANDS = {
@@ -88,19 +88,10 @@ def keys_of(job: type[Job]) -> dict[str, tuple[dict[str, str], list[str]]]:
     for group in job.GROUPS:
         options, section = choices(group), group.replace("/", ".")
         held: dict[str, Any] = job.MORE.get(group, {})
-        inside = {key for name in options for key in _flat({**option(group, name).values, **held}, f"{section}.")}
+        inside = {key for name in options for key, _ in leaves({**option(group, name).values, **held}, f"{section}.")}
         found[group] = (options, sorted(inside))
     if job.SHARED:
         found["experiment"] = (choices("experiment"), [])
     inside = {key for _, keys in found.values() for key in keys}
-    others = sorted(key for key in _flat(defaults, "") if key not in inside)
+    others = sorted(key for key, _ in leaves(defaults) if key not in inside)
     return {**found, "other keys": ({}, others)} if found else {"keys": ({}, others)}
-
-
-def _flat(values: Mapping[str, Any], prefix: str) -> Iterator[str]:
-    """Yield the keys of nested values, with dots."""
-    for key, value in values.items():
-        if isinstance(value, Mapping) and value:
-            yield from _flat(value, f"{prefix}{key}.")
-        else:
-            yield f"{prefix}{key}"

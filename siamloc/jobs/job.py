@@ -10,11 +10,11 @@ On the command line Hydra composes the settings; in Python a mapping gives them,
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, is_dataclass
 from typing import Any, ClassVar, TypeVar
 
-from foundation.settings import Settings, Text, checked, defaults_of, fields_of, merged
+from foundation.settings import Settings, Text, checked, defaults_of, fields_of, leaves, merged
 from siamloc.errors import ConfigError, check_known
 
 Kind = TypeVar("Kind", bound="Job")
@@ -116,10 +116,6 @@ class Job(Settings):
                 part.pop(last, None)
         return values
 
-    @classmethod
-    def _key(cls, name: str) -> str:
-        return _KEY.get(name, name)
-
 
 def given_by(kind: type[Job], values: Mapping[str, Any]) -> Given:
     """Return which keys and groups a mapping of values sets."""
@@ -143,7 +139,7 @@ def with_options(kind: type[Job], values: Mapping[str, Any]) -> dict[str, Any]:
     own = dict(values)
     name = checked(own.pop("experiment", None), Text | None, "experiment")
     experiment = Option({}, "") if name is None else option("experiment", name)
-    picked = {group: one for group, one in (experiment.chooses or {}).items() if group in kind.GROUPS}
+    picked = {group: one for group, one in experiment.chooses.items() if group in kind.GROUPS}
     chosen = _with_choices(kind.GROUPS, picked)
     for group in kind.GROUPS:
         given = _at(own, group)
@@ -171,7 +167,7 @@ def _with_choices(usual: Mapping[str, str], picked: Mapping[str, str]) -> dict[s
 
     followed: dict[str, str] = {}
     for group, name in {**usual, **picked}.items():
-        followed |= option(group, name).chooses or {}
+        followed |= option(group, name).chooses
     return {**usual, **followed, **picked}
 
 
@@ -204,12 +200,3 @@ def _nested(group: str, values: Mapping[str, Any]) -> dict[str, Any]:
 def _check_group(values: Any, group: str) -> None:
     if not isinstance(values, Mapping):
         raise ConfigError(f"{group} is a group of keys: set them one by one, such as {group}.KEY=VALUE")
-
-
-def leaves(values: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
-    """Yield the keys of nested values, with dots, and the values."""
-    for key, value in values.items():
-        if isinstance(value, Mapping) and value:
-            yield from leaves(value, f"{prefix}{key}.")
-        else:
-            yield f"{prefix}{key}", value

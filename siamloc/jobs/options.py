@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -30,11 +30,11 @@ class Option:
 
     values: Mapping[str, Any]
     summary: str
-    chooses: Mapping[str, str] | None = None
+    chooses: Mapping[str, str] = field(default_factory=dict)
 
     def node(self) -> dict[str, Any]:
         """Return the option as Hydra reads it from a file."""
-        chosen = [{f"override /{group}": name} for group, name in (self.chooses or {}).items()]
+        chosen = [{f"override /{group}": name} for group, name in self.chooses.items()]
         return {"defaults": [*chosen, "_self_"], **self.values} if chosen else dict(self.values)
 
 
@@ -237,7 +237,7 @@ def option(group: str, name: str) -> Option:
         if isinstance(entry, str):
             if entry != "_self_":
                 start = option(group, entry)
-                values, chooses = merged(values, start.values), {**chooses, **(start.chooses or {})}
+                values, chooses = merged(values, start.values), {**chooses, **start.chooses}
             continue
         for words, chosen in entry.items():
             if words == "/settings@_here_":

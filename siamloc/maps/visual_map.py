@@ -17,6 +17,7 @@ from analytic import Description, Descriptor
 from analytic.distances import DISTANCES
 from foundation.calls import typed
 from foundation.files import plain
+from foundation.settings import leaves
 from siamloc.data.frames import FrameTable
 from siamloc.errors import ConfigError, DataError, hint
 from siamloc.maps.aligned import AlignedIndex
@@ -381,20 +382,9 @@ def _checked_orientation(orientation: Any, descriptors: NDArray, *, halved: bool
     return array
 
 
-def _flat(value: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
-    """Flatten nested dictionaries into one with dotted keys."""
-    flat: dict[str, Any] = {}
-    for key, item in value.items():
-        if isinstance(item, Mapping):
-            flat.update(_flat(item, f"{prefix}{key}."))
-        else:
-            flat[f"{prefix}{key}"] = item
-    return flat
-
-
 def _differences(ours: Mapping[str, Any], theirs: Mapping[str, Any]) -> str:
     """Return a text with the keys in which two identities differ, and their values; empty if there are none."""
-    ours, theirs = ({key: repr(item) for key, item in _flat(one).items()} for one in (ours, theirs))
+    ours, theirs = ({key: repr(item) for key, item in leaves(one) if item != {}} for one in (ours, theirs))
     keys = [key for key in {**ours, **theirs} if ours.get(key) != theirs.get(key)]
     keys = ["name"] if "name" in keys else keys  # the parameters of different descriptors are unrelated
     return "; ".join(f"{key} is {ours.get(key, 'absent')} in the map, {theirs.get(key, 'absent')} here" for key in keys)

@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 import torch
 
+from foundation.settings import leaves
 from siamloc import models
 from siamloc.cli import main
 from siamloc.cli.compose import composed
 from siamloc.data.places import PlaceSettings
 from siamloc.errors import ConfigError
-from siamloc.jobs.job import leaves
 from siamloc.jobs.options import choices, groups
 from siamloc.training import Run
 from tests.drawn import write_cold, write_manifest
