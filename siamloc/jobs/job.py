@@ -116,6 +116,10 @@ class Job(Settings):
                 part.pop(last, None)
         return values
 
+    @classmethod
+    def _key(cls, name: str) -> str:  # the name of a field in the sentences of `Settings`
+        return _KEY.get(name, name)
+
 
 def given_by(kind: type[Job], values: Mapping[str, Any]) -> Given:
     """Return which keys and groups a mapping of values sets."""
