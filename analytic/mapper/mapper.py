@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from analytic.descriptors import registry
 from analytic.descriptors.base import Description, Descriptor, check_alike
 from analytic.errors import AnalyticError
 from analytic.linear_algebra import one_thread
@@ -20,6 +21,7 @@ from analytic.mapper.growth import State
 from analytic.mapper.node import Node
 from analytic.mapper.parameters import Parameters
 from analytic.mapper.steps import locate, maintain, step
+from foundation.files import plain
 
 LARGEST_VALUE = 1e38
 LARGEST_POSITION = 4096  # numbers: beyond, the covariance of a single node takes more than 128 MiB
@@ -182,12 +184,19 @@ class IncrementalMapper:
             extend: whether frames may be added.
 
         Raises:
-            AnalyticError: a path that cannot be read, a file that is cut short, not a map or of another version, a
-                descriptor other than the map's, or none for a map whose descriptor is not in `analytic.DESCRIPTORS`.
+            FormatError: a file that cannot be read, is cut short or damaged, is no map, or a map of another version.
+            AnalyticError: a descriptor other than the map's, or none for a map whose descriptor is not in
+                `analytic.DESCRIPTORS`.
         """
         state, poses, identity, lines = storage.load(path)
-        descriptor = descriptor or storage.descriptor_of(identity, path)
-        if json.loads(json.dumps(descriptor.identity, default=str)) != identity:
+        if descriptor is None:
+            if identity.get("name") not in registry.DESCRIPTORS:
+                raise AnalyticError(
+                    f"the map {path} was made with the descriptor {identity.get('name')!r}, which is not one of "
+                    f"{', '.join(registry.DESCRIPTORS)}: give it as `descriptor`"
+                )
+            descriptor = registry.descriptor(**identity)
+        if plain(descriptor.identity) != identity:
             raise AnalyticError(
                 f"the map {path} was made with the descriptor {identity}, not with {descriptor.identity}: give the "
                 "map's own"
@@ -246,10 +255,8 @@ class IncrementalMapper:
 
 def _plain(frame: Any) -> Any:
     """Return an identifier or a pose as it will be read back from JSON."""
-    if isinstance(frame, (np.generic, np.ndarray)):
-        frame = frame.tolist()
     try:
-        return json.loads(json.dumps(frame))
+        return json.loads(json.dumps(plain(frame)))
     except (TypeError, ValueError) as error:
         raise AnalyticError(
             f"a frame's identifier or pose must be plain values, lists or objects of them, got {frame!r}"

@@ -1,9 +1,7 @@
-"""A map in one file: npz without pickles, with a header in JSON."""
+"""A map in one file: arrays without pickles, with a header in JSON."""
 
 from __future__ import annotations
 
-import io
-import json
 from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
@@ -12,21 +10,20 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from analytic.descriptors.base import Description, Descriptor
-from analytic.descriptors.registry import DESCRIPTORS, descriptor
-from analytic.errors import AnalyticError
+from analytic.descriptors.base import Description
 from analytic.mapper.growth import State
 from analytic.mapper.node import Gallery, Mode, Node
 from analytic.mapper.parameters import Parameters
-from foundation.arrays import DAMAGE, read_arrays
-from foundation.files import write_bytes
+from foundation.arrays import DAMAGE, read_headed, write_arrays
+from foundation.errors import FormatError
 
-FORMAT = "analytic.mapper"
-VERSION = 2
+FORMAT = "topological map"
+VERSION = 3
 
 Arrays = Mapping[str, NDArray[Any]]
 
 _PARTS = ("frames", "held", "points", "centre", "mean", "scatter")  # of a mode; the scatter may be missing
+_AGAIN = "build the map again"
 
 
 def save(path: str | Path, state: State, poses: list[Any], identity: Mapping[str, Any], lines: list[str]) -> None:
@@ -47,8 +44,8 @@ def save(path: str | Path, state: State, poses: list[Any], identity: Mapping[str
         "next_id": state.next_id,
         "poses": poses,
     }
-    arrays: dict[str, NDArray[Any]] = {"header": _text(json.dumps(head, default=str)), "log": _text("\n".join(lines))}
-    arrays |= {"labels": state.labels, "matches": state.matches}
+    log = np.frombuffer("\n".join(lines).encode(), dtype=np.uint8)
+    arrays: dict[str, NDArray[Any]] = {"log": log, "labels": state.labels, "matches": state.matches}
     galleries = {"recent": Gallery.of(*zip(*state.recent, strict=True))} if state.recent else {}
     for node in nodes:
         for index, mode in enumerate(node.modes):
@@ -59,9 +56,7 @@ def save(path: str | Path, state: State, poses: list[Any], identity: Mapping[str
         arrays |= {f"{name}.shown": gallery.frames, f"{name}.position": gallery.shown.position}
         if gallery.shown.orientation is not None:
             arrays[f"{name}.orientation"] = gallery.shown.orientation
-    buffer = io.BytesIO()
-    np.savez(buffer, **arrays)  # type: ignore[arg-type]
-    write_bytes(path, buffer.getvalue())
+    write_arrays(path, head, arrays)
 
 
 def load(path: str | Path) -> tuple[State, list[Any], dict[str, Any], list[str]]:
@@ -71,41 +66,14 @@ def load(path: str | Path) -> tuple[State, list[Any], dict[str, Any], list[str]]
         The map, the pose that was given with each frame, the identity of the descriptor, and the lines of the log.
 
     Raises:
-        AnalyticError: a path that cannot be read, or a file that is cut short, not a map, or of another version.
+        FormatError: a file that cannot be read, is cut short or damaged, is no map, or a map of another version.
     """
+    head, arrays = read_headed(path, FORMAT, VERSION, _AGAIN)
     try:
-        arrays = read_arrays(path)
-        head = json.loads(_string(arrays["header"]))
-        if (head["format"], head["version"]) != (FORMAT, VERSION):
-            raise AnalyticError(
-                f"{path} has the format {head['format']!r} in version {head['version']}, and this program reads "
-                f"{FORMAT!r} in version {VERSION}: build the map again"
-            )
-        lines = _string(arrays["log"]).split("\n")
+        lines = arrays["log"].tobytes().decode().split("\n")
         return _state(head, arrays, len(lines) - 1), head["poses"], head["descriptor"], lines
-    except AnalyticError:
-        raise
     except DAMAGE as error:
-        raise AnalyticError(
-            f"{path} cannot be read, is not a map, or is damaged or cut short ({error!r}): give a whole file that "
-            "`save` wrote"
-        ) from error
-
-
-def descriptor_of(identity: Mapping[str, Any], path: str | Path) -> Descriptor:
-    """Make the descriptor that a map was built with, if it belongs to this package.
-
-    Raises:
-        AnalyticError: a descriptor that is not part of this package.
-    """
-    if identity.get("name") not in DESCRIPTORS:
-        raise AnalyticError(
-            f"the map {path} was made with the descriptor {identity.get('name')!r}, which is not one of "
-            f"{', '.join(DESCRIPTORS)}: give it as `descriptor`"
-        )
-    # JSON has only lists, where a parameter may be a tuple.
-    params = {key: tuple(v) if isinstance(v, list) else v for key, v in identity.items() if key != "name"}
-    return descriptor(identity["name"], **params)
+        raise FormatError(f"{path} is not a {FORMAT}, or not a whole one ({error}): {_AGAIN}") from error
 
 
 def _state(head: Mapping[str, Any], arrays: Arrays, calls: int) -> State:
@@ -140,11 +108,3 @@ def _shown(name: str, arrays: Arrays) -> tuple[list[int], list[Description]]:
     """Return the frames of a gallery, and the description of each."""
     whole = Description(arrays[f"{name}.position"], arrays.get(f"{name}.orientation"))
     return arrays[f"{name}.shown"].tolist(), [whole.take(slice(row, row + 1)) for row in range(len(whole))]
-
-
-def _text(text: str) -> NDArray[np.uint8]:
-    return np.frombuffer(text.encode(), dtype=np.uint8)
-
-
-def _string(array: NDArray[Any]) -> str:
-    return array.tobytes().decode()
