@@ -6,8 +6,6 @@ from collections.abc import Iterable
 
 from foundation.errors import ConfigError, hint
 
-__all__ = ["AnalyticError", "hint", "known"]
-
 
 class AnalyticError(ConfigError):
     """The error for a parameter, image or description that cannot be used; one sentence says which, and what to do.

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from typing import Annotated, Any, ClassVar
 
 import numpy as np
@@ -18,7 +18,7 @@ from analytic.errors import AnalyticError
 from analytic.filters import filtered
 from analytic.images import luma, unit, with_channels
 from analytic.threads import each
-from foundation.settings import Rule, checked, fields_of
+from foundation.settings import Rule, Settings
 
 Cells = Annotated[int, Rule("a whole number from 1 to 16,384", lambda value: 1 <= value <= 16_384)]
 """A number of rows, columns, bins ...: at most as many as an image has pixels along a side."""
@@ -152,7 +152,7 @@ class Descriptor(ABC):
 
 
 @dataclass(frozen=True, kw_only=True)
-class ImageDescriptor(Descriptor):
+class ImageDescriptor(Descriptor, Settings):
     """A descriptor computed from pixels. Subclasses are frozen dataclasses whose fields are the parameters.
 
     Args:
@@ -166,21 +166,17 @@ class ImageDescriptor(Descriptor):
         (True, ((256,), (256, 16)), 1.41)
     """
 
+    ERROR = AnalyticError
     colour: ClassVar[bool] = False  # whether the descriptor uses colours, not only luma
     oriented: ClassVar[bool] = True  # whether descriptions have an orientation part
 
     circular: bool = True
     homomorphic: bool = False
 
-    def __post_init__(self) -> None:
-        for key, kind in fields_of(type(self)).items():
-            object.__setattr__(self, key, checked(getattr(self, key), kind, f"{self.name}.{key}", AnalyticError))
-        self._check_parameters()
-
     @property
     def identity(self) -> dict[str, Any]:
         """Name and parameters."""
-        return {"name": self.name, **{f.name: getattr(self, f.name) for f in fields(self)}}
+        return {"name": self.name, **self.plain()}
 
     @property
     def tells_heading(self) -> bool:
@@ -242,8 +238,9 @@ class ImageDescriptor(Descriptor):
             )
         return super()._steps(queries, references)
 
-    def _check_parameters(self) -> None:  # most descriptors have nothing to check
-        """Raise AnalyticError for parameters that do not go together."""
+    @classmethod
+    def _key(cls, name: str) -> str:
+        return f"{cls.name}.{name}"
 
     @abstractmethod
     def _check_size(self, height: int, width: int) -> None:

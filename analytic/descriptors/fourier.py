@@ -151,7 +151,8 @@ class FourierSignature(ImageDescriptor):
             distance[part] = euclidean(peak, lengths, best, at_turn.__getitem__, known)
         return step, distance
 
-    def _check_parameters(self) -> None:
+    def __post_init__(self) -> None:
+        super().__post_init__()
         if 2 * (self.orientation_columns - 1) >= self.turns:
             raise AnalyticError(
                 f"fs with turns={self.turns} resolves at most {(self.turns + 1) // 2} frequencies, got "

@@ -106,7 +106,8 @@ class Gist(ImageDescriptor):
         position = (LEVELS * self.blocks * self.orientations,)
         return position, (width // self.step, self.orientation_levels * self.orientation_filters)
 
-    def _check_parameters(self) -> None:
+    def __post_init__(self) -> None:
+        super().__post_init__()
         if self.normalized and self.orientation_filters == 1:
             raise AnalyticError(
                 "gist needs orientation_filters of at least 2 to show which one prevails, got 1: use more of them, or "

@@ -84,7 +84,8 @@ class RadonFourier(ImageDescriptor):
         """Return (360 / p1, k11) and (360 / p1, k12); the arrays are (B, 360 / p1 * k11) and (B, 360 / p1, k12)."""
         return (steps(self.step), self.lines), (steps(self.step), self.orientation_lines)
 
-    def _check_parameters(self) -> None:
+    def __post_init__(self) -> None:
+        super().__post_init__()
         for key in ("lines", "orientation_lines"):
             value = getattr(self, key)
             if self.size // 2 % value:

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import fields
 from importlib import import_module
 from typing import Any, cast
 
 from analytic.descriptors.base import ImageDescriptor
-from analytic.errors import AnalyticError, hint, known
+from analytic.errors import known
+from foundation.settings import defaults_of
 
 DESCRIPTORS: dict[str, tuple[str, str]] = {
     "fs": ("fourier", "FourierSignature"),
@@ -41,12 +41,7 @@ def descriptor(name: str, **params: Any) -> ImageDescriptor:
         >>> found.index, np.degrees(found.heading)
         (array([0, 1, 2, 3]), array([90., 90., 90., 90.]))
     """
-    made = _class(name)
-    valid = [field.name for field in fields(made)]
-    for key in params:
-        if key not in valid:
-            raise AnalyticError(f"descriptor {name!r} has no parameter {key!r}: {hint(key, valid)}")
-    return made(**params)
+    return _class(name).of(params)
 
 
 def parameters(name: str) -> dict[str, Any]:
@@ -59,7 +54,7 @@ def parameters(name: str) -> dict[str, Any]:
         >>> parameters("briefgist")
         {'circular': True, 'homomorphic': False, 'rows': 64, 'columns': 16}
     """
-    return {field.name: field.default for field in fields(_class(name))}
+    return defaults_of(_class(name))
 
 
 def _class(name: str) -> type[ImageDescriptor]:

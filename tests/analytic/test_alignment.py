@@ -21,9 +21,6 @@ class Columns(AlignedDescriptor):
     name = "columns"
     default_distance = "cosine"
 
-    def _check_parameters(self):
-        pass
-
     def _check_size(self, height, width):
         pass
 

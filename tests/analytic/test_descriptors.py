@@ -345,8 +345,8 @@ assert near == ([[7.0], [5.0]], [[5.0, 0.0]])
     [
         (lambda: descriptor("hogg"), "unknown descriptor 'hogg': did you mean 'hog'"),
         (lambda: descriptor("sift"), "valid: fs, hog, gist, wisurf, briefgist, radon_fourier, radon_poc, hsv"),
-        (lambda: descriptor("hog", windows=3), "'hog' has no parameter 'windows': did you mean 'window'"),
-        (lambda: descriptor("fs", k1=3), "'fs' has no parameter 'k1': valid: "),
+        (lambda: descriptor("hog", windows=3), "unknown key hog.windows: did you mean 'window'"),
+        (lambda: descriptor("fs", k1=3), "unknown key fs.k1: valid: "),
     ],
 )
 def test_unknown_names_are_one_sentence(call, says):
