@@ -14,14 +14,12 @@ from numpy.typing import NDArray
 
 from foundation.files import atomic_folder, content_key, parsed_json, storage_errors, write_json
 from foundation.locks import locked
-from foundation.threads import in_order
+from foundation.threads import in_order, processors
 from siamloc.data.decoding import Preprocessing, UnreadableImageError
 from siamloc.errors import DataError, leave_out, logger
 from siamloc.progress import track
 
 VERSION = 1
-
-_HEADER_BYTES = 192
 
 
 @dataclass(frozen=True)
@@ -74,7 +72,7 @@ def open_store(
     folder = Path(cache).expanduser().absolute() / _key(paths, preprocessing)
     store = _load(folder, len(paths))
     if store is None:
-        store = _build(folder, paths, preprocessing, workers or _default_workers(), on_error)
+        store = _build(folder, paths, preprocessing, workers or min(processors(), 16), on_error)
     faults = [f"{item['path']} ({item['reason']})" for item in store.rejected]
     leave_out(faults, len(paths), "images cannot be read", on_error)
     return store
@@ -141,7 +139,7 @@ def _build(folder: Path, paths: Sequence[str], preprocessing: Preprocessing, wor
 
 def _write(folder: Path, paths: Sequence[str], preprocessing: Preprocessing, workers: int, on_error: str) -> None:
     """Fill a folder with panoramas.npy and store.json."""
-    height, width = preprocessing.view.height, preprocessing.view.width
+    size = [preprocessing.view.height, preprocessing.view.width]
     rejected: list[dict[str, Any]] = []
     kept = 0
 
@@ -152,7 +150,8 @@ def _write(folder: Path, paths: Sequence[str], preprocessing: Preprocessing, wor
             return error
 
     with (folder / "panoramas.npy").open("wb") as file:
-        file.seek(_HEADER_BYTES)
+        header = {"descr": "|u1", "fortran_order": False, "shape": (len(paths), 3, *size)}
+        np.lib.format.write_array_header_1_0(file, header)
         decoded = in_order(decode, paths, workers)
         for row, result in enumerate(track(decoded, len(paths), "decoding images")):
             if isinstance(result, UnreadableImageError):
@@ -163,31 +162,17 @@ def _write(folder: Path, paths: Sequence[str], preprocessing: Preprocessing, wor
                 file.write(result.data)
                 kept += 1
         if kept == 0:
-            first = rejected[0]
-            raise DataError(
-                f"none of the {len(paths)} images can be read, the first: {first['path']} ({first['reason']})"
-            )
-        file.seek(0)
-        file.write(_header((kept, 3, height, width)))
+            first = "{path} ({reason})".format(**rejected[0])
+            raise DataError(f"none of the {len(paths)} images can be read, the first: {first}")
+        file.seek(0)  # numpy leaves room in a header for any number of rows
+        np.lib.format.write_array_header_1_0(file, {**header, "shape": (kept, 3, *size)})
         file.flush()
         os.fsync(file.fileno())
     record = {
         "version": VERSION,
         "images": len(paths),
-        "image_size": [height, width],
+        "image_size": size,
         "preprocessing": preprocessing.parameters(),
         "rejected": rejected,
     }
     write_json(folder / "store.json", record)
-
-
-def _header(shape: tuple[int, ...]) -> bytes:
-    """Return the header of a .npy file of version 1.0, padded to a size that does not depend on the shape."""
-    text = repr({"descr": "|u1", "fortran_order": False, "shape": shape})
-    room = _HEADER_BYTES - 10
-    return b"\x93NUMPY\x01\x00" + room.to_bytes(2, "little") + f"{text:<{room - 1}}\n".encode("latin1")
-
-
-def _default_workers() -> int:
-    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    return min(cores, 16)

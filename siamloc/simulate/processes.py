@@ -1,4 +1,4 @@
-"""Rendering processes: how many there are, and how they end together with the process that started them."""
+"""Rendering processes, which end together with the process that started them."""
 
 from __future__ import annotations
 
@@ -9,11 +9,6 @@ from concurrent.futures import ProcessPoolExecutor
 from multiprocessing import get_context, parent_process
 
 import cv2
-
-
-def processors() -> int:
-    """Count the processors that this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else (os.cpu_count() or 1)
 
 
 def rendering_processes(count: int) -> ProcessPoolExecutor:

@@ -17,6 +17,7 @@ import cv2
 from foundation.calls import takes
 from foundation.files import content_key, read_json, storage_errors, write_bytes, write_json, write_text
 from foundation.settings import Count, Rule, Seed, Settings, Text, Thousand
+from foundation.threads import processors
 from siamloc.data.names import lighting_in, parse_name
 from siamloc.errors import ConfigError, DataError, FormatError
 from siamloc.progress import track
@@ -25,7 +26,7 @@ from siamloc.simulate.layout import Array, Building
 from siamloc.simulate.load import load_building
 from siamloc.simulate.mesh import embree
 from siamloc.simulate.preview import write_preview
-from siamloc.simulate.processes import processors, rendering_processes
+from siamloc.simulate.processes import rendering_processes
 from siamloc.simulate.render import frames, meter
 from siamloc.simulate.run import Run, draw_run
 from siamloc.simulate.scene import Scene, build_scene

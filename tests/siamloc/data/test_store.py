@@ -18,7 +18,7 @@ import pytest
 
 from siamloc.data.decoding import Preprocessing
 from siamloc.data.panorama import PolarRing
-from siamloc.data.store import Store, _header, open_store
+from siamloc.data.store import Store, open_store
 from siamloc.errors import DataError, StorageError
 
 IMAGES = 24
@@ -293,18 +293,6 @@ def test_a_cache_where_a_file_stands_is_an_error(paths, tmp_path, caplog, inside
     with pytest.raises(StorageError, match="a file stands where a folder is needed"):
         build(paths, tmp_path / inside)
     assert "damaged" not in caplog.text
-
-
-@pytest.mark.parametrize("shape", [(1, 3, 4, 8), (10**6, 3, 128, 512), (10**12, 3, 10**5, 10**5)])
-def test_the_header_is_numpys_whatever_the_shape(tmp_path, shape):
-    header = _header(shape)
-    assert len(header) == len(_header((1, 3, 4, 8)))
-    with (tmp_path / "header").open("wb+") as file:
-        file.write(header)
-        file.seek(0)
-        assert np.lib.format.read_magic(file) == (1, 0)
-        assert np.lib.format.read_array_header_1_0(file) == (shape, False, np.dtype("u1"))
-        assert file.tell() == len(header)
 
 
 def test_a_file_system_without_locks_is_used_all_the_same(paths, tmp_path, monkeypatch):
