@@ -30,7 +30,7 @@ from analytic import Description, Descriptor
 from benchmarks import sweeps
 from benchmarks.report import Report, parser
 from siamloc.data import read
-from siamloc.evaluation.layers import evaluate_mapping
+from siamloc.evaluation import mapping
 from siamloc.maps import VisualMap, group
 from siamloc.report.draw.look import save
 
@@ -148,8 +148,9 @@ def measured(
 ) -> dict[str, Any]:
     """Build a layer and measure it."""
     parameters = {key: value for key, value in options.items() if key != "name"}
-    built = group(known.with_descriptor(descriptor), options["name"], seed=seed, progress=False, **parameters)
-    found = evaluate_mapping(known, built.layer, descriptor, RADIUS, GAP, built.seconds).parts["mapping"]
+    known = known.with_descriptor(descriptor)
+    built = group(known, options["name"], seed=seed, progress=False, **parameters)
+    found = mapping(known, built, closure_radius=RADIUS, closure_gap=GAP).parts["mapping"]
     closures = found["closures"]
     share = found["unassigned"]["share"]
     return {

@@ -18,6 +18,7 @@ from siamloc.data.frames import FrameTable
 from siamloc.data.library import PanoramaLibrary
 from siamloc.data.protocol import Protocol
 from siamloc.errors import ConfigError, DataError
+from siamloc.evaluation.layers import silhouette
 from siamloc.evaluation.metrics import error_floor, localization_error, summarize
 from siamloc.evaluation.result import Result
 from siamloc.evaluation.session import Session, cost
@@ -284,11 +285,8 @@ def _compactness(known: VisualMap, clusters: VisualMap, labels: NDArray[np.int64
     """Return how compact the nodes are, in position and in descriptor space ([C] eq. 7-11)."""
     from analytic import measures
 
-    several = len(np.unique(labels)) > 1
     return {
-        "silhouette": measures.silhouette(known.frames.xy, labels) if several else math.nan,
-        "descriptor_silhouette": measures.silhouette(clusters.descriptors, labels)
-        if several and not clusters.aligned
-        else math.nan,
+        "silhouette": silhouette(known.frames.xy, labels),
+        "descriptor_silhouette": math.nan if clusters.aligned else silhouette(clusters.descriptors, labels),
         "inertia": measures.moment_of_inertia(known.frames.xy, labels),
     }

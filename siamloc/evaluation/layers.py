@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any, Literal, TypedDict
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
-from analytic import Descriptor
-from analytic.measures.closures import ClosureScores, closure_scores
+from analytic.measures.closures import ClosureScores
 from foundation.calls import OF_FIELDS, takes
 from foundation.settings import Count, NotNegative, Settings
 from siamloc.evaluation.columns import room_names
@@ -78,81 +77,43 @@ def mapping(
         1.0
     """
     built.check_map(known)
-    result = evaluate_mapping(
-        known,
-        built.layer,
-        known.descriptor,
-        settings.closure_radius,
-        settings.closure_gap,
-        built.seconds,
-        np.array(built.reasons) if built.reasons else None,
-    )
-    return replace(
-        result,
-        name=name or known.descriptor.name,
-        about={
-            "data": {"map": {**known.made.get("data", {}), "sequences": list(known.frames.rows_by("sequence"))}},
-            "descriptor": known.descriptor.identity,
-            "layer": built.layer.made,
-            "edges": built.layer.edges,
-        },
-        settings={
-            "task": settings.plain(),
-            "data": known.made.get("data", {}),
-            **({"protocol": {"map": known.made["role"]}} if "role" in known.made else {}),
-        },
-    )
-
-
-def evaluate_mapping(
-    known: VisualMap,
-    layer: CoarseLayer,
-    descriptor: Descriptor,
-    radius: float = 1.0,
-    gap: int = 30,
-    seconds: ArrayLike | None = None,
-    reasons: ArrayLike | None = None,
-) -> Result:
-    """Measure a coarse layer.
-
-    Args:
-        known: a map of n frames in capture order; frames without a position do not count in measures that need one.
-        layer: nodes over these frames.
-        descriptor: descriptor of the map, which finds the most similar earlier frames for loop closures.
-        radius: a closure is correct if its frames lie within this radius, in units of x and y.
-        gap: number of frames that a closure has to span.
-        seconds: time for placing each frame (n,), or all of them (1,); not measured if None.
-        reasons: reasons of an incremental mapper, for each frame (n,).
-    """
-    frames = known.frames
-    rooms = room_names(frames)[0]
-    took = np.full(len(known), np.nan) if seconds is None else np.asarray(seconds, dtype=np.float64)
+    layer, frames, seconds = built.layer, known.frames, built.seconds
     columns: Columns = {
         "frame": np.arange(len(known)),
         "path": frames.path,
         "sequence": frames.sequence,
-        "room": rooms,
+        "room": room_names(frames)[0],
         "x": frames.x,
         "y": frames.y,
         "node": layer.labels,
-        "closes_with": closures(known, layer.labels, descriptor, gap),
-        "seconds": np.full(len(known), took[0] / len(known)) if len(took) == 1 else took,
+        "closes_with": closures(known, layer.labels, settings.closure_gap),
+        "seconds": np.full(len(known), seconds[0] / len(known)) if len(seconds) == 1 else seconds,
     }
-    if reasons is not None:
-        columns["reason"] = np.asarray(reasons, dtype=np.str_)
-    silhouette = math.nan if descriptor.aligned else _silhouette(known.descriptors, layer.labels, "nearest")
-    sizes = {"representatives": layer.representatives.nbytes, "descriptors": known.descriptors.nbytes}
+    if built.reasons:
+        columns["reason"] = np.array(built.reasons)
     measures = {
-        **mapping_measures(columns, float(radius), int(gap)),
+        **mapping_measures(columns, settings.closure_radius, settings.closure_gap),
         "unit": known.unit,
-        "descriptor_silhouette": silhouette,
-        "bytes": sizes,
+        "descriptor_silhouette": math.nan if known.aligned else silhouette(known.descriptors, layer.labels),
+        "bytes": {"representatives": layer.representatives.nbytes, "descriptors": known.descriptors.nbytes},
     }
+    data = known.made.get("data", {})
     return Result(
-        name="mapping",
+        name=name or known.descriptor.name,
         parts={"mapping": measures},
         tables={"frames": columns, "nodes": _nodes(layer, columns)},
         denominators={"frames": len(known), "nodes": len(layer)},
+        about={
+            "data": {"map": {**data, "sequences": list(frames.rows_by("sequence"))}},
+            "descriptor": known.descriptor.identity,
+            "layer": layer.made,
+            "edges": layer.edges,
+        },
+        settings={
+            "task": settings.plain(),
+            "data": data,
+            **({"protocol": {"map": known.made["role"]}} if "role" in known.made else {}),
+        },
     )
 
 
@@ -164,33 +125,37 @@ def mapping_measures(columns: Mapping[str, NDArray], radius: float, gap: int) ->
         ([C] 8-11) and "pooled" ([I] 12-13), NaN with fewer than two nodes; `inertia` ([C] 7); silhouette and inertia
         are computed over the frames that have a position, NaN if there are none; `purity` per room and overall, with
         the number of frames; `closures` with precision, recall, F1 and their denominators, NaN unless all frames have a
-        position; `ms_per_frame` as mean, median and p95, NaN if not measured; `reasons` with their counts, if any.
+        position; `ms_per_frame` as mean, median and p95; `reasons` with their counts, if any.
     """
     from analytic import measures
 
     labels = np.asarray(columns["node"])
     xy = np.column_stack([columns["x"], columns["y"]])
     placed = np.isfinite(xy).all(axis=1)
-    pure = measures.purity(labels, columns["room"])
+    pure, inertias = measures.purity(labels, columns["room"]), _inertias(xy, labels)
+    pairs = np.column_stack([columns["frame"], columns["closes_with"]])[columns["closes_with"] >= 0]
+    if placed.all():
+        closed = measures.closure_scores(pairs, xy, radius, gap)
+    else:
+        closed = ClosureScores(math.nan, math.nan, math.nan, 0, len(pairs), 0, 0, 0, radius, gap)
     ms = 1000 * np.asarray(columns["seconds"], dtype=np.float64)
-    known = bool(np.isfinite(ms).all())
     unassigned = int((labels < 0).sum())
     found = {
         "frames": len(labels),
         "nodes": len(set(labels[labels >= 0].tolist())),
         "unassigned": {"frames": unassigned, "share": unassigned / len(labels)},
-        "silhouette": {mode: _silhouette(xy[placed], labels[placed], mode) for mode in ("nearest", "pooled")},
-        "inertia": float(np.nansum(inertias)) if np.isfinite(inertias := _inertias(xy, labels)).any() else math.nan,
+        "silhouette": {mode: silhouette(xy[placed], labels[placed], mode) for mode in ("nearest", "pooled")},
+        "inertia": float(np.nansum(inertias)) if np.isfinite(inertias).any() else math.nan,
         "purity": {
             "overall": pure.overall,
             "room": {room: {"purity": pure.rooms[room], "frames": pure.frames_per_room[room]} for room in pure.rooms},
             "frames": pure.counted,
         },
-        "closures": asdict(_closure_scores(columns, xy, radius, gap)),
+        "closures": asdict(closed),
         "ms_per_frame": {
-            "mean": float(ms.mean()) if known else math.nan,
-            "median": float(np.median(ms)) if known else math.nan,
-            "p95": float(np.percentile(ms, 95)) if known else math.nan,
+            "mean": float(ms.mean()),
+            "median": float(np.median(ms)),
+            "p95": float(np.percentile(ms, 95)),
         },
     }
     if "reason" in columns:
@@ -199,7 +164,7 @@ def mapping_measures(columns: Mapping[str, NDArray], radius: float, gap: int) ->
     return found
 
 
-def closures(known: VisualMap, labels: NDArray[np.int64], descriptor: Descriptor, gap: int) -> NDArray[np.int64]:
+def closures(known: VisualMap, labels: NDArray[np.int64], gap: int) -> NDArray[np.int64]:
     """Return the frame with which each frame closes a loop (n,), -1 for none.
 
     A frame closes a loop with the most similar frame of its node that is at least `gap` frames earlier.
@@ -208,7 +173,7 @@ def closures(known: VisualMap, labels: NDArray[np.int64], descriptor: Descriptor
     for node in range(int(labels.max()) + 1):
         members = np.flatnonzero(labels == node)
         part = known.description.take(members)
-        apart = descriptor.pairwise(part, part, known.distance)
+        apart = known.descriptor.pairwise(part, part, known.distance)
         early = members[None, :] <= members[:, None] - gap
         apart = np.where(early, apart, np.inf)
         closing = early.any(axis=1)
@@ -216,7 +181,8 @@ def closures(known: VisualMap, labels: NDArray[np.int64], descriptor: Descriptor
     return found
 
 
-def _silhouette(values: NDArray, labels: NDArray[np.int64], mode: Literal["nearest", "pooled"]) -> float:
+def silhouette(values: NDArray, labels: NDArray[np.int64], mode: Literal["nearest", "pooled"] = "nearest") -> float:
+    """Return the silhouette of nodes in positions or descriptors (n, D), NaN with fewer than two nodes."""
     from analytic import measures
 
     if len(set(labels[labels >= 0].tolist())) < 2:
@@ -253,11 +219,3 @@ def _inertias(xy: NDArray[np.float64], labels: NDArray[np.int64]) -> NDArray[np.
     if used.any():
         found[np.unique(labels[used])] = measures.moments_of_inertia(xy[used], labels[used])
     return found
-
-
-def _closure_scores(columns: Mapping[str, NDArray], xy: NDArray[np.float64], radius: float, gap: int) -> ClosureScores:
-    pairs = np.column_stack([columns["frame"], columns["closes_with"]])
-    pairs = pairs[pairs[:, 1] >= 0]
-    if np.isfinite(xy).all():
-        return closure_scores(pairs, xy, radius, gap)
-    return ClosureScores(math.nan, math.nan, math.nan, 0, len(pairs), 0, 0, 0, float(radius), int(gap))

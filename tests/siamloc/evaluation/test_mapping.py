@@ -1,4 +1,3 @@
-import csv
 import json
 import math
 
@@ -7,8 +6,9 @@ import pytest
 
 import analytic
 from siamloc.data.frames import FrameTable
-from siamloc.evaluation.layers import closures, evaluate_mapping, mapping_measures
-from siamloc.maps import CoarseLayer, VisualMap
+from siamloc.evaluation import Result
+from siamloc.evaluation.layers import closures, mapping, mapping_measures
+from siamloc.maps import Built, CoarseLayer, VisualMap
 
 THUMBNAIL = analytic.descriptor("thumbnail", rows=1, columns=2)
 
@@ -25,12 +25,18 @@ def lap_twice(frames=40):
         room=np.array(["n", "w", "s", "e"])[quarter],
         sequence=["s"] * len(turn),
     )
-    return VisualMap(xy + np.random.default_rng(0).normal(0, 1e-3, xy.shape), table), quarter
+    descriptors = xy + np.random.default_rng(0).normal(0, 1e-3, xy.shape)
+    return VisualMap(descriptors, table, THUMBNAIL.identity), quarter
+
+
+def measured(known, labels, seconds=(0.8,), reasons=(), **settings):
+    layer = CoarseLayer.of_labels(known, labels)
+    return mapping(known, Built(layer, np.asarray(seconds), known.digest, tuple(reasons)), **settings)
 
 
 def test_a_perfect_layer_has_perfect_purity_and_closures():
     known, quarter = lap_twice()
-    found = evaluate_mapping(known, CoarseLayer.of_labels(known, quarter), THUMBNAIL, seconds=[0.8]).parts["mapping"]
+    found = measured(known, quarter).parts["mapping"]
     assert found["nodes"] == 4
     assert found["purity"]["overall"] == 1
     assert {room: part["frames"] for room, part in found["purity"]["room"].items()} == dict.fromkeys("enws", 20)
@@ -44,23 +50,21 @@ def test_a_perfect_layer_has_perfect_purity_and_closures():
 
 def test_shuffled_labels_are_worse_in_every_respect():
     known, quarter = lap_twice()
-    good = evaluate_mapping(known, CoarseLayer.of_labels(known, quarter), THUMBNAIL).parts["mapping"]
-    mixed = np.random.default_rng(1).permutation(quarter)
-    bad = evaluate_mapping(known, CoarseLayer.of_labels(known, mixed), THUMBNAIL).parts["mapping"]
+    good = measured(known, quarter).parts["mapping"]
+    bad = measured(known, np.random.default_rng(1).permutation(quarter)).parts["mapping"]
     for mode in ("nearest", "pooled"):
         assert bad["silhouette"][mode] < good["silhouette"][mode] - 0.2
     assert bad["inertia"] > 2 * good["inertia"]
     assert bad["purity"]["overall"] < 0.5
     assert bad["closures"]["precision"] < 1
     assert bad["descriptor_silhouette"] < good["descriptor_silhouette"]
-    assert math.isnan(bad["ms_per_frame"]["mean"])
 
 
 def test_closures_are_the_most_similar_earlier_frames_of_the_node():
     known, quarter = lap_twice()
     labels = quarter.copy()
     labels[7] = -1
-    found = closures(known, labels, THUMBNAIL, gap=30)
+    found = closures(known, labels, gap=30)
     for i in range(len(known)):
         allowed = [j for j in range(i - 29) if labels[j] == labels[i] and labels[i] >= 0]
         distances = [np.linalg.norm(known.descriptors[i] - known.descriptors[j]) for j in allowed]
@@ -72,17 +76,9 @@ def test_every_number_follows_from_the_tables(tmp_path):
     known, quarter = lap_twice()
     labels = np.where(np.arange(80) % 9 == 0, -1, quarter)
     reasons = np.where(labels < 0, "NO_CANDIDATE_NODE", "ASSIGNED")
-    layer = CoarseLayer.of_labels(known, labels)
-    result = evaluate_mapping(known, layer, THUMBNAIL, 1.5, 20, np.linspace(0, 0.1, 80), reasons)
-    with (tmp_path / "frames.csv").open("w", newline="") as file:
-        writer = csv.writer(file)
-        writer.writerow(result.columns)
-        writer.writerows(zip(*(column.tolist() for column in result.columns.values()), strict=True))
-    with (tmp_path / "frames.csv").open(newline="") as file:
-        rows = list(csv.DictReader(file))
-    columns = {
-        name: np.array([row[name] for row in rows]).astype(column.dtype) for name, column in result.columns.items()
-    }
+    result = measured(known, labels, np.linspace(0, 0.1, 80), reasons.tolist(), closure_radius=1.5, closure_gap=20)
+    result.save(tmp_path, pictures=False)
+    columns = Result.load(tmp_path).tables["frames"]
     again = mapping_measures(columns, 1.5, 20)
     measures = result.parts["mapping"]
     assert json.dumps({key: measures[key] for key in again}) == json.dumps(again)
@@ -92,20 +88,15 @@ def test_every_number_follows_from_the_tables(tmp_path):
 
 def test_what_cannot_be_measured():
     known, quarter = lap_twice()
-    layer = CoarseLayer.of_labels(known, quarter)
-    lost = VisualMap(known.descriptors, known.frames.with_columns(x=np.full(80, np.nan)))
-    measured = evaluate_mapping(lost, layer, THUMBNAIL).parts["mapping"]
-    assert math.isnan(measured["silhouette"]["pooled"])
-    assert math.isnan(measured["inertia"])
-    assert math.isnan(measured["closures"]["recall"])
-    whole = evaluate_mapping(known, layer, THUMBNAIL).parts["mapping"]
-    assert measured["purity"] == whole["purity"]
-    single = evaluate_mapping(known, CoarseLayer.of_labels(known, np.zeros(80, dtype=int)), THUMBNAIL).parts["mapping"]
+    lost = VisualMap(known.descriptors, known.frames.with_columns(x=np.full(80, np.nan)), known.identity)
+    found = measured(lost, quarter).parts["mapping"]
+    for number in (found["silhouette"]["pooled"], found["inertia"], found["closures"]["recall"]):
+        assert math.isnan(number)
+    assert found["purity"] == measured(known, quarter).parts["mapping"]["purity"]
+    single = measured(known, np.zeros(80, dtype=int)).parts["mapping"]
     assert math.isnan(single["silhouette"]["nearest"])
     assert math.isnan(single["descriptor_silhouette"])
-    half = known.frames.x.copy()
-    half[1::2] = np.nan
-    some = VisualMap(known.descriptors, known.frames.with_columns(x=half))
-    measured = evaluate_mapping(some, layer, THUMBNAIL).parts["mapping"]
-    assert measured["inertia"] > 0
-    assert math.isnan(measured["closures"]["precision"])
+    half = np.where(np.arange(80) % 2, np.nan, known.frames.x)
+    found = measured(VisualMap(known.descriptors, known.frames.with_columns(x=half), known.identity), quarter)
+    assert found.measures["inertia"] > 0
+    assert math.isnan(found.measures["closures"]["precision"])
