@@ -75,10 +75,10 @@ def test_aliases_cannot_make_a_building_endless(tmp_path):
         read_building_file(tmp_path / "bomb.yaml", 0)
 
 
-def test_a_part_of_a_bundle_that_is_mostly_a_hole_is_refused(tmp_path):
+def test_a_description_of_a_bundle_that_would_fill_the_memory_is_refused(tmp_path):
     (tmp_path / "bundle.json").write_text("{}")
     os.truncate(tmp_path / "bundle.json", 20_000_000_000)
-    with pytest.raises(FormatError, match="claims to be far longer than what it holds"):
+    with pytest.raises(FormatError, match="far too long for the description of a bundle"):
         Bundle.open(tmp_path)
 
 

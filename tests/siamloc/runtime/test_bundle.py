@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import shutil
 import sys
 from concurrent.futures import ThreadPoolExecutor
@@ -64,6 +65,15 @@ def test_a_folder_with_links_or_with_names_that_lead_outside_is_refused(folder, 
     write_json(outside / "bundle.json", about)
     with pytest.raises(FormatError, match=r"lists '\.\./map\.npz', which no bundle has"):
         Bundle.open(outside)
+
+
+def test_a_bundle_may_lie_where_files_take_no_blocks(folder, tmp_path):
+    copied = Path(shutil.copytree(folder, tmp_path / "bundle"))
+    os.truncate(copied / "map.npz", 80_000_000)  # a hole; network and compressing file systems report no blocks at all
+    about = read_json(copied / "bundle.json")
+    about["sha256"]["map.npz"] = file_hash(copied / "map.npz")
+    write_json(copied / "bundle.json", about)
+    assert Bundle.open(copied).bytes > 80_000_000
 
 
 @pytest.mark.skipif(sys.version_info < (3, 11), reason="needs onnxruntime 1.24")
