@@ -29,7 +29,6 @@ class MapFrames(RunJob):
         build=incremental|spectral|som|sample|rooms
                                         also group the frames into nodes, and write that coarse layer
         build.nodes=40 build.y=1.5      its parameters; `siamloc map build=... --cfg job` lists them
-        projector=true                  show the descriptors in TensorBoard as points, coloured by room
         -m descriptor.bins=8,16         a sweep: each map in its own folder, evaluation/hog/descriptor.bins-8, where an
                                         evaluation of the same sweep finds it
 
@@ -38,8 +37,6 @@ class MapFrames(RunJob):
     """
 
     REPLACES_MAP = True
-
-    projector: bool = False
 
     def run(self, say: Say = quiet) -> VisualMap:
         """Describe the map frames of the run, and group them into nodes if requested."""
@@ -52,9 +49,6 @@ class MapFrames(RunJob):
         known.save(target)
         run.record_written([target])
         say(f"map: {target}, {len(known)} frames, descriptors of {known.width} numbers")
-        if self.projector:
-            run.record_written(maps.write_projector(known, run.tensorboard))
-            say(f"projector: tensorboard --logdir {run.tensorboard}, color by room")
         if known.heading is not None and known.orientation is not None:
             size = known.orientation[0].nbytes
             say(f"headings: by {known.heading['name']}, {size} bytes a frame")

@@ -9,7 +9,6 @@ from .hierarchy import (
 )
 from .matching import frame_distances as frame_distances, headings as headings, match as match
 from .pose_filter import PoseFilter as PoseFilter
-from .projector import write_projector as write_projector
 from .ranking import NodeRanking as NodeRanking
 from .refinement import (
     RefinedPoses as RefinedPoses,
