@@ -20,6 +20,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from analytic.arrays import Floats, Integers
 from analytic.description import Description, fft
 from analytic.distances import distance as distance_named
 from analytic.threads import each
@@ -40,11 +41,11 @@ class Turns(NamedTuple):
         peak: (n, m) scalar product of query and reference at that turn.
     """
 
-    step: NDArray[np.int64]
-    peak: NDArray[np.float64]
+    step: Integers
+    peak: Floats
 
 
-def heading(step: NDArray[Any], steps: int) -> NDArray[np.float64]:
+def heading(step: NDArray[Any], steps: int) -> Floats:
     """Convert a number of steps to the left into an angle, rad in (-pi, pi].
 
     Example:
@@ -106,7 +107,7 @@ def whitened_turns(queries: Description, references: Description, steps: int) ->
     return best_turns(phases[0], phases[1], steps, product=(queries.spectrum, references.spectrum))
 
 
-def aligned_distances(name: str, queries: Description, references: Description, turns: Turns) -> NDArray[np.float64]:
+def aligned_distances(name: str, queries: Description, references: Description, turns: Turns) -> Floats:
     """Return the named distance (n, m) between orientation parts of each pair at its turn.
 
     Args:
@@ -123,46 +124,68 @@ def aligned_distances(name: str, queries: Description, references: Description, 
         >>> np.diag(aligned_distances("euclidean", seen, seen, turns))
         array([0., 0.])
     """
-    values, known = queries.turnable, references.turnable
-    measure: Measure
+    measure: Measure = norm
     if name in ("euclidean", "minkowski"):
-        lengths = queries.squares[:, None] + references.squares[None, :]
-        return euclidean(turns.peak, lengths, turns.step, lambda row: rolled(values[row]), known)
-    if name == "manhattan":
+        apart, close = euclidean(turns.peak, queries.squares[:, None] + references.squares)
+    elif name == "manhattan":
         apart, close = np.zeros(turns.step.shape), np.ones(turns.step.shape, dtype=bool)
-        measure = partial(_norm, cv2.NORM_L1)
+        measure = partial(norm, kind=cv2.NORM_L1)
     else:
         apart, close = _from_similarity(name, queries, references, turns.peak)
         measure = partial(_named, distance_named(name))
-    return _directly(apart, close, turns.step, lambda row: rolled(values[row]), known, measure)
+    values = queries.turnable
+    return directly(apart, close, turns.step, lambda row: rolled(values[row]), references.turnable, measure)
 
 
-def euclidean(
-    product: NDArray[np.float64],
-    lengths: NDArray[np.float64],
-    step: NDArray[np.int64],
-    turned: Callable[[int], Turned],
-    references: NDArray[Any],
-    measure: Measure | None = None,
-) -> NDArray[np.float64]:
-    """Return Euclidean distances (n, m) at given turns, from scalar products where these are precise enough.
+def euclidean(product: Floats, lengths: Floats) -> tuple[Floats, NDArray[np.bool_]]:
+    """Return Euclidean distances (n, m), and which pairs are too close for these to be precise.
 
     Args:
-        product: (n, m) scalar product of each pair at its turn.
+        product: (n, m) scalar product of each pair.
         lengths: (n, m) sum of both squared lengths.
+    """
+    squared = lengths - 2 * product
+    return np.sqrt(np.maximum(squared, 0)), squared < _CLOSE * lengths
+
+
+def directly(
+    apart: Floats,
+    close: NDArray[np.bool_],
+    step: Integers,
+    turned: Callable[[int], Turned],
+    references: NDArray[Any],
+    measure: Measure,
+) -> Floats:
+    """Return distances (n, m) after comparing close pairs value by value.
+
+    Args:
+        apart: (n, m) the distances of all other pairs.
+        close: (n, m) which pairs are close.
         step: (n, m) turn of each pair.
         turned: returns, for the index of a query, the function that turns it back by a number of steps.
         references: (m, ...) values to compare with.
-        measure: distance of a turned query and a reference; the Euclidean one of all values if None.
+        measure: distance of a turned query and a reference.
     """
-    squared = lengths - 2 * product
-    apart = np.sqrt(np.maximum(squared, 0))
-    return _directly(apart, squared < _CLOSE * lengths, step, turned, references, measure or norm)
+
+    def compare(query: Turned, row: int, columns: Integers) -> list[float]:
+        return [measure(query(int(step[row, column])), references[column]) for column in columns]
+
+    for row in np.flatnonzero(close.any(axis=1)).tolist():
+        columns = np.flatnonzero(close[row])
+        parts = np.array_split(columns, max(1, columns.size * references[0].size >> 24))
+        apart[row, columns] = np.concatenate(each(partial(compare, turned(row), row), parts))
+    return apart
 
 
-def norm(one: NDArray[Any], other: NDArray[Any]) -> float:
-    """Return the Euclidean distance of two arrays of the same shape, summed in double precision in a single pass."""
-    return _norm(cv2.NORM_L2, one, other)
+def norm(one: NDArray[Any], other: NDArray[Any], kind: int = cv2.NORM_L2) -> float:
+    """Return the distance of two arrays of the same shape, summed in double precision in a single pass.
+
+    Args:
+        one: float32.
+        other: values of the same shape.
+        kind: which distance, as a constant of OpenCV.
+    """
+    return float(cv2.norm(one, other.astype(one.dtype, copy=False), kind))
 
 
 def whitened(spectra: Spectra, least: float) -> Spectra:
@@ -179,7 +202,7 @@ def whitened(spectra: Spectra, least: float) -> Spectra:
     return np.divide(spectra, magnitude, out=np.zeros_like(spectra), where=magnitude > floor)
 
 
-def moments(description: Description) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def moments(description: Description) -> tuple[Floats, Floats]:
     """Return the means of orientation parts, and their lengths after subtracting the means, (B,) each."""
     flat = description.turnable.reshape(len(description), -1)
     mean = flat.mean(axis=1, dtype=np.float64)
@@ -223,8 +246,8 @@ def _waves(frequencies: int, steps: int) -> NDArray[np.complex64]:
 
 
 def _from_similarity(
-    name: str, queries: Description, references: Description, peak: NDArray[np.float64]
-) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+    name: str, queries: Description, references: Description, peak: Floats
+) -> tuple[Floats, NDArray[np.bool_]]:
     """Return cosine or Pearson distances (n, m), and which pairs are too close for these to be precise."""
     lengths = np.sqrt(np.outer(queries.squares, references.squares))
     scale, product = lengths, peak
@@ -236,29 +259,5 @@ def _from_similarity(
     return np.clip(1 - similarity, 0, 2), scale - product < _CLOSE / 2 * lengths
 
 
-def _directly(
-    apart: NDArray[np.float64],
-    close: NDArray[np.bool_],
-    step: NDArray[np.int64],
-    turned: Callable[[int], Turned],
-    references: NDArray[Any],
-    measure: Measure,
-) -> NDArray[np.float64]:
-    """Return distances (n, m) after comparing close pairs value by value."""
-
-    def compare(query: Turned, row: int, columns: NDArray[np.int64]) -> list[float]:
-        return [measure(query(int(step[row, column])), references[column]) for column in columns]
-
-    for row in np.flatnonzero(close.any(axis=1)).tolist():
-        columns = np.flatnonzero(close[row])
-        parts = np.array_split(columns, max(1, columns.size * references[0].size >> 24))
-        apart[row, columns] = np.concatenate(each(partial(compare, turned(row), row), parts))
-    return apart
-
-
-def _norm(kind: int, one: NDArray[Any], other: NDArray[Any]) -> float:
-    return float(cv2.norm(one, other.astype(one.dtype, copy=False), kind))
-
-
-def _named(measure: Callable[..., NDArray[np.float64]], one: NDArray[Any], other: NDArray[Any]) -> float:
+def _named(measure: Callable[..., Floats], one: NDArray[Any], other: NDArray[Any]) -> float:
     return float(measure(one.reshape(1, -1), other.reshape(1, -1))[0, 0])

@@ -1,4 +1,4 @@
-"""Check arrays of numbers that callers pass."""
+"""The arrays of this package, and a check of those that callers pass."""
 
 from __future__ import annotations
 
@@ -6,6 +6,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from analytic.errors import AnalyticError
+
+Floats = NDArray[np.float64]
+Integers = NDArray[np.int64]
 
 
 def real(values: ArrayLike, what: str) -> NDArray[np.float64]:

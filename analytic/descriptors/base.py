@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from analytic.alignment import Turns, aligned_distances, best_turns, heading
+from analytic.arrays import Floats
 from analytic.description import Alignment, Description, Match, check_alike, joined, other_parameters
 from analytic.distances import between_units
 from analytic.distances import distance as distance_named
@@ -73,9 +74,7 @@ class Descriptor(ABC):
     def describe(self, batch: ArrayLike) -> Description:
         """Describe a batch (B, H, W), (B, 3, H, W) or one image; uint8, or floating point in [0, 1]."""
 
-    def pairwise(
-        self, queries: Description, references: Description, distance: str | None = None
-    ) -> NDArray[np.float64]:
+    def pairwise(self, queries: Description, references: Description, distance: str | None = None) -> Floats:
         """Return the distances (n, m) between position descriptors, with the default distance or a named one."""
         self.check(queries, references)
         name = distance or self.default_distance
@@ -99,7 +98,7 @@ class Descriptor(ABC):
         turns = self._best_turns(queries, references, steps)
         return Alignment(heading(turns.step, steps), aligned_distances("euclidean", queries, references, turns))
 
-    def relative_heading(self, query: Description, reference: Description) -> NDArray[np.float64]:
+    def relative_heading(self, query: Description, reference: Description) -> Floats:
         """Return how far the robot of each query has turned left since its reference (B,), rad in (-pi, pi].
 
         Args:
@@ -208,18 +207,7 @@ class ImageDescriptor(Descriptor, Settings):
                 range, or a size that the parameters do not fit.
         """
         images = with_channels(batch)
-        self._check_image(images.shape[2], images.shape[3])
-        return Description(*joined(each(self._parts, np.split(images, len(images)))), self.identity)
-
-    def _parts(self, image: NDArray[Any]) -> tuple[NDArray[Any], NDArray[Any] | None]:
-        """Return the position part (1, D) and the orientation part (1, K, F) of one image (1, C, H, W)."""
-        seen = unit(image)
-        seen = seen if self.colour else luma(seen)
-        seen = filtered(seen, circular=self.circular) if self.homomorphic else seen
-        position, orientation = self._describe(seen[0] if self.colour else seen[0, 0])
-        return position[None], None if orientation is None else np.ascontiguousarray(orientation)[None]
-
-    def _check_image(self, height: int, width: int) -> None:
+        height, width = images.shape[2:]
         if width < 2:
             raise AnalyticError(f"a panorama needs at least 2 columns, got {height} x {width} pixels")
         self._check_size(height, width)
@@ -229,6 +217,15 @@ class ImageDescriptor(Descriptor, Settings):
                 f"{self.name} with these parameters describes an image by {numbers:,} numbers, more than {_NUMBERS:,}: "
                 "ask for fewer"
             )
+        return Description(*joined(each(self._parts, np.split(images, len(images)))), self.identity)
+
+    def _parts(self, image: NDArray[Any]) -> tuple[NDArray[Any], NDArray[Any] | None]:
+        """Return the position part (1, D) and the orientation part (1, K, F) of one image (1, C, H, W)."""
+        seen = unit(image)
+        seen = seen if self.colour else luma(seen)
+        seen = filtered(seen, circular=self.circular) if self.homomorphic else seen
+        position, orientation = self._describe(seen[0] if self.colour else seen[0, 0])
+        return position[None], None if orientation is None else np.ascontiguousarray(orientation)[None]
 
     def _steps(self, queries: Description, references: Description) -> int:
         if not self.circular:
@@ -268,9 +265,7 @@ class AlignedDescriptor(ImageDescriptor):
     aligned: ClassVar[bool] = True
     whole: ClassVar[bool] = False
 
-    def pairwise(
-        self, queries: Description, references: Description, distance: str | None = None
-    ) -> NDArray[np.float64]:
+    def pairwise(self, queries: Description, references: Description, distance: str | None = None) -> Floats:
         """Return the distances (n, m) at the best turn of each pair; with `circular=False`, without any turn.
 
         Args:
@@ -282,42 +277,16 @@ class AlignedDescriptor(ImageDescriptor):
         Raises:
             AnalyticError: descriptions that cannot be compared, an unknown distance.
         """
-        name = self._distance(distance)
         if not self.circular:
-            return super().pairwise(queries, references, name)
-        return self._turned(queries, references, name)[1]
-
-    def localize(self, queries: Description, references: Description, distance: str | None = None) -> Match:
-        """Return the nearest reference at its best turn, and the heading given by that turn ([T] 3.3.4-3.3.5).
-
-        Raises:
-            AnalyticError: as `Descriptor.localize`.
-        """
-        if not len(references) or not self.circular:
-            return super().localize(queries, references, distance)
-        headings, apart = self._turned(queries, references, self._distance(distance))
-        index = apart.argmin(axis=1)
-        rows = np.arange(len(queries))
-        return Match(index, apart[rows, index], headings[rows, index])
-
-    def _turned(
-        self, queries: Description, references: Description, name: str
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Return the heading and the named distance (n, m) of each pair at its best turn."""
+            return super().pairwise(queries, references, distance)
         self.check(queries, references)
-        steps = self._steps(queries, references)
-        turns = self._best_turns(queries, references, steps)
-        return heading(turns.step, steps), self._compared(queries, references, turns, name)
+        turns = self._best_turns(queries, references, self._steps(queries, references))
+        return self._compared(queries, references, turns, distance or self.default_distance)
 
     def _best_turns(self, queries: Description, references: Description, steps: int) -> Turns:
         return best_turns(queries.spectrum, references.spectrum, steps, whole=self.whole)
 
-    def _distance(self, name: str | None) -> str:
-        name = self.default_distance if name is None else name
-        distance_named(name)  # an unknown name raises an error before any work
-        return name
-
-    def _compared(self, queries: Description, references: Description, turns: Turns, name: str) -> NDArray[np.float64]:
+    def _compared(self, queries: Description, references: Description, turns: Turns, name: str) -> Floats:
         """Return the named distance (n, m) of each pair at its turn; override it to compare differently."""
         return aligned_distances(name, queries, references, turns)
 

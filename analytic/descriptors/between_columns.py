@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from analytic.alignment import best_turns, heading
+from analytic.alignment import best_turns, euclidean, heading
 from analytic.description import Alignment, Description, fft
 from analytic.descriptors.base import Descriptor
 from analytic.errors import AnalyticError
@@ -44,8 +44,8 @@ class BetweenColumns(Descriptor):
         turns = _turns(columns)
         found = best_turns(_filled_up(queries.spectrum, columns, turns), references.spectrum, turns)
         product = found.peak * (turns / columns)  # the inverse transform divides by the number of turns
-        squared = queries.squares[:, None] + references.squares[None] - 2 * product
-        return Alignment(heading(found.step, turns), np.sqrt(np.maximum(squared, 0)))
+        distance, _ = euclidean(product, queries.squares[:, None] + references.squares)
+        return Alignment(heading(found.step, turns), distance)
 
     def relative_heading(self, query: Description, reference: Description) -> NDArray[np.float64]:
         """Return how far the robot of each query has turned left since its reference (B,); see `Descriptor`."""

@@ -78,4 +78,4 @@ class BriefGist(AlignedDescriptor):
         if name != "manhattan":
             return super()._compared(queries, references, turns, name)
         # |a - b| = (a - b)^2 for bits, and all of these are whole numbers.
-        return queries.squares[:, None] + references.squares[None, :] - 2 * turns.peak
+        return queries.squares[:, None] + references.squares - 2 * turns.peak

@@ -11,14 +11,14 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from analytic.alignment import best_turns, euclidean, norm, whitened
+from analytic.alignment import best_turns, directly, euclidean, norm, whitened
 from analytic.alignment import heading as angle
+from analytic.arrays import Floats, Integers
 from analytic.description import Alignment, Description
 from analytic.descriptors.base import Cells, ImageDescriptor, check_divides
 from analytic.errors import AnalyticError
 
 _NOTHING = 1e-6
-_CHUNK = 1 << 22  # values in memory at once
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -100,15 +100,10 @@ class FourierSignature(ImageDescriptor):
         """Return the relative heading and the aligned distance of every query to every reference; see the class."""
         self.check(queries, references)
         self._steps(queries, references)  # checks that both have an orientation part
-        if self.heading == "correlation":
-            step, distance = self._correlated(queries, references)
-        else:
-            step, distance = self._multiplied(queries, references)
+        step, distance = (self._correlated if self.heading == "correlation" else self._multiplied)(queries, references)
         return Alignment(angle(step, self.turns), distance)
 
-    def _correlated(
-        self, queries: Description, references: Description
-    ) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+    def _correlated(self, queries: Description, references: Description) -> tuple[Integers, Floats]:
         """Return the best turn and the aligned distance (n, m) by correlation of the rows."""
         rows = queries.kept("rows", _by_frequency), references.kept("rows", _by_frequency)
         if self.whitened:
@@ -116,7 +111,6 @@ class FourierSignature(ImageDescriptor):
             found = best_turns(*white, self.turns, product=rows)
         else:
             found = best_turns(*rows, self.turns)
-        lengths = queries.kept("power", _power)[:, None] + references.kept("power", _power)[None]
         turn = 2j * pi / self.turns * np.arange(len(rows[0]))[:, None]
 
         def turned(row: int) -> Callable[[int], NDArray[Any]]:
@@ -126,29 +120,22 @@ class FourierSignature(ImageDescriptor):
 
             return back
 
-        product = self.turns * found.peak  # the inverse transform divides by the number of turns
-        return found.step, euclidean(product, lengths, found.step, turned, references.turnable, _between_rows)
+        lengths = queries.kept("power", _power)[:, None] + references.kept("power", _power)
+        # The inverse transform divides by the number of turns.
+        apart, close = euclidean(self.turns * found.peak, lengths)
+        return found.step, directly(apart, close, found.step, turned, references.turnable, _between_rows)
 
-    def _multiplied(
-        self, queries: Description, references: Description
-    ) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+    def _multiplied(self, queries: Description, references: Description) -> tuple[Integers, Floats]:
         """Return the best turn and the aligned distance (n, m) by products of phases."""
         step = np.zeros((len(queries), len(references)), dtype=np.int64)
         distance = np.zeros(step.shape)
         known = references.kept("phases", _flat_phases)
         frequency = np.arange(queries.turnable.shape[1])[:, None]
         turns = np.arange(self.turns)[:, None, None] * frequency * (2 * pi / self.turns)
-        size = max(1, _CHUNK // (self.turns * max(1, *known.shape)))
-        for start in range(0, len(queries), size):
-            part = slice(start, start + size)
-            turned = _in_half_turn(_phases(queries.take(part))[:, None] + turns)
-            query = turned.reshape(len(turned), self.turns, -1).astype(np.float32)
-            product = (query @ known.T).transpose(0, 2, 1)
-            best = step[part] = product.argmax(axis=2)
-            peak = np.take_along_axis(product, best[..., None], axis=2)[..., 0].astype(np.float64)
-            lengths = np.take_along_axis(_squares(query), best, axis=1) + _squares(known)[None]
-            at_turn = [phases.__getitem__ for phases in query]
-            distance[part] = euclidean(peak, lengths, best, at_turn.__getitem__, known)
+        for row, phases in enumerate(_phases(queries)):
+            query = _in_half_turn(phases + turns).reshape(self.turns, -1).astype(np.float32)
+            step[row] = (query @ known.T).argmax(axis=0)
+            distance[row] = np.linalg.norm(query[step[row]] - known, axis=1)
         return step, distance
 
     def __post_init__(self) -> None:
@@ -198,7 +185,7 @@ def _white(description: Description) -> NDArray[np.complex64]:
     return whitened(description.kept("rows", _by_frequency), _NOTHING)
 
 
-def _power(description: Description) -> NDArray[np.float64]:
+def _power(description: Description) -> Floats:
     """Return the mean squares of rows known only by their kept frequencies, summed over the rows (B,)."""
     squares = np.square(np.abs(description.turnable), dtype=np.float64).sum(axis=2)
     return 2 * squares.sum(axis=1) - squares[:, 0]
@@ -210,7 +197,7 @@ def _between_rows(one: NDArray[np.complex64], other: NDArray[np.complex64]) -> f
     return sqrt(2 * norm(values, known) ** 2 - norm(values[:1], known[:1]) ** 2)
 
 
-def _phases(description: Description) -> NDArray[np.float64]:
+def _phases(description: Description) -> Floats:
     return np.angle(description.turnable.astype(np.complex128))
 
 
@@ -219,10 +206,6 @@ def _flat_phases(description: Description) -> NDArray[np.float32]:
     return _in_half_turn(_phases(description)).reshape(len(description), -1).astype(np.float32)
 
 
-def _in_half_turn(phases: NDArray[np.float64]) -> NDArray[np.float64]:
+def _in_half_turn(phases: Floats) -> Floats:
     """Return angles in (-pi, pi]."""
     return pi - np.mod(pi - phases, 2 * pi)
-
-
-def _squares(values: NDArray[Any]) -> NDArray[np.float64]:
-    return np.einsum("...f,...f->...", values, values, dtype=np.float64)
