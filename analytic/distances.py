@@ -9,13 +9,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from analytic.arrays import real
+from analytic.arrays import Floats, real
 from analytic.errors import AnalyticError, known
 
-Pairwise = Callable[[ArrayLike, ArrayLike], NDArray[np.float64]]
+Pairwise = Callable[[ArrayLike, ArrayLike], Floats]
 
 
-def minkowski(a: ArrayLike, b: ArrayLike, p: float = 2.0, weights: ArrayLike | None = None) -> NDArray[np.float64]:
+def minkowski(a: ArrayLike, b: ArrayLike, p: float = 2.0, weights: ArrayLike | None = None) -> Floats:
     """Return the weighted Minkowski distances (n, m): (sum_i w_i |a_i - b_i|^p)^(1/p) ([T] eq. 3.8).
 
     Args:
@@ -49,7 +49,7 @@ def minkowski(a: ArrayLike, b: ArrayLike, p: float = 2.0, weights: ArrayLike | N
     return cdist(a, b, "minkowski", p=p)
 
 
-def cosine(a: ArrayLike, b: ArrayLike) -> NDArray[np.float64]:
+def cosine(a: ArrayLike, b: ArrayLike) -> Floats:
     """Return 1 - cosine similarity (n, m), in [0, 2] ([T] eq. 3.12). A zero vector has distance 1 to everything.
 
     Example:
@@ -60,7 +60,7 @@ def cosine(a: ArrayLike, b: ArrayLike) -> NDArray[np.float64]:
     return between_units(unit_vectors(a), unit_vectors(b))
 
 
-def correlation(a: ArrayLike, b: ArrayLike) -> NDArray[np.float64]:
+def correlation(a: ArrayLike, b: ArrayLike) -> Floats:
     """Return 1 - Pearson correlation (n, m), in [0, 2] ([T] eq. 3.11). A constant vector has distance 1 to everything.
 
     Example:
@@ -94,20 +94,20 @@ def distance(name: str) -> Pairwise:
     return DISTANCES[known(name, DISTANCES, "distance")]
 
 
-def _checked(a: ArrayLike, b: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _checked(a: ArrayLike, b: ArrayLike) -> tuple[Floats, Floats]:
     a, b = real(a, "descriptors"), real(b, "descriptors")
     if a.ndim != 2 or b.ndim != 2 or a.shape[1] != b.shape[1]:
         raise AnalyticError(f"distances need two sets of shape (n, D) and (m, D), got {a.shape} and {b.shape}")
     return a, b
 
 
-def _centred(a: NDArray[np.float64]) -> NDArray[np.float64]:
+def _centred(a: Floats) -> Floats:
     centred = a - a.mean(axis=1, keepdims=True)
     rounding = 1e-12 * np.abs(a).max(axis=1, keepdims=True, initial=0)
     return np.where(np.abs(centred).max(axis=1, keepdims=True, initial=0) <= rounding, 0.0, centred)
 
 
-def unit_vectors(a: NDArray[Any], centred: bool = False) -> NDArray[np.float64]:
+def unit_vectors(a: NDArray[Any], centred: bool = False) -> Floats:
     """Return the vectors (n, D) scaled to length 1, after subtracting their means if `centred`; zero stays zero."""
     a = np.asarray(a, dtype=np.float64)
     a = _centred(a) if centred else a
@@ -115,6 +115,6 @@ def unit_vectors(a: NDArray[Any], centred: bool = False) -> NDArray[np.float64]:
     return np.divide(a, norm, out=np.zeros_like(a), where=norm != 0)
 
 
-def between_units(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float64]:
+def between_units(a: Floats, b: Floats) -> Floats:
     """Return 1 - cosine similarity (n, m) of unit vectors (n, D) and (m, D)."""
     return np.clip(1 - a @ b.T, 0, 2)

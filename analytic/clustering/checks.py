@@ -8,14 +8,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from analytic.arrays import real
+from analytic.arrays import Floats, Integers, real
 from analytic.errors import AnalyticError
 from foundation.settings import Count, checked
 
 _BLOCK_BYTES = 32 << 20
 
 
-def vectors(values: ArrayLike, what: str = "descriptors") -> NDArray[np.float64]:
+def vectors(values: ArrayLike, what: str = "descriptors") -> Floats:
     """Check vectors and return them as float64 (n, D), n and D at least 1.
 
     Raises:
@@ -42,7 +42,7 @@ def clusters(n_clusters: Any, frames: int) -> int:
     return count
 
 
-def cluster_labels(labels: ArrayLike, frames: int | None = None) -> NDArray[np.int64]:
+def cluster_labels(labels: ArrayLike, frames: int | None = None) -> Integers:
     """Check labels, one whole number per frame (n,); negative ones mark frames that are in no cluster.
 
     Raises:
@@ -56,7 +56,7 @@ def cluster_labels(labels: ArrayLike, frames: int | None = None) -> NDArray[np.i
     return array.astype(np.int64)
 
 
-def renumbered(labels: NDArray[Any]) -> NDArray[np.int64]:
+def renumbered(labels: NDArray[Any]) -> Integers:
     """Number labels from 0 to k-1 in the order of their first appearance (n,)."""
     _, first, inverse = np.unique(labels, return_index=True, return_inverse=True)
     rank = np.empty(len(first), dtype=np.int64)
@@ -64,9 +64,7 @@ def renumbered(labels: NDArray[Any]) -> NDArray[np.int64]:
     return rank[inverse.reshape(-1)]
 
 
-def distinct(
-    rows: NDArray[np.float64],
-) -> tuple[NDArray[np.float64], NDArray[np.int64], NDArray[np.int64]]:
+def distinct(rows: Floats) -> tuple[Floats, Integers, Integers]:
     """Return the distinct rows in a fixed order, the index of each input row among them, and their counts.
 
     A method that works on these gives equal frames the same label, and does not depend on the order of the input.
@@ -75,7 +73,7 @@ def distinct(
     return different, inverse.reshape(-1), counts
 
 
-def to_unit_range(rows: NDArray[np.float64]) -> tuple[NDArray[np.float64], float]:
+def to_unit_range(rows: Floats) -> tuple[Floats, float]:
     """Return the rows, centred on their mean and scaled by their largest value, and that scale.
 
     Distances keep their ratios; squares neither overflow nor vanish, and a common offset costs no precision.

@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from analytic.arrays import real
+from analytic.arrays import Floats, Integers, real
 from analytic.clustering import checks
 from analytic.errors import AnalyticError
 from foundation.settings import Count, checked
 
 
-def sample(n: int, n_clusters: int) -> NDArray[np.int64]:
+def sample(n: int, n_clusters: int) -> Integers:
     """Cluster frames by plain sampling: runs of consecutive frames, as equal in length as possible (n,).
 
     Frame i belongs to cluster floor(i * n_clusters / n): the baseline in which every k-th frame represents those
@@ -33,7 +33,7 @@ def sample(n: int, n_clusters: int) -> NDArray[np.int64]:
     return np.arange(frames, dtype=np.int64) * count // frames
 
 
-def sample_rows(n: int, n_clusters: int) -> NDArray[np.int64]:
+def sample_rows(n: int, n_clusters: int) -> Integers:
     """Pick the frames that plain sampling keeps: the middle one of each run of `sample` (n_clusters,).
 
     If two are in the middle, the first is kept. Arguments and errors as for `sample`.
@@ -47,7 +47,7 @@ def sample_rows(n: int, n_clusters: int) -> NDArray[np.int64]:
     return (first + last) // 2
 
 
-def representatives(X: ArrayLike, labels: ArrayLike) -> NDArray[np.float64]:
+def representatives(X: ArrayLike, labels: ArrayLike) -> Floats:
     """Compute the mean descriptor of each cluster (k, D) ([C] 3).
 
     Row i belongs to the i-th smallest label, which is label i if labels go from 0 to k-1.
@@ -67,7 +67,7 @@ def representatives(X: ArrayLike, labels: ArrayLike) -> NDArray[np.float64]:
     return _means(x, checks.cluster_labels(labels, len(x)), np.ones(len(x)))
 
 
-def positions(points: ArrayLike, labels: ArrayLike) -> NDArray[np.float64]:
+def positions(points: ArrayLike, labels: ArrayLike) -> Floats:
     """Compute the mean position of each cluster (k, 2) ([C] 3).
 
     A frame whose position is unknown (NaN) does not count; a cluster of only such frames has position NaN. Rows and
@@ -90,7 +90,7 @@ def positions(points: ArrayLike, labels: ArrayLike) -> NDArray[np.float64]:
     return _means(known, checks.cluster_labels(labels, len(known)), np.asarray(~unknown.any(axis=1), np.float64))
 
 
-def _means(x: NDArray[np.float64], labels: NDArray[np.int64], weights: NDArray[np.float64]) -> NDArray[np.float64]:
+def _means(x: Floats, labels: Integers, weights: Floats) -> Floats:
     """Return the weighted mean of each cluster (k, D); NaN for a cluster whose frames all have weight 0."""
     from scipy import sparse
 

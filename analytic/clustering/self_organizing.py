@@ -5,8 +5,9 @@ from __future__ import annotations
 from typing import Annotated
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from analytic.arrays import Floats, Integers
 from analytic.clustering import checks
 from analytic.errors import AnalyticError
 from foundation.settings import Rule, Seed, checked
@@ -17,7 +18,7 @@ _LAST_RADIUS = 0.3  # in units of the grid: a neighbour then has 0.4 % of the wi
 _SETTLING = 40
 
 
-def som(X: ArrayLike, grid: tuple[int, int], *, seed: int = 0) -> NDArray[np.int64]:
+def som(X: ArrayLike, grid: tuple[int, int], *, seed: int = 0) -> Integers:
     """Cluster descriptors with a self-organizing map of W x H units on a rectangular grid (n,).
 
     A cluster is a unit that won frames, so there can be fewer than W x H. Equal descriptors share a label. The order
@@ -57,9 +58,7 @@ def som(X: ArrayLike, grid: tuple[int, int], *, seed: int = 0) -> NDArray[np.int
     return checks.renumbered(winners(scaled, counts.astype(np.float64), (width, height), seed)[inverse])
 
 
-def winners(
-    x: NDArray[np.float64], weights: NDArray[np.float64], grid: tuple[int, int], seed: int
-) -> NDArray[np.int64]:
+def winners(x: Floats, weights: Floats, grid: tuple[int, int], seed: int) -> Integers:
     """Return the number of the unit that wins each row after training (n,), 0 to W x H - 1.
 
     Args:
@@ -85,38 +84,24 @@ def winners(
     return won
 
 
-def _first_units(
-    x: NDArray[np.float64], weights: NDArray[np.float64], places: NDArray[np.int64], seed: int
-) -> NDArray[np.float64]:
+def _first_units(x: Floats, weights: Floats, places: Integers, seed: int) -> Floats:
+    """Return where the units start, evenly spread over the plane of the first two principal components, or fewer."""
+    from sklearn.utils.extmath import randomized_svd
+
     mean = weights @ x / weights.sum()
-    axes = _principal(x - mean, weights, seed)
+    seen = np.sqrt(weights / weights.sum())[:, None] * (x - mean)
+    _, deviations, axes = randomized_svd(seen, min(2, *seen.shape), random_state=seed)
     size = places.max(axis=0)
     spread = np.sqrt(3) * (2 * places / np.maximum(size, 1) - (size > 0))
     longer_first = np.argsort(-size, kind="stable")[: len(axes)]
-    return mean + spread[:, longer_first] @ axes
+    return mean + spread[:, longer_first] @ (axes * deviations[:, None])
 
 
-def _principal(centred: NDArray[np.float64], weights: NDArray[np.float64], seed: int) -> NDArray[np.float64]:
-    """Return the first two principal components, or fewer, each scaled to its standard deviation (c, D)."""
-    from sklearn.utils.extmath import randomized_svd
-
-    seen = np.sqrt(weights / weights.sum())[:, None] * centred
-    _, deviations, axes = randomized_svd(seen, min(2, *seen.shape), random_state=seed)
-    return axes * deviations[:, None]
-
-
-def _nearest_unit(x: NDArray[np.float64], units: NDArray[np.float64]) -> NDArray[np.int64]:
+def _nearest_unit(x: Floats, units: Floats) -> Integers:
     return (np.einsum("ud,ud->u", units, units) - 2 * (x @ units.T)).argmin(axis=1)
 
 
-def _moved(
-    x: NDArray[np.float64],
-    weights: NDArray[np.float64],
-    won: NDArray[np.int64],
-    units: NDArray[np.float64],
-    apart: NDArray[np.int64],
-    radius: float,
-) -> NDArray[np.float64]:
+def _moved(x: Floats, weights: Floats, won: Integers, units: Floats, apart: Integers, radius: float) -> Floats:
     """Return the units after one epoch; a unit too far from every winner to be affected stays where it is."""
     from scipy import sparse
 
@@ -129,9 +114,7 @@ def _moved(
     return np.where(felt[:, None], moved / np.where(felt, total, 1)[:, None], units)
 
 
-def _revived(
-    x: NDArray[np.float64], weights: NDArray[np.float64], won: NDArray[np.int64], units: NDArray[np.float64]
-) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+def _revived(x: Floats, weights: Floats, won: Integers, units: Floats) -> tuple[Floats, Integers]:
     """Return the units and the winners after moving every unit without frames to where one is missing."""
     units = units.copy()
     for unit in np.flatnonzero(np.bincount(won, minlength=len(units)) == 0):

@@ -10,12 +10,13 @@ import warnings
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from analytic.arrays import Floats, Integers
 from analytic.clustering import checks, self_organizing
 from analytic.errors import AnalyticError
 from analytic.linear_algebra import one_thread
-from foundation.settings import Count, Seed, checked
+from foundation.settings import Count, Positive, Seed, checked
 
 Assign = Literal["kmeans", "som"]
 _STARTS = 10  # of k-means
@@ -35,7 +36,7 @@ def spectral(
     neighbours: int | None = None,
     seed: int = 0,
     assign: Assign = "kmeans",
-) -> NDArray[np.int64]:
+) -> Integers:
     """Cluster descriptors with normalized spectral clustering; return the cluster of each frame (n,).
 
     The Gaussian similarity (`affinity`) is normalized, the eigenvectors of the n_clusters smallest eigenvalues of the
@@ -70,6 +71,7 @@ def spectral(
     count = checks.clusters(n_clusters, len(x))
     checked(assign, Assign, "assign", AnalyticError)
     seed = checked(seed, Seed, "the seed", AnalyticError)
+    checked(sigma, Positive | None, "sigma", AnalyticError)
     different, inverse, _ = checks.distinct(x)
     if count > len(different):
         raise AnalyticError(
@@ -77,7 +79,7 @@ def spectral(
             f"{len(different)}; ask for fewer clusters or leave duplicates out"
         )
     scaled, unit = checks.to_unit_range(different)
-    width = _checked_sigma(sigma, unit)
+    width = None if sigma is None else sigma / unit
     t = _checked_neighbours(neighbours, len(different)) if len(different) > 1 else None
     if count in (1, len(different)):
         return checks.renumbered(inverse if count > 1 else np.zeros_like(inverse))
@@ -113,10 +115,11 @@ def affinity(X: ArrayLike, sigma: float | None = None, neighbours: int | None = 
     x = checks.vectors(X)
     t = _checked_neighbours(neighbours, len(x))
     scaled, unit = checks.to_unit_range(x)
-    return _similarities(scaled, _checked_sigma(sigma, unit), t)[0]
+    checked(sigma, Positive | None, "sigma", AnalyticError)
+    return _similarities(scaled, None if sigma is None else sigma / unit, t)[0]
 
 
-def _similarities(x: NDArray[np.float64], sigma: float | None, neighbours: int | None) -> tuple[Any, float]:
+def _similarities(x: Floats, sigma: float | None, neighbours: int | None) -> tuple[Any, float]:
     """Return the similarities of descriptors from `checks.to_unit_range`, and the sigma used."""
     n = len(x)
     rank = min(n - 1, math.ceil(math.log(n)) + 1)
@@ -135,23 +138,22 @@ def _similarities(x: NDArray[np.float64], sigma: float | None, neighbours: int |
     return _symmetric_graph(index[:, :neighbours], _gaussian(distance[:, :neighbours], sigma)), sigma
 
 
-def _chosen_sigma(distance: NDArray[np.float64]) -> float:
+def _chosen_sigma(distance: Floats) -> float:
     return float(distance.mean()) / 3 or 1.0
 
 
-def _gaussian(distance: NDArray[np.float64], sigma: float) -> NDArray[np.float64]:
+def _gaussian(distance: Floats, sigma: float) -> Floats:
     with np.errstate(over="ignore", under="ignore"):
         return np.exp(-0.5 * np.square(distance / sigma))
 
 
-def _symmetric_graph(index: NDArray[np.int64], weight: NDArray[np.float64]) -> Any:
+def _symmetric_graph(index: Integers, weight: Floats) -> Any:
     """Return the graph with an edge where either end has the other as a neighbour; 1 on the diagonal."""
     from scipy import sparse
 
     n, t = index.shape
-    kind = np.int32 if n * t <= np.iinfo(np.int32).max else np.int64  # the type that scikit-learn accepts
-    pointers = np.arange(0, n * t + 1, t, dtype=kind)
-    one_way = sparse.csr_array((weight.ravel(), index.ravel().astype(kind), pointers), shape=(n, n))
+    pointers = np.arange(0, n * t + 1, t, dtype=np.int32)  # the type that scikit-learn accepts
+    one_way = sparse.csr_array((weight.ravel(), index.ravel().astype(np.int32), pointers), shape=(n, n))
     return (one_way.maximum(one_way.T) + sparse.eye_array(n, format="csr")).tocsr()
 
 
@@ -177,7 +179,7 @@ def _normalized(similarity: Any) -> Any:
     return (sparse.diags_array(scale) @ matrix @ sparse.diags_array(scale)).tocsr()
 
 
-def _parts(matrix: Any) -> NDArray[np.int64]:
+def _parts(matrix: Any) -> Integers:
     """Return the connected part of the graph that each frame belongs to (n,), from 0."""
     from scipy import sparse
     from scipy.sparse.csgraph import connected_components
@@ -188,7 +190,7 @@ def _parts(matrix: Any) -> NDArray[np.int64]:
     return connected_components(sparse.csr_array(linked), directed=False)[1].astype(np.int64)
 
 
-def _linked(similarity: Any, part: NDArray[np.int64], x: NDArray[np.float64], sigma: float) -> Any:
+def _linked(similarity: Any, part: Integers, x: Floats, sigma: float) -> Any:
     """Return the similarities with every part of the graph joined to its nearest other part.
 
     The link goes between the two nearest frames and has their similarity, 0.001 at least. If fewer clusters are
@@ -197,7 +199,7 @@ def _linked(similarity: Any, part: NDArray[np.int64], x: NDArray[np.float64], si
     from scipy import sparse
     from sklearn.metrics import pairwise_distances_chunked
 
-    def nearest_outside(block: NDArray[np.float64], start: int) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+    def nearest_outside(block: Floats, start: int) -> tuple[Integers, Floats]:
         block[part[start : start + len(block), None] == part] = np.inf
         return block.argmin(axis=1), block.min(axis=1)
 
@@ -213,7 +215,7 @@ def _linked(similarity: Any, part: NDArray[np.int64], x: NDArray[np.float64], si
     return similarity.maximum(links).tocsr()
 
 
-def _clustered(matrix: Any, part: NDArray[np.int64], count: int, seed: int, assign: str) -> NDArray[np.int64]:
+def _clustered(matrix: Any, part: Integers, count: int, seed: int, assign: str) -> Integers:
     """Return the clusters of frames from their normalized similarity and the parts of its graph."""
     rows = _leading_eigenvectors(matrix, part, count)
     length = np.linalg.norm(rows, axis=1, keepdims=True)
@@ -230,13 +232,13 @@ def _clustered(matrix: Any, part: NDArray[np.int64], count: int, seed: int, assi
         return KMeans(count, n_init=_STARTS, random_state=seed).fit(rows).labels_.astype(np.int64)
 
 
-def _leading_eigenvectors(matrix: Any, part: NDArray[np.int64], count: int) -> NDArray[np.float64]:
+def _leading_eigenvectors(matrix: Any, part: Integers, count: int) -> Floats:
     """Return the eigenvectors of the `count` largest eigenvalues of the normalized similarity, as columns (n, count).
 
     They belong to the smallest eigenvalues of the Laplacian. A frame that resembles no other is a separate part
     with eigenvalue 1.
     """
-    found: list[tuple[float, NDArray[np.int64], NDArray[np.float64]]] = []
+    found: list[tuple[float, Integers, Floats]] = []
     for number in range(int(part.max()) + 1):
         rows = np.flatnonzero(part == number)
         inside = matrix if len(rows) == len(part) else matrix[rows][:, rows]
@@ -249,7 +251,7 @@ def _leading_eigenvectors(matrix: Any, part: NDArray[np.int64], count: int) -> N
     return columns
 
 
-def _largest(matrix: Any, count: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _largest(matrix: Any, count: int) -> tuple[Floats, Floats]:
     """Return the largest eigenvalues of one part and their vectors, with Lanczos if the part is large."""
     from scipy.linalg import eigh
     from scipy.sparse.linalg import ArpackNoConvergence, eigsh
@@ -275,21 +277,10 @@ def _squarest(units: int) -> tuple[int, int]:
     return units // height, height
 
 
-def _checked_sigma(sigma: float | None, unit: float) -> float | None:
-    """Return sigma in the unit of the scaled descriptors."""
-    if sigma is None:
-        return None
-    if isinstance(sigma, bool) or not isinstance(sigma, int | float | np.number) or not 0 < sigma < math.inf:
-        raise AnalyticError(f"sigma must be a positive number, or None to have one chosen, got {sigma!r}")
-    return max(float(sigma) / unit, float(np.finfo(np.float64).tiny))
-
-
 def _checked_neighbours(neighbours: int | None, frames: int) -> int | None:
     if neighbours is None:
         return None
-    if frames == 1:
-        raise AnalyticError("a single frame has no neighbours: leave neighbours out")
     count = int(checked(neighbours, Count, "the number of neighbours", AnalyticError))
     if count >= frames:
-        raise AnalyticError(f"{frames} frames have at most {frames - 1} neighbours each, got neighbours={count}")
+        raise AnalyticError(f"each of {frames} frames has at most {frames - 1} neighbours, got neighbours={count}")
     return count

@@ -7,13 +7,10 @@ from dataclasses import dataclass
 from itertools import compress
 
 import numpy as np
-from numpy.typing import NDArray
 
+from analytic.arrays import Floats, Integers
 from analytic.descriptors.base import Description, Descriptor
 from analytic.mapper.node import Node, every_few
-
-Array = NDArray[np.float64]
-Rows = NDArray[np.int64]
 
 _NEAREST = 1e-6  # of the largest distance: the distance of an equal image, whose similarity would otherwise be infinite
 _ROUNDING = 1e-9  # of the mean: a deviation that counts as none; otherwise a robot that stands still would not close
@@ -35,19 +32,19 @@ class NodeLevel:
         ratios: (n,) deviation / std: the x with which the node would just close.
     """
 
-    nodes: Rows
-    modes: Rows
-    distances: Array
-    means: Array
-    stds: Array
-    deviations: Array
-    ratios: Array
+    nodes: Integers
+    modes: Integers
+    distances: Floats
+    means: Floats
+    stds: Floats
+    deviations: Floats
+    ratios: Floats
 
-    def closing(self, x: float) -> Rows:
+    def closing(self, x: float) -> Integers:
         """Return the rows of the nodes that close: |distance - mean| <= |x std| (eq. 4, and eq. 11 with y)."""
         return np.flatnonzero(self.deviations <= x * self.stds)
 
-    def best(self, rows: Rows | slice) -> int:
+    def best(self, rows: Integers | slice) -> int:
         """Return the row, among some, of the node that would close with the smallest x; ties go to the first."""
         return int(np.arange(len(self.nodes))[rows][np.argmin(self.ratios[rows])])
 
@@ -57,12 +54,12 @@ class NodeLevel:
         return dict(zip(map(str, self.nodes.tolist()), values, strict=True))
 
 
-def point_of(description: Description) -> Array:
+def point_of(description: Description) -> Floats:
     """Return the position descriptor (D,) of one frame."""
     return description.position[0].astype(np.float64)
 
 
-def node_level(point: Array, nodes: Sequence[Node], two_sided: bool, most: float = np.inf) -> NodeLevel:
+def node_level(point: Floats, nodes: Sequence[Node], two_sided: bool, most: float = np.inf) -> NodeLevel:
     """Compare a position descriptor (D,) with nodes (eq. 3); ties between modes go to the older.
 
     With a limit, modes that cannot close with it are left out, except the one that seems nearest: few remain in a large
@@ -104,10 +101,10 @@ class Similarity:
         modes: (n,) the mode of each frame within its node.
     """
 
-    frames: Rows
-    values: Array
-    nodes: Rows
-    modes: Rows
+    frames: Integers
+    values: Floats
+    nodes: Integers
+    modes: Integers
 
     def best(self, node: int | None = None) -> int:
         """Return the row of the most similar frame, of one node or of all (eq. 7); ties go to the oldest frame."""
@@ -162,7 +159,7 @@ def image_level(
     return Similarity(frames[kept], values, owners[kept], modes[kept])
 
 
-def _normalized_inverse(distances: Array) -> Array:
+def _normalized_inverse(distances: Floats) -> Floats:
     """Return the inverse of distances (n,), normalized to a sum of 1 (eq. 5 for positions, eq. 6 for orientations)."""
     if not len(distances):
         return distances
@@ -171,7 +168,7 @@ def _normalized_inverse(distances: Array) -> Array:
     return inverse / inverse.sum()
 
 
-def prominences(curve: Array) -> Array:
+def prominences(curve: Floats) -> Floats:
     """Compute the topographic prominence (n,) of each sample of a curve that is 0 before and after; 0 off the peaks.
 
     It is the height above the higher of the two lowest points that lie between the peak and something higher, or the
@@ -186,7 +183,7 @@ def prominences(curve: Array) -> Array:
     return heights[1:-1]
 
 
-def prominences_of(similarity: Similarity, labels: Rows, candidates: Collection[int]) -> Array:
+def prominences_of(similarity: Similarity, labels: Integers, candidates: Collection[int]) -> Floats:
     """Compute the prominence (n,) of each frame compared, in the similarity curve in capture order ([I] fig. 6c).
 
     The curve falls to zero wherever frames of other nodes, or without a node, lie in between.

@@ -12,8 +12,8 @@ from enum import Enum
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from analytic.arrays import Integers
 from analytic.errors import AnalyticError
 
 NONE = -1  # the label of a frame without a node
@@ -126,7 +126,7 @@ def _short(value: Any) -> Any:
     return [_short(item) for item in value] if isinstance(value, list) else value
 
 
-def replay(events: Iterable[str | Mapping[str, Any]]) -> NDArray[np.int64]:
+def replay(events: Iterable[str | Mapping[str, Any]]) -> Integers:
     """Rebuild the node of each frame (n,), -1 for none, from the lines of a log.
 
     Args:

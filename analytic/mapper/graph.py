@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from analytic.arrays import Integers
 from foundation.files import write_bytes
 
 
@@ -45,7 +45,7 @@ class NodeGraph:
         write_bytes(path, json.dumps({"nodes": nodes, "edges": edges, "loops": self.loops}, indent=1).encode())
 
 
-def edges(labels: NDArray[np.int64]) -> dict[tuple[int, int], int]:
+def edges(labels: Integers) -> dict[tuple[int, int], int]:
     """Count how often a frame of one node follows a frame of another, by pair of ids.
 
     Args:
@@ -56,7 +56,7 @@ def edges(labels: NDArray[np.int64]) -> dict[tuple[int, int], int]:
     return dict(Counter((min(a, b), max(a, b)) for a, b in pairs if a != b))
 
 
-def loops(labels: NDArray[np.int64], matches: NDArray[np.int64]) -> list[tuple[int, int]]:
+def loops(labels: Integers, matches: Integers) -> list[tuple[int, int]]:
     """Find the loop closures (frame, matched frame): both of one node, with a frame of another one between them.
 
     Args:

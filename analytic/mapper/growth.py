@@ -10,8 +10,8 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from analytic.arrays import Floats, Integers
 from analytic.descriptors.base import Description, Descriptor
 from analytic.mapper.closure import NodeLevel, image_level, node_level, point_of
 from analytic.mapper.decision import NONE, Change, Reason
@@ -39,8 +39,8 @@ class State:
     rules: Parameters
     nodes: dict[int, Node] = field(default_factory=dict)
     parked: tuple[Node, ...] = ()
-    labels: NDArray[np.int64] = field(default_factory=lambda: np.empty(0, dtype=np.int64))
-    matches: NDArray[np.int64] = field(default_factory=lambda: np.empty(0, dtype=np.int64))
+    labels: Integers = field(default_factory=lambda: np.empty(0, dtype=np.int64))
+    matches: Integers = field(default_factory=lambda: np.empty(0, dtype=np.int64))
     recent: tuple[tuple[int, Description], ...] = ()
     pending: tuple[int, ...] = ()
     next_id: int = 0
@@ -189,7 +189,7 @@ def _create(state: State, node: Node, **scores: Any) -> Node:
     return node
 
 
-def distinctness(centre: NDArray[np.float64], nodes: Sequence[Node]) -> tuple[dict[str, float], bool]:
+def distinctness(centre: Floats, nodes: Sequence[Node]) -> tuple[dict[str, float], bool]:
     """Compare the mean distance of a representative (D,) to those of nodes with the mean among these ([I] 4.5).
 
     Two nodes are as far apart as the nearest of the representatives of their modes; a single node has mean 0.

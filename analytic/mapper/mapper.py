@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from analytic.arrays import Integers
 from analytic.descriptors import registry
 from analytic.descriptors.base import Description, Descriptor, check_alike
 from analytic.errors import AnalyticError
@@ -88,7 +88,7 @@ class IncrementalMapper:
         """The log: a header, then a line of JSON for each call of `add` or `maintain`."""
         return tuple(self._lines[: 1 + self._state.calls])
 
-    def labels(self) -> NDArray[np.int64]:
+    def labels(self) -> Integers:
         """Return the node of each frame (n,), -1 for none."""
         return self._state.labels.copy()
 

@@ -10,11 +10,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from analytic.arrays import Floats, Integers
 from analytic.descriptors.base import Description
 from analytic.errors import AnalyticError
 from analytic.mapper.parameters import CLOSE, Parameters
-
-Array = NDArray[np.float64]
 
 _LEAST_SHRINKAGE = 1e-6  # two frames, or frames on one line, have intensity 0 and a covariance without inverse
 _LEAST_VARIANCE = 1e-12  # of equal frames, relative to their mean square
@@ -43,14 +42,14 @@ class Mahalanobis:
             its product with their mean: |bound (d, 1)|^2 is their distance, which is at most that of all numbers.
     """
 
-    mean: Array
-    factor: Array
-    rows: Array | None
+    mean: Floats
+    factor: Floats
+    rows: Floats | None
     least: float
-    bound: Array
+    bound: Floats
 
     @staticmethod
-    def of(mean: Array, points: Array, scatter: Array | None, shrinkage: str | float) -> Mahalanobis:
+    def of(mean: Floats, points: Floats, scatter: Floats | None, shrinkage: str | float) -> Mahalanobis:
         """Prepare the distances to n frames.
 
         Args:
@@ -80,7 +79,7 @@ class Mahalanobis:
         rows = np.sqrt(weight) * away if scatter is None else None
         return Mahalanobis(mean, _cholesky(weight * product, least), rows, least, bound)
 
-    def distances(self, points: Array) -> Array:
+    def distances(self, points: Floats) -> Floats:
         """Return the squared distances (n,) of points (n, D)."""
         from scipy.linalg import lapack
 
@@ -97,7 +96,7 @@ def every_few(size: int) -> slice:
     return slice(None, None, -(-size // _FEW))
 
 
-def ledoit_wolf(product: Array, squares: Array, size: int) -> float:
+def ledoit_wolf(product: Floats, squares: Floats, size: int) -> float:
     """Compute the shrinkage intensity of Ledoit and Wolf (2004), in [1e-6, 1].
 
     With S = Y^T Y / n and p = D: b2 = (sum |y|^4 / n - |S|^2) / n against d2 = |S|^2 - trace(S)^2 / p, and
@@ -115,7 +114,7 @@ def ledoit_wolf(product: Array, squares: Array, size: int) -> float:
     return max(error / excess, _LEAST_SHRINKAGE) if error > 0 and excess > 0 else _LEAST_SHRINKAGE
 
 
-def _cholesky(covariance: Array, least: float) -> Array:
+def _cholesky(covariance: Floats, least: float) -> Floats:
     """Return the lower Cholesky factor of a covariance plus `least` times the identity."""
     from scipy.linalg import lapack
 
@@ -140,11 +139,11 @@ class Gallery:
         shown: their descriptions.
     """
 
-    frames: NDArray[np.int64]
+    frames: Integers
     shown: Description
 
     @staticmethod
-    def of(frames: Sequence[int] | NDArray[np.int64], descriptions: Sequence[Description]) -> Gallery:
+    def of(frames: Sequence[int] | Integers, descriptions: Sequence[Description]) -> Gallery:
         """Return the gallery of frames, given their descriptions."""
         shown = Description.concatenate(descriptions)
         if shown.orientation is not None:
@@ -216,12 +215,12 @@ class Mode:
     """
 
     rules: Parameters
-    frames: NDArray[np.int64]
+    frames: Integers
     held: NDArray[np.bool_]
-    points: Array
-    centre: Array
-    mean: Array
-    scatter: Array | None
+    points: Floats
+    centre: Floats
+    mean: Floats
+    scatter: Floats | None
     gallery: Gallery
 
     @staticmethod
@@ -235,7 +234,7 @@ class Mode:
 
     @staticmethod
     def from_points(
-        rules: Parameters, frames: NDArray[np.int64], held: NDArray[np.bool_], points: Array, gallery: Gallery
+        rules: Parameters, frames: Integers, held: NDArray[np.bool_], points: Floats, gallery: Gallery
     ) -> Mode:
         """Return the mode of frames whose statistics are computed from their position descriptors; see `Mode`."""
         model = points[~held]
@@ -298,7 +297,7 @@ class Mode:
         distances = self.metric.distances(self.points[rows])
         return float(distances.sum() / max(len(rows), 1)), float(distances.std(ddof=1)) if len(rows) > 1 else 0.0
 
-    def shift(self, x: Array) -> float:
+    def shift(self, x: Floats) -> float:
         """Return the left side of eq. 9: how far the representative would move with one more frame (D,)."""
         return float(np.linalg.norm(x - self.centre)) / (len(self) + 1)
 
@@ -315,7 +314,7 @@ def _split(rules: Parameters, count: int) -> NDArray[np.bool_]:
     return np.diff(np.floor(rules.held_out * np.arange(count + 1) + CLOSE)) > 0
 
 
-def _scatter(frames: Array, mean: Array) -> Array | None:
+def _scatter(frames: Floats, mean: Floats) -> Floats | None:
     """Return the scatter (D, D) of frames (n, D) about their mean; None for few of them."""
     if 2 * len(frames) <= len(mean):
         return None

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from analytic.arrays import Floats, Integers
 from analytic.clustering import checks
 from analytic.errors import AnalyticError
 from foundation.settings import Count, NotNegative, checked
@@ -90,7 +91,7 @@ def closure_scores(closures: ArrayLike, positions: ArrayLike, radius: float, gap
     )
 
 
-def _revisits(xy: NDArray[np.float64], radius: float, gap: int) -> NDArray[np.bool_]:
+def _revisits(xy: Floats, radius: float, gap: int) -> NDArray[np.bool_]:
     found = np.zeros(len(xy), dtype=bool)
     for rows in checks.row_slices(len(xy), len(xy) * xy.shape[1]):
         if rows.stop <= gap:
@@ -102,11 +103,11 @@ def _revisits(xy: NDArray[np.float64], radius: float, gap: int) -> NDArray[np.bo
     return found
 
 
-def _within(difference: NDArray[np.float64], radius: float) -> NDArray[np.bool_]:
+def _within(difference: Floats, radius: float) -> NDArray[np.bool_]:
     return np.sqrt((difference**2).sum(axis=-1)) <= radius
 
 
-def _checked(closures: ArrayLike, frames: int) -> NDArray[np.int64]:
+def _checked(closures: ArrayLike, frames: int) -> Integers:
     """Return the distinct closures, the earlier frame first (m, 2)."""
     ends = np.asarray(closures)
     if not ends.size:

@@ -7,8 +7,9 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from analytic.arrays import Floats, Integers
 from analytic.clustering import checks
 from analytic.distances import distance as distance_named
 from analytic.errors import AnalyticError
@@ -30,10 +31,10 @@ class Silhouettes:
         mode: "nearest" or "pooled".
     """
 
-    frames: NDArray[np.float64]
-    labels: NDArray[np.int64]
-    clusters: NDArray[np.float64]
-    sizes: NDArray[np.int64]
+    frames: Floats
+    labels: Integers
+    clusters: Floats
+    sizes: Integers
     mode: str
 
     @property
@@ -112,7 +113,7 @@ def moment_of_inertia(points: ArrayLike, labels: ArrayLike) -> float:
     return float(moments_of_inertia(points, labels).sum())
 
 
-def moments_of_inertia(points: ArrayLike, labels: ArrayLike) -> NDArray[np.float64]:
+def moments_of_inertia(points: ArrayLike, labels: ArrayLike) -> Floats:
     """Compute the mean squared distance to the mean position for each cluster, in the order of labels (k,).
 
     Args:
@@ -134,9 +135,7 @@ def moments_of_inertia(points: ArrayLike, labels: ArrayLike) -> NDArray[np.float
     return np.array([((group - group.mean(axis=0)) ** 2).sum(axis=1).mean() for group in groups])
 
 
-def _of_frames(
-    sums: NDArray[np.float64], number: NDArray[np.int64], sizes: NDArray[np.int64], mode: str
-) -> NDArray[np.float64]:
+def _of_frames(sums: Floats, number: Integers, sizes: Integers, mode: str) -> Floats:
     """Return silhouettes (r,) from the summed distances to each cluster (r, k) and the frames' own clusters (r,)."""
     each = np.arange(len(sums))
     own = sums[each, number]
@@ -153,7 +152,7 @@ def _of_frames(
     return np.where(sizes[number] == 1, 0.0, found)
 
 
-def _blocks(x: NDArray[np.float64], distance: str) -> Iterator[tuple[slice, NDArray[np.float64]]]:
+def _blocks(x: Floats, distance: str) -> Iterator[tuple[slice, Floats]]:
     between = distance_named(distance)
     if distance == "euclidean":
         x, _ = checks.to_unit_range(x)  # a silhouette is a ratio

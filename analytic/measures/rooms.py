@@ -6,8 +6,9 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from analytic.arrays import Floats, Integers
 from analytic.clustering import checks
 from analytic.errors import AnalyticError
 
@@ -33,8 +34,8 @@ class Purity:
     overall: float
     rooms: dict[str, float]
     frames_per_room: dict[str, int]
-    nodes: NDArray[np.float64]
-    labels: NDArray[np.int64]
+    nodes: Floats
+    labels: Integers
     room_of_node: list[str]
     counted: int
     unlabelled: int
