@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from foundation.files import read_text
 from siamloc.data.frames import FrameTable, image_files, in_capture_order
 from siamloc.data.names import SequenceName, name_sequence, parse_name
 from siamloc.errors import ConfigError, DataError, hint, leave_out, logger
@@ -146,7 +147,7 @@ def _with_camera(sources: list[_Source], camera: str, on_error: str) -> list[_So
 
 def _read_sequence(source: _Source, on_error: str) -> tuple[list[dict[str, Any]], SequenceName]:
     if source.list is not None:
-        frames = _listed(source.list)
+        frames = read_list(source.list)
         if source.images.is_dir():
             there = set(os.listdir(source.images))  # noqa: PTH208 (names, not paths)
             missing = [str(source.images / frame["image"]) for frame in frames if frame["image"] not in there]
@@ -161,14 +162,16 @@ def _read_sequence(source: _Source, on_error: str) -> tuple[list[dict[str, Any]]
     return frames, name
 
 
-def _listed(path: Path) -> list[dict[str, Any]]:
-    """Read a list with `<image name> <room code>` on each line."""
+def read_list(path: Path) -> list[dict[str, Any]]:
+    """Read a list with `<image name> <room code>` on each line: image, room, time, x, y and theta of each frame.
+
+    Raises:
+        DataError: the list cannot be read or is empty, or a line is malformed or repeats an image.
+    """
     try:
-        lines = path.read_bytes().decode("utf-8-sig").split("\n")
-    except UnicodeDecodeError as error:
-        raise DataError(f"{path} is not a list of rooms in UTF-8 ({error})") from error
-    except OSError as error:
-        raise DataError(f"the list {path} cannot be read: {error.strerror or error}") from error
+        lines = read_text(path).removeprefix("\ufeff").split("\n")
+    except (OSError, ValueError) as error:
+        raise DataError(f"the list {path} cannot be read: {getattr(error, 'strerror', None) or error}") from error
     frames: dict[str, dict[str, Any]] = {}
     for number, line in enumerate(lines, start=1):
         words = line.split()

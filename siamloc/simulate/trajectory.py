@@ -8,8 +8,8 @@ from pathlib import Path as FilePath
 import cv2
 import numpy as np
 
-from foundation.files import read_text
-from siamloc.data.names import NamedPose, format_name, parse_name
+from siamloc.data.cold import read_list
+from siamloc.data.names import NamedPose, format_name
 from siamloc.errors import ConfigError, DataError, hint
 from siamloc.simulate.layout import Array, Building, Path, Rng
 from siamloc.simulate.plan import blocked_points, clearance, crossings, obstacles, room_codes
@@ -95,40 +95,21 @@ def listed(building: Building, file: FilePath) -> Track:
     """Return the poses of a `places.lst`; the image names stay as they are, the rooms come from the floor plan.
 
     Raises:
-        DataError: the file cannot be read, or a line does not start with a COLD image name.
+        DataError: a list that cannot be read or names other images than JPEG, or a pose in a wall or an item.
     """
-    try:
-        lines = read_text(file).splitlines()
-    except (OSError, ValueError) as error:
-        raise DataError(f"the trajectory {file} cannot be read: {error}") from error
-    rows: list[NamedPose] = []
-    lines_of: dict[str, int] = {}
-    for number, name in ((number, text.split()[0]) for number, text in enumerate(lines, start=1) if text.strip()):
-        pose = parse_name(name)
-        if pose is None:
-            raise DataError(
-                f"{file}, line {number}: expected an image named t<seconds>_x<m>_y<m>_a<rad>.jpeg, got {name!r}"
-            )
-        if not name.lower().endswith((".jpeg", ".jpg")):
-            raise DataError(f"{file}, line {number}: images are written as JPEG, but the list names {name}")
-        if name in lines_of:
-            raise DataError(f"{file}, line {number}: image {name} appears in line {lines_of[name]} already")
-        lines_of[name] = number
-        rows.append(pose)
-    names = tuple(lines_of)
-    if not rows:
-        raise DataError(f"the trajectory {file} lists no image")
-    values = np.array(rows)
+    frames = read_list(file)
+    names = tuple(frame["image"] for frame in frames)
+    if other := [name for name in names if not name.lower().endswith((".jpeg", ".jpg"))]:
+        raise DataError(f"{file}: images are written as JPEG, but the list names {other[0]}")
+    values = np.array([[frame[key] for key in NamedPose._fields] for frame in frames])
     inside = blocked_points(building, values[:, 1:3])
     if inside.any():
-        row = int(np.flatnonzero(inside)[0])
-        x, y = values[row, 1:3]
         raise DataError(
-            f"{file}: {int(inside.sum())} of {len(rows)} poses lie in a wall or on furniture of building "
-            f"{building.name!r}, the first in line {lines_of[names[row]]} at ({x:.2f}, {y:.2f}): {names[row]}"
+            f"{file}: {int(inside.sum())} of {len(names)} poses lie in a wall or on furniture of building "
+            f"{building.name!r}, the first: {names[int(inside.argmax())]}"
         )
     change = np.zeros_like(values)
-    if len(rows) > 1:
+    if len(names) > 1:
         change = np.gradient(np.column_stack([values[:, :3], np.unwrap(values[:, 3])]), axis=0)
     seconds = np.maximum(change[:, 0], 0.05)
     speed = np.clip(np.linalg.norm(change[:, 1:3], axis=1) / seconds, 0, 1.0)

@@ -48,5 +48,5 @@ def test_nothing_of_a_run_stands_on_the_listed_drive(lighting: str) -> None:
 
 
 def test_a_list_from_another_building_is_refused() -> None:
-    with pytest.raises(DataError, match=r"poses lie in a wall or on furniture of building 'mini', the first in line"):
+    with pytest.raises(DataError, match=r"poses lie in a wall or on furniture of building 'mini', the first: t"):
         listed(load_building("mini"), LISTS / "ljubljana_seq1_cloudy1.places.lst")
