@@ -16,14 +16,14 @@ import numpy as np
 
 from benchmarks.report import Report, parser
 from siamloc.simulate import Run, build_scene, load_building, simulate
-from siamloc.simulate.camera import HEIGHT, make_camera
+from siamloc.simulate.camera import CAMERAS, HEIGHT
 from siamloc.simulate.render import frames, meter
 
 
 def bare_loop(building: str, camera: str, repeats: int = 20) -> float:
     """Return the CPU seconds needed to cast the primary rays of one image."""
     scene = build_scene(load_building(building, 0), Run("cloudy", 1))
-    directions = make_camera(camera).pixels().directions[0]
+    directions = CAMERAS[camera].pixels().directions[0]
     x, y, _ = scene.state.track.poses[0]
     origins = np.tile(np.array([x, y, HEIGHT], dtype=np.float32), (len(directions), 1))
     begin = time.process_time()
@@ -42,7 +42,7 @@ def processor_seconds(building: str, camera: str, count: int = 40) -> tuple[floa
     exposure = meter(scene, track)
     rows = np.linspace(0, len(track) - 1, count).astype(int)
     begin = time.process_time()
-    for _ in frames(scene, track, make_camera(camera), exposure, rows):
+    for _ in frames(scene, track, CAMERAS[camera], exposure, rows):
         pass
     return baked, (time.process_time() - begin) / count
 

@@ -1,6 +1,6 @@
 """The cameras: where each pixel looks, and how light becomes pixel values (exposure, glare, noise, gamma).
 
-`make_camera` makes the two cameras of data sets; `draw_camera` those of training images.
+`CAMERAS` are the two cameras of data sets; `draw_camera` draws those of training images.
 """
 
 from __future__ import annotations
@@ -8,13 +8,12 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
-from typing import Literal
+from typing import ClassVar, Literal
 
 import cv2
 import numpy as np
 
 from siamloc.data.panorama import HyperbolicMirror, PanoramaView
-from siamloc.errors import ConfigError, hint
 from siamloc.simulate.layout import Array, single
 
 #: Height of the viewpoint above the floor in metres.
@@ -48,8 +47,9 @@ class Pixels:
 class PanoramaCamera:
     """A camera that takes panoramas directly, like those that unwrapping produces."""
 
+    wraps: ClassVar[bool] = True
+
     view: PanoramaView = field(default_factory=PanoramaView)
-    wraps: bool = True
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -76,8 +76,9 @@ class PanoramaCamera:
 class OmnidirectionalCamera:
     """A camera below a hyperbolic mirror; its image is a ring with the camera's own reflection in the middle."""
 
+    wraps: ClassVar[bool] = False
+
     mirror: HyperbolicMirror = field(default_factory=HyperbolicMirror)
-    wraps: bool = False
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -95,18 +96,9 @@ class OmnidirectionalCamera:
 
 
 Camera = PanoramaCamera | OmnidirectionalCamera
-CAMERAS = ("omnidirectional", "panorama")
-
-
-def make_camera(name: str) -> Camera:
-    """Return the camera called "omnidirectional" or "panorama".
-
-    Raises:
-        ConfigError: any other name.
-    """
-    if name not in CAMERAS:
-        raise ConfigError(f"camera {name!r} is unknown; {hint(name, CAMERAS)}")
-    return PanoramaCamera() if name == "panorama" else OmnidirectionalCamera()
+CameraName = Literal["omnidirectional", "panorama"]
+#: The cameras of data sets.
+CAMERAS: dict[str, Camera] = {"omnidirectional": OmnidirectionalCamera(), "panorama": PanoramaCamera()}
 
 
 @lru_cache(maxsize=4)

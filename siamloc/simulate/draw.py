@@ -11,7 +11,7 @@ import numpy as np
 from siamloc.errors import DataError
 from siamloc.simulate.floor_plans import Cell, Plan, draw_plan
 from siamloc.simulate.furnishing import USES, Room, furnish
-from siamloc.simulate.layout import SIDES, Path, Rng, seeded, shared_wall, side_at
+from siamloc.simulate.layout import SIDES, Path, Rng, seeded
 from siamloc.simulate.parse import parse_building
 from siamloc.simulate.plan import blocked_points, check_paths
 from siamloc.simulate.route import FreeSpace, visits
@@ -44,7 +44,6 @@ def _drawn(seed: int, rng: Rng) -> Entry:
     density = float(rng.choice([0.5, 0.9, 1.3, 1.8]))
     numbers: dict[str, int] = {}
     rooms: Entry = {}
-    with_walls = _walled(plan, doors)
     for cell in plan.cells:
         use = USES[cell.use]
         numbers[cell.use] = numbers.get(cell.use, 0) + 1
@@ -52,7 +51,7 @@ def _drawn(seed: int, rng: Rng) -> Entry:
         entry: Entry = {"code": code, "x": list(cell.x), "y": list(cell.y), **materials(cell.use)}
         entry["lamps"] = _lamps(cell, rng)
         entry["windows"] = _windows(cell, plan, windows, rng)
-        room = Room(cell, plan.height, with_walls, entry["windows"])
+        room = Room(cell, plan, doors, entry["windows"])
         style = seeded(seed, cell.use, "furniture")
         entry["items"] = furnish(room, style, rng, density)
         rooms[cell.name] = entry
@@ -66,18 +65,6 @@ def _drawn(seed: int, rng: Rng) -> Entry:
     }
     content["paths"] = _paths(content, plan, seed, rng)
     return content
-
-
-def _walled(plan: Plan, doors: list[Entry]) -> list[Entry]:
-    """Add to each door the wall that it is in, for both of its rooms."""
-    by_name = {cell.name: cell for cell in plan.cells}
-    walled = []
-    for door in doors:
-        one, other = (by_name[name] for name in door["between"])
-        shared = shared_wall(one, other)
-        assert shared is not None
-        walled.append({**door, "wall": {cell.name: side_at(cell, *shared[:2]) for cell in (one, other)}})
-    return walled
 
 
 def _materials(rng: Rng) -> Any:

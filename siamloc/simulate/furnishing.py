@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from siamloc.simulate.floor_plans import Cell
+from siamloc.simulate.floor_plans import Cell, Plan
 from siamloc.simulate.items import KINDS
-from siamloc.simulate.layout import HALF_WALL, SIDES, Interval, Rectangle, Rng
+from siamloc.simulate.layout import HALF_WALL, SIDES, Interval, Rectangle, Rng, shared_wall, side_at
 
 Entry = dict[str, Any]
 Size = tuple[float, float, float]
@@ -45,72 +45,44 @@ _SOFT = "carpet carpet_red carpet_gray parquet linoleum planks"
 _HARD = "linoleum linoleum_green tiles_floor terrazzo checker concrete marble"
 _CLEAN = "tiles_floor checker linoleum_green terrazzo"
 USES: dict[str, Use] = {
-    "corridor": Use(
-        "CR{}-A", "linoleum linoleum_green carpet_gray parquet terrazzo tiles_floor carpet planks",
+    "corridor": Use("CR{}-A", "linoleum linoleum_green carpet_gray parquet terrazzo tiles_floor carpet planks",
         "plant bench lockers cabinet copier vending_machine bin shelf coat_rack column",
-        hung="blind_door blind_door extinguisher room_sign notice_board elevator exit_sign", density=1.2,
-    ),
-    "office": Use(
-        "{}PO-A", _SOFT, "desk desk desk shelf shelf cabinet sideboard plant bin coat_rack lockers",
-        "desk_pair round_table", "whiteboard notice_board",
-    ),
-    "open_office": Use(
-        "LO{}-A", _SOFT, "shelf cabinet sideboard plant copier desk desk coat_rack",
-        "desk_pair desk_pair desk_pair column round_table", "whiteboard", 3.0,
-    ),
-    "kitchen": Use(
-        "KT{}-A", _CLEAN, "kitchen_counter kitchen_counter fridge sideboard bin visitor_chair",
-        "dining round_table", "notice_board",
-    ),
+        hung="blind_door blind_door extinguisher room_sign notice_board elevator exit_sign", density=1.2),
+    "office": Use("{}PO-A", _SOFT, "desk desk desk shelf shelf cabinet sideboard plant bin coat_rack lockers",
+        "desk_pair round_table", "whiteboard notice_board"),
+    "open_office": Use("LO{}-A", _SOFT, "shelf cabinet sideboard plant copier desk desk coat_rack",
+        "desk_pair desk_pair desk_pair column round_table", "whiteboard", 3.0),
+    "kitchen": Use("KT{}-A", _CLEAN, "kitchen_counter kitchen_counter fridge sideboard bin visitor_chair",
+        "dining round_table", "notice_board"),
     "printer": Use("PA{}-A", _HARD, "copier printer_table pigeonholes shelf cabinet carton bin"),
-    "meeting": Use(
-        "CNR{}-A", _SOFT, "sideboard plant visitor_chair cabinet",
-        "conference conference", "whiteboard whiteboard television", 2.0,
-    ),
+    "meeting": Use("CNR{}-A", _SOFT, "sideboard plant visitor_chair cabinet", "conference conference",
+        "whiteboard whiteboard television", 2.0),
     "toilet": Use("TL{}-A", _CLEAN, "stall stall stall basins urinals bin", "", "dryer mirror", 5.0),
     "storage": Use("SR{}-A", _HARD, "shelf shelf lockers carton carton cabinet shelf", "carton", "", 7.0),
-    "laboratory": Use(
-        "RL{}-A", _HARD, "table table desk shelf cabinet lockers printer_table carton",
-        "table desk_pair", "whiteboard shelf_board", 5.0,
-    ),
-    "lounge": Use(
-        "LG{}-A", _SOFT, "sofa armchair vending_machine plant shelf floor_lamp",
-        "seating round_table rug", "television",
-    ),
-    "library": Use(
-        "LB{}-A", _SOFT, "shelf shelf shelf shelf shelf shelf desk armchair plant", "stacks round_table", "", 6.0,
-    ),
-    "classroom": Use(
-        "TR{}-A", _HARD, "cabinet shelf lockers desk bin", "benches benches", "whiteboard whiteboard", 1.5,
-    ),
-    "living": Use(
-        "LR{}-A", "parquet planks carpet carpet_red terrazzo marble",
-        "sofa armchair shelf sideboard plant floor_lamp wardrobe television_set",
-        "seating dining rug", "television shelf_board",
-    ),
-    "bedroom": Use(
-        "BR{}-A", "parquet planks carpet carpet_red linoleum",
-        "bed bed wardrobe sideboard desk armchair floor_lamp shelf", "rug", "mirror shelf_board",
-    ),
+    "laboratory": Use("RL{}-A", _HARD, "table table desk shelf cabinet lockers printer_table carton",
+        "table desk_pair", "whiteboard shelf_board", 5.0),
+    "lounge": Use("LG{}-A", _SOFT, "sofa armchair vending_machine plant shelf floor_lamp",
+        "seating round_table rug", "television"),
+    "library": Use("LB{}-A", _SOFT, "shelf shelf shelf shelf shelf shelf desk armchair plant",
+        "stacks round_table", "", 6.0),
+    "classroom": Use("TR{}-A", _HARD, "cabinet shelf lockers desk bin",
+        "benches benches", "whiteboard whiteboard", 1.5),
+    "living": Use("LR{}-A", "parquet planks carpet carpet_red terrazzo marble",
+        "sofa armchair shelf sideboard plant floor_lamp wardrobe television_set", "seating dining rug",
+        "television shelf_board"),
+    "bedroom": Use("BR{}-A", "parquet planks carpet carpet_red linoleum",
+        "bed bed wardrobe sideboard desk armchair floor_lamp shelf", "rug", "mirror shelf_board"),
     "bath": Use("BT{}-A", _CLEAN, "basins bathtub stall cabinet bin", "", "mirror", 5.0),
     "study": Use("ST{}-A", _SOFT, "desk shelf shelf armchair cabinet plant", "rug", "shelf_board"),
-    "entrance": Use(
-        "HL{}-A", "parquet planks tiles_floor checker terrazzo marble",
-        "wardrobe sideboard coat_rack bench plant shelf", "rug", "mirror coats", 2.0,
-    ),
-    "foyer": Use(
-        "FY{}-A", "terrazzo marble tiles_floor checker concrete parquet",
+    "entrance": Use("HL{}-A", "parquet planks tiles_floor checker terrazzo marble",
+        "wardrobe sideboard coat_rack bench plant shelf", "rug", "mirror coats", 2.0),
+    "foyer": Use("FY{}-A", "terrazzo marble tiles_floor checker concrete parquet",
         "bench plant vending_machine sofa lockers sideboard", "column column seating plant_island rug",
-        "elevator notice_board blind_door exit_sign", 2.0,
-    ),
-    "workshop": Use(
-        "WS{}-A", "concrete linoleum tiles_floor", "table table cabinet lockers shelf carton carton bin",
-        "table table column carton", "extinguisher whiteboard blind_door shelf_board",
-    ),
-    "canteen": Use(
-        "CT{}-A", _HARD, "kitchen_counter vending_machine sideboard fridge plant bin",
-        "dining dining dining round_table column", "notice_board exit_sign", 2.5,
-    ),
+        "elevator notice_board blind_door exit_sign", 2.0),
+    "workshop": Use("WS{}-A", "concrete linoleum tiles_floor", "table table cabinet lockers shelf carton carton bin",
+        "table table column carton", "extinguisher whiteboard blind_door shelf_board"),
+    "canteen": Use("CT{}-A", _HARD, "kitchen_counter vending_machine sideboard fridge plant bin",
+        "dining dining dining round_table column", "notice_board exit_sign", 2.5),
 }  # fmt: skip
 
 
@@ -126,14 +98,17 @@ class Room:
         items: the items so far, in the form of a building file.
     """
 
-    def __init__(self, cell: Cell, height: float, doors: list[Entry], windows: list[Entry]) -> None:
-        self.cell, self.height, self.windows = cell, height, windows
+    def __init__(self, cell: Cell, plan: Plan, doors: list[Entry], windows: list[Entry]) -> None:
+        self.cell, self.height, self.windows = cell, plan.height, windows
         self.x, self.y = ((low + HALF_WALL, high - HALF_WALL) for low, high in (cell.x, cell.y))
         self.items: list[Entry] = []
         self._taken: list[Rectangle] = []  # where something stands on the floor
         self._hung: dict[str, list[tuple[Interval, Interval]]] = {side: [] for side in SIDES}
         for door in doors:
-            if side := door["wall"].get(cell.name):
+            if cell.name in door["between"]:
+                shared = shared_wall(*(one for one in plan.cells if one.name in door["between"]))
+                assert shared is not None
+                side = side_at(cell, *shared[:2])
                 low, high = door["at"] - door["width"] / 2, door["at"] + door["width"] / 2
                 deep = max(_THRESHOLD, high - low + 0.1 if high - low < 1.4 else 0.6)
                 self._taken.append(self._against(side, (low - 0.12, high + 0.12), deep))

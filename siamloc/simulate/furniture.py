@@ -111,10 +111,9 @@ def desk(b: MeshBuilder, item: Item, rng: Rng, w: float, d: float, h: float) -> 
     fill(b, item, (h - 0.035, h), wood)
     _legs(b, item, h - 0.035, STEEL)
     b.box((-w / 2 + 0.1, -d / 2 + 0.05, 0.35), (w / 2 - 0.1, -d / 2 + 0.07, h - 0.035), wood, (0.8, 0.8, 0.8))
-    if item.options.get("drawers", True):
-        x = (1 if rng.random() < 0.5 else -1) * (w / 2 - 0.32)
-        low, high = (x - 0.21, -d / 2 + 0.1, 0.05), (x + 0.21, d / 2 - 0.08, h - 0.1)
-        b.box(low, high, "plain", (0.6, 0.6, 0.6), "bottom", front="drawers")
+    x = (1 if rng.random() < 0.5 else -1) * (w / 2 - 0.32)
+    low, high = (x - 0.21, -d / 2 + 0.1, 0.05), (x + 0.21, d / 2 - 0.08, h - 0.1)
+    b.box(low, high, "plain", (0.6, 0.6, 0.6), "bottom", front="drawers")
     screens = int(item.options.get("screens", 1))
     for i in range(screens):
         x = (i - (screens - 1) / 2) * 0.56 + rng.uniform(-0.05, 0.05)
@@ -383,7 +382,7 @@ def bathtub(b: MeshBuilder, item: Item, _: Rng, w: float, d: float, h: float) ->
 
 #: The kinds that belong in offices and flats, with their usual sizes.
 FURNITURE: dict[str, Kind] = {
-    "desk": Kind(desk, (1.6, 0.8, 0.74), options=("screens", "wood", "drawers")),
+    "desk": Kind(desk, (1.6, 0.8, 0.74), options=("screens", "wood")),
     "chair": Kind(chair, (0.56, 0.56, 1.0), moves=0.25, turns=60, options=("colour",)),
     "visitor_chair": Kind(visitor_chair, (0.5, 0.5, 0.85), moves=0.15, turns=20, options=("colour",)),
     "table": Kind(table, (1.4, 0.8, 0.74), options=("wood",)),

@@ -109,7 +109,7 @@ def stall(b: MeshBuilder, item: Item, rng: Rng, w: float, d: float, h: float) ->
 def basins(b: MeshBuilder, item: Item, _: Rng, w: float, d: float, h: float) -> None:
     """Wash basins below mirrors, with a towel dispenser."""
     back = -d / 2
-    for x in middles(w, int(item.options.get("count", 2))):
+    for x in middles(w, 2):
         b.prism(x, 0.02, (h - 0.2, h), (0.14, 0.26), "plastic", _PORCELAIN, sides=10, stretch=0.85)
         b.box((x - 0.07, back, 0.1), (x + 0.07, back + 0.14, h - 0.18), "plastic", _PORCELAIN)
         b.box((x - 0.015, back + 0.02, h), (x + 0.015, back + 0.05, h + 0.18), "metal")
@@ -151,22 +151,12 @@ def stairs_down(b: MeshBuilder, item: Item, _: Rng, w: float, d: float, h: float
         b.slab(across, (y0, y1 - 0.05), 0.004, "concrete", (shade, shade, shade))
         b.slab(across, (y1 - 0.05, y1), 0.005, "plain", (0.02, 0.02, 0.02))
     for x in across:
-        _rail(b, x, -d / 2, 90.0, d, h)
-
-
-def _rail(b: MeshBuilder, x: float, y: float, degrees: float, length: float, h: float) -> None:
-    """Add a railing that starts at a point and runs in a direction."""
-    with b.at(x, y, 0, degrees):
-        b.box((0, -0.03, h - 0.05), (length, 0.03, h), "wood", _HANDRAIL)
-        b.box((0, -0.015, 0.12), (length, 0.015, 0.15), "metal", _IRON)
-        for i in range(int(length / 0.14) + 1):
-            post = min(i * 0.14, length - 0.02)
-            b.box((post, -0.01, 0), (post + 0.02, 0.01, h - 0.05), "metal", _IRON, "top bottom")
-
-
-def railing(b: MeshBuilder, item: Item, _: Rng, w: float, d: float, h: float) -> None:
-    """A railing across its width."""
-    _rail(b, -w / 2, 0, 0.0, w, h)
+        with b.at(x, -d / 2, 0, 90.0):
+            b.box((0, -0.03, h - 0.05), (d, 0.03, h), "wood", _HANDRAIL)
+            b.box((0, -0.015, 0.12), (d, 0.015, 0.15), "metal", _IRON)
+            for i in range(int(d / 0.14) + 1):
+                post = min(i * 0.14, d - 0.02)
+                b.box((post, -0.01, 0), (post + 0.02, 0.01, h - 0.05), "metal", _IRON, "top bottom")
 
 
 def person(b: MeshBuilder, item: Item, rng: Rng, w: float, d: float, h: float) -> None:
@@ -279,12 +269,11 @@ KINDS: dict[str, Kind] = FURNITURE | {
     "kitchen_counter": Kind(kitchen_counter, (2.4, 0.62, 0.9), options=("wall_units",)),
     "fridge": Kind(fridge, (0.62, 0.62, 1.75)),
     "stall": Kind(stall, (1.0, 1.4, 2.0), options=("colour",)),
-    "basins": Kind(basins, (1.4, 0.5, 0.85), options=("count",)),
+    "basins": Kind(basins, (1.4, 0.5, 0.85)),
     "urinals": Kind(urinals, (1.4, 0.35, 1.0)),
     "dryer": hung(block("plastic", WHITE, "back"), 0.28, 0.3, 1.15, 0.18),
     "stairs_up": Kind(stairs_up, (1.3, 2.8, 2.4)),
     "stairs_down": Kind(stairs_down, (1.3, 2.8, 1.0)),
-    "railing": Kind(railing, (2.0, 0.08, 1.0)),
     "column": Kind(block("concrete", WHITE, "bottom top"), (0.4, 0.4, 2.8)),
     "person": Kind(person, (0.5, 0.4, 1.75), options=("colour",)),
     "poster": hung(poster, 0.6, 0.85, 1.1, options=("picture",)),

@@ -103,8 +103,6 @@ class Options(_Entry):
 
     colour: Colour | None = None
     content: Literal["mixed", "books", "binders", "empty"] = "mixed"
-    count: Annotated[int, Rule("a whole number from 1 to 100", lambda value: 1 <= value <= 100)] = 2
-    drawers: bool = True
     picture: Seed = 0
     screens: Hundred = 1
     wall_units: bool = True
@@ -129,14 +127,10 @@ def read_building_file(path: FilePath, seed: int) -> Building:
         DataError: not YAML, or an impossible building; the message names the room and the line.
     """
     try:
-        text = read_text(path)
-    except (OSError, ValueError) as error:
+        content = yaml.load(read_text(path), _Loader)
+    except OSError as error:
         raise DataError(f"the building file {path} cannot be read: {error}") from error
-    try:
-        content = yaml.load(text, _Loader)
-    except RecursionError as error:
-        raise DataError(f"{path} is nested too deeply to be a building") from error
-    except (yaml.YAMLError, ValueError) as error:
+    except (yaml.YAMLError, ValueError, RecursionError) as error:
         raise DataError(f"{path} is not YAML: {' '.join(str(error).split())}") from error
     return parse_building(content, seed, str(path))
 

@@ -10,7 +10,7 @@ from concurrent.futures.process import BrokenProcessPool
 from dataclasses import asdict, dataclass
 from functools import lru_cache
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any
 
 import cv2
 
@@ -21,7 +21,7 @@ from foundation.threads import processors
 from siamloc.data.names import lighting_in, parse_name
 from siamloc.errors import ConfigError, DataError, FormatError
 from siamloc.progress import track
-from siamloc.simulate.camera import HEIGHT, Exposure, OmnidirectionalCamera, make_camera
+from siamloc.simulate.camera import CAMERAS, HEIGHT, CameraName, Exposure
 from siamloc.simulate.layout import Array, Building
 from siamloc.simulate.load import load_building
 from siamloc.simulate.mesh import embree
@@ -72,7 +72,7 @@ class SimulateConfig(Settings):
     path: Text = "path2"
     runs: tuple[str, ...] = STANDARD_RUNS
     spacing: _Spacing = 0.15
-    camera: Literal["omnidirectional", "panorama"] = "omnidirectional"
+    camera: CameraName = "omnidirectional"
     trajectory: Path | None = None
     frames: Count | None = None
     workers: Thousand | None = None
@@ -184,8 +184,7 @@ def _sequence(config: SimulateConfig, building: Building, run: Run) -> Path:
 
 def _description(config: SimulateConfig, building: Building, run: Run) -> dict[str, Any]:
     """Describe the images of a sequence; equal descriptions mean equal bytes."""
-    camera = make_camera(config.camera)
-    lens = {"mirror": camera.mirror} if isinstance(camera, OmnidirectionalCamera) else {"view": camera.view}
+    camera = CAMERAS[config.camera]
     layout = asdict(building, dict_factory=_without_lines)
     layout["paths"] = {name: path.points for name, path in building.paths.items()}
     del layout["source"]
@@ -198,7 +197,7 @@ def _description(config: SimulateConfig, building: Building, run: Run) -> dict[s
         "rows": camera.shape[0],
         "columns": camera.shape[1],
         "height": HEIGHT,
-        **{name: asdict(value) for name, value in lens.items()},
+        **asdict(camera),
         "building": building.name,
         "building_key": content_key(layout),
         "seed": config.seed,
@@ -292,7 +291,7 @@ def _batch(config: SimulateConfig, run: Run, rows: list[int]) -> int:
     """Render some frames of a run, and return how many."""
     scene, exposure = _stage(config.building, config.seed, run)
     drive, images = scene.state.track, _sequence(config, scene.building, run) / "omni_cam"
-    pictures = frames(scene, drive, make_camera(config.camera), exposure, rows)
+    pictures = frames(scene, drive, CAMERAS[config.camera], exposure, rows)
     for row, picture in zip(rows, pictures, strict=True):
         _write(images / drive.names[row], picture, config.quality)
     return len(rows)

@@ -9,7 +9,7 @@ import numpy as np
 
 from foundation.calls import typed
 from siamloc.data.panorama import PanoramaView
-from siamloc.simulate.camera import HEIGHT, OFFSETS, Camera, Exposure, PanoramaCamera, develop, expose, make_camera
+from siamloc.simulate.camera import CAMERAS, HEIGHT, OFFSETS, Camera, CameraName, Exposure, develop, expose
 from siamloc.simulate.layout import Array, seeded, single
 from siamloc.simulate.scene import LOOKS, Scene
 from siamloc.simulate.trajectory import Track
@@ -22,7 +22,7 @@ _COMPENSATION = {"cloudy": (0.0, 0.1), "night": (0.0, 0.15), "sunny": (0.4, 0.3)
 
 
 @typed
-def render(scene: Scene, poses: Array | Track, camera: Camera | str = "panorama") -> Array:
+def render(scene: Scene, poses: Array | Track, camera: Camera | CameraName = "panorama") -> Array:
     """Render images from poses.
 
     Args:
@@ -40,7 +40,7 @@ def render(scene: Scene, poses: Array | Track, camera: Camera | str = "panorama"
     (2, 128, 512, 3)
     """
     track = poses if isinstance(poses, Track) else standing(poses)
-    chosen = make_camera(camera) if isinstance(camera, str) else camera
+    chosen = CAMERAS[camera] if isinstance(camera, str) else camera
     exposure = meter(scene, track)
     return np.stack(list(frames(scene, track, chosen, exposure, range(len(track)))))
 
@@ -74,7 +74,7 @@ def meter(scene: Scene, track: Track) -> Exposure:
 def frames(scene: Scene, track: Track, camera: Camera, exposure: Exposure, rows: Iterable[int]) -> Iterator[Array]:
     """Yield the images (rows, columns, 3) uint8 of some frames; each depends only on its own row."""
     pixels = camera.pixels()
-    quiet = 0.75 if isinstance(camera, PanoramaCamera) else 1.0
+    quiet = 0.75 if camera.wraps else 1.0
     for row in rows:
         x, y, theta = track.poses[row]
         light, distance = _look(scene, camera, float(x), float(y), float(theta), float(track.time[row]))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -78,17 +79,6 @@ def add_shell(builder: MeshBuilder, building: Building, fixtures: Fixtures, styl
     return lamps
 
 
-def wall_frame(room: Room, side: str) -> tuple[float, float, float, float, float]:
-    """Return x, y, turn in degrees, half length and sign of a wall seen from inside the room.
-
-    In the wall's frame, y points into the room and x = sign * (coordinate along the wall - its middle).
-    """
-    wall = SIDES[side]
-    low, high = wall.span(room.inner())
-    x, y = wall.plan(wall.plan(*room.centre)[0], wall.level(room.inner()))
-    return x, y, wall.facing - 90, (high - low) / 2, wall.inwards if wall.along == "x" else -wall.inwards
-
-
 def leaf_segment(building: Building, opening: Opening, angle: float) -> Array:
     """Return the two ends (2, 2) of an open door's leaf on the floor plan."""
     room = building.rooms[opening.into]
@@ -112,29 +102,27 @@ def _panel(b: MeshBuilder, x: Point, z: Point, y: float, texture: str, tint: Poi
 
 
 def _wall(b: MeshBuilder, building: Building, room: Room, side: str, fixtures: Fixtures, style: Style) -> None:
-    x, y, turn, half, sign = wall_frame(room, side)
-    middle = SIDES[side].plan(*room.centre)[0]
-    found = []
-    for index, opening in building.openings_in(room, side):
-        left, right = sorted(sign * (end - middle) for end in opening.interval)
-        found.append((left, right, index, opening))
-    found.sort(key=lambda entry: entry[0])
-    with b.at(x, y, 0, turn):
+    wall, inner = SIDES[side], room.inner()
+    middle = wall.plan(*room.centre)[0]
+    x, y = wall.plan(middle, wall.level(inner))
+    half = (wall.span(inner)[1] - wall.span(inner)[0]) / 2
+    # Seen from inside the room, x is the coordinate along the wall from its middle, or its opposite.
+    sign = wall.inwards if wall.along == "x" else -wall.inwards
+    with b.at(x, y, 0, wall.facing - 90):
         cursor = -half
-        for left, right, index, opening in found:
+        for index, opening in sorted(building.openings_in(room, side), key=lambda found: sign * found[1].centre):
+            left, right = sorted(sign * (end - middle) for end in opening.interval)
             _piece(b, room, (cursor, left), (0, room.height), style)
             _piece(b, room, (left, right), (0, opening.bottom), style)
             _piece(b, room, (left, right), (opening.top, room.height), style)
             if opening.kind == "window":
-                _window(b, room, left, right, opening, fixtures.blinds.get(index, 0.0))
+                _window(b, left, right, opening, fixtures.blinds.get(index, 0.0))
             else:
-                _doorway(b, room, left, right, opening, style, owner=opening.rooms[0] == room.name)
+                _doorway(b, room, left, right, opening, style)
                 if opening.kind in ("leaf", "glass") and opening.into == room.name:
-                    hinge_left = (opening.hinge == "low") == (sign > 0)
+                    hinge_left, angle = (opening.hinge == "low") == (sign > 0), fixtures.door_angles.get(index, 0.0)
                     leaf = style.leaves[index % len(style.leaves)]
-                    _leaf(
-                        b, (left, right), opening, hinge_left, fixtures.door_angles.get(index, 0.0), leaf, style.frame
-                    )
+                    _leaf(b, left, right, opening, hinge_left, angle, leaf, style.frame)
             cursor = right
         _piece(b, room, (cursor, half), (0, room.height), style)
 
@@ -161,13 +149,12 @@ def _reveal(b: MeshBuilder, x: Point, z: Point, depth: float, texture: str, tint
     b.quad((x0, y, z0), (x1, y, z0), (x1, 0, z0), (x0, 0, z0), *sill)
 
 
-def _window(b: MeshBuilder, room: Room, left: float, right: float, opening: Opening, blind: float) -> None:
+def _window(b: MeshBuilder, left: float, right: float, opening: Opening, blind: float) -> None:
     z0, z1 = opening.bottom, opening.top
     _reveal(b, (left, right), (z0, z1), OUTER_WALL, "paint", (1, 1, 1))
     width, height = right - left, z1 - z0
     y0, y1 = -0.22, -0.16
-    white = (0.9, 0.9, 0.9)
-    bar = 0.05
+    white, bar = (0.9, 0.9, 0.9), 0.05
     b.box((left, y0, z0), (left + bar, y1, z1), "plastic", white)
     b.box((right - bar, y0, z0), (right, y1, z1), "plastic", white)
     b.box((left, y0, z0), (right, y1, z0 + bar), "plastic", white)
@@ -186,9 +173,7 @@ def _window(b: MeshBuilder, room: Room, left: float, right: float, opening: Open
         b.box((left + 0.01, -0.115, bottom - 0.03), (right - 0.01, -0.09, bottom), "metal")
 
 
-def _doorway(
-    b: MeshBuilder, room: Room, left: float, right: float, opening: Opening, style: Style, owner: bool
-) -> None:
+def _doorway(b: MeshBuilder, room: Room, left: float, right: float, opening: Opening, style: Style) -> None:
     z0, z1 = opening.bottom, opening.top
     _reveal(b, (left, right), (z0, z1), HALF_WALL, "plain", style.frame, room.floor)
     if opening.kind == "open" and opening.width > 1.6:
@@ -199,7 +184,7 @@ def _doorway(
     b.box((left, 0, z1), (right, out, z1 + c), "plain", style.frame, skip="back left right")
     if opening.kind == "pane":
         b.box((left, 0, z0 - c), (right, out, z0), "plain", style.frame, skip="back left right")
-        if owner:
+        if opening.rooms[0] == room.name:
             count = max(1, round((right - left) / 0.9))
             for i in range(1, count):
                 x = left + (right - left) * i / count
@@ -208,14 +193,14 @@ def _doorway(
 
 def _leaf(
     b: MeshBuilder,
-    ends: Point,
+    left: float,
+    right: float,
     opening: Opening,
     hinge_left: bool,
     angle: float,
-    leaf: tuple[str, Colour],
+    leaf: Any,
     frame: Colour,
 ) -> None:
-    left, right = ends
     width = right - left - 0.02
     with b.at(left + 0.01 if hinge_left else right - 0.01, 0, 0, angle if hinge_left else -angle):
         x0, x1 = (0.0, width) if hinge_left else (-width, 0.0)

@@ -8,7 +8,7 @@ import pytest
 from siamloc.data.panorama import HyperbolicMirror, PanoramaView, unwrap
 from siamloc.errors import ConfigError
 from siamloc.simulate import Run, build_scene, render
-from siamloc.simulate.camera import make_camera
+from siamloc.simulate.camera import CAMERAS
 from siamloc.simulate.layout import Building
 from siamloc.simulate.render import frames, meter
 from siamloc.simulate.scene import Scene
@@ -51,7 +51,7 @@ def test_what_stands_left_appears_left(cloudy: Scene) -> None:
 
 def test_pictures_depend_on_nothing_but_their_frame(cloudy: Scene, mini: Building) -> None:
     track = cloudy.state.track
-    camera = make_camera("panorama")
+    camera = CAMERAS["panorama"]
     exposure = meter(cloudy, track)
     together = list(frames(cloudy, track, camera, exposure, [3, 40]))
     alone = next(frames(cloudy, track, camera, exposure, [40]))
@@ -126,5 +126,5 @@ def test_the_sun_goes_from_east_to_west_and_highest_at_noon() -> None:
 
 
 def test_unknown_camera(cloudy: Scene) -> None:
-    with pytest.raises(ConfigError, match="camera 'panoramic' is unknown; did you mean 'panorama'"):
+    with pytest.raises(ConfigError, match=r"camera must be .*omnidirectional or panorama, got 'panoramic'"):
         render(cloudy, POSES, "panoramic")
