@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from siamloc.data.frames import FrameTable
-from siamloc.errors import ConfigError, DataError
+from siamloc.errors import DataError
 from siamloc.evaluation.columns import heading_errors, map_columns, room_names
 from siamloc.evaluation.metrics import (
     error_floor,
@@ -284,15 +284,3 @@ def _heading(errors: NDArray | None) -> dict[str, Any]:
     """Return the summary of the heading errors in degrees; empty if none is known."""
     known = np.empty(0) if errors is None else errors[np.isfinite(errors)]
     return {"heading_error": summarize(known)} if len(known) else {}
-
-
-def check_recalls(radii: Sequence[float], ks: Sequence[int]) -> None:
-    """Check the radii and ks of recalls, beyond the range of each.
-
-    Raises:
-        ConfigError: no values, or values that appear twice, or an infinite radius.
-    """
-    if not radii or math.inf in radii or len(set(radii)) < len(radii):
-        raise ConfigError(f"the recall needs radii that are not negative and differ, got {list(radii)}")
-    if not ks or len(set(ks)) < len(ks):
-        raise ConfigError(f"the recall needs whole numbers k >= 1 that differ, got {list(ks)}")

@@ -6,14 +6,14 @@ import math
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Literal, TypedDict
+from typing import TYPE_CHECKING, Annotated, Any, Literal, TypedDict
 
 import numpy as np
 from numpy.typing import NDArray
 
 from analytic import Description, clustering
 from foundation.calls import OF_FIELDS, takes
-from foundation.settings import Count, Seed, Settings
+from foundation.settings import Seed, Settings
 from siamloc.data.frames import FrameTable
 from siamloc.data.library import PanoramaLibrary
 from siamloc.data.protocol import Protocol
@@ -21,7 +21,7 @@ from siamloc.errors import ConfigError, DataError
 from siamloc.evaluation.layers import silhouette
 from siamloc.evaluation.metrics import error_floor, localization_error, summarize
 from siamloc.evaluation.result import Result
-from siamloc.evaluation.session import Session, cost
+from siamloc.evaluation.session import Counts, Session, cost, several
 from siamloc.maps import HierarchicalSearch, LayerSearch, NodeRanking, Retrieval, VectorIndex, VisualMap, group, match
 from siamloc.maps.coarse import CoarseLayer
 from siamloc.progress import track
@@ -48,15 +48,8 @@ class Compact(Settings):
 
     WHERE = "task"
 
-    nodes: tuple[Count, ...] = (10, 20, 30, 40, 50, 60, 70, 80, 90, 100)
-    ways: tuple[Way, ...] = ("spectral", "sample")
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        for name in ("nodes", "ways"):
-            values = getattr(self, name)
-            if not values or len(set(values)) < len(values):
-                raise ConfigError(f"task.{name} must name one or more, none of them twice, got {list(values)}")
+    nodes: Counts = (10, 20, 30, 40, 50, 60, 70, 80, 90, 100)
+    ways: Annotated[tuple[Way, ...], several("of spectral, som and sample")] = ("spectral", "sample")
 
 
 class CompactFields(TypedDict, total=False):

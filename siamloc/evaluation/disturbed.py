@@ -25,10 +25,15 @@ from siamloc.stopwatch import Stopwatch
 
 Locate = Callable[[Images], Answer]
 
-_STRENGTHS = (0, 0.25, 0.5, 0.75, 1)
-
 if TYPE_CHECKING:
     from typing_extensions import Unpack
+
+
+def _levels(low: float, high: float) -> Rule:
+    def fits(values: Sequence[float]) -> bool:
+        return len(set(values)) == len(values) and all(low <= value <= high for value in values)
+
+    return Rule(f"a list of numbers from {low:g} to {high:g} that differ", fits)
 
 
 @dataclass(frozen=True)
@@ -49,17 +54,17 @@ class Robustness(Settings):
 
     every: Count = 5
     radius: NotNegative = 0.5
-    noise: tuple[float, ...] | None = None
-    occlusion: tuple[float, ...] | None = None
-    turn: tuple[float, ...] = (0, 1, 5, 15, 45, 90, 180)
+    noise: Annotated[tuple[float, ...], _levels(0, np.inf)] | None = None
+    occlusion: Annotated[tuple[float, ...], _levels(0, 1)] | None = None
+    turn: Annotated[tuple[float, ...], _levels(-360, 360)] = (0, 1, 5, 15, 45, 90, 180)
     effects: tuple[str, ...] = ()
-    strengths: tuple[Annotated[float, Rule("a number from -1 to 1", lambda value: -1 <= value <= 1)], ...] = _STRENGTHS
+    strengths: Annotated[tuple[float, ...], _levels(-1, 1)] = (0, 0.25, 0.5, 0.75, 1)
 
     def disturbances(self, circular: bool) -> list[Disturbance]:
         """Return the disturbances that the settings request.
 
         Raises:
-            ConfigError: no disturbance, the same one twice, or levels out of range.
+            ConfigError: no disturbance, or the same one twice.
         """
         from analytic.disturb import NOISE_LEVELS, OCCLUSION_LEVELS
 
@@ -78,8 +83,10 @@ class Robustness(Settings):
             for name, kind, levels in wanted
             if levels or kind == "effect"
         ]
-        if not made:
-            raise ConfigError("task.robustness has no levels at all: give noise, occlusion, turn or effects")
+        if not made or not made[-1].levels:
+            raise ConfigError(
+                "task.robustness has no levels at all: give noise, occlusion, turn, or effects and strengths"
+            )
         return made
 
 
@@ -142,7 +149,7 @@ def robustness(
     scored = session.queries.take(in_queries)
     rows = np.arange(0, len(scored), settings.every)
     asked = scored.take(rows)
-    parts, tables, costs = [], [], {}
+    parts, costs = [], {}
     for label, other in {session.name: known.descriptor, **session.baselines}.items():
         own = session.map_by(other).take(in_map)
         excluded = session.excluded(asked, own.frames)
@@ -150,13 +157,13 @@ def robustness(
         found = _located(session, own, asked, rows, excluded, disturbances, label, clock)
         costs[label] = cost(own, clock)
         parts.append(answers(label, own.frames, asked, found, by_room, excluded))
-        tables.append(curves(parts[-1], settings.radius, len(own)))
-    table = concatenated(tables)
+    every = concatenated(parts)
+    table = curves(every, settings.radius, int(in_map.sum()))
     measured = measures(table, disturbances, "wrong rooms" if by_room else known.unit, settings.every)
     result = Result(
         name=session.name,
         parts={"robustness": measured},
-        tables={"robustness": table, "answers": concatenated(parts)},
+        tables={"robustness": table, "answers": every},
         denominators={"queries": len(rows), "queries_of_the_role": len(scored), "map_frames": measured["map_frames"]},
         cost=costs.pop(session.name),
         baselines={label: Result(label, {}, {}, cost=taken) for label, taken in costs.items()},
@@ -223,7 +230,7 @@ def _located(
         with clock.of("heading", len(images)):
             turned = headings(known, described, answer)[:, 0]
         if nearest is None:
-            return Answer(answer.indices[:, 0], turned)
+            return Answer(answer.indices[:, 0], turned, np.full(len(images), np.nan))
         row = nearest[asked, None]
         by_nearest = headings(known, described, Retrieval(row, np.zeros(row.shape)))[:, 0]
         return Answer(answer.indices[:, 0], turned, by_nearest)

@@ -25,18 +25,11 @@ class Answer(Rows):
         nearest: rows of the most similar map frames (B,).
         heading: headings from these map frames (B,), rad; NaN where there is none.
         heading_nearest: headings from the geometrically nearest map frames (B,), rad ([T] 3.5.3-3.5.4).
-
-    Headings that are not given are NaN.
     """
 
     nearest: NDArray[np.int64]
-    heading: NDArray[np.float64] = None  # type: ignore[assignment]
-    heading_nearest: NDArray[np.float64] = None  # type: ignore[assignment]
-
-    def __post_init__(self) -> None:
-        for name in ("heading", "heading_nearest"):
-            if getattr(self, name) is None:
-                object.__setattr__(self, name, np.full(len(self.nearest), np.nan))
+    heading: NDArray[np.float64]
+    heading_nearest: NDArray[np.float64]
 
 
 def answers(

@@ -13,16 +13,16 @@ from numpy.typing import ArrayLike, NDArray
 from analytic import Description
 from foundation.calls import OF_FIELDS, takes
 from foundation.columns import Rows
-from foundation.settings import Count, Natural, NotNegative, Rule, Settings
+from foundation.settings import Count, Natural, Rule, Settings
 from siamloc.data.frames import FrameTable
 from siamloc.data.library import PanoramaLibrary
 from siamloc.data.protocol import Protocol
 from siamloc.errors import DataError
-from siamloc.evaluation.absolute import check_recalls, evaluate_absolute, neighbours, pose_measures
+from siamloc.evaluation.absolute import evaluate_absolute, neighbours, pose_measures
 from siamloc.evaluation.columns import located_columns, missing_rooms
 from siamloc.evaluation.metrics import localization_error, summarize
 from siamloc.evaluation.result import Result
-from siamloc.evaluation.session import Session, cost
+from siamloc.evaluation.session import Counts, Radii, Session, cost
 from siamloc.maps import Built, Retrieval, VisualMap, headings, match
 from siamloc.maps.coarse import UNASSIGNED, CoarseLayer
 from siamloc.maps.hierarchy import HierarchicalRetrieval, HierarchicalSearch, LayerSearch, Ranking
@@ -71,12 +71,8 @@ class Hierarchical(Settings):
     candidates: Count = 3
     coarse: CoarseRanking = field(default_factory=CoarseRanking)
     along: Natural = 0
-    radii: tuple[NotNegative, ...] = (0.25, 0.5, 1.0)
-    ks: tuple[Count, ...] = (1, 5, 10, 20)
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        check_recalls(self.radii, self.ks)
+    radii: Radii = (0.25, 0.5, 1.0)
+    ks: Counts = (1, 5, 10, 20)
 
 
 class HierarchicalFields(TypedDict, total=False):

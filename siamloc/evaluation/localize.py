@@ -4,20 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any, Literal, TypedDict
+from typing import TYPE_CHECKING, Annotated, Any, Literal, TypedDict
 
 import numpy as np
 from numpy.typing import NDArray
 
 from foundation.calls import OF_FIELDS, takes, typed
-from foundation.settings import Count, NotNegative, Seed, Settings, Share
+from foundation.settings import Count, Seed, Settings, Share
 from siamloc.data.frames import FrameTable
 from siamloc.data.library import PanoramaLibrary
 from siamloc.data.pairs import PairSampler, PairSettings
 from siamloc.data.protocol import Protocol
 from siamloc.errors import ConfigError, DataError, SiamlocError
 from siamloc.evaluation import room_retrieval
-from siamloc.evaluation.absolute import check_recalls, evaluate_absolute, most_neighbours, neighbours, with_baseline
+from siamloc.evaluation.absolute import evaluate_absolute, most_neighbours, neighbours, with_baseline
 from siamloc.evaluation.columns import located_columns, missing_rooms
 from siamloc.evaluation.estimates import (
     ESTIMATES,
@@ -32,13 +32,15 @@ from siamloc.evaluation.estimates import (
 )
 from siamloc.evaluation.metrics import fitted_margin
 from siamloc.evaluation.result import Result
-from siamloc.evaluation.session import Baselines, Search, Session, cost
+from siamloc.evaluation.session import Baselines, Counts, Radii, Search, Session, cost, several
 from siamloc.maps import VisualMap
 from siamloc.maps.error_model import ErrorModel
 from siamloc.stopwatch import Stopwatch
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
+
+Name = Literal["absolute", "room_retrieval"]
 
 
 @dataclass(frozen=True)
@@ -69,17 +71,13 @@ class Localization(Estimates):
 
     WHERE = "task"
 
-    names: tuple[Literal["absolute", "room_retrieval"], ...] = ("absolute", "room_retrieval")
-    radii: tuple[NotNegative, ...] = (0.25, 0.5, 1.0)
-    ks: tuple[Count, ...] = (1, 5, 10, 20)
+    names: Annotated[tuple[Name, ...], several("of absolute and room_retrieval")] = ("absolute", "room_retrieval")
+    radii: Radii = (0.25, 0.5, 1.0)
+    ks: Counts = (1, 5, 10, 20)
     pairs: JudgedPairs = field(default_factory=JudgedPairs)
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if not self.names:
-            raise ConfigError("task.names is empty: name absolute, room_retrieval or both")
-        if "absolute" in self.names:
-            check_recalls(self.radii, self.ks)
         asked = [name for name in ("filter", "error_model") if getattr(self, name)]
         asked += ["refine"] if self.refine != "none" else []
         if asked and "absolute" not in self.names:
@@ -100,7 +98,7 @@ class LocalizationFields(TypedDict, total=False):
     error_model: bool
     lost_above: float
     place_radius: float
-    names: Sequence[Literal["absolute", "room_retrieval"]]
+    names: Sequence[Name]
     radii: Sequence[float]
     ks: Sequence[int]
     pairs: JudgedPairs | Mapping[str, Any]

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from analytic import Description, Descriptor
 from foundation.calls import typed
 from foundation.columns import Rows
-from foundation.settings import Settings
+from foundation.settings import Count, NotNegative, Rule, Settings
 from siamloc import maps
 from siamloc.data.frames import FrameTable
 from siamloc.data.library import PanoramaLibrary
@@ -26,6 +26,15 @@ from siamloc.maps.packing import shares_values
 from siamloc.stopwatch import Stopwatch
 
 Baselines = Mapping[str, Descriptor] | Sequence[str | Descriptor] | str | Descriptor
+
+
+def several(words: str) -> Rule:
+    """Return the rule that a list has one or more values, none of them twice."""
+    return Rule(f"a list of one or more {words} that differ", lambda values: 0 < len(values) == len(set(values)))
+
+
+Radii = Annotated[tuple[NotNegative, ...], several("numbers from 0")]
+Counts = Annotated[tuple[Count, ...], several("whole numbers from 1")]
 
 
 @dataclass(frozen=True)

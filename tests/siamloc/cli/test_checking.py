@@ -104,7 +104,7 @@ def test_a_mistake_is_printed_in_one_line(capsys):
         ("evaluate task.neighbours=0", "task.neighbours must be a whole number from 1"),
         ("evaluate task.filter=true task.filter_settings.kidnapping=1", "must be a number between 0 and 1"),
         ("evaluate task=robustness task.robustness.radius=-1", "radius must be a number from 0"),
-        ("evaluate task=robustness task.robustness.noise=[a]", "each item a number"),
+        ("evaluate task=robustness task.robustness.noise=[a]", "a list of numbers from 0"),
         ("augment preview out=x.gif", "out must be a picture's name, ending .jpg .jpeg .png .webp, got 'x.gif'"),
         # keys that do not go together
         ("evaluate task=hierarchical build=rooms task.filter=true", "unknown configuration key 'task.filter'"),

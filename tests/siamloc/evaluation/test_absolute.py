@@ -15,6 +15,7 @@ from siamloc.evaluation.absolute import (
     with_baseline,
 )
 from siamloc.evaluation.columns import located_columns
+from siamloc.evaluation.hierarchy import Hierarchical
 from siamloc.evaluation.localize import Localization
 from siamloc.maps import Retrieval, VisualMap
 from tests.siamloc.evaluation import scenes
@@ -169,13 +170,12 @@ def test_groups_have_the_labels_of_the_queries(columns: dict, labels: dict) -> N
     assert ("lighting" in columns) == (measures["lighting"] == {})
 
 
-def test_radii_and_ks_out_of_range() -> None:
-    for wrong in ((), (-1,), (1, 1), (math.inf,)):
-        with pytest.raises(ConfigError, match=r"task\.radii|needs radii"):
-            Localization(radii=wrong)
-    for wrong in ((), (0,), (1, 1), (1.5,)):
-        with pytest.raises(ConfigError, match=r"task\.ks|whole numbers k"):
-            Localization(ks=wrong)
+@pytest.mark.parametrize("kind", [Localization, Hierarchical])
+def test_radii_and_ks_out_of_range(kind: type) -> None:
+    for name, values in (("radii", ((), (-1,), (1, 1), (math.inf,))), ("ks", ((), (0,), (1, 1), (1.5,)))):
+        for wrong in values:
+            with pytest.raises(ConfigError, match=rf"task\.{name} must be a list of one or more"):
+                kind(**{name: wrong})
 
 
 def test_the_single_frame_estimate_has_the_measures_of_absolute_localization() -> None:

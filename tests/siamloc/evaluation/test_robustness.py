@@ -10,7 +10,7 @@ from augment import AugmentError
 from siamloc.data.frames import FrameTable
 from siamloc.errors import ConfigError
 from siamloc.evaluation.disturbance import Disturbance
-from siamloc.evaluation.disturbed import locate_disturbed
+from siamloc.evaluation.disturbed import Robustness, locate_disturbed
 from siamloc.evaluation.disturbed_tables import Answer, answers, concatenated, curves, measures
 
 ROWS = np.array([4, 9, 11])
@@ -70,22 +70,21 @@ def test_stronger_effects_change_more_at_the_same_place() -> None:
 
 
 @pytest.mark.parametrize(
-    ("arguments", "error", "says"),
+    ("wanted", "error", "says"),
     [
-        (("noise", (-0.1,), "noise"), ConfigError, "levels of noise"),
-        (("noise", (float("nan"),), "noise"), ConfigError, "levels of noise"),
-        (("occlusion", (0.1, 1.5), "occlusion"), ConfigError, "from 0 to 1"),
-        (("turn", (), "turn"), ConfigError, "levels of turn"),
-        (("turn", (5, 5), "turn"), ConfigError, "that differ"),
-        (("turn", (5,), "turn", False), ConfigError, "cannot be turned"),
-        (("bulb", (2,), "effect"), ConfigError, "from -1 to 1"),
-        (("bulbs", (1,), "effect"), AugmentError, "did you mean 'bulb'"),
-        (("noise", (0,), "fog"), ConfigError, "of kind"),
+        ({"noise": (-0.1,)}, ConfigError, "noise must be a list of numbers from 0 to inf that differ"),
+        ({"noise": (math.nan,)}, ConfigError, "noise must be"),
+        ({"occlusion": (0.1, 1.5)}, ConfigError, "from 0 to 1"),
+        ({"turn": (5, 5)}, ConfigError, "turn must be .* that differ"),
+        ({"turn": (5,)}, ConfigError, "cannot be turned"),
+        ({"strengths": (2,)}, ConfigError, "from -1 to 1"),
+        ({"effects": ("bulbs",)}, AugmentError, "did you mean 'bulb'"),
+        ({"effects": ("bulb",), "strengths": ()}, ConfigError, "no levels at all"),
     ],
 )
-def test_what_makes_no_sense_is_refused(arguments: tuple, error: type[Exception], says: str) -> None:
+def test_what_makes_no_sense_is_refused(wanted: dict, error: type[Exception], says: str) -> None:
     with pytest.raises(error, match=says):
-        Disturbance(*arguments)
+        Robustness(**wanted).disturbances(circular=False)
 
 
 def test_unchanged_images_are_located_once(images: np.ndarray) -> None:
@@ -93,7 +92,7 @@ def test_unchanged_images_are_located_once(images: np.ndarray) -> None:
 
     def locate(changed: np.ndarray) -> Answer:
         asked.append(changed)
-        return Answer(np.full(3, len(asked)), np.zeros(3))
+        return Answer(np.full(3, len(asked)), np.zeros(3), np.zeros(3))
 
     wanted = [Disturbance("noise", (0, 0.01), "noise"), Disturbance("turn", (0, 90, 360), "turn")]
     found = locate_disturbed(locate, images, ROWS, wanted)
@@ -110,7 +109,8 @@ def test_curves_are_those_of_a_loop_over_the_answers() -> None:
     rng = np.random.default_rng(1)
     known, queries = frames([0, 1, 2, 3]), frames([0.2, 1.4, 2.9, 8.0])
     wanted = [Disturbance("noise", (0, 0.5), "noise"), Disturbance("bulb", (0, 1), "effect")]
-    found = {(one.name, level): Answer(rng.integers(0, 4, 4)) for one in wanted for level in one.levels}
+    none = np.full(4, np.nan)
+    found = {(one.name, level): Answer(rng.integers(0, 4, 4), none, none) for one in wanted for level in one.levels}
     columns = concatenated([answers("a", known, queries, found), answers("b", known, queries, found)])
     table = curves(columns, 0.5, 4)
     assert len(table["method"]) == 8
