@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 from itertools import zip_longest
 
@@ -13,7 +13,7 @@ from siamloc.report.draw.suitable import name_of, pictures
 from siamloc.report.page.gathered import Evaluation, RunFiles
 from siamloc.report.page.inline import inline
 from siamloc.report.page.markup import Markup, plural
-from siamloc.report.page.pictures import Decoder, Sheets, make_large, make_sheets
+from siamloc.report.page.pictures import Decoder, read_large
 from siamloc.report.page.plan import Plan, make_plan
 from siamloc.tables import count
 
@@ -31,8 +31,7 @@ class Part:
         alone: whether the page is about this run only.
         number: number of the part, from 0.
         plan: data of the floor plan, if any.
-        decoder: reads its images.
-        sheets: number of its set of thumbnail sheets, -1 for none.
+        decoder: reads and keeps its images.
     """
 
     run: RunFiles
@@ -41,16 +40,11 @@ class Part:
     number: int
     plan: Plan | None
     decoder: Decoder
-    sheets: int = -1
-    _inlined: dict[str, Markup] = field(default_factory=dict)
 
     def figure(self, key: str, title: str) -> Markup | None:
         """Return a figure by its name in `draw.pictures`; None if there are no numbers for it."""
-        if key not in self._figures:
-            return None
-        if key not in self._inlined:
-            self._inlined[key] = inline(self._figures[key](), f"{key}-{self.number}", f"{title}, {self.title}")
-        return self._inlined[key]
+        draw = self._figures.get(key)
+        return None if draw is None else inline(draw(), f"{key}-{self.number}", f"{title}, {self.title}")
 
     @cached_property
     def _figures(self) -> dict[str, Callable[[], Picture]]:
@@ -66,14 +60,15 @@ class Part:
     @property
     def title(self) -> str:
         """What was measured, with its run unless that is the only one or has the same name."""
-        name = self.evaluation.title
-        return name if self.alone or self.run.title == self.evaluation.name else f"{self.run.title} · {name}"
+        return self._of_run(self.evaluation.title)
 
     @property
     def method(self) -> str:
         """The descriptor, with its run unless that is the only one or has the same name."""
-        name = self.evaluation.name
-        return name if self.alone or self.run.title == name else f"{self.run.title} · {name}"
+        return self._of_run(self.evaluation.name)
+
+    def _of_run(self, name: str) -> str:
+        return name if self.alone or self.run.title == self.evaluation.name else f"{self.run.title} · {name}"
 
 
 def parts_of(runs: list[RunFiles]) -> list[Part]:
@@ -89,63 +84,40 @@ def parts_of(runs: list[RunFiles]) -> list[Part]:
     return parts
 
 
-def large_pictures(parts: list[Part]) -> dict[tuple[int, str], str]:
-    """Return the images of the worst queries, in the form of `make_large`."""
-    wanted = [
-        (part.decoder, path)
-        for part in parts
-        if part.plan is not None
-        for row in part.plan.worst.tolist()
-        for path in part.plan.triple(row)
-    ]
-    return make_large(wanted)
-
-
-def sheets_of(parts: list[Part]) -> list[Sheets]:
-    """Return a set of sheets per decoder; frames shown by several evaluations are included once."""
-    sets: dict[int, list[Part]] = {}
-    for part in parts:
-        if part.plan is not None:
-            sets.setdefault(id(part.decoder), []).append(part)
+def read_pictures(parts: list[Part]) -> list[Decoder]:
+    """Read the images that the plans show, and return their decoders; a frame of several plans is read once."""
+    plans = [(part.decoder, part.plan) for part in parts if part.plan is not None]
+    read_large((decoder, path) for decoder, plan in plans for path in plan.worst_pictures)
+    decoders = list(dict.fromkeys(decoder for decoder, _ in plans))
     orders = []
-    for members in sets.values():
+    for decoder in decoders:
         # In turn, so that every evaluation gets some images if there is no room for all.
-        turns = zip_longest(*(part.plan.picture_order() for part in members if part.plan is not None))
+        turns = zip_longest(*(plan.picture_order() for own, plan in plans if own is decoder))
         orders.append(list(dict.fromkeys(path for turn in turns for path in turn if path is not None)))
     total = sum(map(len, orders))
-    sheets = []
-    for number, (members, order) in enumerate(zip(sets.values(), orders, strict=True)):
-        for part in members:
-            part.sheets = number
-        sheets.append(make_sheets(members[0].decoder, order, max(1, _MOST_SMALL * len(order) // total)))
-    return sheets
+    for decoder, order in zip(decoders, orders, strict=True):
+        decoder.fill_sheets(order, max(1, _MOST_SMALL * len(order) // total))
+    return decoders
 
 
-def notes_on(part: Part, uris: dict[str, str], sheets: list[Sheets]) -> list[str]:
-    """Return notes on what the plan does not show."""
-    plan = part.plan
-    if plan is None:
-        return []
+def notes_on(plan: Plan, decoder: Decoder) -> list[str]:
+    """Return notes on what a plan does not show."""
     notes = []
     if len(plan.rows) < plan.total:
         notes.append(
             f"The plan shows {count(len(plan.rows))} of {count(plan.total)} queries, the worst among them, to keep "
             "this page small. The tables and curves include all."
         )
-    bare = [path for row in plan.worst.tolist() for path in plan.triple(row) if path not in uris]
-    if not set(bare) <= set(part.decoder.missing):
+    if not set(plan.worst_pictures) <= {*decoder.large, *decoder.missing}:
         notes.append("Some of the worst queries are shown without pictures to keep this page small.")
-    if not sheets:
-        return notes
-    place = sheets[part.sheets].place
     order = plan.picture_order()
-    missing = [path for path in order if path in part.decoder.missing]
+    missing = [path for path in order if path in decoder.missing]
     if missing:
         notes.append(
             f"{plural(len(missing), 'picture')} of {count(len(order))} could not be read, the first being {missing[0]} "
-            f"({part.decoder.missing[missing[0]]})."
+            f"({decoder.missing[missing[0]]})."
         )
-    without = sum(path not in place for path in plan.queries["path"].tolist())
+    without = sum(path not in decoder.place for path in plan.queries["path"].tolist())
     if without:
         notes.append(
             f"Some pictures are left out to keep this page small: {count(len(plan.rows) - without)} of "

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import base64
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import cv2
@@ -27,11 +26,16 @@ _MOST_LARGE = 180
 
 
 class Decoder:
-    """Reads images as the network or descriptor saw them, and records those that could not be read.
+    """Reads images as the network or descriptor saw them, and keeps them for the page.
 
     Args:
         settings: settings of an evaluation; `data.image_size` and `data.unwrap` are used. A custom camera cannot be
             restored from them: its images are shown as they are.
+
+    Attributes:
+        missing: what is wrong with each file that could not be read.
+        large: larger images as data URIs, by path.
+        place: number of each file's small image, counted through all sheets; -1 for a file that could not be read.
     """
 
     def __init__(self, settings: Mapping[str, Any]) -> None:
@@ -40,6 +44,9 @@ class Decoder:
         self.size = (int(size[0]), int(size[1])) if size else _DEFAULT_SIZE
         self._preprocessing = Preprocessing.checked(self.size, unwrap if unwrap.get("kind") in CAMERAS else None)
         self.missing: dict[str, str] = {}
+        self.large: dict[str, str] = {}
+        self.place: dict[str, int] = {}
+        self._sheets: list[str] = []
 
     @property
     def parameters(self) -> dict[str, Any]:
@@ -71,59 +78,31 @@ class Decoder:
             scale = min(1.0, scale)
         return max(16, round(rows * scale / 16) * 16), max(16, round(columns * scale / 16) * 16)
 
-
-@dataclass(frozen=True)
-class Sheets:
-    """Small images, 64 to a sheet.
-
-    Attributes:
-        size: rows and columns of an image.
-        place: number of a file's image, counted through all sheets; -1 for a file that could not be read.
-        images: sheets with 8 images per row, as base64-encoded JPEG.
-    """
-
-    size: tuple[int, int]
-    place: dict[str, int]
-    images: list[str]
+    def fill_sheets(self, paths: Sequence[str], most: int) -> None:
+        """Put small images of the first `most` of some different files on sheets of 8 by 8."""
+        pixels, quality = _SMALL
+        tiles: list[Picture] = []
+        for path in track(paths[:most], min(most, len(paths)), "reading pictures"):
+            tile = self.read(path, pixels)
+            self.place[path] = -1 if tile is None else len(tiles)
+            if tile is not None:
+                tiles.append(tile)
+        starts = range(0, len(tiles), TILES_PER_SHEET)
+        self._sheets = [_encoded_sheet(tiles[i : i + TILES_PER_SHEET], quality) for i in starts]
 
     def plain(self) -> dict[str, Any]:
-        """Return what the page's script needs."""
-        rows, columns = self.size
-        return {"rows": rows, "columns": columns, "across": _SHEET_COLUMNS, "images": self.images}
+        """Return the sheets as the page's script needs them."""
+        rows, columns = self.fitted(_SMALL[0])
+        return {"rows": rows, "columns": columns, "across": _SHEET_COLUMNS, "images": self._sheets}
 
 
-def make_sheets(decoder: Decoder, paths: Sequence[str], most: int) -> Sheets:
-    """Put the images of the first files on sheets.
-
-    Args:
-        decoder: reads the images.
-        paths: files, the most important first.
-        most: number of images.
-    """
-    unique = list(dict.fromkeys(paths))
-    pixels, quality = _SMALL
-    place: dict[str, int] = {}
-    tiles: list[Picture] = []
-    for path in track(unique[:most], min(most, len(unique)), "reading pictures"):
-        tile = decoder.read(path, pixels)
-        place[path] = -1 if tile is None else len(tiles)
-        if tile is not None:
-            tiles.append(tile)
-    images = [_encoded_sheet(tiles[i : i + TILES_PER_SHEET], quality) for i in range(0, len(tiles), TILES_PER_SHEET)]
-    return Sheets(decoder.fitted(pixels), place, images)
-
-
-def make_large(wanted: Sequence[tuple[Decoder, str]]) -> dict[tuple[int, str], str]:
-    """Return data URIs of images by the decoder's id and the path.
-
-    Args:
-        wanted: files, each with its decoder, the most important first: the first 180 that can be read are included.
-    """
-    uris: dict[tuple[int, str], str] = {}
+def read_large(wanted: Iterable[tuple[Decoder, str]]) -> None:
+    """Read the larger images of files, each with its decoder, which keeps them: the first 180 that can be read."""
+    count = 0
     for decoder, path in dict.fromkeys(wanted):
-        if len(uris) < _MOST_LARGE and (picture := decoder.read(path, _LARGE[0])) is not None:
-            uris[id(decoder), path] = "data:image/jpeg;base64," + _jpeg(picture, _LARGE[1])
-    return uris
+        if count < _MOST_LARGE and (picture := decoder.read(path, _LARGE[0])) is not None:
+            decoder.large[path] = "data:image/jpeg;base64," + _jpeg(picture, _LARGE[1])
+            count += 1
 
 
 def _encoded_sheet(tiles: Sequence[Picture], quality: int) -> str:

@@ -53,6 +53,11 @@ class Plan:
         """The queries with the largest errors, the largest first."""
         return np.argsort(-self.queries["error"], kind="stable")[:WORST]
 
+    @property
+    def worst_pictures(self) -> list[str]:
+        """The paths of the images of the worst queries, with their matches and right answers."""
+        return [path for row in self.worst.tolist() for path in self.triple(row)]
+
     def picture_order(self) -> list[str]:
         """Return the paths of all images: first of the worst queries, then of queries in ever denser spacing.
 

@@ -11,7 +11,7 @@ from siamloc.report.draw.training import training_curves
 from siamloc.report.page.gathered import Evaluation, RunFiles
 from siamloc.report.page.inline import inline
 from siamloc.report.page.markup import Content, Markup, fragment, grid, join, key_values, plural, section, tag
-from siamloc.report.page.parts import Part
+from siamloc.report.page.parts import Part, notes_on
 from siamloc.report.page.plan import Plan, error_classes
 from siamloc.results import REMARKS
 from siamloc.summaries import ALL, errors, middle_recall, rooms
@@ -73,8 +73,9 @@ def unscored(evaluation: Evaluation) -> Markup | None:
     return tag("p.note", text)
 
 
-def summary(evaluation: Evaluation) -> Markup | None:
+def summary(part: Part) -> Markup | None:
     """Return the tables of errors and rooms, and notes on what is missing; None if neither was measured."""
+    evaluation = part.evaluation
     if not evaluation.measured:
         return None
     methods = evaluation.methods
@@ -100,8 +101,9 @@ def summary(evaluation: Evaluation) -> Markup | None:
     )
 
 
-def floor_plan(evaluation: Evaluation, plan: Plan | None, number_: int, notes: Sequence[str]) -> Markup | None:
+def floor_plan(part: Part) -> Markup | None:
     """Return the frame of the interactive plan, filled by the page's script; None if nothing was localized."""
+    evaluation, plan = part.evaluation, part.plan
     if plan is None:
         return None
     groups = {ALL: len(plan.rows)}
@@ -118,15 +120,15 @@ def floor_plan(evaluation: Evaluation, plan: Plan | None, number_: int, notes: S
         )
     return fragment(
         "plan.html",
-        switch=_lighting_switch(f"lighting-{number_}", groups),
-        number=number_,
+        switch=_lighting_switch(f"lighting-{part.number}", groups),
+        number=part.number,
         queries=plural(len(plan.rows), "query", "queries"),
         name=evaluation.name,
         unit=plan.unit,
         classes=join(*_class_boxes(error_classes(plan.queries["error"]))),
         line=line,
         led_to=_LED_TO[plan.estimate],
-        notes=join(*(tag("p.note", note) for note in notes)),
+        notes=join(*(tag("p.note", note) for note in notes_on(plan, part.decoder))),
     )
 
 
@@ -136,17 +138,12 @@ def cumulative(part: Part) -> Markup | None:
     return None if figure is None else section("Cumulative errors", figure, name="curves")
 
 
-def worst(plan: Plan | None, uris: Mapping[str, str]) -> Markup | None:
-    """Return the queries with the largest errors as picture triples.
-
-    Args:
-        plan: holds the worst queries.
-        uris: pictures as data URIs by path; a missing one is replaced by a placeholder.
-    """
-    if plan is None:
+def worst(part: Part) -> Markup | None:
+    """Return the queries with the largest errors as picture triples, with placeholders for missing pictures."""
+    if part.plan is None:
         return None
-    rows = plan.worst
-    items = [_worst_item(plan, int(row), rank, uris) for rank, row in enumerate(rows, 1)]
+    rows = part.plan.worst.tolist()
+    items = [_worst_item(part.plan, row, rank, part.decoder.large) for rank, row in enumerate(rows, 1)]
     return section(f"Worst {plural(len(rows), 'query', 'queries')}", tag("ol.triples", *items), name="worst")
 
 

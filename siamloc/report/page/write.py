@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import datetime
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 
 from foundation.calls import typed
@@ -12,11 +13,27 @@ from siamloc import __version__
 from siamloc.errors import ConfigError
 from siamloc.report.page import sections, tasks
 from siamloc.report.page.compared import comparison
-from siamloc.report.page.gathered import Evaluation, RunFiles, gather
+from siamloc.report.page.gathered import Evaluation, gather
 from siamloc.report.page.markup import Markup, fragment, join, plural, script_data, tag
-from siamloc.report.page.parts import Part, large_pictures, notes_on, parts_of, sheets_of
-from siamloc.report.page.pictures import Sheets
+from siamloc.report.page.parts import Part, parts_of, read_pictures
 from siamloc.results import FURTHER
+
+_SECTIONS: dict[str, Callable[[Part], Markup | None]] = {
+    "summary": sections.summary,
+    "nodes": tasks.hierarchical,
+    "compact map": tasks.mapping,
+    "compact maps": tasks.compact,
+    "buildings": tasks.buildings,
+    "floor plan": sections.floor_plan,
+    "cumulative errors": sections.cumulative,
+    **{sign: partial(tasks.further_estimate, name=name) for name, sign in FURTHER.items()},
+    "expected errors": tasks.expected_errors,
+    "worst queries": sections.worst,
+    "rooms": tasks.confusion,
+    "pairs": tasks.pairs,
+    "robustness": tasks.robustness,
+}
+"""The sections of an evaluation in their order, each with the function that makes it if there are numbers for it."""
 
 
 @typed
@@ -40,33 +57,19 @@ def write_report(folders: str | Path | Sequence[str | Path], out: str | Path) ->
         raise ConfigError(f"the report is a web page: give it a name ending in .html, not {out}")
     runs = gather([folders] if isinstance(folders, str | Path) else folders)
     parts = parts_of(runs)
-    trained = [sections.training(run, number) for number, run in enumerate(runs)]
-    page = _page(runs, parts, comparison(parts), trained, large_pictures(parts), sheets_of(parts))
-    out = Path(out)
-    write_text(out, page)
-    return out
-
-
-def _page(
-    runs: list[RunFiles],
-    parts: list[Part],
-    overview: Markup | None,
-    trained: list[Markup | None],
-    large: dict[tuple[int, str], str],
-    sheets: list[Sheets],
-) -> Markup:
-    one = len(parts) == 1
-    title = runs[0].title if len(runs) == 1 else ", ".join(run.title for run in runs)
-    body = [_head(title, parts), overview]
-    for run, training in zip(runs, trained, strict=True):
-        body += [_evaluation(part, large, sheets, one) for part in parts if part.run is run]
-        body.append(tag("article.run", training, sections.configuration(run)))
-    data = [script_data("sheets", [sheet.plain() for sheet in sheets])]
-    for part in parts:
-        if part.plan is not None:
-            place = sheets[part.sheets].place if part.sheets >= 0 and sheets else {}
-            data.append(script_data(f"data-{part.number}", part.plan.plain(place, part.sheets)))
-    return fragment(
+    decoders = read_pictures(parts)
+    title = ", ".join(run.title for run in runs)
+    body = [_head(title, parts), comparison(parts)]
+    for number, run in enumerate(runs):
+        body += [_evaluation(part, len(parts) == 1) for part in parts if part.run is run]
+        body.append(tag("article.run", sections.training(run, number), sections.configuration(run)))
+    data = [script_data("sheets", [decoder.plain() for decoder in decoders])]
+    data += [
+        script_data(f"data-{part.number}", part.plan.plain(part.decoder.place, decoders.index(part.decoder)))
+        for part in parts
+        if part.plan is not None
+    ]
+    page = fragment(
         "report.html",
         title=tag("title", f"{title} · siamloc report"),
         style=fragment("report.css"),
@@ -75,12 +78,14 @@ def _page(
         data=join(*data),
         version=__version__,
     )
+    write_text(out, page)
+    return Path(out)
 
 
 def _head(title: str, parts: list[Part]) -> Markup:
-    dates = sorted(filter(None, (_date(part.evaluation) for part in parts)))
-    when = f"measured {dates[0]}" + (f" to {dates[-1]}" if dates[-1] != dates[0] else "") if dates else None
-    facts = [when]
+    by_time = sorted((part.evaluation for part in parts), key=lambda one: str(one.results.get("created")))
+    dates = list(dict.fromkeys(filter(None, map(_date, by_time))))
+    facts = [f"measured {' to '.join([*dates[:1], *dates[1:][-1:]])}"] if dates else []
     if len(parts) == 1:
         results = parts[0].evaluation.results
         facts.append(f"descriptor {parts[0].evaluation.name}")
@@ -101,11 +106,10 @@ def _head(title: str, parts: list[Part]) -> Markup:
     )
 
 
-def _evaluation(part: Part, large: dict[tuple[int, str], str], sheets: list[Sheets], one: bool) -> Markup:
-    evaluation = part.evaluation
-    uris = {path: uri for (decoder, path), uri in large.items() if decoder == id(part.decoder)}
-    head = None
-    if not one:
+def _evaluation(part: Part, alone: bool) -> Markup:
+    """Return an evaluation with its sections, and its own heading unless it is alone on the page."""
+    evaluation, head = part.evaluation, None
+    if not alone:
         facts = [
             _date(evaluation),
             f"protocol {evaluation.results['protocol']}" if "protocol" in evaluation.results else "",
@@ -115,31 +119,15 @@ def _evaluation(part: Part, large: dict[tuple[int, str], str], sheets: list[Shee
             tag("p.meta", " · ".join(filter(None, facts)).replace("_", " ")),
             sections.key_figures(evaluation),
         )
-    notes = notes_on(part, uris, sheets)
-    sections_ = {
-        "summary": sections.summary(evaluation),
-        "nodes": tasks.hierarchical(part),
-        "compact map": tasks.mapping(part),
-        "compact maps": tasks.compact(part),
-        "buildings": tasks.buildings(part),
-        "floor plan": sections.floor_plan(evaluation, part.plan, part.number, notes),
-        "cumulative errors": sections.cumulative(part),
-        **{sign: tasks.further_estimate(part, name) for name, sign in FURTHER.items()},
-        "expected errors": tasks.expected_errors(part),
-        "worst queries": sections.worst(part.plan, uris),
-        "rooms": tasks.confusion(part),
-        "pairs": tasks.pairs(part),
-        "robustness": tasks.robustness(part),
-    }
-    found = {name: made for name, made in sections_.items() if made is not None}
-    places = {name: f"{part.anchor}-{name.replace(' ', '-')}" for name in found}
+    made = {name: shown for name, draw in _SECTIONS.items() if (shown := draw(part)) is not None}
+    places = {name: f"{part.anchor}-{name.replace(' ', '-')}" for name in made}
     links = [tag("a", name, href=f"#{place}") for name, place in places.items()]
     return tag(
         "article",
         head,
         tag("nav.contents", *links, aria_label=f"contents, {part.title}") if len(links) > 1 else None,
         sections.unscored(evaluation),
-        *(tag("div", made, id=places[name]) for name, made in found.items()),
+        *(tag("div", shown, id=places[name]) for name, shown in made.items()),
         id=part.anchor,
         data_evaluation=part.number,
     )

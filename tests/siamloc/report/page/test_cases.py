@@ -147,9 +147,13 @@ def test_runs_that_cannot_be_compared_are_marked(tmp_path: Path) -> None:
         "Take care when comparing b · network with a · network: they differ in their queries (21 and 20, 0 of them in "
         "common)."
     )
-    path = runs[1] / "evaluation" / "network" / "results.json"
-    write_json(path, {**read_json(path), "protocol": "same_run"})
+    days, changes = ("2026-12-02", "2026-11-25"), ({}, {"protocol": "same_run"})
+    for run, day, changed in zip(runs, days, changes, strict=True):
+        path = run / "evaluation" / "network" / "results.json"
+        write_json(path, {**read_json(path), "created": f"{day}T10:00:00+00:00", **changed})
     page = report(tmp_path, *runs)
+    dates = "measured 25 November 2026, 10:00 UTC to 02 December 2026, 10:00 UTC"
+    assert dates in page.one("header").text, "the earliest first"
     assert "must not be compared" in notes(page)
     assert "differ in their queries" in notes(page), "that the protocols differ does not hide it"
     assert "same run" in page.one("table", class_="comparison").text

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from siamloc.data.decoding import Preprocessing
 from siamloc.report.page import pictures as module
 from siamloc.report.page.markup import Markup, tag
-from siamloc.report.page.pictures import Decoder, make_large, make_sheets
+from siamloc.report.page.pictures import Decoder, read_large
 from siamloc.report.page.plan import error_classes, spread
 from tests.siamloc.report import pages
 
@@ -29,11 +29,11 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> list[str]:
 
 @pytest.mark.parametrize("most", [0, 1, 70, 150, 1000])
 def test_sheets_keep_to_the_order_and_to_their_number(files: list[str], most: int) -> None:
-    sheets = make_sheets(Decoder(pages.SETTINGS), [*files[:9], *files], most)
-    assert list(sheets.place) == files[:most], "the first files come first"
-    assert list(sheets.place.values()) == list(range(min(most, 150)))
-    for path, number in list(sheets.place.items())[::7]:
-        tile = pages.sheet_picture(sheets.plain(), number).astype(int)
+    decoder = Decoder(pages.SETTINGS)
+    decoder.fill_sheets(files, most)
+    assert decoder.place == {path: number for number, path in enumerate(files[:most])}, "the first files come first"
+    for path, number in list(decoder.place.items())[::7]:
+        tile = pages.sheet_picture(decoder.plain(), number).astype(int)
         source = cv2.resize(cv2.imread(path), tile.shape[1::-1], interpolation=cv2.INTER_AREA)
         assert np.abs(tile - source).mean() < 12
 
@@ -41,10 +41,13 @@ def test_sheets_keep_to_the_order_and_to_their_number(files: list[str], most: in
 def test_large_pictures_are_the_first_that_can_be_read(files: list[str], monkeypatch: pytest.MonkeyPatch) -> None:
     decoder = Decoder(pages.SETTINGS)
     wanted = [(decoder, path) for path in ["absent.jpg", *files[:20], files[0]]]
-    assert [path for _, path in make_large(wanted)] == files[:20]
+    read_large(wanted)
+    assert list(decoder.large) == files[:20]
     assert decoder.missing == {"absent.jpg": "the file does not exist"}
     monkeypatch.setattr(module, "_MOST_LARGE", 5)
-    assert [path for _, path in make_large(wanted)] == files[:5]
+    decoder.large.clear()
+    read_large(wanted)
+    assert list(decoder.large) == files[:5]
 
 
 def test_omnidirectional_images_are_unwrapped_as_the_run_did(tmp_path: Path) -> None:
