@@ -44,7 +44,7 @@ from siamloc.data import FrameTable, PanoramaLibrary
 from siamloc.memory import kept_memory
 from siamloc.models import ContrastiveLoss
 from siamloc.training import PairSampler, PairSettings
-from siamloc.training.trainer import debug_trainer
+from siamloc.training.trainer import check_trainer
 
 ensure_torchvision()
 from lightning.pytorch import Callback  # noqa: E402
@@ -163,7 +163,7 @@ class _Ends(Callback):
 
 def precision() -> str:
     """Return the precision that "auto" is on this CPU."""
-    return str(debug_trainer({"accelerator": "cpu", "precision": "auto"}).precision)
+    return str(check_trainer({"accelerator": "cpu", "precision": "auto"}).precision)
 
 
 def instructions() -> list[str]:

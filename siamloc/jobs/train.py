@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, ClassVar, Literal
+from typing import Any, ClassVar
 
 from foundation.settings import Count, Positive, Probability, Size, defaults_of
 from siamloc.data.pairs import PairSettings
@@ -123,7 +123,6 @@ class Train(_Training, DataJob):
                                           validation figure that picks the best checkpoint; recall_radius=0.5
         compile=auto|true|false           let torch compile the network for training; auto does so on a GPU
         patience=5                        stop after this many epochs without a better validation
-        debug=one_batch|overfit|profile   inspect the training instead: one step, learning one batch, where time goes
         resume=true                       continue from the last checkpoint; checkpoint_every=200 writes it within
                                           epochs, too
         -m model/branch=vgg11,vgg13       a sweep, each run in its own folder inside run=runs/sweep; `siamloc map`,
@@ -136,8 +135,6 @@ class Train(_Training, DataJob):
     GROUPS: ClassVar = of_job([*DataJob.GROUPS, "pairs", "loss", "augment", "model/branch", "model/head", "optimizer"])
     MORE: ClassVar = {"augment": {"where": "auto"}}
     SHARED = True
-
-    debug: Literal["overfit", "one_batch", "profile"] | None = None
 
     def run(self, say: Say = quiet) -> Run:
         """Train the network."""
@@ -162,10 +159,9 @@ class Train(_Training, DataJob):
             protocol=self.protocol.plain(),
             resume=self.resume,
             overwrite=self.overwrite,
-            debug=self.debug,
             settings=self.training,
         )
-        if process_rank() == 0 and self.debug is None:
+        if process_rank() == 0:
             say(f"next: siamloc map run={run.folder}")
         return run
 

@@ -7,7 +7,6 @@ import sys
 from collections.abc import Mapping, Sequence
 from contextlib import nullcontext
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
@@ -21,11 +20,9 @@ from augment.torchvision_compat import ensure_torchvision
 from foundation.calls import OF_FIELDS, takes
 from foundation.files import plain
 from foundation.locks import alone
-from foundation.settings import checked
 from siamloc.data.frames import FrameTable
 from siamloc.data.library import PanoramaLibrary
 from siamloc.data.places import PlaceSettings
-from siamloc.errors import ConfigError
 from siamloc.memory import kept_memory
 from siamloc.models.checkpoint import check_architecture, load
 from siamloc.models.cross_entropy import CrossEntropyLoss
@@ -44,7 +41,6 @@ from siamloc.training.checks import (
     monitored,
     usable,
 )
-from siamloc.training.debug import Debug, debug_training
 from siamloc.training.pair_batches import PairDataModule
 from siamloc.training.place_batches import PlaceDataModule, rooms_of, validation_drive
 from siamloc.training.run_folder import (
@@ -57,7 +53,7 @@ from siamloc.training.run_folder import (
 )
 from siamloc.training.settings import Training, TrainingFields
 from siamloc.training.stopping import StepCheckpoints, first_interrupt_asks, interrupts_raised
-from siamloc.training.trainer import computing, debug_trainer, on_gpu, precision_of, quiet, run_trainer, steps_of
+from siamloc.training.trainer import computing, on_gpu, precision_of, quiet, run_trainer, steps_of
 
 ensure_torchvision()
 from lightning.pytorch import Trainer  # noqa: E402
@@ -81,7 +77,6 @@ def fit(
     resume: bool = False,
     overwrite: bool = False,
     protocol: Mapping[str, Any] | None = None,
-    debug: Debug | None = None,
     settings: Training = OF_FIELDS,
     **fields: Unpack[TrainingFields],
 ) -> Run:
@@ -110,9 +105,6 @@ def fit(
             in `trainer`.
         overwrite: replace a run: files that siamloc wrote into the folder are removed, all other files stay.
         protocol: roles of the data, as plain values, recorded for reference; the sequences of the frames if None.
-        debug: look at the training instead, and leave the network and the run unchanged: "one_batch" makes one step
-            and describes one validation batch; "overfit" trains on one batch only, and says whether the loss goes
-            down; "profile" says where the time of some steps goes.
         settings: all fields of `Training` together, instead of one keyword each: epochs, batch_size, seed, workers,
             pairs, optimizer, and all others.
 
@@ -143,12 +135,7 @@ def fit(
         array([0., 1., 2.])
     """
     run = run if isinstance(run, Run) else Run(run)  # type: ignore[arg-type]
-    first = process_rank() == 0
-    debug = checked(debug, Debug | None, "debug")
-    if debug is not None:
-        if resume:
-            raise ConfigError(f"debug={debug} looks at a training from its start: leave out resume=true")
-    elif first:
+    if process_rank() == 0:
         check_folder(run, resume, overwrite)
     train, validated = usable(images, frames, validation, settings)
     check_headings(network, train, settings)
@@ -170,12 +157,6 @@ def fit(
             "validation": None if validated is None else note_frames(images, validated),
         },
     }
-    if debug is not None:
-        check_batches(data, module.loss)
-        with quiet(), computing(module, settings, trainer), interrupts_raised():
-            clip = {} if settings.clip is None else {"gradient_clip_val": settings.clip}
-            debug_training(debug, module, data, partial(debug_trainer, {**clip, **(trainer or {})}))
-        return run
     learn(
         module,
         data,

@@ -25,12 +25,6 @@ class _Step(NamedTuple):
     arrived: torch.cuda.Event | None
 
 
-def unscaled(trainer: Trainer, loss: Tensor) -> Tensor:
-    """Undo the scaling of a loss that training in half precision applies for the gradient."""
-    scaler = getattr(trainer.precision_plugin, "scaler", None)
-    return loss.detach() if scaler is None else loss.detach() / scaler.get_scale()
-
-
 class FiniteGuard(Callback):
     """Stop before weights are updated with non-finite values; the previous checkpoint stays as it was.
 
@@ -46,8 +40,9 @@ class FiniteGuard(Callback):
         self._pending: list[_Step] = []
 
     def on_before_backward(self, trainer: Trainer, pl_module: LightningModule, loss: Tensor) -> None:
-        """Record the loss."""
-        self._loss = unscaled(trainer, loss)
+        """Record the loss, without the scaling that training in half precision applies for the gradient."""
+        scaler = getattr(trainer.precision_plugin, "scaler", None)
+        self._loss = loss.detach() if scaler is None else loss.detach() / scaler.get_scale()
 
     def on_after_backward(self, trainer: Trainer, pl_module: LightningModule) -> None:
         """Check the loss and the gradient over all processes, so that all of them stop."""

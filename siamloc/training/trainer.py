@@ -1,4 +1,4 @@
-"""Lightning trainers: one for a run, with checkpoints and curves, and one for debugging that saves nothing."""
+"""The Lightning trainer of a run, with checkpoints and curves, and the checks of its arguments."""
 
 from __future__ import annotations
 
@@ -82,21 +82,15 @@ def steps_of(trainer: Trainer) -> dict[str, Any]:
     return {"processes": trainer.world_size, **{key: getattr(trainer, key) for key in OF_STEPS}}
 
 
-def debug_trainer(further: Mapping[str, Any] | None, **own: Any) -> Trainer:
-    """Make a trainer on the device of the training that saves nothing, with only the given callbacks."""
-    quiet = ("logger", "enable_checkpointing", "enable_progress_bar", "enable_model_summary")
-    own = {**dict.fromkeys(quiet, False), "num_sanity_val_steps": 0, **own}
-    return _made({name: value for name, value in (further or {}).items() if name not in own}, own)
-
-
-def check_trainer(further: Mapping[str, Any] | None) -> None:
-    """Refuse what `lightning.Trainer` refuses, before any work is done for it.
+def check_trainer(further: Mapping[str, Any] | None) -> Trainer:
+    """Make a trainer that writes nothing, so that wrong arguments are refused before any work is done for them.
 
     Raises:
         ConfigError: arguments that Lightning refuses.
     """
+    own = dict.fromkeys(("logger", "enable_checkpointing", "enable_progress_bar", "enable_model_summary"), False)
     with quiet():
-        debug_trainer(further)
+        return _made({name: value for name, value in (further or {}).items() if name not in own}, own)
 
 
 def _made(options: Mapping[str, Any], own: Mapping[str, Any]) -> Trainer:
@@ -197,9 +191,10 @@ def computing(module: NetworkModule, settings: Training, further: Mapping[str, A
 
 @contextmanager
 def quiet() -> Iterator[None]:
-    """Hide what Lightning prints about itself; warnings that concern the user stay."""
-    loggers = [logging.getLogger(name) for name in ("lightning.pytorch", "lightning.fabric")]
-    levels = [logger.level for logger in loggers]
+    """Hide what Lightning prints about itself; warnings that concern the user stay, and so do its profilers."""
+    levels = {"pytorch": logging.WARNING, "fabric": logging.WARNING, "pytorch.profilers": logging.INFO}
+    loggers = {logging.getLogger(f"lightning.{name}"): level for name, level in levels.items()}
+    before = [logger.level for logger in loggers]
     unfounded = (
         "LeafSpec",
         "many workers",
@@ -212,12 +207,12 @@ def quiet() -> Iterator[None]:
     with warnings.catch_warnings():
         for text in unfounded:
             warnings.filterwarnings("ignore", message=f".*{text}")
-        for logger in loggers:
-            logger.setLevel(logging.WARNING)
+        for logger, level in loggers.items():
+            logger.setLevel(level)
         try:
             yield
         finally:
-            for logger, level in zip(loggers, levels, strict=True):
+            for logger, level in zip(loggers, before, strict=True):
                 logger.setLevel(level)
 
 

@@ -115,12 +115,3 @@ def test_the_weights_are_those_of_the_cpu_and_of_a_training_that_was_resumed(fit
     for name, weight in whole.items():
         assert torch.equal(weight.cpu(), resumed.state_dict()[name].cpu())
         torch.testing.assert_close(weight.cpu(), here[name], rtol=1e-4, atol=1e-6)
-
-
-@pytest.mark.parametrize(
-    ("debug", "settings", "said"),
-    [("one_batch", PAIRS, "one batch,"), ("overfit", PLACES, "as it should"), ("profile", PLACES, "of 20 steps")],
-)
-def test_a_training_is_inspected(fit, gpu, capfd, debug, settings, said):
-    fit(small(), debug=debug, trainer=pretend_trainer(), augment_where="gpu", **settings)
-    assert said in capfd.readouterr().err

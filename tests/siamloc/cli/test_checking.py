@@ -81,7 +81,6 @@ def test_a_mistake_is_printed_in_one_line(capsys):
         # values
         ("train epochs=abc", "epochs must be a whole number from 1 to 10 million, got 'abc'"),
         ("train checkpoint_every=0", "checkpoint_every must be a whole number from 1"),
-        ("train debug=on", "debug must be overfit or one_batch or profile, or null"),
         ("train seed=4294967296", "seed must be a whole number from 0 to 4,294,967,295, got 4294967296"),
         ("train pairs.scale=nan", "pairs.scale must be"),
         ("train loss.margin=1e-300", "loss.margin must be a number above 0, at least 1e-12, got 1e-300"),

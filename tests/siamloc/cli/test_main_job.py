@@ -86,14 +86,6 @@ def test_files_of_people_are_never_removed(finished, data, tmp_path, capsys, mon
     assert {path.name for path in (tmp_path / "new").iterdir()} == files
 
 
-def test_a_training_is_inspected_by_a_key(data, tmp_path, capsys):
-    done(*train(data, tmp_path / "run", "epochs=1", "debug=one_batch"))
-    said = capsys.readouterr()
-    assert "one batch, nothing is kept" in said.err
-    assert "checkpoint" not in said.out
-    assert not (tmp_path / "run").exists()
-
-
 def test_stopping_a_training_says_how_to_go_on_once(data, tmp_path, capsys, monkeypatch):
     says = "stopped after 1 of 2 epochs: go on with resume=true"
 

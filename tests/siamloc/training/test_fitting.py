@@ -484,7 +484,7 @@ def test_validation_frames_must_not_be_trained_on(train, frames):
         train(validation=frames)
 
 
-def test_further_arguments_reach_the_trainer(train):
+def test_further_arguments_reach_the_trainer(train, caplog):
     from lightning.pytorch import Callback
 
     class Count(Callback):
@@ -494,8 +494,10 @@ def test_further_arguments_reach_the_trainer(train):
             self.steps += 1
 
     count = Count()
-    train(trainer={"accelerator": "cpu", "limit_train_batches": 1, "callbacks": count}, epochs=2)
+    options = {"accelerator": "cpu", "limit_train_batches": 1, "callbacks": count, "profiler": "simple"}
+    train(trainer=options, epochs=2)
     assert count.steps == 2
+    assert "SiameseModule.optimizer_step" in caplog.text
 
 
 def test_runs_show_themselves(train, tmp_path):

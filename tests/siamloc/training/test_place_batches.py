@@ -226,11 +226,10 @@ def test_mistakes_with_pairs_are_found_before_anything_is_written(images, drives
         (siamloc.models.MetricCalibratedLoss(cap=0.1), 1, r"two frames less than loss\.cap=0\.1 apart"),
     ],
 )
-@pytest.mark.parametrize("debug", [None, "one_batch"])
-def test_batches_that_teach_the_loss_nothing_are_refused(train, drives, tmp_path, loss, drawn, says, debug):
+def test_batches_that_teach_the_loss_nothing_are_refused(train, drives, tmp_path, loss, drawn, says):
     monday = drives[0].with_columns(room=[str(number) for number in range(len(drives[0]))])
     with pytest.raises(ConfigError, match=f"8 of 8 drawn have no .*{says}"):
-        train(frames=monday, loss=loss, pairs={"images": drawn, "epoch_batches": 2}, debug=debug)
+        train(frames=monday, loss=loss, pairs={"images": drawn, "epoch_batches": 2})
     assert not (tmp_path / "run").exists()
 
 
