@@ -9,10 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analytic import DESCRIPTORS, Description, Descriptor, descriptor
+from analytic.errors import known
 from foundation.calls import typed
 from siamloc.data.frames import FrameTable
-from siamloc.errors import ConfigError, DataError, hint
-from siamloc.maps.heading import NetworkHeading, described, halved
+from siamloc.errors import ConfigError, DataError
+from siamloc.maps.heading import HEADINGS, NetworkHeading, described, halved
 from siamloc.maps.visual_map import VisualMap
 from siamloc.progress import track
 from siamloc.stopwatch import Stopwatch
@@ -65,33 +66,26 @@ def build(
         VisualMap(2 frames, 256 numbers each by hog, compared by correlation)
     """
     by = descriptor_from(described_by, circular=images.circular, device=device)
-    turning = None if heading is None else descriptor_from(heading, circular=images.circular, device=device)
-    if turning is not None and not images.circular:
+    second = None if heading is None else descriptor_from(heading, circular=images.circular, device=device)
+    if second is not None and not images.circular:
         raise ConfigError(
-            f"heading={turning.name} needs columns that are a full turn, and circular=false says that they are not: "
+            f"heading={second.name} needs columns that are a full turn, and circular=false says that they are not: "
             "leave heading out"
         )
-    if turning is not None and not turning.tells_heading:
+    if second is not None and (by.aligned or second.name not in HEADINGS):
         raise ConfigError(
-            f"{turning.name} gives no heading: choose another one, such as hog, gist, fs or radon_fourier"
+            f"{second.name} cannot find the headings of a map by {by.name}: the descriptors {', '.join(HEADINGS)} can, "
+            "in a map whose descriptors are not turned before they are compared"
         )
-    if turning is not None and turning.name == NetworkHeading.name:
-        raise ConfigError("a network finds headings only in the map that it describes itself: leave heading out")
-    if turning is not None and (by.aligned or turning.aligned):
-        raise ConfigError(
-            f"{(by if by.aligned else turning).name} compares whole images after turning them and finds headings by "
-            "itself: use it as the descriptor, and one such as hog for the heading of others"
-        )
-    by_network = by.name == NetworkHeading.name
-    if turning is None and images.circular and by_network and by.tells_heading:
-        turning = NetworkHeading()
     readable = images.readable(frames)
     if not len(readable):
         raise DataError(f"none of the images of the {len(frames)} map frames could be read")
     what = "describing the map" if progress else None
-    second = None if isinstance(turning, NetworkHeading) else turning
     found = Description.concatenate(list(describe(by, images, readable, heading=second, progress=what)))
-    orientation = None if turning is None and by_network else found.orientation
+    turning, orientation = second, found.orientation
+    if by.name == NetworkHeading.name and second is None:
+        turning = NetworkHeading() if images.circular and by.tells_heading else None
+        orientation = None if turning is None else orientation
     if turning is not None and orientation is not None:
         orientation = halved(turning, orientation)
     data = {**readable.source, **images.settings()}
@@ -163,9 +157,7 @@ def descriptor_from(by: Descriptor | nn.Module | str, *, circular: bool, device:
     if isinstance(by, Descriptor):
         return by
     if isinstance(by, str) and by != "pretrained":
-        if by not in DESCRIPTORS:
-            raise ConfigError(f"unknown descriptor {by!r}: {hint(by, ('pretrained', *DESCRIPTORS))}")
-        return descriptor(by, circular=circular)
+        return descriptor(known(by, ("pretrained", *DESCRIPTORS), "descriptor"), circular=circular)
     from siamloc.models import as_descriptor, pretrained
 
     return as_descriptor(pretrained(circular=circular) if isinstance(by, str) else by, device)

@@ -12,12 +12,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analytic import clustering
+from analytic.errors import known as known_name
 from analytic.mapper import IncrementalMapper, Parameters
 from foundation.calls import typed
 from foundation.files import read_json, storage_errors, write_json, write_text
 from foundation.locks import LOCK, locked
 from foundation.settings import Count, Positive, Seed, Settings
-from siamloc.errors import ConfigError, DataError, FormatError, hint
+from siamloc.errors import ConfigError, DataError, FormatError
 from siamloc.maps.coarse import CoarseLayer, naming
 from siamloc.maps.visual_map import VisualMap
 from siamloc.progress import track
@@ -210,9 +211,7 @@ def group(
         >>> group(VisualMap([[0.0], [1.0], [2.0]], rooms), "rooms").layer.names
         array(['hall', 'office'], dtype='<U6')
     """
-    if way not in WAYS:
-        raise ConfigError(f"unknown build {way!r}: {hint(str(way), WAYS)}")
-    settings = WAYS[way].of(parameters)
+    settings = WAYS[known_name(way, WAYS, "build")].of(parameters)
     made = {"name": way, **settings.plain(), **({} if way in ("rooms", "incremental") else {"seed": seed})}
     if folder is not None and (found := _built_before(Path(folder), known, made)) is not None:
         return found

@@ -155,7 +155,7 @@ class HierarchicalSearch:
         by, candidates = self._settings.by, self._settings.candidates
         if by == "vote":
             found = match(self.coarse, queries, self._settings.neighbours)
-            return rank_by_vote(found, self.layer.labels, candidates, len(self.coarse))
+            return rank_by_vote(found, self.layer.labels, candidates)
         if by == "classifier":
             assert self.layer.classifier is not None
             return rank_by_classifier(queries.position, self.layer.classifier, candidates)
@@ -182,10 +182,8 @@ class HierarchicalSearch:
         described = queries if isinstance(queries, Description) else Description(np.asarray(queries))
         n, k = len(described), min(k, len(self))
         nodes = ranking.nodes
-        if n != len(ranking):
-            raise DataError(f"{n} queries need as many rows in the ranking, got {len(ranking)}")
-        if nodes.size and not UNASSIGNED <= nodes.min() <= nodes.max() < len(self.layer):
-            raise DataError(f"the candidates must be nodes of the layer, 0 to {len(self.layer) - 1}")
+        if n != len(ranking) or (n and not UNASSIGNED <= nodes.min() <= nodes.max() < len(self.layer)):
+            raise DataError(f"{n} queries need as many rows in the ranking, of nodes 0 to {len(self.layer) - 1}")
         members = np.diff(self._bounds)
         searched = members[0] + np.where(nodes == UNASSIGNED, 0, members[nodes + 1]).sum(axis=1)
         if (searched == 0).any():

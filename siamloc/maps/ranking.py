@@ -8,7 +8,6 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from foundation.columns import Rows
-from siamloc.errors import DataError
 from siamloc.maps.coarse import UNASSIGNED
 from siamloc.maps.search import Retrieval, VectorIndex
 from siamloc.models.room_classifier import RoomClassifier
@@ -23,27 +22,10 @@ class NodeRanking(Rows):
     Attributes:
         nodes: (n, c) best first, no node twice in a row of the array; UNASSIGNED where a query has fewer candidates.
         compared: (n,) number of descriptors that were compared to rank them.
-
-    Raises:
-        DataError: arrays of inconsistent shapes, or a node that appears twice in a row of the array.
     """
 
     nodes: NDArray[np.int64]
     compared: NDArray[np.int64]
-
-    def __post_init__(self) -> None:
-        nodes, compared = np.asarray(self.nodes), np.asarray(self.compared)
-        whole = nodes.dtype.kind in "iu" and compared.dtype.kind in "iu"
-        if not whole or nodes.ndim != 2 or not nodes.shape[1] or compared.shape != nodes.shape[:1]:
-            raise DataError(
-                f"a ranking needs whole numbers of nodes (n, c) and of comparisons (n,), got {nodes.dtype} "
-                f"{nodes.shape} and {compared.dtype} {compared.shape}"
-            )
-        ordered = np.sort(nodes, axis=1)
-        if ((ordered[:, 1:] == ordered[:, :-1]) & (ordered[:, 1:] != UNASSIGNED)).any():
-            raise DataError("a ranking names a node twice for one query: rank each node once")
-        object.__setattr__(self, "nodes", nodes.astype(np.int64, copy=False))
-        object.__setattr__(self, "compared", compared.astype(np.int64, copy=False))
 
 
 def rank_by_representatives(
@@ -90,7 +72,7 @@ def rank_by_classifier(queries: ArrayLike, classifier: RoomClassifier, candidate
     return NodeRanking(nodes, np.full(len(scores), len(classifier)))
 
 
-def rank_by_vote(found: Retrieval, labels: ArrayLike, candidates: int = 1, compared: int | None = None) -> NodeRanking:
+def rank_by_vote(found: Retrieval, labels: ArrayLike, candidates: int = 1) -> NodeRanking:
     """Rank nodes by how many of the nearest map frames lie in them; in a tie, the node of the nearer frame comes first.
 
     Nodes without a vote are not candidates, so a query may have fewer than requested. Frames in no node do not vote.
@@ -99,7 +81,6 @@ def rank_by_vote(found: Retrieval, labels: ArrayLike, candidates: int = 1, compa
         found: the nearest frames of the coarse map for each query (n, k), which give k votes.
         labels: (m,) the node of each frame of the coarse map.
         candidates: number of nodes to keep.
-        compared: number of descriptors compared for one query; m if None.
     """
     node = np.asarray(labels)
     n, k = found.indices.shape
@@ -109,7 +90,7 @@ def rank_by_vote(found: Retrieval, labels: ArrayLike, candidates: int = 1, compa
     for start in range(0, n, step):
         part = slice(start, start + step)
         kept[part] = _elected(node[found.indices[part]], total, k)[:, : kept.shape[1]]
-    return NodeRanking(kept, np.full(n, len(node) if compared is None else compared))
+    return NodeRanking(kept, np.full(n, len(node)))
 
 
 def rank_by_position(query_xy: ArrayLike, map_xy: ArrayLike, labels: ArrayLike) -> NodeRanking:

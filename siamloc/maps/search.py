@@ -18,10 +18,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from analytic.distances import DISTANCES
+from analytic.errors import known
 from foundation.calls import typed
 from foundation.columns import Rows
 from foundation.settings import Count
-from siamloc.errors import ConfigError, DataError, hint
+from siamloc.errors import DataError
 
 MEMORY = 256 << 20  # bytes that a search uses on top of its input and output
 _BYTES_PER_PAIR = 80  # if everything ties: score, mask, two indices, distance, and sorting them
@@ -70,9 +71,7 @@ class VectorIndex:
 
     @typed
     def __init__(self, references: ArrayLike, distance: str = "euclidean") -> None:
-        if distance not in DISTANCES:
-            raise ConfigError(f"unknown distance {distance!r}: {hint(distance, DISTANCES)}")
-        self.distance = distance
+        self.distance = known(distance, DISTANCES, "distance")
         self._references, self._largest = _checked(references, "map")
         if 0 in self._references.shape:
             raise DataError("the map holds no descriptors: there is nothing to search in")
@@ -90,37 +89,33 @@ class VectorIndex:
         *,
         excluded: ArrayLike | None = None,
         within: NDArray[np.int64] | None = None,
-        memory: int = MEMORY,
     ) -> Retrieval:
         """Return the exact k nearest references of each query; of equally near ones the smaller row comes first.
 
-        If there are fewer than k references, all are returned: the result has min(k, m) columns. It depends neither on
-        the other queries nor on `memory`.
+        If there are fewer than k references, all are returned: the result has min(k, m) columns. It does not
+        depend on the other queries.
 
         Args:
             queries: (n, D); n may be 0.
             k: number of references to return, at least 1.
             excluded: (n, m) bool, True where a query must not find a reference.
             within: the only rows to search, increasing, not together with `excluded`; all if None.
-            memory: bytes that the search may use on top of its input and output; at least a few MiB.
 
         Raises:
-            ConfigError: a number of neighbours or bytes that is not positive.
+            ConfigError: a number of neighbours that is not positive.
             DataError: queries of another shape, values that are not finite or far larger than the references', or a
                 query with fewer than k references that are not excluded.
         """
         q = self._checked_queries(queries)
-        if not memory > 0:
-            raise ConfigError(f"the memory of a search must be a positive number of bytes, got {memory}")
         m = len(self) if within is None else len(within)
         k = min(k, m)
         mask = None if excluded is None else check_excluded(excluded, (len(q), len(self)), k)
         found = Retrieval(np.zeros((len(q), k), dtype=np.int64), np.zeros((len(q), k)))
-        for block in slices(len(q), memory // 3 // (4 * m)):
+        for block in slices(len(q), MEMORY // 3 // (4 * m)):
             looked, scores, slack = self._look(q[block], within)
             if mask is not None:
                 scores[mask[block]] = -np.inf
-            for part in slices(len(scores), memory // 2 // (_BYTES_PER_PAIR * m)):
+            for part in slices(len(scores), MEMORY // 2 // (_BYTES_PER_PAIR * m)):
                 row, column = _candidates(scores[part], slack[part], k)
                 rows = column if within is None else within[column]
                 if self.distance == "manhattan":

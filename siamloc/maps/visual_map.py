@@ -15,11 +15,12 @@ from numpy.typing import ArrayLike, NDArray
 
 from analytic import Description, Descriptor
 from analytic.distances import DISTANCES
+from analytic.errors import known
 from foundation.calls import typed
 from foundation.files import plain
 from foundation.settings import leaves
 from siamloc.data.frames import FrameTable
-from siamloc.errors import ConfigError, DataError, hint
+from siamloc.errors import ConfigError, DataError
 from siamloc.maps.aligned import AlignedIndex
 from siamloc.maps.heading import NetworkHeading, described, descriptor_of, heading_descriptor, is_analytic
 from siamloc.maps.map_file import read_map, write_map
@@ -392,9 +393,7 @@ def _differences(ours: Mapping[str, Any], theirs: Mapping[str, Any]) -> str:
 
 def _check_distance(name: str, width: int) -> None:
     """Refuse an unknown distance, or one that makes all descriptors of this width alike."""
-    if not isinstance(name, str) or name not in DISTANCES:
-        raise ConfigError(f"unknown distance {name!r}: {hint(str(name), DISTANCES)}")
-    least = {"cosine": 2, "correlation": 3}.get(name, 1)
+    least = {"cosine": 2, "correlation": 3}.get(known(name, DISTANCES, "distance"), 1)
     if width < least:
         raise ConfigError(
             f"distance={name} needs descriptors of {least} numbers or more, and these have {width}: use euclidean or "

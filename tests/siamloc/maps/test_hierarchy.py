@@ -96,7 +96,7 @@ def test_the_search_along_the_drive_equals_the_loop(
 def test_a_query_at_the_border_of_a_node_finds_its_frame_along_the_drive() -> None:
     known = visual_map([[0.0], [1.0], [2.0], [3.0]])
     layer = CoarseLayer.of_labels(known, [0, 0, 1, 1])
-    queries, wrong = [[1.8]], NodeRanking([[0]], [2])
+    queries, wrong = [[1.8]], NodeRanking(np.array([[0]]), np.array([2]))
     assert HierarchicalSearch(known, layer).search(queries, wrong).found.indices.tolist() == [[1]]
     found = HierarchicalSearch(known, layer, along=1).search(queries, wrong)
     assert (found.found.indices.tolist(), found.node.tolist(), found.compared.tolist()) == ([[2]], [1], [5])
@@ -214,9 +214,9 @@ def test_errors() -> None:
         HierarchicalSearch(known.take([0, 1, 2]), layer)
     with pytest.raises(ConfigError, match="must be a whole number from 1 to 10 million, got 0"):
         search.search(np.eye(4)[:1], one, 0)
-    with pytest.raises(DataError, match="2 queries need as many rows in the ranking, got 1"):
+    with pytest.raises(DataError, match="2 queries need as many rows in the ranking"):
         search.search(np.eye(4)[:2], one)
-    with pytest.raises(DataError, match="nodes of the layer, 0 to 1"):
+    with pytest.raises(DataError, match="of nodes 0 to 1"):
         search.search(np.eye(4)[:1], NodeRanking(np.array([[2]]), np.array([2])))
     with pytest.raises(DataError, match="1 of 1 queries have no candidate node"):
         search.search(np.eye(4)[:1], NodeRanking(np.array([[-1]]), np.array([2])))

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from siamloc.errors import DataError
 from siamloc.maps import Retrieval, VectorIndex
-from siamloc.maps.ranking import NodeRanking, rank_by_position, rank_by_representatives, rank_by_vote
+from siamloc.maps.ranking import rank_by_position, rank_by_representatives, rank_by_vote
 from tests.oracles import hierarchy as oracle
 
 ONE = VectorIndex([[0.0]]).search([[0.0]])
@@ -58,7 +58,6 @@ def test_votes_of_a_small_example() -> None:
     assert rank_by_vote(found, [0, 1, 2, 2], 2).nodes.tolist() == [[2, 0]]  # two votes, then the nearer of one each
     assert rank_by_vote(found, [-1, -1, -1, 0], 2).nodes.tolist() == [[0]]  # there is but one node
     assert rank_by_vote(found, [-1] * 4, 1).nodes.tolist() == [[-1]]
-    assert rank_by_vote(found, [0, 1, 2, 2], 1, compared=7).compared.tolist() == [7]
 
 
 @settings(deadline=None)
@@ -81,9 +80,6 @@ def test_equal_x_and_different_y() -> None:
     [
         (lambda: rank_by_representatives([[0.0, 1]], [[0.0]], 1), "2 values each"),
         (lambda: rank_by_position([[0.0, np.nan]], [[0.0, 0]], [0]), "not finite"),
-        (lambda: NodeRanking(np.array([[1, 1]]), np.array([2])), "names a node twice"),
-        (lambda: NodeRanking(np.array([[1, 0]]), np.array([2, 2])), r"got int64 \(1, 2\) and int64 \(2,\)"),
-        (lambda: NodeRanking(np.array([[0.5]]), np.array([2])), "whole numbers"),
     ],
 )
 def test_errors(call, message: str) -> None:

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import tracemalloc
+from unittest import mock
 
 import numpy as np
 import pytest
@@ -15,7 +16,8 @@ from tests.oracles import search as oracle
 
 
 def nearest(queries, references, k=1, distance="euclidean", memory=256 << 20):
-    return VectorIndex(references, distance).search(queries, k, memory=memory)
+    with mock.patch("siamloc.maps.search.MEMORY", memory):
+        return VectorIndex(references, distance).search(queries, k)
 
 
 TINY = 1  # bytes: forces blocks of one query and one reference
@@ -212,7 +214,6 @@ def test_memory_is_bounded() -> None:
         ({"distance": "euclidian"}, ConfigError, "unknown distance 'euclidian': did you mean 'euclidean'"),
         ({"k": 0}, ConfigError, "must be a whole number from 1 to 10 million, got 0"),
         ({"k": 1.5}, ConfigError, "k must be a whole number from 1 to 10 million, got 1.5"),
-        ({"memory": 0}, ConfigError, "positive number of bytes, got 0"),
         ({"references": np.empty((0, 3))}, DataError, "the map holds no descriptors"),
         ({"references": np.ones((2, 4))}, DataError, "queries have 3 values each, the map's descriptors 4"),
         ({"queries": np.ones(3)}, DataError, "query descriptors of shape (n, D), got shape (3,)"),
