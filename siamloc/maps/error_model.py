@@ -167,10 +167,10 @@ class ErrorModel(Learned):
         """Whether the model was learned from refined poses and predicts their errors."""
         return self.score == "pose"
 
-    def scores(self, found: Retrieval, map_xy: ArrayLike) -> NDArray[np.float64]:
+    def scores(self, found: Retrieval, map_xy: ArrayLike, poses: RefinedPoses | None = None) -> NDArray[np.float64]:
         """Return the score of each query (n,). Arguments and errors as for `judged`."""
         if self.of_poses:
-            raise ConfigError("the error model was learned from refined poses: give it those")
+            return pose_score(_given(poses))
         xy = np.asarray(map_xy, dtype=np.float64)
         if xy.ndim != 2 or xy.shape[1] != 2 or not np.isfinite(xy).all():
             raise DataError(f"the error of an estimate needs map positions (m, 2), all known, got shape {xy.shape}")
@@ -181,8 +181,7 @@ class ErrorModel(Learned):
 
     def predict(self, found: Retrieval, map_xy: ArrayLike, poses: RefinedPoses | None = None) -> NDArray[np.float64]:
         """Return the expected error of each query (n,), in units of x and y. Arguments and errors as for `judged`."""
-        scores = pose_score(self._told(poses)) if self.of_poses else self.scores(found, map_xy)
-        return np.interp(scores, self.knots, self.errors)
+        return np.interp(self.scores(found, map_xy, poses), self.knots, self.errors)
 
     def judged(
         self, found: Retrieval, map_xy: ArrayLike, poses: RefinedPoses | None = None
@@ -264,12 +263,12 @@ class ErrorModel(Learned):
 
     def _strangeness(self, found: Retrieval, map_xy: ArrayLike, poses: RefinedPoses | None) -> NDArray[np.float64]:
         """Return how little of the map each query shows (n,)."""
-        if not self.of_poses:
-            return self.scores(found, map_xy) + self.foreign_weight * found.distances[:, 0]
-        return -self._told(poses).match
+        if self.of_poses:
+            return -_given(poses).match
+        return self.scores(found, map_xy) + self.foreign_weight * found.distances[:, 0]
 
-    @staticmethod
-    def _told(poses: RefinedPoses | None) -> RefinedPoses:
-        if poses is None:
-            raise ConfigError("the error model was learned from refined poses: give it those")
-        return poses
+
+def _given(poses: RefinedPoses | None) -> RefinedPoses:
+    if poses is None:
+        raise ConfigError("the error model was learned from refined poses: give it those")
+    return poses

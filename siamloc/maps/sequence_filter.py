@@ -121,7 +121,7 @@ class SequenceFilter:
             for row in np.flatnonzero(names == name).tolist():
                 belief = self.step(apart[row])
                 frame[row] = best = int(belief.argmax())
-                probability[row], spread[row] = belief[best], self._spread(best)
+                probability[row], spread[row] = belief[best], self.spread(best)
                 if xy is not None and radius is not None:
                     xy[row] = self._between(best, radius)
         self.reset()
@@ -132,7 +132,8 @@ class SequenceFilter:
         near = np.where(np.square(offset).sum(axis=1) <= radius**2, self.belief, 0.0)
         return np.asarray(self.motion.xy[frame] + near @ offset / near.sum(), dtype=np.float64)
 
-    def _spread(self, frame: int) -> float:
+    def spread(self, frame: int) -> float:
+        """Return the root mean square distance of the belief from a map frame, in units of x and y."""
         squared = np.square(self.motion.xy - self.motion.xy[frame]).sum(axis=1)
         return float(np.sqrt(self.belief @ squared))
 
@@ -185,9 +186,9 @@ class MotionModel:
                 f"{int((~frames.has_position).sum())} of {len(frames)} map frames have no position: motion is learned "
                 "from a map whose frames all have one"
             )
-        length, seconds = _steps(frames)
-        spacing = float(np.median(length[length > 0])) if (length > 0).any() else 0.0
+        spacing = spacing_of(frames)
         if step is None:
+            length, seconds = _steps(frames)
             timed = (seconds > 0) & np.isfinite(seconds)
             step = spacing
             if interval is not None and (length[timed] > 0).any():
@@ -198,6 +199,12 @@ class MotionModel:
         """Return the belief (m,) after another step of the robot."""
         moved = np.bincount(self.target, self.weight * belief[self.source], minlength=len(self))
         return np.asarray(moved, dtype=np.float64)
+
+
+def spacing_of(frames: FrameTable) -> float:
+    """Return the median distance between consecutive frames of a sequence, of those that moved; 0 if none did."""
+    length, _ = _steps(frames)
+    return float(np.median(length[length > 0])) if (length > 0).any() else 0.0
 
 
 def _steps(frames: FrameTable) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

@@ -11,7 +11,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analytic import AnalyticError, Description, ImageDescriptor
-from foundation.settings import Count, checked
 from siamloc.errors import ConfigError, DataError, FormatError, hint
 from siamloc.maps import VisualMap
 from siamloc.maps.heading import descriptor_of
@@ -33,12 +32,11 @@ class Describer:
         known: the map; if it was described by an analytic descriptor, with that descriptor.
 
     Raises:
-        ConfigError: threads below 1, or a provider that this onnxruntime lacks.
+        ConfigError: a provider that this onnxruntime lacks.
         FormatError: a network that onnxruntime cannot run, or an analytic descriptor that did not make the map.
     """
 
     def __init__(self, bundle: Bundle, known: VisualMap, threads: int | None, providers: Sequence[str]) -> None:
-        checked(threads, Count | None, "threads")
         self._session, self._relative = (
             session_of(bundle.path / name, threads, providers) if name in bundle.files else None
             for name in (MODEL, RELATIVE)

@@ -13,7 +13,6 @@ import numpy as np
 from analytic import Descriptor
 from foundation.calls import typed
 from foundation.files import atomic_folder, file_hash, plain, read_json, write_json
-from foundation.settings import checked
 from siamloc.data.decoding import Preprocessing
 from siamloc.errors import ConfigError, SiamlocError
 from siamloc.maps import Built, CoarseLayer, HierarchicalSearch, LayerSearch, VisualMap, match
@@ -95,7 +94,6 @@ def export(
         StorageError: the disk is full or cannot be written to.
     """
     folder = Path(folder).absolute()
-    precision = checked(precision, Literal["float32", "float16", "int8", "auto"], "precision")
     _check_replaceable(folder)
     circular = known is None or bool(known.identity.get("circular", True))
     given = descriptor_from(described_by, circular=circular, device=None)

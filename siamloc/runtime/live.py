@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from foundation.calls import typed
 from foundation.files import plain
-from foundation.settings import Pace, Port, Text, checked
+from foundation.settings import Pace, Port, Text
 from siamloc.errors import ConfigError, DataError, SiamlocError
 from siamloc.runtime.localizer import Localizer
 from siamloc.runtime.stream import CAMERA, Located, locate_all, named
@@ -84,17 +84,17 @@ class Live:
         images: str | Path | Sequence[str | Path],
         *,
         track: bool = False,
-        host: str = "127.0.0.1",
-        port: int = 8000,
-        fps: float = 5.0,
+        host: Text = "127.0.0.1",
+        port: Port = 8000,
+        fps: Pace = 5.0,
     ) -> None:
-        self.host, self.fps = checked(host, Text, "host"), checked(fps, Pace, "fps")
+        self.host, self.fps = host, fps
         named(images)
         localizer.bundle.thumbnail(0)  # fails here if the thumbnails are damaged
         if track:
             localizer.tracker()
         self._localizer, self._images, self._track = localizer, images, track
-        self._socket = _listening(self.host, checked(port, Port, "port"))
+        self._socket = _listening(host, port)
         self.port: int = self._socket.getsockname()[1]
         self._lock, self._stopped, self._ended = threading.Lock(), threading.Event(), threading.Event()
         self._state: dict[str, Any] = {"status": "waiting", "number": 0, "text": "waiting for the first image"}

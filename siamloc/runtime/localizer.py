@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from analytic import Description
 from foundation.calls import typed
-from foundation.settings import Count, checked
+from foundation.settings import Count
 from siamloc.data.decoding import UnreadableImageError
 from siamloc.errors import ConfigError, DataError, FormatError
 from siamloc.maps import (
@@ -25,15 +25,18 @@ from siamloc.maps import (
     RefinedPoses,
     Retrieval,
     SequenceFilter,
-    VisualMap,
     frame_distances,
     headings,
     match,
     temperature_of_map,
 )
+from siamloc.maps.sequence_filter import spacing_of
 from siamloc.memory import returned_memory
 from siamloc.runtime.bundle import Bundle
 from siamloc.runtime.describing import Describer, analytic_descriptor
+
+Tracker = PoseFilter | SequenceFilter
+"""Follows a robot from image to image, see `Localizer.tracker`."""
 
 _STANDING = 0.01  # step in a map whose frames are all in one place
 
@@ -106,34 +109,6 @@ class Location:
         return f"{position}{heading}{room}{expected}{lost}; nearest {others}; {self.ms:.1f} ms"
 
 
-class FrameFilter:
-    """Track a robot over the frames of a map, one image after the other, with `siamloc.maps.SequenceFilter`.
-
-    Args:
-        known: m frames, all with positions.
-        step: roughly how far the robot moves between two images; the map's frame-to-frame distance if None.
-
-    Raises:
-        ConfigError: a step that is not positive.
-    """
-
-    def __init__(self, known: VisualMap, step: float | None = None) -> None:
-        self._filter = SequenceFilter(MotionModel.learn(known.frames, step=step), temperature_of_map(known))
-
-    def reset(self) -> None:
-        """Forget all images, so that the robot may be anywhere."""
-        self._filter.reset()
-
-    def step(self, distances: NDArray[np.float64]) -> tuple[int, float]:
-        """Update with the distances of an image to all frames (m,); return the likeliest frame and its uncertainty.
-
-        The uncertainty is the root mean square distance of the robot's possible positions from that frame.
-        """
-        belief, xy = self._filter.step(distances), self._filter.motion.xy
-        best = int(belief.argmax())
-        return best, float(np.sqrt(belief @ np.square(xy - xy[best]).sum(axis=1)))
-
-
 class Localizer:
     """Locates images with a bundle written by `siamloc.runtime.export`.
 
@@ -163,13 +138,12 @@ class Localizer:
     def __init__(
         self,
         bundle_path: str | Path,
-        top: int = 3,
-        threads: int | None = None,
+        top: Count = 3,
+        threads: Count | None = None,
         providers: Sequence[str] = ("CPUExecutionProvider",),
         hierarchical: bool | None = None,
     ) -> None:
-        self._top = checked(top, Count, "top")
-        self.bundle = Bundle.open(bundle_path)
+        self._top, self.bundle = top, Bundle.open(bundle_path)
         known = self.bundle.load_map()
         if known is None:
             raise ConfigError(f"{bundle_path} holds no map: run `siamloc map`, then `siamloc export` again")
@@ -202,7 +176,7 @@ class Localizer:
         return self.map.unit
 
     @typed
-    def tracker(self, step: float | None = None) -> PoseFilter | FrameFilter:
+    def tracker(self, step: float | None = None) -> Tracker:
         """Return a tracker that follows a robot from image to image, for `locate`; use one per drive.
 
         If poses are refined by comparison with map frames, the poses are tracked (`siamloc.maps.PoseFilter`); otherwise
@@ -217,13 +191,13 @@ class Localizer:
         if self._placed is None:
             raise ConfigError(f"{self.bundle.path} cannot follow a robot: none of its map frames has a position")
         if self._refinement is not None and self._refinement.method == "relative":
-            return PoseFilter(_spacing(self._placed) if step is None else step)
-        return FrameFilter(self._placed, step)
+            return PoseFilter(spacing_of(self._placed.frames) or _STANDING if step is None else step)
+        return SequenceFilter(MotionModel.learn(self._placed.frames, step=step), temperature_of_map(self._placed))
 
     def locate(
         self,
         image: str | Path | NDArray[np.uint8],
-        tracker: PoseFilter | FrameFilter | None = None,
+        tracker: Tracker | None = None,
         seen: Callable[[NDArray[np.uint8]], None] | None = None,
     ) -> Location:
         """Locate an image: a file, or pixels (rows, columns, 3) RGB uint8 as they come from the camera.
@@ -245,7 +219,7 @@ class Localizer:
         return self._located(panorama, self.describe(panorama[None]), tracker, start)
 
     @typed
-    def locate_panorama(self, panorama: NDArray[np.uint8], tracker: PoseFilter | FrameFilter | None = None) -> Location:
+    def locate_panorama(self, panorama: NDArray[np.uint8], tracker: Tracker | None = None) -> Location:
         """Locate a panorama of the bundle's size, uint8, RGB; see `locate`.
 
         Args:
@@ -285,7 +259,7 @@ class Localizer:
         return [replace(one, ms=mean) for one in found]
 
     def _located(
-        self, panorama: NDArray[np.uint8], query: Description, tracker: PoseFilter | FrameFilter | None, start: float
+        self, panorama: NDArray[np.uint8], query: Description, tracker: Tracker | None, start: float
     ) -> Location:
         found, frames = self._found(panorama, query), self.map.frames
         candidates = tuple(
@@ -301,12 +275,13 @@ class Localizer:
         )
         pose, error, lost = self._estimates(query, found)
         known, row, covariance = self.map, candidates[0].row, None
-        if isinstance(tracker, FrameFilter):
+        if isinstance(tracker, SequenceFilter):
             assert self._placed is not None
             known, pose = self._placed, None
-            row, spread = tracker.step(frame_distances(known, query)[0])
+            row = int(tracker.step(frame_distances(known, query)[0]).argmax())
             found = Retrieval(np.array([[row]]), np.zeros((1, 1)))
-            covariance = ((spread**2 / 2, 0.0), (0.0, spread**2 / 2))
+            variance = tracker.spread(row) ** 2 / 2
+            covariance = ((variance, 0.0), (0.0, variance))
         elif pose is not None:
             pose = pose if tracker is None else tracker.step(pose)
             covariance = _told(pose)
@@ -398,14 +373,6 @@ class Localizer:
         except (UnreadableImageError, ConfigError) as error:  # damaged, or too small for the camera's ring
             what = image if pixels is None else f"an image of {pixels.shape[0]} x {pixels.shape[1]}"
             raise DataError(f"{what} cannot be located: {error}") from error
-
-
-def _spacing(known: VisualMap) -> float:
-    """Return the median distance between consecutive frames of a map that are not in one place."""
-    frames = known.frames
-    steps = [np.hypot(*np.diff(frames.xy[rows], axis=0).T) for rows in frames.rows_by("sequence").values()]
-    length = np.concatenate(steps)
-    return float(np.median(length[length > 0])) if (length > 0).any() else _STANDING
 
 
 def _told(pose: RefinedPoses) -> tuple[tuple[float, float], tuple[float, float]] | None:

@@ -26,9 +26,9 @@ from siamloc.maps import (
     temperature_of_map,
 )
 from siamloc.maps.heading import NetworkHeading, halved
+from siamloc.maps.sequence_filter import spacing_of
 from siamloc.models import as_descriptor, build
 from siamloc.runtime import Bundle, Localizer, export, locate_all
-from siamloc.runtime.localizer import _spacing
 from siamloc.runtime.onnx_model import export_relative, relative_parity
 from tests.siamloc.runtime.conftest import IMAGES, SIZE, batch, drive, rewritten
 
@@ -117,7 +117,7 @@ def test_the_robot_is_followed_as_the_filter_of_the_evaluation_does(known, seen,
     np.testing.assert_array_equal([one.error_m for one in alone], [one.error_m for one in found])
     again = [localizer.locate(picture, localizer.tracker(step=0.3)) for picture in pictures]
     assert [one.x for one in again] == pytest.approx([one.x for one in alone]), "the first image of a drive is alone"
-    assert localizer.tracker().length == pytest.approx(_spacing(known))
+    assert localizer.tracker().length == pytest.approx(spacing_of(known.frames))
 
 
 def test_a_picture_without_contrast_ends_no_drive(bundle):
