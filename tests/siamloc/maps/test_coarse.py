@@ -167,6 +167,10 @@ def test_ways_that_cannot_be_taken():
         group(KNOWN, "sample", node=3)
     with pytest.raises(ConfigError, match=r"build\.nodes must be a whole number from 1 to 10 million, got 0"):
         group(KNOWN, "spectral", nodes=0)
+    with pytest.raises(
+        ConfigError, match=r"build\.first_node=5 would form nodes of fewer than build\.smallest_node=10"
+    ):
+        group(KNOWN, "incremental", first_node=5)
     aligned = analytic.descriptor("briefgist")
     known = VisualMap(DESCRIPTORS, KNOWN.frames, describes=aligned)
     with pytest.raises(ConfigError, match="those of briefgist have to be aligned first"):
