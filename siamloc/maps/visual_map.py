@@ -190,6 +190,7 @@ class VisualMap:
     def take(self, rows: ArrayLike) -> VisualMap:
         """Return the map of some rows, given by index or by a mask."""
         key: Any = np.atleast_1d(rows)
+        key = key if key.size else key.astype(np.int64)
         descriptors, orientation = self.descriptors[key], self.orientation
         if orientation is not None:
             shared = shares_values(orientation, self.descriptors)

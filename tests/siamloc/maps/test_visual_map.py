@@ -93,6 +93,11 @@ def test_a_map_without_positions_says_so() -> None:
         VisualMap([[1.0]], FrameTable(path=["a.png"])).placed()
 
 
+def test_no_frames_of_a_map_are_no_map() -> None:
+    with pytest.raises(DataError, match=r"n and D at least 1, got \(0, 3\)"):
+        make_map().take([])
+
+
 def test_a_map_of_one_frame(tmp_path: Path) -> None:
     make_map(1).save(tmp_path / "one.npz")
     found = VisualMap.load(tmp_path / "one.npz").search(np.ones((2, 3)), 5)
