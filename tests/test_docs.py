@@ -57,7 +57,7 @@ def test_the_reference_names_everything_public(site, page):
 def test_names_and_commands_of_a_page_exist(page):
     text = page.read_text(encoding="utf-8")
     for dotted in set(
-        re.findall(r"\b((?:siamloc|analytic|augment|foundation)(?:\.\w+)+)", re.sub(r"[\w./-]+\.(?:md|py)\b", "", text))
+        re.findall(r"\b((?:siamloc|analytic|augment|foundation)(?:\.\w+)+)", re.sub(r"[\w./-]+\.(?:md|py|json)\b", "", text))
     ):
         value = importlib.import_module(dotted.partition(".")[0])
         for name in dotted.split(".")[1:]:
