@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from analytic import AnalyticError, descriptor
+from analytic import descriptor
 
 RNG = np.random.default_rng(8)
 IMAGES = RNG.integers(1, 100, (4, 3, 16, 48), dtype=np.uint8)
@@ -38,30 +38,11 @@ def test_a_colour_falls_into_its_bins(colour, hue, saturation, value):
     assert values.argmax(axis=2).tolist() == [[value] * 4]
 
 
-def test_each_band_counts_its_pixels_once():
-    colours, values = shares(descriptor("hsv", **SMALL).describe(IMAGES))
-    np.testing.assert_allclose(colours.sum(axis=2), 1, rtol=1e-5)
-    np.testing.assert_allclose(values.sum(axis=2), 1, rtol=1e-5)
-    half = np.concatenate([plain(1, 0, 0)[:, :8], plain(0, 0, 1)[:, 8:]], axis=1)
-    colours, _ = shares(descriptor("hsv", **SMALL).describe(half))
-    assert colours[0].argmax(axis=1).tolist() == [3, 3, 19, 19]
-
-
 def test_the_brightness_of_the_light_changes_values_alone():
     made = descriptor("hsv", **SMALL)
     dim, bright = made.describe(IMAGES), made.describe(2 * IMAGES)
     for one, other, same in zip(shares(dim), shares(bright), (True, False), strict=True):
         assert np.allclose(one, other, atol=1e-6) == same
-
-
-def test_windows_wrap_around_only_where_columns_do():
-    image = np.array(plain(0.5, 0.5, 0.5))
-    image[:, :, 0] = [[1], [0], [0]]  # red in the first column
-    ring, flat = (descriptor("hsv", **SMALL, circular=wraps).describe(image).orientation[0] for wraps in (True, False))
-    assert np.flatnonzero(ring[:, 0]).tolist() == [0, 22, 23]
-    assert np.flatnonzero(flat[:, 0]).tolist() == [0]
-    np.testing.assert_allclose(ring[0, 0], 1 / 6, rtol=1e-6)
-    np.testing.assert_allclose(ring[:, 6:].sum(axis=1), 1, rtol=1e-6)
 
 
 def test_two_rooms_alike_but_for_the_paint_are_told_apart():
@@ -72,18 +53,3 @@ def test_two_rooms_alike_but_for_the_paint_are_told_apart():
     seen = np.clip(1.2 * rooms + RNG.normal(0, 0.01, rooms.shape), 0, 1)
     made = descriptor("hsv", **SMALL)
     assert made.localize(made.describe(seen), made.describe(rooms)).index.tolist() == [0, 1, 2]
-
-
-@pytest.mark.parametrize(
-    ("params", "says"),
-    [
-        ({"rows": 0}, "hsv.rows must be .*, got 0"),
-        ({"hues": -1}, "hsv.hues must be .*, got -1"),
-        ({"rows": 5}, "hsv's rows=5 .* height of 16 pixels: use rows=4 or 8"),
-        ({"step": 5}, "hsv's step=5 .* width of 48 pixels: use step=4 or 6"),
-        ({"window": 49}, "hsv's window=49 .* 48 columns: use at most window=48"),
-    ],
-)
-def test_mistakes_are_one_sentence(params, says):
-    with pytest.raises(AnalyticError, match=says):
-        descriptor("hsv", **{**SMALL, **params}).describe(IMAGES)
