@@ -109,11 +109,8 @@ def test_black_and_white_stay_finite(value):
     ("call", "says"),
     [
         (lambda: homomorphic(IMAGES, cutoff=0), "cutoff must be a number above 0, got 0"),
-        (lambda: homomorphic(IMAGES, cutoff=np.nan), "cutoff must be a number above 0"),
         (lambda: homomorphic(IMAGES, low=-0.1), "0 <= low <= high, got low=-0.1"),
         (lambda: homomorphic(IMAGES, low=1.5), "got low=1.5 and high=1"),
-        (lambda: homomorphic(np.zeros((2, 5, 4, 4))), r"got \(2, 5, 4, 4\)"),
-        (lambda: homomorphic(np.full((4, 4), np.nan)), "not finite"),
         (lambda: homomorphic(np.full((4, 4), 2.0)), r"values in \[0, 1\]"),
     ],
 )

@@ -3,10 +3,9 @@ import json
 import numpy as np
 import pytest
 
-from analytic.mapper import IncrementalMapper
 from analytic.mapper.graph import coordinates, edges, loops
 from foundation.errors import StorageError
-from tests.analytic.mapper.world import World, corridor_drive, rows
+from tests.analytic.mapper.world import POSES, mapped
 
 LABELS = np.array([-1, 0, 0, 1, -1, 1, 2, -1, 0, 0, 2, 1])
 MATCHES = np.array([-1, -1, 1, -1, 3, 3, -1, -1, 2, 8, 6, 0])
@@ -39,23 +38,14 @@ def test_coordinates_of_a_pose(pose, place):
     assert coordinates(pose) == place
 
 
-def mapped(poses):
-    world = World(size=8, reach=5.0, seed=1)
-    mapper = IncrementalMapper(world, 2)
-    drive = corridor_drive(260, seed=1)
-    for frame, pose in zip(rows(world.at(drive, noise=0.2, seed=1)), drive, strict=True):
-        mapper.add(frame, pose if poses else None)
-    return mapper, drive
-
-
 def test_a_map_as_a_graph(tmp_path):
-    mapper, drive = mapped(True)
+    mapper = mapped(version=2)
     graph = mapper.graph()
     labels = mapper.labels()
     assert set(graph.nodes) == set(labels[labels >= 0].tolist())
     for node, values in graph.nodes.items():
         assert values["frames"] == (labels == node).sum()
-        assert [values["x"], values["y"]] == pytest.approx(drive[labels == node, :2].mean(axis=0))
+        assert [values["x"], values["y"]] == pytest.approx(POSES[labels == node, :2].mean(axis=0))
     assert graph.loops
     assert all(labels[a] == labels[b] and b < a for a, b in graph.loops)
     graph.to_json(tmp_path / "map.json")
@@ -66,6 +56,5 @@ def test_a_map_as_a_graph(tmp_path):
 
 
 def test_a_graph_that_cannot_be_written(tmp_path):
-    mapper, _ = mapped(False)
     with pytest.raises(StorageError, match="cannot be written"):
-        mapper.graph().to_json(tmp_path)
+        mapped(3).graph().to_json(tmp_path)

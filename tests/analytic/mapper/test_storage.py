@@ -8,49 +8,33 @@ from analytic import AnalyticError
 from analytic.mapper import IncrementalMapper, replay
 from foundation.arrays import read_arrays, write_arrays
 from foundation.errors import FormatError
-from tests.analytic.mapper.world import World, corridor_drive, rows
+from tests.analytic.mapper.world import FRAMES, POSES, WORLD, World, corridor_drive, mapped, rows
 
-WORLD = World(size=8, reach=5.0, seed=1)
-POSES = corridor_drive(200, seed=1)
-FRAMES = rows(WORLD.at(POSES, noise=0.2, seed=1))
-
-
-def mapped(frames, **parameters):
-    mapper = IncrementalMapper(WORLD, **parameters)
-    for frame, pose in zip(FRAMES[:frames], POSES, strict=False):
-        mapper.add(frame, pose)
-    return mapper
-
-
-@pytest.mark.parametrize(
-    "parameters", [{"version": 1}, {"version": 2}, {"version": 1, "exemplars": 12}, {"version": 2, "exemplars": 12}]
-)
-@pytest.mark.parametrize("orientation", [True, False])
-def test_going_on_after_loading_is_never_having_stopped(tmp_path, parameters, orientation):
-    whole = IncrementalMapper(WORLD, orientation=orientation, **parameters)
-    parts = IncrementalMapper(WORLD, orientation=orientation, **parameters)
-    for index, (frame, pose) in enumerate(zip(FRAMES, POSES, strict=True)):
-        if index % 23 == 0:
-            parts.save(tmp_path / "map")
-            parts = IncrementalMapper.load(tmp_path / "map", WORLD, extend=True)
-        assert whole.add(frame, pose) == parts.add(frame, pose)
-    check_equal_files(tmp_path, whole, parts)
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["0", "1", "map"]
-    assert np.array_equal(replay(parts.events), whole.labels())
+WIDE = World(size=96, steps=8, reach=6.0, seed=2)
+WIDE_FRAMES = rows(WIDE.at(corridor_drive(300, seed=5, rooms=6), noise=0.2, seed=3))
 
 
 @pytest.mark.parametrize("version", [1, 2])
-def test_going_on_with_wide_descriptors(tmp_path, version):
-    world = World(size=96, steps=8, reach=6.0, seed=2)
-    frames = rows(world.at(corridor_drive(300, seed=5, rooms=6), noise=0.2, seed=3))
-    whole, parts = (IncrementalMapper(world, version, y=2.5, exemplars=12) for _ in range(2))
+@pytest.mark.parametrize(
+    ("world", "frames", "parameters"),
+    [
+        (WORLD, FRAMES, {}),
+        (WORLD, FRAMES, {"exemplars": 12, "orientation": False}),
+        (WIDE, WIDE_FRAMES, {"exemplars": 12, "y": 2.5}),
+    ],
+    ids=["narrow", "flat", "wide"],
+)
+def test_going_on_after_loading_is_never_having_stopped(tmp_path, world, frames, parameters, version):
+    whole, parts = (IncrementalMapper(world, version, **parameters) for _ in range(2))
     for index, frame in enumerate(frames):
         if index % 37 == 0:
             parts.save(tmp_path / "map")
             parts = IncrementalMapper.load(tmp_path / "map", world, extend=True)
-        assert whole.add(frame) == parts.add(frame)
+        assert whole.add(frame, [index, 0]) == parts.add(frame, [index, 0])
     assert len(whole.nodes) > 1
     check_equal_files(tmp_path, whole, parts)
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["0", "1", "map"]
+    assert np.array_equal(replay(parts.events), whole.labels())
 
 
 def check_equal_files(folder, *mappers):

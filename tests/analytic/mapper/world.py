@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from analytic.descriptors.base import Description, Descriptor
+from analytic.mapper import IncrementalMapper
 
 COLD = Path(__file__).parents[3] / ".." / "shared" / "data" / "cold_places"
 
@@ -87,3 +88,16 @@ def cold_drive(name):
 def rows(description):
     """Return the frames of a description one by one."""
     return [description.take([row]) for row in range(len(description))]
+
+
+WORLD = World(size=8, reach=5.0, seed=1)
+POSES = corridor_drive(260, seed=1)
+FRAMES = rows(WORLD.at(POSES, noise=0.2, seed=1))
+
+
+def mapped(frames=None, **parameters):
+    """Map the first of these frames, or all."""
+    mapper = IncrementalMapper(WORLD, **parameters)
+    for frame, pose in zip(FRAMES[:frames], POSES, strict=False):
+        mapper.add(frame, pose)
+    return mapper
