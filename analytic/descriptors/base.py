@@ -16,7 +16,7 @@ from analytic.description import Alignment, Description, Match, check_alike, joi
 from analytic.distances import between_units
 from analytic.distances import distance as distance_named
 from analytic.errors import AnalyticError
-from analytic.filters import filtered
+from analytic.filters import homomorphic
 from analytic.images import luma, unit, with_channels
 from analytic.threads import each
 from foundation.settings import Rule, Settings
@@ -223,7 +223,7 @@ class ImageDescriptor(Descriptor, Settings):
         """Return the position part (1, D) and the orientation part (1, K, F) of one image (1, C, H, W)."""
         seen = unit(image)
         seen = seen if self.colour else luma(seen)
-        seen = filtered(seen, circular=self.circular) if self.homomorphic else seen
+        seen = homomorphic(seen, circular=self.circular) if self.homomorphic else seen
         position, orientation = self._describe(seen[0] if self.colour else seen[0, 0])
         return position[None], None if orientation is None else np.ascontiguousarray(orientation)[None]
 

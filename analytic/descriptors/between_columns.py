@@ -8,12 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analytic.alignment import best_turns, euclidean, heading
-from analytic.description import Alignment, Description, fft
+from analytic.description import Alignment, Description
 from analytic.descriptors.base import Descriptor
 from analytic.errors import AnalyticError
 
 _TURNS = 1024  # at least this many are compared
-_ROWS = 4096  # pairs whose correlations are in memory at once
 
 
 class BetweenColumns(Descriptor):
@@ -46,21 +45,6 @@ class BetweenColumns(Descriptor):
         product = found.peak * (turns / columns)  # the inverse transform divides by the number of turns
         distance, _ = euclidean(product, queries.squares[:, None] + references.squares)
         return Alignment(heading(found.step, turns), distance)
-
-    def relative_heading(self, query: Description, reference: Description) -> NDArray[np.float64]:
-        """Return how far the robot of each query has turned left since its reference (B,); see `Descriptor`."""
-        if len(reference) != len(query):
-            return super().relative_heading(query, reference)
-        self.check(query, reference)
-        columns = self._steps(query, reference)
-        turns = _turns(columns)
-        steps = np.zeros(len(query), dtype=np.int64)
-        for start in range(0, len(query), _ROWS):
-            rows = slice(start, start + _ROWS)
-            crossed = (query.spectrum[:, rows] * reference.spectrum[:, rows].conj()).sum(axis=2)
-            crossed = _filled_up(crossed, columns, turns)
-            steps[rows] = fft().irfft(crossed, n=turns, axis=0).argmax(axis=0)
-        return heading(steps, turns)
 
 
 def _filled_up(spectrum: NDArray[Any], columns: int, turns: int) -> NDArray[Any]:

@@ -27,8 +27,6 @@ class Purity:
         labels: labels of the nodes with counted frames, ascending (k,).
         room_of_node: the room that each of these nodes belongs to.
         counted: frames with a room label and a node.
-        unlabelled: frames without a room label, left out.
-        unassigned: frames with a room label but without a node, left out.
     """
 
     overall: float
@@ -38,8 +36,6 @@ class Purity:
     labels: Integers
     room_of_node: list[str]
     counted: int
-    unlabelled: int
-    unassigned: int
 
 
 def purity(labels: ArrayLike, rooms: ArrayLike) -> Purity:
@@ -64,8 +60,7 @@ def purity(labels: ArrayLike, rooms: ArrayLike) -> Purity:
         )
     texts = names.astype(np.str_)
     node = checks.cluster_labels(np.asarray(labels, dtype=np.int64) if not np.size(labels) else labels, len(texts))
-    labelled = texts != ""
-    counted = labelled & (node >= 0)
+    counted = (texts != "") & (node >= 0)
     present, node_rank = np.unique(node[counted], return_inverse=True)
     room_names, room_rank = np.unique(texts[counted], return_inverse=True)
     table = np.zeros((len(present), len(room_names)), dtype=np.int64)
@@ -82,6 +77,4 @@ def purity(labels: ArrayLike, rooms: ArrayLike) -> Purity:
         labels=present,
         room_of_node=[str(room_names[i]) for i in major],
         counted=total,
-        unlabelled=int((~labelled).sum()),
-        unassigned=int((labelled & (node < 0)).sum()),
     )
