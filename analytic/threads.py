@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import cv2
+
+from foundation.threads import in_order
 
 
 def each(function: Callable[[Any], Any], parts: Sequence[Any]) -> list[Any]:
@@ -19,7 +20,4 @@ def each(function: Callable[[Any], Any], parts: Sequence[Any]) -> list[Any]:
         [1, 2, 3]
     """
     threads = min(len(parts), cv2.getNumThreads())
-    if threads < 2:
-        return [function(part) for part in parts]
-    with ThreadPoolExecutor(threads, thread_name_prefix="analytic") as pool:
-        return list(pool.map(function, parts))
+    return list(in_order(function, parts, threads)) if threads > 1 else [function(part) for part in parts]

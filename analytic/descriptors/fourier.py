@@ -106,11 +106,8 @@ class FourierSignature(ImageDescriptor):
     def _correlated(self, queries: Description, references: Description) -> tuple[Integers, Floats]:
         """Return the best turn and the aligned distance (n, m) by correlation of the rows."""
         rows = queries.kept("rows", _by_frequency), references.kept("rows", _by_frequency)
-        if self.whitened:
-            white = queries.kept("white", _white), references.kept("white", _white)
-            found = best_turns(*white, self.turns, product=rows)
-        else:
-            found = best_turns(*rows, self.turns)
+        white = [made.kept("white", _white) for made in (queries, references)] if self.whitened else rows
+        found = best_turns(white[0], white[1], self.turns, product=rows if self.whitened else None)
         turn = 2j * pi / self.turns * np.arange(len(rows[0]))[:, None]
 
         def turned(row: int) -> Callable[[int], NDArray[Any]]:
@@ -132,7 +129,7 @@ class FourierSignature(ImageDescriptor):
         known = references.kept("phases", _flat_phases)
         frequency = np.arange(queries.turnable.shape[1])[:, None]
         turns = np.arange(self.turns)[:, None, None] * frequency * (2 * pi / self.turns)
-        for row, phases in enumerate(_phases(queries)):
+        for row, phases in enumerate(np.angle(queries.turnable.astype(np.complex128))):
             query = _in_half_turn(phases + turns).reshape(self.turns, -1).astype(np.float32)
             step[row] = (query @ known.T).argmax(axis=0)
             distance[row] = np.linalg.norm(query[step[row]] - known, axis=1)
@@ -197,13 +194,10 @@ def _between_rows(one: NDArray[np.complex64], other: NDArray[np.complex64]) -> f
     return sqrt(2 * norm(values, known) ** 2 - norm(values[:1], known[:1]) ** 2)
 
 
-def _phases(description: Description) -> Floats:
-    return np.angle(description.turnable.astype(np.complex128))
-
-
 def _flat_phases(description: Description) -> NDArray[np.float32]:
     """Return the phases (B, U * R) in (-pi, pi]."""
-    return _in_half_turn(_phases(description)).reshape(len(description), -1).astype(np.float32)
+    phases = np.angle(description.turnable.astype(np.complex128))
+    return _in_half_turn(phases).reshape(len(description), -1).astype(np.float32)
 
 
 def _in_half_turn(phases: Floats) -> Floats:

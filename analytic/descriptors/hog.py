@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analytic.alignment import Turns, whitened_turns
+from analytic.arrays import Floats, Integers
 from analytic.description import Description
 from analytic.descriptors.base import Cells, ImageDescriptor, check_cells
 
@@ -88,11 +89,8 @@ class Hog(ImageDescriptor):
         across, down = wide[:, 2:] - wide[:, :-2], tall[2:] - tall[:-2]  # 2 Dx and 2 Dy
         magnitude, angle = np.sqrt(across * across + down * down), np.arctan2(down, across)
         band = np.arange(height)[:, None] // (height // self.rows)
-        place = _direction(angle, self.bins)
-        position = _histograms(place, magnitude, band, self.rows, self.bins)
-        if self.bins != self.orientation_bins:
-            place = _direction(angle, self.orientation_bins)
-        columns = _histograms(place, magnitude, np.arange(width), width, self.orientation_bins)
+        position = _histograms(band, self.rows, angle, self.bins, magnitude)
+        columns = _histograms(np.arange(width), width, angle, self.orientation_bins, magnitude)
         return position.reshape(-1), window_sums(columns, self.window, self.step, self.circular)
 
     def _best_turns(self, queries: Description, references: Description, steps: int) -> Turns:
@@ -114,28 +112,29 @@ def window_sums(columns: NDArray[np.float32], window: int, step: int, circular: 
     return (total[window : window + width : step] - total[:width:step]).astype(np.float32)
 
 
-def _direction(angle: NDArray[np.float32], bins: int) -> NDArray[np.int64]:
-    """Return the places 0 ... bins of angles in [-pi, pi]: place p is bin p - bins // 2.
+def cell_sums(cell: Integers, cells: int, place: Integers, bins: int, weight: NDArray[np.float32]) -> Floats:
+    """Return the sums of weights (H, W) by cell and bin (cells, bins).
 
-    The first place and the last are the same bin, which the angle -pi = pi cuts in two. Fractions are truncated, which
-    rounds down since nothing is negative.
+    Args:
+        cell: cell of each pixel, (H, 1) or (W,).
+        cells: number of cells.
+        place: (H, W) bin of each pixel.
+        bins: number of bins.
+        weight: (H, W).
     """
-    return (angle * np.float32(bins / (2 * pi)) + np.float32(bins // 2 + 0.5)).astype(np.int64)
+    sums = np.bincount((cell * bins + place).ravel(), weight.ravel(), cells * bins)
+    return np.asarray(sums.reshape(cells, bins), dtype=np.float64)
 
 
 def _histograms(
-    place: NDArray[np.int64], magnitude: NDArray[np.float32], cell: NDArray[np.int64], cells: int, bins: int
+    cell: Integers, cells: int, angle: NDArray[np.float32], bins: int, magnitude: NDArray[np.float32]
 ) -> NDArray[np.float32]:
-    """Return half the sums of magnitudes by cell and bin (cells, bins).
+    """Return half the sums of magnitudes by cell and bin of the direction (cells, bins).
 
-    Args:
-        place: (H, W) place of the direction.
-        magnitude: (H, W) of the differences: twice that of the gradients.
-        cell: cell of each pixel, (H, 1) or (W,).
-        cells: number of cells.
-        bins: number of bins.
+    Fractions of bins are truncated, which rounds down since nothing is negative. The first bin and one more, after the
+    last, are the same, which the angle -pi = pi cuts in two.
     """
-    sums = np.bincount((cell * (bins + 1) + place).ravel(), magnitude.ravel(), cells * (bins + 1))
-    found = sums.reshape(cells, bins + 1) / 2
-    found[:, 0] += found[:, bins]
-    return np.roll(found[:, :bins], -(bins // 2), axis=1).astype(np.float32)
+    place = (angle * np.float32(bins / (2 * pi)) + np.float32(bins // 2 + 0.5)).astype(np.int64)
+    sums = cell_sums(cell, cells, place, bins + 1, magnitude) / 2
+    sums[:, 0] += sums[:, bins]
+    return np.roll(sums[:, :bins], -(bins // 2), axis=1).astype(np.float32)

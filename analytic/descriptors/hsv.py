@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from analytic.alignment import Turns, whitened_turns
 from analytic.description import Description
 from analytic.descriptors.base import Cells, ImageDescriptor, check_cells
-from analytic.descriptors.hog import window_sums
+from analytic.descriptors.hog import cell_sums, window_sums
 
 _TIE = 1e-4  # of a bin; an 8-bit value is exactly on an edge, or further from it than this
 
@@ -93,15 +93,17 @@ class Hsv(ImageDescriptor):
         both = colour * self.saturations + strength
         row, column = np.arange(height)[:, None] // (height // self.rows), np.arange(width)
         of_band = height // self.rows * width
+        every = np.ones_like(hue)
         shares = [
-            _sums(row, self.rows, both, self.hues * self.saturations) / of_band,
-            _sums(row, self.rows, brightness, self.values) / (4 * of_band),
+            cell_sums(row, self.rows, both, self.hues * self.saturations, every).astype(np.float32) / of_band,
+            cell_sums(row, self.rows, brightness, self.values, every).astype(np.float32) / (4 * of_band),
         ]
         columns = [
-            _sums(column, width, colour, self.hues, saturation),
-            _sums(column, width, brightness, self.values),
+            cell_sums(column, width, colour, self.hues, saturation),
+            cell_sums(column, width, brightness, self.values, every),
         ]
-        windows = window_sums(np.concatenate(columns, axis=1), self.window, self.step, self.circular)
+        together = np.concatenate(columns, axis=1).astype(np.float32)
+        windows = window_sums(together, self.window, self.step, self.circular)
         return np.sqrt(np.concatenate(shares, axis=1)).reshape(-1), windows / np.float32(height * self.window)
 
 
@@ -123,11 +125,3 @@ def cone(colours: NDArray[np.float32]) -> tuple[NDArray[np.float32], NDArray[np.
 
 def _bins(share: NDArray[np.float32], count: int) -> NDArray[np.int64]:
     return np.floor(share * np.float32(count) + np.float32(_TIE)).astype(np.int64)
-
-
-def _sums(
-    cell: NDArray[np.int64], cells: int, place: NDArray[np.int64], bins: int, weight: NDArray[np.float32] | None = None
-) -> NDArray[np.float32]:
-    """Return the sums of weights (H, W), or the numbers of pixels, by cell and bin (cells, bins)."""
-    found = np.bincount((cell * bins + place).ravel(), None if weight is None else weight.ravel(), cells * bins)
-    return found.reshape(cells, bins).astype(np.float32)

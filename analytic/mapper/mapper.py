@@ -223,12 +223,10 @@ class IncrementalMapper:
                 f"the mapper takes what a descriptor's describe() returns, got {type(description).__name__}"
             )
         shape = description.position.shape
-        if len(shape) != 2 or 0 in shape:
-            raise AnalyticError(f"a position descriptor must have shape (images, numbers), got {shape}")
-        if shape[1] > LARGEST_POSITION:
+        if len(shape) != 2 or not 0 < shape[1] <= LARGEST_POSITION:
             raise AnalyticError(
-                f"a node keeps a covariance of its position descriptors, which may have at most {LARGEST_POSITION} "
-                f"numbers, got {shape[1]}: choose a smaller one, such as hog with rows=16, bins=16"
+                f"a node keeps a covariance of its position descriptors, which must have 1 to {LARGEST_POSITION} "
+                f"numbers for each image, got shape {shape}: use another descriptor, such as hog with rows=16, bins=16"
             )
         if count is not None and len(description) != count:
             raise AnalyticError(f"the mapper takes one image at a time, got a description of {len(description)}")
