@@ -101,16 +101,13 @@ def _checked(a: ArrayLike, b: ArrayLike) -> tuple[Floats, Floats]:
     return a, b
 
 
-def _centred(a: Floats) -> Floats:
-    centred = a - a.mean(axis=1, keepdims=True)
-    rounding = 1e-12 * np.abs(a).max(axis=1, keepdims=True, initial=0)
-    return np.where(np.abs(centred).max(axis=1, keepdims=True, initial=0) <= rounding, 0.0, centred)
-
-
 def unit_vectors(a: NDArray[Any], centred: bool = False) -> Floats:
     """Return the vectors (n, D) scaled to length 1, after subtracting their means if `centred`; zero stays zero."""
     a = np.asarray(a, dtype=np.float64)
-    a = _centred(a) if centred else a
+    if centred:
+        rounding = 1e-12 * np.abs(a).max(axis=1, keepdims=True, initial=0)
+        a = a - a.mean(axis=1, keepdims=True)
+        a = np.where(np.abs(a).max(axis=1, keepdims=True, initial=0) <= rounding, 0.0, a)
     norm = np.linalg.norm(a, axis=1, keepdims=True)
     return np.divide(a, norm, out=np.zeros_like(a), where=norm != 0)
 

@@ -84,11 +84,8 @@ class State:
         for label in np.unique(self.labels[list(frames)]).tolist():
             leaving = [frame for frame in frames if self.labels[frame] == label]
             if label != NONE:
-                node = self.nodes[label]
-                if len(node) - len(leaving) < self.rules.smallest_node:
-                    continue
-                kept = node.remove(leaving)
-                if not all(len(mode.gallery) for mode in kept.modes):
+                kept = self.nodes[label].remove(leaving)
+                if len(kept) < self.rules.smallest_node or not all(len(mode.gallery) for mode in kept.modes):
                     continue
                 self.nodes[label] = kept
                 self.labels[leaving] = NONE
@@ -118,8 +115,7 @@ def grow_version_1(state: State) -> Node | None:
     state.parked = (*state.parked, node)
     state.note(Reason.NODE_PARKED, node.id, node.frames, **measured)
     while len(state.parked) > rules.parked_nodes:
-        forgotten, *kept = state.parked
-        state.parked = tuple(kept)
+        forgotten, state.parked = state.parked[0], state.parked[1:]
         state.note(Reason.PARKED_FORGOTTEN, forgotten.id, forgotten.frames)
     return None
 

@@ -189,17 +189,12 @@ class IncrementalMapper:
                 `analytic.DESCRIPTORS`.
         """
         state, poses, identity, lines = storage.load(path)
-        if descriptor is None:
-            if identity.get("name") not in registry.DESCRIPTORS:
-                raise AnalyticError(
-                    f"the map {path} was made with the descriptor {identity.get('name')!r}, which is not one of "
-                    f"{', '.join(registry.DESCRIPTORS)}: give it as `descriptor`"
-                )
+        if descriptor is None and identity.get("name") in registry.DESCRIPTORS:
             descriptor = registry.descriptor(**identity)
-        if plain(descriptor.identity) != identity:
+        if descriptor is None or plain(descriptor.identity) != identity:
             raise AnalyticError(
-                f"the map {path} was made with the descriptor {identity}, not with {descriptor.identity}: give the "
-                "map's own"
+                f"the map {path} was made with the descriptor {identity}: give that one as `descriptor`, got "
+                f"{descriptor and descriptor.identity}"
             )
         mapper = cls(descriptor, **asdict(state.rules))
         mapper.extendable, mapper._state, mapper._poses, mapper._lines = extend, state, poses, lines
