@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from fractions import Fraction
 from functools import lru_cache
 from math import ceil, cos, floor, pi, sin
 from typing import Any, Literal
@@ -166,15 +165,13 @@ def choose(orientations: int, orientation_filters: int) -> tuple[tuple[float, ..
         orientation part needs; for each filter of the position part the index of its angle, and 1 if it is the
         reflected one; and the same for the orientation part, among the angles that it needs.
     """
-    wanted = [[Fraction(k, m) for k in range(m)] for m in (orientations, orientation_filters)]
-    folded = [sorted({min(share, 1 - share) for share in shares}) for shares in wanted]
-    computed = sorted({*folded[0], *folded[1]})
-
-    def places(shares: list[Fraction], among: list[Fraction]) -> Places:
-        return [among.index(min(s, 1 - s)) for s in shares], [int(s > 1 - s) for s in shares]
-
-    angles, needed = tuple(float(share) * pi for share in computed), [computed.index(share) for share in folded[1]]
-    return angles, needed, places(wanted[0], computed), places(wanted[1], folded[1])
+    counts = orientations, orientation_filters
+    folded = [[min(k, count - k) / count for k in range(count)] for count in counts]
+    reflected = [[int(2 * k > count) for k in range(count)] for count in counts]
+    computed, few = sorted({*folded[0], *folded[1]}), sorted(set(folded[1]))
+    of_position = [computed.index(share) for share in folded[0]], reflected[0]
+    of_orientation = [few.index(share) for share in folded[1]], reflected[1]
+    return tuple(share * pi for share in computed), [computed.index(s) for s in few], of_position, of_orientation
 
 
 @lru_cache(maxsize=8)

@@ -25,12 +25,3 @@ def test_results_come_in_order_from_as_many_threads_as_are_allowed(threads, coun
         return number, threading.current_thread() is threading.main_thread()
 
     assert each(part, list(range(count))) == [(number, used == 1) for number in range(count)]
-
-
-@pytest.mark.parametrize("count", [1, 3])
-def test_errors_come_through(threads, count):
-    def fail(part):
-        raise ValueError(f"part {part}")
-
-    with pytest.raises(ValueError, match="part 0"):
-        each(fail, list(range(count)))
