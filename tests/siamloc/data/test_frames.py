@@ -28,14 +28,7 @@ def numbers(frames: FrameTable) -> list[int]:
     return [int(path.split(".")[0]) for path in frames.path.tolist()]
 
 
-def test_columns_that_are_left_out_are_filled():
-    frames = FrameTable(path=["a", "b"])
-    assert np.isnan([frames.x, frames.y, frames.theta, frames.time]).all()
-    assert [column.tolist() for column in (frames.room, frames.lighting, frames.building)] == [["", ""]] * 3
-    assert not frames.has_position.any()
-
-
-def test_the_arrays_are_read_only_copies():
+def test_the_arrays_are_read_only_copies_and_those_left_out_are_filled():
     x = np.zeros(2)
     frames = FrameTable(path=["a", "b"], x=x)
     x[:] = 7
@@ -44,9 +37,9 @@ def test_the_arrays_are_read_only_copies():
         frames.x[0] = 1
     with pytest.raises(AttributeError):
         frames.x = x
-
-
-def test_columns_of_another_length_are_an_error():
+    assert np.isnan([frames.y, frames.theta, frames.time]).all()
+    assert [column.tolist() for column in (frames.room, frames.lighting, frames.building)] == [["", ""]] * 3
+    assert not frames.has_position.any()
     with pytest.raises(DataError, match=r"column 'x' has shape \(1,\), expected \(2,\) like 'path'"):
         FrameTable(path=["a", "b"], x=[1.0])
 
@@ -107,12 +100,6 @@ def test_every_k_agrees_with_counting(sequences, k):
     assert numbers(frames.every(k)) == expected
 
 
-@pytest.mark.parametrize("k", [0, -1, 1.5])
-def test_every_k_needs_a_positive_whole_number(k):
-    with pytest.raises(ConfigError, match="k must be a whole number from 1"):
-        table().every(k)
-
-
 @given(
     st.lists(st.tuples(st.sampled_from("ab"), st.integers(-3, 3), st.integers(-3, 3)), max_size=30),
     st.sampled_from([0.5, 1.0, 2.0, 100.0]),
@@ -134,7 +121,9 @@ def test_spacing_agrees_with_walking_along(steps, metres):
     assert numbers(frames.spaced(metres)) == expected
 
 
-def test_spacing_errors():
+def test_steps_and_spacings_are_positive():
+    with pytest.raises(ConfigError, match="k must be a whole number from 1"):
+        table().every(0)
     with pytest.raises(ConfigError, match="metres must be a number above 0, got 0"):
         table().spaced(0)
     with pytest.raises(DataError, match="2 of 2 frames have no position"):
@@ -145,17 +134,6 @@ def test_rows_by_keeps_the_order_of_appearance():
     frames = FrameTable(path=list("abcd"), room=["z", "a", "z", "m"])
     assert {room: rows.tolist() for room, rows in frames.rows_by("room").items()} == {"z": [0, 2], "a": [1], "m": [3]}
     assert list(frames.rows_by("room")) == ["z", "a", "m"]
-
-
-def test_places_tell_buildings_apart():
-    assert table().place.tolist() == ["one/a", "one/b", "one/", "a", "b", ""]
-
-
-def test_concatenating_keeps_the_order():
-    joined = concatenate([table().take([5, 1]), FrameTable(path=["a longer name"], room=["a longer room"])])
-    assert joined.path.tolist() == ["5.jpg", "1.jpg", "a longer name"]
-    assert joined.room.tolist() == ["", "b", "a longer room"]
-    assert len(concatenate([])) == 0
 
 
 def test_unit_and_source_are_kept_and_do_not_count_for_equality():
@@ -171,7 +149,10 @@ def test_unit_and_source_are_kept_and_do_not_count_for_equality():
         concatenate([frames, frames.take([0])]),
     ):
         assert (part.unit, part.source) == ("px", source)
-    assert concatenate([frames, frames.with_columns(source={})]).source == {}
+    joined = concatenate([frames.take([5, 1]), FrameTable(path=["a longer name"], room=["a room"], unit="px")])
+    assert (joined.path.tolist(), joined.room.tolist()) == (["5.jpg", "1.jpg", "a longer name"], ["", "b", "a room"])
+    assert joined.source == {}
+    assert len(concatenate([])) == 0
     with pytest.raises(DataError, match="positions count in px and m cannot be joined"):
         concatenate([frames, table()])
 
@@ -186,16 +167,15 @@ def test_a_large_table_shows_itself_in_one_line():
         room=["<office>"] * n,
     )
     text = repr(frames)
-    assert text == str(frames)
     assert "\n" not in text
-    assert len(text) < 400
     assert text.startswith("FrameTable(5000 frames; sequences: drive0 125, drive1 125, ")
     assert text.endswith("and 28 more; rooms: <office>; lightings: none; positions: 10 of 5000, in m)")
 
 
-def test_a_frame_is_known_by_its_sequence_and_its_absolute_path(tmp_path, monkeypatch):
+def test_frames_are_known_by_sequence_and_absolute_path_and_rooms_by_building(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     assert FrameTable(path=["a/../b.jpg"], sequence=["one"]).identities() == [("one", str(tmp_path / "b.jpg"))]
+    assert table().place.tolist() == ["one/a", "one/b", "one/", "a", "b", ""]
 
 
 def test_describe_names_what_there_is():
