@@ -18,15 +18,9 @@ TURNS = np.array([[0.0, 0.5], [0.0, -3.0], [0.0, 3.0]])
 def cold_frames(folder="/cold/freiburg/part_a/seq2_cloudy3", rooms=("CR-A", "CR-A", "KT-A"), times=(10.5, 10.75, 11.0)):
     poses = [(0.0, -1.5, 0.25), (1.0, 2.0, -1.0), (1.0, 2.0, 3.0)]
     names = [f"t{t:.6f}_x{x:.6f}_y{y:.6f}_a{a:.6f}.jpeg" for t, (x, y, a) in zip(times, poses, strict=True)]
-    return FrameTable(
-        path=[f"{folder}/omni_cam/{name}" for name in names],
-        x=[p[0] for p in poses],
-        y=[p[1] for p in poses],
-        theta=[p[2] for p in poses],
-        room=list(rooms),
-        sequence=["freiburg_a_seq2_cloudy3"] * 3,
-        time=list(times),
-    )
+    paths, (x, y, theta) = [f"{folder}/omni_cam/{name}" for name in names], zip(*poses, strict=True)
+    sequence = ["freiburg_a_seq2_cloudy3"] * 3
+    return FrameTable(path=paths, x=x, y=y, theta=theta, room=list(rooms), sequence=sequence, time=list(times))
 
 
 def expanded(kind, frames, root, folder, turns=TURNS):
@@ -44,6 +38,9 @@ def expanded(kind, frames, root, folder, turns=TURNS):
 def test_an_expanded_cold_data_set_reads_as_the_frames_with_turned_headings(tmp_path, root):
     frames = cold_frames()
     files = expanded("cold", frames, root, tmp_path)
+    kept = turned_headings(frames.with_columns(theta=[4.0, math.nan, 3.0]), TURNS)
+    assert kept[0, 0] == 4.0, "a heading that is not turned stays as it was written"
+    assert np.isnan(kept[1]).all()
     found = data.read("cold", root=tmp_path, on_error="raise")
     assert set(found.sequence.tolist()) == {"freiburg_a_seq2_cloudy3"}
     assert found.room.tolist() == ["CR-A"] * 4 + ["KT-A"] * 2
@@ -57,11 +54,8 @@ def test_a_folder_whose_name_would_rename_the_sequence_is_refused(tmp_path):
     frames = cold_frames("/drives/seq2_cloudy3").with_columns(sequence=["seq2_cloudy3"] * 3)
     with pytest.raises(DataError, match="seq2_cloudy3 would be read as one of another building: choose a folder"):
         expanded("cold", frames, "/drives/seq2_cloudy3", tmp_path / "freiburg_part_b" / "cold-freiburg_part_b")
-
-
-def test_sequences_without_rooms_get_no_list(tmp_path):
     expanded("cold", cold_frames(rooms=("", "", "")), "/cold", tmp_path)
-    assert not list(tmp_path.rglob("places.lst"))
+    assert not list(tmp_path.rglob("places.lst")), "without rooms there is no list of them"
     assert len(data.read("cold", root=tmp_path)) == 6
 
 
@@ -104,13 +98,6 @@ def test_an_expanded_image_folder_reads_as_the_frames(tmp_path):
         assert sorted(getattr(found, column).tolist()) == sorted(np.repeat(getattr(frames, column), 2).tolist())
     known = np.isfinite(found.theta)
     np.testing.assert_allclose(found.theta[known], [1.0, 1.5])
-
-
-def test_a_heading_that_was_not_turned_stays_as_it_was_written():
-    turned = turned_headings(cold_frames().with_columns(theta=[4.0, math.nan, 3.0]), TURNS)
-    assert turned[0, 0] == 4.0
-    assert np.isnan(turned[1]).all()
-    assert (np.abs(turned[2]) <= math.pi).all()
 
 
 @pytest.fixture

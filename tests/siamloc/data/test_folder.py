@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import logging
+import re
 from pathlib import Path
 
 import numpy as np
@@ -40,17 +41,14 @@ def test_images_without_a_pose_have_none_and_keep_the_order_of_their_names(tmp_p
     put(tmp_path, "train/b/2.jpg", "train/b/1.jpg", "train/a/t5_x1_y1_a1.jpeg")
     table = siamloc.data.read("folder", root=tmp_path)
     assert [Path(path).name for path in table.path.tolist()] == ["t5_x1_y1_a1.jpeg", "1.jpg", "2.jpg"]
-    assert np.isnan(table.x).tolist() == [False, True, True]
-    assert np.isnan(table.time).tolist() == [False, True, True]
-    assert table.lighting.tolist() == [""] * 3
+    assert np.isnan([table.x, table.time]).tolist() == [[False, True, True]] * 2
 
 
 def test_images_beside_the_rooms_are_left_out_and_reported(tmp_path, caplog):
     put(tmp_path, "train/a/1.jpg", "train/stray.jpg")
     with caplog.at_level(logging.WARNING, "siamloc"):
         assert len(siamloc.data.read("folder", root=tmp_path)) == 1
-    assert "1 of 2 images lie next to the rooms' folders" in caplog.text
-    assert "stray.jpg" in caplog.text
+    assert re.search(r"1 of 2 images lie next to the rooms' folders.*stray\.jpg", caplog.text)
     with pytest.raises(DataError, match=r"stray\.jpg"):
         siamloc.data.read("folder", root=tmp_path, on_error="raise")
 

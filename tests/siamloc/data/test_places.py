@@ -35,15 +35,12 @@ def test_images_of_a_place_lie_near_its_first_and_under_every_lighting():
         assert all(len(set(place)) == 3 for place in lighting.tolist())
 
 
-def test_more_images_than_a_place_has_are_the_same_ones_again():
+def test_images_that_no_place_has_are_the_same_ones_again_and_said():
     frames = building(drives=("cloudy",))
-    rows = PlaceSampler(frames, PlaceSettings(places=4, images=3, radius=0)).batch(0, 0).reshape(4, 3)
+    sampler = PlaceSampler(frames, PlaceSettings(places=4, images=4, radius=0.1))
+    rows = sampler.batch(0, 0).reshape(4, 4)
     assert (rows == rows[:, :1]).all()
-
-
-def test_images_that_no_place_has_are_said():
-    frames = building(drives=("cloudy",))
-    (note,) = PlaceSampler(frames, PlaceSettings(places=4, images=4, radius=0.1)).notes()
+    (note,) = sampler.notes()
     total = len(frames)
     assert note.startswith(f"{total} of {total} frames have no other one within pairs.radius=0.1 m: their places have")
     assert note.endswith("a larger pairs.radius finds some (half of the frames have one within 0.5 m)")
@@ -77,19 +74,16 @@ def test_near_places_lie_within_reach_of_another_place():
 
 
 def test_frames_of_two_buildings_at_one_position_are_two_places():
-    frames = FrameTable.from_rows(
-        [
-            {"path": f"{name}{number}", "x": 5.0 * number, "y": 0.0, "building": name}
-            for name in ("a", "b")
-            for number in range(10)
-        ]
-    )
+    frames = building(drives=("a", "b"), length=10, apart=5.0)
+    frames = frames.with_columns(building=frames.sequence, lighting=[""] * 20, sequence=[""] * 20)
     rows = PlaceSampler(frames, PlaceSettings(places=6, images=4, radius=5.0)).batch(0, 0).reshape(6, 4)
     assert (frames.building[rows] == frames.building[rows[:, :1]]).all()
 
 
 def test_a_batch_follows_from_seed_epoch_and_number():
     frames, settings = building(), PlaceSettings(places=5, images=2)
+    assert len(PlaceSampler(frames, settings)) == 12, "every frame once on average"
+    assert len(PlaceSampler(frames, PlaceSettings(epoch_batches=7))) == 7
     first = PlaceSampler(frames, settings, seed=4)
     rows = first.batch(2, 3)
     first.batch(0, 0)
@@ -104,11 +98,6 @@ def test_two_processes_share_one_batch_of_twice_the_places():
     one = PlaceSampler(frames, PlaceSettings(places=8, images=2, near=0.5), seed=1)
     shares = [two.batch(1, 2, rank, 2) for rank in (0, 1)]
     assert np.array_equal(np.concatenate(shares), one.batch(1, 2))
-
-
-def test_an_epoch_shows_every_frame_once_on_average():
-    assert len(PlaceSampler(building(), PlaceSettings(places=4, images=3))) == 10
-    assert len(PlaceSampler(building(), PlaceSettings(epoch_batches=7))) == 7
 
 
 def test_without_positions_places_are_stretches_of_a_sequence():
@@ -153,13 +142,6 @@ def test_images_of_a_place_come_from_different_positions_before_the_same_one_und
                 assert positions[3] in positions[:3]
                 assert len(set(frames.lighting[rows[:3]].tolist())) == 3
             assert len(set(rows.tolist())) == 4
-
-
-def test_positions_that_are_left_come_before_those_that_are_taken():
-    # The position at 0.1 is seen under two lights; whichever is taken, the one at 0.2 must come before the other one.
-    lighting = ["one", "one", "two", "one"]
-    frames = FrameTable(path=list("abcd"), x=[0.0, 0.1, 0.1, 0.2], y=[0.0] * 4, lighting=lighting, sequence=["s"] * 4)
-    sampler = PlaceSampler(frames, PlaceSettings(places=2, images=3, radius=0.3), seed=1)
-    for number in range(50):
-        for rows in sampler.batch(0, number).reshape(2, 3):
-            assert len(set(frames.x[rows].tolist())) == 3
+    # Of a position under two lights, either image is taken, and the other one comes after the third position.
+    sampler = PlaceSampler(frames.take([0, 4, 5, 8]), PlaceSettings(places=2, images=3, radius=0.3), seed=1)
+    assert all(len(set(x)) == 3 for n in range(50) for x in frames.x[[0, 4, 5, 8]][sampler.batch(0, n)].reshape(2, 3))

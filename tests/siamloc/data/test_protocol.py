@@ -35,12 +35,9 @@ def test_roles_select_by_sequence_pattern_room_lighting_and_step(table):
 
 
 def test_the_map_is_made_of_the_training_sequences_unless_told(table):
-    given = Protocol.of({"train": {"sequences": ["cloudy1"]}, "map": {"every": 5}})
+    given = Protocol.of({"train": {"sequences": "cloudy1"}, "map": {"every": 5}})
     assert given.frames("map", table).path.tolist() == ["cloudy1/0", "cloudy1/5"]
-
-
-def test_one_name_may_stand_without_a_list(table):
-    assert len(Protocol.of({"train": {"sequences": "cloudy1"}}).frames("train", table)) == 10
+    assert Protocol().excluded(table, table) is None
 
 
 def test_queries_may_share_the_run_of_the_map_only_if_the_protocol_says_so(table):
@@ -135,10 +132,6 @@ def test_what_is_excluded_agrees_with_walking_the_drive(settings):
     in_map = naive_exclusion(known, frames, settings, frames)
     np.testing.assert_array_equal(Protocol(**settings).excluded(known, frames), in_map)
     np.testing.assert_array_equal(Protocol(**settings).excluded(frames, known), in_map.T)
-
-
-def test_without_settings_nothing_is_excluded(table):
-    assert Protocol().excluded(table, table) is None
 
 
 def test_the_order_of_two_selections_comes_from_their_times_or_from_the_drive(table):
