@@ -11,12 +11,13 @@ from numpy.typing import NDArray
 from foundation.calls import typed
 from foundation.files import atomic_path
 from foundation.settings import Thousand
+from siamloc.data.names import LIGHTINGS
 from siamloc.simulate.items import KINDS
 from siamloc.simulate.layout import Array, Building
 from siamloc.simulate.load import load_building
 from siamloc.simulate.plan import clearance, obstacles
 from siamloc.simulate.render import render
-from siamloc.simulate.run import LIGHTINGS, Run, draw_run
+from siamloc.simulate.run import Run, draw_run
 from siamloc.simulate.scene import build_scene
 from siamloc.simulate.shell import leaf_segment
 from siamloc.simulate.trajectory import Track

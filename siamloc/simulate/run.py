@@ -5,9 +5,12 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass, replace
 from pathlib import Path as FilePath
+from typing import Literal
 
 import numpy as np
 
+from foundation.settings import Count, Positive, Settings
+from siamloc.data.names import LIGHTINGS
 from siamloc.errors import ConfigError, hint
 from siamloc.simulate.items import KINDS
 from siamloc.simulate.layout import Array, Building, Colour, Item, Rng, Room, seeded
@@ -16,7 +19,6 @@ from siamloc.simulate.shell import Fixtures, leaf_segment
 from siamloc.simulate.sky import sun_direction
 from siamloc.simulate.trajectory import Track, drive, listed
 
-LIGHTINGS = ("cloudy", "night", "sunny")
 _START = {"cloudy": 11.0, "night": 22.0, "sunny": 10.0}
 _EPOCH = 1152860400.0
 _KEEP_OFF = 0.42
@@ -24,7 +26,7 @@ _LAMP = {"panel": 30.0, "tube": 42.0, "round": 48.0}
 
 
 @dataclass(frozen=True)
-class Run:
+class Run(Settings):
     """One drive of the robot, chosen by lighting, number and path.
 
     Attributes:
@@ -35,17 +37,11 @@ class Run:
         trajectory: a `places.lst` whose poses are used instead of the path.
     """
 
-    lighting: str = "cloudy"
-    number: int = 1
+    lighting: Literal["cloudy", "night", "sunny"] = "cloudy"
+    number: Count = 1
     path: str = "path2"
-    spacing: float = 0.15
+    spacing: Positive = 0.15
     trajectory: FilePath | None = None
-
-    def __post_init__(self) -> None:
-        if self.lighting not in LIGHTINGS:
-            raise ConfigError(f"lighting {self.lighting!r} is unknown; {hint(self.lighting, LIGHTINGS)}")
-        if self.number < 1:
-            raise ConfigError(f"a run's number must be a whole number from 1, got {self.number}")
 
     @property
     def name(self) -> str:
@@ -68,7 +64,7 @@ class Run:
             raise ConfigError(
                 f"a run is a lighting and a number such as cloudy1, got {name!r}; {hint(name, LIGHTINGS)}"
             )
-        return cls(parts[1], int(parts[2]), path, spacing, trajectory)
+        return cls(parts[1], int(parts[2]), path, spacing, trajectory)  # type: ignore[arg-type]
 
 
 @dataclass(frozen=True)

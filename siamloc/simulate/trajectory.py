@@ -63,13 +63,11 @@ def drive(building: Building, path: str, spacing: float, rng: Rng, start: float)
         start: time of the first frame in seconds.
 
     Raises:
-        ConfigError: the building has no such path, or the spacing is not positive.
+        ConfigError: the building has no such path.
         DataError: cutting the path's corners leads into a wall or an item.
     """
     if path not in building.paths:
         raise ConfigError(f"building {building.name!r} has no path {path!r}; {hint(path, building.paths)}")
-    if not spacing > 0:
-        raise ConfigError(f"the spacing of frames must be a positive number of metres, got {spacing}")
     even = rounded(building.paths[path].points)
     _check_rounded(building, building.paths[path], even)
     line = _shifted(building, even, rng)

@@ -15,13 +15,14 @@ import numpy as np
 
 from foundation.calls import typed
 from siamloc.data.frames import FrameTable
+from siamloc.data.names import LIGHTINGS
 from siamloc.simulate.camera import Cameras, ViewCamera, develop, draw_camera, metered
 from siamloc.simulate.layout import Array, Building, Rng, seeded, single
 from siamloc.simulate.light import ROUGH
 from siamloc.simulate.load import load_building
 from siamloc.simulate.plan import room_at
 from siamloc.simulate.render import turned
-from siamloc.simulate.run import LIGHTINGS, Light, Run, draw_light
+from siamloc.simulate.run import Light, Run, draw_light
 from siamloc.simulate.scene import Scene, build_scene, relit
 
 Exposures = Literal["drawn", "metered"]
@@ -104,7 +105,7 @@ def draw_views(
     ahead = None
     for drive in range(drives):
         shining = _draw_lights(building, lights, rng)
-        run = Run(str(rng.choice(LIGHTINGS)), first + drive, spacing=_DRIVEN)
+        run = Run.parse(f"{rng.choice(LIGHTINGS)}{first + drive}", spacing=_DRIVEN)
         scene = build_scene(building, run, ROUGH, shining[0])
         x, y, theta = scene.state.track.poses.T
         spaced = FrameTable(path=np.array(scene.state.track.names), x=x, y=y, theta=theta).spaced(spacing)

@@ -80,20 +80,16 @@ def ends(space: FreeSpace, *points: tuple[float, float]) -> list[int]:
     return [int(np.argmin(np.linalg.norm(space.points - point, axis=1))) for point in points]
 
 
-def test_a_way_keeps_off_what_stands_there() -> None:
+def test_a_way_keeps_off_what_stands_there_and_leads_through_no_wall() -> None:
     column = {"kind": "column", "at": [3, 2], "size": [0.5, 0.5, 2.0]}
-    building = parse_building({"rooms": {"cell": {"x": [0, 6], "y": [0, 4], "items": [column]}}}, 0, "test")
+    rooms = {"one": {"x": [0, 6], "y": [0, 4], "items": [column]}, "two": {"x": [6, 10], "y": [0, 3]}}
+    building = parse_building({"rooms": rooms}, 0, "test")
     space = FreeSpace(building)
-    way = space.way(ends(space, (0.6, 2.0), (5.4, 2.0)))
+    here, there, beyond = ends(space, (0.6, 2.0), (5.4, 2.0), (8.0, 1.5))
+    way = space.way([here, there])
     segments, _ = obstacles(building)
     assert clearance(way, segments).min() > 0.25
     assert np.linalg.norm(np.diff(way, axis=0), axis=1).sum() < 6.5, "around the column, and no farther"
-
-
-def test_a_way_that_does_not_exist() -> None:
-    rooms = {"one": {"x": [0, 4], "y": [0, 3]}, "two": {"x": [4, 8], "y": [0, 3]}}
-    space = FreeSpace(parse_building({"rooms": rooms}, 0, "test"))
-    here, there = ends(space, (2.0, 1.5), (6.0, 1.5))
-    assert not space.reachable(here)[there]
+    assert not space.reachable(here)[beyond]
     with pytest.raises(DataError, match="cannot reach"):
-        space.way([here, there])
+        space.way([here, beyond])

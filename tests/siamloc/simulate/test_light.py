@@ -15,15 +15,13 @@ from siamloc.simulate.textures import Texture, TextureAtlas, sample
 
 
 def closed_room() -> tuple[Building, QuadMesh]:
-    room = {"x": [0, 4], "y": [0, 4], "items": []}
-    building = parse_building({"rooms": {"cell": room}}, 0, "cell")
+    building = parse_building({"rooms": {"cell": {"x": [0, 4], "y": [0, 4]}}}, 0, "cell")
     builder = MeshBuilder({"plain": (0, (1.0, 1.0))})
-    x, y, h = (0, 4), (0, 4), 3
-    builder.slab(x, y, 0, "plain")
-    builder.slab(x, y[::-1], h, "plain")
+    builder.slab((0, 4), (0, 4), 0, "plain")
+    builder.slab((0, 4), (4, 0), 3, "plain")
     for place, turn in (((2, 0), 0), ((4, 2), 90), ((2, 4), 180), ((0, 2), 270)):
         with builder.at(*place, 0, turn):
-            builder.panel((-2, 2), (0, h), 0, "plain")
+            builder.panel((-2, 2), (0, 3), 0, "plain")
     return building, builder.build()
 
 

@@ -8,14 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from siamloc.simulate.layout import Building, Item
-from siamloc.simulate.plan import (
-    blocked_points,
-    clearance,
-    crossings,
-    inside_item,
-    obstacles,
-    room_codes,
-)
+from siamloc.simulate.plan import blocked_points, clearance, crossings, inside_item, obstacles, room_codes
 
 numbers = st.floats(-3, 3, allow_nan=False).map(lambda value: round(value, 2))
 points = st.tuples(numbers, numbers)
@@ -56,10 +49,10 @@ def test_inside_item_agrees_with_its_corners(p, facing, width, depth) -> None:
 
 
 def test_free_space_of_the_small_building(mini: Building) -> None:
-    places = np.array([[1.0, 1.1], [2.4, 2.2], [1.0, 2.2], [5.6, 0.0], [0.4, 5.4], [20.0, 0.0]])
-    assert blocked_points(mini, places).tolist() == [False, False, True, False, True, True]
-    assert room_codes(mini, places)[:3] == ["CR-A", "CR-A", "CR-A"]
-    assert room_codes(mini, np.array([[2.4, 4.0], [20.0, 0.0]])) == ["1PO-A", ""]
+    places = np.array([[1.0, 1.1], [2.4, 2.2], [1.0, 2.2], [5.6, 0.0], [0.4, 5.4], [20.0, 0.0], [2.4, 4.0]])
+    assert blocked_points(mini, places).tolist() == [False, False, True, False, True, True, False]
+    codes = room_codes(mini, places)
+    assert [*codes[:3], *codes[5:]] == ["CR-A", "CR-A", "CR-A", "", "1PO-A"]
 
 
 def test_walls_stop_and_doors_do_not(mini: Building) -> None:

@@ -22,10 +22,10 @@ def correlation(a: np.ndarray, b: np.ndarray) -> float:
 
 
 def test_unwrapping_agrees_with_the_direct_panorama(cloudy: Scene) -> None:
-    rings = render(cloudy, POSES, "omnidirectional")
-    panoramas = render(cloudy, POSES, "panorama")
-    assert rings.shape == (3, 480, 640, 3)
-    assert panoramas.shape == (3, 128, 512, 3)
+    with pytest.raises(ConfigError, match=r"camera must be .*omnidirectional or panorama, got 'panoramic'"):
+        render(cloudy, POSES, "panoramic")
+    rings, panoramas = (render(cloudy, POSES, camera) for camera in ("omnidirectional", "panorama"))
+    assert (rings.shape, panoramas.shape) == ((3, 480, 640, 3), (3, 128, 512, 3))
     for ring, panorama in zip(rings, panoramas, strict=True):
         assert correlation(unwrap(ring, HyperbolicMirror()), panorama) > 0.95
     assert correlation(unwrap(rings[0], HyperbolicMirror()), panoramas[1]) < 0.8
@@ -50,8 +50,7 @@ def test_what_stands_left_appears_left(cloudy: Scene) -> None:
 
 
 def test_pictures_depend_on_nothing_but_their_frame(cloudy: Scene, mini: Building) -> None:
-    track = cloudy.state.track
-    camera = CAMERAS["panorama"]
+    track, camera = cloudy.state.track, CAMERAS["panorama"]
     exposure = meter(cloudy, track)
     together = list(frames(cloudy, track, camera, exposure, [3, 40]))
     alone = next(frames(cloudy, track, camera, exposure, [40]))
@@ -116,15 +115,9 @@ def test_exposure_follows_slowly(cloudy: Scene) -> None:
 def test_the_sun_goes_from_east_to_west_and_highest_at_noon() -> None:
     east, west = np.array([0.0, -1.0, 0.0]), np.array([0.0, 1.0, 0.0])  # north is +x
     hours = [sun_direction(hour, 0.0, 5.0) for hour in (8.0, 12.0, 16.0)]
-    assert hours[0] @ east > 0.5
-    assert hours[2] @ west > 0.5
+    assert min(hours[0] @ east, hours[2] @ west) > 0.5
     assert hours[1][2] == max(hour[2] for hour in hours)
     assert hours[1][0] < 0  # from the south
     np.testing.assert_allclose([np.linalg.norm(hour) for hour in hours], 1)
     turned = sun_direction(8.0, 90.0, 5.0)
     np.testing.assert_allclose(turned, [-hours[0][1], hours[0][0], hours[0][2]], atol=1e-12)
-
-
-def test_unknown_camera(cloudy: Scene) -> None:
-    with pytest.raises(ConfigError, match=r"camera must be .*omnidirectional or panorama, got 'panoramic'"):
-        render(cloudy, POSES, "panoramic")
