@@ -86,7 +86,9 @@ def _find(root: Path, camera: str) -> list[_Source]:
     found: dict[Path, _Source] = {}
     named_lists: list[Path] = []
     for folder, files in _folders(root):
-        own_list = next((path for path in _own_lists(folder) if path.is_file()), None)
+        # A folder `localization` holds the list of the sequence above it.
+        lists = [folder / "localization" / "places.lst", folder / "places.lst"]
+        own_list = next((path for path in lists if folder.name != "localization" and path.is_file()), None)
         if own_list is not None or any((folder / name).is_dir() for name in CAMERAS):
             label = folder.absolute().name if folder == root else folder.relative_to(root).as_posix()
             found[folder] = _Source(folder, folder / camera, own_list, label)
@@ -116,13 +118,6 @@ def _folders(root: Path) -> Iterator[tuple[Path, list[str]]]:
             child for child in children if inside and child not in CAMERAS and not child.startswith(".")
         )
         yield folder, files
-
-
-def _own_lists(folder: Path) -> list[Path]:
-    """Return where a sequence's folder may keep its list; a folder `localization` is not itself a sequence."""
-    if folder.name == "localization":
-        return []
-    return [folder / "localization" / "places.lst", folder / "places.lst"]
 
 
 def _source_of_list(path: Path, camera: str) -> _Source:

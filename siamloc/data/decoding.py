@@ -78,18 +78,16 @@ class Preprocessing:
         Raises:
             ConfigError: a custom camera, which cannot be rebuilt from plain values, or missing values.
         """
+        classes = {camera.__name__ if camera else None: camera for camera in CAMERAS.values()}
         try:
             view = PanoramaView(**{key: value for key, value in parameters.items() if key != "camera"})
-            if parameters["camera"] is None:
-                return cls(view, None)
-            options = dict(parameters["camera"])
-            kind = options.pop("kind")
+            options = dict(parameters["camera"] or {"kind": None})
+            camera = classes[options.pop("kind")]
         except (KeyError, TypeError, ValueError) as error:
-            raise ConfigError(f"these values do not say how images become panoramas: {parameters}") from error
-        for camera in CAMERAS.values():
-            if camera is not None and camera.__name__ == kind:
-                return cls(view, camera.of(options))
-        raise ConfigError(f"a camera of kind {kind} cannot be made from its parameters: give the camera object itself")
+            raise ConfigError(
+                f"these values do not say how images become panoramas, or name a camera of your own: {parameters}"
+            ) from error
+        return cls(view, camera.of(options) if camera else None)
 
     def parameters(self) -> dict[str, Any]:
         """Return everything that determines the panorama's pixels, as plain values that `of` reads back."""

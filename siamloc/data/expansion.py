@@ -62,8 +62,9 @@ class Expanded:
     @property
     def source(self) -> dict[str, Any]:
         """Arguments with which `siamloc.data.read` reads the expanded data set: `read(**expanded.source)`."""
-        where = {"manifest": self.folder / MANIFEST} if self.kind == "manifest" else {"root": self.folder}
-        return {"kind": self.kind, **{key: str(path) for key, path in where.items()}}
+        if self.kind == "manifest":
+            return {"kind": self.kind, "manifest": str(self.folder / MANIFEST)}
+        return {"kind": self.kind, "root": str(self.folder)}
 
     def summary(self) -> str:
         """Report what was written, what was left out, and how to train with it."""

@@ -116,17 +116,14 @@ def _frame(file: Path, line: int, names: dict[str, int], cells: list[str]) -> di
         raise DataError(f"{file}, line {line}, column 'image': empty, expected the name of an image file")
     for name, largest in _LARGEST.items():
         if name in frame:
-            frame[name] = _number(frame[name], largest, f"{file}, line {line}, column {name!r}")
+            cell = frame[name]
+            try:
+                frame[name] = float(cell or math.nan)
+            except ValueError:
+                frame[name] = math.inf
+            if abs(frame[name]) > largest or "_" in cell:
+                raise DataError(
+                    f"{file}, line {line}, column {name!r}: {cell!r} is not a number up to {largest:.3g}; leave the "
+                    "cell empty where the value is unknown"
+                )
     return {"path": str(file.parent / image), **frame}
-
-
-def _number(cell: str, largest: float, where: str) -> float:
-    try:
-        value = float(cell) if cell else math.nan
-    except ValueError:
-        value = math.inf
-    if abs(value) > largest or "_" in cell:
-        raise DataError(
-            f"{where}: {cell!r} is not a number up to {largest:.3g}; leave the cell empty where the value is unknown"
-        )
-    return value

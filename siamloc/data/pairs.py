@@ -132,25 +132,18 @@ class PairSampler:
         uniform = np.random.Generator(np.random.Philox(key=[self.seed, epoch])).random((self.epoch_pairs, 4))
         same = np.zeros(self.epoch_pairs, dtype=bool)
         same[np.argsort(uniform[:, 0], kind="stable")[: round(self.same_room_share * self.epoch_pairs)]] = True
-        mine = slice(rank, None, world_size)
-        return self._draw(uniform[mine, 2:], same[mine])  # without the unused column 1, seeds would draw other pairs
-
-    def _draw(self, uniform: NDArray[np.float64], same: NDArray[np.bool_]) -> Pairs:
-        first = np.empty(len(same), dtype=np.int64)
-        second = np.empty(len(same), dtype=np.int64)
+        uniform, same = uniform[rank::world_size], same[rank::world_size]
+        first, second = np.empty((2, len(same)), dtype=np.int64)
         for kind in (True, False):
             rows = same == kind
-            first[rows] = self._rooms.anchors(uniform[rows, 0], same=kind)
-            second[rows] = self._rooms.partners(first[rows], uniform[rows, 1], same=kind)
-        return Pairs(first, second, self._labels(first, second, same), same)
-
-    def _labels(
-        self, first: NDArray[np.int64], second: NDArray[np.int64], same: NDArray[np.bool_]
-    ) -> NDArray[np.float32]:
-        if self.label == "room":
-            return (~same).astype(np.float32)
-        distance = np.linalg.norm(self.frames.xy[first] - self.frames.xy[second], axis=1) / self._divisor[first]
-        return np.where(same, np.minimum(distance, 1), 1).astype(np.float32)
+            # Without the unused column 1, seeds would draw other pairs.
+            first[rows] = self._rooms.anchors(uniform[rows, 2], same=kind)
+            second[rows] = self._rooms.partners(first[rows], uniform[rows, 3], same=kind)
+        label = ~same
+        if self.label == "distance":
+            distance = np.linalg.norm(self.frames.xy[first] - self.frames.xy[second], axis=1) / self._divisor[first]
+            label = np.where(same, np.minimum(distance, 1), 1)
+        return Pairs(first, second, label.astype(np.float32), same)
 
     def _check_possible(self) -> None:
         same_pairs = round(self.same_room_share * self.epoch_pairs)
@@ -205,11 +198,6 @@ class _Rooms:
         return self.order[k]
 
 
-def largest_same_room_distance(frames: FrameTable) -> float:
-    """Find the largest distance between two frames of the same room, in the unit of the positions ([T] table 5.5)."""
-    return max(diameter(frames.xy[rows]) for rows in frames.rows_by("place").values())
-
-
 def _scales(
     frames: FrameTable, scale: float | Mapping[str, float] | None
 ) -> tuple[float | dict[str, float], NDArray[np.float64]]:
@@ -225,7 +213,8 @@ def _scales(
     divisor = np.empty(len(frames))
     for building, rows in frames.rows_by("building").items():
         if building not in scales:
-            scales[building] = largest_same_room_distance(frames.take(rows))
+            own = frames.take(rows)
+            scales[building] = max(diameter(own.xy[room]) for room in own.rows_by("place").values())
             if not scales[building] > 0:
                 where = f" of building {building}" if building else ""
                 raise DataError(f"all frames of a room{where} were taken at one point, so distances have no scale")

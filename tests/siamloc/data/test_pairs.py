@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from siamloc.data.frames import FrameTable
-from siamloc.data.pairs import PairSampler, PairSettings, largest_same_room_distance
+from siamloc.data.pairs import PairSampler, PairSettings
 from siamloc.errors import ConfigError, DataError
 
 
@@ -88,8 +88,9 @@ def test_scale_is_the_largest_same_room_distance_of_all_pairs():
         for i, j in combinations(range(len(frames)), 2)
         if frames.room[i] == frames.room[j]
     )
-    assert largest_same_room_distance(frames) == pytest.approx(slow)
-    assert sampler_of(frames, "distance").epoch(0).label.max() <= 1
+    sampler = sampler_of(frames, "distance")
+    assert sampler.scale == pytest.approx(slow)
+    assert sampler.epoch(0).label.max() <= 1
 
 
 @pytest.mark.parametrize("on_a_line", [True, False])
@@ -100,7 +101,7 @@ def test_scale_of_a_large_room_uses_the_hull(on_a_line):
     frames = FrameTable(path=np.arange(1500).astype(str), x=x, y=y)
     xy = frames.xy
     slow = max(float(np.hypot(*(xy - point).T).max()) for point in xy)
-    assert largest_same_room_distance(frames) == pytest.approx(slow)
+    assert sampler_of(frames, "distance").scale == pytest.approx(slow)
 
 
 def two_buildings():
