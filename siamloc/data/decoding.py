@@ -164,7 +164,7 @@ def read_image(path: str | Path) -> NDArray[np.uint8]:
         raise UnreadableImageError(error.strerror or str(error)) from error
     if not data:
         raise UnreadableImageError("the file is empty")
-    if _cut_short(data):
+    if cut_short(data):
         raise UnreadableImageError("the file is cut short")
     if (size := _declared_size(data)) is not None and max(size) > _LARGEST:
         raise UnreadableImageError(f"it has {size[0]:,} x {size[1]:,} pixels, and {_LARGEST:,} a side are the most")
@@ -192,7 +192,7 @@ def _declared_size(data: bytes) -> tuple[int, int] | None:
     return None
 
 
-def _cut_short(data: bytes) -> bool:
+def cut_short(data: bytes) -> bool:
     """Whether a JPEG or PNG ends before its end marker: some releases of OpenCV fill the rest with grey."""
     if data.startswith(b"\xff\xd8"):
         # The last scan has to be closed; an earlier end marker may belong to an embedded thumbnail.

@@ -138,13 +138,11 @@ class Room:
         w, d, h = size
         ends = (at - w / 2, at + w / 2)
         box = self._against(side, ends, d)
-        if h > self.height - 0.05 or not self._free(box):
+        low, high = self.span(side)
+        if h > self.height - 0.05 or not self._free(box) or ends[0] < low or ends[1] > high:
             return False
-        if ends[0] < self.span(side)[0] or ends[1] > self.span(side)[1]:
-            return False
-        if h > _TALL and any(
-            window["wall"] == side and abs(window["at"] - at) < (window["width"] + w) / 2 for window in self.windows
-        ):
+        near = (one for one in self.windows if one["wall"] == side and abs(one["at"] - at) < (one["width"] + w) / 2)
+        if h > _TALL and any(near):
             return False
         self._taken.append(box)
         if h > 0.9:

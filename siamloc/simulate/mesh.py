@@ -8,11 +8,10 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from siamloc.errors import SiamlocError, installing
+from siamloc.simulate.layout import Array
 
-Array = NDArray[Any]
 Point = Sequence[float] | Array
 WHITE = (1.0, 1.0, 1.0)
 BLACK = (0.0, 0.0, 0.0)

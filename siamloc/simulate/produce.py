@@ -12,17 +12,16 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Annotated, Any
 
-import cv2
-
 from foundation.calls import takes
-from foundation.files import content_key, read_json, storage_errors, write_bytes, write_json, write_text
+from foundation.files import content_key, read_json, storage_errors, write_json, write_picture, write_text
 from foundation.settings import Count, Rule, Seed, Settings, Text, Thousand
 from foundation.threads import processors
+from siamloc.data.decoding import cut_short
 from siamloc.data.names import lighting_in, parse_name
 from siamloc.errors import ConfigError, DataError, FormatError
 from siamloc.progress import track
 from siamloc.simulate.camera import CAMERAS, HEIGHT, CameraName, Exposure
-from siamloc.simulate.layout import Array, Building
+from siamloc.simulate.layout import Building
 from siamloc.simulate.load import load_building
 from siamloc.simulate.mesh import embree
 from siamloc.simulate.preview import write_preview
@@ -215,12 +214,6 @@ def _without_lines(values: list[tuple[str, Any]]) -> dict[str, Any]:
     return {key: value for key, value in values if key != "line"}
 
 
-def _is_whole(path: Path) -> bool:
-    """Whether a JPEG file is complete, from start marker to end marker."""
-    content = path.read_bytes()
-    return len(content) >= 4 and content.startswith(b"\xff\xd8") and content.endswith(b"\xff\xd9")
-
-
 def _missing(config: SimulateConfig, building: Building, run: Run, drive: Track) -> list[tuple[Run, list[int]]]:
     """Prepare a sequence's folder and return which frames are missing, in batches."""
     sequence = _sequence(config, building, run)
@@ -237,7 +230,7 @@ def _missing(config: SimulateConfig, building: Building, run: Run, drive: Track)
         except FormatError:
             found = None
         if found == wanted:
-            present = {file.name for file in pictures if _is_whole(file)}
+            present = {file.name for file in pictures if (data := file.read_bytes()) and not cut_short(data)}
         elif not config.overwrite:
             changed = sorted(key for key in wanted if found.get(key) != wanted[key]) if found else ["camera.json"]
             raise DataError(
@@ -293,10 +286,5 @@ def _batch(config: SimulateConfig, run: Run, rows: list[int]) -> int:
     drive, images = scene.state.track, _sequence(config, scene.building, run) / "omni_cam"
     pictures = frames(scene, drive, CAMERAS[config.camera], exposure, rows)
     for row, picture in zip(rows, pictures, strict=True):
-        _write(images / drive.names[row], picture, config.quality)
+        write_picture(images / drive.names[row], picture, config.quality)
     return len(rows)
-
-
-def _write(path: Path, picture: Array, quality: int) -> None:
-    coded = cv2.imencode(".jpeg", picture[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, quality])[1]
-    write_bytes(path, coded.tobytes())

@@ -109,15 +109,12 @@ class FreeSpace:
             cells += part[-2::-1]
         raw = self.points[cells]
         smooth = gaussian_filter1d(raw, 2.5, axis=0, mode="nearest")
-        fits = self._margin_at(smooth) >= _SMOOTHED
+        pixel = np.rint((smooth - self._origin) / _CELL - 0.25).astype(int)
+        fits = self.clearance[pixel[:, 1], pixel[:, 0]] >= _SMOOTHED
         fits = cv2.erode(fits.astype(np.uint8)[:, None], np.ones((7, 1), np.uint8))[:, 0] > 0
         share = gaussian_filter1d(fits.astype(np.float64), 1.5, mode="nearest")[:, None] * fits[:, None]
         line = share * smooth + (1 - share) * raw
         return resampled(line, _SPACING)
-
-    def _margin_at(self, points: Array) -> Array:
-        pixel = np.rint((points - self._origin) / _CELL - 0.25).astype(int)
-        return self.clearance[pixel[:, 1], pixel[:, 0]]
 
 
 def visits(space: FreeSpace, x: Interval, y: Interval, seen: Array, rng: Rng) -> list[int]:

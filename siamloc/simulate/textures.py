@@ -47,42 +47,38 @@ def noise(rng: Rng, cells: int, octaves: int = 3) -> Array:
 
 def base_textures(rng: Rng) -> dict[str, Texture]:
     """Return the surfaces of every building: plain ones, woods, floors, tiles."""
-    textures: dict[str, Texture] = {}
 
-    def add(name: str, image: Array, metres: float) -> None:
-        textures[name] = Texture(eight_bit(image), (metres, metres))
+    def carpet(colour: Colour) -> Array:
+        return _tinted(colour, 0.05 * noise(rng, 128, 1) + 0.035 * noise(rng, 16, 3))
 
-    def carpet(name: str, colour: Colour) -> None:
-        add(name, _tinted(colour, 0.05 * noise(rng, 128, 1) + 0.035 * noise(rng, 16, 3)), 1.5)
-
-    white = np.ones((SIZE, SIZE, 3), dtype=np.float32)
-    add("plain", white * 0.93, 1.0)
-    add("paint", _tinted((0.93, 0.92, 0.89), 0.012 * noise(rng, 4) + 0.006 * noise(rng, 64, 2)), 2.6)
-    add("concrete", _tinted((0.66, 0.65, 0.63), 0.05 * noise(rng, 4, 5)), 2.0)
-    add("plastic", _tinted((0.92, 0.92, 0.92), 0.008 * noise(rng, 16)), 0.5)
-    add("metal", _tinted((0.80, 0.81, 0.83), 0.03 * _brushed(noise(rng, 16, 4))), 0.6)
-    add("fabric", _tinted((0.88, 0.88, 0.88), 0.10 * noise(rng, 128, 1)), 0.25)
-    add("leaf", _leaves(rng), 0.5)
-    carpet("carpet", (0.42, 0.46, 0.55))
-    carpet("carpet_red", (0.55, 0.36, 0.33))
-    carpet("carpet_gray", (0.50, 0.50, 0.49))
-    add("linoleum", _speckled(rng, (0.62, 0.60, 0.53)), 1.2)
-    add("linoleum_green", _speckled(rng, (0.47, 0.55, 0.47)), 1.2)
-    add("parquet", _parquet(rng), 1.2)
-    add("tiles_floor", _tiles(rng, (0.70, 0.69, 0.66), 4, 0.03, (0.48, 0.47, 0.45)), 1.2)
-    add("tiles_wall", _tiles(rng, (0.92, 0.93, 0.93), 4, 0.012, (0.70, 0.70, 0.70)), 0.8)
-    add("tiles_blue", _tiles(rng, (0.62, 0.76, 0.84), 4, 0.02, (0.86, 0.88, 0.88)), 0.8)
-    add("ceiling_panels", _ceiling(rng), 1.2)
-    add("wood", _wood(rng, (0.78, 0.62, 0.43), 0.07), 0.9)
-    add("beech", _wood(rng, (0.86, 0.73, 0.56), 0.04), 0.9)
-    add("walnut", _wood(rng, (0.45, 0.32, 0.23), 0.06), 0.9)
-    add("cork", _tinted((0.70, 0.53, 0.36), 0.10 * noise(rng, 64, 2)), 0.5)
-    return textures
+    return _square({
+        "plain": (_tinted((0.93, 0.93, 0.93), np.zeros((SIZE, SIZE), dtype=np.float32)), 1.0),
+        "paint": (_tinted((0.93, 0.92, 0.89), 0.012 * noise(rng, 4) + 0.006 * noise(rng, 64, 2)), 2.6),
+        "concrete": (_tinted((0.66, 0.65, 0.63), 0.05 * noise(rng, 4, 5)), 2.0),
+        "plastic": (_tinted((0.92, 0.92, 0.92), 0.008 * noise(rng, 16)), 0.5),
+        "metal": (_tinted((0.80, 0.81, 0.83), 0.03 * _brushed(noise(rng, 16, 4))), 0.6),
+        "fabric": (_tinted((0.88, 0.88, 0.88), 0.10 * noise(rng, 128, 1)), 0.25),
+        "leaf": (_leaves(rng), 0.5),
+        "carpet": (carpet((0.42, 0.46, 0.55)), 1.5),
+        "carpet_red": (carpet((0.55, 0.36, 0.33)), 1.5),
+        "carpet_gray": (carpet((0.50, 0.50, 0.49)), 1.5),
+        "linoleum": (_speckled(rng, (0.62, 0.60, 0.53)), 1.2),
+        "linoleum_green": (_speckled(rng, (0.47, 0.55, 0.47)), 1.2),
+        "parquet": (_parquet(rng), 1.2),
+        "tiles_floor": (_tiles(rng, (0.70, 0.69, 0.66), 0.03, (0.48, 0.47, 0.45)), 1.2),
+        "tiles_wall": (_tiles(rng, (0.92, 0.93, 0.93), 0.012, (0.70, 0.70, 0.70)), 0.8),
+        "tiles_blue": (_tiles(rng, (0.62, 0.76, 0.84), 0.02, (0.86, 0.88, 0.88)), 0.8),
+        "ceiling_panels": (_ceiling(rng), 1.2),
+        "wood": (_wood(rng, (0.78, 0.62, 0.43), 0.07), 0.9),
+        "beech": (_wood(rng, (0.86, 0.73, 0.56), 0.04), 0.9),
+        "walnut": (_wood(rng, (0.45, 0.32, 0.23), 0.06), 0.9),
+        "cork": (_tinted((0.70, 0.53, 0.36), 0.10 * noise(rng, 64, 2)), 0.5),
+    })  # fmt: skip
 
 
 def pattern_textures(rng: Rng) -> dict[str, Texture]:
     """Return further surfaces with drawn colours: bricks, wallpaper, panelling, stone, planks."""
-    drawn = {
+    return _square({
         "brick": (_bricks(rng), 1.6),
         "stripes": (_stripes(rng), float(rng.uniform(0.5, 1.6))),
         "panelling": (_planks(rng, 6, 0.05), 1.2),
@@ -90,7 +86,11 @@ def pattern_textures(rng: Rng) -> dict[str, Texture]:
         "checker": (_checker(rng), float(rng.uniform(0.6, 1.6))),
         "terrazzo": (_terrazzo(rng), 1.0),
         "marble": (_marble(rng), 2.4),
-    }
+    })  # fmt: skip
+
+
+def _square(drawn: dict[str, tuple[Array, float]]) -> dict[str, Texture]:
+    """Return textures, given their images and the metres that each covers in width and height."""
     return {name: Texture(eight_bit(image), (metres, metres)) for name, (image, metres) in drawn.items()}
 
 
@@ -213,9 +213,9 @@ def _parquet(rng: Rng) -> Array:
     return image
 
 
-def _tiles(rng: Rng, colour: Colour, count: int, spread: float, joint: Colour) -> Array:
-    step = SIZE // count
-    shade = np.kron(rng.normal(0, spread, (count, count)), np.ones((step, step))).astype(np.float32)
+def _tiles(rng: Rng, colour: Colour, spread: float, joint: Colour) -> Array:
+    step = SIZE // 4
+    shade = np.kron(rng.normal(0, spread, (4, 4)), np.ones((step, step))).astype(np.float32)
     image = _tinted(colour, shade + 0.012 * noise(rng, 16, 3))
     for offset in range(3):
         image[offset::step] = joint

@@ -65,7 +65,7 @@ def test_equal_bytes_with_other_worker_counts(written: Path, tmp_path: Path) -> 
 
 
 def test_an_interrupted_rendering_goes_on(written: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    real, done = produce._write, []
+    real, done = produce.write_picture, []
 
     def stopping(path: Path, picture: np.ndarray, quality: int) -> None:
         if len(done) == 3:
@@ -73,13 +73,13 @@ def test_an_interrupted_rendering_goes_on(written: Path, tmp_path: Path, monkeyp
         done.append(path)
         real(path, picture, quality)
 
-    monkeypatch.setattr(produce, "_write", stopping)
+    monkeypatch.setattr(produce, "write_picture", stopping)
     with pytest.raises(KeyboardInterrupt):
         small(out=tmp_path)
     sequence = tmp_path / "mini" / "part_a" / "seq2_cloudy1"
     assert len(list((sequence / "omni_cam").iterdir())) == 3
     assert not (sequence / "localization" / "places.lst").exists()
-    monkeypatch.setattr(produce, "_write", real)
+    monkeypatch.setattr(produce, "write_picture", real)
     summary = small(out=tmp_path)
     assert summary.rendered == 3
     assert hashes(tmp_path) == hashes(written)
