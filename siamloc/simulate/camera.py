@@ -106,13 +106,12 @@ def _panorama_pixels(view: PanoramaView) -> Pixels:
     rows, columns = (grid.ravel() for grid in np.mgrid[0 : view.height, 0 : view.width])
     middle = view.directions().reshape(-1, 3)
     high, low = np.tan(np.radians([view.top, view.bottom]))
-    directions = []
-    for dx, dy in OFFSETS:
+    directions = [middle]
+    for dx, dy in OFFSETS[1:]:
         azimuth = -(columns + dx + 0.5 - view.width / 2) * (2 * np.pi / view.width)
         slope = high + (rows + dy + 0.5) / view.height * (low - high)
         direction = np.stack([np.cos(azimuth), np.sin(azimuth), slope], axis=1)
         directions.append(direction / np.linalg.norm(direction, axis=1, keepdims=True))
-    directions[0] = middle
     spread = (2 * np.pi / view.width) * np.cos(np.arcsin(middle[:, 2]))
     return Pixels(rows, columns, single(directions), spread.astype(np.float32), _vignette(middle))
 
@@ -310,16 +309,13 @@ def expose(brightness: Array, colour: Array, time: Array, offset: float) -> Expo
         time: seconds (n,).
         offset: exposure compensation of the run in stops.
     """
-    wanted = np.array([metered(values) for values in brightness]) * 2.0**offset
-    wanted = np.log(np.clip(wanted, *_GAINS))
+    wanted = np.log(np.clip(np.array([metered(values) for values in brightness]) * 2.0**offset, *_GAINS))
     gain = wanted.copy()
     for row in range(1, len(gain)):
         share = 1 - np.exp(-min(max(time[row] - time[row - 1], 0.0), 5.0) / _LAG)
         gain[row] = gain[row - 1] + share * (wanted[row] - gain[row - 1])
-    balance = (colour / colour.mean()) ** -0.7
     gain = np.exp(gain)
-    seconds = np.clip(0.03 * gain / 0.5, 0.004, 0.06)
-    return Exposure(gain, balance, seconds)
+    return Exposure(gain, (colour / colour.mean()) ** -0.7, np.clip(0.03 * gain / 0.5, 0.004, 0.06))
 
 
 def metered(values: Array, steps: int = 24) -> float:

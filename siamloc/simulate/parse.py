@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
 from itertools import combinations
 from pathlib import Path as FilePath
@@ -114,7 +114,6 @@ class _Item(Options):
     kind: str
     at: Pair | Metres
     against: SideName | None = None
-    off: Metres = 0.0
     facing: Metres = 90.0
     size: tuple[Length, Length, Length] | None = None
     z: Metres | None = None
@@ -180,8 +179,7 @@ class _Parser:
         except DataError as error:
             raise self.error(entry, f"{what}: {error}") from None
 
-    def choice(self, where: Any, value: Any, valid: Iterable[str], what: str) -> str:
-        valid = list(valid)
+    def choice(self, where: Any, value: Any, valid: Collection[str], what: str) -> str:
         if str(value) not in valid:
             raise self.error(where, f"{what} {value!r} is unknown; {hint(str(value), valid)}")
         return str(value)
@@ -292,7 +290,7 @@ class _Parser:
         else:
             side = SIDES[given.against]
             wrong, facing = complaint(at, Metres), side.facing
-            at = side.plan(at, side.level(room.inner()) + side.inwards * (size[1] / 2 + given.off))
+            at = side.plan(at, side.level(room.inner()) + side.inwards * size[1] / 2)
         if wrong:
             raise self.error(entry, f"{what}: at {wrong}")
         z = float(spec.z if given.z is None else given.z)

@@ -75,7 +75,8 @@ def contact_sheet(building: Building, runs: list[Run]) -> Any:
             axis.set(xticks=[], yticks=[])
             if column == 0:
                 axis.set_ylabel(first.codes[row], fontsize=10)
-        axes[0, column].set_title(f"{run.lighting} ({_clock(scene.state.light.hour)})", fontsize=11)
+        hour, minutes = divmod(round(scene.state.light.hour * 60) % 1440, 60)
+        axes[0, column].set_title(f"{run.lighting} ({hour:02d}:{minutes:02d})", fontsize=11)
     return figure
 
 
@@ -113,8 +114,3 @@ def floor_plan(building: Building, runs: list[Run]) -> Any:
     title = f"{building.name}, seed {building.seed}"
     axis.set(aspect="equal", xlabel="x in m", ylabel="y in m", title=title)
     return figure
-
-
-def _clock(hour: float) -> str:
-    minutes = round(hour * 60) % 1440
-    return f"{minutes // 60:02d}:{minutes % 60:02d}"

@@ -115,12 +115,10 @@ def _edges(camera: Camera, quad: Array) -> Array:
     image = np.full(camera.shape, -2, dtype=np.int64)
     image[pixels.rows, pixels.columns] = quad
     differs = np.zeros(camera.shape, dtype=bool)
-    across = image[:, 1:] != image[:, :-1]
-    differs[:, 1:] |= across
-    differs[:, :-1] |= across
-    down = image[1:] != image[:-1]
-    differs[1:] |= down
-    differs[:-1] |= down
+    for one, other in (np.s_[:, 1:], np.s_[:, :-1]), (np.s_[1:], np.s_[:-1]):
+        across = image[one] != image[other]
+        differs[one] |= across
+        differs[other] |= across
     return differs[pixels.rows, pixels.columns]
 
 
@@ -162,10 +160,9 @@ def _motion(image: Array, camera: Camera, distance: Array, speed: float, turn_ra
     pixels = camera.pixels()
     reach = np.minimum(distance, 50.0)[:, None]
     points = pixels.directions[0] * reach
-    moves = np.empty_like(points)
+    moves = np.zeros_like(points)
     moves[:, 0] = -speed * seconds + turn_rate * seconds * points[:, 1]
     moves[:, 1] = -turn_rate * seconds * points[:, 0]
-    moves[:, 2] = 0
     dx, dy = camera.displacement(moves, points)
     if max(np.abs(dx).max(), np.abs(dy).max()) < _BLURRED:
         return image

@@ -12,7 +12,7 @@ from foundation.settings import Count, Positive, Settings
 from siamloc.data.names import LIGHTINGS
 from siamloc.errors import ConfigError, hint
 from siamloc.simulate.items import KINDS
-from siamloc.simulate.layout import Array, Building, Colour, Item, Rng, Room, seeded
+from siamloc.simulate.layout import SIDES, Array, Building, Colour, Item, Rng, Room, seeded
 from siamloc.simulate.plan import clearance, inside_item, obstacles
 from siamloc.simulate.shell import Fixtures, leaf_segment
 from siamloc.simulate.sky import sun_direction
@@ -266,9 +266,9 @@ def _standing_people(building: Building, track: Track, rng: Rng) -> list[Item]:
 def _walkers(building: Building, track: Track, rng: Rng) -> tuple[Walker, ...]:
     """Let people walk through the longest room while the robot drives, on the side that the robot leaves free."""
     room = max(building.rooms.values(), key=lambda r: max(r.x[1] - r.x[0], r.y[1] - r.y[0]))
-    (x0, x1), (y0, y1) = room.inner(0.45)
-    along_x = x1 - x0 > y1 - y0
-    ends, lanes = ((x0, x1), (y0, y1)) if along_x else ((y0, y1), (x0, x1))
+    inner = room.inner(0.45)
+    wall = SIDES["north" if inner.x[1] - inner.x[0] > inner.y[1] - inner.y[0] else "east"]
+    ends, lanes = wall.plan(*inner)
     duration = float(track.time[-1] - track.time[0])
     walkers = []
     for _ in range(max(1, round(duration / 60))):
@@ -276,6 +276,6 @@ def _walkers(building: Building, track: Track, rng: Rng) -> tuple[Walker, ...]:
         speed, lane, back = rng.uniform(0.9, 1.4), lanes[int(rng.integers(2))], rng.random() < 0.5
         look = int(rng.integers(6))
         start, end = (ends[1], ends[0]) if back else ends
-        line = np.array([[start, lane], [end, lane]]) if along_x else np.array([[lane, start], [lane, end]])
+        line = np.array([wall.plan(start, lane), wall.plan(end, lane)])
         walkers.append(Walker(line, (begin, begin + abs(end - start) / speed), look))
     return tuple(walkers)

@@ -10,7 +10,7 @@ import pytest
 from siamloc.errors import DataError
 from siamloc.simulate.items import KINDS, add_items
 from siamloc.simulate.layout import Building, Item
-from siamloc.simulate.mesh import MeshBuilder, QuadMesh
+from siamloc.simulate.mesh import MeshBuilder
 from siamloc.simulate.parse import Options
 from siamloc.simulate.prints import print_textures
 from siamloc.simulate.textures import base_textures
@@ -22,16 +22,11 @@ def textures() -> dict[str, tuple[int, tuple[float, float] | None]]:
     return {name: (number, texture.tile) for number, (name, texture) in enumerate(drawn.items())}
 
 
-def built(textures: dict, building: Building, kind: str, **options: object) -> QuadMesh:
-    builder = MeshBuilder(textures)
-    item = Item(kind, 0.0, 0.0, 90.0, KINDS[kind].size, 0.0, "kitchen", options)
-    add_items(builder, building, [item])
-    return builder.build()
-
-
 @pytest.mark.parametrize("kind", KINDS)
 def test_every_kind_builds_within_its_size(textures: dict, mini: Building, kind: str) -> None:
-    mesh = built(textures, mini, kind)
+    builder = MeshBuilder(textures)
+    add_items(builder, mini, [Item(kind, 0.0, 0.0, 90.0, KINDS[kind].size, 0.0, "kitchen")])
+    mesh = builder.build()
     assert len(mesh)
     width, depth, _ = KINDS[kind].size
     assert (np.abs(mesh.corners[..., :2]) < np.array([width, depth]) / 2 + 0.5).all()

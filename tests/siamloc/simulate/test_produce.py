@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import hashlib
-import inspect
 import subprocess
 import sys
-from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
@@ -41,11 +39,9 @@ def written(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_the_cold_reader_reads_it(written: Path) -> None:
     table = read_cold(written / "mini", on_error="raise")
-    assert len(table) == 6
-    assert set(table.sequence.tolist()) == {"mini_a_seq2_cloudy1"}
-    assert set(table.lighting.tolist()) == {"cloudy"}
-    assert set(table.room.tolist()) == {"CR-A"}
-    assert np.isfinite(table.x).all()
+    labels = [set(column.tolist()) for column in (table.sequence, table.lighting, table.room)]
+    assert (len(table), labels) == (6, [{"mini_a_seq2_cloudy1"}, {"cloudy"}, {"CR-A"}])
+    assert table.has_position.all()
     image = cv2.imread(str(table.path[0]))
     assert image.shape == (128, 512, 3)
     assert image.std() > 10
@@ -98,10 +94,7 @@ def test_images_of_somebody_else_are_never_replaced(tmp_path: Path) -> None:
     assert image.read_bytes() == b"mine"
 
 
-def test_python_shows_every_setting_and_takes_them_all_at_once(written: Path) -> None:
-    shown = inspect.signature(simulate).parameters
-    assert [*shown] == [field.name for field in fields(SimulateConfig)]
-    assert shown["camera"].default == "omnidirectional"
+def test_python_takes_all_settings_at_once(written: Path) -> None:
     assert simulate(settings=SimulateConfig(out=written, **{**SMALL, "frames": 2})).rendered == 0
 
 
@@ -151,9 +144,7 @@ def test_preview_writes_two_pictures(tmp_path: Path) -> None:
     summary = simulate(building="mini", runs=["night1"], out=tmp_path, preview=True)
     assert [path.name for path in summary.files] == ["contact_sheet.png", "floor_plan.png"]
     for path in summary.files:
-        picture = cv2.imread(str(path))
-        assert picture is not None
-        assert picture.std() > 20
+        assert cv2.imread(str(path)).std() > 20
 
 
 @pytest.mark.parametrize(

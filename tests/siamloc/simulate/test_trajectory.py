@@ -62,6 +62,8 @@ def test_runs_differ_in_doors_hours_chairs_and_people(mini: Building) -> None:
         first, second = ([(i.x, i.y, i.facing) for i in state.items if i.kind == kind] for state in (a, b))
         assert first != second
     assert draw_run(mini, Run("sunny", 1)).items == a.items
+    assert Run("cloudy", 2).name == "seq2_cloudy2"
+    assert Run.parse("night1", path="path1").name == "seq1_night1"
 
 
 def test_bad_paths(mini: Building) -> None:
@@ -69,6 +71,9 @@ def test_bad_paths(mini: Building) -> None:
         drive(mini, "path3", 0.15, np.random.default_rng(0), 0.0)
     with pytest.raises(ConfigError, match="spacing must be a number above 0, got 0"):
         Run("cloudy", 1, "path1", 0.0)
+    for wrong in ("cloudy", "rainy1", "cloudy0"):
+        with pytest.raises(ConfigError, match=r"got '(cloudy|rainy1)'|number must be a whole number from 1"):
+            Run.parse(wrong)
 
 
 def test_corners_that_cannot_be_rounded(mini: Building) -> None:
@@ -77,11 +82,3 @@ def test_corners_that_cannot_be_rounded(mini: Building) -> None:
     tight = replace(mini, paths={"path1": corner}, items=(desk,))
     with pytest.raises(DataError, match=r"line 8: rounding the corners of path 'path1' .* of room '1PO-A' at"):
         drive(tight, "path1", 0.15, np.random.default_rng(0), 0.0)
-
-
-def test_run_names() -> None:
-    assert Run("cloudy", 2).name == "seq2_cloudy2"
-    assert Run.parse("night1", path="path1").name == "seq1_night1"
-    for wrong in ("cloudy", "rainy1", "cloudy0"):
-        with pytest.raises(ConfigError):
-            Run.parse(wrong)
