@@ -16,11 +16,3 @@ def read_list(path: Path) -> list[tuple[str, str, float, float, float, float]]:
         time, x, y, theta = (float(word[1:]) for word in words)
         frames.append((image, room, time, x, y, theta))
     return frames
-
-
-def count_rooms(path: Path) -> dict[str, int]:
-    counts: dict[str, int] = {}
-    for line in path.read_text().splitlines():
-        room = line.split()[1]
-        counts[room] = counts.get(room, 0) + 1
-    return counts

@@ -12,11 +12,10 @@ from hypothesis import strategies as st
 import siamloc.data
 from siamloc.data.names import name_sequence
 from siamloc.errors import DataError, SiamlocError
-from tests.oracles.cold_lists import count_rooms, read_list
+from tests.oracles.cold_lists import read_list
 
 COLD_PLACES = Path(__file__).parents[3] / "../shared/data/cold_places"
 BUILDINGS = ["freiburg_a", "freiburg_b", "ljubljana", "saarbruecken_a", "saarbruecken_b"]
-needs_lists = pytest.mark.skipif(not COLD_PLACES.is_dir(), reason=f"{COLD_PLACES} is missing")
 
 IMAGES = [f"t{time}.5_x{time}.25_y-0.5_a1e-05.jpeg" for time in (1, 2, 3)]
 LIST = "".join(f"{image} {room}\n" for image, room in zip(IMAGES, ["CR-A", "CR-A", "KT-A"], strict=True))
@@ -33,11 +32,13 @@ def make_sequence(folder: Path, text: str | None = LIST, where: str = "localizat
 
 
 @pytest.mark.data
-@needs_lists
+@pytest.mark.skipif(not COLD_PLACES.is_dir(), reason=f"{COLD_PLACES} is missing")
 def test_the_real_lists_agree_with_reading_them_by_hand():
     table = siamloc.data.read("cold", root=COLD_PLACES)
     assert len(table) == 21456
     assert len(set(table.sequence.tolist())) == 11
+    assert sorted({name.rpartition("_seq")[0] for name in table.sequence.tolist()}) == BUILDINGS
+    assert sorted(set(table.building.tolist())) == BUILDINGS
     for path in sorted(COLD_PLACES.glob("*.places.lst")):
         stem = path.name.removesuffix(".places.lst")
         folder = COLD_PLACES / stem / "omni_cam"
@@ -48,18 +49,8 @@ def test_the_real_lists_agree_with_reading_them_by_hand():
         assert part.room.tolist() == [frame[1] for frame in expected]
         got = np.column_stack([part.time, part.x, part.y, part.theta])
         np.testing.assert_array_equal(got, [frame[2:] for frame in expected])
-        assert {room: len(found) for room, found in part.rows_by("room").items()} == count_rooms(path)
+        assert siamloc.data.read("cold", places=path) == part
         assert set(part.lighting.tolist()) == {next(name for name in ("cloudy", "night", "sunny") if name in stem)}
-
-
-@pytest.mark.data
-@needs_lists
-def test_the_real_lists_get_canonical_names():
-    table = siamloc.data.read("cold", root=COLD_PLACES)
-    assert sorted({name.rpartition("_seq")[0] for name in table.sequence.tolist()}) == BUILDINGS
-    assert sorted(set(table.building.tolist())) == BUILDINGS
-    single = siamloc.data.read("cold", places=COLD_PLACES / "freiburg_seq2_night1.places.lst")
-    assert single == table.select(sequence="freiburg_a_seq2_night1")
 
 
 @pytest.mark.parametrize("folder", ["freiburg/part_a/seq2_cloudy3", "cold-freiburg_part_a_seq2_cloudy3"])
@@ -74,10 +65,8 @@ def test_a_sequence_is_found_from_any_folder_above_it(tmp_path, folder, where, l
     assert set(table.building.tolist()) == {"freiburg_a"}
     assert set(table.lighting.tolist()) == {"cloudy"}
     assert table.room.tolist() == ["CR-A", "CR-A", "KT-A"]
-    np.testing.assert_array_equal(table.x, [1.25, 2.25, 3.25])
-    np.testing.assert_array_equal(table.y, [-0.5] * 3)
-    np.testing.assert_array_equal(table.theta, [1e-5] * 3)
-    np.testing.assert_array_equal(table.time, [1.5, 2.5, 3.5])
+    np.testing.assert_array_equal(table.xy, [(1.25, -0.5), (2.25, -0.5), (3.25, -0.5)])
+    np.testing.assert_array_equal([table.theta, table.time], [[1e-5] * 3, [1.5, 2.5, 3.5]])
 
 
 @pytest.mark.parametrize(
@@ -100,10 +89,9 @@ def test_a_sequence_is_found_from_any_folder_above_it(tmp_path, folder, where, l
 )
 def test_names_of_sequences(folder, rooms, sequence, building):
     name = name_sequence(Path(folder), "label", rooms)
-    assert name.sequence == sequence
-    assert name.building == building
-    assert name.lighting in folder.lower()
+    assert (name.sequence, name.building) == (sequence, building)
     assert name.lighting
+    assert name.lighting in folder.lower()
 
 
 def test_sequences_of_several_buildings_keep_their_folders_apart(tmp_path):

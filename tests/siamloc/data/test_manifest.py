@@ -5,6 +5,7 @@ import io
 import logging
 import math
 import os
+import re
 from pathlib import Path
 
 import numpy as np
@@ -16,8 +17,6 @@ import siamloc.data
 from siamloc.data.frames import FrameTable
 from siamloc.data.manifest import COLUMNS
 from siamloc.errors import DataError, SiamlocError
-
-CORRIDOR = Path(__file__).parents[3] / "../shared/data/corridor/manifest.csv"
 
 
 @pytest.fixture
@@ -103,9 +102,8 @@ def test_missing_images_are_left_out_and_reported_and_a_missing_table_is_an_erro
     text = "image,x\nnone.jpg,1\na.jpg,2\n"
     with caplog.at_level(logging.WARNING, "siamloc"):
         assert read(folder, text).x.tolist() == [2.0]
-    assert len(caplog.records) == 1
-    assert "1 of 2 images of" in caplog.text
-    assert "none.jpg" in caplog.text
+    (record,) = caplog.records
+    assert re.search("1 of 2 images of .*none.jpg", record.message)
     with pytest.raises(DataError, match="1 of 2 images of"):
         read(folder, text, on_error="raise")
     with pytest.raises(DataError, match=r"none\.csv cannot be read: No such file"):
@@ -121,14 +119,6 @@ def test_only_a_regular_file_is_a_manifest(tmp_path, name):
     os.mkfifo(tmp_path / "pipe")
     with pytest.raises(DataError, match=rf"the manifest .*{name} is not a regular file: give a CSV table"):
         siamloc.data.read("manifest", manifest=tmp_path / name)
-
-
-@pytest.mark.data
-@pytest.mark.skipif(not CORRIDOR.is_file(), reason=f"{CORRIDOR} is missing")
-def test_the_corridor():
-    table = siamloc.data.read("manifest", manifest=CORRIDOR, on_error="raise")
-    assert {name: len(rows) for name, rows in table.rows_by("sequence").items()} == {"ref": 111, "query": 111}
-    np.testing.assert_array_equal(table.select(sequence="query").x, np.arange(111))
 
 
 labels = st.text(st.characters(codec="utf-8", exclude_characters="\0"), max_size=8).map(str.strip)

@@ -14,20 +14,14 @@ def sampler_of(frames, label="auto", seed=0, **options):
     return PairSampler(frames, PairSettings(label=label, **options), seed=seed)
 
 
-def table(rooms, seed=0, building=None):
-    rng = np.random.default_rng(seed)
-    n = len(rooms)
-    return FrameTable(
-        path=[f"{i}.png" for i in range(n)],
-        x=rng.uniform(0, 10, n),
-        y=rng.uniform(0, 3, n),
-        room=rooms,
-        building=building,
-    )
+def table(rooms, building=None):
+    x, y = np.random.default_rng(0).uniform(0, 1, (2, len(rooms)))
+    paths = [f"{i}.png" for i in range(len(rooms))]
+    return FrameTable(path=paths, x=10 * x, y=3 * y, room=rooms, building=building)
 
 
 def as_lists(pairs):
-    return pairs.first.tolist(), pairs.second.tolist(), pairs.label.tolist(), pairs.same.tolist()
+    return [column.tolist() for column in vars(pairs).values()]
 
 
 room_lists = st.lists(st.sampled_from(["A", "B", "C", ""]), min_size=2, max_size=30).filter(
@@ -105,13 +99,8 @@ def test_scale_of_a_large_room_uses_the_hull(on_a_line):
 
 
 def two_buildings():
-    return FrameTable(
-        path=list("abcdefg"),
-        x=[0, 10, 5, 0, 2, 1, 50],
-        y=np.zeros(7),
-        room=["R", "R", "S", "R", "R", "R", "S"],
-        building=["large"] * 3 + ["small"] * 4,
-    )
+    x, building = [0, 10, 5, 0, 2, 1, 50], ["large"] * 3 + ["small"] * 4
+    return FrameTable(path=list("abcdefg"), x=x, y=np.zeros(7), room=list("RRSRRRS"), building=building)
 
 
 def test_each_building_has_its_own_scale():

@@ -22,8 +22,7 @@ def table():
     )
 
 
-def protocol(**roles):
-    kind = roles.pop("kind", "cross_run")
+def protocol(kind="cross_run", **roles):
     return Protocol.of({"kind": kind, **{role: {"sequences": names} for role, names in roles.items()}})
 
 
@@ -38,13 +37,6 @@ def test_the_map_is_made_of_the_training_sequences_unless_told(table):
     given = Protocol.of({"train": {"sequences": "cloudy1"}, "map": {"every": 5}})
     assert given.frames("map", table).path.tolist() == ["cloudy1/0", "cloudy1/5"]
     assert Protocol().excluded(table, table) is None
-
-
-def test_queries_may_share_the_run_of_the_map_only_if_the_protocol_says_so(table):
-    with pytest.raises(ConfigError, match=r"cloudy1.*protocol.query and in protocol.map"):
-        protocol(map=["cloudy1"], query=["cloudy1"]).frames("query", table)
-    same_run = protocol(kind="same_run", map=["cloudy1"], query=["cloudy1"])
-    assert len(same_run.frames("query", table)) == 10
 
 
 @pytest.mark.parametrize(

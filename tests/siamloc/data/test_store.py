@@ -83,11 +83,9 @@ def assert_whole(store: Store) -> None:
 @pytest.mark.parametrize("workers", [1, 5])
 def test_a_store_holds_the_panoramas_of_the_images(paths, tmp_path, workers):
     store = build(paths, tmp_path, workers=workers)
-    assert store.panoramas.shape == (IMAGES, 3, *SIZE)
-    assert store.panoramas.dtype == np.uint8
+    assert (store.panoramas.shape, store.panoramas.dtype) == ((IMAGES, 3, *SIZE), np.uint8)
     assert not store.panoramas.flags.writeable
-    assert store.kept.tolist() == list(range(IMAGES))
-    assert store.rejected == []
+    assert (store.kept.tolist(), store.rejected) == (list(range(IMAGES)), [])
     assert_whole(store)
     assert names(tmp_path / "cache") == [store.folder.name]
     np.testing.assert_array_equal(np.load(store.folder / "panoramas.npy"), store.panoramas)
@@ -183,6 +181,7 @@ def change(**values):
         lambda folder: (folder / "store.json").unlink(),
         lambda folder: (folder / "panoramas.npy").unlink(),
         cut,
+        change(version=2),
         change(images=6),
         change(image_size=[8, 16]),
         change(rejected=[{"row": 99, "path": "", "reason": ""}]),
@@ -274,11 +273,3 @@ def test_a_cache_where_a_file_stands_is_an_error(paths, tmp_path, caplog, inside
     with pytest.raises(StorageError, match="a file stands where a folder is needed"):
         build(paths, tmp_path / inside)
     assert "damaged" not in caplog.text
-
-
-def test_a_file_system_without_locks_is_used_all_the_same(paths, tmp_path, monkeypatch):
-    def unsupported(*_):
-        raise OSError(errno.ENOLCK, "no locks")
-
-    monkeypatch.setattr("fcntl.flock", unsupported)
-    assert_whole(build(paths, tmp_path))
