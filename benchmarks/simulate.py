@@ -17,7 +17,7 @@ import numpy as np
 from benchmarks.report import Report, parser
 from siamloc.simulate import Run, build_scene, load_building, simulate
 from siamloc.simulate.camera import CAMERAS, HEIGHT
-from siamloc.simulate.render import frames, meter
+from siamloc.simulate.rendering import frames, meter
 
 
 def bare_loop(building: str, camera: str, repeats: int = 20) -> float:

@@ -20,7 +20,7 @@ from siamloc.data.panorama import PanoramaView
 from siamloc.pretraining import RECIPE, ViewSettings
 from siamloc.simulate import Run, build_scene, draw_views, load_building
 from siamloc.simulate.camera import PanoramaCamera
-from siamloc.simulate.render import frames, meter
+from siamloc.simulate.rendering import frames, meter
 from siamloc.simulate.run import LIGHTINGS
 from siamloc.simulate.views import FIRST_SEED
 

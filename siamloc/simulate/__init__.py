@@ -15,31 +15,10 @@ or, step by step, without files:
 The modules, from a building's YAML file to a panorama: `layout` (what a building consists of), `parse` and `load` (its
 file), `floor_plans`, `furnishing`, `route` and `draw` (a building drawn from a seed), `plan` (free space), `trajectory`
 and `run` (one drive), `mesh`, `shell`, `furniture`, `items`, `textures` and `prints` (what is visible), `sky` and
-`light` (light sources), `scene` (all of these), `camera` and `render` (images), `views` (many images, quickly),
+`light` (light sources), `scene` (all of these), `camera` and `rendering` (images), `views` (many images, quickly),
 and `produce` (the data set). Rendering needs the package embreex, installed by the extra "simulate".
 """
 
-from siamloc.simulate.load import building_names, load_building
-from siamloc.simulate.preview import panoramas
-from siamloc.simulate.produce import STANDARD_RUNS, SimulateConfig, Summary, simulate
-from siamloc.simulate.render import render
-from siamloc.simulate.run import Run
-from siamloc.simulate.scene import Scene, build_scene, relit
-from siamloc.simulate.views import Views, draw_views
+from siamloc.lazy import lazy
 
-__all__ = [
-    "STANDARD_RUNS",
-    "Run",
-    "Scene",
-    "SimulateConfig",
-    "Summary",
-    "Views",
-    "build_scene",
-    "building_names",
-    "draw_views",
-    "load_building",
-    "panoramas",
-    "relit",
-    "render",
-    "simulate",
-]
+__getattr__, __dir__, __all__ = lazy(__name__, __file__)

@@ -16,7 +16,7 @@ from siamloc.simulate.items import KINDS
 from siamloc.simulate.layout import Array, Building
 from siamloc.simulate.load import load_building
 from siamloc.simulate.plan import clearance, obstacles
-from siamloc.simulate.render import render
+from siamloc.simulate.rendering import render
 from siamloc.simulate.run import Run, draw_run
 from siamloc.simulate.scene import build_scene
 from siamloc.simulate.shell import leaf_segment

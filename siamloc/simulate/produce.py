@@ -26,7 +26,7 @@ from siamloc.simulate.load import load_building
 from siamloc.simulate.mesh import embree
 from siamloc.simulate.preview import write_preview
 from siamloc.simulate.processes import rendering_processes
-from siamloc.simulate.render import frames, meter
+from siamloc.simulate.rendering import frames, meter
 from siamloc.simulate.run import Run, draw_run
 from siamloc.simulate.scene import Scene, build_scene
 from siamloc.simulate.trajectory import Track
@@ -35,8 +35,8 @@ from siamloc.simulate.trajectory import Track
 STANDARD_RUNS = ("cloudy1", "cloudy2", "cloudy3", "night1", "night2", "sunny1", "sunny2", "sunny3")
 _SCHEMA = 1
 _BATCH = 16
+_QUALITY = 92  # of the JPEG files, 1 to 100
 _Spacing = Annotated[float, Rule("a number of metres from 0.005", lambda value: 0.005 <= value < 1e6)]
-_Quality = Annotated[int, Rule("a whole number from 1 to 100", lambda value: 1 <= value <= 100)]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -53,7 +53,6 @@ class SimulateConfig(Settings):
         camera: "omnidirectional" (640 x 480 JPEG) or "panorama" (512 x 128 JPEG).
         frames: largest number of frames per run; all if None.
         workers: number of processes; as many as there are processors (at most 8) if None.
-        quality: quality of the JPEG files, 1 to 100.
         preview: write a contact sheet and a floor plan instead of the data set.
         overwrite: replace images in the folder that another configuration rendered; complete images of this
             configuration are kept.
@@ -71,7 +70,6 @@ class SimulateConfig(Settings):
     camera: CameraName = "omnidirectional"
     frames: Count | None = None
     workers: Thousand | None = None
-    quality: _Quality = 92
     preview: bool = False
     overwrite: bool = False
 
@@ -195,7 +193,7 @@ def _description(config: SimulateConfig, building: Building, run: Run) -> dict[s
         "run": run.name,
         "path": run.path,
         "spacing": run.spacing,
-        "quality": config.quality,
+        "quality": _QUALITY,
     }
 
 
@@ -273,5 +271,5 @@ def _batch(config: SimulateConfig, run: Run, rows: list[int]) -> int:
     drive, images = scene.state.track, _sequence(config, scene.building, run) / "omni_cam"
     pictures = frames(scene, drive, CAMERAS[config.camera], exposure, rows)
     for row, picture in zip(rows, pictures, strict=True):
-        write_picture(images / drive.names[row], picture, config.quality)
+        write_picture(images / drive.names[row], picture, _QUALITY)
     return len(rows)

@@ -21,7 +21,7 @@ from siamloc.simulate.layout import Array, Building, Rng, seeded, single
 from siamloc.simulate.light import ROUGH
 from siamloc.simulate.load import load_building
 from siamloc.simulate.plan import room_at
-from siamloc.simulate.render import turned
+from siamloc.simulate.rendering import turned
 from siamloc.simulate.run import Light, Run, draw_light
 from siamloc.simulate.scene import Scene, build_scene, relit
 

@@ -126,9 +126,9 @@ def test_rendering_without_the_ray_caster_is_refused_in_one_sentence(tmp_path: P
 
 def test_another_simulation_is_not_mixed_in(written: Path, tmp_path: Path) -> None:
     small(out=tmp_path, frames=2)
-    with pytest.raises(DataError, match=r"holds images of another simulation \(different: quality\)"):
-        small(out=tmp_path, quality=50)
-    assert small(out=tmp_path, quality=50, frames=2, overwrite=True).rendered == 2
+    with pytest.raises(DataError, match=r"holds images of another simulation \(different: spacing\)"):
+        small(out=tmp_path, spacing=0.3)
+    assert small(out=tmp_path, spacing=0.3, frames=2, overwrite=True).rendered == 2
 
 
 def test_omnidirectional_pictures(tmp_path: Path) -> None:

@@ -10,7 +10,7 @@ from siamloc.errors import ConfigError
 from siamloc.simulate import Run, build_scene, render
 from siamloc.simulate.camera import CAMERAS
 from siamloc.simulate.layout import Building
-from siamloc.simulate.render import frames, meter
+from siamloc.simulate.rendering import frames, meter
 from siamloc.simulate.scene import Scene
 from siamloc.simulate.sky import sun_direction
 
