@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Iterable, Sequence
+from typing import Literal
 
 from foundation.errors import ConfigError, DataError, FormatError, SiamlocError, StorageError, hint
 
@@ -11,7 +12,8 @@ __all__ = ["ConfigError", "DataError", "FormatError", "SiamlocError", "StorageEr
 
 logger = logging.getLogger("siamloc")
 
-ON_ERROR = ("skip", "raise")
+Policy = Literal["skip", "raise"]
+"""What happens to images that cannot be read: they are left out and reported, or the first one is an error."""
 _OURS = ("siamloc", "analytic", "augment", "foundation")
 _EXTRAS = {"embreex": "simulate", "hydra_plugins": "sweeps", "aiohttp": "live"}
 
@@ -31,12 +33,6 @@ def installing(extra: str) -> str:
     "run pip install '.[live]' in the folder of siamloc's source"
     """
     return f"run pip install '.[{extra}]' in the folder of siamloc's source"
-
-
-def check_policy(on_error: str) -> None:
-    """Raise ConfigError unless `on_error` is "skip" or "raise"."""
-    if on_error not in ON_ERROR:
-        raise ConfigError(f"on_error={on_error!r} is not a policy; {hint(on_error, ON_ERROR)}")
 
 
 def leave_out(problems: Sequence[str], total: int, what: str, on_error: str) -> None:

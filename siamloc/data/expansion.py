@@ -29,7 +29,7 @@ from siamloc.data.frames import FrameTable
 from siamloc.data.manifest import COLUMNS
 from siamloc.data.names import NamedPose, format_name, name_sequence, parse_name
 from siamloc.data.panorama import OmnidirectionalCamera
-from siamloc.errors import ConfigError, DataError, check_policy
+from siamloc.errors import ConfigError, DataError, Policy
 from siamloc.progress import track
 
 MANIFEST = "manifest.csv"
@@ -93,7 +93,7 @@ def expand(
     seed: Seed = 0,
     resume: bool = False,
     workers: Thousand = 2,
-    on_error: str = "skip",
+    on_error: Policy = "skip",
 ) -> Expanded:
     """Write several images of every frame: the original, spots, global light, blur, rotations and their combinations.
 
@@ -116,7 +116,6 @@ def expand(
         AugmentError: a folder in use, or a folder to resume that holds another expansion.
         StorageError: the disk is full or cannot be written to.
     """
-    check_policy(on_error)
     folder, source = Path(out), frames.source
     kind = str(source.get("kind", ""))
     if kind not in ("cold", "folder", "manifest"):

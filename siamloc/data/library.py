@@ -17,7 +17,7 @@ from siamloc.data.decoding import Preprocessing
 from siamloc.data.frames import FrameTable
 from siamloc.data.panorama import OmnidirectionalCamera
 from siamloc.data.store import Store, open_store
-from siamloc.errors import ConfigError, DataError, check_policy
+from siamloc.errors import ConfigError, DataError, Policy
 
 CACHE = ".siamloc/panoramas"
 
@@ -70,10 +70,9 @@ class PanoramaLibrary:
         image_size: Sequence[int] = (128, 512),
         unwrap: OmnidirectionalCamera | Mapping[str, Any] | None = None,
         circular: bool = True,
-        on_error: str = "skip",
+        on_error: Policy = "skip",
         workers: Thousand | None = None,
     ) -> None:
-        check_policy(on_error)
         if len(frames) == 0:
             raise DataError("there are no frames to decode: the table is empty")
         self.preprocessing = Preprocessing.checked(image_size, unwrap)

@@ -171,15 +171,10 @@ class HyperbolicMirror(Settings):
     fy: Positive = 340.0
     cx: float = 319.5
     cy: float = 239.5
-    eccentricity: float = 1.4
+    eccentricity: Annotated[float, Rule("a number above 1", lambda value: value > 1)] = 1.4
     focal_parameter: Positive = 0.03
     forward: float = 0.0
     mirrored: bool = True
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if not self.eccentricity > 1:
-            raise ConfigError(f"a hyperbolic mirror has an eccentricity above 1, got {self.eccentricity}")
 
     @property
     def camera_depth(self) -> float:

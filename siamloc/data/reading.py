@@ -9,14 +9,14 @@ from pathlib import Path
 from typing import Any, ClassVar, Literal
 
 from foundation.calls import typed
-from foundation.settings import Settings, Size
+from foundation.settings import Settings, Size, checked
 from siamloc.data.cold import read_cold
 from siamloc.data.folder import read_folder
 from siamloc.data.frames import FrameTable
 from siamloc.data.library import PanoramaLibrary
 from siamloc.data.manifest import read_manifest
 from siamloc.data.panorama import OmnidirectionalCamera
-from siamloc.errors import ConfigError, check_policy, hint
+from siamloc.errors import ConfigError, Policy, hint
 
 READERS: dict[str, Callable[..., FrameTable]] = {"cold": read_cold, "folder": read_folder, "manifest": read_manifest}
 
@@ -60,7 +60,7 @@ def read(kind: str, *, unit: str = "m", name: str = "", **where: Any) -> FrameTa
     for key, parameter in parameters.items():
         if parameter.default is inspect.Parameter.empty and where.get(key) is None:
             raise ConfigError(f"data of kind {kind!r} need {key}=...; valid: {', '.join(parameters)}")
-    check_policy(where.get("on_error", "skip"))
+    checked(where.get("on_error", "skip"), Policy, "on_error")
     given = {key: value for key, value in where.items() if value is not None}
     source = {key: str(Path(value).expanduser().absolute()) if key in _PATHS else value for key, value in given.items()}
     for key in _PATHS:
@@ -106,7 +106,7 @@ class DataSettings(Settings):
     unit: str = "m"
     image_size: Size = (128, 512)
     circular: bool = True
-    on_error: Literal["skip", "raise"] = "skip"
+    on_error: Policy = "skip"
     cache: Path | None = None
 
     def summary(self) -> str:

@@ -113,7 +113,7 @@ def test_rows_outside_the_library(frames, tmp_path, rows):
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"on_error": "ignore"}, "'ignore' is not a policy"),
+        ({"on_error": "ignore"}, "on_error must be skip or raise, got 'ignore'"),
         ({"image_size": (0, 16)}, "image_size must be"),
         ({"unwrap": {"kind": "polar", "iner": 3}}, "unknown key unwrap.iner: did you mean 'inner'"),
     ],
