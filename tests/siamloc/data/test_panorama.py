@@ -190,7 +190,7 @@ def test_what_lies_outside_the_image_is_black():
     [
         (lambda: PanoramaView(height=0), "panorama.height must be a whole number from 1 to .*, got 0"),
         (lambda: PanoramaView(top=-50), "-90 < bottom < top < 90"),
-        (lambda: HyperbolicMirror(eccentricity=1.0), "eccentricity above 1, got 1.0"),
+        (lambda: HyperbolicMirror(eccentricity=1.0), "unwrap.eccentricity must be a number above 1, got 1.0"),
         (lambda: HyperbolicMirror(fx=0), "unwrap.fx must be a number above 0, got 0"),
     ],
 )
