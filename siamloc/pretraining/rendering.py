@@ -7,7 +7,7 @@ from concurrent.futures.process import BrokenProcessPool
 from typing import Any
 
 from siamloc.errors import DataError
-from siamloc.simulate.processes import rendering_processes
+from siamloc.simulate.produce import rendering_processes
 from siamloc.simulate.views import Views, draw_views
 
 _PATIENCE = 10.0  # seconds for a process to end

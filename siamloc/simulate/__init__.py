@@ -12,8 +12,8 @@ or, step by step, without files:
     scene = build_scene(load_building("mini"), Run("night", 1))
     panoramas = render(scene, scene.state.track.poses[:3])  # (3, 128, 512, 3) uint8
 
-The modules, from a building's YAML file to a panorama: `layout` (what a building consists of), `parse` and `load` (its
-file), `floor_plans`, `furnishing`, `route` and `draw` (a building drawn from a seed), `plan` (free space), `trajectory`
+The modules, from a building's YAML file to a panorama: `layout` (what a building consists of), `parse` (its file),
+`floor_plans`, `furnishing`, `route` and `buildings` (buildings by name or drawn), `plan` (free space), `trajectory`
 and `run` (one drive), `mesh`, `shell`, `furniture`, `items`, `textures` and `prints` (what is visible), `sky` and
 `light` (light sources), `scene` (all of these), `camera` and `rendering` (images), `views` (many images, quickly),
 and `produce` (the data set). Rendering needs the package embreex, installed by the extra "simulate".

@@ -1,4 +1,4 @@
-from .load import building_names as building_names, load_building as load_building
+from .buildings import building_names as building_names, load_building as load_building
 from .preview import panoramas as panoramas
 from .produce import (
     STANDARD_RUNS as STANDARD_RUNS,

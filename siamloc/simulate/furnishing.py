@@ -178,14 +178,9 @@ class Room:
         self._hung[side].append((across, (z, z + h)))
         return self._add(entry, size, against=side, at=round(at, 2), z=round(z, 2))
 
-    def _free(self, box: Rectangle, margin: float = 0.02) -> bool:
-        return all(
-            box.x[1] + margin <= taken.x[0]
-            or box.x[0] - margin >= taken.x[1]
-            or box.y[1] + margin <= taken.y[0]
-            or box.y[0] - margin >= taken.y[1]
-            for taken in self._taken
-        )
+    def _free(self, box: Rectangle) -> bool:
+        (x0, x1), (y0, y1) = ((low - 0.02, high + 0.02) for low, high in box)
+        return not any(x1 > x[0] and x0 < x[1] and y1 > y[0] and y0 < y[1] for x, y in self._taken)
 
 
 def furnish(room: Room, style: Rng, rng: Rng, density: float) -> list[Entry]:

@@ -12,8 +12,8 @@ from foundation.calls import typed
 from foundation.files import atomic_path
 from foundation.settings import Thousand
 from siamloc.data.names import LIGHTINGS
+from siamloc.simulate.buildings import load_building
 from siamloc.simulate.layout import Array, Building
-from siamloc.simulate.load import load_building
 from siamloc.simulate.plan import clearance, obstacles
 from siamloc.simulate.rendering import render
 from siamloc.simulate.run import Run, draw_run

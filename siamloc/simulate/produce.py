@@ -2,15 +2,21 @@
 
 from __future__ import annotations
 
+import os
+import signal
+import threading
 import time
 from collections import Counter
 from collections.abc import Iterator
-from concurrent.futures import as_completed
+from concurrent.futures import ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import asdict, dataclass
 from functools import lru_cache
+from multiprocessing import get_context, parent_process
 from pathlib import Path
 from typing import Annotated, Any
+
+import cv2
 
 from foundation.calls import takes
 from foundation.files import content_key, read_json, storage_errors, write_json, write_picture, write_text
@@ -20,12 +26,11 @@ from siamloc.data.decoding import cut_short
 from siamloc.data.names import parse_name
 from siamloc.errors import ConfigError, DataError
 from siamloc.progress import track
+from siamloc.simulate.buildings import load_building
 from siamloc.simulate.camera import CAMERAS, HEIGHT, CameraName, Exposure
 from siamloc.simulate.layout import Building
-from siamloc.simulate.load import load_building
 from siamloc.simulate.mesh import embree
 from siamloc.simulate.preview import write_preview
-from siamloc.simulate.processes import rendering_processes
 from siamloc.simulate.rendering import frames, meter
 from siamloc.simulate.run import Run, draw_run
 from siamloc.simulate.scene import Scene, build_scene
@@ -273,3 +278,23 @@ def _batch(config: SimulateConfig, run: Run, rows: list[int]) -> int:
     for row, picture in zip(rows, pictures, strict=True):
         write_picture(images / drive.names[row], picture, _QUALITY)
     return len(rows)
+
+
+def rendering_processes(count: int) -> ProcessPoolExecutor:
+    """Start rendering processes; they are spawned, so a script needs `if __name__ == "__main__":`."""
+    return ProcessPoolExecutor(count, mp_context=get_context("spawn"), initializer=_prepare)
+
+
+def _prepare() -> None:
+    """Limit the process to one thread, since all share the processors; the parent process handles interrupts."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    threading.Thread(target=_end_with_parent, daemon=True).start()
+    cv2.setNumThreads(1)
+
+
+def _end_with_parent() -> None:
+    """Stop this process when its parent is killed: nobody would collect its work."""
+    parent = parent_process()
+    if parent is not None:
+        parent.join()
+        os._exit(1)

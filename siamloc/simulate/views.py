@@ -16,10 +16,10 @@ import numpy as np
 from foundation.calls import typed
 from siamloc.data.frames import FrameTable
 from siamloc.data.names import LIGHTINGS
+from siamloc.simulate.buildings import load_building
 from siamloc.simulate.camera import Cameras, ViewCamera, develop, draw_camera, metered
 from siamloc.simulate.layout import Array, Building, Rng, seeded, single
 from siamloc.simulate.light import ROUGH
-from siamloc.simulate.load import load_building
 from siamloc.simulate.plan import room_at
 from siamloc.simulate.rendering import turned
 from siamloc.simulate.run import Light, Run, draw_light

@@ -20,7 +20,7 @@ from siamloc.pretraining import RECIPE, ViewSettings, pretrain, rendering, view_
 from siamloc.pretraining.rendering import Renderer
 from siamloc.pretraining.view_batches import BuildingStream, ViewBatches, building_seed
 from siamloc.simulate.camera import Cameras
-from siamloc.simulate.processes import rendering_processes
+from siamloc.simulate.produce import rendering_processes
 from siamloc.simulate.views import Exposures, Views, camera_of
 
 SIZE = (16, 64)

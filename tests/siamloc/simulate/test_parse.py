@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from siamloc.errors import DataError
+from siamloc.simulate.buildings import building_names, load_building
 from siamloc.simulate.items import KINDS
-from siamloc.simulate.load import building_names, load_building
 from siamloc.simulate.plan import clearance, obstacles, room_codes
 
 PLAN = """name: two

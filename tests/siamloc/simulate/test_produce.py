@@ -16,7 +16,7 @@ from siamloc.cli import main
 from siamloc.data.cold import read_cold
 from siamloc.errors import ConfigError, DataError
 from siamloc.simulate import SimulateConfig, Summary, produce, simulate
-from siamloc.simulate.load import building_folder
+from siamloc.simulate.buildings import building_folder
 
 SMALL = {"building": "mini", "runs": ["cloudy1"], "frames": 6, "camera": "panorama", "workers": 1}
 
