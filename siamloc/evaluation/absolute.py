@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
@@ -12,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from siamloc.data.frames import FrameTable
 from siamloc.errors import DataError
-from siamloc.evaluation.columns import heading_errors, map_columns, room_names
+from siamloc.evaluation.columns import heading_errors, map_columns, query_columns, room_names
 from siamloc.evaluation.metrics import (
     error_floor,
     first_rank_within,
@@ -48,15 +47,13 @@ def evaluate_absolute(
         found: the nearest map frames of each query, at least `neighbours(ks, m)`.
         radii: radii of the recall, in units of x and y.
         ks: numbers of retrieved frames for the recall; the recall for 1 % of the map is always measured, too.
-        headings: estimated headings of the queries (n,), rad; evaluated where the true heading is known.
+        headings: estimated headings of the queries (n,), rad, NaN where unknown; evaluated where the true one is known.
         excluded: (n, m) map frames that a query was not compared with; the error floor leaves them out, too.
     """
-    radii, ks, known = tuple(map(float, radii)), tuple(ks), visual_map.frames
+    known, radii = visual_map.frames, list(map(float, radii))
+    about = {"unit": visual_map.unit, "map_frames": len(known), "radii": radii, "ks": list(ks)}
     k = most_neighbours(neighbours(ks, len(known)), len(known), excluded)
-    columns = _columns(known, frames, found, excluded)
-    if headings is not None:
-        columns["est_theta"] = np.asarray(headings, dtype=np.float64)
-        columns["heading_error"] = heading_errors(headings, frames)
+    columns = {**_columns(known, frames, found, excluded), **_heading_columns("", headings, frames)}
     for radius in radii:
         columns[rank_column(radius)] = first_rank_within(found.indices[:, :k], known.xy, frames.xy, radius)
     counts = {
@@ -65,7 +62,7 @@ def evaluate_absolute(
     aside = list(implausible_offsets(known, frames, found.indices[:, 0]))
     return Result(
         name="absolute",
-        parts={"absolute": pose_measures(columns, radii, ks, len(known), visual_map.unit)},
+        parts={"absolute": pose_measures(columns, about)},
         tables={"queries": columns, "map": map_columns(known, frames)},
         denominators={"queries": len(frames), "map_frames": len(known), **counts},
         skipped={"positions": " ".join(aside)} if aside else {},
@@ -75,17 +72,8 @@ def evaluate_absolute(
 def with_baseline(result: Result, name: str, baseline: Result) -> Result:
     """Return a result that also has the errors of another method on the same queries."""
     columns = {**result.tables["queries"], f"baseline_{name}": baseline.tables["queries"]["error"]}
-    held = result.parts["absolute"]
-    parts = {
-        **result.parts,
-        "absolute": pose_measures(columns, held["radii"], held["ks"], held["map_frames"], held["unit"]),
-    }
-    return replace(
-        result,
-        parts=parts,
-        tables={**result.tables, "queries": columns},
-        baselines={**result.baselines, name: baseline},
-    )
+    result = result.with_part("absolute", pose_measures(columns, result.parts["absolute"]), columns)
+    return replace(result, baselines={**result.baselines, name: baseline})
 
 
 def neighbours(ks: Sequence[int], map_frames: int) -> int:
@@ -107,20 +95,14 @@ def most_neighbours(k: int, map_frames: int, excluded: NDArray[np.bool_] | None)
 
 def pose_measures(
     columns: Mapping[str, NDArray],
-    radii: Sequence[float],
-    ks: Sequence[int],
-    map_frames: int,
-    unit: str,
+    about: Mapping[str, Any],
     further: Callable[[NDArray[np.int64]], dict[str, Any]] | None = None,
 ) -> dict[str, Any]:
     """Return all measures of localization, pooled over queries, from the columns of `queries.csv`.
 
     Args:
         columns: of `queries.csv`.
-        radii: radii of the recall, in units of x and y.
-        ks: numbers of retrieved frames for the recall.
-        map_frames: number of frames in the map.
-        unit: of x and y.
+        about: `unit` of x and y, `map_frames`, and the `radii` and `ks` of the recall; other keys are ignored.
         further: returns more measures of a group, from the rows of its queries.
 
     Returns:
@@ -133,32 +115,31 @@ def pose_measures(
         count as "(unlabelled)" if others have one.
     """
 
+    radii, ks, map_frames = about["radii"], about["ks"], about["map_frames"]
+
     def group(rows: NDArray[np.int64]) -> dict[str, Any]:
         numbers = {name: column[rows] for name, column in columns.items() if column.dtype.kind in "iuf"}
         floor = numbers["floor"]
         ranks = {radius: numbers[rank_column(radius)] for radius in radii}
-        baselines = {name: {"error": summarize(numbers[f"baseline_{name}"])} for name in baseline_names(numbers)}
         return {
             "queries": len(rows),
             **{name: summarize(numbers[name]) for name in ("error", "floor", "excess")},
             "hit_rate": [_hit_rate(numbers["excess"], one) for one in dict.fromkeys((0.0, *radii))],
             "recall": _recalls(ranks, floor, ks),
             "recall_at_one_percent": _recalls(ranks, floor, [one_percent(map_frames)]),
-            "baselines": baselines,
+            "baselines": {name: {"error": summarize(numbers[f"baseline_{name}"])} for name in baseline_names(numbers)},
             **_heading(numbers.get("heading_error")),
             **({} if further is None else further(rows)),
         }
 
     return {
-        **{"unit": unit, "map_frames": int(map_frames), "radii": list(radii), "ks": list(ks)},
+        **{key: about[key] for key in ("unit", "map_frames", "radii", "ks")},
         **by_label(columns, group, "lighting", "room"),
         "room_by_lighting": _room_by_lighting(columns),
     }
 
 
-def estimate_measures(
-    columns: Mapping[str, NDArray], name: str, radii: Sequence[float], map_frames: int, unit: str
-) -> dict[str, Any]:
+def estimate_measures(columns: Mapping[str, NDArray], name: str, about: Mapping[str, Any]) -> dict[str, Any]:
     """Return the measures of a further estimate of each query, from the columns of `queries.csv`.
 
     Returns:
@@ -174,7 +155,7 @@ def estimate_measures(
             "error": summarize(error),
             "floor": summarize(floor),
             "excess": summarize(error - floor),
-            "recall": _recalls({radius: (error <= radius).astype(np.int64) for radius in radii}, floor, [1]),
+            "recall": _recalls({radius: (error <= radius).astype(np.int64) for radius in about["radii"]}, floor, [1]),
         }
         if f"{name}_inside" in columns:
             inside = columns[f"{name}_inside"][rows]
@@ -183,7 +164,8 @@ def estimate_measures(
         return {**found, **_heading(None if turned is None else turned[rows])}
 
     return {
-        **{"unit": unit, "map_frames": int(map_frames), "radii": list(radii), "ks": [1]},
+        **{key: about[key] for key in ("unit", "map_frames", "radii")},
+        "ks": [1],
         **by_label(columns, group, "lighting", "room"),
     }
 
@@ -200,19 +182,25 @@ def estimate_columns(
         headings: estimated headings (n,), rad, NaN where unknown.
 
     Returns:
-        `<name>_est_x`, `<name>_est_y`, `<name>_error`; with headings also `<name>_est_theta` and
+        `<name>_est_x`, `<name>_est_y`, `<name>_error`; with any known headings also `<name>_est_theta` and
         `<name>_heading_error` in degrees, NaN if one of the two headings is unknown.
 
     Raises:
         DataError: unknown positions.
     """
     xy = np.asarray(estimated_xy, dtype=np.float64)
-    error = localization_error(xy, frames.xy)
-    columns: Columns = {f"{name}_est_x": xy[:, 0], f"{name}_est_y": xy[:, 1], f"{name}_error": error}
-    if headings is not None:
-        columns[f"{name}_est_theta"] = np.asarray(headings, dtype=np.float64)
-        columns[f"{name}_heading_error"] = heading_errors(headings, frames)
-    return columns
+    return {
+        **{f"{name}_est_x": xy[:, 0], f"{name}_est_y": xy[:, 1], f"{name}_error": localization_error(xy, frames.xy)},
+        **_heading_columns(f"{name}_", headings, frames),
+    }
+
+
+def _heading_columns(prefix: str, headings: ArrayLike | None, frames: FrameTable) -> Columns:
+    """Return the columns of estimated headings (n,), NaN where unknown; none if all are unknown."""
+    theta = np.asarray(np.nan if headings is None else headings, dtype=np.float64)
+    if not np.isfinite(theta).any():
+        return {}
+    return {f"{prefix}est_theta": theta, f"{prefix}heading_error": heading_errors(theta, frames)}
 
 
 def _room_by_lighting(columns: Mapping[str, NDArray]) -> dict[str, dict[str, Any]]:
@@ -244,11 +232,7 @@ def _columns(
     # The floor is at most the error; the minimum guards against rounding, so that the excess is never negative.
     floor = np.minimum(error_floor(known.xy, frames.xy, excluded), error)
     return {
-        "query": np.arange(len(frames)),
-        "path": frames.path,
-        "sequence": frames.sequence,
-        "lighting": frames.lighting,
-        "room": rooms,
+        **query_columns(frames, rooms),
         "x": frames.x,
         "y": frames.y,
         "theta": frames.theta,
@@ -276,8 +260,7 @@ def _hit_rate(excess: NDArray[np.float64], tolerance: float) -> dict[str, Any]:
     near up to rounding (a nanometre) all count as the nearest one.
     """
     hits = int((excess <= tolerance + 1e-9).sum())
-    rate = hits / len(excess) if len(excess) else math.nan
-    return {"tolerance": float(tolerance), "rate": rate, "hits": hits, "queries": len(excess)}
+    return {"tolerance": float(tolerance), "rate": hits / len(excess), "hits": hits, "queries": len(excess)}
 
 
 def _heading(errors: NDArray | None) -> dict[str, Any]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
@@ -18,7 +17,7 @@ from siamloc.data.frames import FrameTable
 from siamloc.data.library import PanoramaLibrary
 from siamloc.data.protocol import Protocol
 from siamloc.errors import ConfigError, DataError
-from siamloc.evaluation.columns import confusions
+from siamloc.evaluation.columns import confusions, query_columns, right_share
 from siamloc.evaluation.result import Result
 from siamloc.evaluation.session import Session, as_protocol, cost
 from siamloc.maps import CoarseLayer, VisualMap, match
@@ -213,11 +212,7 @@ def evaluate_buildings(
     others[every, chosen] = np.inf
     match_names = [str(np.asarray(names[b])[row]) for b, row in zip(chosen, rows, strict=True)]
     columns: Columns = {
-        "query": every,
-        "path": frames.path,
-        "sequence": frames.sequence,
-        "lighting": frames.lighting,
-        "room": frames.room,
+        **query_columns(frames, frames.room),
         "building": frames.building,
         "predicted_building": known[chosen],
         "correct": known[chosen] == frames.building,
@@ -247,15 +242,10 @@ def building_measures(columns: Columns, labels: Sequence[str]) -> dict[str, Any]
 
     def group(rows: NDArray[np.int64]) -> dict[str, Any]:
         parts = {label: rows[true[rows] == label] for label in labels}
-        by_building = {label: _share(columns, part) for label, part in parts.items() if len(part)}
-        return {**_share(columns, rows), "building": by_building}
+        by_building = {label: right_share(columns, part) for label, part in parts.items() if len(part)}
+        return {**right_share(columns, rows), "building": by_building}
 
     return {
         **by_label(columns, group, "lighting"),
         "confusion": {"labels": list(labels), **confusions(columns, "building", labels)},
     }
-
-
-def _share(columns: Columns, rows: NDArray[np.int64]) -> dict[str, Any]:
-    hits = int(columns["correct"][rows].sum())
-    return {"accuracy": hits / len(rows) if len(rows) else math.nan, "correct": hits, "queries": len(rows)}

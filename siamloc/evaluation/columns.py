@@ -23,6 +23,23 @@ def room_names(*tables: FrameTable) -> list[NDArray[np.str_]]:
     return [table.room if len(buildings) <= 1 else table.place for table in tables]
 
 
+def query_columns(frames: FrameTable, rooms: NDArray[np.str_]) -> Columns:
+    """Return the first columns of the table of queries (n), with the names of their rooms (n,)."""
+    return {
+        "query": np.arange(len(frames)),
+        "path": frames.path,
+        "sequence": frames.sequence,
+        "lighting": frames.lighting,
+        "room": rooms,
+    }
+
+
+def right_share(columns: Mapping[str, NDArray], rows: NDArray[np.int64]) -> dict[str, Any]:
+    """Return `accuracy`, `correct` and `queries` of some rows (at least one), from the column `correct`."""
+    correct = int(columns["correct"][rows].sum())
+    return {"accuracy": correct / len(rows), "correct": correct, "queries": len(rows)}
+
+
 def map_columns(known: FrameTable, queries: FrameTable) -> Columns:
     """Return the columns of `map.csv` for a map's frames, used for pictures and to compare runs."""
     rooms = room_names(known, queries)[0]
@@ -76,7 +93,7 @@ def located_columns(
     known: VisualMap,
     frames: FrameTable,
     found: Retrieval,
-    headings: ArrayLike | None = None,
+    headings: ArrayLike,
     errors: ErrorModel | None = None,
     poses: tuple[str, RefinedPoses] | None = None,
 ) -> Columns:
@@ -86,7 +103,7 @@ def located_columns(
         known: a map of m frames, all with positions.
         frames: the queries (n).
         found: the nearest map frames of each query.
-        headings: estimated headings (n,), rad.
+        headings: estimated headings (n,), rad, NaN where unknown; no column if all are unknown.
         errors: the error model, with a threshold for lost queries.
         poses: prefix of the columns' names, and poses finer than the map.
 
@@ -96,11 +113,7 @@ def located_columns(
     match = found.indices[:, 0]
     known_rooms, rooms = room_names(known.frames, frames)
     columns: Columns = {
-        "query": np.arange(len(frames)),
-        "path": frames.path,
-        "sequence": frames.sequence,
-        "lighting": frames.lighting,
-        "room": rooms,
+        **query_columns(frames, rooms),
         "match": match,
         "match_path": known.frames.path[match],
         "match_room": known_rooms[match],
@@ -108,7 +121,7 @@ def located_columns(
         "est_y": known.frames.y[match],
         "descriptor_distance": found.distances[:, 0],
     }
-    if headings is not None:
+    if np.isfinite(headings).any():
         columns["est_theta"] = np.asarray(headings, dtype=np.float64)
     if poses is not None:
         name, finer = poses

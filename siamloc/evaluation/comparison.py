@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from foundation.calls import typed
+from foundation.settings import leaves
 from siamloc.comparison import Comparison, differing, files_named, flat
 from siamloc.errors import ConfigError, FormatError, hint
 from siamloc.results import FURTHER, read_results
@@ -111,7 +112,11 @@ def _measures(path: Path, results: Mapping[str, Any]) -> dict[str, float]:
         found = {name: math.nan if value is None else float(value) for name, value in _named(parts)}
         cost = (results.get("cost") or {}).get(results.get("name"), {})
         found |= {f"cost.{name}": float(value) for name, value in cost.items() if isinstance(value, int | float)}
-        return found | dict(_by_place(parts, ""))
+        return found | {
+            name: float(value)
+            for name, value in leaves(parts)
+            if "." in name and isinstance(value, int | float) and not isinstance(value, bool)
+        }
     except (KeyError, TypeError, AttributeError, IndexError, ValueError) as error:
         raise FormatError(f"{path} is not whole ({error!r}): evaluate again") from error
 
@@ -138,14 +143,6 @@ def _groups(part: Mapping[str, Any] | None) -> Iterator[tuple[str, Any]]:
     if part is not None:
         yield "", part["overall"]
         yield from ((f".{lighting}", group) for lighting, group in part.get("lighting", {}).items())
-
-
-def _by_place(part: Mapping[str, Any], before: str) -> Iterator[tuple[str, float]]:
-    for name, value in part.items():
-        if isinstance(value, Mapping):
-            yield from _by_place(value, f"{before}{name}.")
-        elif before and isinstance(value, int | float) and not isinstance(value, bool):
-            yield f"{before}{name}", float(value)
 
 
 def _columns(known: Iterable[str]) -> list[str]:

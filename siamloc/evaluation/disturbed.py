@@ -152,7 +152,7 @@ def robustness(
     parts, costs = [], {}
     for label, other in {session.name: known.descriptor, **session.baselines}.items():
         own = session.map_by(other).take(in_map)
-        excluded = session.excluded(asked, own.frames)
+        excluded = session.protocol.excluded(asked, own.frames)
         clock = Stopwatch()
         found = _located(session, own, asked, rows, excluded, disturbances, label, clock)
         costs[label] = cost(own, clock)

@@ -217,7 +217,7 @@ def with_estimates(
             made["tracking"] = {**steps, "radius": settings.place_radius}
             result = _with_columns(result, "tracked", estimate_columns("tracked", between, queries))
     if finer is not None:
-        poses = search.refined.widened(finer.widening)
+        poses = search.found.refined.widened(finer.widening)
         result = _with_columns(result, ESTIMATES[finer.method], refined(finer, poses, queries))
         if settings.filter and finer.method == "relative":
             step, kidnapping = made["filter"]["step"], settings.filter_settings.kidnapping
@@ -225,15 +225,13 @@ def with_estimates(
             result = _with_columns(result, "tracked", columns)
     if model is not None:
         expected, lost = model.judged(
-            search.retrieval, search.known.frames.xy, search.refined if model.of_poses else None
+            search.found.retrieval, search.known.frames.xy, search.found.refined if model.of_poses else None
         )
         assert lost is not None  # the model has learned the threshold
         columns = {**result.tables["queries"], "error_m": expected, "lost": lost}
         judged = f"{ESTIMATES[model.refine]}_error" if model.refine in ESTIMATES else "error"
         calibrated = calibration_measures({**columns, "error": columns[judged]}, settings.lost_above)
-        result = replace(
-            result, parts={**result.parts, "calibration": calibrated}, tables={**result.tables, "queries": columns}
-        )
+        result = result.with_part("calibration", calibrated, columns)
     about = {**result.about, "estimates": made} if made else result.about
     return replace(result, about=about, error_model=model, refinement=finer)
 
@@ -254,12 +252,12 @@ def filtered(
     if validation is not None and settings.filter_tune:
         frames = validation.frames
         motion = MotionModel.learn(known.frames, interval=_interval(frames))
-        best = tune_filter(motion, validation.search.distances, frames.xy, frames.sequence, temperature)[0]
+        best = tune_filter(motion, validation.search.found.distances, frames.xy, frames.sequence, temperature)[0]
         temperature, kidnapping = best.temperature, best.kidnapping
         tuned = {"queries": len(frames), "error": best.error}
     motion = MotionModel.learn(known.frames, interval=_interval(queries))
     track = SequenceFilter(motion, temperature, kidnapping).run(
-        search.distances, queries.sequence, settings.place_radius
+        search.found.distances, queries.sequence, settings.place_radius
     )
     assert track.xy is not None
     columns = {
@@ -291,7 +289,7 @@ def learned_refinement(
         return refinement, {**about, "radius": refinement.radius}
     if validation is not None:
         try:
-            widening = validation.search.refined.widening(validation.frames.xy)
+            widening = validation.search.found.refined.widening(validation.frames.xy)
             refinement = replace(refinement, widening=widening)
             about |= {"widened": widening, "validation": len(validation.frames)}
         except DataError as error:
@@ -301,8 +299,7 @@ def learned_refinement(
 
 def refined(refinement: Refinement, poses: RefinedPoses, queries: FrameTable) -> Columns:
     """Return the columns of finer poses for `queries.csv`."""
-    headings = poses.theta if np.isfinite(poses.theta).any() else None
-    columns = estimate_columns(ESTIMATES[refinement.method], poses.xy, queries, headings)
+    columns = estimate_columns(ESTIMATES[refinement.method], poses.xy, queries, poses.theta)
     if refinement.method == "interpolate":
         used = np.rint(poses.agreement * refinement.neighbours)
         return {**columns, "interpolated_used": used.astype(np.int64)}
@@ -343,14 +340,14 @@ def learned_errors(
     Raises:
         DataError: too few validation frames.
     """
-    found, xy = validation.search.retrieval, known.frames.xy
+    found, xy = validation.search.found.retrieval, known.frames.xy
     if settings.refine == "none":
         estimated = xy[found.indices[:, 0]]
     else:
-        estimated = validation.search.refined.xy
+        estimated = validation.search.found.refined.xy
     errors = localization_error(estimated, validation.frames.xy)
     if settings.refine == "relative":
-        model = ErrorModel.fit_poses(validation.search.refined, errors)
+        model = ErrorModel.fit_poses(validation.search.found.refined, errors)
     else:
         model = ErrorModel.fit(found, xy, errors, radius=settings.place_radius, neighbours=MATCHES)
     about = {
@@ -361,8 +358,8 @@ def learned_errors(
     model = replace(model, refine=settings.refine, lost_above=settings.lost_above, map_digest=known.digest)
     right, poses = np.flatnonzero(errors <= settings.lost_above), None
     if model.of_poses:
-        poses = validation.search.refined.take(right)
-    other = None if validation.elsewhere is None else validation.elsewhere.retrieval
+        poses = validation.search.found.refined.take(right)
+    other = None if validation.elsewhere is None else validation.elsewhere.found.retrieval
     try:
         model = model.with_foreign(found.take(right), xy, poses, other)
     except DataError as error:
@@ -381,8 +378,5 @@ def _interval(frames: FrameTable) -> float | None:
 
 def _with_columns(result: Result, name: str, columns: Columns) -> Result:
     """Return a result with a further estimate of each query: its columns and measures."""
-    table, held = {**result.tables["queries"], **columns}, result.parts["absolute"]
-    measures = estimate_measures(table, name, held["radii"], held["map_frames"], held["unit"])
-    return replace(
-        result, parts={**result.parts, f"absolute_{name}": measures}, tables={**result.tables, "queries": table}
-    )
+    table = {**result.tables["queries"], **columns}
+    return result.with_part(f"absolute_{name}", estimate_measures(table, name, result.parts["absolute"]), table)

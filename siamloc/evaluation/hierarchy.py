@@ -145,20 +145,17 @@ def hierarchical(
     result = Result(session.name, {}, {}, {"queries": 0, "nodes": len(layer)})
     if perfect is not None:
         own, frames = found.take(scored), session.queries.take(scored)
-        turned = None if found.headings is None else own.heading
         result = evaluate_hierarchical(
-            known, layer, frames, own.both, perfect, own.whole, settings.radii, settings.ks, turned
+            known, layer, frames, own.both, perfect, own.whole, settings.radii, settings.ks, own.heading
         )
     if not scored.all():
         own, frames = found.take(~scored), session.queries.take(~scored)
-        turned = None if found.headings is None else own.heading
-        located = located_columns(known, frames, own.both.found, turned)
+        located = located_columns(known, frames, own.both.found, own.heading)
         located |= {"node": own.both.node, "comparisons": own.both.compared}
         result = replace(result, tables={**result.tables, "located": located})
     taken = {**cost(known, clock), "rank_ms": clock.ms("rank"), "whole_search_ms": clock.ms("whole")}
-    ranked_by = search.coarse.descriptor.identity
-    result = replace(result, cost=taken)
-    return session.finished(result, settings, coarse_descriptor=ranked_by, layer=layer.made)
+    about = {"coarse_descriptor": search.coarse.descriptor.identity, "layer": layer.made}
+    return session.finished(replace(result, cost=taken), settings, **about)
 
 
 def evaluate_hierarchical(
@@ -215,8 +212,7 @@ def evaluate_hierarchical(
         "frames": np.bincount(layer.labels[layer.labels != UNASSIGNED], minlength=len(layer)),
     }
     map_columns = {**base.tables["map"], "node": layer.labels}
-    held = base.parts["absolute"]
-    measures = node_measures(columns, held["radii"], held["ks"], held["map_frames"], held["unit"])
+    measures = node_measures(columns, base.parts["absolute"])
     return replace(
         base,
         name="hierarchical",
@@ -226,10 +222,12 @@ def evaluate_hierarchical(
     )
 
 
-def node_measures(
-    columns: Mapping[str, NDArray], radii: Sequence[float], ks: Sequence[int], map_frames: int, unit: str
-) -> dict[str, Any]:
+def node_measures(columns: Mapping[str, NDArray], about: Mapping[str, Any]) -> dict[str, Any]:
     """Return all measures of hierarchical localization, pooled over queries, from the columns of `queries.csv`.
+
+    Args:
+        columns: of `queries.csv`.
+        about: as for `siamloc.evaluation.absolute.pose_measures`.
 
     Returns:
         The measures of `siamloc.evaluation.absolute.pose_measures`. Each group also holds `coarse` (accuracy, correct,
@@ -253,12 +251,12 @@ def node_measures(
             "comparisons": {
                 "mean": float(compared.mean()),
                 "max": int(compared.max()),
-                "share": float(compared.mean()) / map_frames,
-                "frames_share": float(frames_compared.mean()) / map_frames,
+                "share": float(compared.mean()) / about["map_frames"],
+                "frames_share": float(frames_compared.mean()) / about["map_frames"],
             },
         }
 
-    return pose_measures(columns, radii, ks, map_frames, unit, group)
+    return pose_measures(columns, about, group)
 
 
 @dataclass(frozen=True)
@@ -268,11 +266,6 @@ class _Found(Rows):
     both: HierarchicalRetrieval
     whole: Retrieval
     heading: NDArray[np.float64]
-
-    @property
-    def headings(self) -> NDArray[np.float64] | None:
-        """The headings; None if all are unknown."""
-        return self.heading if np.isfinite(self.heading).any() else None
 
 
 def _run(

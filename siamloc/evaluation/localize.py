@@ -220,10 +220,10 @@ def _measured(session: Session, settings: Localization, name: str, known: Visual
         at_least = neighbours(settings.ks, len(known))
         if search := _search(session, "position", "absolute", known, at_least, skipped):
             searches["absolute"] = prepared(settings, search)
-    if "room_retrieval" in settings.names:
-        depth = room_retrieval.neighbours(len(known))
-        if search := _search(session, "room label", "room_retrieval", known, depth, skipped):
-            searches["room_retrieval"] = search
+    if "room_retrieval" in settings.names and (
+        search := _search(session, "room label", "room_retrieval", known, room_retrieval.DEPTH, skipped)
+    ):
+        searches["room_retrieval"] = search
     bare = np.flatnonzero(~queries.has_position)
     if main and len(bare) and known.frames.has_position.any():
         try:
@@ -240,7 +240,13 @@ def _measured(session: Session, settings: Localization, name: str, known: Visual
     if search := searches.get("absolute"):
         placed = queries.take(search.rows)
         found = evaluate_absolute(
-            search.known, placed, search.retrieval, settings.radii, settings.ks, search.headings, search.excluded
+            search.known,
+            placed,
+            search.found.retrieval,
+            settings.radii,
+            settings.ks,
+            search.found.heading,
+            search.excluded,
         )
         if main:
             learned = learn(session, settings, search)
@@ -248,7 +254,7 @@ def _measured(session: Session, settings: Localization, name: str, known: Visual
         result = result.joined(found)
     if search := searches.get("room_retrieval"):
         labelled = queries.take(search.rows)
-        found = room_retrieval.evaluate_rooms(search.known, labelled, search.retrieval, search.excluded)
+        found = room_retrieval.evaluate_rooms(search.known, labelled, search.found.retrieval, search.excluded)
         result = result.joined(found)
         if vectors is not None:
             result = _with_pairs(result, session, settings, known, vectors[search.rows], labelled, skipped)
@@ -259,9 +265,9 @@ def _measured(session: Session, settings: Localization, name: str, known: Visual
             learned = learn(session, replace(settings, filter=False, filter_tune=False), search)
             about = {**result.about, **({"estimates": learned.about} if learned.about else {})}
             result = replace(result, about=about, error_model=learned.errors, refinement=learned.refinement)
-        poses = None if search.refinement is None else (ESTIMATES[search.refinement.method], search.refined)
+        poses = None if search.refinement is None else (ESTIMATES[search.refinement.method], search.found.refined)
         columns = located_columns(
-            search.known, queries.take(bare), search.retrieval, search.headings, learned.errors, poses
+            search.known, queries.take(bare), search.found.retrieval, search.found.heading, learned.errors, poses
         )
         result = replace(result, tables={**result.tables, "located": columns})
     return replace(result, name=name, skipped={**result.skipped, **skipped}, cost=cost(known, clock))
@@ -280,13 +286,13 @@ def _search(session: Session, what: str, task: str, known: VisualMap, k: int, sk
         if text:
             skipped[f"{task}, {where}"] = text
     inside, rows = (known if in_map.all() else known.take(in_map)), np.flatnonzero(in_queries)
-    excluded = session.excluded(session.queries.take(rows), inside.frames)
+    excluded = session.protocol.excluded(session.queries.take(rows), inside.frames)
     return Search(inside, rows, most_neighbours(k, len(inside), excluded), excluded=excluded)
 
 
 def _search_bare(session: Session, settings: Localization, placed: VisualMap, rows: NDArray[np.int64]) -> Search:
     """Return the search for queries without a position."""
-    excluded = session.excluded(session.queries.take(rows), placed.frames)
+    excluded = session.protocol.excluded(session.queries.take(rows), placed.frames)
     k = most_neighbours(MATCHES if settings.error_model else 1, len(placed), excluded)
     return prepared(replace(settings, filter=False, filter_tune=False), Search(placed, rows, k, excluded=excluded))
 

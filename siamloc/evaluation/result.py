@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypedDict, cast
@@ -288,6 +289,10 @@ class Result:
             error_model=ErrorModel.saved(Path(folder) / "error_model.json"),
             refinement=Refinement.saved(Path(folder) / "refinement.json"),
         )
+
+    def with_part(self, name: str, measures: Mapping[str, Any], queries: Columns) -> Result:
+        """Return the result with further measures and another table "queries"."""
+        return replace(self, parts={**self.parts, name: measures}, tables={**self.tables, "queries": queries})
 
     def joined(self, other: Result) -> Result:
         """Return the result with the parts, tables and remarks of another result on the same queries."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from typing import Any
@@ -11,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from siamloc.data.frames import FrameTable
-from siamloc.evaluation.columns import confusions, map_columns, room_names
+from siamloc.evaluation.columns import confusions, map_columns, query_columns, right_share, room_names
 from siamloc.evaluation.metrics import pair_accuracy, pair_dissimilarity, pair_threshold_curve
 from siamloc.evaluation.result import Result
 from siamloc.maps.search import Retrieval
@@ -31,13 +30,11 @@ def pair_measures(columns: Mapping[str, NDArray], margin: float, threshold: floa
         for each threshold. Each group by lighting has its own `curve`.
     """
 
-    names = ("threshold", "same", "different", "overall")
-
     def group(rows: NDArray[np.int64]) -> dict[str, Any]:
         distance, same = columns["distance"][rows], columns["same"][rows]
         curve = pair_threshold_curve(distance, same, margin)
-        parts = (curve.thresholds.tolist(), curve.same.tolist(), curve.different.tolist(), curve.overall.tolist())
-        points = [dict(zip(names, values, strict=True)) for values in zip(*parts, strict=True)]
+        parts = np.column_stack([curve.thresholds, curve.same, curve.different, curve.overall]).tolist()
+        points = [dict(zip(("threshold", "same", "different", "overall"), part, strict=True)) for part in parts]
         return {**asdict(pair_accuracy(distance, same, margin, threshold)), "auc": curve.auc, "curve": points}
 
     groups = by_label(columns, group, "lighting")
@@ -62,14 +59,12 @@ def room_measures(columns: Mapping[str, NDArray], labels: Sequence[str], missing
     """
 
     def group(rows: NDArray) -> dict[str, Any]:
-        hits, n, rank = int(columns["correct"][rows].sum()), len(rows), columns["first_rank"][rows]
+        rank = columns["first_rank"][rows]
         return {
-            "accuracy": hits / n if n else math.nan,
-            "correct": hits,
-            "queries": n,
-            "top": {str(k): float(((rank > 0) & (rank <= k)).mean()) if n else math.nan for k in TOP},
-            "mean_average_precision": float(columns["average_precision"][rows].mean()) if n else math.nan,
-            "chance": float(columns["chance"][rows].mean()) if n else math.nan,
+            **right_share(columns, rows),
+            "top": {str(k): float(((rank > 0) & (rank <= k)).mean()) for k in TOP},
+            "mean_average_precision": float(columns["average_precision"][rows].mean()),
+            "chance": float(columns["chance"][rows].mean()),
         }
 
     return {
@@ -132,19 +127,14 @@ def evaluate_rooms(
     Args:
         visual_map: a map of m frames, all with room labels.
         frames: the queries (n), all with room labels, n at least 1. Rooms of different buildings are different rooms.
-        found: the nearest map frames of each query, `neighbours(m)` or fewer: then top-k and average precision use only
-            these.
+        found: the nearest map frames of each query, `DEPTH` or fewer: then top-k and average precision use only these.
         excluded: (n, m) map frames that a query was not compared with.
     """
     match = found.indices[:, 0]
     room, known = room_names(frames, visual_map.frames)
     predicted = known[match]
     columns: Columns = {
-        "query": np.arange(len(frames)),
-        "path": frames.path,
-        "sequence": frames.sequence,
-        "lighting": frames.lighting,
-        "room": room,
+        **query_columns(frames, room),
         "predicted_room": predicted,
         "correct": room == predicted,
         **_ranking(room, known, found, excluded),
@@ -160,11 +150,6 @@ def evaluate_rooms(
         tables={"rooms": columns, "map": map_columns(visual_map.frames, frames)},
         denominators={"queries": len(frames)},
     )
-
-
-def neighbours(map_frames: int) -> int:
-    """Return the number of neighbours of each query that the measures of room retrieval use."""
-    return min(DEPTH, map_frames)
 
 
 def _ranking(

@@ -38,13 +38,20 @@ Counts = Annotated[tuple[Count, ...], several("whole numbers from 1")]
 
 
 @dataclass(frozen=True)
-class _Part(Rows):
-    """Results of a search for some frames: see the properties of `Search`."""
+class Found(Rows):
+    """Results of a search for n frames.
+
+    Attributes:
+        retrieval: the nearest map frames.
+        heading: headings from the nearest map frame (n,), NaN if unknown.
+        distances: distances to all map frames (n, m), infinite where excluded; None unless requested.
+        refined: poses finer than the map; None unless requested.
+    """
 
     retrieval: Retrieval
     heading: NDArray[np.float64]
-    distances: NDArray[np.float64] | None
-    refined: RefinedPoses | None
+    distances: NDArray[np.float64]
+    refined: RefinedPoses
 
 
 @dataclass
@@ -68,7 +75,7 @@ class Search:
     with_distances: bool = False
     excluded: NDArray[np.bool_] | None = None
     clock: Stopwatch = field(default_factory=Stopwatch)
-    _parts: list[_Part] = field(default_factory=list)
+    _parts: list[Found] = field(default_factory=list)
 
     def take_in(self, queries: Description) -> None:
         """Search the map for the next batch of frames, and add the results."""
@@ -82,34 +89,12 @@ class Search:
         apart = frame_distances(self.known, queries) if self.with_distances else None
         if apart is not None and barred is not None:
             apart = np.where(barred, np.inf, apart)
-        self._parts.append(_Part(found, turned, apart, refined))
-        self.__dict__.pop("_all", None)
+        self._parts.append(Found(found, turned, apart, refined))  # type: ignore[arg-type]
 
     @cached_property
-    def _all(self) -> _Part:
-        return _Part.concatenate(self._parts)
-
-    @property
-    def retrieval(self) -> Retrieval:
-        """The nearest map frames of each frame that was searched for."""
-        return self._all.retrieval
-
-    @property
-    def refined(self) -> RefinedPoses:
-        """Poses finer than the map, for each frame that was searched for."""
-        assert self._all.refined is not None
-        return self._all.refined
-
-    @property
-    def distances(self) -> NDArray[np.float64]:
-        """Distances from the frames that were searched for to all map frames (n, m)."""
-        assert self._all.distances is not None
-        return self._all.distances
-
-    @property
-    def headings(self) -> NDArray[np.float64] | None:
-        """Headings from the nearest map frame (n,), NaN if unknown; None if all are unknown."""
-        return self._all.heading if np.isfinite(self._all.heading).any() else None
+    def found(self) -> Found:
+        """The results for all frames; read once all batches are in."""
+        return Found.concatenate(self._parts)
 
 
 class Session:
@@ -160,10 +145,6 @@ class Session:
 
     def __repr__(self) -> str:
         return f"Session({self.name}: {len(self.queries)} queries in {self.known!r}, {self.protocol.kind})"
-
-    def excluded(self, queries: FrameTable, known: FrameTable) -> NDArray[np.bool_] | None:
-        """Return the mask (n, m) of map frames that the protocol excludes for each query; None if it excludes none."""
-        return self.protocol.excluded(queries, known)
 
     def refuse_exclusion(self, task: str) -> None:
         """Refuse a protocol that excludes map frames, for a task that compares queries with all of them.
@@ -302,16 +283,14 @@ class Session:
 
     def _check_apart(self) -> None:
         """Refuse queries and validation frames from the map's own run, unless the protocol allows them."""
-        if self.validation is not None and (what := shared_with(self.known.frames, self.validation)):
-            raise ConfigError(
-                f"{what} is in the map and in the validation, so that nothing could be learned of the errors on "
-                "another day: validate on another sequence"
-            )
-        if self.validation is not None and (what := shared_with(self.queries, self.validation)):
-            raise ConfigError(
-                f"{what} is among the queries and in the validation, so that the result would not be honest: validate "
-                "on another sequence"
-            )
+        for where, frames, why in (
+            ("in the map", self.known.frames, "nothing could be learned of the errors on another day"),
+            ("among the queries", self.queries, "the result would not be honest"),
+        ):
+            if self.validation is not None and (what := shared_with(frames, self.validation)):
+                raise ConfigError(
+                    f"{what} is {where} and in the validation, so that {why}: validate on another sequence"
+                )
         if self.protocol.kind == "same_run" or self.protocol.excludes:
             return
         if what := shared_with(self.known.frames, self.queries):

@@ -41,9 +41,7 @@ def test_the_files_alone_give_the_measures(evaluate, tmp_path, build, nodes, cap
     folder = tmp_path / "evaluation" / f"hierarchical-hog-{build[0].partition('=')[2]}"
     written = read_results(folder)
     measured, known = written["measures"]["hierarchical"], read_rows(folder, "map")
-    again = hierarchy.node_measures(
-        read_rows(folder), measured["radii"], measured["ks"], len(known["path"]), measured["unit"]
-    )
+    again = hierarchy.node_measures(read_rows(folder), measured)
     assert json.dumps(plain(again)) == json.dumps(measured)
     assert set(measured["lighting"]) == {"cloudy", "night"}
     table = read_rows(folder, "nodes")
@@ -154,11 +152,10 @@ def test_estimates_beside_the_single_frame_one(evaluate, tmp_path, capsys):
     for name, column in read_rows(before).items():
         np.testing.assert_array_equal(columns[name], column, err_msg=name)
 
-    radii, frames = measured["absolute"]["radii"], measured["absolute"]["map_frames"]
     again = {
-        "absolute": absolute.pose_measures(columns, radii, measured["absolute"]["ks"], frames, "m"),
+        "absolute": absolute.pose_measures(columns, measured["absolute"]),
         **{
-            f"absolute_{name}": absolute.estimate_measures(columns, name, radii, frames, "m")
+            f"absolute_{name}": absolute.estimate_measures(columns, name, measured["absolute"])
             for name in ("filtered", "tracked", "interpolated")
         },
         "calibration": calibration.calibration_measures({**columns, "error": columns["interpolated_error"]}, 0.5),

@@ -36,7 +36,7 @@ def test_rooms_named_by_the_classifier_come_first(run, candidates, capsys):
     assert "network-rooms-classifier" in capsys.readouterr().out
     folder = run / "evaluation/hierarchical-network-rooms-classifier"
     columns, measures = read_rows(folder), read_results(folder)["measures"]["hierarchical"]
-    again = hierarchy.node_measures(columns, measures["radii"], measures["ks"], 24, measures["unit"])
+    again = hierarchy.node_measures(columns, measures)
     assert again["overall"]["coarse"] == measures["overall"]["coarse"]
     assert measures["overall"]["coarse"]["accuracy"] > 0.8
     np.testing.assert_array_equal(columns["comparisons"] - columns["frames_compared"], 3)

@@ -182,8 +182,9 @@ def test_the_single_frame_estimate_has_the_measures_of_absolute_localization() -
     result, known, queries = evaluated()
     again = estimate_columns("again", known.frames.xy[result.columns["match"]], queries)
     np.testing.assert_array_equal(again["again_error"], result.columns["error"])
-    measures = estimate_measures({**result.columns, **again}, "again", RADII, len(known), "m")
-    expected = pose_measures(result.columns, RADII, (1,), len(known), "m")
+    about = {**result.parts["absolute"], "ks": [1]}
+    measures = estimate_measures({**result.columns, **again}, "again", about)
+    expected = pose_measures(result.columns, about)
     for group, reference in zip(
         (measures["overall"], *measures["lighting"].values(), *measures["room"].values()),
         (expected["overall"], *expected["lighting"].values(), *expected["room"].values()),
@@ -193,16 +194,16 @@ def test_the_single_frame_estimate_has_the_measures_of_absolute_localization() -
 
 
 def test_a_perfect_estimate_is_below_the_floor_and_a_distant_one_is_not_recalled() -> None:
-    result, known, queries = evaluated()
+    result, _, queries = evaluated()
     perfect = estimate_columns("it", queries.xy, queries, queries.theta + 2 * np.pi)
-    overall = estimate_measures({**result.columns, **perfect}, "it", RADII, len(known), "m")["overall"]
+    overall = estimate_measures({**result.columns, **perfect}, "it", result.parts["absolute"])["overall"]
     assert overall["error"]["max"] == 0
     assert overall["excess"]["mean"] == -overall["floor"]["mean"] < 0
     assert [entry["recall"] for entry in overall["recall"]] == [1, 1]
     assert overall["heading_error"]["count"] == np.isfinite(queries.theta).sum() < 80
     assert overall["heading_error"]["max"] < 1e-9
     away = estimate_columns("it", queries.xy + np.array([3, 4]), queries)
-    overall = estimate_measures({**result.columns, **away}, "it", RADII, len(known), "m")["overall"]
+    overall = estimate_measures({**result.columns, **away}, "it", result.parts["absolute"])["overall"]
     assert overall["error"]["mean"] == pytest.approx(5)
     assert [entry["hits"] for entry in overall["recall"]] == [0, 0]
     assert "heading_error" not in overall

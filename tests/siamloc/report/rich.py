@@ -58,7 +58,7 @@ def write_localization(folder: Path, known: VisualMap, queries: FrameTable) -> N
     columns |= {"error_m": 0.1 + 0.8 * columns["error"], "lost": columns["error"] > 0.8}
     parts = dict(result.parts)
     for name in found:
-        parts[f"absolute_{name}"] = estimate_measures(columns, name, (0.5, 1.0), len(known), known.unit)
+        parts[f"absolute_{name}"] = estimate_measures(columns, name, parts["absolute"])
     parts["calibration"] = calibration.calibration_measures(columns, 1.0)
     result = replace(result, parts=parts, tables={**result.tables, "queries": columns})
     result = result.joined(evaluate_rooms(known, descriptors, queries)).joined(pairs(queries))
@@ -78,7 +78,7 @@ def write_refined(folder: Path) -> Path:
     off = np.where(np.arange(len(queries)) == 0, 0.5, 0.05)
     finer = estimate_columns("refined", queries.xy + np.column_stack([off, 0 * off]), queries)
     columns = {**result.columns, **finer, "refined_match": result.columns["match"]}
-    found = estimate_measures(columns, "refined", (0.5, 1.0), len(known), visual_map.unit)
+    found = estimate_measures(columns, "refined", result.parts["absolute"])
     result = replace(
         result, parts={**result.parts, "absolute_refined": found}, tables={**result.tables, "queries": columns}
     )
