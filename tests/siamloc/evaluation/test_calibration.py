@@ -45,7 +45,7 @@ def test_lost_equals_the_loop(seed: int, threshold: float) -> None:
     assert measures["recall"] == both / lost if lost else math.isnan(measures["recall"])
 
 
-def test_perfect_reversed_and_shuffled_predictions() -> None:
+def test_perfect_and_reversed_predictions() -> None:
     rng = np.random.default_rng(0)
     error = rng.exponential(1, 2000)
     columns = {"error": error, "lighting": np.full(2000, ""), "room": np.full(2000, "")}
@@ -56,9 +56,6 @@ def test_perfect_reversed_and_shuffled_predictions() -> None:
     turned = calibration_measures({**columns, "error_m": np.sort(error)[::-1][ranks]}, 1.0)["overall"]
     assert turned["gap"] > 1
     assert turned["lost"]["both"] < 0.2 * turned["lost"]["lost"]
-    shuffled = calibration_measures({**columns, "error_m": rng.permutation(error)}, 1.0)["overall"]
-    share = shuffled["lost"]["lost"] / 2000
-    assert shuffled["lost"]["precision"] == pytest.approx(share, abs=0.07)
 
 
 def test_errors() -> None:

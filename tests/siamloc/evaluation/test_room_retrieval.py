@@ -1,20 +1,17 @@
 from __future__ import annotations
 
 import math
-from pathlib import Path
 
 import numpy as np
 import pytest
 
-from siamloc.errors import ConfigError, DataError
 from siamloc.evaluation import metrics, room_retrieval
 from siamloc.evaluation.room_retrieval import evaluate_pairs
-from siamloc.results import read_rows, write_results
 from tests.siamloc.evaluation import scenes
 from tests.siamloc.evaluation.scenes import evaluate_rooms
 
 
-def test_pairs_by_lighting(tmp_path: Path) -> None:
+def test_pairs_by_lighting() -> None:
     rng = np.random.default_rng(0)
     first, second = rng.normal(size=(50, 4)), rng.normal(size=(50, 4)) * 0.7
     same, lighting = rng.random(50) < 0.4, rng.choice(["cloudy", "night"], 50)
@@ -30,21 +27,13 @@ def test_pairs_by_lighting(tmp_path: Path) -> None:
     for group, rows in ((measures["overall"], slice(None)), (by_night, night)):
         accuracy = vars(metrics.pair_accuracy(distance[rows], same[rows], 2.5, 0.6))
         assert group == {**accuracy, "auc": metrics.pair_threshold_curve(distance[rows], same[rows], 2.5).auc}
-    at_threshold = {name: by_night[name] for name in ("same", "different", "overall")}
-    assert curve[60] == {"threshold": 0.6, **at_threshold}
-    assert len(curve) == 101
     assert measures["auc"] == measures["overall"]["auc"]
-    assert len(measures["curve"]) == 101
-    assert measures["curve"][60] == {
-        "threshold": 0.6,
-        **{name: measures["overall"][name] for name in ("same", "different", "overall")},
-    }
+    for points, group in ((curve, by_night), (measures["curve"], measures["overall"])):
+        at_threshold = {name: group[name] for name in ("same", "different", "overall")}
+        assert points[60] == {"threshold": 0.6, **at_threshold}
+        assert len(points) == 101
     assert 0 < measures["overall"]["overall"] < 1
     assert result.columns["correct"].mean() == measures["overall"]["overall"]
-    results = {"config": {}, "measures": measures, "denominators": {"pairs": len(result)}}
-    write_results(tmp_path, results, tables={"pairs": result.columns})
-    for name, column in read_rows(tmp_path, "pairs").items():
-        np.testing.assert_array_equal(column, result.columns[name], err_msg=name)
 
 
 def test_rooms_by_the_nearest_frame() -> None:
@@ -117,13 +106,3 @@ def test_equal_room_codes_of_two_buildings_are_different_rooms() -> None:
     result = evaluate_rooms(known, scenes.describe(queries), queries)
     assert result.columns["correct"].tolist() == [True, False]
     assert result.parts["room_retrieval"]["rooms_missing_in_map"] == ["frei/KT"]
-
-
-def test_errors() -> None:
-    same = np.array([True, False])
-    with pytest.raises(DataError, match="1 of 2 distances are not finite"):
-        evaluate_pairs([[1.0], [np.nan]], [[1.0], [1.0]], same)
-    with pytest.raises(DataError, match="one True or False per pair"):
-        evaluate_pairs(np.ones((2, 3)), np.ones((2, 3)), np.array([1, 0]))
-    with pytest.raises(ConfigError, match="margin must be positive"):
-        evaluate_pairs(np.ones((2, 3)), np.ones((2, 3)), same, margin=-1)

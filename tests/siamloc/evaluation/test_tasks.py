@@ -197,18 +197,6 @@ def test_hierarchical_search_of_all_nodes_is_the_search_of_the_map(world):
             task()
 
 
-def test_nodes_of_a_map_without_positions(world):
-    images, monday, _, _, _ = world
-    blind = np.full(len(monday), np.nan)
-    known = maps.build(Reads(), images, monday.with_columns(x=blind, y=blind), progress=False)
-    result = evaluation.mapping(known, maps.group(known, "sample", nodes=5))
-    assert result.measures["nodes"] == 5
-    assert math.isnan(result.measures["silhouette"]["nearest"])
-    assert math.isnan(result.measures["closures"]["precision"])
-    assert result.measures["purity"]["overall"] > 0.5
-    assert "purity by room" in result.table()
-
-
 def test_the_building_of_a_query(world, tmp_path):
     images, monday, tuesday, _, known = world
     near, far = (
@@ -232,15 +220,6 @@ def test_the_building_of_a_query(world, tmp_path):
         evaluation.buildings(both, images, far, layers={"north": layers["north"]})
     with pytest.raises(DataError, match="the layer of building 'north' has labels for"):
         evaluation.buildings(both, images, far, layers={"north": layers["south"], "south": layers["north"]})
-
-
-def test_noise_makes_errors_larger_and_turns_of_a_ring_do_not_matter_to_a_mean(world):
-    images, _, tuesday, _, known = world
-    result = evaluation.robustness(known, images, tuesday, every=2, noise=(0, 0.05), occlusion=(), turn=(0, 360))
-    levels = result.parts["robustness"]["methods"]["reads"]
-    assert levels["noise"][1]["mean"] >= levels["noise"][0]["mean"]
-    assert levels["turn"][0]["mean"] == levels["turn"][1]["mean"]
-    assert result.denominators["queries"] == 15
 
 
 def test_without_positions_disturbed_queries_are_judged_by_their_room(world):
@@ -379,20 +358,6 @@ def test_a_distance_that_says_nothing_of_the_descriptors_is_refused(world):
         one.with_distance("cosine")
     assert known.with_distance(None) is known
     assert known.with_distance("cosine").digest != known.digest
-
-
-def test_the_hit_rate_counts_answers_that_are_the_nearest_frame(world):
-    images, _, tuesday, _, known = world
-    result = evaluation.localization(known, images, tuesday, radii=(0.5, 2.0))
-    columns, rates = result.columns, result.measures["hit_rate"]
-    assert [one["tolerance"] for one in rates] == [0.0, 0.5, 2.0]
-    map_xy, xy = known.frames.xy, np.column_stack([columns["x"], columns["y"]])
-    apart = np.hypot(*(xy[:, None, :] - map_xy[None, :, :]).transpose(2, 0, 1))
-    for one in rates:
-        found = np.take_along_axis(apart, columns["match"][:, None], axis=1)[:, 0]
-        hits = int((found - apart.min(axis=1) <= one["tolerance"] + 1e-9).sum())
-        assert (one["hits"], one["rate"], one["queries"]) == (hits, hits / len(tuesday), len(tuesday))
-    assert 0 < rates[0]["rate"] <= rates[1]["rate"] <= rates[2]["rate"]
 
 
 def test_the_measures_of_every_task_have_the_keys_that_are_listed(world):

@@ -141,11 +141,6 @@ def test_a_folder_that_cannot_be_made_is_refused_before_the_work(smoke, tmp_path
         smoke("figure_3_11", out=tmp_path / "taken")
 
 
-def test_one_study_is_named(capsys):
-    assert main(["reproduce", "figure_3_11", "figure_3_12"]) == 2
-    assert "siamloc reproduce takes one id, got figure_3_11 figure_3_12" in capsys.readouterr().err
-
-
 def test_no_published_number_is_ever_ours(smoke, out, monkeypatch):
     before = smoke("section_3_5_1")
 
@@ -209,14 +204,6 @@ def test_the_listing_says_what_an_id_is_needs_and_takes():
     assert "; the same drive of mini; " in lines[at + 1]
     assert max(map(len, lines)) <= 160
     assert "hours each on a graphics card" in listing("cold", "full")
-
-
-def test_a_figure_inside_another_is_measured_with_it(root, out, capsys):
-    words = ["reproduce", "figure_3_19", "data=mini", f"root={root}", "scale=smoke", f"out={out}"]
-    assert main(words) == 0
-    said = capsys.readouterr().out
-    assert said.startswith("figure_3_19 is measured by figure_3_17\n")
-    assert f"written: {out}/figure_3_17.png" in said
 
 
 def test_a_bound_stands_beside_the_smallest_or_largest_of_ours(smoke):
@@ -302,5 +289,9 @@ def test_the_command_lists_and_measures(root, out, capsys):
     assert f"written: {out / 'command'}/figure_3_16.png" in capsys.readouterr().out
     kept = json.loads(next((out / "command" / "measured" / "hits_radon_poc").iterdir()).read_text())
     assert kept["job"]["data"] == "mini"
-    assert main(["reproduce", "figure_3_166", "data=mini"]) == 2
-    assert "did you mean 'figure_3_16'" in capsys.readouterr().err
+    words[1:2] = ["figure_3_19"]
+    assert main([*words, f"out={out}"]) == 0
+    assert capsys.readouterr().out.startswith("figure_3_19 is measured by figure_3_17\n")
+    for ids, says in ((["figure_3_166"], "did you mean 'figure_3_16'"), (["a", "b"], "takes one id, got a b")):
+        assert main(["reproduce", *ids]) == 2
+        assert says in capsys.readouterr().err
