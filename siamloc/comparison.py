@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from foundation.calls import typed
 from foundation.files import write_text
+from foundation.settings import leaves
 from siamloc.errors import ConfigError
 from siamloc.tables import Column, Table
 
@@ -125,13 +126,12 @@ def flat(settings: Mapping[str, Any], without: Sequence[str] = (), prefix: str =
         >>> flat({"training": {"seed": 1}, "model": {"branch": "vgg16"}}, ["model.branch"])
         {'seed': 1}
     """
-    found: dict[str, Any] = {}
-    for name, value in settings.items():
-        key = f"{prefix}{name}".removeprefix("training.")
-        if key in without:
-            continue
-        found |= flat(value, without, f"{key}.") if isinstance(value, Mapping) and value else {key: value}
-    return found
+    named = {name.removeprefix("training."): value for name, value in leaves(settings, prefix)}
+    return {
+        name: value
+        for name, value in named.items()
+        if not any(name == group or name.startswith(f"{group}.") for group in without)
+    }
 
 
 def differing(settings: Sequence[Mapping[str, Any]], keys: Iterable[str] | None = None) -> list[str]:

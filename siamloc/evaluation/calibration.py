@@ -39,25 +39,20 @@ def calibration_curve(predicted: ArrayLike, error: ArrayLike, bins: int = 10) ->
     ]
 
 
-def lost_measures(
-    predicted: ArrayLike, error: ArrayLike, lost_above: float, called: ArrayLike | None = None
-) -> dict[str, Any]:
-    """Return how well the verdict "lost", a predicted error above a threshold, agrees with true errors above it.
+def lost_measures(called: ArrayLike, error: ArrayLike, lost_above: float) -> dict[str, Any]:
+    """Return how well the verdict "lost" agrees with true errors above a threshold.
 
     Args:
-        predicted: predicted errors (n,).
+        called: which queries were called lost (n,).
         error: true errors (n,).
         lost_above: the threshold.
-        called: which queries were called lost (n,), if that does not follow from the predicted errors alone.
 
     Returns:
         lost_above; `called`, `lost` and `both`, numbers of queries; `precision`, both / called; `recall`, both / lost;
         NaN if the denominator is zero.
     """
-    verdict = np.asarray(predicted) > lost_above if called is None else np.asarray(called, dtype=bool)
-    lost = np.asarray(error) > lost_above
-    both = int((verdict & lost).sum())
-    n_called, n_lost = int(verdict.sum()), int(lost.sum())
+    verdict, lost = np.asarray(called, dtype=bool), np.asarray(error) > lost_above
+    both, n_called, n_lost = (int(part.sum()) for part in (verdict & lost, verdict, lost))
     return {
         "lost_above": float(lost_above),
         "called": n_called,
@@ -68,10 +63,10 @@ def lost_measures(
     }
 
 
-def calibration_measures(columns: Mapping[str, NDArray], lost_above: float, bins: int = 10) -> dict[str, Any]:
+def calibration_measures(columns: Mapping[str, NDArray], lost_above: float) -> dict[str, Any]:
     """Return how well column `error_m` of `queries.csv` predicts column `error`: overall, by lighting and by room.
 
-    The column `lost`, if there is one, holds which queries were called lost.
+    The column `lost` holds which queries were called lost.
 
     Returns:
         The groups "overall", "lighting" (by label) and "room" (by label). A group holds `queries`; `predicted` and
@@ -82,15 +77,15 @@ def calibration_measures(columns: Mapping[str, NDArray], lost_above: float, bins
 
     def group(rows: NDArray[np.int64]) -> dict[str, Any]:
         predicted, error = columns["error_m"][rows], columns["error"][rows]
-        curve = calibration_curve(predicted, error, bins)
+        curve = calibration_curve(predicted, error)
         gaps = math.fsum(part["count"] * abs(part["predicted"] - part["observed"]) for part in curve)
         return {
             "queries": len(rows),
-            "predicted": float(predicted.mean()) if len(rows) else math.nan,
-            "observed": float(error.mean()) if len(rows) else math.nan,
-            "gap": gaps / len(rows) if len(rows) else math.nan,
+            "predicted": float(predicted.mean()),
+            "observed": float(error.mean()),
+            "gap": gaps / len(rows),
             "curve": curve,
-            "lost": lost_measures(predicted, error, lost_above, columns["lost"][rows] if "lost" in columns else None),
+            "lost": lost_measures(columns["lost"][rows], error, lost_above),
         }
 
     return by_label(columns, group, "lighting", "room")

@@ -154,9 +154,8 @@ def compact(
 def _check(settings: Compact, known: VisualMap, clusters: VisualMap) -> None:
     if max(settings.nodes) > len(known):
         raise ConfigError(f"task.nodes asks for {max(settings.nodes)} nodes, and the map has {len(known)} frames")
-    means = [way for way in settings.ways if way != "sample"]
     for one in (known, clusters):
-        if means and one.aligned:
+        if one.aligned and set(settings.ways) != {"sample"}:
             raise ConfigError(
                 f"descriptors of {one.descriptor.name} are compared after turning, so their means are "
                 "meaningless: use task.ways=[sample], or another descriptor"
@@ -188,7 +187,8 @@ def _located(
     """Return the answers of the queries in one compact map, and the measures of that map."""
     clock = Stopwatch()
     with clock.of("build", len(known)):
-        labels = _labels(clusters, way, nodes, seed)
+        asked: dict[str, Any] = {"grid": grid_of(nodes)} if way == "som" else {"nodes": nodes}
+        labels = group(clusters, way, seed=seed, progress=False, **asked).layer.labels
     if way == "sample":  # the kept frames represent themselves
         kept = clustering.sample_rows(len(known), nodes)
         standing = known.take(kept)
@@ -237,13 +237,6 @@ def _nearest(search: Callable[[], Retrieval], clock: Stopwatch, queries: int) ->
         if time.perf_counter() - start > _SHORT:
             break
     return found.indices[:, 0]
-
-
-def _labels(clusters: VisualMap, way: str, nodes: int, seed: int) -> NDArray[np.int64]:
-    if way == "sample":
-        return clustering.sample(len(clusters), nodes)
-    asked: dict[str, Any] = {"grid": grid_of(nodes)} if way == "som" else {"nodes": nodes}
-    return group(clusters, way, seed=seed, progress=False, **asked).layer.labels
 
 
 def grid_of(nodes: int) -> tuple[int, int]:

@@ -190,7 +190,16 @@ def learn(session: Session, settings: Estimates, search: Search) -> Learned:
     validation = search_validation(session, session.validation, settings, known) if needed else None
     about: dict[str, Any] = {}
     if finer is not None:
-        finer, about[FURTHER[ESTIMATES[finer.method]]] = learned_refinement(finer, validation, session.skipped)
+        learned: dict[str, Any] = {"neighbours": finer.neighbours}
+        if finer.method == "interpolate":
+            learned["radius"] = finer.radius
+        elif validation is not None:
+            try:
+                finer = replace(finer, widening=validation.search.found.refined.widening(validation.frames.xy))
+                learned |= {"widened": finer.widening, "validation": len(validation.frames)}
+            except DataError as error:
+                session.skipped["ellipses"] = str(error)
+        about[FURTHER[ESTIMATES[finer.method]]] = learned
     if settings.error_model and validation is not None:
         errors, about["error_model"] = learned_errors(settings, known, validation, session.skipped)
     return Learned(validation, finer, errors, about)
@@ -274,27 +283,6 @@ def filtered(
         "tuned": tuned,
     }
     return columns, about, track.xy
-
-
-def learned_refinement(
-    refinement: Refinement, validation: Validation | None, skipped: dict[str, str]
-) -> tuple[Refinement, dict[str, Any]]:
-    """Return the method for finer poses with the ellipses' learned width, and the data it was learned from.
-
-    The width of the ellipses of poses by comparison is learned from validation frames. If there are too few validation
-    frames, `skipped` gets the reason.
-    """
-    about: dict[str, Any] = {"neighbours": refinement.neighbours}
-    if refinement.method == "interpolate":
-        return refinement, {**about, "radius": refinement.radius}
-    if validation is not None:
-        try:
-            widening = validation.search.found.refined.widening(validation.frames.xy)
-            refinement = replace(refinement, widening=widening)
-            about |= {"widened": widening, "validation": len(validation.frames)}
-        except DataError as error:
-            skipped["ellipses"] = str(error)
-    return refinement, about
 
 
 def refined(refinement: Refinement, poses: RefinedPoses, queries: FrameTable) -> Columns:

@@ -303,7 +303,6 @@ class Result:
             denominators={**other.denominators, **self.denominators},
             skipped={**self.skipped, **other.skipped},
             about={**self.about, **other.about},
-            cost={**other.cost, **self.cost},
             error_model=self.error_model or other.error_model,
             refinement=self.refinement or other.refinement,
         )

@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import csv
-import io
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from foundation.calls import typed
-from foundation.files import write_text
+from foundation.files import csv_text, write_text
 from siamloc.errors import ConfigError
 from siamloc.report.draw.look import save
 from siamloc.reproduce.claims import Claim, claim, holds
@@ -144,16 +142,16 @@ class Reproduction:
         joined = {id(row.ours) for row in rows}
         rows += [Row(None, one) for one in (*self.records, *self.beside) if id(one) not in joined]
         heads = list(dict.fromkeys(name for row in rows for name in row.settings))
-        out = io.StringIO()
-        writer = csv.writer(out, lineterminator="\n")
-        writer.writerow([*heads, "measure", "unit", "published", "ours", "difference", "protocol", "data", "scale"])
+        lines: list[list[Any]] = [
+            [*heads, "measure", "unit", "published", "ours", "difference", "protocol", "data", "scale"]
+        ]
         ending = self._protocol(), self.data, self.scale
         for row in rows:
             settings = [row.settings.get(name) for name in heads]
             unit_of = measures().get(row.measure, {}).get("unit")
             values = [getattr(one, "value", None) for one in (row.published, row.ours)]
-            writer.writerow([*settings, row.measure, unit_of, *values, row.difference, *ending])
-        return out.getvalue()
+            lines.append([*settings, row.measure, unit_of, *values, row.difference, *ending])
+        return csv_text(lines)
 
     def plot(self) -> Figure:
         """Return the figure in the form of the published one.

@@ -80,13 +80,12 @@ def pair_accuracy(distances: ArrayLike, same: ArrayLike, margin: float = 2.0, th
     """
     if not 0 < threshold <= 1:
         raise ConfigError(f"the threshold of a dissimilarity lies in (0, 1], got {threshold}")
-    dissimilarity = pair_dissimilarity(distances, margin)
-    truth = _verdicts(same, dissimilarity)
-    correct = (dissimilarity < threshold) == truth
+    curve = pair_threshold_curve(distances, same, margin, [threshold])
+    truth = np.asarray(same)
     return PairAccuracy(
-        same=_share(correct[truth]),
-        different=_share(correct[~truth]),
-        overall=_share(correct),
+        same=float(curve.same[0]),
+        different=float(curve.different[0]),
+        overall=float(curve.overall[0]),
         n_same=int(truth.sum()),
         n_different=int((~truth).sum()),
     )
@@ -177,10 +176,6 @@ def confusion_matrix(true: ArrayLike, predicted: ArrayLike, labels: Sequence[str
     pairs = ([number[label] for label in rows.tolist()], [number[label] for label in columns.tolist()])
     np.add.at(matrix, pairs, 1)
     return matrix
-
-
-def _share(correct: NDArray[np.bool_]) -> float:
-    return float(correct.mean()) if len(correct) else math.nan
 
 
 def _shares(counts: NDArray[np.int64], n: int) -> NDArray[np.float64]:

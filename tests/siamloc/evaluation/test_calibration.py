@@ -38,7 +38,7 @@ def test_bins_of_distinct_predictions_hold_equally_many() -> None:
 def test_lost_equals_the_loop(seed: int, threshold: float) -> None:
     rng = np.random.default_rng(seed)
     predicted, error = rng.integers(0, 6, (2, int(rng.integers(0, 30)))) / 2
-    measures = lost_measures(predicted, error, threshold)
+    measures = lost_measures(predicted > threshold, error, threshold)
     called, lost, both = oracle.lost(predicted, error, threshold)
     assert (measures["called"], measures["lost"], measures["both"]) == (called, lost, both)
     assert measures["precision"] == both / called if called else math.isnan(measures["precision"])
@@ -46,14 +46,15 @@ def test_lost_equals_the_loop(seed: int, threshold: float) -> None:
 
 
 def test_perfect_and_reversed_predictions() -> None:
-    rng = np.random.default_rng(0)
-    error = rng.exponential(1, 2000)
+    error = np.random.default_rng(0).exponential(1, 2000)
+    reverse = np.sort(error)[::-1][np.argsort(np.argsort(error))]
     columns = {"error": error, "lighting": np.full(2000, ""), "room": np.full(2000, "")}
-    perfect = calibration_measures({**columns, "error_m": error}, 1.0)["overall"]
+    perfect, turned = (
+        calibration_measures({**columns, "error_m": expected, "lost": expected > 1}, 1.0)["overall"]
+        for expected in (error, reverse)
+    )
     assert perfect["gap"] == 0
     assert (perfect["lost"]["precision"], perfect["lost"]["recall"]) == (1, 1)
-    ranks = np.argsort(np.argsort(error))
-    turned = calibration_measures({**columns, "error_m": np.sort(error)[::-1][ranks]}, 1.0)["overall"]
     assert turned["gap"] > 1
     assert turned["lost"]["both"] < 0.2 * turned["lost"]["lost"]
 
