@@ -127,7 +127,11 @@ def pose_measures(
             "hit_rate": [_hit_rate(numbers["excess"], one) for one in dict.fromkeys((0.0, *radii))],
             "recall": _recalls(ranks, floor, ks),
             "recall_at_one_percent": _recalls(ranks, floor, [one_percent(map_frames)]),
-            "baselines": {name: {"error": summarize(numbers[f"baseline_{name}"])} for name in baseline_names(numbers)},
+            "baselines": {
+                name.removeprefix("baseline_"): {"error": summarize(error)}
+                for name, error in numbers.items()
+                if name.startswith("baseline_")
+            },
             **_heading(numbers.get("heading_error")),
             **({} if further is None else further(rows)),
         }
@@ -215,11 +219,6 @@ def _room_by_lighting(columns: Mapping[str, NDArray]) -> dict[str, dict[str, Any
 def rank_column(radius: float) -> str:
     """Return the name of the column with the rank of the first retrieved frame within a radius, in the unit of x."""
     return f"first_rank_within_{float(radius)!r}"
-
-
-def baseline_names(columns: Mapping[str, NDArray]) -> list[str]:
-    """Return the names of the baselines whose errors are among the columns."""
-    return [name.removeprefix("baseline_") for name in columns if name.startswith("baseline_")]
 
 
 def _columns(

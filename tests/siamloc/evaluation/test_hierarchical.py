@@ -47,7 +47,6 @@ def test_columns_and_measures() -> None:
     measures = result.parts["hierarchical"]
     ranking = rank_by_representatives(vectors, layer.representatives, 2)
     size = np.bincount(layer.labels[layer.labels >= 0])
-    right = []
     for i in (0, 17, 79):
         row = result.rows[i]
         closest = min(range(150), key=lambda j: math.dist(known.frames.xy[j], queries.xy[i]))
@@ -108,24 +107,20 @@ def test_small_maps_and_nodes_of_one_frame(n: int) -> None:
         assert math.isnan(overall["given_wrong"]["error"]["mean"])
 
 
-def test_a_ratio_of_distances_saves_comparisons_and_one_without_limit_changes_nothing() -> None:
+def test_a_ratio_of_distances_saves_comparisons() -> None:
     known, queries = scenes.visual_map(), scenes.frames(2, 80)
     described = Description(scenes.describe(queries, seed=2, noise=0.8))
     layer = layer_of(known)
 
-    def compared(ratio: float | None):
-        search = HierarchicalSearch(known, layer, candidates=3, ratio=ratio)
+    def compared(**options):
+        search = HierarchicalSearch(known, layer, **options)
         found = search.search(described, search.rank(described))
         return found.compared, found.found.indices
 
-    every, one, few = compared(None), compared(1.0), compared(1.3)
-    np.testing.assert_array_equal(compared(1e9)[1], every[1])
-    np.testing.assert_array_equal(compared(1e9)[0], every[0])
-    alone = HierarchicalSearch(known, layer, candidates=1)
-    np.testing.assert_array_equal(one[1], alone.search(described, alone.rank(described)).found.indices)
+    every, one, few = (compared(candidates=3, ratio=ratio) for ratio in (None, 1.0, 1.3))
+    np.testing.assert_array_equal(one[1], compared(candidates=1)[1])
     assert one[0].mean() < few[0].mean() < every[0].mean()
-    for wrong in (0.5, math.nan):
-        with pytest.raises(ConfigError, match=r"task\.coarse\.ratio"):
-            CoarseRanking(ratio=wrong)
+    with pytest.raises(ConfigError, match=r"task\.coarse\.ratio"):
+        CoarseRanking(ratio=0.5)
     with pytest.raises(ConfigError, match="compares distances of representatives"):
         HierarchicalSearch(known, layer, by="vote", ratio=1.2)

@@ -17,12 +17,6 @@ DOCUMENTS = {
 }
 CONTENTS = yaml.safe_load(Path(siamloc.reproduce.__file__).with_name("published.yaml").read_text(encoding="utf-8"))
 ENTRIES = [published(entry["id"]) for entry in CONTENTS["published"]]
-EXPECTED = {
-    *(f"table_5_{number}" for number in range(5, 20)),
-    *("table_4_1", "table_4_2", "table_4_3", "section_4_5_4_2", "figures_4_13_to_4_15", "section_4_6"),
-    *("section_3_5_1", "section_3_5_1_times", "section_3_5_3", "section_3_5_4"),
-    *("i_table_2", "i_table_3", "c_table_1", "c_table_2", "c_section_5_3", "c_section_5_4", "later_work"),
-}
 HALVES_THAT_DO_NOT_FIT = {("table_5_7", "VGG16bn"), ("table_5_7", "Simple 2"), ("table_5_10", 14)}
 entries = pytest.mark.parametrize("entry", ENTRIES, ids=lambda entry: entry.id)
 
@@ -30,7 +24,6 @@ entries = pytest.mark.parametrize("entry", ENTRIES, ids=lambda entry: entry.id)
 def test_every_id_is_there_once():
     listed = [entry["id"] for entry in CONTENTS["published"]]
     assert len(listed) == len(set(listed))
-    assert set(listed) == EXPECTED
     assert published("table_5_7") is ENTRIES[listed.index("table_5_7")]
 
 
