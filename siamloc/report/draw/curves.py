@@ -123,18 +123,16 @@ def robustness_curves(measures: Mapping[str, Any]) -> Picture:
     ratios = ([1.25] + [1] * (high - 1)) * blocks
     figure = Picture(figsize=(size[0] * columns + 0.9, size[1] * high * blocks + 0.9))
     every = figure.subplots(high * blocks, columns, squeeze=False, height_ratios=ratios)
-    for place in range(blocks * columns):
+    for place, kind in enumerate(kinds):
         block, at = divmod(place, columns)
         stack: list[Axes] = every[high * block : high * (block + 1), at].tolist()
-        if place >= len(kinds):
-            for axes in stack:
-                axes.remove()
-            continue
-        _disturbance(stack, kinds[place], methods)
+        _disturbance(stack, kind, methods)
         for axes, label, top in zip(stack, names, tops, strict=False):
             axes.set_ylim(0, top or 1)
             axes.set_ylabel(label if not at else "")
             axes.tick_params(labelleft=not at)
+    for axes in every[-high:, (len(kinds) - 1) % columns + 1 :].ravel():
+        axes.remove()
     shared_legend(figure, min(2 * len(methods) + 1, 5))
     return figure
 

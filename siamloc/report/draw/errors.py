@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from functools import reduce
+from operator import getitem
 from typing import Any
 
 import numpy as np
@@ -32,7 +34,7 @@ _SIZE, _LARGE_SIZE = (3.6, 3.2), (4.6, 3.4)  # of a panel in inches: three in a 
 _LONG = 22  # characters from which a label gets its own line in the legend
 
 _ALL = "all queries"
-# The marks of a row of mean errors: label, path of the mean in a group of measures, and look.
+# The marks of a row of mean errors: label, path of the error in a group of measures, and look.
 _MEANS: tuple[tuple[str, tuple[str, ...], dict[str, Any]], ...] = (
     ("floor", ("floor",), {"color": SOFT, "marker": "|", "markersize": 11, "markeredgewidth": 2.5}),
     ("whole map", ("absolute", "error"), {"color": SERIES[0], "marker": "s"}),
@@ -155,7 +157,7 @@ def node_errors(measures: Mapping[str, Any]) -> Picture:
     if len(groups) != 1:
         groups[_ALL] = measures["overall"]
     figure, (axes,) = panels(1, 9.0, 0.36 * len(groups) + 1.2)
-    values = [[mean(group, path) for _, path, _ in _MEANS] for group in groups.values()]
+    values = [[reduce(getitem, path, group)["mean"] for _, path, _ in _MEANS] for group in groups.values()]
     known = [[value for value in row if value is not None] for row in values]
     for place, row in enumerate(known):
         axes.plot([min(row), max(row)], [place, place], color=GRID, linewidth=4, solid_capstyle="round", zorder=1)
@@ -171,14 +173,6 @@ def node_errors(measures: Mapping[str, Any]) -> Picture:
     axes.spines["left"].set_visible(False)
     shared_legend(figure, len(_MEANS))
     return figure
-
-
-def mean(group: Mapping[str, Any], path: tuple[str, ...]) -> float | None:
-    """Return a mean of a group of measures, such as ("given_right", "error"); None if there is none."""
-    value: Any = group
-    for key in path:
-        value = value[key]
-    return None if value["mean"] is None else float(value["mean"])
 
 
 def _drawn(charts: Sequence[tuple[str, Sequence[Curve], NDArray | None]], unit: str, shared: bool = False) -> Picture:

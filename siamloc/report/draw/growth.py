@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import io
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +14,9 @@ from matplotlib.colors import to_rgb, to_rgba_array
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
+from analytic import AnalyticError
+from analytic.mapper import replay
+from analytic.mapper.graph import edges
 from foundation.files import atomic_path, parsed_json
 from siamloc.errors import FormatError
 from siamloc.report.draw.look import INK, style
@@ -54,8 +57,6 @@ class Story:
 
     def labels(self, events: int) -> NDArray[np.int64]:
         """Return the mapper's name of the node of each frame (n,), -1 for none, after the first `events` events."""
-        from analytic.mapper import replay
-
         return replay(self.events[:events])
 
 
@@ -69,22 +70,21 @@ def read_story(log: str | Path, plan: NodePlan) -> Story:
     Raises:
         FormatError: a log that is missing or incomplete, or of another map than the plan.
     """
-    from analytic import AnalyticError
-
     log = Path(log)
     try:
         _, *events = [parsed_json(line) for line in log.read_text(encoding="utf-8").splitlines() if line]
-        story = Story(plan, tuple(events), (), {})
-        final = story.labels(len(events))
+        final = replay(events)
     except (OSError, ValueError, KeyError, TypeError, AnalyticError) as error:
         raise FormatError(f"{log} is not the whole log of an incremental map ({error}): build the map again") from error
-    story = replace(story, ids=_ids(final, plan, log))
-    members = _ever(story)
-    fixed = {name: plan.colours[number] for name, number in story.numbers.items()}
+    ids = _ids(final, plan, log)
+    members = {name: np.flatnonzero(final == name) for name in ids}
+    for change in (change for event in events for change in event["changes"]):
+        if change["reason"] == "NEW_NODE":  # a node that is gone has the frames of its creation
+            members.setdefault(int(change["node"]), np.array(change["frames"], dtype=np.int64))
     xy = np.concatenate([plan.xy[frames] for frames in members.values()])
     owners = np.repeat(list(members), [len(frames) for frames in members.values()])
-    colours = node_colours(neighbouring(xy, owners), sorted(members), fixed)
-    return replace(story, colours=colours)
+    fixed = {name: plan.colours[number] for number, name in enumerate(ids)}
+    return Story(plan, tuple(events), ids, node_colours(neighbouring(xy, owners), sorted(members), fixed))
 
 
 def _ids(final: NDArray[np.int64], plan: NodePlan, log: Path) -> tuple[int, ...]:
@@ -116,17 +116,6 @@ def animate(story: Story, path: str | Path) -> Path:
 def moments(events: int) -> list[int]:
     """Return the numbers of events after which pictures are drawn, including the first and the last."""
     return sorted({round(float(k)) for k in np.linspace(1, events, PICTURES)})
-
-
-def _ever(story: Story) -> dict[int, NDArray[np.int64]]:
-    """Return the final frames of every node that ever existed, or those of its creation if it is gone."""
-    final = story.labels(len(story.events))
-    members = {name: np.flatnonzero(final == name) for name in story.ids}
-    for event in story.events:
-        for change in event["changes"]:
-            if change["reason"] == "NEW_NODE":
-                members.setdefault(int(change["node"]), np.array(change["frames"], dtype=np.int64))
-    return members
 
 
 @style()
@@ -170,8 +159,6 @@ def _drawn(story: Story) -> list[NDArray[np.uint8]]:
 
 def _draw_map(axes: Axes, story: Story, labels: NDArray[np.int64], last: int) -> None:
     """Draw the map when its first frames (n,) had these nodes, by the mapper's names, and the robot at a frame."""
-    from analytic.mapper.graph import edges
-
     xy, present = story.plan.xy[: len(labels)], np.unique(labels[labels >= 0])
     node = np.where(labels >= 0, np.searchsorted(present, labels), -1)
     colours = [story.colours[name] for name in present.tolist()]

@@ -12,6 +12,7 @@ from matplotlib.collections import LineCollection
 from matplotlib.lines import Line2D
 from numpy.typing import ArrayLike, NDArray
 
+from analytic.mapper.graph import edges
 from siamloc.errors import FormatError
 from siamloc.report.draw.floor_plan import along
 from siamloc.report.draw.look import INK, Picture, panels, style
@@ -92,8 +93,6 @@ def node_plan(
 
 def _passages(node: NDArray[np.int64], sequence: NDArray[np.str_]) -> NDArray[np.int64]:
     """Return the pairs of nodes (e, 2) that the robot moved between in a drive; frames in no node are skipped."""
-    from analytic.mapper.graph import edges
-
     pairs = {pair for name in np.unique(sequence) for pair in edges(node[sequence == name])}
     return np.array(sorted(pairs), dtype=np.int64).reshape(-1, 2)
 

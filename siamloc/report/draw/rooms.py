@@ -36,11 +36,10 @@ def confusion(
     """
     n = len(labels)
     matrices = {title: np.asarray(part) for title, part in counts.items()}
-    cell = _CELL if len(matrices) == 1 else 0.8 * _CELL
-    side = float(np.clip(cell * n, 1.5, _LARGEST if len(matrices) == 1 else 4.0))
+    alone, longest = len(matrices) == 1, max(map(len, labels))
+    side = float(np.clip((1.0 if alone else 0.8) * _CELL * n, 1.5, _LARGEST if alone else 4.0))
     fits = side / n >= 0.36
     names = [f"{label}\n(not in map)" if label in missing else label for label in labels]
-    alone, longest = len(matrices) == 1, max(map(len, labels))
     margin = (0.35 + 0.075 * (longest + (11 if alone else 0)), 0.45 + 0.055 * longest)
     look: dict[str, Any] = {"sharex": True, "sharey": True, "margin": margin, "ylabel": f"true {what} of the query"}
     figure, every = panels(len(matrices), side + 0.15, side + 0.5, **look)

@@ -7,7 +7,6 @@ from pathlib import PurePath
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from siamloc.report.draw.curves import robustness_curves
 from siamloc.report.draw.errors import compared_curves
@@ -22,8 +21,6 @@ from siamloc.tables import NOTHING, Column, Table, count, percent
 
 _MOST_METHODS = 8
 _SINGLE = "single frame"
-
-Frames = set[tuple[Any, ...]]
 
 
 def comparison(parts: list[Part]) -> Markup | None:
@@ -43,12 +40,17 @@ def differences(evaluations: Mapping[str, Evaluation]) -> list[str]:
     Args:
         evaluations: evaluations by title.
     """
-    first, *others = evaluations
+    (first, one), *others = evaluations.items()
     found = []
-    for title in others:
-        one, other = evaluations[first], evaluations[title]
-        differing = [_queries(one, other), _maps(one, other)]
-        if what := " and ".join(filter(None, differing)):
+    for title, other in others:
+        table = "rooms" if one.queries is None or other.queries is None else "queries"
+        queries = _difference("queries", one.tables.get(table), other.tables.get(table))
+        maps = _difference("map frames", one.known, other.known)
+        if one.known is None or other.known is None:  # their settings still say which frames were selected
+            chosen = [((e.results.get("config") or {}).get("protocol") or {}).get("map") for e in (one, other)]
+            maps = "map frames (protocol.map)" if None not in chosen and chosen[0] != chosen[1] else ""
+        if queries or maps:
+            what = " and ".join(filter(None, [queries, maps]))
             found.append(f"Take care when comparing {title} with {first}: they differ in their {what}.")
     return found
 
@@ -141,35 +143,16 @@ def _basis(found: Mapping[str, Any]) -> tuple[Any, ...]:
     return (*(found[key] for key in ("unit", "radius", "queries", "map_frames")), round(entry["floor"], 6))
 
 
-def _difference(what: str, one: Frames, other: Frames) -> str:
-    """Return how two sets of frames differ; "" if they are the same."""
-    if one == other:
+def _difference(what: str, one: Columns | None, other: Columns | None) -> str:
+    """Return how the frames of two tables differ; "" if they are the same, or if a table is missing."""
+    if one is None or other is None or (first := _frames(one)) == (second := _frames(other)):
         return ""
-    return f"{what} ({count(len(other))} and {count(len(one))}, {count(len(one & other))} of them in common)"
+    return f"{what} ({count(len(second))} and {count(len(first))}, {count(len(first & second))} of them in common)"
 
 
-def _queries(one: Evaluation, other: Evaluation) -> str:
-    if one.queries is not None and other.queries is not None:
-        return _difference("queries", _frames(one.queries), _frames(other.queries))
-    rooms = [evaluation.tables.get("rooms") for evaluation in (one, other)]
-    return _difference("queries", _frames(rooms[0]), _frames(rooms[1])) if rooms[0] and rooms[1] else ""
-
-
-def _maps(one: Evaluation, other: Evaluation) -> str:
-    if one.known is not None and other.known is not None:
-        return _difference("map frames", _frames(one.known), _frames(other.known))
-    # Results without a map's frames still record which frames were selected.
-    chosen = [((e.results.get("config") or {}).get("protocol") or {}).get("map") for e in (one, other)]
-    return "map frames (protocol.map)" if None not in chosen and chosen[0] != chosen[1] else ""
-
-
-def _frames(columns: Columns) -> Frames:
-    """Return the identity of frames: folder and file name, and position."""
+def _frames(columns: Columns) -> set[tuple[Any, ...]]:
+    """Return the identity of frames: folder and file name, and position, infinite if it is unknown."""
     ends = [PurePath(path).parts[-2:] for path in columns["path"].tolist()]
-    places = zip(_rounded(columns, "x"), _rounded(columns, "y"), strict=True)
-    return {(*end, *place) for end, place in zip(ends, places, strict=True)}
-
-
-def _rounded(columns: Columns, name: str) -> list[float | None]:
-    values: NDArray[np.float64] = columns.get(name, np.full(len(columns["path"]), np.nan))
-    return [None if value != value else value for value in np.round(values, 6).tolist()]
+    unknown = np.full(len(ends), np.nan)
+    x, y = (np.nan_to_num(np.round(columns.get(axis, unknown), 6), nan=np.inf).tolist() for axis in "xy")
+    return set(zip(ends, x, y, strict=True))

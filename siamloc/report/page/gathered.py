@@ -19,7 +19,6 @@ from siamloc.summaries import methods_of, own_tables
 from siamloc.tables import Table
 
 _KINDS = ("localization", "hierarchical", "robustness", "mapping", "compact", "buildings")
-_EVALUATIONS = ("evaluation/*/results.json", "evaluation/*/*/results.json")  # those of sweeps are one level deeper
 _TABLES = ("queries", "map", "rooms", "frames", "nodes")
 
 
@@ -155,18 +154,17 @@ def gather(folders: Sequence[str | Path]) -> list[RunFiles]:
 def _gather(folder: Path, title: str) -> RunFiles:
     if not folder.is_dir():
         raise ConfigError(f"there is no folder {folder}: name the folder of a run")
-    run = run_with(real_path(folder))
-    inside = _EVALUATIONS if run is None else ("*/results.json", "*/*/results.json")
+    within = run_with(real_path(folder))
+    run, top = (Run(folder), folder / "evaluation") if within is None else (within, folder)
     single = (folder / "results.json").is_file()
-    found = [folder] if single else [path.parent for pattern in inside for path in folder.glob(pattern)]
-    run = Run(folder) if run is None else run
+    # The evaluations of a sweep are one level deeper.
+    found = [folder / "results.json"] if single else [*top.glob("*/results.json"), *top.glob("*/*/results.json")]
     if not found:
         raise ConfigError(f"{folder} holds no evaluation: measure it first with `siamloc evaluate run={folder}`")
-    evaluations = [_evaluation(path) for path in sorted(found, key=lambda path: (path.name != "network", path))]
-    evaluations.sort(key=lambda one: _KINDS.index(one.kind) if one.kind in _KINDS else len(_KINDS))
+    folders = sorted((path.parent for path in found), key=lambda path: (path.name != "network", path))
     return RunFiles(
         title,
-        tuple(evaluations),
+        tuple(sorted(map(_evaluation, folders), key=lambda one: (*_KINDS, one.kind).index(one.kind))),
         run.curves() if run.metrics.is_file() else None,
         run.settings if run.record.is_file() else None,
     )
@@ -174,8 +172,7 @@ def _gather(folder: Path, title: str) -> RunFiles:
 
 def _evaluation(folder: Path) -> Evaluation:
     results = read_results(folder)
-    tables = results.get("tables", {})
-    measures = results.get("measures")
+    tables, measures = results.get("tables", {}), results.get("measures")
     if not isinstance(measures, dict) or not (any(measures.values()) or "located" in tables):
         raise DataError(f"{folder / 'results.json'} holds no measures: evaluate again")
     kind = _kind(folder, results)

@@ -71,14 +71,11 @@ def _own_names(body: str, name: str) -> str:
 
 def _restyled(style: str) -> str:
     """Return a style with the page's font and colours."""
-    style = re.sub(r"font-family: [^;]*;?|(font: [^;]*?[\d.]+px) [^;]*", _font, style)
+    style = re.sub(r"font-family: [^;]*;?", "", style)
+    style = re.sub(r"(font: [^;]*?[\d.]+px) [^;]*", r"\1 var(--font)", style)
     style = re.sub(r"\s*([:;,])\s*", r"\1", style)
     return _COLOUR.sub(lambda found: f"var(--{_NAMED[found[0].lower()]})", style)
 
 
 def _rounded(number: re.Match[str]) -> str:
     return f"{float(number[0]):.1f}".removesuffix(".0")
-
-
-def _font(found: re.Match[str]) -> str:
-    return f"{found[1]} var(--font)" if found[1] else ""

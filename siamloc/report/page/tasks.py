@@ -13,11 +13,12 @@ from siamloc.summaries import pairs as pairs_table
 from siamloc.summaries import robustness as robustness_tables
 from siamloc.tables import count, percent
 
+# The title of each estimate, and the key of its settings in `results.json`.
 _ESTIMATES = {
-    "filtered": "Sequence filter",
-    "interpolated": "Interpolation between map frames",
-    "refined": "Compared with map frames",
-    "tracked": "Between map frames, followed along the sequence",
+    "filtered": ("Sequence filter", "filter"),
+    "interpolated": ("Interpolation between map frames", "interpolation"),
+    "refined": ("Compared with map frames", "refinement"),
+    "tracked": ("Between map frames, followed along the sequence", "tracking"),
 }
 
 
@@ -31,9 +32,11 @@ def further_estimate(part: Part, name: str) -> Markup | None:
     results = part.evaluation.results
     if f"absolute_{name}" not in results["measures"]:
         return None
+    title, key = _ESTIMATES[name]
+    settings = (results.get("estimates") or {}).get(key) or {}
     return section(
-        _ESTIMATES[name],
-        tag("p.caption", _how_made(name, results.get("estimates") or {}, part.evaluation.unit)),
+        title,
+        tag("p.caption", _how_made(name, settings, part.evaluation.unit)),
         part.figure(f"{name}_curve", f"cumulative errors, {name} and of single frames"),
         name=f"estimate {name}",
     )
@@ -41,8 +44,7 @@ def further_estimate(part: Part, name: str) -> Markup | None:
 
 def expected_errors(part: Part) -> Markup | None:
     """Return how accurate the expected errors are, as a calibration curve; None if there are none."""
-    found = part.evaluation.results["measures"].get("calibration")
-    if found is None:
+    if (found := part.evaluation.results["measures"].get("calibration")) is None:
         return None
     sequences = ((part.evaluation.results.get("estimates") or {}).get("error_model") or {}).get("sequences", [])
     learned = f" The model was learned on {', '.join(sequences)}." if sequences else ""
@@ -59,8 +61,7 @@ def expected_errors(part: Part) -> Markup | None:
 def hierarchical(part: Part) -> Markup | None:
     """Return the table by lighting and the plot of the errors; None for another task."""
     results = part.evaluation.results
-    found = results["measures"].get("hierarchical")
-    if found is None:
+    if (found := results["measures"].get("hierarchical")) is None:
         return None
     layer, settings = results.get("layer") or {}, (results.get("config") or {}).get("task") or {}
     nodes = results["denominators"].get("nodes")
@@ -103,9 +104,9 @@ def compact(part: Part) -> Markup | None:
 
 def robustness(part: Part) -> Markup | None:
     """Return curves and a table for each disturbance; None for another task."""
-    found = part.evaluation.results["measures"].get("robustness")
-    figure = part.figure("robustness", "errors of disturbed queries")
-    return None if found is None else robustness_section("Robustness", found, figure)
+    if (found := part.evaluation.results["measures"].get("robustness")) is None:
+        return None
+    return robustness_section("Robustness", found, part.figure("robustness", "errors of disturbed queries"))
 
 
 def robustness_section(title: str, found: Mapping[str, Any], figure: Markup | None) -> Markup:
@@ -127,8 +128,7 @@ def robustness_section(title: str, found: Mapping[str, Any], figure: Markup | No
 
 def confusion(part: Part) -> Markup | None:
     """Return the confusion matrices of rooms, of all queries and by lighting; None if rooms were not retrieved."""
-    rooms = part.evaluation.rooms
-    if rooms is None:
+    if (rooms := part.evaluation.rooms) is None:
         return None
     counts = rooms["confusion"]["counts"]
     right, total = int(np.trace(counts)), int(np.sum(counts))
@@ -150,8 +150,7 @@ def buildings(part: Part) -> Markup | None:
 
 def pairs(part: Part) -> Markup | None:
     """Return how well pairs of one room are distinguished from pairs of two; None if pairs were not judged."""
-    found = part.evaluation.results["measures"].get("room_pairs")
-    if found is None:
+    if (found := part.evaluation.results["measures"].get("room_pairs")) is None:
         return None
     text = (
         f"The dissimilarity of a pair is its distance divided by {found['margin']:g}, limited to 1; a pair below "
@@ -167,10 +166,8 @@ def _grids(part: Part, kind: str) -> list[Markup]:
     return [grid(table) for table in part.evaluation.own_tables.get(kind, [])]
 
 
-def _how_made(name: str, made: Mapping[str, Any], unit: str) -> str:
-    """Return how a further estimate is made."""
-    settings = made.get({"filtered": "filter", "interpolated": "interpolation", "refined": "refinement"}.get(name, ""))
-    found: Mapping[str, Any] = (made.get("tracking") if name == "tracked" else settings) or {}
+def _how_made(name: str, found: Mapping[str, Any], unit: str) -> str:
+    """Return how a further estimate is made, from its settings."""
     several = plural(found["neighbours"], "map frame") if "neighbours" in found else "map frames"
     if name == "interpolated":
         return (
