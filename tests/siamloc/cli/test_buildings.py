@@ -2,15 +2,11 @@
 
 from __future__ import annotations
 
-import json
-
 import cv2
 import numpy as np
 import pytest
 
 import analytic
-from foundation.files import plain
-from siamloc.evaluation.building_choice import building_measures
 from siamloc.maps import CoarseLayer
 from siamloc.results import read_results, read_rows
 from tests.drawn import altered
@@ -52,14 +48,12 @@ def maps(table, tmp_path_factory):
     return make_maps(table, tmp_path_factory.mktemp("maps"))
 
 
-def test_the_files_alone_give_the_measures(table, maps, tmp_path, capsys):
+def test_the_table_says_what_the_measures_say(table, maps, tmp_path, capsys):
     done(*words(table, tmp_path, named(maps)))
     shown = capsys.readouterr().out
     folder = tmp_path / "evaluation/buildings-hog"
     results, columns = read_results(folder), read_rows(folder)
     found = results["measures"]["buildings"]
-    again = plain(building_measures(columns, found["confusion"]["labels"]))
-    assert json.dumps({key: found[key] for key in again}) == json.dumps(again)
     assert found["confusion"]["labels"] == list(BUILDINGS)
     assert set(found["lighting"]) == {"cloudy", "night"}
     assert results["denominators"] == {"queries": 48, "queries_of_the_role": 48, "maps": 2}
