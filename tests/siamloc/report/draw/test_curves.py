@@ -12,17 +12,11 @@ from siamloc.report.draw.curves import pair_curves, robustness_curves, swept_cur
 from siamloc.report.draw.errors import calibration_curve, node_errors
 from siamloc.report.draw.rooms import confusion
 from siamloc.results import read_results
-from tests.siamloc.report import rich
 from tests.siamloc.report.draw.looking import lines_of, text_of
 
 
-@pytest.fixture(scope="module")
-def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return rich.write_run(tmp_path_factory.mktemp("run")) / "evaluation"
-
-
-def measures(run: Path, folder: str = "network") -> dict:
-    return read_results(run / folder)["measures"]
+def measures(full: Path, folder: str = "network") -> dict:
+    return read_results(full / "evaluation" / folder)["measures"]
 
 
 def test_a_confusion_matrix_shows_shares_and_counts() -> None:
@@ -40,8 +34,8 @@ def test_a_crowded_confusion_matrix_shows_shares_only() -> None:
     assert "%\n" not in text
 
 
-def test_a_matrix_for_each_lighting_with_its_accuracy(run: Path) -> None:
-    rooms = measures(run)["room_retrieval"]
+def test_a_matrix_for_each_lighting_with_its_accuracy(full: Path) -> None:
+    rooms = measures(full)["room_retrieval"]
     labels, counts = rooms["confusion"]["labels"], rooms["confusion"]["lighting"]
     figure = confusion(labels, counts)
     for axes, (label, group) in zip(figure.axes, rooms["lighting"].items(), strict=True):
@@ -61,8 +55,8 @@ def test_buildings_are_told_apart_as_rooms_are() -> None:
     assert "50 %\n1" in text
 
 
-def test_pair_curves_by_lighting_pass_the_measured_accuracy(run: Path) -> None:
-    pairs = measures(run)["room_pairs"]
+def test_pair_curves_by_lighting_pass_the_measured_accuracy(full: Path) -> None:
+    pairs = measures(full)["room_pairs"]
     figure = pair_curves(pairs)
     titles = [axes.get_title("left").split(",")[0] for axes in figure.axes]
     assert titles == ["all pairs", "cloudy", "cloudy and night", "night"]
@@ -75,16 +69,16 @@ def test_pair_curves_by_lighting_pass_the_measured_accuracy(run: Path) -> None:
     assert len(pair_curves(one).axes) == 1, "one lighting is drawn once"
 
 
-def test_the_calibration_curve_holds_every_point(run: Path) -> None:
-    found = measures(run)["calibration"]
+def test_the_calibration_curve_holds_every_point(full: Path) -> None:
+    found = measures(full)["calibration"]
     lines = lines_of(calibration_curve(found))
     assert list(lines) == ["cloudy", "night", "sunny", "all queries", "equal"]
     expected = [[point["predicted"], point["observed"]] for point in found["overall"]["curve"]]
     np.testing.assert_allclose(lines["all queries"], expected)
 
 
-def test_the_errors_of_a_hierarchy(run: Path) -> None:
-    found = measures(run, "hierarchical-network-rooms")["hierarchical"]
+def test_the_errors_of_a_hierarchy(full: Path) -> None:
+    found = measures(full, "hierarchical-network-rooms")["hierarchical"]
     figure = node_errors(found)
     assert lines_of(figure)["wrong node"][-1] == [found["overall"]["given_wrong"]["error"]["mean"], 3]
     assert [label.get_text() for label in figure.axes[0].get_yticklabels()] == [
@@ -95,8 +89,8 @@ def test_the_errors_of_a_hierarchy(run: Path) -> None:
     ]
 
 
-def test_robustness_curves_hold_every_level(run: Path) -> None:
-    found = measures(run, "robustness-network")["robustness"]
+def test_robustness_curves_hold_every_level(full: Path) -> None:
+    found = measures(full, "robustness-network")["robustness"]
     figure = robustness_curves(found)
     titles = [axes.get_title("left") for axes in figure.axes if axes.get_title("left")]
     assert titles == ["noise", "occlusion", "turn", "effect: bulb"]

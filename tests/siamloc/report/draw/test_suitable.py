@@ -21,7 +21,6 @@ from siamloc.report.draw.training import training_curves
 from siamloc.results import read_results, read_rows
 from tests.siamloc.evaluation import scenes
 from tests.siamloc.evaluation.scenes import evaluate_absolute, evaluate_rooms
-from tests.siamloc.report import rich
 from tests.siamloc.report.draw.looking import lines_of, text_of, whole_png
 
 QUERIES = {
@@ -59,9 +58,8 @@ def test_all_pictures_are_made_from_the_files_alone(tmp_path: Path) -> None:
     assert [path.read_bytes() for path in save_all(tmp_path)] == first
 
 
-def test_each_kind_of_result_has_its_pictures(tmp_path: Path) -> None:
-    run = rich.write_run(tmp_path)
-    names = {folder.name: [path.stem for path in save_all(folder)] for folder in (run / "evaluation").iterdir()}
+def test_each_kind_of_result_has_its_pictures(full: Path) -> None:
+    names = {folder.name: [path.stem for path in save_all(folder)] for folder in (full / "evaluation").iterdir()}
     estimates = ["filtered_curve", "interpolated_curve", "calibration"]
     assert names == {
         "network": ["floor_plan", "error_curve", *estimates, "confusion", "confusion_by_lighting", "pairs"],
@@ -70,8 +68,8 @@ def test_each_kind_of_result_has_its_pictures(tmp_path: Path) -> None:
     }
 
 
-def test_nothing_is_drawn_before_it_is_asked_for(tmp_path: Path) -> None:
-    run = rich.write_run(tmp_path) / "evaluation" / "network"
+def test_nothing_is_drawn_before_it_is_asked_for(full: Path) -> None:
+    run = full / "evaluation" / "network"
     measures = read_results(run)["measures"]
     tables = {name: read_rows(run, name) for name in ("queries", "map")}
     made = pictures(measures, tables)

@@ -24,12 +24,6 @@ from tests.siamloc.report import pages
 from tests.siamloc.report.pages import columns_of, notes, report, rows_of
 
 
-@pytest.fixture(scope="module")
-def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("run")
-    return pages.write_run(folder / "vgg16", folder)
-
-
 @pytest.fixture(autouse=True)
 def figures_in_outline(monkeypatch: pytest.MonkeyPatch) -> None:
     """Leave the figures empty: other tests check them, and drawing takes long."""

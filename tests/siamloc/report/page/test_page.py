@@ -17,12 +17,6 @@ from tests.siamloc.report.pages import columns_of, notes, rows_of
 
 
 @pytest.fixture(scope="module")
-def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("run")
-    return pages.write_run(folder / "vgg16", folder)
-
-
-@pytest.fixture(scope="module")
 def page(run: Path) -> pages.Element:
     return pages.read_page(write_report([run], run / "report.html"))
 

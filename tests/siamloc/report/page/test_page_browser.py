@@ -13,7 +13,7 @@ import pytest
 from siamloc.report.page.write import write_report
 from siamloc.results import read_rows
 from tests.siamloc.evaluation import scenes
-from tests.siamloc.report import pages, rich
+from tests.siamloc.report import pages
 from tests.siamloc.report.browser import CHROMIUM, DRIVER, Browser
 
 pytestmark = [
@@ -57,45 +57,21 @@ RIGHT, UP, DOWN, ESCAPE = "\ue014", "\ue013", "\ue015", "\ue00c"
 
 
 @pytest.fixture(scope="module")
-def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("run")
-    return pages.write_run(folder / "vgg16", folder)
-
-
-@pytest.fixture(scope="module")
 def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Browser]:
     with Browser(tmp_path_factory.mktemp("profile"), 1200) as opened:
         yield opened
 
 
 @pytest.fixture
-def page(run: Path, browser: Browser) -> Browser:
-    """Return the browser with the run's page, and nothing in its logs."""
-    path = run / "report.html"
+def page(full: Path, browser: Browser) -> Browser:
+    """Return the browser with the page of a run in light colours, and nothing in its logs."""
+    path = full / "report.html"
     if not path.exists():
-        write_report([run], path)
+        write_report([full], path)
     browser.complaints(), browser.requests()
-    browser.devtools("Emulation.setEmulatedMedia", media="", features=[_CALM])
+    browser.devtools("Emulation.setEmulatedMedia", media="", features=[_LIGHT, _CALM])
     browser.open(path)
     browser.wait(f"{_READY} && {_SHOWN}")
-    return browser
-
-
-@pytest.fixture(scope="module")
-def full(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The page of a run with every kind of measurement."""
-    folder = tmp_path_factory.mktemp("full")
-    run = rich.write_run(folder / "vgg16", folder)
-    return write_report([run], run / "report.html")
-
-
-@pytest.fixture
-def parts(full: Path, browser: Browser) -> Browser:
-    """Return the browser with that page in light colours, and nothing in its logs."""
-    browser.complaints(), browser.requests()
-    browser.devtools("Emulation.setEmulatedMedia", media="", features=[_LIGHT])
-    browser.open(full)
-    browser.wait(_READY)
     return browser
 
 
@@ -119,14 +95,19 @@ def canvas_corner(browser: Browser) -> tuple[float, float]:
     return box[0], box[1]
 
 
-def test_no_complaints_and_no_requests(run: Path, page: Browser) -> None:
+def test_all_parts_are_there_and_nothing_complains_or_is_fetched(full: Path, page: Browser) -> None:
+    for name in ("filtered", "interpolated", "expected", "pair-curves", "hierarchical", "robustness"):
+        box = page.run("return document.querySelector(arguments[0]).getBoundingClientRect().toJSON()", f".{name}")
+        assert box["width"] > 800, name
+        assert box["height"] > 200, name
     page.key(".stage canvas", RIGHT, UP)
     page.run("document.querySelector('.switch input[value=night]').click()")
     page.wait(_SHOWN)
     page.run("document.querySelectorAll('details').forEach((details) => { details.open = true; })")
+    assert base64.b64decode(page.devtools("Page.printToPDF")["data"]).startswith(b"%PDF")
     assert page.complaints() == []
     asked = {address for address in page.requests() if not address.startswith(("data:", "chrome"))}
-    assert asked == {(run / "report.html").resolve().as_uri()}
+    assert asked == {(full / "report.html").resolve().as_uri()}
 
 
 def test_the_page_itself_forbids_requests(page: Browser) -> None:
@@ -136,8 +117,8 @@ def test_the_page_itself_forbids_requests(page: Browser) -> None:
     assert any("Content Security Policy" in line for line in page.complaints())
 
 
-def test_the_lighting_switch(run: Path, page: Browser) -> None:
-    lighting = queries(run)["lighting"]
+def test_the_lighting_switch(full: Path, page: Browser) -> None:
+    lighting = queries(full)["lighting"]
     pictures = set()
     for label in ("cloudy", "night", "sunny", "all"):
         page.run("document.querySelector(`.switch input[value=${arguments[0]}]`).click()", label)
@@ -145,7 +126,9 @@ def test_the_lighting_switch(run: Path, page: Browser) -> None:
         members = np.ones(60, bool) if label == "all" else lighting == label
         assert (said["lighting"], int(said["drawn"])) == (label, int(members.sum()))
         assert members[int(said["selected"])]
-        counts = page.run("return [...document.querySelectorAll('.classes small')].map((s) => Number(s.textContent))")
+        counts = page.run(
+            "return [...document.querySelector('.classes').querySelectorAll('small')].map((s) => Number(s.textContent))"
+        )
         assert sum(counts) == members.sum()
         pictures.add(page.run("return document.querySelector('.stage canvas').toDataURL()"))
     assert len(pictures) == 4
@@ -162,8 +145,8 @@ def test_classes_of_errors_can_be_hidden(page: Browser) -> None:
     assert int(state(page)["drawn"]) == before - hidden
 
 
-def test_the_worst_query_is_shown_first_with_its_pictures(run: Path, page: Browser) -> None:
-    columns = queries(run)
+def test_the_worst_query_is_shown_first_with_its_pictures(full: Path, page: Browser) -> None:
+    columns = queries(full)
     worst = int(np.argmax(columns["error"]))
     assert int(state(page)["selected"]) == worst
     assert f"{columns['error'][worst]:.2f} m off" in page.run("return document.querySelector('.facts').innerText")
@@ -199,8 +182,8 @@ def test_pointing_and_clicking(page: Browser) -> None:
     assert state(page)["at"] == first["at"], "a query that was clicked is kept"
 
 
-def test_the_keyboard_moves_along_the_drive_and_by_error(run: Path, page: Browser) -> None:
-    order = np.argsort(queries(run)["error"], kind="stable")
+def test_the_keyboard_moves_along_the_drive_and_by_error(full: Path, page: Browser) -> None:
+    order = np.argsort(queries(full)["error"], kind="stable")
     page.key(".stage canvas", DOWN, DOWN)
     assert int(state(page)["selected"]) == order[-3]
     page.key(".stage canvas", UP)
@@ -220,8 +203,8 @@ def test_zooming(page: Browser) -> None:
     assert (state(page)["zoom"], state(page)["at"]) == ("1.00", whole)
 
 
-def test_a_worst_query_is_found_on_the_plan(run: Path, page: Browser) -> None:
-    third = int(np.argsort(-queries(run)["error"], kind="stable")[2])
+def test_a_worst_query_is_found_on_the_plan(full: Path, page: Browser) -> None:
+    third = int(np.argsort(-queries(full)["error"], kind="stable")[2])
     page.run("document.querySelectorAll('[data-query]')[2].click()")
     assert int(state(page)["selected"]) == third
     assert page.run("return document.activeElement === document.querySelector('.stage canvas')")
@@ -231,21 +214,16 @@ def test_dark_and_light(page: Browser) -> None:
     def paper() -> str:
         return page.run("return getComputedStyle(document.body).backgroundColor")
 
-    page.devtools("Emulation.setEmulatedMedia", features=[_LIGHT])
-    light, plan = paper(), set(page.run(_COLOURS))
+    words = "return getComputedStyle(document.querySelector('.curves svg text')).fill"
+    light, plan, ink = paper(), set(page.run(_COLOURS)), page.run(words)
     page.run("window.before = document.querySelector('.stage canvas').toDataURL()")
     page.devtools("Emulation.setEmulatedMedia", features=[_DARK])
     assert (light, paper()) == ("rgb(255, 255, 255)", "rgb(19, 23, 27)")
+    assert page.run(words) != ink, "figures follow the colours of the page"
     page.wait("document.querySelector('.stage canvas').toDataURL() !== window.before")
     assert len(plan & set(page.run(_COLOURS))) < len(plan) / 2, "the plan is drawn again in other colours"
     page.devtools("Emulation.setEmulatedMedia", media="print")
     assert paper() == "rgb(255, 255, 255)"
-
-
-def test_it_prints(page: Browser) -> None:
-    pdf = base64.b64decode(page.devtools("Page.printToPDF")["data"])
-    assert pdf.startswith(b"%PDF")
-    assert page.complaints() == []
 
 
 def test_several_runs_and_frames_on_a_line(run: Path, browser: Browser, tmp_path: Path) -> None:
@@ -268,20 +246,9 @@ def test_several_runs_and_frames_on_a_line(run: Path, browser: Browser, tmp_path
     assert browser.complaints() == []
 
 
-def test_all_parts_are_there_and_nothing_complains_or_is_fetched(full: Path, parts: Browser) -> None:
-    for name in ("filtered", "interpolated", "expected", "pair-curves", "hierarchical", "robustness"):
-        box = parts.run("return document.querySelector(arguments[0]).getBoundingClientRect().toJSON()", f".{name}")
-        assert box["width"] > 800, name
-        assert box["height"] > 200, name
-    assert full.stat().st_size < 5_000_000
-    assert parts.complaints() == []
-    asked = {address for address in parts.requests() if not address.startswith(("data:", "chrome"))}
-    assert asked == {full.resolve().as_uri()}
-
-
-def test_figures_keep_their_text_inside_and_apart(parts: Browser) -> None:
+def test_figures_keep_their_text_inside_and_apart(page: Browser) -> None:
     """Words are laid out for matplotlib's font and shown in the browser's: they have to fit all the same."""
-    outside = parts.run("""
+    outside = page.run("""
         return [...document.querySelectorAll(".picture svg")].flatMap((svg) => {
             const frame = svg.getBoundingClientRect();
             return [...svg.querySelectorAll("text")].filter((element) => {
@@ -292,7 +259,7 @@ def test_figures_keep_their_text_inside_and_apart(parts: Browser) -> None:
         });
     """)
     assert outside == []
-    overlapping = parts.run("""
+    overlapping = page.run("""
         return [...document.querySelectorAll(".picture svg")].flatMap((svg) => {
             const words = [...svg.querySelectorAll("text")].map((text) => [text, text.getBoundingClientRect()]);
             return words.flatMap(([one, a], i) => words.slice(i + 1).filter(([other, b]) =>
@@ -304,31 +271,24 @@ def test_figures_keep_their_text_inside_and_apart(parts: Browser) -> None:
     assert overlapping == []
 
 
-def test_figures_follow_the_colours_of_the_page(parts: Browser) -> None:
-    script = "return getComputedStyle(document.querySelector('.curves svg text')).fill"
-    light = parts.run(script)
-    parts.devtools("Emulation.setEmulatedMedia", features=[_DARK])
-    assert parts.run(script) != light
-
-
 @pytest.mark.parametrize("scheme", ["light", "dark"])
-def test_text_is_dark_enough_to_read(parts: Browser, scheme: str) -> None:
-    parts.devtools("Emulation.setEmulatedMedia", features=[{"name": "prefers-color-scheme", "value": scheme}])
-    contrasts = parts.run(_CONTRASTS)
+def test_text_is_dark_enough_to_read(page: Browser, scheme: str) -> None:
+    page.devtools("Emulation.setEmulatedMedia", features=[{"name": "prefers-color-scheme", "value": scheme}])
+    contrasts = page.run(_CONTRASTS)
     assert len(contrasts) >= 3
     assert min(contrasts) >= 4.5, "the ratio that the accessibility guidelines ask for"
 
 
 @pytest.mark.parametrize("width", [500, 1200])
-def test_nothing_is_wider_than_the_window(parts: Browser, width: int) -> None:
-    parts.devtools("Emulation.setDeviceMetricsOverride", width=width, height=1000, deviceScaleFactor=1, mobile=False)
+def test_nothing_is_wider_than_the_window(page: Browser, width: int) -> None:
+    page.devtools("Emulation.setDeviceMetricsOverride", width=width, height=1000, deviceScaleFactor=1, mobile=False)
     try:
-        assert parts.run("return document.documentElement.scrollWidth - innerWidth") <= 0
-        cut = parts.run("""
+        assert page.run("return document.documentElement.scrollWidth - innerWidth") <= 0
+        cut = page.run("""
             return [...document.querySelectorAll("section table")].filter((table) =>
                 table.checkVisibility() && !table.closest(".scroll") && table.getBoundingClientRect().right > innerWidth
             ).length;
         """)
         assert cut == 0
     finally:
-        parts.devtools("Emulation.clearDeviceMetricsOverride")
+        page.devtools("Emulation.clearDeviceMetricsOverride")

@@ -19,13 +19,8 @@ from tests.siamloc.report.pages import Element, notes, report
 
 
 @pytest.fixture(scope="module")
-def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return rich.write_run(tmp_path_factory.mktemp("run") / "vgg16")
-
-
-@pytest.fixture(scope="module")
-def page(run: Path) -> Element:
-    return pages.read_page(write_report([run], run / "report.html"))
+def page(full: Path) -> Element:
+    return pages.read_page(write_report([full], full / "report.html"))
 
 
 def measures(run: Path, folder: str) -> dict:
@@ -64,8 +59,8 @@ def test_each_kind_of_result_has_its_part(page: Element) -> None:
 
 
 @pytest.mark.parametrize("name", ["filtered", "interpolated"])
-def test_another_estimate_stands_beside_the_single_frame_one(run: Path, page: Element, name: str) -> None:
-    found, section = measures(run, "network"), part(page, name)
+def test_another_estimate_stands_beside_the_single_frame_one(full: Path, page: Element, name: str) -> None:
+    found, section = measures(full, "network"), part(page, name)
     night = found[f"absolute_{name}"]["lighting"]["night"]
     drawn = words(section)
     assert f"{name}: {night['error']['mean']:.2f} m" in drawn
@@ -80,21 +75,23 @@ def test_the_filter_says_what_it_was_made_with(page: Element) -> None:
     assert "3 map frames" in part(page, "interpolated").text
 
 
-def test_refined_errors_are_those_of_the_headline_the_worst_queries_and_the_comparison(tmp_path: Path) -> None:
-    run, plain = rich.write_refined(tmp_path / "run"), rich.write_run(tmp_path / "plain")
-    page = report(tmp_path, run / "evaluation" / "network", plain / "evaluation" / "network")
+def test_refined_errors_are_those_of_the_headline_the_worst_queries_and_the_comparison(
+    full: Path, tmp_path: Path
+) -> None:
+    run = rich.write_refined(tmp_path / "run")
+    page = report(tmp_path, run / "evaluation" / "network", full / "evaluation" / "network")
     figures = page.all("ul", class_="figures")[0]
     assert {"0.06 m", "mean error, refined"} <= {part.text for part in (*figures.all("b"), *figures.all("span"))}
     (first, second) = page.all("ol", class_="triples")[0].all("div", class_="head")[:2]
     assert (first.one("b").text, second.one("b").text) == ("0.50 m", "0.05 m")
     (refined, single) = rows(page.all("section", class_="compared")[0], "comparison").values()
-    mean = measures(plain, "network")["absolute"]["overall"]["error"]["mean"]
+    mean = measures(full, "network")["absolute"]["overall"]["error"]["mean"]
     assert {"refined", "0.057"} <= set(refined)
     assert {"single frame", f"{mean:.3f}"} <= set(single)
 
 
-def test_expected_errors_are_those_of_the_results(run: Path, page: Element) -> None:
-    found, section = measures(run, "network")["calibration"], part(page, "expected")
+def test_expected_errors_are_those_of_the_results(full: Path, page: Element) -> None:
+    found, section = measures(full, "network")["calibration"], part(page, "expected")
     assert {"cloudy", "night", "sunny", "all queries", "equal"} <= words(section)
     lost = found["overall"]["lost"]
     cells = rows(section, "calibration")["all"]
@@ -103,8 +100,8 @@ def test_expected_errors_are_those_of_the_results(run: Path, page: Element) -> N
     assert "learned on run3" in section.text
 
 
-def test_the_nodes_table_and_picture(run: Path, page: Element) -> None:
-    found, section = measures(run, "hierarchical-network-rooms")["hierarchical"], part(page, "hierarchical")
+def test_the_nodes_table_and_picture(full: Path, page: Element) -> None:
+    found, section = measures(full, "hierarchical-network-rooms")["hierarchical"], part(page, "hierarchical")
     shown = rows(section, "nodes")
     assert list(shown) == ["cloudy", "night", "sunny", "all"]
     for label, cells in shown.items():
@@ -123,19 +120,19 @@ def test_the_nodes_table_and_picture(run: Path, page: Element) -> None:
     assert any(text.startswith("perfect nodes: ") for text in drawn)
 
 
-def test_an_error_that_no_query_has_is_a_dash(tmp_path: Path) -> None:
-    run = rich.write_run(tmp_path / "run")
-    path = run / "evaluation" / "hierarchical-network-rooms" / "results.json"
+def test_an_error_that_no_query_has_is_a_dash(full: Path, tmp_path: Path) -> None:
+    nodes = shutil.copytree(full / "evaluation" / "hierarchical-network-rooms", tmp_path / "nodes")
+    path = nodes / "results.json"
     results = read_json(path)
     for group in results["measures"]["hierarchical"]["lighting"].values():
         group["given_wrong"] = {"queries": 0, "error": dict.fromkeys(group["given_wrong"]["error"])}
     write_json(path, results)
-    section = part(report(tmp_path, run), "hierarchical")
+    section = part(report(tmp_path, nodes), "hierarchical")
     assert rows(section, "nodes")["night"][5] == "–"
 
 
-def test_the_robustness_tables_and_curves(run: Path, page: Element) -> None:
-    found, section = measures(run, "robustness-network")["robustness"], part(page, "robustness")
+def test_the_robustness_tables_and_curves(full: Path, page: Element) -> None:
+    found, section = measures(full, "robustness-network")["robustness"], part(page, "robustness")
     blocks = section.one("div", class_="disturbances").children
     assert [block.one("h4").text for block in blocks] == ["noise", "occlusion", "turn on the spot", "effect: bulb"]
     for block, kind in zip(blocks, found["disturbances"], strict=True):
@@ -150,8 +147,8 @@ def test_the_robustness_tables_and_curves(run: Path, page: Element) -> None:
     assert {"noise", "effect: bulb", "thumb nail, mean", "network, median", "floor, mean"} <= words(section)
 
 
-def test_robustness_of_several_runs_is_compared(run: Path, tmp_path: Path) -> None:
-    first = run / "evaluation" / "robustness-network"
+def test_robustness_of_several_runs_is_compared(full: Path, tmp_path: Path) -> None:
+    first = full / "evaluation" / "robustness-network"
     other = shutil.copytree(first, tmp_path / "other")
     section = report(tmp_path, first, other).all("section", class_="robustness")[0]
     assert section.one("h3").text == "Robustness compared"
@@ -166,8 +163,8 @@ def test_robustness_of_several_runs_is_compared(run: Path, tmp_path: Path) -> No
     )
 
 
-def test_confusion_matrices_of_all_and_by_lighting(run: Path, page: Element) -> None:
-    found, section = measures(run, "network")["room_retrieval"]["confusion"], part(page, "rooms")
+def test_confusion_matrices_of_all_and_by_lighting(full: Path, page: Element) -> None:
+    found, section = measures(full, "network")["room_retrieval"]["confusion"], part(page, "rooms")
     every, by_lighting = section.all("svg")
     assert "all queries" in every.text
     assert all(label in by_lighting.text for label in ("cloudy", "night", "sunny"))
@@ -176,8 +173,8 @@ def test_confusion_matrices_of_all_and_by_lighting(run: Path, page: Element) -> 
     assert f"{np.trace(found['counts'])} of {np.sum(found['counts'])} queries" in section.text
 
 
-def test_pairs_by_lighting(run: Path, page: Element) -> None:
-    found, section = measures(run, "network")["room_pairs"], part(page, "pair-curves")
+def test_pairs_by_lighting(full: Path, page: Element) -> None:
+    found, section = measures(full, "network")["room_pairs"], part(page, "pair-curves")
     shown = pages.rows_of(section.one("table", class_="pairs"))
     assert [row[1] for row in shown] == ["cloudy", "cloudy and night", "night", "all"]
     for method, label, *cells in shown:
@@ -217,19 +214,8 @@ def _made(folder: Path) -> Path:
     return folder
 
 
-def test_without_any_pose_the_page_says_so_in_one_sentence(tmp_path: Path) -> None:
-    rich.write_located(tmp_path / "run" / "evaluation" / "hog")
-    page = report(tmp_path, tmp_path / "run")
-    assert notes(page) == (
-        "No query has a true position to compare with: 7 queries were located (see located.csv), and none is scored."
-    )
-    assert [section.attributes["class"] for section in page.all("section")] == ["configuration"]
-    assert not page.all("table", class_="errors")
-    assert not page.all("ul", class_="figures")
-
-
-def test_poses_of_some_queries_and_runs_without_any(run: Path, tmp_path: Path) -> None:
-    folder = run / "evaluation" / "network"
+def test_poses_of_some_queries_and_runs_without_any(full: Path, tmp_path: Path) -> None:
+    folder = full / "evaluation" / "network"
     some = shutil.copytree(folder, tmp_path / "some")
     results = read_json(some / "results.json")
     results["tables"]["located"] = {"file": "located.csv", "rows": 1, "columns": {}}
