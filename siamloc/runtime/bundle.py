@@ -2,25 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, TypeVar
+from typing import Any, Literal
 
 from foundation.calls import typed
 from foundation.files import check_version, file_hash, read_json
 from foundation.settings import Count, misfit
 from siamloc.data.decoding import Preprocessing
 from siamloc.errors import ConfigError, FormatError
+from siamloc.maps import CoarseLayer, ErrorModel, Refinement, VisualMap
 from siamloc.maps.heading import is_analytic
 from siamloc.maps.packing import Precision
 from siamloc.runtime.thumbnails import read_thumbnails
-
-if TYPE_CHECKING:
-    from siamloc.maps import CoarseLayer, ErrorModel, Refinement, VisualMap
-    from siamloc.maps.learned import Learned
-
-    _Kind = TypeVar("_Kind", bound=Learned)
 
 FORMAT = "siamloc-bundle"
 VERSION = 4
@@ -33,6 +29,14 @@ RELATIVE = "relative.onnx"
 LAYER, COARSE = "layer.npz", "coarse_map.npz"
 THUMBNAILS = "thumbnails.npz"
 PARTS = (MODEL, MAP, ERRORS, REFINEMENT, RELATIVE, LAYER, COARSE, THUMBNAILS)
+_READERS: dict[str, Callable[[Path], Any]] = {
+    MAP: VisualMap.load,
+    ERRORS: ErrorModel.load,
+    REFINEMENT: Refinement.load,
+    LAYER: CoarseLayer.load,
+    COARSE: VisualMap.load,
+    THUMBNAILS: read_thumbnails,
+}
 _FINER = {"interpolate": "between", "relative": "by comparison with"}
 _KEYS: dict[str, Any] = {
     "sha256": dict,
@@ -94,45 +98,13 @@ class Bundle:
         """How far the exported descriptors are from the original's; see `siamloc.runtime.parity`."""
         return dict(self.about["parity"])
 
-    def load_map(self) -> VisualMap | None:
-        """Read the visual map; None for a bundle that only describes images.
+    def load(self, name: str) -> Any:
+        """Read a part by the name of its file, such as "map.npz"; None if the bundle has no such part.
 
         Raises:
-            FormatError: the map is damaged.
+            FormatError: the part is damaged.
         """
-        return self._map(MAP)
-
-    def load_errors(self) -> ErrorModel | None:
-        """Read the model of the expected error; None if the bundle has no such model.
-
-        Raises:
-            FormatError: the file is damaged.
-        """
-        from siamloc.maps import ErrorModel
-
-        return self._learned(ErrorModel, ERRORS)
-
-    def load_refinement(self) -> Refinement | None:
-        """Read the settings that refine poses; None if the robot gives the poses of map frames.
-
-        Raises:
-            FormatError: the file is damaged.
-        """
-        from siamloc.maps import Refinement
-
-        return self._learned(Refinement, REFINEMENT)
-
-    def load_layer(self) -> tuple[CoarseLayer, VisualMap | None] | None:
-        """Read the coarse layer, and the map that ranks its nodes if that is a separate one; None if there is no layer.
-
-        Raises:
-            FormatError: one of them is damaged.
-        """
-        from siamloc.maps import CoarseLayer
-
-        if LAYER not in self.files:
-            return None
-        return CoarseLayer.load(self.path / LAYER), self._map(COARSE)
+        return _READERS[name](self.path / name) if name in self.files else None
 
     def thumbnail(self, row: int) -> bytes | None:
         """Return a thumbnail of a map frame as JPEG; None if the bundle has none.
@@ -144,7 +116,7 @@ class Bundle:
             FormatError: the thumbnails are damaged.
             IndexError: there is no such row.
         """
-        return self._thumbnails[row] if THUMBNAILS in self.files else None
+        return None if self._thumbnails is None else self._thumbnails[row]
 
     def summary(self) -> str:
         """Return two lines with the accuracy of the exported descriptor and what the robot gets."""
@@ -221,17 +193,8 @@ class Bundle:
         return sum((self.path / name).stat().st_size for name in (DESCRIPTION, *self.files))
 
     @cached_property
-    def _thumbnails(self) -> list[Any]:
-        return read_thumbnails(self.path / THUMBNAILS)
-
-    def _map(self, name: str) -> VisualMap | None:
-        from siamloc.maps import VisualMap
-
-        return VisualMap.load(self.path / name) if name in self.files else None
-
-    def _learned(self, kind: type[_Kind], name: str) -> _Kind | None:
-        file = self.path / name
-        return kind.from_dict(read_json(file), str(file)) if name in self.files else None
+    def _thumbnails(self) -> Any:
+        return self.load(THUMBNAILS)
 
 
 def _holds(file: Path) -> bool:

@@ -246,21 +246,21 @@ def _check_given(
     validation: FrameTable | None,
 ) -> None:
     """Check that thumbnails and precision have the data they are made from."""
-    if known is None and (thumbnails or precision != "float32"):
-        raise ConfigError(f"without a map there are neither pictures of it nor precision={precision}: give the map")
+    if known is None:
+        if thumbnails or precision != "float32":
+            raise ConfigError(f"without a map there are neither pictures of it nor precision={precision}: give the map")
+        return
     learns = precision == "auto" or (precision == "int8" and hasattr(given, "module"))
     if images is None and (thumbnails or learns):
         what = "a bundle with pictures of the map" if thumbnails else f"precision={precision}"
         raise ConfigError(f"{what} needs the panoramas of the map's frames: give images=")
-    if known is not None and images is not None:
+    if images is not None:
         known.check_images(images.preprocessing.parameters())
-    if precision != "auto":
-        return
-    if validation is None or not validation.has_position.any():
-        raise ConfigError("precision=auto compares localization errors: give frames with positions as validation=")
-    if known is not None and not known.frames.has_position.any():
+    compared = validation is not None and validation.has_position.any() and known.frames.has_position.any()
+    if precision == "auto" and not compared:
         raise ConfigError(
-            "precision=auto compares localization errors, and no map frame has a position: choose another precision"
+            "precision=auto compares localization errors: give frames with positions as validation=, and a map with "
+            "positions"
         )
 
 
@@ -268,10 +268,9 @@ def _check_learned(known: VisualMap | None, errors: ErrorModel | None, refinemen
     """Check that errors and refinement were learned on the map, and fit together."""
     from siamloc.maps.refinement import check_compares
 
-    if errors is not None and (known is None or not errors.learned_on(known)):
-        raise ConfigError("the error model was learned on another map than the bundle's: learn it again")
-    if refinement is not None and (known is None or not refinement.learned_on(known)):
-        raise ConfigError("the refinement of poses was learned on another map than the bundle's: evaluate again")
+    for part in (errors, refinement):
+        if part is not None and (known is None or not part.learned_on(known)):
+            raise ConfigError(f"the {part.NOUN} was learned on another map than the bundle's: learn it again")
     if known is not None and refinement is not None and refinement.method == "relative":
         check_compares(known)
     method = "none" if refinement is None else refinement.method

@@ -18,13 +18,16 @@ from foundation.settings import Count
 from siamloc.data.decoding import UnreadableImageError
 from siamloc.errors import ConfigError, DataError, FormatError
 from siamloc.maps import (
+    ErrorModel,
     HierarchicalSearch,
     LayerSearch,
     MotionModel,
     PoseFilter,
     RefinedPoses,
+    Refinement,
     Retrieval,
     SequenceFilter,
+    VisualMap,
     frame_distances,
     headings,
     match,
@@ -32,7 +35,7 @@ from siamloc.maps import (
 )
 from siamloc.maps.sequence_filter import spacing_of
 from siamloc.memory import returned_memory
-from siamloc.runtime.bundle import Bundle
+from siamloc.runtime.bundle import COARSE, ERRORS, LAYER, MAP, REFINEMENT, Bundle
 from siamloc.runtime.describing import Describer, analytic_descriptor
 
 Tracker = PoseFilter | SequenceFilter
@@ -144,14 +147,15 @@ class Localizer:
         hierarchical: bool | None = None,
     ) -> None:
         self._top, self.bundle = top, Bundle.open(bundle_path)
-        known = self.bundle.load_map()
+        known: VisualMap | None = self.bundle.load(MAP)
         if known is None:
             raise ConfigError(f"{bundle_path} holds no map: run `siamloc map`, then `siamloc export` again")
         known.check_describer(self.bundle.identity)
         self._describer = Describer(self.bundle, known, threads, providers)
         self.map = self._describer.known
         self._search = self._layered(hierarchical)
-        self._errors, self._refinement = self.bundle.load_errors(), self.bundle.load_refinement()
+        self._errors: ErrorModel | None = self.bundle.load(ERRORS)
+        self._refinement: Refinement | None = self.bundle.load(REFINEMENT)
         self._placed = self.map.placed() if self.map.frames.has_position.any() else None
         if self._refinement is not None and self._refinement.method == "relative" and not self._describer.compares:
             raise FormatError(
@@ -312,15 +316,14 @@ class Localizer:
 
     def _layered(self, wanted: bool | None) -> HierarchicalSearch | None:
         """Return the search through the coarse layer; None if there is none, or if it is not to be used."""
-        if (held := None if wanted is False else self.bundle.load_layer()) is None:
+        if (layer := None if wanted is False else self.bundle.load(LAYER)) is None:
             if not wanted:
                 return None
             raise ConfigError(
                 f"{self.bundle.path} holds no coarse layer: run `siamloc map build=spectral`, then `siamloc export "
                 "build=spectral`"
             )
-        layer, coarse = held
-        if coarse is not None:
+        if (coarse := self.bundle.load(COARSE)) is not None:
             coarse = coarse.with_descriptor(
                 analytic_descriptor(coarse.identity, self.bundle, coarse.width, coarse.description.orientation)
             )

@@ -32,6 +32,7 @@ INPUT, OUTPUT, HEADING_OUTPUT = "panorama", "descriptor", "orientation"
 RELATIVE_INPUTS = ("query", "known")
 TOLERANCE, RELATIVE_TOLERANCE = 1e-4, 1e-3
 MOST_BYTES = 2**31 - 2**24  # protobuf is limited to 2 GiB, and the graph needs a little of that
+_BATCHES, _SEED = (1, 2, 7), 0  # numbers of random images, or pairs of parts, that a comparison tries
 _WORDS = {OUTPUT: "descriptors", HEADING_OUTPUT: "orientation parts"}
 
 
@@ -80,14 +81,7 @@ def export_onnx(network: nn.Module, path: str | Path, image_size: Sequence[int])
 
 
 @typed
-def parity(
-    network: nn.Module,
-    path: str | Path,
-    *,
-    batches: Sequence[int] = (1, 2, 7),
-    seed: int = 0,
-    tolerance: float = TOLERANCE,
-) -> dict[str, Any]:
+def parity(network: nn.Module, path: str | Path) -> dict[str, Any]:
     """Compare an ONNX file, run by onnxruntime on the CPU, with its network on random images.
 
     Both compute in float32 but sum the same products in a different order, so they differ by rounding errors that grow
@@ -98,9 +92,6 @@ def parity(
     Args:
         network: in any mode; it is compared in evaluation mode and keeps its mode.
         path: of the ONNX file.
-        batches: numbers of images to try.
-        seed: of the random images.
-        tolerance: largest difference allowed, relative to the largest value where that is above 1.
 
     Returns:
         `max_abs_difference`, `max_abs_value`, `max_relative_difference` (the first over the second, or the
@@ -111,20 +102,20 @@ def parity(
         FormatError: a file that onnxruntime cannot run.
         SiamlocError: a difference above the tolerance, or values that are not finite.
     """
-    graph, session, generator = _FromPixels(on_cpu(network)), session_of(path), np.random.default_rng(seed)
+    graph, session, generator = _FromPixels(on_cpu(network)), session_of(path), np.random.default_rng(_SEED)
     size = session.get_inputs()[0].shape[2:]
-    drawn = ({INPUT: generator.integers(0, 256, (batch, 3, *size), dtype=np.uint8)} for batch in batches)
+    drawn = ({INPUT: generator.integers(0, 256, (batch, 3, *size), dtype=np.uint8)} for batch in _BATCHES)
     apart, values = (found.max(axis=0).tolist() for found in _differences(graph, session, path, drawn))
     reports = {}
     for name, most, largest in zip(graph.outputs, apart, values, strict=True):
         relative = most / largest if largest > 0 else most
-        if not most <= tolerance * max(1.0, largest):
+        if not most <= TOLERANCE * max(1.0, largest):
             raise SiamlocError(
                 f"the {_WORDS[name]} of {path} differ by {most:.3g} from the network's, {relative:.3g} of the largest "
-                f"value {largest:.3g} (tolerance {tolerance:g}): do not use the file"
+                f"value {largest:.3g} (tolerance {TOLERANCE:g}): do not use the file"
             )
         reports[name] = {"max_abs_difference": most, "max_abs_value": largest, "max_relative_difference": relative}
-    return {**reports.pop(OUTPUT), **_conditions(tolerance, batches, seed), **reports}
+    return {**reports.pop(OUTPUT), **_conditions(TOLERANCE), **reports}
 
 
 @on_host()
@@ -154,16 +145,12 @@ def export_relative(network: nn.Module, path: str | Path) -> dict[str, Any]:
         return relative_parity(network, temporary)
 
 
-def relative_parity(
-    network: nn.Module, path: str | Path, batches: Sequence[int] = (1, 2, 7), seed: int = 0
-) -> dict[str, Any]:
+def relative_parity(network: nn.Module, path: str | Path) -> dict[str, Any]:
     """Compare an ONNX file, run by onnxruntime on the CPU, with its network, on random parts, rotated and disturbed.
 
     Args:
         network: the network that was exported.
         path: of the ONNX file.
-        batches: numbers of pairs to try.
-        seed: of the random parts.
 
     Returns:
         `max_relative_difference` (each output's relative to its largest value), `tolerance`, `batches`, `seed`,
@@ -175,10 +162,10 @@ def relative_parity(
         SiamlocError: a difference above the tolerance, or values that are not finite.
     """
     relative, session = required_comparing(on_cpu(network)), session_of(path)
-    generator = np.random.default_rng(seed)
+    generator = np.random.default_rng(_SEED)
 
     def drawn() -> Iterator[dict[str, NDArray[Any]]]:
-        for batch in batches:
+        for batch in _BATCHES:
             known = generator.standard_normal((batch, relative.columns, VALUES), dtype=np.float32)
             noise = generator.standard_normal(known.shape, dtype=np.float32)
             query = np.roll(known, int(generator.integers(relative.columns)), axis=1) + noise / 2
@@ -191,7 +178,7 @@ def relative_parity(
             f"the poses that {path} gives differ by {largest:.3g} of the largest value from those that the network "
             f"gives (tolerance {RELATIVE_TOLERANCE:g}): do not use the file"
         )
-    return {"max_relative_difference": largest, **_conditions(RELATIVE_TOLERANCE, batches, seed)}
+    return {"max_relative_difference": largest, **_conditions(RELATIVE_TOLERANCE)}
 
 
 def quantize(path: Path, panoramas: NDArray[np.uint8]) -> None:
@@ -308,11 +295,11 @@ def _differences(
     return np.array(apart), np.array(values)
 
 
-def _conditions(tolerance: float, batches: Sequence[int], seed: int) -> dict[str, Any]:
+def _conditions(tolerance: float) -> dict[str, Any]:
     """Return what a comparison was made with."""
     import onnxruntime
 
-    return {"tolerance": tolerance, "batches": list(batches), "seed": seed, "onnxruntime": onnxruntime.__version__}
+    return {"tolerance": tolerance, "batches": list(_BATCHES), "seed": _SEED, "onnxruntime": onnxruntime.__version__}
 
 
 def on_cpu(network: nn.Module) -> nn.Module:

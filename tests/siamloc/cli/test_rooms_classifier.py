@@ -54,7 +54,7 @@ def test_the_classifier_chooses_rooms_for_another_descriptor(run, capsys):
 
 def test_the_robot_has_the_classifier(flat, run, tmp_path):
     done("export", f"run={run}", f"bundle={tmp_path / 'bundle'}", *SEARCH, "task.candidates=1")
-    layer, _ = Bundle.open(tmp_path / "bundle").load_layer()
+    layer = Bundle.open(tmp_path / "bundle").load("layer.npz")
     assert layer.classifier.names.tolist() == ROOMS
     localizer, trained = Localizer(tmp_path / "bundle"), as_descriptor(models.load(run))
     for number in (0, 11, 20):

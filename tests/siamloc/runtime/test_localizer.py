@@ -102,8 +102,8 @@ def test_bundle_json_says_what_the_robot_is_told(world, bundle):
     assert ErrorModel.from_dict(about["errors"]) == errors == ErrorModel.load(bundle / "error_model.json")
     opened = Bundle.open(bundle)
     assert opened.files == ("model.onnx", "map.npz", "error_model.json")
-    assert opened.load_map().digest == known.digest
-    assert (opened.load_errors(), opened.load_refinement()) == (errors, None)
+    assert opened.load("map.npz").digest == known.digest
+    assert (opened.load("error_model.json"), opened.load("refinement.json")) == (errors, None)
     assert opened.preprocessing.parameters() == IMAGES
     assert "the robot gets: position, heading (by hog), expected error (lost above" in opened.summary()
 
@@ -128,7 +128,7 @@ def test_a_bundle_without_a_map_describes_alone(world, tmp_path):
     with pytest.raises(ConfigError, match=r"give preprocessing=images\.preprocessing"):
         export(network, None, tmp_path / "bundle")
     opened = export(network.module, None, tmp_path / "bundle", preprocessing=Preprocessing.of(IMAGES))
-    assert (opened.load_map(), opened.image_size) == (None, SIZE)
+    assert (opened.load("map.npz"), opened.image_size) == (None, SIZE)
     assert "descriptors only" in opened.summary()
     with pytest.raises(ConfigError, match="holds no map"):
         Localizer(tmp_path / "bundle")
