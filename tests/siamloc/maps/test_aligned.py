@@ -5,6 +5,7 @@ import analytic
 from siamloc.data.frames import FrameTable
 from siamloc.maps import CoarseLayer, HierarchicalSearch, NodeRanking, VisualMap, frame_distances, match
 from siamloc.maps import aligned as module
+from tests.siamloc.maps.conftest import map_of
 
 IMAGES = np.random.default_rng(5).integers(0, 256, (9, 32, 64), dtype=np.uint8)
 NOISY = np.clip(IMAGES[:4] + np.random.default_rng(6).normal(0, 40, (4, 32, 64)), 0, 255).astype(np.uint8)
@@ -17,14 +18,6 @@ DESCRIPTORS = [
 EVERY = pytest.mark.parametrize("by", DESCRIPTORS, ids=lambda by: by.name if by.circular else f"ordinary {by.name}")
 
 
-def map_of(by: analytic.Descriptor) -> VisualMap:
-    seen, n = by.describe(IMAGES), len(IMAGES)
-    frames = FrameTable(path=[f"{i}.png" for i in range(n)], x=np.arange(n), y=np.zeros(n), theta=np.linspace(-3, 3, n))
-    return VisualMap(
-        seen.position, frames, by.identity, by.default_distance, orientation=seen.orientation, describes=by
-    )
-
-
 def asked(by: analytic.Descriptor) -> analytic.Description:
     """Describe the first four images once more: noisy, and turned if the columns wrap around."""
     return by.describe(np.roll(NOISY, 8, axis=2) if by.circular else NOISY)
@@ -33,7 +26,7 @@ def asked(by: analytic.Descriptor) -> analytic.Description:
 @EVERY
 @pytest.mark.parametrize("distance", ["manhattan", "euclidean", "cosine", "correlation"])
 def test_only_the_frames_of_the_candidates_are_searched(by, distance, monkeypatch):
-    known = map_of(by).with_distance(distance)
+    known = map_of(by, IMAGES).with_distance(distance)
     monkeypatch.setattr(module, "_VALUES", 2 * known.width)
     layer = CoarseLayer.of_labels(known, [0, 1, 0, 0, 1, 1, -1, 1, 0])
     queries = asked(by)

@@ -1,8 +1,6 @@
 from __future__ import annotations
 
 import json
-import subprocess
-import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -15,12 +13,9 @@ from siamloc.errors import ConfigError, DataError, FormatError
 from siamloc.maps import RefinedPoses, Retrieval
 from siamloc.maps.error_model import ErrorModel, ratio_score
 from tests.oracles import calibration as oracle
+from tests.siamloc.maps.conftest import retrieval
 
 MODEL = ErrorModel("ratio", 1.0, 5, (0.2, 0.5, 0.9), (0.1, 0.4, 3.0), 50)
-
-
-def retrieval(rng, n: int, m: int = 30, k: int = 10) -> Retrieval:
-    return Retrieval(np.argsort(rng.random((n, m)), axis=1)[:, :k], np.sort(rng.random((n, k)), axis=1))
 
 
 @settings(max_examples=50, deadline=None)
@@ -195,21 +190,6 @@ def test_what_is_foreign_is_not_learned_from_a_few() -> None:
         replace(MODEL, score="pose", refine="relative").judged(looked_for(rng, 0.4, 3), xy)
 
 
-def test_the_prediction_needs_numpy_only() -> None:
-    code = (
-        "import sys, numpy as np\n"
-        "from siamloc.maps.search import Retrieval\n"
-        "from siamloc.maps.error_model import ErrorModel\n"
-        f"model = ErrorModel.from_dict({MODEL.as_dict()!r})\n"
-        "found = Retrieval(np.array([[0, 1]]), np.array([[0.35, 1.0]]))\n"
-        "print(model.predict(found, [[0.0, 0.0], [9.0, 0.0]])[0])\n"
-        "print([name for name in ('scipy', 'sklearn', 'torch', 'pandas') if name in sys.modules])"
-    )
-    said = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.split("\n")
-    assert float(said[0]) == pytest.approx(0.25)
-    assert said[1] == "[]"
-
-
 @pytest.mark.parametrize(
     ("values", "message"),
     [
@@ -236,17 +216,16 @@ def test_errors(tmp_path: Path) -> None:
     xy, found = rng.uniform(0, 9, (30, 2)), retrieval(rng, 20)
     with pytest.raises(FormatError, match="does not exist"):
         ErrorModel.load(tmp_path / "error.json")
-    with pytest.raises(ConfigError, match="radius must be a number from 0, got -1"):
-        ErrorModel.fit(found, xy, np.zeros(20), radius=-1)
-    with pytest.raises(ConfigError, match="neighbours must be a whole number from 1"):
-        ErrorModel.fit(found, xy, np.zeros(20), neighbours=0)
-    with pytest.raises(DataError, match="20 validation queries need as many errors"):
-        ErrorModel.fit(found, xy, np.zeros(19))
-    with pytest.raises(DataError, match="finite and >= 0"):
-        ErrorModel.fit(found, xy, np.full(20, np.nan))
     few = Retrieval(found.indices[:9], found.distances[:9])
-    with pytest.raises(DataError, match="at least 10 validation queries, got 9"):
-        ErrorModel.fit(few, xy, np.zeros(9))
+    for learned, options, error, says in (
+        ((found, xy, np.zeros(20)), {"radius": -1}, ConfigError, "radius must be a number from 0, got -1"),
+        ((found, xy, np.zeros(20)), {"neighbours": 0}, ConfigError, "neighbours must be a whole number from 1"),
+        ((found, xy, np.zeros(19)), {}, DataError, "20 validation queries need as many errors"),
+        ((found, xy, np.full(20, np.nan)), {}, DataError, "finite and >= 0"),
+        ((few, xy, np.zeros(9)), {}, DataError, "at least 10 validation queries, got 9"),
+    ):
+        with pytest.raises(error, match=says):
+            ErrorModel.fit(*learned, **options)
     with pytest.raises(DataError, match=r"map positions \(m, 2\), all known"):
         MODEL.predict(found, np.full((30, 2), np.nan))
     with pytest.raises(DataError, match=r"needs 5 neighbours a query, got shape \(20, 2\)"):

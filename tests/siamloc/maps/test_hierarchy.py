@@ -7,13 +7,13 @@ from hypothesis import strategies as st
 
 import analytic
 from analytic import Description
-from siamloc.data.frames import FrameTable
 from siamloc.errors import ConfigError, DataError
-from siamloc.maps import VisualMap, match
+from siamloc.maps import match
 from siamloc.maps.coarse import CoarseLayer
 from siamloc.maps.hierarchy import HierarchicalSearch
 from siamloc.maps.ranking import NodeRanking, rank_by_representatives
 from tests.oracles import hierarchy as oracle
+from tests.siamloc.maps.conftest import map_of, plain_map
 
 DISTANCES = ("euclidean", "correlation", "cosine", "manhattan", "minkowski")
 
@@ -22,11 +22,6 @@ def labelled(rng, n: int, nodes: int, unassigned: bool) -> np.ndarray:
     """Return labels in no order; none of the nodes is empty."""
     labels = np.concatenate([np.arange(nodes), rng.integers(-1 if unassigned else 0, nodes, n - nodes)])
     return rng.permutation(labels)
-
-
-def visual_map(descriptors, distance: str = "euclidean") -> VisualMap:
-    n = len(descriptors)
-    return VisualMap(descriptors, FrameTable(path=[f"{i}.png" for i in range(n)]), distance=distance)
 
 
 def ranked(rng, n: int, nodes: int, candidates: int) -> NodeRanking:
@@ -45,7 +40,7 @@ def ranked(rng, n: int, nodes: int, candidates: int) -> NodeRanking:
 def test_the_search_equals_the_loop(seed: int, distance: str, unassigned: bool, k: int, candidates: int) -> None:
     rng = np.random.default_rng(seed)
     # Whole numbers: equal distances occur, within a node and between nodes.
-    known = visual_map(rng.integers(0, 3, (20, 3)), distance)
+    known = plain_map(rng.integers(0, 3, (20, 3)), distance)
     queries, labels = rng.integers(0, 3, (7, 3)).astype(np.float32), labelled(rng, 20, 4, unassigned)
     layer = CoarseLayer.of_labels(known, labels)
     ranking = ranked(rng, 7, 4, candidates)
@@ -79,7 +74,7 @@ def test_the_search_along_the_drive_equals_the_loop(
     rng = np.random.default_rng(seed)
     values, labels = rng.integers(0, 4, (20, 3)), labelled(rng, 20, 6, unassigned)
     drives = ["a"] * 8 + ["b"] * 12
-    known = VisualMap(values, FrameTable(path=[f"{i}.png" for i in range(20)], sequence=drives), distance=distance)
+    known = plain_map(values, distance, sequence=drives)
     queries, ranking = rng.integers(0, 4, (7, 3)).astype(np.float32), ranked(rng, 7, 6, 2)
     search = HierarchicalSearch(known, CoarseLayer.of_labels(known, labels), along=along)
     result = search.search(queries, ranking, k)
@@ -94,7 +89,7 @@ def test_the_search_along_the_drive_equals_the_loop(
 
 
 def test_a_query_at_the_border_of_a_node_finds_its_frame_along_the_drive() -> None:
-    known = visual_map([[0.0], [1.0], [2.0], [3.0]])
+    known = plain_map([[0.0], [1.0], [2.0], [3.0]])
     layer = CoarseLayer.of_labels(known, [0, 0, 1, 1])
     queries, wrong = [[1.8]], NodeRanking(np.array([[0]]), np.array([2]))
     assert HierarchicalSearch(known, layer).search(queries, wrong).found.indices.tolist() == [[1]]
@@ -108,7 +103,7 @@ def test_a_query_at_the_border_of_a_node_finds_its_frame_along_the_drive() -> No
 @pytest.mark.parametrize("unassigned", [False, True])
 def test_all_nodes_as_candidates_give_the_answer_of_the_whole_map(distance: str, unassigned: bool) -> None:
     rng = np.random.default_rng(3)
-    known = visual_map(rng.normal(size=(300, 16)).astype(np.float32), distance)
+    known = plain_map(rng.normal(size=(300, 16)).astype(np.float32), distance)
     layer = CoarseLayer.of_labels(known, labelled(rng, 300, 12, unassigned))
     queries = rng.normal(size=(40, 16)).astype(np.float32)
     ranking = rank_by_representatives(queries, layer.representatives, 12, distance)
@@ -121,7 +116,7 @@ def test_all_nodes_as_candidates_give_the_answer_of_the_whole_map(distance: str,
 
 def test_the_answer_depends_neither_on_the_other_queries_nor_on_the_size_of_the_parts(monkeypatch) -> None:
     rng = np.random.default_rng(4)
-    known = visual_map(rng.normal(size=(200, 8)))
+    known = plain_map(rng.normal(size=(200, 8)))
     layer = CoarseLayer.of_labels(known, labelled(rng, 200, 7, True))
     queries, ranking = rng.normal(size=(50, 8)), ranked(rng, 50, 7, 3)
     search = HierarchicalSearch(known, layer)
@@ -141,14 +136,7 @@ def test_descriptors_that_are_compared_after_turning() -> None:
     rng = np.random.default_rng(5)
     descriptor = analytic.descriptor("briefgist", rows=4, columns=16)
     images = rng.integers(0, 256, (14, 16, 64), dtype=np.uint8)
-    seen = descriptor.describe(images)
-    known = VisualMap(
-        seen.position,
-        FrameTable(path=[f"{i}.png" for i in range(14)]),
-        distance=descriptor.default_distance,
-        orientation=seen.orientation,
-        describes=descriptor,
-    )
+    known = map_of(descriptor, images)
     layer = CoarseLayer.of_labels(known, [0, 0, 1, 1, 2, 2, 2, -1, 3, 3, 3, 0, 1, 2])
     noisy = np.clip(np.roll(images, 8, axis=2) + rng.normal(0, 40, images.shape), 0, 255).astype(np.uint8)
     queries = descriptor.describe(noisy[[1, 3, 7, 9, 6]])
@@ -168,36 +156,27 @@ def test_descriptors_that_are_compared_after_turning() -> None:
 
 
 def test_a_map_of_one_frame_and_nodes_of_one_frame() -> None:
-    one = visual_map([[1.0, 2.0]])
+    one = plain_map([[1.0, 2.0]])
     search = HierarchicalSearch(one, CoarseLayer.of_labels(one, [0]))
     result = search.search([[5.0, 5.0], [0.0, 0.0]], NodeRanking(np.zeros((2, 1), int), np.ones(2, int)), 4)
     assert result.found.indices.tolist() == [[0], [0]]
     assert result.compared.tolist() == [2, 2]
-    known = visual_map([[0.0], [1.0], [2.0]])
+    known = plain_map([[0.0], [1.0], [2.0]])
     alone = HierarchicalSearch(known, CoarseLayer.of_labels(known, [2, 0, 1]))
     result = alone.search([[0.1]], NodeRanking(np.array([[0]]), np.array([3])), 3)
     assert result.found.indices.tolist() == [[1, 1, 1]]
     assert result.found.distances.tolist() == [[pytest.approx(0.9), np.inf, np.inf]]
 
 
-def test_frames_that_all_look_alike() -> None:
-    known = visual_map(np.ones((50, 4)))
-    search = HierarchicalSearch(known, CoarseLayer.of_labels(known, np.arange(50)[::-1] % 3))
-    result = search.search(np.zeros((6, 4)), NodeRanking(np.tile([2, 0], (6, 1)), np.full(6, 3)), 4)
-    expected = np.flatnonzero(np.arange(50)[::-1] % 3 != 1)[:4]
-    assert (result.found.indices == expected).all()
-    assert (result.found.distances == 2).all()
-
-
 def test_no_queries() -> None:
-    known = visual_map([[0.0], [1.0]])
+    known = plain_map([[0.0], [1.0]])
     search = HierarchicalSearch(known, CoarseLayer.of_labels(known, [0, 1]))
     empty = NodeRanking(np.zeros((0, 1), dtype=int), np.zeros(0, dtype=int))
     assert search.search(np.zeros((0, 1)), empty, 1).found.indices.shape == (0, 1)
 
 
 def test_frames_in_no_node_are_always_found() -> None:
-    known = visual_map([[0.0], [10.0], [5.0]])
+    known = plain_map([[0.0], [10.0], [5.0]])
     search = HierarchicalSearch(known, CoarseLayer.of_labels(known, [0, 1, -1]))
     result = search.search([[5.1], [5.1]], NodeRanking(np.array([[0], [-1]]), np.array([2, 2])), 1)
     assert result.found.indices.tolist() == [[2], [2]]
@@ -206,7 +185,7 @@ def test_frames_in_no_node_are_always_found() -> None:
 
 
 def test_errors() -> None:
-    known = visual_map(np.eye(4))
+    known = plain_map(np.eye(4))
     layer = CoarseLayer.of_labels(known, [0, 0, 1, 1])
     search = HierarchicalSearch(known, layer)
     one = NodeRanking(np.array([[0]]), np.array([2]))
@@ -214,16 +193,14 @@ def test_errors() -> None:
         HierarchicalSearch(known.take([0, 1, 2]), layer)
     with pytest.raises(ConfigError, match="must be a whole number from 1 to 10 million, got 0"):
         search.search(np.eye(4)[:1], one, 0)
-    with pytest.raises(DataError, match="2 queries need as many rows in the ranking"):
-        search.search(np.eye(4)[:2], one)
-    with pytest.raises(DataError, match="of nodes 0 to 1"):
-        search.search(np.eye(4)[:1], NodeRanking(np.array([[2]]), np.array([2])))
-    with pytest.raises(DataError, match="1 of 1 queries have no candidate node"):
-        search.search(np.eye(4)[:1], NodeRanking(np.array([[-1]]), np.array([2])))
-    with pytest.raises(DataError, match="queries have 3 values each, the map's descriptors 4"):
-        search.search(np.eye(3)[:1], one)
-    with pytest.raises(DataError, match="1 of 1 query descriptors hold values that are not finite"):
-        search.search(np.full((1, 4), np.nan), one)
-    with pytest.raises(DataError, match="out of all proportion"):
-        search.search(np.full((1, 4), 1e20), one)
+    for queries, ranking, says in (
+        (np.eye(4)[:2], one, "2 queries need as many rows in the ranking"),
+        (np.eye(4)[:1], NodeRanking(np.array([[2]]), np.array([2])), "of nodes 0 to 1"),
+        (np.eye(4)[:1], NodeRanking(np.array([[-1]]), np.array([2])), "1 of 1 queries have no candidate node"),
+        (np.eye(3)[:1], one, "queries have 3 values each, the map's descriptors 4"),
+        (np.full((1, 4), np.nan), one, "1 of 1 query descriptors hold values that are not finite"),
+        (np.full((1, 4), 1e20), one, "out of all proportion"),
+    ):
+        with pytest.raises(DataError, match=says):
+            search.search(queries, ranking)
     assert search.search(Description(np.eye(4)[2:3]), NodeRanking(np.array([[1]]), np.array([2]))).node.tolist() == [1]

@@ -1,36 +1,26 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from siamloc.data.frames import FrameTable
 from siamloc.errors import ConfigError, DataError
 from siamloc.maps import Retrieval
 from siamloc.maps.refinement import interpolate_poses, path_positions
 from tests.oracles import interpolation as oracle
-
-
-def path(xy, sequence=None) -> FrameTable:
-    x, y = np.asarray(xy, dtype=float).T
-    names = ["a"] * len(x) if sequence is None else sequence
-    return FrameTable(path=[f"{i}.png" for i in range(len(x))], x=x, y=y, sequence=names)
-
-
-def retrieval(seed: int, n: int, m: int, k: int) -> Retrieval:
-    rng = np.random.default_rng(seed)
-    return Retrieval(np.argsort(rng.random((n, m)), axis=1)[:, :k], np.sort(rng.random((n, k)), axis=1))
+from tests.siamloc.maps.conftest import placed, retrieval
 
 
 @settings(max_examples=50, deadline=None)
 @given(seed=st.integers(0, 2**32 - 1), k=st.integers(1, 6), radius=st.floats(0, 12))
 def test_poses_equal_the_loop(seed: int, k: int, radius: float) -> None:
     rng = np.random.default_rng(seed)
-    frames = path(np.cumsum(rng.normal(size=(10, 2)), axis=0), rng.choice(["a", "b"], 10))
-    found, headings = retrieval(seed, 5, 10, 6), rng.uniform(-math.pi, math.pi, (5, 6))
+    frames = placed(np.cumsum(rng.normal(size=(10, 2)), axis=0), sequence=rng.choice(["a", "b"], 10))
+    found, headings = retrieval(np.random.default_rng(seed), 5, 10, 6), rng.uniform(-math.pi, math.pi, (5, 6))
     poses = interpolate_poses(found, frames, k, radius, headings, 1e-3)
     for i in range(5):
         x, y, theta = oracle.pose(
@@ -44,7 +34,7 @@ def test_poses_equal_the_loop(seed: int, k: int, radius: float) -> None:
 @given(seed=st.integers(0, 2**32 - 1))
 def test_one_neighbour_is_the_nearest_frame_to_the_last_bit(seed: int) -> None:
     rng = np.random.default_rng(seed)
-    frames, found = path(rng.normal(size=(8, 2))), retrieval(seed, 4, 8, 3)
+    frames, found = placed(rng.normal(size=(8, 2))), retrieval(np.random.default_rng(seed), 4, 8, 3)
     headings = rng.uniform(-math.pi, math.pi, (4, 3))
     for k, radius in ((1, 5.0), (3, 0.0)):
         poses = interpolate_poses(found, frames, k, radius, headings)
@@ -54,7 +44,7 @@ def test_one_neighbour_is_the_nearest_frame_to_the_last_bit(seed: int) -> None:
 
 
 def test_a_query_between_two_frames_lies_between_them() -> None:
-    frames = path([[0, 0], [1, 0], [2, 0]])
+    frames = placed([[0, 0], [1, 0], [2, 0]])
     found = Retrieval(np.array([[0, 1]]), np.array([[0.25, 0.75]]))
     poses = interpolate_poses(found, frames, 2, 1.5)
     np.testing.assert_allclose(poses.xy, [[0.25, 0]], atol=1e-5)
@@ -63,18 +53,18 @@ def test_a_query_between_two_frames_lies_between_them() -> None:
 
 def test_frames_across_a_wall_and_aliases_do_not_count() -> None:
     # Down one side of a wall and back on the other: 0.5 m through the wall are 10.5 m along the path.
-    frames = path(np.r_[np.c_[np.arange(6), np.zeros(6)], np.c_[np.arange(6)[::-1], np.full(6, 0.5)]])
+    frames = placed(np.r_[np.c_[np.arange(6), np.zeros(6)], np.c_[np.arange(6)[::-1], np.full(6, 0.5)]])
     found = Retrieval(np.array([[0, 11, 1]]), np.array([[0.1, 0.1, 0.1]]))
     poses = interpolate_poses(found, frames, 3, 2.0)
     np.testing.assert_allclose(poses.xy, [[0.5, 0]])
     assert poses.agreement.tolist() == [2 / 3]
-    two = path(frames.xy, ["a"] * 6 + ["b"] * 6)
+    two = placed(frames.xy, sequence=["a"] * 6 + ["b"] * 6)
     assert interpolate_poses(found, two, 3, 100.0).agreement.tolist() == [2 / 3]
     assert path_positions(two).tolist() == [0, 1, 2, 3, 4, 5, 0, 1, 2, 3, 4, 5]
 
 
 def test_headings_on_either_side_of_the_seam_and_unknown_ones() -> None:
-    frames = path([[0, 0], [1, 0]])
+    frames = placed([[0, 0], [1, 0]])
     found = Retrieval(np.array([[0, 1]] * 3), np.full((3, 2), 0.5))
     headings = [[math.pi - 0.1, -math.pi + 0.3], [math.nan, 2.0], [math.nan, math.nan]]
     theta = interpolate_poses(found, frames, 2, 2.0, headings).theta
@@ -82,7 +72,7 @@ def test_headings_on_either_side_of_the_seam_and_unknown_ones() -> None:
 
 
 def test_identical_descriptors_have_finite_weights() -> None:
-    frames = path([[0, 0], [1, 0]])
+    frames = placed([[0, 0], [1, 0]])
     poses = interpolate_poses(Retrieval(np.array([[0, 1]]), np.array([[0.0, 0.5]])), frames, 2, 2.0)
     np.testing.assert_allclose(poses.xy, [[0, 0]], atol=1e-5)
     both = interpolate_poses(Retrieval(np.array([[0, 1]]), np.array([[0.0, 0.0]])), frames, 2, 2.0)
@@ -90,29 +80,31 @@ def test_identical_descriptors_have_finite_weights() -> None:
 
 
 def test_neighbours_at_infinite_distance_do_not_count() -> None:
-    frames = path([[0, 0], [1, 0]])
+    frames = placed([[0, 0], [1, 0]])
     poses = interpolate_poses(Retrieval(np.array([[1, 1]]), np.array([[0.5, math.inf]])), frames, 2, 2.0)
     assert poses.xy.tolist() == [[1, 0]]
 
 
 def test_a_map_of_one_frame_and_no_queries() -> None:
-    frames = path([[3, 4]])
+    frames = placed([[3, 4]])
     assert interpolate_poses(Retrieval(np.array([[0]]), np.array([[0.3]])), frames, 5).xy.tolist() == [[3, 4]]
     none = Retrieval(np.zeros((0, 1), dtype=int), np.zeros((0, 1)))
     assert len(interpolate_poses(none, frames, 5, headings=np.zeros((0, 1)))) == 0
 
 
 def test_errors() -> None:
-    frames, found = path([[0, 0], [1, 0]]), retrieval(0, 2, 2, 2)
-    with pytest.raises(ConfigError, match="k must be a whole number from 1"):
-        interpolate_poses(found, frames, 0)
-    with pytest.raises(ConfigError, match="radius must be a number from 0"):
-        interpolate_poses(found, frames, 1, -1)
-    with pytest.raises(DataError, match=r"needs 2 neighbours a query, rows 0 to 1 of the map, got shape \(2, 1\)"):
-        interpolate_poses(Retrieval(found.indices[:, :1], found.distances[:, :1]), frames, 2)
-    with pytest.raises(DataError, match="rows 0 to 1"):
-        interpolate_poses(Retrieval(found.indices + 1, found.distances), frames, 2)
-    with pytest.raises(DataError, match="2 queries need headings by 2 neighbours"):
-        interpolate_poses(found, frames, 2, headings=[[0.0], [1.0]])
-    with pytest.raises(DataError, match="1 of 2 map frames have no position"):
-        interpolate_poses(found, path([[0, 0], [math.nan, 0]]), 2)
+    frames, found = placed([[0, 0], [1, 0]]), retrieval(np.random.default_rng(0), 2, 2, 2)
+    less, beyond = (
+        Retrieval(found.indices[:, :1], found.distances[:, :1]),
+        Retrieval(found.indices + 1, found.distances),
+    )
+    for asked, error, says in (
+        ((found, frames, 0), ConfigError, "k must be a whole number from 1"),
+        ((found, frames, 1, -1), ConfigError, "radius must be a number from 0"),
+        ((less, frames, 2), DataError, r"needs 2 neighbours a query, rows 0 to 1 of the map, got shape \(2, 1\)"),
+        ((beyond, frames, 2), DataError, "rows 0 to 1"),
+        ((found, frames, 2, 1, [[0.0], [1.0]]), DataError, "2 queries need headings by 2 neighbours"),
+        ((found, placed([[0, 0], [math.nan, 0]]), 2), DataError, "1 of 2 map frames have no position"),
+    ):
+        with pytest.raises(error, match=says):
+            interpolate_poses(*asked)

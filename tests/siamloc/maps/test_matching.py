@@ -2,9 +2,9 @@ import numpy as np
 import pytest
 
 import analytic
-from siamloc.data.frames import FrameTable
-from siamloc.errors import DataError, FormatError
-from siamloc.maps import VisualMap, headings, match
+from siamloc.errors import DataError
+from siamloc.maps import VisualMap, frame_distances, headings, match
+from tests.siamloc.maps.conftest import map_of, placed
 
 RNG = np.random.default_rng(5)
 IMAGES = RNG.integers(0, 256, (9, 16, 64), dtype=np.uint8)
@@ -13,27 +13,12 @@ BRIEF = analytic.descriptor("briefgist", rows=4, columns=16)
 THUMBNAIL = analytic.descriptor("thumbnail", rows=2, columns=4)
 
 
-def frames(n, theta=None):
-    return FrameTable(path=[f"{i}.png" for i in range(n)], x=np.arange(n), y=np.zeros(n), theta=theta)
-
-
-def map_of(descriptor, images, theta=None):
-    found = descriptor.describe(images)
-    distance = descriptor.default_distance
-    return VisualMap(
-        found.position,
-        frames(len(images), theta),
-        distance=distance,
-        orientation=found.orientation,
-        describes=descriptor,
-    )
-
-
 @pytest.mark.parametrize("descriptor", [HOG, BRIEF], ids=lambda d: d.name)
 def test_the_nearest_frames_are_those_of_all_distances(descriptor):
     known = map_of(descriptor, IMAGES)
     queries = descriptor.describe(np.roll(IMAGES[:4], 8, axis=2))
     apart = descriptor.pairwise(queries, known.description)
+    np.testing.assert_allclose(frame_distances(known, queries), apart, atol=1e-5)
     found = match(known, queries, 3)
     assert np.array_equal(found.indices, np.argsort(apart, axis=1, kind="stable")[:, :3])
     np.testing.assert_allclose(found.distances, np.sort(apart, axis=1)[:, :3], atol=1e-5)
@@ -101,13 +86,4 @@ def test_what_turns_as_a_whole_is_kept_once(tmp_path):
 @pytest.mark.parametrize("orientation", [np.zeros((2, 3, 4)), np.zeros((9, 3)), np.full((9, 2, 2), np.nan)])
 def test_orientation_parts_that_do_not_fit_are_an_error(orientation):
     with pytest.raises(ValueError, match="a map's orientation parts"):
-        VisualMap(np.zeros((9, 4)), frames(9), orientation=orientation)
-
-
-def test_a_map_whose_orientation_was_cut_is_no_map(tmp_path):
-    known = map_of(HOG, IMAGES)
-    known.save(tmp_path / "map.npz")
-    content = (tmp_path / "map.npz").read_bytes()
-    (tmp_path / "map.npz").write_bytes(content[: len(content) // 2])
-    with pytest.raises(FormatError, match="not a whole one"):
-        VisualMap.load(tmp_path / "map.npz")
+        VisualMap(np.zeros((9, 4)), placed(np.zeros((9, 2))), orientation=orientation)

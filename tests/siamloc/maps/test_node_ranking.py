@@ -71,10 +71,6 @@ def test_the_perfect_layer_is_the_node_of_the_nearest_frame(seed: int) -> None:
     assert ranking.compared.tolist() == [0] * 5
 
 
-def test_equal_x_and_different_y() -> None:
-    assert rank_by_position([[1.0, 5.0]], [[1.0, 0.0], [2.0, 5.0]], [0, 1]).nodes.tolist() == [[1]]
-
-
 @pytest.mark.parametrize(
     ("call", "message"),
     [

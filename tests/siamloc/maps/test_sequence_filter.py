@@ -7,8 +7,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-import analytic
-from analytic import Description
 from siamloc.data.frames import FrameTable
 from siamloc.errors import ConfigError, DataError
 from siamloc.maps import VisualMap
@@ -21,15 +19,11 @@ from siamloc.maps.sequence_filter import (
     tune_filter,
 )
 from tests.oracles import bayes_filter as oracle
-
-
-def frames(xy, **columns) -> FrameTable:
-    x, y = np.asarray(xy, dtype=float).reshape(-1, 2).T
-    return FrameTable(path=[f"{i}.png" for i in range(len(x))], x=x, y=y, **columns)
+from tests.siamloc.maps.conftest import placed
 
 
 def corridor(n: int = 60, spacing: float = 0.5) -> FrameTable:
-    return frames(np.column_stack([spacing * np.arange(n), np.zeros(n)]), time=np.arange(n) * 0.5)
+    return placed(np.column_stack([spacing * np.arange(n), np.zeros(n)]), time=np.arange(n) * 0.5)
 
 
 def ambiguous(place: np.ndarray, rng, noise: float = 0.25) -> np.ndarray:
@@ -43,7 +37,7 @@ def ambiguous(place: np.ndarray, rng, noise: float = 0.25) -> np.ndarray:
 @given(seed=st.integers(0, 2**32 - 1), kidnapping=st.floats(1e-6, 0.5), temperature=st.floats(0.05, 2))
 def test_the_filter_equals_the_naive_forward_algorithm(seed: int, kidnapping: float, temperature: float) -> None:
     rng = np.random.default_rng(seed)
-    known = frames(np.cumsum(rng.normal(size=(9, 2)), axis=0))
+    known = placed(np.cumsum(rng.normal(size=(9, 2)), axis=0))
     motion = MotionModel.learn(known, step=float(rng.uniform(0.1, 2)))
     table = oracle.transitions(known.xy.tolist(), motion.step, motion.spacing)
     distances, sequence = rng.uniform(0, 3, (12, 9)), np.array(["a"] * 5 + ["b"] * 7)
@@ -81,7 +75,7 @@ def test_the_step_is_learned_from_the_spacing_or_from_speed_and_interval() -> No
 
 
 def test_frames_of_two_buildings_are_not_neighbours() -> None:
-    known = frames([[0, 0], [1, 0], [0, 0], [1, 0]], building=["a", "a", "b", "b"], sequence=["a", "a", "b", "b"])
+    known = placed([[0, 0], [1, 0], [0, 0], [1, 0]], building=["a", "a", "b", "b"], sequence=["a", "a", "b", "b"])
     motion = MotionModel.learn(known)
     np.testing.assert_allclose(motion.predict(np.array([1.0, 0, 0, 0]))[2:], 0)
 
@@ -126,7 +120,7 @@ def test_each_sequence_begins_anew_wherever_its_queries_stand() -> None:
 
 
 def test_a_map_of_one_frame() -> None:
-    known = VisualMap([[1.0]], frames([[2, 3]]))
+    known = VisualMap([[1.0]], placed([[2, 3]]))
     motion = MotionModel.learn(known.frames)
     track = SequenceFilter(motion, temperature_of_map(known)).run([[0.3], [7.0]], ["a", "a"])
     assert track.frame.tolist() == [0, 0]
@@ -174,48 +168,24 @@ def test_tuning_finds_settings_that_suit_the_validation_sequence() -> None:
     assert tried[0].error == pytest.approx(np.hypot(*(motion.xy[best.frame] - truth).T).mean())
 
 
-def test_distances_of_descriptors_that_are_compared_after_turning() -> None:
-    rng = np.random.default_rng(6)
-    descriptor = analytic.descriptor("briefgist", rows=4, columns=16)
-    seen = descriptor.describe(rng.integers(0, 256, (5, 16, 64), dtype=np.uint8))
-    known = VisualMap(
-        seen.position,
-        frames(np.zeros((5, 2))),
-        distance=descriptor.default_distance,
-        orientation=seen.orientation,
-        describes=descriptor,
-    )
-    np.testing.assert_allclose(
-        frame_distances(known, seen.take([3, 1])), descriptor.pairwise(seen.take([3, 1]), seen), atol=1e-5
-    )
-    plain = VisualMap(np.eye(3), frames(np.zeros((3, 2))), distance="manhattan")
-    assert frame_distances(plain, Description(np.eye(3)[:1])).tolist() == [[0, 2, 2]]
-
-
 def test_errors() -> None:
-    known = corridor(4)
-    motion = MotionModel.learn(known)
-    with pytest.raises(ConfigError, match="step must be a number above 0, or null, got 0"):
-        MotionModel.learn(known, step=0)
-    with pytest.raises(ConfigError, match=r"interval must be a number above 0.*, got nan"):
-        MotionModel.learn(known, interval=math.nan)
-    with pytest.raises(DataError, match="1 of 4 map frames have no position"):
-        MotionModel.learn(known.with_columns(x=[0, 1, math.nan, 2]))
-    with pytest.raises(DataError, match="0 of 0 map frames"):
-        MotionModel.learn(known.take([]))
-    with pytest.raises(ConfigError, match="temperature must be a number above 0, got 0"):
-        SequenceFilter(motion, 0)
-    with pytest.raises(ConfigError, match="kidnapping must be a number between 0 and 1, got 0"):
-        SequenceFilter(motion, 1, 0)
+    known, one = corridor(4), [np.zeros((1, 4))]
+    motion, gap = MotionModel.learn(known), known.with_columns(x=[0, 1, math.nan, 2])
+    for call, error, says in (
+        (lambda: MotionModel.learn(known, step=0), ConfigError, "step must be a number above 0, or null, got 0"),
+        (lambda: MotionModel.learn(known, interval=math.nan), ConfigError, "interval must be a number .*, got nan"),
+        (lambda: MotionModel.learn(gap), DataError, "1 of 4 map frames have no position"),
+        (lambda: MotionModel.learn(known.take([])), DataError, "0 of 0 map frames"),
+        (lambda: SequenceFilter(motion, 0), ConfigError, "temperature must be a number above 0, got 0"),
+        (lambda: SequenceFilter(motion, 1, 0), ConfigError, "kidnapping must be a number between 0 and 1, got 0"),
+        (lambda: SequenceFilter(motion, 1).run([[0.0, 1, 2]], ["a"]), DataError, r"shape \(1, 4\), got \(1, 3\)"),
+        (lambda: temperature_of_map(VisualMap(np.eye(4), gap)), DataError, "whose frames all have positions"),
+        (lambda: tune_filter(motion, *one, [[0, 0]], ["a"], 1, softer=()), ConfigError, "at least one factor"),
+        (lambda: tune_filter(motion, *one, [[0, math.nan]], ["a"], 1), DataError, "true positions"),
+    ):
+        with pytest.raises(error, match=says):
+            call()
     for wrong in ([0.0, 1, 2, math.nan], [0.0, 1, 2, -math.inf], [math.inf] * 4, [0.0, 1, 2]):
         with pytest.raises(DataError, match="a query needs 4 distances to the map"):
             SequenceFilter(motion, 1).step(wrong)
     assert SequenceFilter(motion, 1).step([0.0, 1, 2, math.inf])[3] == 0
-    with pytest.raises(DataError, match=r"distances of shape \(1, 4\), got \(1, 3\)"):
-        SequenceFilter(motion, 1).run([[0.0, 1, 2]], ["a"])
-    with pytest.raises(DataError, match="whose frames all have positions"):
-        temperature_of_map(VisualMap([[1.0]], frames([[math.nan, 0]])))
-    with pytest.raises(ConfigError, match="at least one factor"):
-        tune_filter(motion, np.zeros((1, 4)), [[0, 0]], ["a"], 1, softer=())
-    with pytest.raises(DataError, match="true positions"):
-        tune_filter(motion, np.zeros((1, 4)), [[0, math.nan]], ["a"], 1)

@@ -44,13 +44,6 @@ def test_equal_maps_give_equal_files(tmp_path: Path) -> None:
     assert (tmp_path / "a.npz").read_bytes() == (tmp_path / "b.npz").read_bytes()
 
 
-def test_the_file_needs_no_pickle(tmp_path: Path) -> None:
-    make_map().save(tmp_path / "map.npz")
-    with np.load(tmp_path / "map.npz", allow_pickle=False) as archive:
-        assert json.loads(str(archive["header"]))["format"] == "siamloc map"
-        assert archive["descriptors"].dtype == np.float32
-
-
 def test_search_is_nearest_with_the_maps_distance() -> None:
     visual_map = make_map()
     queries = np.random.default_rng(1).normal(size=(4, 3)).astype(np.float32)
