@@ -40,7 +40,6 @@ REMARKS = ("rooms", "positions")
 _OF_ESTIMATES = ("est_x", "est_y", "est_theta", "error", "heading_error", "match")
 _SCHEMA = "siamloc-results"
 _VERSION = 1
-_REQUIRED = ("config", "measures", "denominators")
 _KINDS = {"U": "text", "b": "bool", "i": "int", "u": "int", "f": "float"}
 _PARSERS: dict[str, tuple[Any, Callable[[str], Any]]] = {
     "text": (np.str_, str),
@@ -65,43 +64,29 @@ def finest(columns: Columns) -> tuple[Columns, str | None]:
 def write_results(
     folder: str | Path,
     results: Mapping[str, Any],
-    rows: Mapping[str, NDArray] | None = None,
     tables: Mapping[str, Mapping[str, NDArray]] | None = None,
 ) -> Path:
-    """Write `results.json`, `queries.csv` and further tables; return the path of the first.
+    """Write `results.json` and its tables, such as `queries.csv`; return the path of the first.
 
     Each file is written whole or not at all, `results.json` last: it names the tables that belong to it. Numbers keep
     full precision.
 
     Args:
         folder: created if it is missing.
-        results: plain values with at least `config` (complete), `measures` and `denominators`.
-        rows: columns of equal length, written to `queries.csv`.
-        tables: more columns by table name: "pairs" becomes `pairs.csv`, "map" `map.csv`.
+        results: plain values, with `config` (complete), `measures` and `denominators`.
+        tables: columns of equal length by table name: "queries" becomes `queries.csv`, "map" `map.csv`.
 
     Raises:
-        ConfigError: a required key is missing, or a key or table has a name that is already taken.
         DataError: columns of different lengths.
         StorageError: the disk refuses.
     """
     folder = Path(folder)
-    missing = [key for key in _REQUIRED if key not in results]
-    if missing:
-        raise ConfigError(f"results need {', '.join(_REQUIRED)}; {', '.join(missing)} is missing")
     header = {
         "schema": {"name": _SCHEMA, "version": _VERSION},
         "created": datetime.datetime.now(datetime.timezone.utc).isoformat(timespec="seconds"),
         "versions": versions(),
     }
-    taken = sorted({*header, "tables"} & set(results))
-    if taken:
-        raise ConfigError(f"results must not hold the reserved key {', '.join(taken)}")
-    every = dict(tables or {})
-    if rows is not None:
-        if "queries" in every:
-            raise ConfigError("give the queries' table once: as `rows`, or in `tables`")
-        every["queries"] = rows
-    checked = {name: _as_table(name, columns) for name, columns in every.items()}
+    checked = {name: _as_table(name, columns) for name, columns in (tables or {}).items()}
     for name, columns in checked.items():
         lines = zip(*(column.tolist() for column in columns.values()), strict=True)
         write_text(folder / f"{name}.csv", csv_text([columns, *lines]))
@@ -114,10 +99,7 @@ def write_results(
         for name, columns in checked.items()
     }
     path = folder / "results.json"
-    older = tables_of(folder)
     write_json(path, {**header, **results, "tables": described})
-    for name in older - {table["file"] for table in described.values()}:
-        (folder / name).unlink(missing_ok=True)  # of the replaced result; nothing else is ever removed
     return path
 
 

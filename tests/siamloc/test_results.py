@@ -28,7 +28,7 @@ ROWS = {
 
 
 def test_round_trip(tmp_path: Path) -> None:
-    path = write_results(tmp_path / "run" / "1", RESULTS, ROWS, {"map": {"x": np.array([1e-300, -0.0])}})
+    path = write_results(tmp_path / "run" / "1", RESULTS, {"queries": ROWS, "map": {"x": np.array([1e-300, -0.0])}})
     assert path == tmp_path / "run" / "1" / "results.json"
     assert sorted(p.name for p in path.parent.iterdir()) == ["map.csv", "queries.csv", "results.json"]
     results = read_results(path.parent)
@@ -48,17 +48,17 @@ def test_round_trip(tmp_path: Path) -> None:
 @given(values=st.lists(st.floats(allow_nan=True, allow_infinity=True), min_size=1))
 def test_every_float_comes_back_to_the_last_bit(tmp_path_factory: pytest.TempPathFactory, values: list[float]) -> None:
     folder = tmp_path_factory.mktemp("floats")
-    write_results(folder, RESULTS, {"x": np.array(values)})
+    write_results(folder, RESULTS, {"queries": {"x": np.array(values)}})
     np.testing.assert_array_equal(read_rows(folder)["x"], values)
 
 
 def test_tables_without_rows(tmp_path: Path) -> None:
-    write_results(tmp_path, RESULTS, {name: column[:0] for name, column in ROWS.items()})
+    write_results(tmp_path, RESULTS, {"queries": {name: column[:0] for name, column in ROWS.items()}})
     assert {name: column.tolist() for name, column in read_rows(tmp_path).items()} == {name: [] for name in ROWS}
 
 
 def test_float32_columns_become_float64(tmp_path: Path) -> None:
-    write_results(tmp_path, RESULTS, {"x": np.array([0.1], dtype=np.float32)})
+    write_results(tmp_path, RESULTS, {"queries": {"x": np.array([0.1], dtype=np.float32)}})
     assert read_rows(tmp_path)["x"][0] == float(np.float32(0.1))
 
 
@@ -70,33 +70,31 @@ def test_versions_name_torch_only_if_it_is_loaded(monkeypatch: pytest.MonkeyPatc
 
 
 def test_a_failed_write_leaves_the_old_results(tmp_path: Path) -> None:
-    write_results(tmp_path, RESULTS, ROWS)
+    write_results(tmp_path, RESULTS, {"queries": ROWS})
     before = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
     with pytest.raises(DataError):
-        write_results(tmp_path, RESULTS, {**ROWS, "short": np.array([1])})
+        write_results(tmp_path, RESULTS, {"queries": {**ROWS, "short": np.array([1])}})
     assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == before
 
 
-def test_what_cannot_be_written(tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match="measures, denominators is missing"):
-        write_results(tmp_path, {"config": {}})
-    with pytest.raises(ConfigError, match="reserved key schema"):
-        write_results(tmp_path, {**RESULTS, "schema": 1})
-    with pytest.raises(ConfigError, match="once"):
-        write_results(tmp_path, RESULTS, ROWS, {"queries": ROWS})
-    with pytest.raises(DataError, match=r"column 'b' of 'queries' has shape \(1,\), expected \(2,\)"):
-        write_results(tmp_path, RESULTS, {"a": np.ones(2), "b": np.ones(1)})
-    with pytest.raises(DataError, match="holds object"):
-        write_results(tmp_path, RESULTS, {"a": np.array([None])})
-    with pytest.raises(DataError, match="'queries' has no columns"):
-        write_results(tmp_path, RESULTS, {})
+@pytest.mark.parametrize(
+    ("columns", "message"),
+    [
+        ({"a": np.ones(2), "b": np.ones(1)}, r"column 'b' of 'queries' has shape \(1,\), expected \(2,\)"),
+        ({"a": np.array([None])}, "holds object"),
+        ({}, "'queries' has no columns"),
+    ],
+)
+def test_what_cannot_be_written(tmp_path: Path, columns: dict, message: str) -> None:
+    with pytest.raises(DataError, match=message):
+        write_results(tmp_path, RESULTS, {"queries": columns})
     assert list(tmp_path.iterdir()) == []
 
 
 def test_what_cannot_be_read(tmp_path: Path) -> None:
     with pytest.raises(FormatError, match=r"results\.json does not exist"):
         read_results(tmp_path)
-    path = write_results(tmp_path, RESULTS, ROWS)
+    path = write_results(tmp_path, RESULTS, {"queries": ROWS})
     whole = path.read_text()
     for text, message in (
         (whole[:50], "incomplete or invalid JSON"),

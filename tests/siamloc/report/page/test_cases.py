@@ -186,7 +186,7 @@ def rooms_alone(folder: Path, queries: FrameTable, pairs: int, map_every: int | 
     found = evaluate_rooms(scenes.visual_map(), scenes.describe(queries), queries)
     settings = {"protocol": {"map": {"every": map_every}}}
     results = {"config": settings, "measures": found.parts, "denominators": {"queries": 30, "pairs": pairs}}
-    write_results(folder, results, None, {"rooms": found.columns})
+    write_results(folder, results, {"rooms": found.columns})
     return folder
 
 
@@ -244,7 +244,8 @@ def test_matches_outside_the_map_are_refused(tmp_path: Path) -> None:
     folder = run / "evaluation" / "network"
     queries, known = read_rows(folder), read_rows(folder, "map")
     results = {key: read_results(folder)[key] for key in ("config", "measures", "denominators")}
-    write_results(folder, results, queries, {"map": {name: column[:1] for name, column in known.items()}})
+    short = {name: column[:1] for name, column in known.items()}
+    write_results(folder, results, {"queries": queries, "map": short})
     with pytest.raises(FormatError, match=r"names map frames that map.csv lacks"):
         write_report([run], tmp_path / "report.html")
 
