@@ -56,9 +56,8 @@ def test_the_reference_names_everything_public(site, page):
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.relative_to(ROOT).as_posix())
 def test_names_and_commands_of_a_page_exist(page):
     text = page.read_text(encoding="utf-8")
-    for dotted in set(
-        re.findall(r"\b((?:siamloc|analytic|augment|foundation)(?:\.\w+)+)", re.sub(r"[\w./-]+\.(?:md|py|json)\b", "", text))
-    ):
+    names = re.sub(r"[\w./-]+\.(?:md|py|json)\b", "", text)
+    for dotted in set(re.findall(r"\b((?:siamloc|analytic|augment|foundation)(?:\.\w+)+)", names)):
         value = importlib.import_module(dotted.partition(".")[0])
         for name in dotted.split(".")[1:]:
             value = (
