@@ -1,7 +1,5 @@
 """Maps and layers of analytic descriptors, without any training."""
 
-import re
-
 import numpy as np
 import pytest
 
@@ -78,13 +76,6 @@ def test_a_layer_is_built_and_measured(words, tmp_path, build, capsys):
         assert {"mapper.npz", "events.jsonl", "graph.json"} <= {p.name for p in folder.iterdir()}
         assert sum(mapping["reasons"].values()) == 24
     np.testing.assert_array_equal(read_rows(target, "frames")["node"], layer.labels)
-
-
-def test_other_settings_build_the_layer_anew(words, tmp_path, capsys):
-    for nodes in (3, 5):
-        given = layered(words, tmp_path, "sample", f"build.nodes={nodes}", "task.plots=false")
-        done("evaluate", *given, "task=mapping")
-        assert re.search(rf"^nodes +{nodes}$", capsys.readouterr().out, re.MULTILINE)
 
 
 def test_a_build_that_is_interrupted_leaves_no_layer_beside_what_explains_another(words, tmp_path, monkeypatch):

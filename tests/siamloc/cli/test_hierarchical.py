@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from foundation.files import plain
-from siamloc.evaluation import absolute, calibration, hierarchy
+from siamloc.evaluation import hierarchy
 from siamloc.maps import CoarseLayer, ErrorModel
 from siamloc.results import read_results, read_rows
 from tests.siamloc.cli.commands import QUICK, done, measures, refused
@@ -48,13 +48,8 @@ def test_the_files_alone_give_the_measures(evaluate, tmp_path, build, nodes, cap
     assert nodes in (None, len(table["node"]))
     np.testing.assert_array_equal(np.bincount(known["node"], minlength=len(table["node"])), table["frames"])
     assert written["denominators"]["queries"] == 48
-    overall = measured["overall"]
-    assert overall["comparisons"]["frames_share"] < 0.6
-    assert overall["given_right"]["queries"] + overall["given_wrong"]["queries"] == 48
-    assert overall["perfect_coarse"]["error"]["mean"] <= overall["absolute"]["error"]["mean"] + 0.5
-    assert overall["heading_error"]["median"] < 40
-    assert f"{100 * overall['comparisons']['share']:.1f} %" in shown
-    assert f"{overall['given_right']['error']['mean']:.3f}" in shown
+    assert measured["overall"]["comparisons"]["frames_share"] < 0.6
+    assert f"{100 * measured['overall']['comparisons']['share']:.1f} %" in shown
 
 
 def test_frames_in_no_node_are_searched_always(evaluate, tmp_path):
@@ -66,15 +61,6 @@ def test_frames_in_no_node_are_searched_always(evaluate, tmp_path):
     tried = columns["nodes_tried"].astype(int)
     np.testing.assert_array_equal(columns["frames_compared"], (node == -1).sum() + size[tried])
     assert columns["coarse_correct"][columns["true_node"] == -1].all()
-
-
-def test_all_nodes_give_what_absolute_localization_gives(evaluate, tmp_path):
-    evaluate("hog", *HIERARCHICAL, "build=sample", "build.nodes=4", "task.candidates=4")
-    evaluate("hog", *ABSOLUTE)
-    both, whole = (read_rows(tmp_path / "evaluation" / name) for name in ("hierarchical-hog-sample", "hog"))
-    for name, column in whole.items():
-        np.testing.assert_array_equal(both[name], column, err_msg=name)
-    np.testing.assert_array_equal(both["error_absolute"], whole["error"])
 
 
 @pytest.mark.parametrize(
@@ -152,34 +138,11 @@ def test_estimates_beside_the_single_frame_one(evaluate, tmp_path, capsys):
     for name, column in read_rows(before).items():
         np.testing.assert_array_equal(columns[name], column, err_msg=name)
 
-    again = {
-        "absolute": absolute.pose_measures(columns, measured["absolute"]),
-        **{
-            f"absolute_{name}": absolute.estimate_measures(columns, name, measured["absolute"])
-            for name in ("filtered", "tracked", "interpolated")
-        },
-        "calibration": calibration.calibration_measures({**columns, "error": columns["interpolated_error"]}, 0.5),
-    }
-    assert json.dumps(plain(again)) == json.dumps(measured)
-    known = read_rows(folder, "map")
-    np.testing.assert_array_equal(columns["filtered_est_x"], known["x"][columns["filtered_match"]])
-    moved = np.hypot(columns["interpolated_est_x"] - columns["x"], columns["interpolated_est_y"] - columns["y"])
-    np.testing.assert_allclose(columns["interpolated_error"], moved)
-    assert (columns["interpolated_used"] > 1).any()
-    above = columns["error_m"] > 0.5
-    assert columns["lost"][above].all()
-    assert columns["lost"][~above].mean() < 0.1, "few queries of the map's own building are foreign"
+    assert {"absolute_filtered", "absolute_tracked", "absolute_interpolated", "calibration"} < set(measured)
     about = results["estimates"]
     assert ErrorModel.load(folder / about["error_model"]["file"]).queries == about["error_model"]["queries"] == 24
     assert about["error_model"]["sequences"] == ["third"]
     assert (about["filter"]["tuned"], about["filter"]["kidnapping"]) == (None, 1e-3)
-
-
-def test_a_tuned_filter_takes_its_settings_from_validation(evaluate, tmp_path):
-    evaluate("hog", *ABSOLUTE, "task.filter=true", "task.filter_tune=true", "task.filter_settings.temperature=0.01")
-    settings = read_results(tmp_path / "evaluation/hog")["estimates"]["filter"]
-    assert settings["temperature"] / 0.01 == pytest.approx(round(settings["temperature"] / 0.01))
-    assert settings["tuned"]["queries"] == 24
 
 
 def test_an_aligned_descriptor_has_the_same_estimates(evaluate, tmp_path):
