@@ -56,21 +56,14 @@ def test_a_layer_is_the_same_after_saving(tmp_path):
 def test_files_that_are_no_layer(tmp_path):
     with pytest.raises(FormatError, match="does not exist: build the layer with"):
         CoarseLayer.load(tmp_path / "none.npz")
-    path = tmp_path / "layer.npz"
-    CoarseLayer.of_rooms(KNOWN).save(path)
-    whole = path.read_bytes()
-    path.write_bytes(whole[: len(whole) // 2])
-    with pytest.raises(FormatError, match="not a whole one"):
-        CoarseLayer.load(path)
-    KNOWN.save(path)
+    KNOWN.save(tmp_path / "map.npz")
     with pytest.raises(FormatError, match="not a coarse layer"):
-        CoarseLayer.load(path)
+        CoarseLayer.load(tmp_path / "map.npz")
 
 
 @pytest.mark.parametrize(
     ("changed", "sentence"),
     [
-        ({"header": np.array("[]")}, "not a coarse layer"),
         ({"header": np.array(json.dumps({"format": "coarse layer"}))}, "has format version None"),
         ({"representatives": np.zeros(2)}, r"needs representatives \(k, D\)"),
         ({"representatives": np.array(1.0)}, r"needs representatives \(k, D\)"),
@@ -161,17 +154,14 @@ def test_a_layer_whose_explanation_is_cut_short_is_built_again(tmp_path):
 
 
 def test_ways_that_cannot_be_taken():
-    with pytest.raises(ConfigError, match="unknown build 'spectra': did you mean 'spectral'"):
-        group(KNOWN, "spectra")
-    with pytest.raises(ConfigError, match=r"unknown key build\.node: did you mean 'nodes'"):
-        group(KNOWN, "sample", node=3)
-    with pytest.raises(ConfigError, match=r"build\.nodes must be a whole number from 1 to 10 million, got 0"):
-        group(KNOWN, "spectral", nodes=0)
-    with pytest.raises(
-        ConfigError, match=r"build\.first_node=5 would form nodes of fewer than build\.smallest_node=10"
+    known = VisualMap(DESCRIPTORS, KNOWN.frames, describes=analytic.descriptor("briefgist"))
+    small = r"build\.first_node=5 would form nodes of fewer than build\.smallest_node=10"
+    for on, way, parameters, says in (
+        (KNOWN, "spectra", {}, "unknown build 'spectra': did you mean 'spectral'"),
+        (KNOWN, "sample", {"node": 3}, r"unknown key build\.node: did you mean 'nodes'"),
+        (KNOWN, "spectral", {"nodes": 0}, r"build\.nodes must be a whole number from 1 to 10 million, got 0"),
+        (KNOWN, "incremental", {"first_node": 5}, small),
+        (known, "som", {"grid": [2, 2]}, "those of briefgist have to be aligned first"),
     ):
-        group(KNOWN, "incremental", first_node=5)
-    aligned = analytic.descriptor("briefgist")
-    known = VisualMap(DESCRIPTORS, KNOWN.frames, describes=aligned)
-    with pytest.raises(ConfigError, match="those of briefgist have to be aligned first"):
-        group(known, "som", grid=[2, 2])
+        with pytest.raises(ConfigError, match=says):
+            group(on, way, **parameters)

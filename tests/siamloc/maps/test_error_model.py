@@ -92,16 +92,11 @@ def test_the_file_holds_plain_numbers_and_gives_the_model_back(tmp_path: Path) -
     model = ErrorModel.fit(retrieval(rng, 90), rng.uniform(0, 9, (30, 2)), rng.random(90), 0.7, 4)
     model.save(tmp_path / "error.json")
     assert ErrorModel.load(tmp_path / "error.json") == model
-    assert ErrorModel.from_dict(json.loads(json.dumps(model.as_dict()))) == model
 
 
 def test_lost_is_an_expected_error_above_the_threshold() -> None:
-    model = replace(MODEL, lost_above=0.5, map_digest="abc")
-    assert ErrorModel.from_dict(json.loads(json.dumps(model.as_dict()))) == model
-    xy, found = (
-        np.array([[0.0, 0], [9, 0]]),
-        Retrieval(np.tile([0, 1], (3, 1)), np.array([[0.35, 1], [0.5, 1], [1, 1]])),
-    )
+    xy = np.array([[0.0, 0], [9, 0]])
+    found = Retrieval(np.tile([0, 1], (3, 1)), np.array([[0.35, 1], [0.5, 1], [1, 1]]))
     assert replace(MODEL, lost_above=0.4).judged(found, xy)[1].tolist() == [False, False, True]
     assert MODEL.judged(found, xy)[1] is None
     for threshold in (0.0, -1.0, float("inf"), float("nan")):
@@ -129,14 +124,10 @@ def test_what_lies_elsewhere_is_foreign_and_right_answers_are_not() -> None:
     known, other = (model.scores(one, xy) + model.foreign_weight * one.distances[:, 0] for one in (near, far))
     strangest = np.sort(known)[197]  # of 200, but for 1 %
     assert model.foreign_above == pytest.approx(strangest + 0.55 * (np.median(other) - strangest))
-    scaled = Retrieval(far.indices, 7 * far.distances)
-    assert (
-        model.with_foreign(Retrieval(near.indices, 7 * near.distances), xy, elsewhere=scaled)
-        .judged(scaled, xy)[1]
-        .tolist()
-        == model.judged(far, xy)[1].tolist()
-    ), "the unit of distances does not matter"
-    assert ErrorModel.from_dict(json.loads(json.dumps(model.as_dict()))) == model
+    near, far = (Retrieval(one.indices, 7 * one.distances) for one in (near, far))
+    scaled = model.with_foreign(near, xy, elsewhere=far)
+    assert scaled.judged(far, xy)[1].all(), "the unit of distances does not matter"
+    assert not scaled.judged(near, xy)[1].any()
 
 
 def matched(odds: np.ndarray) -> RefinedPoses:
@@ -194,16 +185,13 @@ def test_what_is_foreign_is_not_learned_from_a_few() -> None:
     ("values", "message"),
     [
         ({"format": "other"}, "this is not a siamloc error model"),
-        ([], "this is not a siamloc error model"),
         ({**MODEL.as_dict(), "version": 6}, "format version 6, this siamloc reads version 5: update siamloc"),
         ({**MODEL.as_dict(), "version": 4}, "format version 4, this siamloc reads version 5: make it again"),
         ({**MODEL.as_dict(), "foreign_weight": -1}, "not a whole error model"),
-        ({**MODEL.as_dict(), "version": "1"}, "format version 1"),
         ({**MODEL.as_dict(), "knots": [0.5]}, "not a whole error model"),
         ({**MODEL.as_dict(), "errors": [3, 2, 1]}, "not a whole error model"),
         ({**MODEL.as_dict(), "knots": None}, "not a whole error model"),
         ({**MODEL.as_dict(), "score": "luck"}, "not a whole error model .score must be ratio or pose, got 'luck'"),
-        ({**MODEL.as_dict(), "more": 1}, "not a whole error model"),
     ],
 )
 def test_files_that_are_no_error_model(values, message: str) -> None:

@@ -1,7 +1,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -94,15 +93,12 @@ def test_a_map_of_one_frame_and_no_queries() -> None:
 
 def test_errors() -> None:
     frames, found = placed([[0, 0], [1, 0]]), retrieval(np.random.default_rng(0), 2, 2, 2)
-    less, beyond = (
-        Retrieval(found.indices[:, :1], found.distances[:, :1]),
-        Retrieval(found.indices + 1, found.distances),
-    )
+    less = Retrieval(found.indices[:, :1], found.distances[:, :1])
     for asked, error, says in (
         ((found, frames, 0), ConfigError, "k must be a whole number from 1"),
         ((found, frames, 1, -1), ConfigError, "radius must be a number from 0"),
         ((less, frames, 2), DataError, r"needs 2 neighbours a query, rows 0 to 1 of the map, got shape \(2, 1\)"),
-        ((beyond, frames, 2), DataError, "rows 0 to 1"),
+        ((Retrieval(found.indices + 1, found.distances), frames, 2), DataError, "rows 0 to 1"),
         ((found, frames, 2, 1, [[0.0], [1.0]]), DataError, "2 queries need headings by 2 neighbours"),
         ((found, placed([[0, 0], [math.nan, 0]]), 2), DataError, "1 of 2 map frames have no position"),
     ):

@@ -3,6 +3,7 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -89,12 +90,6 @@ def test_a_map_without_positions_says_so() -> None:
 def test_no_frames_of_a_map_are_no_map() -> None:
     with pytest.raises(DataError, match=r"n and D at least 1, got \(0, 3\)"):
         make_map().take([])
-
-
-def test_a_map_of_one_frame(tmp_path: Path) -> None:
-    make_map(1).save(tmp_path / "one.npz")
-    found = VisualMap.load(tmp_path / "one.npz").search(np.ones((2, 3)), 5)
-    np.testing.assert_array_equal(found.indices, [[0], [0]])
 
 
 def test_descriptors_are_a_read_only_copy() -> None:
@@ -184,6 +179,9 @@ def test_load_refuses_what_is_not_a_whole_map(tmp_path: Path) -> None:
     cases[older] = "format version 1, this siamloc reads version 2: build the map again"
     cases[rewritten(good, tmp_path / "short.npz", descriptors=np.ones((2, 3)))] = "got 2 for 6 frames"
     cases[rewritten(good, tmp_path / "lacking.npz", descriptors=None)] = "not a whole siamloc map ('descriptors')"
+    parts = {"orientation": np.ones((6, 2, 2), np.float16), "heading": {"name": "hog"}}
+    replace(make_map(), **parts).save(tmp_path / "headed.npz")
+    cases[rewritten(tmp_path / "headed.npz", tmp_path / "cut.npz", heading=None)] = "not a whole siamloc map"
     cases[rewritten(good, tmp_path / "extra.npz", frame_colour=np.ones(6))] = "not a whole siamloc map"
     cases[rewritten(good, tmp_path / "lies.npz", header={"width": 9})] = "announces descriptors (6, 9) and holds (6, 3)"
     for path, message in cases.items():
