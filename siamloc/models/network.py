@@ -32,10 +32,7 @@ from siamloc.models.room_classifier import RoomClassifier
 from siamloc.models.weights import fill, find_weights, state_hash
 from siamloc.runs import Run
 
-_BY_FREQUENCY = (
-    Fourier,
-    Magnitudes,
-)  # heads that discard how far the robot has turned; `Orientation` keeps it
+_BY_FREQUENCY = (Fourier, Magnitudes)  # heads that discard how far the robot has turned; `Orientation` keeps it
 RESIDUAL = 0.1  # initial share of the two convolutions in the output of a residual block
 
 
@@ -96,7 +93,6 @@ def build(
     """
     rows, columns = size = checked(image_size, Size, "image_size")
     norm = branch_spec(branch).normalize if normalize is None else normalize
-    head_widths(head, outputs)
     with torch.device("meta"):
         network = Network(branch, head, size, outputs, circular, norm, canonical, relative)
     network.to_empty(device="cpu")
@@ -220,10 +216,7 @@ class Network(nn.Module):
         Raises:
             DataError: another shape or integers (not checked while a compiler or an exporter traces).
         """
-        if not (torch.compiler.is_compiling() or torch.jit.is_tracing()):
-            self._check(panorama)
-        if self.canonical is not None:
-            panorama, _ = self.canonical(panorama)
+        panorama, _ = self._turned(panorama)
         return self.head(self.branch(panorama))
 
     def with_orientation(self, panorama: Tensor) -> tuple[Tensor, Tensor]:
@@ -237,13 +230,15 @@ class Network(nn.Module):
             raise ConfigError(
                 "this network finds no headings: build one with the head 'fourier' or 'magnitudes' and circular=True"
             )
-        if not (torch.compiler.is_compiling() or torch.jit.is_tracing()):
-            self._check(panorama)
-        turned = None
-        if self.canonical is not None:
-            panorama, turned = self.canonical(panorama)
+        panorama, turned = self._turned(panorama)
         finer, features = self.branch.both(panorama, self.orientation.level)
         return self.head(features), self.orientation(finer, turned)
+
+    def _turned(self, panorama: Tensor) -> tuple[Tensor, Tensor | None]:
+        """Check panoramas, and turn them to their canonical direction if the network does that, by so many columns."""
+        if not (torch.compiler.is_compiling() or torch.jit.is_tracing()):
+            self._check(panorama)
+        return (panorama, None) if self.canonical is None else self.canonical(panorama)
 
     def _check(self, panorama: Tensor) -> None:
         rows, columns = self.image_size

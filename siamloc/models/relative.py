@@ -124,8 +124,7 @@ class RelativePose(nn.Module):
         prior = _PRIOR / _GAIN * torch.eye(3, dtype=votes.dtype, device=votes.device)
         information = (factors @ factors.mT).sum(dim=1) + prior
         pose = (_inverse(information) @ vector[..., None])[..., 0]
-        turn = pose[:, 2] / _TURN - steps * (2 * math.pi / self.columns)
-        turn = turn - 2 * math.pi * (turn / (2 * math.pi)).round()
+        turn = _wrap(pose[:, 2] / _TURN - steps * (2 * math.pi / self.columns))
         known_together = whole[:, 1].clamp(-_MOST, _MOST).exp()[:, None, None]
         return Relative(
             torch.cat([pose[:, :2], turn[:, None]], dim=1),

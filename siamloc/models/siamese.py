@@ -72,8 +72,6 @@ class SiameseModule(NetworkModule):
                 "model.relative=true (from Python relative=True) is learned from batches of places, and these are "
                 "pairs: set it to false, or train on places as the recipe modern does"
             )
-        if loss is not None and not callable(loss):
-            raise ConfigError(f"a loss is a function or a module (d0, d1, y) -> scalar, got {loss!r}")
         super().__init__(network, ContrastiveLoss() if loss is None else loss, optimizer, recall_radius)
         self.train_statistics = PairStatistics(margin_of(self.loss))
         self.val_statistics = PairStatistics(margin_of(self.loss))

@@ -1,8 +1,10 @@
-"""`ViewDataModule`: batches of places in random buildings, rendered while a network learns from others."""
+"""`ViewDataModule`: batches of places in random buildings, which other processes render before they are needed."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from concurrent.futures import Future, ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
 from itertools import count, islice
 from typing import Any
@@ -14,16 +16,87 @@ from torch.utils.data import DataLoader, Dataset
 
 from siamloc.data.frames import FrameTable, concatenate
 from siamloc.data.places import PlaceSampler, PlaceSettings
-from siamloc.pretraining.rendering import Renderer, Wanted
+from siamloc.errors import DataError
 from siamloc.pretraining.settings import ViewSettings
 from siamloc.progress import track
-from siamloc.simulate.views import Views, camera_of
+from siamloc.simulate.produce import rendering_processes
+from siamloc.simulate.views import Views, camera_of, draw_views
 from siamloc.training.batches import BatchAugmentation, DriveBatches, EpochDataModule
 from siamloc.training.place_batches import origins_of
 
 _SEEDS = 1 << 30  # of the training buildings; those of the validation follow
 _STEP = 1_000_003
 _VALIDATION_BUILDINGS, _VALIDATION_POSES = 3, 120
+_PATIENCE = 10.0  # seconds for a process to end
+Wanted = tuple[Any, ...]
+"""Arguments of `draw_views`."""
+
+
+class Renderer:
+    """Render buildings, several at once.
+
+    Args:
+        processes: number of rendering processes; 0 renders in this one, when a building is requested.
+    """
+
+    def __init__(self, processes: int) -> None:
+        self._processes = processes
+        self._pool: ProcessPoolExecutor | None = None
+        self._coming: dict[Wanted, Future[Views]] = {}
+
+    def begin(self, wanted: Wanted) -> None:
+        """Start rendering a building, unless that was done already.
+
+        Raises:
+            DataError: a rendering process has died.
+        """
+        if not self._processes or wanted in self._coming:
+            return
+        if self._pool is None:
+            self._pool = rendering_processes(self._processes)
+        try:
+            self._coming[wanted] = self._pool.submit(draw_views, *wanted)
+        except BrokenProcessPool as error:
+            raise self._died() from error
+
+    def views(self, wanted: Wanted) -> Views:
+        """Return the images of a building; waits if they are not ready.
+
+        Raises:
+            DataError: a rendering process has died.
+        """
+        if not self._processes:
+            return draw_views(*wanted)
+        self.begin(wanted)
+        try:
+            return self._coming.pop(wanted).result()
+        except BrokenProcessPool as error:
+            raise self._died() from error
+
+    def _died(self) -> DataError:
+        self.close()
+        return DataError(
+            "a process that renders buildings died, perhaps for lack of memory: call it again with fewer "
+            "views.processes, or with 0; in your own script, call pretrain under `if __name__ == '__main__':`"
+        )
+
+    def close(self) -> None:
+        """End the processes at once; unfinished work is discarded."""
+        pool, self._pool = self._pool, None
+        self._coming.clear()
+        if pool is not None:
+            # The executor would let each finish its building; before Python 3.14 it has no public way to stop them.
+            processes = list((getattr(pool, "_processes", None) or {}).values())
+            results = getattr(pool, "_result_queue", None)
+            pool.shutdown(wait=False, cancel_futures=True)
+            for process in processes:
+                process.terminate()
+            for process in processes:
+                process.join(_PATIENCE)
+                process.kill()
+            if results is not None:
+                # A building that was half sent would never end; with no writer left, the reader notices.
+                results._writer.close()
 
 
 def building_seed(seed: int, number: int) -> int:
@@ -101,35 +174,27 @@ class ViewBatches(Dataset[dict[str, Any]]):
     Its contents depend only on the seed and its number, not on how fast buildings are rendered.
 
     Attributes:
-        stream: of buildings.
-        views: settings of the buildings.
+        stream: of buildings, for this process.
         places: how batches are drawn.
         augmentation: of the images, if any.
-        seed: of the training.
-        rank: number of this process among those that train together.
-        world_size: number of those processes.
     """
 
     stream: BuildingStream
-    views: ViewSettings
     places: PlaceSettings
-    augmentation: BatchAugmentation | None
-    seed: int
-    rank: int = 0
-    world_size: int = 1
+    augmentation: BatchAugmentation | None = None
 
     def __len__(self) -> int:
         return self.places.epoch_batches or 0
 
     def drawn(self, epoch: int, batch: int) -> tuple[list[Views], FrameTable, NDArray[np.int64]]:
         """Return the buildings of a batch, the frames of all their images, and the rows of the frames in the batch."""
-        number = epoch * len(self) + batch
-        held = self.stream.held(number // self.views.batches)
-        rng = np.random.default_rng([self.seed, number, self.rank, 0xB1D6])
-        chosen = rng.permutation(len(held))[: self.views.together]
+        stream, number = self.stream, epoch * len(self) + batch
+        held = stream.held(number // stream.settings.batches)
+        rng = np.random.default_rng([stream.seed, number, stream.rank, 0xB1D6])
+        chosen = rng.permutation(len(held))[: stream.settings.together]
         frames = concatenate([held[one][1] for one in chosen])
-        sampler = PlaceSampler(frames, self.places, seed=self.seed)
-        return [held[one][0] for one in chosen], frames, sampler.batch(number, self.rank)
+        sampler = PlaceSampler(frames, self.places, seed=stream.seed)
+        return [held[one][0] for one in chosen], frames, sampler.batch(number, stream.rank)
 
     def __getitem__(self, number: tuple[int, int]) -> dict[str, Any]:
         views, frames, rows = self.drawn(*number)
@@ -139,10 +204,11 @@ class ViewBatches(Dataset[dict[str, Any]]):
         item: dict[str, Any] = {"images": torch.from_numpy(pictures)}
         item |= {name: value[rows] for name, value in origins_of(frames).items()}
         # The processes that train together number their buildings, rooms and frames separately.
+        rank, world_size = self.stream.rank, self.stream.world_size
         for name in ("building", "room", "frame"):
-            item[name] = item[name] * self.world_size + self.rank
+            item[name] = item[name] * world_size + rank
         if self.augmentation is not None:
-            self.augmentation.add(item, number, pictures.shape[1:], self.rank, self.world_size)
+            self.augmentation.add(item, number, pictures.shape[1:], rank, world_size)
         return item
 
 
@@ -203,7 +269,7 @@ class ViewDataModule(EpochDataModule):
         """Return the batches of this process."""
         if self._stream is None:
             self._stream = BuildingStream(self._renderer, self._size, self.views, self.seed, *self.share())
-        return ViewBatches(self._stream, self.views, self.places, self.augmentation, self.seed, *self.share())
+        return ViewBatches(self._stream, self.places, self.augmentation)
 
     def train_dataloader(self) -> DataLoader[Any]:
         """Make the loader of the training batches."""

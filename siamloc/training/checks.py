@@ -58,7 +58,7 @@ def usable(
         by_distance = pairs.by == "position"
     else:
         auto = pairs.label == "auto"
-        if pairs.label == "room" or (auto and _rooms(tables["training"]) >= _ROOMS):
+        if pairs.label == "room" or (auto and len(rooms_of(tables["training"])) >= _ROOMS):
             leave(_nameless, "room label, which others have")
         by_distance = pairs.label == "distance" or (auto and len(set(tables["training"].place.tolist())) == 1)
     if by_distance:
@@ -219,7 +219,7 @@ def monitored(
             )
         return None
     placed = bool(_buildings(train) & _buildings(validated))
-    roomed = _rooms(train) >= _ROOMS and _rooms(validated) > 0
+    roomed = len(rooms_of(train)) >= _ROOMS and bool(rooms_of(validated))
     turned = _buildings(train.take(np.isfinite(train.theta))) & _buildings(validated)
     compares = comparing(network) is not None and bool(turned)
     names = isinstance(loss, CrossEntropyLoss) and roomed
@@ -269,8 +269,3 @@ def _another_drive(train: FrameTable, validated: FrameTable) -> bool:
 def _buildings(frames: FrameTable) -> set[str]:
     """Return the buildings of the frames that have a position."""
     return set(frames.building[frames.has_position].tolist())
-
-
-def _rooms(frames: FrameTable) -> int:
-    """Count the rooms of frames that have one."""
-    return len(set(frames.place[frames.room != ""].tolist()))

@@ -12,7 +12,7 @@ import numpy as np
 
 from foundation.files import content_key, is_temporary
 from foundation.locks import LOCK
-from foundation.settings import defaults_of
+from foundation.settings import defaults_of, leaves
 from siamloc.data.frames import FrameTable
 from siamloc.data.library import PanoramaLibrary
 from siamloc.data.protocol import Protocol
@@ -97,7 +97,7 @@ def check_same_training(run: Run, now: Mapping[str, Any], epochs: int) -> None:
     other_data = next(filter(None, differing), None)
     free = _FREE if other_data else (*_FREE, "protocol.train", "protocol.validation")
     for section in _LEARNED:
-        old, new = _flat(section, before.get(section)), _flat(section, now.get(section))
+        old, new = (dict(leaves({section: used.get(section)})) for used in (before, now))
         for key in sorted({*old, *new}):
             if old.get(key) != new.get(key) and not key.startswith(free):
                 raise ConfigError(
@@ -148,22 +148,12 @@ def progress(run: Run) -> tuple[int, int]:
     return int(content["epoch"]), int(content["loops"]["fit_loop"]["epoch_loop.batch_progress"]["current"]["processed"])
 
 
-def _flat(prefix: str, value: Any) -> dict[str, Any]:
-    if isinstance(value, Mapping):
-        return {key: item for name, part in value.items() for key, item in _flat(f"{prefix}.{name}", part).items()}
-    return {prefix: value}
-
-
 def open_run(run: Run, used: Mapping[str, Any], *, resume: bool, validated: bool) -> None:
     """Prepare the folder: remove the files of an earlier training, and write the record of settings."""
-    if resume:
-        written = run.load_record()["written"]
-        run.start(used, [*written, *(name for name in names_written(validated=validated) if name not in written)])
-    else:
-        names = names_written(validated=validated)
-        if run.record.is_file():
-            run.clear()
-        run.start(used, names)
+    written = run.load_record()["written"] if resume else []
+    if not resume and run.record.is_file():
+        run.clear()
+    run.start(used, list(dict.fromkeys([*written, *names_written(validated=validated)])))
 
 
 def names_written(*, validated: bool) -> list[str]:

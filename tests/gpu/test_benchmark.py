@@ -11,7 +11,7 @@ import torch
 from benchmarks import gpu as benchmark
 from benchmarks import views
 from foundation.files import read_json
-from siamloc.pretraining import rendering
+from siamloc.pretraining import view_batches
 from siamloc.training import batches
 from tests.gpu.pretend import NAME
 from tests.gpu.trainer import pretend_trainer
@@ -23,7 +23,7 @@ MEASURED = [part for part in benchmark.PARTS if part != "tests"]
 @pytest.fixture
 def measured(tmp_path, monkeypatch):
     """Measure everything on a device, and return the record."""
-    monkeypatch.setattr(rendering, "draw_views", drawn)
+    monkeypatch.setattr(view_batches, "draw_views", drawn)
     monkeypatch.setattr(views, "draw_views", drawn)
 
     def call(device):

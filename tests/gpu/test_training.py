@@ -9,7 +9,7 @@ import siamloc
 from siamloc.full_precision import full_precision
 from siamloc.models.batch_losses import LOSSES, make_loss
 from siamloc.models.module import NetworkModule
-from siamloc.pretraining import RECIPE, pretrain, rendering, view_batches
+from siamloc.pretraining import RECIPE, pretrain, view_batches
 from siamloc.training import batches
 from tests.gpu.trainer import Steps, pretend_trainer
 from tests.siamloc.pretraining.test_pretraining import drawn
@@ -90,7 +90,7 @@ def test_no_step_of_a_recipe_waits(fit, there, steps, recipe, model):
 
 
 def test_no_step_of_pretraining_waits(there, steps, tmp_path, monkeypatch):
-    monkeypatch.setattr(rendering, "draw_views", drawn)
+    monkeypatch.setattr(view_batches, "draw_views", drawn)
     monkeypatch.setattr(view_batches, "_VALIDATION_POSES", 4)
     views = {"batches": 2, "held": 2, "together": 1, "lights": 3, "poses": 6, "processes": 0}
     there["trainer"]["precision"] = None

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from siamloc.models.normalization import LEAST_CONTRAST, SURROUNDINGS, by_image, by_surroundings
+from siamloc.models.branch import LEAST_CONTRAST, SURROUNDINGS, by_image, by_surroundings
 
 
 @pytest.fixture

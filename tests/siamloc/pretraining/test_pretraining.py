@@ -16,9 +16,8 @@ from foundation.settings import fields_of
 from siamloc.cli.compose import composed
 from siamloc.data.places import PlaceSettings
 from siamloc.errors import ConfigError, DataError
-from siamloc.pretraining import RECIPE, ViewSettings, pretrain, rendering, view_batches
-from siamloc.pretraining.rendering import Renderer
-from siamloc.pretraining.view_batches import BuildingStream, ViewBatches, building_seed
+from siamloc.pretraining import RECIPE, ViewSettings, pretrain, view_batches
+from siamloc.pretraining.view_batches import BuildingStream, Renderer, ViewBatches, building_seed
 from siamloc.simulate.camera import Cameras
 from siamloc.simulate.produce import rendering_processes
 from siamloc.simulate.views import Exposures, Views, camera_of
@@ -48,13 +47,13 @@ def rendered(monkeypatch):
         asked.append(seed)
         return drawn(seed, *others)
 
-    monkeypatch.setattr(rendering, "draw_views", noted)
+    monkeypatch.setattr(view_batches, "draw_views", noted)
     return asked
 
 
 def batches(seed: int = 0, rank: int = 0, world_size: int = 1) -> ViewBatches:
     stream = BuildingStream(Renderer(0), SIZE, SETTINGS, seed, rank, world_size)
-    return ViewBatches(stream, SETTINGS, PLACES, None, seed, rank, world_size)
+    return ViewBatches(stream, PLACES)
 
 
 def test_a_batch_follows_from_its_number_alone(rendered):
