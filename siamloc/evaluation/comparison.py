@@ -111,10 +111,9 @@ def _measures(path: Path, results: Mapping[str, Any]) -> dict[str, float]:
         parts = results["measures"]
         found = {name: math.nan if value is None else float(value) for name, value in _named(parts)}
         cost = (results.get("cost") or {}).get(results.get("name"), {})
-        found |= {f"cost.{name}": float(value) for name, value in cost.items() if isinstance(value, int | float)}
         return found | {
             name: float(value)
-            for name, value in leaves(parts)
+            for name, value in leaves({"cost": cost, **parts})
             if "." in name and isinstance(value, int | float) and not isinstance(value, bool)
         }
     except (KeyError, TypeError, AttributeError, IndexError, ValueError) as error:

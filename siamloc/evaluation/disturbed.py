@@ -15,7 +15,6 @@ from siamloc.data.frames import FrameTable
 from siamloc.data.library import PanoramaLibrary
 from siamloc.data.protocol import Protocol
 from siamloc.errors import ConfigError
-from siamloc.evaluation.disturbance import Disturbance, Images
 from siamloc.evaluation.disturbed_tables import Answer, answers, concatenated, curves, measures
 from siamloc.evaluation.result import Result
 from siamloc.evaluation.session import Baselines, Session, cost
@@ -23,7 +22,10 @@ from siamloc.maps import Retrieval, VisualMap, headings, match
 from siamloc.progress import track
 from siamloc.stopwatch import Stopwatch
 
+Images = NDArray[np.uint8]
 Locate = Callable[[Images], Answer]
+
+_UNITS = {"noise": "variance", "occlusion": "share of the columns", "turn": "degrees", "effect": "strength"}
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
@@ -159,7 +161,8 @@ def robustness(
         parts.append(answers(label, own.frames, asked, found, by_room, excluded))
     every = concatenated(parts)
     table = curves(every, settings.radius, int(in_map.sum()))
-    measured = measures(table, disturbances, "wrong rooms" if by_room else known.unit, settings.every)
+    unit = "wrong rooms" if by_room else known.unit
+    measured = measures(table, [one.plain() for one in disturbances], unit, settings.every)
     result = Result(
         name=session.name,
         parts={"robustness": measured},
@@ -169,6 +172,87 @@ def robustness(
         baselines={label: Result(label, {}, {}, cost=taken) for label, taken in costs.items()},
     )
     return session.finished(result, settings)
+
+
+@dataclass(frozen=True)
+class Disturbance:
+    """A disturbance of query images, at several levels.
+
+    Attributes:
+        name: "noise", "occlusion", "turn", or an effect of `augment`.
+        levels: noise variances for images in [0, 1]; shares of the columns; degrees turned left; strengths in [-1, 1].
+        kind: "effect" for an effect of `augment`, even one called noise; otherwise the name.
+        circular: whether columns wrap around.
+
+    Raises:
+        ConfigError: a turn of images whose columns do not wrap around.
+        AugmentError: an unknown effect.
+    """
+
+    name: str
+    levels: tuple[float, ...]
+    kind: str
+    circular: bool = True
+
+    def __post_init__(self) -> None:
+        if self.kind == "turn" and not self.circular:
+            raise ConfigError(
+                "images whose columns do not wrap around cannot be turned: leave turn out "
+                "(task.robustness.turn=[]), or say that they do (circular=true)"
+            )
+        if self.kind == "effect":
+            self._effect()
+
+    def plain(self) -> dict[str, Any]:
+        """Return the name, the kind, and the levels with their unit."""
+        return {"name": self.name, "kind": self.kind, "unit": _UNITS[self.kind], "levels": list(self.levels)}
+
+    def apply(self, images: Images, level: float, rows: NDArray[np.int64], seed: int = 0) -> Images:
+        """Return disturbed images; random draws differ between images, but not between levels.
+
+        Args:
+            images: (B, 3, H, W) uint8, RGB.
+            level: one of the levels.
+            rows: indices of the queries (B,), which determine the draws together with the seed.
+            seed: seed of all draws.
+        """
+        from analytic import disturb
+
+        if self.kind == "turn":
+            return np.roll(images, round(level / 360 * images.shape[-1]), axis=-1)
+        if self.kind == "effect":
+            return self._with_effect(images, level, rows, seed)
+        made = []
+        for image, row in zip(images, rows.tolist(), strict=True):
+            rng = np.random.default_rng((seed, row))
+            if self.kind == "noise":
+                made.append(disturb.noise(image, level, rng))
+            else:
+                made.append(disturb.occlude(image, level, rng, circular=self.circular))
+        return np.stack(made)
+
+    def _with_effect(self, images: Images, strength: float, rows: NDArray[np.int64], seed: int) -> Images:
+        """Apply an effect with given strengths; everything else (places, forms) is drawn."""
+        import torch
+
+        effect, batch = self._effect(), torch.from_numpy(np.ascontiguousarray(images))
+        height, width = batch.shape[2:]
+        strong = effect.at(strength, batch)
+        draws = []
+        for row in rows.tolist():
+            state = int(np.random.SeedSequence((seed, row)).generate_state(1)[0])
+            draws.append(effect.draw(torch.Generator().manual_seed(state), batch[:1]))
+        params = {
+            key: strong[key] if span.neutral is not None else torch.cat([draw[key] for draw in draws])
+            for key, span in effect.spans(height, width).items()
+        }
+        changed: Images = effect.apply(batch, effect.complete(params, len(batch), height, width)).numpy()
+        return changed
+
+    def _effect(self) -> Any:
+        import augment
+
+        return augment.effect(self.name, circular=self.circular)
 
 
 def locate_disturbed(

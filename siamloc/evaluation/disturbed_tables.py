@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 from foundation.columns import Rows
 from siamloc.data.frames import FrameTable
 from siamloc.evaluation.columns import heading_errors, room_names
-from siamloc.evaluation.disturbance import Disturbance
 from siamloc.evaluation.metrics import error_floor, localization_error, recall_from_ranks, summarize
 from siamloc.results import Columns
 
@@ -127,9 +126,15 @@ def curves(columns: Mapping[str, NDArray], radius: float, map_frames: int) -> Co
 
 
 def measures(
-    table: Mapping[str, NDArray], disturbances: Sequence[Disturbance], unit: str, every: int
+    table: Mapping[str, NDArray], disturbances: Sequence[Mapping[str, Any]], unit: str, every: int
 ) -> dict[str, Any]:
     """Return the measures for `results.json`, from the rows of `curves`.
+
+    Args:
+        table: the columns that `curves` returned.
+        disturbances: `Disturbance.plain` of each.
+        unit: of the errors.
+        every: number of queries of which one was used.
 
     Returns:
         unit, every, radius, queries, map_frames, `disturbances` (name, kind, unit, levels), and `methods`: by method
@@ -145,9 +150,7 @@ def measures(
         "unit": unit,
         "every": every,
         **{key: table[key][0].item() for key in shared},
-        "disturbances": [
-            {"name": one.name, "kind": one.kind, "unit": one.unit, "levels": list(one.levels)} for one in disturbances
-        ],
+        "disturbances": list(disturbances),
         "methods": methods,
     }
 

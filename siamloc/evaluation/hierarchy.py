@@ -279,14 +279,19 @@ def _run(
     """
     known, queries = session.known, session.queries
     scored, rankings = queries.has_position, None
+
+    def ranked(part: Description) -> NodeRanking:
+        with clock.of("rank", len(part)):
+            return search.rank(part)
+
     if search.coarse is not known:
         parts = session.parts_of(search.coarse, queries, f"the queries, {search.coarse.descriptor.name}", clock)
-        rankings = NodeRanking.concatenate([_ranked(search, part, clock) for part in parts])
+        rankings = NodeRanking.concatenate([ranked(part) for part in parts])
     k = neighbours(settings.ks, len(known))
     found, perfect, start = [], [], 0
     for part in session.parts_of(known, queries, f"the queries, {session.name}", clock):
         rows = np.arange(start, start + len(part))
-        ranking = _ranked(search, part, clock) if rankings is None else rankings.take(rows)
+        ranking = ranked(part) if rankings is None else rankings.take(rows)
         with clock.of("search", len(part)):
             both = search.search(part, ranking, k)
         with clock.of("whole", len(part)):
@@ -298,8 +303,3 @@ def _run(
             perfect.append(search.search(part.take(inside), true, 1))
         start += len(part)
     return _Found.concatenate(found), HierarchicalRetrieval.concatenate(perfect) if perfect else None
-
-
-def _ranked(search: HierarchicalSearch, part: Description, clock: Stopwatch) -> NodeRanking:
-    with clock.of("rank", len(part)):
-        return search.rank(part)

@@ -65,7 +65,6 @@ class Search:
         refinement: how poses finer than the map are made; None to make none.
         with_distances: whether the distances to all map frames are kept, n x m float64; infinite where excluded.
         excluded: (n, m) map frames that a frame is not compared with; None if there are none.
-        clock: measures the time of the steps "search" and "heading".
     """
 
     known: VisualMap
@@ -74,16 +73,15 @@ class Search:
     refinement: Refinement | None = None
     with_distances: bool = False
     excluded: NDArray[np.bool_] | None = None
-    clock: Stopwatch = field(default_factory=Stopwatch)
     _parts: list[Found] = field(default_factory=list)
 
-    def take_in(self, queries: Description) -> None:
+    def take_in(self, queries: Description, clock: Stopwatch) -> None:
         """Search the map for the next batch of frames, and add the results."""
         start = sum(map(len, self._parts))
         barred = None if self.excluded is None else self.excluded[start : start + len(queries)]
-        with self.clock.of("search", len(queries)):
+        with clock.of("search", len(queries)):
             found = match(self.known, queries, self.k, excluded=barred)
-        with self.clock.of("heading", len(queries)):
+        with clock.of("heading", len(queries)):
             turned = headings(self.known, queries, found)[:, 0]
         refined = None if self.refinement is None else self.refinement.poses(self.known, queries, found)
         apart = frame_distances(self.known, queries) if self.with_distances else None
@@ -183,12 +181,12 @@ class Session:
         clock: Stopwatch | None = None,
     ) -> NDArray[np.float32] | None:
         """Describe frames and run several searches on them; return the position parts, None if too large to keep."""
-        start, vectors = 0, []
+        start, vectors, clock = 0, [], clock or Stopwatch()
         for part in self.parts_of(by, frames, what, clock):
             for search in searches.values():
                 inside = search.rows[(search.rows >= start) & (search.rows < start + len(part))] - start
                 if len(inside):
-                    search.take_in(part if len(inside) == len(part) else part.take(inside))
+                    search.take_in(part if len(inside) == len(part) else part.take(inside), clock)
             start += len(part)
             vectors.append(part.position)
             if by.aligned:

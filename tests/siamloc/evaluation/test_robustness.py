@@ -9,8 +9,7 @@ import siamloc
 from augment import AugmentError
 from siamloc.data.frames import FrameTable
 from siamloc.errors import ConfigError
-from siamloc.evaluation.disturbance import Disturbance
-from siamloc.evaluation.disturbed import Robustness, locate_disturbed
+from siamloc.evaluation.disturbed import Disturbance, Robustness, locate_disturbed
 from siamloc.evaluation.disturbed_tables import Answer, answers, concatenated, curves, measures
 
 ROWS = np.array([4, 9, 11])
@@ -125,7 +124,7 @@ def test_curves_are_those_of_a_loop_over_the_answers() -> None:
         assert table["floor"][i] == pytest.approx((0.2 + 0.4 + 0.1 + 5) / 4)
         assert table["excess"][i] == pytest.approx(table["mean"][i] - table["floor"][i])
         assert table["hit_rate"][i] == sum(m == n for m, n in zip(match, (0, 1, 3, 3), strict=True)) / 4
-    told = measures(table, wanted, "m", 2)
+    told = measures(table, [one.plain() for one in wanted], "m", 2)
     assert told["queries"] == 4
     assert told["radius"] == 0.5
     assert told["methods"]["b"]["bulb"][1]["mean"] == table["mean"][-1]

@@ -11,7 +11,7 @@ import numpy as np
 from siamloc.data.frames import FrameTable
 from siamloc.evaluation import calibration, disturbed
 from siamloc.evaluation.absolute import estimate_columns, estimate_measures, neighbours
-from siamloc.evaluation.disturbance import Disturbance
+from siamloc.evaluation.disturbed import Disturbance
 from siamloc.evaluation.hierarchy import evaluate_hierarchical
 from siamloc.evaluation.result import Result
 from siamloc.evaluation.room_retrieval import evaluate_pairs
@@ -129,7 +129,7 @@ def write_robustness(folder: Path, queries: FrameTable, known: FrameTable, worse
             )
         )
     table = disturbed.concatenated(tables)
-    parts = {"robustness": disturbed.measures(table, DISTURBANCES, "m", 5)}
+    parts = {"robustness": disturbed.measures(table, [one.plain() for one in DISTURBANCES], "m", 5)}
     _save(folder, Result("network", parts, {"robustness": table}), "network")
 
 
