@@ -39,23 +39,3 @@ def test_the_files_hold_every_method_disturbance_and_level(folder):
     assert all(np.array_equal(again[name], table[name], equal_nan=table[name].dtype.kind == "f") for name in table)
     entries = [one for curve in found["methods"].values() for level in curve.values() for one in level]
     assert [one["mean"] for one in entries] == again["mean"].tolist()
-
-
-def test_turns_leave_hog_as_it_is_and_not_the_thumbnail(folder):
-    methods = read_results(folder)["measures"]["robustness"]["methods"]
-    first, turned = methods["hog"]["turn"]
-    assert turned["mean"] == first["mean"]
-    first, turned = methods["thumbnail"]["turn"]
-    assert turned["mean"] > first["mean"]
-    clean = [entries[0]["mean"] for entries in methods["hog"].values()]
-    assert len(set(clean)) == 1, "the lowest level of everything is the clean image"
-
-
-def test_one_seed_gives_the_same_curves(given, tmp_path):
-    few = ["task.baselines=[]", "task.plots=false", "task.robustness.turn=[]", "task.robustness.noise=[0.05]"]
-    for name, seed in (("a", 0), ("b", 0), ("c", 1)):
-        done(*given, *few, f"run={tmp_path / name}", f"seed={seed}")
-    tables = [(tmp_path / name / "evaluation/robustness-hog/answers.csv").read_bytes() for name in "abc"]
-    assert tables[0] == tables[1]
-    assert tables[0] != tables[2]
-    assert not list(tmp_path.rglob("*.png"))

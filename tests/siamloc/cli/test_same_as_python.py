@@ -52,7 +52,7 @@ def chosen(known, images, folder):
 
 def disturbed(known, images, folder):
     return siamloc.evaluation.robustness(
-        known, images, drive(images, "second", "dark"), every=3, occlusion=[], turn=[0, 90], effects=["blur"], seed=0
+        known, images, drive(images, "second", "dark"), every=3, occlusion=[], turn=[0, 90], effects=["blur"], seed=3
     )
 
 
@@ -78,7 +78,7 @@ TASKS = {
     "robustness": (
         [
             *["task=robustness", "task.baselines=[]", "task.robustness.every=3", "task.robustness.occlusion=[]"],
-            *["task.robustness.turn=[0,90]", "task.robustness.effects=[blur]"],
+            *["task.robustness.turn=[0,90]", "task.robustness.effects=[blur]", "seed=3"],
         ],
         "robustness-hog",
         disturbed,

@@ -4,13 +4,8 @@ from siamloc.evaluation import Result
 
 
 def measured(told):
-    group = {
-        "queries": 32,
-        "error": {"mean": 0.5, "median": 0.4, "p95": 0.9},
-        "floor": {"mean": 0.2},
-        "excess": {"mean": 0.3},
-        "recall": [],
-    }
+    error = {"mean": 0.5, "median": 0.4, "p95": 0.9}
+    group = {"queries": 32, "error": error, "floor": {"mean": 0.2}, "excess": {"mean": 0.3}, "recall": []}
     if told:
         group["heading_error"] = {"count": told, "mean": 2.125}
     return {"absolute": {"unit": "m", "radii": [], "map_frames": 8, "overall": group, "lighting": {"night": group}}}
@@ -23,14 +18,10 @@ def said(first, **others):
 
 def test_headings_of_some_queries_say_how_many():
     lines = said(measured(10), fs=measured(32), thumbnail=measured(0))
-    assert [line.split()[-2:] for line in lines if line.startswith(("hog", "fs", "thumbnail"))] == [
-        ["2.1", "32"],
-        ["2.1", "32"],
-        ["–", "32"],
-    ]
-    assert [line for line in lines if line.startswith("heading,")] == [
-        "heading, hog: 10 of 32 queries, where theta is known on both sides"
-    ]
+    ends = [line.split()[-2:] for line in lines if line.startswith(("hog", "fs", "thumbnail"))]
+    assert ends == [["2.1", "32"], ["2.1", "32"], ["–", "32"]]
+    notes = [line for line in lines if line.startswith("heading,")]
+    assert notes == ["heading, hog: 10 of 32 queries, where theta is known on both sides"]
 
 
 def test_rooms_count_under_lightings_without_any_position():

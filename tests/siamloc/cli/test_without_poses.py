@@ -91,17 +91,11 @@ def test_expected_errors_do_not_depend_on_whether_the_pose_is_known(flat, withou
         done(*given, *more, f"data.manifest={table}", f"run={tmp_path / name}")
         folder = tmp_path / name / "evaluation/hog"
         tables = [read_rows(folder, of) for of in ("queries", "located") if of in read_results(folder)["tables"]]
-        rows = [
-            row
-            for columns in tables
-            for row in zip(*(columns[key] for key in ("path", "error_m", "lost")), strict=True)
-        ]
-        told[name] = {path: (expected, lost) for path, expected, lost in rows}
-        assert read_results(folder)["estimates"]["error_model"]["sequences"] == ["third"]
+        columns = [np.concatenate([table[key] for table in tables]).tolist() for key in ("path", "error_m", "lost")]
+        told[name] = sorted(zip(*columns, strict=True))
         if name == "none":
             said = "24 of 24 queries have no position: add x and y to the data"
             assert ErrorModel.load(folder / "error_model.json").lost_above == 1.0
-            assert read_results(folder)["skipped"]["absolute"] == said
             assert f"absolute left out: {said}" in capsys.readouterr().out
     assert len(told["all"]) == 24
     assert told["none"] == told["half"] == told["all"]
@@ -143,11 +137,3 @@ def test_rooms_that_the_map_lacks_are_not_called_left_out(given, tmp_path):
     texts = [part.text for part in page_of(tmp_path).all("p")]
     (note,) = [text for text in texts if "that the map lacks" in text]
     assert note.startswith("16 of 24 queries are in rooms that the map lacks")
-
-
-def test_robustness_without_poses_is_judged_by_rooms(without, given, capsys):
-    robust = [*given, "task=robustness", "task.baselines=[]"]
-    done(*robust, f"data.manifest={without('x')}")
-    assert "[wrong rooms]" in capsys.readouterr().out
-    neither = without("x", "room", which=lambda row: row["sequence"] in ("first", "second"))
-    assert "have no room label" in refused(capsys, *robust, f"data.manifest={neither}", "overwrite=true")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import base64
 import json
 import re
 import selectors
@@ -109,11 +108,6 @@ class Browser:
     def devtools(self, command: str, **parameters: Any) -> Any:
         """Run a command of the DevTools protocol."""
         return self._ask("POST", "/goog/cdp/execute", {"cmd": command, "params": parameters})
-
-    def screenshot(self, path: Path, whole: bool = False) -> None:
-        """Write a picture of the window, or of the whole page, as PNG."""
-        data = self.devtools("Page.captureScreenshot", format="png", captureBeyondViewport=whole)["data"]
-        path.write_bytes(base64.b64decode(data))
 
     def complaints(self) -> list[str]:
         """Return messages of the console since the last call."""

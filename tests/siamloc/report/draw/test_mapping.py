@@ -67,24 +67,6 @@ def plan(node: list[int], xy: np.ndarray | None = None, edges: tuple = (), closu
     return NodePlan(points, labels, places, pairs, np.array(closures, dtype=np.int64).reshape(-1, 2), 1.0, colours)
 
 
-def log_of(n: int) -> growth.Story:
-    """A log of n frames: a node for every twenty, of which the second is merged into the first at the end."""
-    events, labels = [], np.arange(n) // 20
-    for frame in range(n):
-        full = frame % 20 == 19
-        changes = [{"reason": "NEW_NODE", "node": frame // 20, "frames": list(range(frame - 19, frame + 1))}]
-        events.append({"frames": [frame], "node": None, "changes": changes if full else []})
-    events[-1]["changes"] = [{"reason": "NODES_MERGED", "node": 0, "frames": [], "scores": {"gone": 1}}]
-    labels[labels == 1] = 0
-    labels[n - n % 20 if n % 20 else n - 20 :] = -1  # the last frames are too few, or their node was not made
-    ids = sorted(set(labels[labels >= 0].tolist()))
-    node = np.array([ids.index(label) if label >= 0 else -1 for label in labels.tolist()])
-    shown = plan(node.tolist(), np.column_stack([np.arange(n) / 10, np.sin(np.arange(n) / 30)]))
-    colours = node_colours([(i, i + 1) for i in range(n // 20)], range(n // 20 + 1))
-    colours |= {name: shown.colours[number] for number, name in enumerate(ids)}
-    return growth.Story(shown, tuple(events), tuple(ids), colours)
-
-
 @pytest.mark.parametrize("version", [1, 2])
 def test_all_pictures_of_an_incremental_map(runs: dict, version: int, monkeypatch: pytest.MonkeyPatch) -> None:
     target, layer = runs[version]
@@ -197,17 +179,15 @@ def test_a_corridor_is_drawn_along_its_line(axis: int) -> None:
     np.testing.assert_array_equal(axes.collections[1].get_offsets()[:, 1], [0] * 4 + [1] * 4)
 
 
-@pytest.mark.parametrize(("frames", "pictures"), [(30, 80), (130, 80), (950, 16)])
 def test_the_animation_is_short_and_ends_with_the_map(
-    tmp_path: Path, frames: int, pictures: int, monkeypatch: pytest.MonkeyPatch
+    runs: dict, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    assert growth.PICTURES == 80
-    monkeypatch.setattr(growth, "PICTURES", pictures)
-    story = log_of(frames)
+    monkeypatch.setattr(growth, "PICTURES", 16)
+    story = told(runs[2])
     path = growth.animate(story, tmp_path / "growth.gif")
-    assert path.stat().st_size < 3e6 * pictures / 80
+    assert path.stat().st_size < 3e6 * 16 / 80
     with Image.open(path) as picture:
-        assert picture.n_frames == min(frames, pictures)
+        assert picture.n_frames == 16
         held = []
         for number in range(picture.n_frames):
             picture.seek(number)
