@@ -44,7 +44,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
             raise
         print(f"siamloc: {sentence}", file=sys.stderr)
         if isinstance(error, OSError) and error.filename is None:
-            _print_nowhere()
+            # What could not be printed is discarded, so that Python does not try again on exit.
+            with suppress(OSError, ValueError):
+                os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 2
 
 
@@ -103,12 +105,6 @@ def _command(words: list[str]) -> tuple[str | None, list[str]]:
         return None, []
     given = " ".join(words[:2]) if len(words) > 1 and "=" not in words[1] else words[0]
     raise ConfigError(f"unknown command {given!r}: use one of {', '.join(family)}")
-
-
-def _print_nowhere() -> None:
-    """Discard what could not be printed, so that Python does not try again on exit."""
-    with suppress(OSError, ValueError):
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 def _sentence(error: Exception) -> str | None:

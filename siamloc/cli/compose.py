@@ -327,13 +327,10 @@ def _nearest_key(key: str, kind: type[Job], words: list[str]) -> str:
         config = compose_values(kind, chosen)
     except HydraException:  # a group has no such choice
         config = compose_values(kind, [])
-    node, parents = config, []
-    for part in key.split(".")[:-1]:
-        if not isinstance(node, DictConfig) or not isinstance(node.get(part), DictConfig):
-            break
-        node = node[part]
-        parents.append(part)
-    if parents:
-        return hint(key, [".".join([*parents, str(name)]) for name in node])
+    parents = key.split(".")[:-1]
+    while parents:
+        if isinstance(node := OmegaConf.select(config, ".".join(parents)), DictConfig):
+            return hint(key, [".".join([*parents, str(name)]) for name in node])
+        parents.pop()
     shared = ("experiment",) if kind.SHARED else ()
     return hint(key, sorted({*kind.key_names(), *kind.GROUPS, *shared}))

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from foundation.files import real_path
 from siamloc.errors import ConfigError, DataError, FormatError
-from siamloc.results import FINEST, Columns, read_results, read_rows, rows_by_label
+from siamloc.results import FINEST, Columns, read_results, read_rows
 from siamloc.runs import Run, run_with, runs_in
 from siamloc.summaries import methods_of, own_tables
 from siamloc.tables import Table
@@ -110,11 +110,6 @@ class Evaluation:
     def lightings(self) -> list[str]:
         """The lightings of the queries; empty if they have no labels."""
         return list((self.absolute or self.rooms or {}).get("lighting", {}))
-
-    @cached_property
-    def rows_by_lighting(self) -> dict[str, NDArray[np.int64]]:
-        """The rows of `queries.csv` by lighting; empty if they have no labels."""
-        return {} if self.queries is None else rows_by_label(self.queries["lighting"])
 
 
 @dataclass(frozen=True, eq=False)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import partial
 from pathlib import PurePath
 from typing import Any
 
@@ -18,6 +19,8 @@ from siamloc.results import Columns, finest, rows_by_label
 
 WORST = 20
 _CLASSES = 6
+_LENGTHS = {"x": "x", "y": "y", "ex": "est_x", "ey": "est_y", "error": "error", "floor": "floor"}
+"""The columns of the queries that are lengths, by their names in the page's script."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,11 +86,9 @@ class Plan:
         digits = _digits(queries, known)
         lightings, lighting = _numbered(queries["lighting"])
         rooms, both = _numbered(np.concatenate([queries["room"], known["room"]]))
-
-        def lengths(values: NDArray) -> list[float | None]:
-            return _short(values, digits)
-
+        lengths = partial(_short, digits=digits)
         heading = queries.get("heading_error")
+        shown = {*queries["match"].tolist(), *self.nearest.tolist()}  # the names of other map frames are never read
         return {
             "unit": self.unit,
             "digits": digits,
@@ -97,12 +98,7 @@ class Plan:
             "rooms": rooms,
             "sheets": sheets,
             "query": {
-                "x": lengths(queries["x"]),
-                "y": lengths(queries["y"]),
-                "ex": lengths(queries["est_x"]),
-                "ey": lengths(queries["est_y"]),
-                "error": lengths(queries["error"]),
-                "floor": lengths(queries["floor"]),
+                **{name: lengths(queries[column]) for name, column in _LENGTHS.items()},
                 "match": queries["match"].tolist(),
                 "nearest": self.nearest.tolist(),
                 "lighting": lighting.tolist(),
@@ -116,16 +112,11 @@ class Plan:
                 "x": lengths(known["x"]),
                 "y": lengths(known["y"]),
                 "room": both[len(self.rows) :].tolist(),
-                "name": self._map_names(),
+                "name": [PurePath(path).name if i in shown else "" for i, path in enumerate(known["path"].tolist())],
                 "picture": [place.get(path, -2) for path in known["path"].tolist()],
             },
             "labels": _room_labels(known),
         }
-
-    def _map_names(self) -> list[str]:
-        """Return the names of the map frames shown for some query; the others are never read."""
-        shown = set(self.queries["match"].tolist()) | set(self.nearest.tolist())
-        return [PurePath(path).name if i in shown else "" for i, path in enumerate(self.known["path"].tolist())]
 
 
 def make_plan(evaluation: Evaluation, most: int) -> Plan | None:

@@ -13,7 +13,7 @@ from siamloc.report.page.inline import inline
 from siamloc.report.page.markup import Content, Markup, fragment, grid, join, key_values, plural, section, tag
 from siamloc.report.page.parts import Part, notes_on
 from siamloc.report.page.plan import Plan, error_classes
-from siamloc.results import REMARKS
+from siamloc.results import REMARKS, rows_by_label
 from siamloc.summaries import ALL, errors, middle_recall, rooms
 from siamloc.tables import count, number, percent
 
@@ -107,10 +107,10 @@ def floor_plan(part: Part) -> Markup | None:
     if plan is None:
         return None
     groups = {ALL: len(plan.rows)}
-    if len(evaluation.rows_by_lighting) > 1:
+    every = evaluation.tables["queries"]["lighting"]
+    if len(lightings := rows_by_label(every)) > 1:
         shown = plan.queries["lighting"]
-        for label, rows in evaluation.rows_by_lighting.items():
-            groups[label] = int((shown == evaluation.queries["lighting"][rows[0]]).sum())  # type: ignore[index]
+        groups |= {label: int((shown == every[rows[0]]).sum()) for label, rows in lightings.items()}
     line = None
     if plan.along is not None:
         line = tag(

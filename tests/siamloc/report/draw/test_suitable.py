@@ -10,7 +10,6 @@ import pytest
 
 from siamloc.data.frames import FrameTable
 from siamloc.errors import FormatError
-from siamloc.evaluation.absolute import with_baseline
 from siamloc.maps import VisualMap
 from siamloc.report.draw import pictures, save_all
 from siamloc.report.draw.errors import compared_curves, error_curve, estimate_curve
@@ -21,6 +20,7 @@ from siamloc.report.draw.training import training_curves
 from siamloc.results import read_results, read_rows
 from tests.siamloc.evaluation import scenes
 from tests.siamloc.evaluation.scenes import evaluate_absolute, evaluate_rooms
+from tests.siamloc.report import pages
 from tests.siamloc.report.draw.looking import lines_of, text_of, whole_png
 
 QUERIES = {
@@ -28,20 +28,6 @@ QUERIES = {
     "floor": np.full(4, 0.1),
     "lighting": np.array(["night", "dusk", "night", "dusk"]),
 }
-ALL = ["floor_plan.png", "error_curve.png", "confusion.png", "confusion_by_lighting.png"]
-
-
-def write(folder: Path, known: VisualMap, queries: FrameTable, descriptors: np.ndarray, rooms: bool = True) -> None:
-    result = evaluate_absolute(known, descriptors, queries)
-    result = with_baseline(result, "thumb_nail", evaluate_absolute(known, descriptors[::-1], queries))
-    if rooms:
-        result = result.joined(evaluate_rooms(known, descriptors, queries))
-    result.save(folder, pictures=False)
-
-
-def building(folder: Path, **columns: object) -> None:
-    queries = scenes.frames(2, 60, **columns)
-    write(folder, scenes.visual_map(), queries, scenes.describe(queries, noise=1))
 
 
 def corridor(axis: str = "x", n: int = 111) -> FrameTable:
@@ -49,23 +35,19 @@ def corridor(axis: str = "x", n: int = 111) -> FrameTable:
     return FrameTable(path=np.array([f"{i}.jpg" for i in range(n)]), **along)
 
 
-def test_all_pictures_are_made_from_the_files_alone(tmp_path: Path) -> None:
-    building(tmp_path)
-    drawn = save_all(tmp_path)
-    assert [path.name for path in drawn] == ALL
-    assert all(whole_png(path) for path in drawn)
-    first = [path.read_bytes() for path in drawn]
-    assert [path.read_bytes() for path in save_all(tmp_path)] == first
-
-
 def test_each_kind_of_result_has_its_pictures(full: Path) -> None:
-    names = {folder.name: [path.stem for path in save_all(folder)] for folder in (full / "evaluation").iterdir()}
+    drawn = {folder: save_all(folder) for folder in (full / "evaluation").iterdir()}
+    names = {folder.name: [path.stem for path in paths] for folder, paths in drawn.items()}
     estimates = ["filtered_curve", "interpolated_curve", "calibration"]
     assert names == {
         "network": ["floor_plan", "error_curve", *estimates, "confusion", "confusion_by_lighting", "pairs"],
         "hierarchical-network-rooms": ["floor_plan", "error_curve", "node_errors"],
         "robustness-network": ["robustness"],
     }
+    for folder, paths in drawn.items():
+        assert all(whole_png(path) for path in paths)
+        first = [path.read_bytes() for path in paths]
+        assert [path.read_bytes() for path in save_all(folder)] == first, "the same files give the same pictures"
 
 
 def test_nothing_is_drawn_before_it_is_asked_for(full: Path) -> None:
@@ -94,11 +76,11 @@ def test_a_picture_has_150_dots_per_inch(tmp_path: Path) -> None:
 
 def test_no_room_labels_and_one_lighting_or_rooms_alone(tmp_path: Path) -> None:
     queries = scenes.frames(2, 30, lighting=np.array([""] * 30))
-    write(tmp_path / "dark", scenes.visual_map(), queries, scenes.describe(queries), rooms=False)
-    assert [path.name for path in save_all(tmp_path / "dark")] == ALL[:2]
+    dark = pages.write_evaluation(tmp_path / "dark", scenes.visual_map(), queries, rooms=False)
+    assert [path.stem for path in save_all(dark)] == ["floor_plan", "error_curve"]
     queries = scenes.frames(2, 30)
     evaluate_rooms(scenes.visual_map(), scenes.describe(queries), queries).save(tmp_path, pictures=False)
-    assert [path.name for path in save_all(tmp_path)] == ALL[2:]
+    assert [path.stem for path in save_all(tmp_path)] == ["confusion", "confusion_by_lighting"]
 
 
 def test_a_panel_per_lighting() -> None:
