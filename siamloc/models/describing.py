@@ -168,10 +168,6 @@ def as_descriptor(network: nn.Module | Descriptor, device: str | torch.device | 
     """
     if isinstance(network, Descriptor):
         return network
-    if not isinstance(network, nn.Module):
-        raise ConfigError(
-            f"a torch module or a descriptor such as analytic.descriptor('hog') describes images, got {network!r}"
-        )
     if device is None or (device == "auto" and _like(network).device.type != "cpu"):
         return NetworkDescriptor(network)
     return NetworkDescriptor(network.to(chosen_device(device)))

@@ -10,6 +10,7 @@ import torch
 from torch import Tensor, nn
 
 from augment.torchvision_compat import ensure_torchvision
+from foundation.calls import typed
 from siamloc.errors import ConfigError, DataError
 from siamloc.models.cross_entropy import CrossEntropyLoss
 from siamloc.models.describing import (
@@ -46,18 +47,15 @@ class NetworkModule(LightningModule):
         ConfigError: a network that is not a module or lacks the stages to freeze, or a loss that is not callable.
     """
 
+    @typed
     def __init__(
         self,
         network: nn.Module,
-        loss: Any,
+        loss: Callable[..., Any],
         optimizer: Optimizer | None = None,
         recall_radius: float = RECALL_RADIUS,
     ) -> None:
         super().__init__()
-        if not isinstance(network, nn.Module):
-            raise ConfigError(f"a network is a torch module, such as siamloc.models.build makes, got {network!r}")
-        if not callable(loss):
-            raise ConfigError(f"a loss is a function or a module that gives a scalar, got {loss!r}")
         self.network = network
         self.loss = loss
         self.optimizer = Optimizer() if optimizer is None else optimizer

@@ -93,21 +93,16 @@ def build(
     """
     rows, columns = size = checked(image_size, Size, "image_size")
     norm = branch_spec(branch).normalize if normalize is None else normalize
+    options: dict[str, Any] = {"circular": circular, "normalize": norm, "canonical": canonical, "relative": relative}
     with torch.device("meta"):
-        network = Network(branch, head, size, outputs, circular, norm, canonical, relative)
+        network = Network(branch, head, size, outputs, **options)
     network.to_empty(device="cpu")
     _initialize(network, seed)
-    network.settings = {
-        "branch": branch,
-        "head": head,
-        "image_size": list(size),
+    network.settings |= {
         "weights": None if weights is None else fspath(weights.folder if isinstance(weights, Run) else weights),
         "seed": seed,
         "outputs": network.outputs if len(head_widths(head)) == 1 else None,
-        "circular": bool(circular),
-        "normalize": norm,
-        "canonical": bool(canonical),
-        "relative": bool(relative),
+        **options,
     }
     if weights is not None:
         found = find_weights(branch, weights)
@@ -145,7 +140,6 @@ class Network(nn.Module):
 
     rooms: RoomClassifier | None = None
 
-    @typed
     def __init__(
         self,
         branch: str,

@@ -342,12 +342,8 @@ def _imagenet(branch: str, name: str) -> Weights:
     from torchvision import models
 
     enum = models.get_model_weights(branch)
-    names = {member.name.lower(): member for member in enum}
-    if name.lower() == "imagenet":
-        member = enum.DEFAULT
-    elif name.lower() in names:
-        member = names[name.lower()]
-    else:
+    members = {"imagenet": enum.DEFAULT, **{member.name.lower(): member for member in enum}}
+    if (member := members.get(name.lower())) is None:
         valid = ["imagenet", *(member.name for member in enum)]
         raise ConfigError(f"unknown weights {name!r} for the branch {branch!r}: {hint(name, valid)}, or a path")
     try:

@@ -262,18 +262,12 @@ class ViewDataModule(EpochDataModule):
         self.views, self.places, self.seed = views, places, seed
         self._size = tuple(image_size)
         self._renderer = Renderer(views.processes)
-        self._stream: BuildingStream | None = None
         self._validation: DriveBatches | None = None
-
-    def batches(self) -> ViewBatches:
-        """Return the batches of this process."""
-        if self._stream is None:
-            self._stream = BuildingStream(self._renderer, self._size, self.views, self.seed, *self.share())
-        return ViewBatches(self._stream, self.places, self.augmentation)
 
     def train_dataloader(self) -> DataLoader[Any]:
         """Make the loader of the training batches."""
-        return self.loader(self.batches(), self.next_epoch())
+        stream = BuildingStream(self._renderer, self._size, self.views, self.seed, *self.share())
+        return self.loader(ViewBatches(stream, self.places, self.augmentation), self.next_epoch())
 
     def val_dataloader(self) -> DataLoader[Any]:
         """Make the loader of the validation images, which are rendered once."""
@@ -285,4 +279,3 @@ class ViewDataModule(EpochDataModule):
         """End the rendering processes."""
         super().teardown(stage)
         self._renderer.close()
-        self._stream = None

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence, Sized
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import torch
@@ -15,9 +15,9 @@ from torch.utils.data import DataLoader, Dataset, DistributedSampler
 
 from augment.base import Effect
 from augment.torchvision_compat import ensure_torchvision
+from foundation.settings import Settings
 from siamloc.data.frames import FrameTable
 from siamloc.data.library import PanoramaLibrary
-from siamloc.errors import ConfigError
 
 ensure_torchvision()
 from lightning.pytorch import LightningDataModule  # noqa: E402
@@ -30,7 +30,7 @@ _PLACES = 0xA07  # separates the draws for batches of places from others
 
 
 @dataclass(frozen=True)
-class BatchAugmentation:
+class BatchAugmentation(Settings):
     """Augment training images as their batches are gathered.
 
     The augmentation of an image depends on the seed and its number among those that are drawn together, not on the
@@ -42,16 +42,14 @@ class BatchAugmentation:
         seed: any whole number that is not negative.
 
     Raises:
-        ConfigError: another value of `where`.
+        ConfigError: a value of the wrong kind.
     """
 
-    effect: Effect
-    where: str = "cpu"
-    seed: int = 0
+    WHERE = "augment"
 
-    def __post_init__(self) -> None:
-        if self.where not in ("cpu", "gpu"):
-            raise ConfigError(f"augment.where must be cpu or gpu, got {self.where!r}")
+    effect: Effect
+    where: Literal["cpu", "gpu"] = "cpu"
+    seed: int = 0
 
     def draw(
         self, stream: Sequence[int], images: int, image_shape: tuple[int, ...], mine: slice = slice(None)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
 import torch
 from torch import Tensor
@@ -14,15 +12,6 @@ from siamloc.models.module import NetworkModule
 
 ensure_torchvision()
 from lightning.pytorch import Callback, LightningModule, Trainer  # noqa: E402
-
-
-class _Step(NamedTuple):
-    """A step whose figures may still be on their way from the device: mean loss, largest gradient."""
-
-    epoch: int
-    number: int
-    figures: Tensor
-    arrived: torch.cuda.Event | None
 
 
 class FiniteGuard(Callback):
@@ -37,7 +26,8 @@ class FiniteGuard(Callback):
 
     def __init__(self) -> None:
         self._loss = torch.zeros(())
-        self._pending: list[_Step] = []
+        # Epoch, number in the epoch, and (mean loss, largest gradient), which arrives from the device with the event.
+        self._pending: list[tuple[int, int, Tensor, torch.cuda.Event | None]] = []
 
     def on_before_backward(self, trainer: Trainer, pl_module: LightningModule, loss: Tensor) -> None:
         """Record the loss, without the scaling that training in half precision applies for the gradient."""
@@ -61,7 +51,7 @@ class FiniteGuard(Callback):
             arrived = torch.cuda.Event()
             arrived.record()
         number = trainer.fit_loop.epoch_loop.batch_idx
-        self._pending.append(_Step(trainer.current_epoch, number, figures, arrived))
+        self._pending.append((trainer.current_epoch, number, figures, arrived))
         self.settle(trainer, pl_module, later=0 if arrived is None else 1)
 
     def settle(self, trainer: Trainer, pl_module: LightningModule, later: int = 0) -> None:

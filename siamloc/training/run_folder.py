@@ -12,12 +12,11 @@ import numpy as np
 
 from foundation.files import content_key, is_temporary
 from foundation.locks import LOCK
-from foundation.settings import defaults_of, leaves
+from foundation.settings import leaves
 from siamloc.data.frames import FrameTable
 from siamloc.data.library import PanoramaLibrary
 from siamloc.data.protocol import Protocol
 from siamloc.errors import ConfigError
-from siamloc.models.registry import LOSSES
 from siamloc.models.weights import read_checkpoint
 from siamloc.runs import Run
 from siamloc.training.settings import Monitor, Training
@@ -79,11 +78,8 @@ def _others(run: Run) -> list[str]:
 def check_same_training(run: Run, now: Mapping[str, Any], epochs: int) -> None:
     """Make sure that a run is resumed with its original settings; only the number of epochs may grow."""
     before, now = ({**used, "protocol": Protocol.of(used["protocol"]).plain()} for used in (run.settings, now))
-    before["training"] = Training.of(before["training"]).plain()
     if before["training"]["monitor"] == "auto":
         before["training"]["monitor"] = now["training"]["monitor"]
-    if before["loss"].get("name") in LOSSES:  # with the keys that were not given
-        before["loss"] = {**defaults_of(LOSSES[before["loss"]["name"]][0]), **before["loss"]}
     planned = before["training"]["epochs"]
     scheduled = ["learning rate"] if before["training"]["optimizer"]["schedule"] != "constant" else []
     scheduled += [key.removesuffix("_start") for key, value in before["loss"].items() if "_start" in key and value]
@@ -187,8 +183,6 @@ def note_frames(images: PanoramaLibrary, frames: FrameTable) -> dict[str, Any]:
 
 def differing_frames(before: Mapping[str, Any] | None, now: Mapping[str, Any] | None, role: str) -> str | None:
     """Describe how frames differ from those of an earlier note; None if they are the same.
-
-    Parts that one of the notes lacks are not compared.
 
     Args:
         before: earlier result of `note_frames`; None if there were no frames of this role.

@@ -7,11 +7,12 @@ import os
 import re
 import sys
 import warnings
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from typing import Any
+from typing import Any, Literal
 
 import torch
+from torch import Tensor
 
 from augment.torchvision_compat import ensure_torchvision
 from foundation.files import content_key
@@ -22,7 +23,6 @@ from siamloc.models.network import Network
 from siamloc.runs import Run
 from siamloc.training.batch_norm import OneBatch
 from siamloc.training.callbacks import AtomicCheckpoints, Curves, MovingAverage, checkpoint_callbacks
-from siamloc.training.compiled import compiled
 from siamloc.training.guard import FiniteGuard
 from siamloc.training.pace import Pace
 from siamloc.training.settings import Training
@@ -38,6 +38,7 @@ TRAINER: Mapping[str, Any] = {"accelerator": "auto", "devices": 1, "log_every_n_
 _LAUNCHED = {"MASTER_ADDR", "SLURM_JOB_ID", "LSB_JOBID", "TORCHELASTIC_RUN_ID", "OMPI_COMM_WORLD_SIZE"}
 """Environment variables set by the launchers of several machines."""
 _NO_MEMORY = re.compile("out of memory|allocate memory|not enough memory|ALLOC_FAILED")  # of CUDA, CPUs, cuDNN
+BACKEND = "inductor"  # of torch.compile
 OF_STEPS = ("accumulate_grad_batches", "limit_train_batches", "max_steps")
 
 
@@ -187,6 +188,51 @@ def computing(module: NetworkModule, settings: Training, further: Mapping[str, A
     finally:
         if layout:
             module.network.to(memory_format=torch.contiguous_format)  # type: ignore[call-overload]
+
+
+@contextmanager
+def compiled(module: NetworkModule, wanted: Literal["auto"] | bool) -> Iterator[None]:
+    """Let training steps use the compiled network; validation and later calls use the network as it is.
+
+    The network, or each of the two parts of one that learns displacements, is compiled once, for the size of a whole
+    batch; a smaller last batch takes the network as it is. Names of weights, checkpoints and hooks stay as they are.
+    With "auto", a network that cannot be compiled is used as it is, and a note is printed.
+
+    Raises:
+        ConfigError: the network cannot be compiled, which shows in the first step.
+    """
+    if not wanted:
+        yield
+        return
+    from torch._dynamo.exc import TorchDynamoException
+    from torch._inductor.exc import InductorError
+
+    parts: dict[Callable[..., Any], tuple[Callable[..., Any], int]] = {}
+
+    def call(part: Callable[..., Any], *inputs: Tensor) -> Any:
+        if part not in parts:
+            made = torch.compile(lambda *given: part(*given), backend=BACKEND, dynamic=False)
+            parts[part] = made, len(inputs[0])
+        fast, whole = parts[part]
+        if len(inputs[0]) < whole:
+            return part(*inputs)
+        try:
+            return fast(*inputs)
+        except (TorchDynamoException, InductorError) as error:
+            reason = " ".join([line.strip() for line in str(error).splitlines() if line.strip()][:2])
+            if wanted != "auto":
+                raise ConfigError(
+                    f"torch cannot compile this network here: {reason}; leave compile=true out"
+                ) from error
+            print(f"note: training without torch.compile, which fails here: {reason}", file=sys.stderr)
+            module.compiled = None
+            return part(*inputs)
+
+    module.compiled = call
+    try:
+        yield
+    finally:
+        module.compiled = None
 
 
 @contextmanager

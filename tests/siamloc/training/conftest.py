@@ -29,16 +29,8 @@ def frames(tmp_path_factory):
             path = folder / f"{drive}{number}.png"
             stripes = 128 + 100 * np.sin(2 * np.pi * columns * (1 + number) / SIZE[1])
             cv2.imwrite(str(path), np.tile(light * stripes[None, :, None], (SIZE[0], 1, 3)).astype(np.uint8))
-            rows.append(
-                {
-                    "path": str(path),
-                    "x": 0.25 * number,
-                    "y": 0.0,
-                    "sequence": drive,
-                    "lighting": drive,
-                    "room": "ab"[number // 8],
-                }
-            )
+            pose = {"x": 0.25 * number, "y": 0.0, "theta": 0.05 * (number % 3)}
+            rows.append({"path": str(path), **pose, "sequence": drive, "lighting": drive, "room": "ab"[number // 8]})
     return FrameTable.from_rows(rows)
 
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 from pathlib import Path
 from types import SimpleNamespace
 
-import numpy as np
 import pytest
 import torch
 
@@ -13,7 +12,7 @@ import siamloc
 from siamloc.data.library import PanoramaLibrary
 from siamloc.errors import ConfigError
 from siamloc.models.places import PlaceModule
-from siamloc.training import batches, compiled
+from siamloc.training import batches, trainer
 from siamloc.training.trainer import _Seeds, check_trainer, on_gpu
 
 PAIRS = {"batch_size": 4, "monitor": "loss", "pairs": {"label": "room", "epoch_pairs": 10}}
@@ -67,7 +66,7 @@ def test_panoramas_that_are_too_many_or_are_changed_before_stay_where_they_are(f
 
 @pytest.mark.parametrize("settings", [PAIRS, PLACES], ids=["pairs", "places"])
 def test_a_compiled_network_learns_the_same_under_the_same_names(fit, monkeypatch, settings):
-    monkeypatch.setattr(compiled, "BACKEND", "aot_eager")
+    monkeypatch.setattr(trainer, "BACKEND", "aot_eager")
     more = {"average": 0.9, "trainer": {"precision": "auto"}, "epochs": 1, **settings}
     calls = []
     make = torch.compile
@@ -84,27 +83,15 @@ def test_a_compiled_network_learns_the_same_under_the_same_names(fit, monkeypatc
 @pytest.mark.parametrize(
     ("settings", "relative"), [(PAIRS, False), (PLACES, False), (PLACES, True)], ids=["pairs", "places", "relative"]
 )
-def test_the_modern_network_is_one_graph_compiled_once(frames, tmp_path, monkeypatch, settings, relative):
+def test_the_modern_network_is_one_graph_compiled_once(images, drives, tmp_path, monkeypatch, settings, relative):
     """Pairs have a smaller last batch. A network that learns displacements has two parts, each a graph of its own."""
     graphs = []
-    monkeypatch.setattr(compiled, "BACKEND", lambda graph, inputs: graphs.append(graph) or graph.forward)
-    drive = frames.with_columns(theta=np.full(len(frames), 0.1))
-    images = PanoramaLibrary(drive, tmp_path / "cache", image_size=(16, 64))
-    monday, tuesday = (drive.select(sequence=day) for day in ("monday", "tuesday"))
+    monkeypatch.setattr(trainer, "BACKEND", lambda graph, inputs: graphs.append(graph) or graph.forward)
     recipe = siamloc.training.recipe("modern")
-    further = {name: recipe.training[name] for name in ("average", "clip", "optimizer")}
-    siamloc.training.fit(
-        recipe.build((16, 64), relative=relative),
-        images,
-        monday,
-        run=tmp_path / "run",
-        validation=tuesday,
-        epochs=2,
-        compile=True,
-        trainer=dict(recipe.trainer),
-        **further,
-        **settings,
-    )
+    options = {name: recipe.training[name] for name in ("average", "clip", "optimizer")} | settings
+    options |= {"validation": drives[1], "epochs": 2, "compile": True, "trainer": dict(recipe.trainer)}
+    network = recipe.build((16, 64), relative=relative)
+    siamloc.training.fit(network, images, drives[0], run=tmp_path / "run", **options)
     assert len(graphs) == 1 + relative
 
 
@@ -113,13 +100,13 @@ def refuse(graph, inputs):
 
 
 def test_a_network_that_cannot_be_compiled_is_one_sentence_or_a_note(fit, monkeypatch, tmp_path, capfd):
-    monkeypatch.setattr(compiled, "BACKEND", refuse)
+    monkeypatch.setattr(trainer, "BACKEND", refuse)
     with pytest.raises(ConfigError, match=r"torch cannot compile this network here: .*no such thing.*leave compile"):
         fit("run", compile=True, **PLACES)
     assert not (tmp_path / "run").exists()
     module = PlaceModule(network())
     images = torch.rand(2, 3, 16, 64, generator=torch.Generator().manual_seed(0))
-    with compiled.compiled(module, "auto"):
+    with trainer.compiled(module, "auto"):
         assert torch.equal(module.computed(module.network, images), module.network(images))
         assert module.compiled is None
     assert "note: training without torch.compile, which fails here" in capfd.readouterr().err
