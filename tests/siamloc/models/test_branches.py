@@ -1,14 +1,22 @@
-"""What each branch is made of, and the grid of features that it gives."""
+"""What each branch is made of, the grid of features that it gives, and how it normalizes images."""
 
 from __future__ import annotations
 
+import numpy as np
 import pytest
 import torch
 from torch import nn
 
 from siamloc.errors import ConfigError
 from siamloc.models import BRANCHES, build
-from siamloc.models.branch import feature_shape, smallest_size
+from siamloc.models.branch import (
+    LEAST_CONTRAST,
+    SURROUNDINGS,
+    by_image,
+    by_surroundings,
+    feature_shape,
+    smallest_size,
+)
 
 # Convolutions of [T] table 5.1; DenseNet-121 has two in each of its 58 layers, three transitions and the first.
 CONVOLUTIONS = {
@@ -102,3 +110,52 @@ def test_the_input_is_not_altered():
     before = panorama.clone()
     build("simple1", "fc500_500_5", (32, 32))(panorama)
     assert torch.equal(panorama, before)
+
+
+@pytest.fixture
+def panorama():
+    return torch.rand(2, 3, 20, 33, generator=torch.Generator().manual_seed(0))
+
+
+def surroundings_by_loops(image, circular, colours=True):
+    """Return what `by_surroundings` should, pixel by pixel, for one image (3, H, W)."""
+    _, height, width = image.shape
+    reach = round(SURROUNDINGS * height)
+
+    def around(values, y, x):
+        rows = [min(max(y + step, 0), height - 1) for step in range(-reach, reach + 1)]
+        columns = [x + step for step in range(-reach, reach + 1)]
+        columns = [column % width if circular else min(max(column, 0), width - 1) for column in columns]
+        return np.mean([[values[..., row, column] for column in columns] for row in rows], axis=(0, 1))
+
+    pixels = [(y, x) for y in range(height) for x in range(width)]
+    centred = np.empty_like(image)
+    for y, x in pixels:
+        mean = around(image, y, x)
+        centred[:, y, x] = image[:, y, x] - (mean if colours else mean.mean())
+    square = (centred**2).mean(axis=0)
+    result = np.empty_like(image)
+    for y, x in pixels:
+        result[:, y, x] = centred[:, y, x] / (np.sqrt(around(square, y, x)) + LEAST_CONTRAST)
+    return result
+
+
+@pytest.mark.parametrize("colours", [True, False])
+@pytest.mark.parametrize("circular", [True, False])
+def test_surroundings_as_defined(panorama, circular, colours):
+    found = by_surroundings(panorama.double(), circular, colours=colours)
+    for image, one in zip(panorama.double().numpy(), found.numpy(), strict=True):
+        np.testing.assert_allclose(one, surroundings_by_loops(image, circular, colours), atol=1e-9)
+
+
+def test_a_black_image_stays_finite():
+    black = torch.zeros(1, 3, 16, 16)
+    assert not by_image(black).any()
+    assert not by_surroundings(black, circular=True).any()
+
+
+@pytest.mark.parametrize("circular", [True, False])
+def test_a_panorama_narrower_than_its_surroundings(circular):
+    narrow = torch.rand(1, 3, 32, 4, generator=torch.Generator().manual_seed(2)).double()
+    found = by_surroundings(narrow, circular)[0].numpy()
+    np.testing.assert_allclose(found, surroundings_by_loops(narrow[0].numpy(), circular), atol=1e-9)

@@ -116,12 +116,6 @@ def test_a_module_of_ones_own_is_filled(trained, tmp_path):
         load(file, network=build("simple1", "fc500_500_5", SIZE))
 
 
-def test_training_can_start_from_a_checkpoint(trained):
-    module, path = trained
-    network = build("vgg11_bn", "fc500_100_10", SIZE, weights=path, seed=1)
-    assert network.identity == module.identity
-
-
 class Attack:
     def __reduce__(self):
         return (Path.touch, (Path("attack"),))
@@ -153,10 +147,6 @@ def test_other_files_of_torch_are_no_checkpoints(trained, tmp_path):
         load(tmp_path / "weights.pth")
     with pytest.raises(FormatError, match="not a checkpoint of a siamese network"):
         load(altered(path, tmp_path / "a.ckpt", siamloc=None))
-
-
-def test_other_formats_are_refused(trained, tmp_path):
-    _, path = trained
     with pytest.raises(FormatError, match="has format version 99, this siamloc reads version 2: update siamloc"):
         load(altered(path, tmp_path / "a.ckpt", siamloc=about(path) | {"format": 99}))
 

@@ -133,12 +133,3 @@ def test_a_module_of_ones_own_is_known_by_its_class_and_its_weights():
 
 def test_a_module_without_weights_describes_too():
     assert as_descriptor(nn.Sequential(nn.AdaptiveAvgPool2d(1), nn.Flatten())).describe(draw()).position.shape == (8, 3)
-
-
-def test_a_network_with_several_outputs_is_refused():
-    class Two(nn.Module):
-        def forward(self, images):
-            return images.mean((2, 3)), images
-
-    with pytest.raises(DataError, match=r"must give one descriptor per image, shape \(2, D\), got tuple"):
-        as_descriptor(Two()).describe(np.zeros((2, 3, 8, 16), np.uint8))

@@ -31,16 +31,6 @@ def test_agrees_with_a_loop_over_pairs(pairs, dimensions, margin, seed):
     assert ContrastiveLoss(margin)(d0, d1, y).item() == pytest.approx(expected, rel=1e-9)
 
 
-@pytest.mark.parametrize(
-    ("label", "apart", "expected"),
-    [(0, 0, 0), (0, 3, 9), (1, 0, 4), (1, 1.5, 0.25), (1, 2, 0), (1, 5, 0), (0.25, 1, 0.75 + 0.25)],
-)
-def test_known_values(label, apart, expected):
-    first = torch.zeros(1, 3)
-    second = torch.tensor([[0.0, float(apart), 0.0]])
-    assert ContrastiveLoss(2.0)(first, second, torch.tensor([float(label)])).item() == pytest.approx(expected)
-
-
 def test_gradient_is_that_of_finite_differences():
     d0, d1, y = draw(5, 4)
     d0.requires_grad_()
@@ -57,11 +47,6 @@ def test_gradient_is_finite_where_both_descriptors_are_equal(label):
     assert torch.equal(d1.grad, torch.zeros(2, 4))
 
 
-def test_swapping_the_images_changes_nothing():
-    d0, d1, y = draw(6, 5)
-    assert torch.equal(ContrastiveLoss()(d0, d1, y), ContrastiveLoss()(d1, d0, y))
-
-
 def test_distance_is_computed_in_float32_under_autocast():
     # 1000 + 0.5 and 1000 are one number in bfloat16.
     first, second = torch.tensor([[1000.5]]), torch.tensor([[1000.0]])
@@ -73,13 +58,6 @@ def test_distance_is_computed_in_float32_under_autocast():
     assert loss.item() == pytest.approx(0.25)
 
 
-def test_half_descriptors_give_a_float32_loss():
-    d0, d1, y = draw(3, 4, dtype=torch.float32)
-    loss = ContrastiveLoss()(d0.bfloat16(), d1.bfloat16(), y)
-    assert loss.dtype == torch.float32
-    assert loss.item() == pytest.approx(ContrastiveLoss()(d0, d1, y).item(), rel=0.05)
-
-
 @pytest.mark.parametrize("margin", [0, -1, float("nan"), float("inf")])
 def test_margin_must_be_positive(margin):
     with pytest.raises(ConfigError, match="margin must be a number"):
@@ -88,13 +66,9 @@ def test_margin_must_be_positive(margin):
 
 def test_labels_with_a_second_axis_are_refused_with_the_reason():
     d0, d1, y = draw(4, 3)
-    with pytest.raises(DataError, match=r"shape \(4,\), got \(4, 1\): drop its last axis"):
+    with pytest.raises(DataError, match=r"one label per pair, shape \(4,\), got \(4, 1\): drop its last axis"):
         ContrastiveLoss()(d0, d1, y[:, None])
-
-
-def test_another_number_of_labels_is_refused():
-    d0, d1, y = draw(4, 3)
-    with pytest.raises(DataError, match=r"one label per pair, shape \(4,\), got \(3,\)"):
+    with pytest.raises(DataError, match=r"shape \(4,\), got \(3,\)$"):
         ContrastiveLoss()(d0, d1, y[:3])
 
 

@@ -84,12 +84,14 @@ def test_stages_that_cannot_be_frozen_or_do_not_exist_are_refused():
 @pytest.mark.parametrize("layout", [torch.contiguous_format, torch.channels_last])
 def test_the_fused_optimizer_learns_what_torch_learns_weight_by_weight(name, layout):
     networks = [build("simple1", "fc500_500_5", SIZE).to(memory_format=layout) for _ in range(2)]
-    module = SiameseModule(networks[0], optimizer=Optimizer(name=name, learning_rate=0.01, weight_decay=0.1))
+    module = SiameseModule(networks[0], optimizer=Optimizer(name, 0.01, momentum=0.7, weight_decay=0.1))
     fused = module.configure_optimizers()
     assert fused.param_groups[0]["fused"]
     options = {"lr": 0.01, "weight_decay": 0.1, "foreach": False}
-    options |= {"momentum": 0.9} if name == "sgd" else {"betas": (0.9, 0.999)}
-    plain = type(fused)(networks[1].parameters(), **options)
+    options |= {"momentum": 0.7} if name == "sgd" else {"betas": (0.7, 0.999)}
+    plain = {"sgd": torch.optim.SGD, "adam": torch.optim.Adam, "adamw": torch.optim.AdamW}[name](
+        networks[1].parameters(), **options
+    )
     for step in range(3):
         fused.zero_grad()
         module.training_step(draw_pairs(seed=step), 1).backward()

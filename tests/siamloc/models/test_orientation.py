@@ -94,12 +94,6 @@ def test_the_turn_of_all_pairs_is_that_of_each_pair():
     np.testing.assert_array_equal(np.diag(found.heading), by_rows)
     np.testing.assert_array_equal(found.heading[:, 1], descriptor.relative_heading(queries, references.take([1])))
     np.testing.assert_array_equal(NetworkHeading().relative_heading(queries, references), by_rows)
-    known = references.orientation
-    direct = [
-        np.linalg.norm(np.roll(queries.orientation[0], -step, axis=0) - known[0]) for step in range(known.shape[1])
-    ]
-    assert found.distance[0, 0] <= min(direct) + 1e-3
-    np.testing.assert_allclose(np.diag(descriptor.align(queries, queries).distance), 0, atol=0.05)
     with pytest.raises(AnalyticError, match="compared row by row: 3 queries need as many references or one, got 2"):
         descriptor.relative_heading(queries, references.take([0, 1]))
 
@@ -118,17 +112,6 @@ def test_other_networks_find_no_headings(head, circular):
         descriptor.relative_heading(seen, seen)
     with pytest.raises(ConfigError, match="finds no headings: build one with the head 'fourier' or 'magnitudes' and"):
         made.with_orientation(torch.zeros(1, 3, *SIZE))
-
-
-def test_nothing_is_added_to_the_weights():
-    made = network()
-    assert not [name for name in made.state_dict() if "orientation" in name]
-    again = network()
-    again.load_state_dict(made.state_dict())
-    images = panoramas()
-    np.testing.assert_array_equal(
-        as_descriptor(made).describe(images).orientation, as_descriptor(again).describe(images).orientation
-    )
 
 
 def test_an_image_without_anything_to_see_gives_finite_values():

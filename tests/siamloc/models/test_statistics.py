@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-
 import pytest
 import torch
 from hypothesis import given, settings
@@ -25,7 +23,7 @@ def add(statistics, d0, d1, label, same):
 def draw(pairs, dimensions, seed, same_share=0.5):
     generator = torch.Generator().manual_seed(seed)
     d0, d1 = 0.5 * torch.randn(2, pairs, dimensions, generator=generator) + 3
-    label = torch.rand(pairs, generator=generator)
+    label = (1.5 * torch.rand(pairs, generator=generator)).clamp(max=1)  # a third of the pairs are dissimilar
     return d0, d1, label, torch.rand(pairs, generator=generator) < same_share
 
 
@@ -46,30 +44,6 @@ def test_agrees_with_loops_over_all_pairs_whatever_the_batches(batches, dimensio
     assert computed == pytest.approx(expected, rel=1e-5, abs=1e-6)
 
 
-def test_a_batch_without_same_room_pairs_adds_no_nan():
-    statistics = PairStatistics(MARGIN)
-    d0, d1 = torch.zeros(2, 2), torch.tensor([[3.0, 4.0], [0.0, 0.1]])
-    add(statistics, d0, d1, torch.ones(2), torch.tensor([False, False]))
-    assert {name for name in statistics.compute() if name.endswith("same")} == set()
-    add(statistics, d0, d1, torch.zeros(2), torch.tensor([True, False]))
-    computed = statistics.compute()
-    assert all(math.isfinite(value) for value in computed.values())
-    assert computed["distance_same"] == 5
-    assert computed["accuracy_same"] == 0
-    assert computed["accuracy_different"] == pytest.approx(1 / 3)
-
-
-@pytest.mark.parametrize("same", [True, False])
-def test_there_is_no_overall_accuracy_of_pairs_of_one_kind(same):
-    statistics = PairStatistics(MARGIN)
-    add(statistics, torch.zeros(2, 1), torch.tensor([[0.1], [1.5]]), torch.zeros(2), torch.tensor([same, same]))
-    computed = statistics.compute()
-    assert "accuracy" not in computed
-    assert computed["accuracy_same" if same else "accuracy_different"] == 0.5
-    add(statistics, torch.zeros(2, 1), torch.tensor([[0.1], [1.5]]), torch.zeros(2), torch.tensor([not same, same]))
-    assert "accuracy" in statistics.compute()
-
-
 def test_half_the_margin_already_counts_as_different():
     statistics = PairStatistics(MARGIN)
     d1 = torch.tensor([[0.999], [1.0], [7.0]])
@@ -83,14 +57,6 @@ def test_a_collapsed_network_has_no_spread_even_far_from_zero():
     for _ in range(20):
         add(statistics, same_for_all, same_for_all, torch.ones(50), torch.zeros(50, dtype=torch.bool))
     assert statistics.compute()["spread"] < 1e-2
-
-
-def test_dissimilar_pairs_beyond_the_margin_cost_nothing():
-    statistics = PairStatistics(MARGIN)
-    d1 = torch.tensor([[1.9], [2.1], [1.8], [0.3], [2.1]])
-    label = torch.tensor([1.0, 1.0, 0.9, 0.0, 1.0])
-    add(statistics, torch.zeros(5, 1), d1, label, label < 1)
-    assert statistics.compute()["active"] == pytest.approx(1 / 3)
 
 
 def test_a_loss_without_a_margin_has_no_accuracies():

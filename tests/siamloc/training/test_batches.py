@@ -129,11 +129,6 @@ def test_validation_pairs_share_label_and_scale(library):
     torch.testing.assert_close(batch["label"], expected.float())
 
 
-def test_batch_size_must_be_positive(library):
-    with pytest.raises(ConfigError, match="batch_size"):
-        PairDataModule(library, library.frames, batch_size=0)
-
-
 def trained_on(library, where="cpu", rank=0, world_size=1, epoch=0, batch_size=4):
     """Return the first images of an epoch's augmented batches, in the order of the pairs."""
     augmentation = BatchAugmentation(augment.policy("thesis"), where, seed=0)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import errno
 import resource
 import warnings
 from collections.abc import Iterator
@@ -41,16 +40,6 @@ def test_a_disk_that_fills_up_is_one_sentence_and_leaves_the_checkpoint_before(t
     )
     assert torch.load(path, weights_only=True) == {"epoch": 1}
     assert list(tmp_path.iterdir()) == [path]
-
-
-def test_a_disk_that_is_full_when_the_file_is_synced_is_one_sentence(tmp_path, monkeypatch):
-    def full(_: int) -> None:
-        raise OSError(errno.ENOSPC, "full")
-
-    monkeypatch.setattr("foundation.files.os.fsync", full)
-    with pytest.raises(StorageError, match=r"no space left on the disk while writing .*last\.ckpt"):
-        AtomicCheckpoints().save_checkpoint({"epoch": 1}, tmp_path / "last.ckpt")
-    assert list(tmp_path.iterdir()) == []
 
 
 def test_other_failures_of_torch_keep_their_words(tmp_path, monkeypatch):

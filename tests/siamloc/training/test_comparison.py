@@ -38,17 +38,10 @@ def test_rows_hold_what_differs_and_the_best_epoch_and_the_best_run_comes_first(
     found = compare(tmp_path)
     assert found.by == "val/error"
     assert found.differing == ("model.branch", "seed")
-    assert [dict(row) for row in found.rows] == [
-        {
-            "model.branch": branch,
-            "seed": seed,
-            "val/error": error,
-            "epoch": epoch,
-            "finished": 3,
-            "run": (tmp_path / name).as_posix(),
-        }
-        for branch, seed, error, epoch, name in [("vgg16", 1, 0.3, 3, "b"), ("alexnet", 0, 0.5, 2, "a")]
-    ]
+    keys = ["model.branch", "seed", "val/error", "epoch", "finished", "run"]
+    folders = [(tmp_path / name).as_posix() for name in ("b", "a")]
+    expected = [("vgg16", 1, 0.3, 3, 3, folders[0]), ("alexnet", 0, 0.5, 2, 3, folders[1])]
+    assert [dict(row) for row in found.rows] == [dict(zip(keys, row, strict=True)) for row in expected]
 
 
 def test_of_rooms_and_accuracies_the_highest_is_the_best(tmp_path):

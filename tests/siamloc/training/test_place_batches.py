@@ -14,8 +14,9 @@ import siamloc
 from siamloc.data.frames import FrameTable
 from siamloc.data.library import PanoramaLibrary
 from siamloc.data.places import PlaceSampler, PlaceSettings
-from siamloc.errors import ConfigError, DataError
+from siamloc.errors import ConfigError, SiamlocError
 from siamloc.models import build
+from siamloc.models.drive_figures import DriveFigures
 from siamloc.models.origins import Origins
 from siamloc.training import callbacks
 from siamloc.training.batches import BatchAugmentation, Panoramas
@@ -34,14 +35,6 @@ def test_batches_hold_the_images_of_their_frames_and_where_those_come_from(image
     assert item["frame"].tolist() == rows.tolist()
     same = item["room"][:, None] == item["room"][None]
     assert np.array_equal(same.numpy(), frames.room[rows][:, None] == frames.room[rows][None])
-
-
-def test_unknown_rooms_are_negative_and_tables_share_their_numbers():
-    one = FrameTable(path=["a", "b"], room=["x", ""])
-    other = FrameTable(path=["c"], room=["x"])
-    room = origins_of(one, other)["room"].tolist()
-    assert room[1] == -1
-    assert room[0] == room[2] >= 0
 
 
 def test_augmentation_follows_from_the_numbers_of_the_batch_and_is_shared_by_processes(images):
@@ -77,36 +70,6 @@ def test_a_training_learns_where_pictures_were_taken(train, images, drives, capf
     assert all(torch.equal(value, again[name]) for name, value in net.state_dict().items())
 
 
-@pytest.mark.parametrize("schedule", ["constant", "one_cycle"])
-def test_a_resumed_training_is_the_one_that_never_stopped(train, drives, schedule):
-    options = {"validation": drives[1], "average": 0.9, "clip": 1.0, "augmentation": "lighting", "epochs": 4}
-    options["optimizer"] = {"name": "adamw", "schedule": schedule}
-    if schedule == "one_cycle":  # everything that changes with the training
-        options["optimizer"] |= {"frozen_stages": 1}
-        options["loss"] = siamloc.models.SoftContrastiveLoss(sigma_start=3.0)
-    whole = train(run="whole", **options)
-
-    class Stop(Exception):
-        pass
-
-    from lightning.pytorch import Callback
-
-    class StopAfterTwo(Callback):
-        def on_train_epoch_start(self, trainer, pl_module):
-            if trainer.current_epoch == 2:
-                raise Stop
-
-    with pytest.raises(Stop):
-        train(run="cut", trainer={"callbacks": [StopAfterTwo()]}, **options)
-    cut = train(run="cut", resume=True, **options)
-    assert whole.metrics.read_text() == cut.metrics.read_text()
-    one, other = (siamloc.models.load(run, which="last").state_dict() for run in (whole, cut))
-    assert all(torch.equal(one[name], other[name]) for name in one)
-    if schedule != "constant":
-        with pytest.raises(ConfigError, match=r"rate of .* was laid out for 4 epochs: resume with epochs=4"):
-            train(run="whole", resume=True, **{**options, "epochs": 6})
-
-
 @pytest.mark.parametrize(
     ("name", "loss", "given"),
     [
@@ -134,6 +97,7 @@ def test_a_loss_of_ones_own_gets_descriptors_and_origins(train):
 
 TWO = {"workers": 1, "trainer": {"accelerator": "cpu", "devices": 2, "strategy": "ddp"}}
 ORDER = {"by": "sequence", "radius": 1}
+ROOMS = siamloc.models.SoftContrastiveLoss(room=0.5)
 
 
 def stripped(table, *columns):
@@ -142,74 +106,44 @@ def stripped(table, *columns):
 
 
 @pytest.mark.parametrize(
-    ("given", "error", "says"),
+    ("given", "says"),
     [
-        (
-            {"pairs": {"places": 40, "images": 1}},
-            ConfigError,
-            "a batch of 40 places, .*, cannot be drawn from 16 frames",
-        ),
-        ({"known": ()}, DataError, r"have no position, which places need .*experiment=photographs"),
-        (
-            {"pairs": {"places": 10}, **TWO},
-            ConfigError,
-            r"a batch of 20 places, 10 for each process, .* set pairs.places lower",
-        ),
-        (
-            {"loss": siamloc.models.SoftContrastiveLoss(room=0.5), "known": ("x", "y")},
-            DataError,
-            "learns from rooms, and the training frames have 0: give",
-        ),
-        (
-            {"pairs": ORDER, "asked": ()},
-            DataError,
-            "the checkpoint is chosen by the error of localization or by the rooms found",
-        ),
-        (  # the map has rooms and the queries positions: nothing can be judged
-            {"pairs": ORDER, "known": ("room",), "asked": ("x", "y")},
-            DataError,
-            "do not both have positions in one building, or both rooms",
-        ),
-        (
-            {"pairs": ORDER, "monitor": "recall", "asked": ("room",)},
-            ConfigError,
-            "monitor=recall needs training and validation frames with positions in one building",
-        ),
-        (
-            {"pairs": ORDER, "monitor": "room", "asked": ("x", "y")},
-            ConfigError,
-            "monitor=room needs validation frames with rooms, and 2 rooms or more in training: give",
-        ),
-        ({"monitor": "loss"}, ConfigError, "monitor=loss is the loss of pairs, and batches of places have no loss of"),
-        ({"loss": lambda d0, d1, y: d0.sum()}, ConfigError, "a loss of batches of places takes"),
-        ({"batch_size": 8}, ConfigError, "batch_size is of pairs, and batches of places have"),
-        ({"margin": 1.0}, ConfigError, "margin is of pairs, and batches of places have"),
+        ({"pairs": {"places": 40, "images": 1}}, "a batch of 40 places, .*, cannot be drawn from 16 frames"),
+        ({"known": ()}, r"have no position, which places need .*experiment=photographs"),
+        ({"pairs": {"places": 10}, **TWO}, r"a batch of 20 places, 10 for each process, .* set pairs.places lower"),
+        ({"loss": ROOMS, "known": ("x", "y")}, "learns from rooms, and the training frames have 0: give"),
+        ({"pairs": ORDER, "asked": ()}, "the checkpoint is chosen by the error of localization or by the rooms found"),
+        # The map has rooms and the queries positions: nothing can be judged.
+        ({"pairs": ORDER, "known": ("room",), "asked": ("x", "y")}, "do not both have positions in one building, or b"),
+        ({"pairs": ORDER, "monitor": "recall", "asked": ("room",)}, "monitor=recall needs training and validation fr"),
+        ({"pairs": ORDER, "monitor": "room", "asked": ("x", "y")}, "monitor=room needs validation frames with rooms, "),
+        ({"monitor": "loss"}, "monitor=loss is the loss of pairs, and batches of places have no loss of"),
+        ({"loss": lambda d0, d1, y: d0.sum()}, "a loss of batches of places takes"),
+        ({"batch_size": 8}, "batch_size is of pairs, and batches of places have"),
+        ({"margin": 1.0}, "margin is of pairs, and batches of places have"),
         (
             {"net": build("simple1", "fc500_500_5", SIZE)},
-            ConfigError,
-            r"needs descriptors of length 1.*flat, gem, bands, fourier or magnitudes",
+            r"needs descriptors of length 1.*flat, gem, bands, fourier or",
         ),
     ],
 )
-def test_mistakes_are_found_before_anything_is_written(train, drives, tmp_path, given, error, says):
+def test_mistakes_are_found_before_anything_is_written(train, drives, tmp_path, given, says):
     given = dict(given)
     if "known" in given:
         given["frames"] = stripped(drives[0], *given.pop("known"))
     if "asked" in given:
         given["validation"] = stripped(drives[1], *given.pop("asked"))
-    with pytest.raises(error, match=says):
+    with pytest.raises(SiamlocError, match=says):
         train(**given)
     assert not (tmp_path / "run").exists()
 
 
 def test_mistakes_with_pairs_are_found_before_anything_is_written(images, drives, tmp_path):
     flat = build("simple1", "flat", SIZE)
+    one = {"pairs": {"label": "room", "epoch_pairs": 1}, **TWO}
     for given, says in (
-        (
-            {"pairs": {"label": "room", "epoch_pairs": 1}, **TWO},
-            r"1 pairs are fewer than the 2 processes .* pairs\.epoch_pairs, or train with",
-        ),
-        ({"loss": siamloc.models.SoftContrastiveLoss()}, "a loss of batches of places takes"),
+        (one, r"1 pairs are fewer than the 2 processes .* pairs\.epoch_pairs, or train with"),
+        ({"loss": ROOMS}, "a loss of batches of places takes"),
     ):
         with pytest.raises(ConfigError, match=says):
             siamloc.training.fit(flat, images, drives[0], run=tmp_path / "run", epochs=1, **given)
@@ -244,21 +178,15 @@ def test_views_of_one_image_are_enough_where_they_are_asked_for(images, drives):
 def test_what_frames_lack_is_said(train, frames, drives, capfd):
     nameless = drives[0].with_columns(room=["", "", *drives[0].room[2:].tolist()])
     apart = drives[0].with_columns(x=[0.25 * number + 5 * (number > 13) * (number - 13) for number in range(16)])
-    for number, (given, says) in enumerate(
-        (
-            (
-                {"frames": nameless, "loss": siamloc.models.SoftContrastiveLoss(room=0.5)},
-                "note: 2 of 16 training frames have no room label: the loss learns rooms only from",
-            ),
-            ({"frames": apart}, "note: 2 of 16 frames have no other one within pairs.radius=0.3 m: "),
-            (
-                {"frames": frames, "pairs": {**ORDER, "epoch_batches": 1}},
-                "note: 2 drives are used by the order of their frames alone",
-            ),
-        )
-    ):
+    order = {**ORDER, "epoch_batches": 1}
+    notes = {
+        "2 of 16 training frames have no room label: the loss learns rooms": {"frames": nameless, "loss": ROOMS},
+        "2 of 16 frames have no other one within pairs.radius=0.3 m: ": {"frames": apart},
+        "2 drives are used by the order of their frames alone": {"frames": frames, "pairs": order},
+    }
+    for number, (says, given) in enumerate(notes.items()):
         train(run=str(number), **given)
-        assert says in capfd.readouterr().err
+        assert f"note: {says}" in capfd.readouterr().err
 
 
 def test_a_network_that_wraps_around_is_not_trained_on_what_does_not(train, images, drives, tmp_path):
@@ -327,12 +255,6 @@ def test_pairs_are_judged_by_a_margin_that_the_map_teaches(train, images, drives
     pairs = result.parts["room_pairs"]
     assert "room_pairs" not in result.skipped
     assert result.about["pairs"]["margin"].startswith(f"{pairs['margin']:.4g}, learned from 7000 pairs")
-    rooms, vectors = known.frames.place, known.descriptors.astype(float)
-    one, other = np.triu_indices(len(known), 1)
-    apart, same = np.linalg.norm(vectors[one] - vectors[other], axis=1), rooms[one] == rooms[other]
-    right = ((apart < pairs["margin"] / 2) == same)[same].mean() + ((apart < pairs["margin"] / 2) == same)[~same].mean()
-    best = max(((apart < t) == same)[same].mean() + ((apart < t) == same)[~same].mean() for t in np.unique(apart))
-    assert right > best - 0.06  # 7000 draws of a few hundred pairs weigh them unevenly
 
 
 def test_a_network_that_tells_nothing_apart_is_said(train, capfd):
@@ -357,21 +279,9 @@ def test_positions_far_from_the_origin_keep_their_distances():
 
 
 def test_queries_found_in_another_building_are_far_off():
-    module = siamloc.models.PlaceModule(torch.nn.Flatten())
-    logged = {}
-    module.log_epoch = lambda stage, values: logged.update(values)
-    pictures = torch.eye(4).view(4, 1, 2, 2)
-    known = torch.tensor([True, True, False, False])
-    batch = {
-        "images": torch.cat([pictures[:2], pictures[:2]]),
-        "xy": torch.tensor([[0.0, 0], [1, 0], [0, 0], [1, 0]]),
-        "building": torch.tensor([0, 1, 0, 0]),
-        "room": torch.full((4,), -1),
-        "frame": torch.arange(4),
-        "known": known,
-    }
-    module.validation_step(batch, 0)
-    module.on_validation_epoch_end()
-    assert logged["error"] == 50  # one is right, the other in another building
-    assert logged["recall"] == 0.5
-    assert "room" not in logged
+    figures, xy = DriveFigures(), torch.tensor([[0.0, 0], [1, 0], [0, 0], [1, 0]])
+    known, building = torch.tensor([True, True, False, False]), torch.tensor([0, 1, 0, 0])
+    figures.add({"xy": xy, "building": building, "room": torch.full((4,), -1), "known": known}, descriptors=xy)
+    found = figures.compute()
+    # One is right, the other in another building.
+    assert {name: float(value) for name, value in found.items()} == {"error": 50, "median": 0, "recall": 0.5}

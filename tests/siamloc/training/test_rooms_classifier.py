@@ -111,13 +111,8 @@ def test_a_damaged_class_layer_is_refused(run, tmp_path):
 
 def test_rooms_of_the_validation_have_the_numbers_of_the_training(images, drives):
     monday, tuesday = drives
-    asked = concatenate(
-        [
-            relabelled(tuesday.take(slice(4)), "attic"),
-            tuesday.take(slice(4, 12)),
-            relabelled(tuesday.take(slice(12, None)), ""),
-        ]
-    )
+    first, middle, last = (tuesday.take(slice(*ends)) for ends in ((0, 4), (4, 12), (12, 16)))
+    asked = concatenate([relabelled(first, "attic"), middle, relabelled(last, "")])
     batch = validation_drive(images, monday, asked)[0, 0]
     room, known = batch["room"], batch["known"]
     assert torch.equal(room[known], origins_of(monday)["room"])

@@ -26,6 +26,7 @@ CASES = {
     "places": {
         **SETTINGS,
         "pairs": {"places": 4, "images": 2, "epoch_batches": STEPS},
+        "loss": siamloc.models.SoftContrastiveLoss(sigma_start=3.0),
         "optimizer": {"name": "adamw", "schedule": "one_cycle"},
         "average": 0.9,
         "clip": 1.0,
