@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from typing import Any
+from typing import Any, ClassVar
 
 import torch
 from torch import Tensor, nn
@@ -38,8 +38,8 @@ class NetworkModule(LightningModule):
 
     Args:
         network: (B, 3, H, W) floating point in [0, 1] -> (B, D): what `siamloc.models.build` makes, or any module.
-        loss: a module, whose parameters are trained as well, or a function. If it has a method `progress`, this is
-            called before each step with the share of the training that is done.
+        loss: a module, whose parameters are trained as well, or a function; that of the class if None. If it has a
+            method `progress`, this is called before each step with the share of the training that is done.
         optimizer: how the weights are updated.
         recall_radius: of the recall on a validation drive, see `DriveFigures`.
 
@@ -47,19 +47,22 @@ class NetworkModule(LightningModule):
         ConfigError: a network that is not a module or lacks the stages to freeze, or a loss that is not callable.
     """
 
+    default_loss: ClassVar[type[nn.Module]]
+
     @typed
     def __init__(
         self,
         network: nn.Module,
-        loss: Callable[..., Any],
+        loss: Callable[..., Any] | None = None,
         optimizer: Optimizer | None = None,
         recall_radius: float = RECALL_RADIUS,
     ) -> None:
         super().__init__()
         self.network = network
-        self.loss = loss
+        self.loss: Any = self.default_loss() if loss is None else loss
         self.optimizer = Optimizer() if optimizer is None else optimizer
         self._drive = DriveFigures(recall_radius)
+        self._figures: dict[str, list[Tensor]] = {}  # of the steps of the epoch
         self.compiled: Callable[..., Any] | None = None  # calls a part of the network, compiled, if steps are compiled
         self._frozen: FrozenStages | None = None
         if (frozen := self.optimizer.frozen_stages) and frozen >= (count := sum(map(bool, stages(network)))):
@@ -191,11 +194,15 @@ class NetworkModule(LightningModule):
             raise self.diverged(f"{error} after epoch {self.current_epoch + 1}") from error
 
     def epoch_sums(self) -> dict[str, Tensor]:
-        """Return the sums behind the figures of the current epoch, for a checkpoint in the middle of the epoch."""
-        return {}
+        """Return what the figures of the current epoch are computed from, for a checkpoint within the epoch.
+
+        Here that is the figures of each step (steps,), by name.
+        """
+        return {name: torch.stack(each) for name, each in self._figures.items()}
 
     def load_epoch_sums(self, sums: Mapping[str, Tensor]) -> None:
-        """Continue an epoch with the sums that `epoch_sums` returned for a checkpoint."""
+        """Continue an epoch with what `epoch_sums` returned for a checkpoint."""
+        self._figures = {name: list(each) for name, each in sums.items()}
 
     def diverged(self, sign: str) -> ConfigError:
         """Return the error for a training that diverged; `sign` is the text that says how this was noticed."""

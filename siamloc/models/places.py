@@ -6,17 +6,15 @@ from collections.abc import Callable, Mapping
 from functools import partial
 
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 
 from siamloc.errors import DataError
 from siamloc.models.batch_losses import SoftContrastiveLoss
 from siamloc.models.cross_entropy import CrossEntropyLoss
 from siamloc.models.describing import as_float, checked_descriptors, required_comparing
-from siamloc.models.drive_figures import RECALL_RADIUS
 from siamloc.models.module import NetworkModule, checked_loss
 from siamloc.models.network_stages import comparing_weights
 from siamloc.models.origins import Origins, required
-from siamloc.models.registry import Optimizer
 from siamloc.models.relative import relative_loss
 
 BatchLoss = Callable[[Tensor, Origins], Tensor]
@@ -51,15 +49,7 @@ class PlaceModule(NetworkModule):
         ConfigError: a network that is not a module, or a loss that is not callable.
     """
 
-    def __init__(
-        self,
-        network: nn.Module,
-        loss: BatchLoss | None = None,
-        optimizer: Optimizer | None = None,
-        recall_radius: float = RECALL_RADIUS,
-    ) -> None:
-        super().__init__(network, SoftContrastiveLoss() if loss is None else loss, optimizer, recall_radius)
-        self._figures: dict[str, list[Tensor]] = {}  # of the steps of the epoch
+    default_loss = SoftContrastiveLoss
 
     def training_step(self, batch: Mapping[str, Tensor], batch_index: int) -> Tensor:
         """Compute the loss of a batch."""
@@ -117,14 +107,6 @@ class PlaceModule(NetworkModule):
         figures, self._figures = self.epoch_sums(), {}
         if figures:
             self.log_epoch("train", {name: each.nanmean() for name, each in figures.items()})
-
-    def epoch_sums(self) -> dict[str, Tensor]:
-        """Return the figures of each step of the current epoch (steps,), by name, for a checkpoint."""
-        return {name: torch.stack(each) for name, each in self._figures.items()}
-
-    def load_epoch_sums(self, sums: Mapping[str, Tensor]) -> None:
-        """Continue an epoch with the figures that `epoch_sums` returned for a checkpoint."""
-        self._figures = {name: list(each) for name, each in sums.items()}
 
     def validation_step(self, batch: Mapping[str, Tensor], batch_index: int) -> None:
         """Describe a batch of map frames and queries."""

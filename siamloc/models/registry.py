@@ -23,22 +23,18 @@ class BranchSpec:
         kind: "torchvision", "simple" or "residual".
         widths: outputs of the convolutions of a simple branch, and of the stages of a residual one.
         normalize: default normalization of images, see `siamloc.models.build`.
+        summary: one line for the help.
     """
 
     name: str
     kind: Literal["torchvision", "simple", "residual"] = "torchvision"
     widths: tuple[int, ...] = ()
     normalize: Normalization = "channels"
+    summary: str = "The convolutions of torchvision's network ([T] table 5.1)."
 
-    @property
-    def summary(self) -> str:
-        """One line for the help."""
-        if self.kind == "residual":
-            return "A small residual network of ours, for training from random weights."
-        if self.kind == "simple":
-            return f"Three convolutions with {', '.join(map(str, self.widths))} outputs ([T] table 5.1)."
-        return "The convolutions of torchvision's network ([T] table 5.1)."
 
+_SIMPLE = "Three convolutions with {} outputs ([T] table 5.1)."
+_OURS = "A small residual network of ours, for training from random weights."
 
 PRETRAINED = Path(__file__).parent / "shipped" / "panoramas.safetensors"
 """The weights that ship with siamloc; the model card next to them describes them."""
@@ -49,12 +45,12 @@ PRETRAINED_SIZE = (64, 256)
 BRANCHES: dict[str, BranchSpec] = {
     spec.name: spec
     for spec in (
-        BranchSpec("simple1", "simple", widths=(3, 8, 16)),
-        BranchSpec("simple2", "simple", widths=(3, 16, 32)),
+        BranchSpec("simple1", "simple", (3, 8, 16), summary=_SIMPLE.format("3, 8, 16")),
+        BranchSpec("simple2", "simple", (3, 16, 32), summary=_SIMPLE.format("3, 16, 32")),
         BranchSpec("alexnet"),
         BranchSpec("densenet121"),
         *(BranchSpec(f"vgg{depth}{suffix}") for suffix in ("", "_bn") for depth in (11, 13, 16, 19)),
-        BranchSpec("panoresnet", "residual", widths=(32, 64, 128, 192), normalize="image"),
+        BranchSpec("panoresnet", "residual", (32, 64, 128, 192), "image", summary=_OURS),
     )
 }
 """The feature extractors of [T] table 5.1, `*_bn` with batch normalization after each convolution; and `panoresnet`,

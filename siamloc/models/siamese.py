@@ -60,6 +60,8 @@ class SiameseModule(NetworkModule):
         torch.Size([])
     """
 
+    default_loss = ContrastiveLoss
+
     def __init__(
         self,
         network: nn.Module,
@@ -72,7 +74,7 @@ class SiameseModule(NetworkModule):
                 "model.relative=true (from Python relative=True) is learned from batches of places, and these are "
                 "pairs: set it to false, or train on places as the recipe modern does"
             )
-        super().__init__(network, ContrastiveLoss() if loss is None else loss, optimizer, recall_radius)
+        super().__init__(network, loss, optimizer, recall_radius)
         self.train_statistics = PairStatistics(margin_of(self.loss))
         self.val_statistics = PairStatistics(margin_of(self.loss))
 
