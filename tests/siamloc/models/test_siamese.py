@@ -1,4 +1,4 @@
-"""The Lightning module: steps, logs, optimizers."""
+"""The Lightning module: steps, logs, optimizers and schedules; the figures of an epoch against loops."""
 
 from __future__ import annotations
 
@@ -6,12 +6,20 @@ import math
 
 import pytest
 import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from torch.utils.data import DataLoader
 
+from augment.torchvision_compat import ensure_torchvision
 from siamloc.errors import ConfigError, DataError
 from siamloc.models import ContrastiveLoss, Optimizer, SiameseModule, as_descriptor, build
+from siamloc.models.losses import pair_distance
+from siamloc.models.siamese import PairStatistics
 from tests.oracles.contrastive import pair_statistics
 from tests.siamloc.models.conftest import trainer
+
+ensure_torchvision()
+from lightning.pytorch import Callback  # noqa: E402
 
 SIZE = (32, 64)
 KEYS = ("first", "second")
@@ -171,3 +179,149 @@ def test_a_training_that_diverges_is_stopped_before_its_epoch_is_saved(stage):
     end = module.on_train_epoch_end if stage == "train" else module.on_validation_epoch_end
     with pytest.raises(ConfigError, match=f"diverged: {stage}/loss of epoch 1 is nan; .* than 0.5"):
         end()
+
+
+class Rates(Callback):
+    """Note the learning rates of each step, one for each group of weights."""
+
+    def __init__(self):
+        self.seen = []
+
+    def on_train_batch_start(self, trainer, pl_module, batch, batch_idx):
+        (optimizer,) = trainer.optimizers
+        self.seen.append([group["lr"] for group in optimizer.param_groups])
+
+
+def rates(steps, network=None, **options):
+    """Train this many steps, and return the learning rates of each."""
+    network = build("simple1", "fc500_500_5", SIZE) if network is None else network
+    noted = Rates()
+    module = SiameseModule(network, optimizer=Optimizer(**options))
+    batches = loader(*(draw_pairs(seed=step) for step in range(steps)))
+    trainer(max_epochs=1, callbacks=[noted]).fit(module, batches, loader(draw_pairs()))
+    return noted.seen
+
+
+@pytest.mark.parametrize("steps", [1, 2, 5])
+@pytest.mark.parametrize("warm_up", [0, 0.2, 0.5, 0.99])
+def test_the_shortest_trainings_have_a_schedule_too(steps, warm_up):
+    found = rates(steps, learning_rate=0.01, schedule="one_cycle", warm_up=warm_up)
+    assert len(found) == steps
+    assert all(0 < rate <= 0.01 for (rate,) in found)
+
+
+def test_a_warm_up_of_the_whole_training_is_refused():
+    with pytest.raises(ConfigError, match=r"optimizer\.warm_up must be a number from 0 to below 1, got 1"):
+        Optimizer(schedule="one_cycle", warm_up=1)
+
+
+@pytest.mark.parametrize("schedule", ["constant", "one_cycle"])
+def test_the_first_stages_stay_as_they_are(schedule):
+    network = build("panoresnet", "flat", SIZE, outputs=4)
+    before = {name: tensor.clone() for name, tensor in network.state_dict().items()}
+    frozen = network.branch.features[:5]
+    rates(3, network, learning_rate=0.1, weight_decay=0.1, schedule=schedule, frozen_stages=2)
+    same = {name for name, tensor in network.state_dict().items() if torch.equal(tensor, before[name])}
+    assert same == {f"branch.features.{name}" for name in frozen.state_dict()} | {"branch.mean", "branch.std"}
+    assert all(weight.requires_grad for weight in network.parameters())
+    assert all(part.training for part in network.modules())
+
+
+def test_stages_that_cannot_be_frozen_or_do_not_exist_are_refused():
+    network = build("vgg11", "flat", SIZE)
+    with pytest.raises(
+        ConfigError, match=r"frozen_stages=6 leaves nothing to train: the network has 6 stages, .* 5 at"
+    ):
+        SiameseModule(network, optimizer=Optimizer(frozen_stages=6))
+    with pytest.raises(ConfigError, match="Flatten does not say its stages"):
+        SiameseModule(torch.nn.Flatten(), optimizer=Optimizer(frozen_stages=1))
+
+
+@pytest.mark.parametrize("name", ["sgd", "adam", "adamw"])
+@pytest.mark.parametrize("layout", [torch.contiguous_format, torch.channels_last])
+def test_the_fused_optimizer_learns_what_torch_learns_weight_by_weight(name, layout):
+    networks = [build("simple1", "fc500_500_5", SIZE).to(memory_format=layout) for _ in range(2)]
+    module = SiameseModule(networks[0], optimizer=Optimizer(name, 0.01, momentum=0.7, weight_decay=0.1))
+    fused = module.configure_optimizers()
+    assert fused.param_groups[0]["fused"]
+    options = {"lr": 0.01, "weight_decay": 0.1, "foreach": False}
+    options |= {"momentum": 0.7} if name == "sgd" else {"betas": (0.7, 0.999)}
+    plain = {"sgd": torch.optim.SGD, "adam": torch.optim.Adam, "adamw": torch.optim.AdamW}[name](
+        networks[1].parameters(), **options
+    )
+    for step in range(3):
+        fused.zero_grad()
+        module.training_step(draw_pairs(seed=step), 1).backward()
+        for one, other in zip(networks[0].parameters(), networks[1].parameters(), strict=True):
+            other.grad = one.grad.clone()
+        fused.step()
+        plain.step()
+    for one, other in zip(networks[0].parameters(), networks[1].parameters(), strict=True):
+        torch.testing.assert_close(one, other, rtol=1e-5, atol=1e-6)
+
+
+def test_gradients_are_clipped_in_mixed_precision():
+    network = build("simple1", "fc500_500_5", SIZE)
+    before = {name: value.clone() for name, value in network.state_dict().items()}
+    batches = loader(draw_pairs())
+    trainer(precision="bf16-mixed", gradient_clip_val=1e-30).fit(SiameseModule(network), batches, batches)
+    for name, value in network.state_dict().items():
+        torch.testing.assert_close(value, before[name], rtol=0, atol=1e-20)
+
+
+MARGIN = 2.0
+
+
+def add(statistics, d0, d1, label, same):
+    distance = pair_distance(d0, d1)
+    loss = ContrastiveLoss(MARGIN)(d0, d1, label)
+    statistics.update(torch.cat([d0, d1]), distance, loss, same, label)
+
+
+def draw(pairs, dimensions, seed, same_share=0.5):
+    generator = torch.Generator().manual_seed(seed)
+    d0, d1 = 0.5 * torch.randn(2, pairs, dimensions, generator=generator) + 3
+    label = (1.5 * torch.rand(pairs, generator=generator)).clamp(max=1)  # a third of the pairs are dissimilar
+    return d0, d1, label, torch.rand(pairs, generator=generator) < same_share
+
+
+@settings(deadline=None, max_examples=25)
+@given(
+    batches=st.lists(st.integers(1, 6), min_size=1, max_size=5),
+    dimensions=st.integers(1, 8),
+    same_share=st.sampled_from([0.0, 0.2, 0.5, 1.0]),
+    seed=st.integers(0, 1000),
+)
+def test_agrees_with_loops_over_all_pairs_whatever_the_batches(batches, dimensions, same_share, seed):
+    columns = draw(sum(batches), dimensions, seed, same_share)
+    statistics = PairStatistics(MARGIN)
+    for part in zip(*(column.split(batches) for column in columns), strict=True):
+        add(statistics, *part)
+    expected = pair_statistics(*(column.tolist() for column in columns), MARGIN)
+    computed = {name: value.item() for name, value in statistics.compute().items()}
+    assert computed == pytest.approx(expected, rel=1e-5, abs=1e-6)
+
+
+def test_half_the_margin_already_counts_as_different():
+    statistics = PairStatistics(MARGIN)
+    d1 = torch.tensor([[0.999], [1.0], [7.0]])
+    add(statistics, torch.zeros(3, 1), d1, torch.zeros(3), torch.tensor([True, True, True]))
+    assert statistics.compute()["accuracy_same"] == pytest.approx(1 / 3)
+
+
+def test_a_collapsed_network_has_no_spread_even_far_from_zero():
+    statistics = PairStatistics(MARGIN)
+    same_for_all = torch.full((50, 3), 12345.678)
+    for _ in range(20):
+        add(statistics, same_for_all, same_for_all, torch.ones(50), torch.zeros(50, dtype=torch.bool))
+    assert statistics.compute()["spread"] < 1e-2
+
+
+def test_a_loss_without_a_margin_has_no_accuracies():
+    statistics = PairStatistics(None)
+    add(statistics, *draw(5, 4, 0))
+    assert set(statistics.compute()) == {"loss", "distance_same", "distance_different", "spread"}
+
+
+def test_it_adds_nothing_to_a_state_dict():
+    assert PairStatistics(MARGIN).state_dict() == {}
