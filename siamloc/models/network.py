@@ -23,9 +23,8 @@ from siamloc.models.branch import (
     layer_shapes,
     layers_by_stage,
 )
-from siamloc.models.canonical import Canonical
 from siamloc.models.heads import Fourier, GeneralizedMean, Head, Magnitudes, make_head
-from siamloc.models.orientation import VALUES, Orientation
+from siamloc.models.orientation import VALUES, Canonical, Orientation
 from siamloc.models.registry import Normalization, branch_spec, head_widths
 from siamloc.models.relative import RelativePose
 from siamloc.models.room_classifier import RoomClassifier
@@ -76,7 +75,7 @@ def build(
             "local": give the surroundings of each pixel zero mean and unit contrast, whatever light falls there;
             "local_brightness": the same, but colours stay. If None, the default of the branch.
         canonical: first turn each panorama, by less than the width of one feature column, so that turning the robot by
-            whole columns of the panorama changes nothing; see `siamloc.models.canonical`. For circular=True and a
+            whole columns of the panorama changes nothing; see `siamloc.models.orientation`. For circular=True and a
             head that discards the direction: "fourier", "magnitudes", "gem" or "bands".
         relative: also learn to estimate where an image was taken relative to another one; see
             `siamloc.models.relative`. For circular=True and the heads "fourier" and "magnitudes".

@@ -59,7 +59,10 @@ def usable(
     else:
         auto = pairs.label == "auto"
         if pairs.label == "room" or (auto and len(rooms_of(tables["training"])) >= _ROOMS):
-            leave(_nameless, "room label, which others have")
+            leave(
+                lambda table: (table.room == "") & np.isin(table.building, table.building[table.room != ""]),
+                "room label, which others have",
+            )
         by_distance = pairs.label == "distance" or (auto and len(set(tables["training"].place.tolist())) == 1)
     if by_distance:
         leave(lambda table: ~table.has_position, f"position, which {pairs.needs_positions}")
@@ -73,12 +76,6 @@ def usable(
                 "would not be honest: validate with other frames"
             )
     return train, validated
-
-
-def _nameless(table: FrameTable) -> NDArray[np.bool_]:
-    """Mark the frames without a room label in buildings where others have one."""
-    labelled = table.room != ""
-    return ~labelled & np.isin(table.building, table.building[labelled])
 
 
 def check_loss(loss: Loss | BatchLoss | None, arguments: int) -> None:
@@ -246,7 +243,9 @@ def monitored(
     if compares:
         return "refined"
     if not isinstance(settings.pairs, PlaceSettings):
-        return "error" if placed and _another_drive(train, validated) else "loss"
+        # Frames of the drive that is trained on are next to those of the training.
+        drives = [set(frames.sequence[frames.has_position].tolist()) for frames in (train, validated)]
+        return "error" if placed and not set.intersection(*drives) else "loss"
     if placed or roomed:
         return "error" if placed else "room"
     raise DataError(
@@ -254,16 +253,6 @@ def monitored(
         f"frames do not both have positions in one building, or both rooms ({_ROOMS} or more in training): give "
         "either, or leave the validation out"
     )
-
-
-def _another_drive(train: FrameTable, validated: FrameTable) -> bool:
-    """Whether the validation is a separate drive through a building of the training, so that it can be located.
-
-    Frames of the same drive are next to those used for training.
-    """
-    known, asked = train.take(train.has_position), validated.take(validated.has_position)
-    same_drives = set(known.sequence.tolist()) & set(asked.sequence.tolist())
-    return not same_drives and bool(_buildings(train) & _buildings(validated))
 
 
 def _buildings(frames: FrameTable) -> set[str]:

@@ -103,7 +103,10 @@ def _made(options: Mapping[str, Any], own: Mapping[str, Any]) -> Trainer:
     options = {**TRAINER, **options}
     _check_processes(options)
     if options.get("precision") == "auto":
-        options["precision"] = _fast_precision(on_gpu(options))
+        # bfloat16 if the device has instructions for it: CPUs have AVX512-BF16, and those with AMX have it as well.
+        gpu = on_gpu(options)
+        fast = torch.cuda.is_bf16_supported(including_emulation=False) if gpu else torch.cpu._is_avx512_bf16_supported()
+        options["precision"] = "bf16-mixed" if fast else "32-true"
     try:
         return Trainer(**options, **own)
     except Exception as error:  # Lightning and the device backends may raise anything
@@ -144,15 +147,6 @@ def on_gpu(options: Mapping[str, Any] | None) -> bool:
 def precision_of(options: Mapping[str, Any] | None) -> str:
     """Return the precision that arguments of `lightning.Trainer` ask for."""
     return str((options or {}).get("precision", "32-true"))
-
-
-def _fast_precision(gpu: bool) -> str:
-    """Return bfloat16 for most of the network if the device has instructions for it, else full precision.
-
-    CPUs have AVX512-BF16, and those with AMX have it as well.
-    """
-    fast = torch.cuda.is_bf16_supported(including_emulation=False) if gpu else torch.cpu._is_avx512_bf16_supported()
-    return "bf16-mixed" if fast else "32-true"
 
 
 @contextmanager

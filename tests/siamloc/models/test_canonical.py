@@ -8,8 +8,8 @@ import torch
 
 from siamloc.errors import ConfigError
 from siamloc.models import as_descriptor, build
-from siamloc.models.canonical import Canonical, shifts
 from siamloc.models.network import Network
+from siamloc.models.orientation import Canonical, shifts
 
 SIZE = (32, 128)
 
