@@ -11,7 +11,6 @@ import torch
 from siamloc.errors import ConfigError, DataError
 from siamloc.models import CrossEntropyLoss, Origins, RoomClassifier, as_descriptor, build
 from siamloc.models.batch_losses import make_loss
-from siamloc.models.module import NetworkModule
 
 ROOMS = ["hall", "kitchen", "office"]
 
@@ -103,9 +102,3 @@ def test_a_network_that_was_not_trained_to_name_rooms_says_so():
     assert as_descriptor(network).rooms is None
     with pytest.raises(ConfigError, match="does not name rooms: train one with loss=cross_entropy"):
         as_descriptor(network).classify(np.zeros((1, 3, 32, 64), np.uint8))
-
-
-def test_what_is_trained_names_its_rooms_and_other_losses_name_none():
-    network = build("simple1", "fc500_500_5", (32, 64))
-    assert NetworkModule(network, opened(5)).content()["rooms"] == ROOMS
-    assert "rooms" not in NetworkModule(network, make_loss("triplet")).content()

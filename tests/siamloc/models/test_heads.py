@@ -55,13 +55,6 @@ def test_turning_the_robot_by_a_column_of_the_features_leaves_the_descriptor(bra
         assert (network(other) - found).norm() > 1e-3
 
 
-def test_without_wrapping_around_the_sides_of_the_image_show():
-    network = build("alexnet", "fourier", SIZE, seed=1).eval()
-    panorama = images(1)
-    with torch.inference_mode():
-        assert (network(panorama.roll(32, dims=3)) - network(panorama)).norm() > 1e-3
-
-
 @pytest.mark.parametrize(("head", "outputs", "over"), [("gem", 3, (2, 3)), ("bands", 12, 3)])
 def test_generalized_mean_is_the_average_and_the_maximum_at_its_ends(head, outputs, over):
     pooling = make_head(head, (3, 4, 8), outputs=outputs)

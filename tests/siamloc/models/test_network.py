@@ -42,12 +42,6 @@ def test_head_has_three_layers_and_nothing_after_the_last(name, widths):
     assert network.outputs == widths[-1]
 
 
-def test_the_default_image_is_a_panorama_of_128_x_512():
-    network = build("alexnet", "fc500_500_5")
-    assert network.image_size == (128, 512)
-    assert network.grid == (3, 15)
-
-
 @pytest.mark.parametrize("branch", ["simple1", "vgg11_bn"])
 def test_one_seed_gives_one_network_and_another_seed_another(branch):
     first, again, other = (build(branch, "fc500_100_10", SIZE, seed=seed) for seed in (0, 0, 1))

@@ -229,9 +229,7 @@ def test_the_first_stages_stay_as_they_are(schedule):
 
 def test_stages_that_cannot_be_frozen_or_do_not_exist_are_refused():
     network = build("vgg11", "flat", SIZE)
-    with pytest.raises(
-        ConfigError, match=r"frozen_stages=6 leaves nothing to train: the network has 6 stages, .* 5 at"
-    ):
+    with pytest.raises(ConfigError, match=r"frozen_stages=6 leaves nothing .* the network has 6 stages, .* 5 at"):
         SiameseModule(network, optimizer=Optimizer(frozen_stages=6))
     with pytest.raises(ConfigError, match="Flatten does not say its stages"):
         SiameseModule(torch.nn.Flatten(), optimizer=Optimizer(frozen_stages=1))

@@ -13,9 +13,10 @@ from siamloc.data.pairs import PairSampler, PairSettings
 from siamloc.errors import ConfigError
 from siamloc.training.batches import BatchAugmentation, Panoramas
 from siamloc.training.pair_batches import PairBatches, PairDataModule
+from tests.siamloc.models.conftest import trainer
 
 ensure_torchvision()
-from lightning.pytorch import LightningModule, Trainer  # noqa: E402
+from lightning.pytorch import LightningModule  # noqa: E402
 
 ROOM = PairSettings(label="room")
 
@@ -71,9 +72,7 @@ def test_fewer_pairs_than_processes_are_refused(library):
     train, validation = library.frames.take(slice(0, 8)), library.frames.take(slice(8, None))
     data = PairDataModule(library, train, validation, pairs=ROOM)
     data.check_processes(3)
-    with pytest.raises(
-        ConfigError, match=r"3 validation pairs are fewer than the 4 processes .*: give more frames, or tr"
-    ):
+    with pytest.raises(ConfigError, match=r"3 validation pairs are fewer than the 4 .*: give more frames, or tr"):
         data.check_processes(4)
     alone = PairDataModule(library, train, library.frames.select(room="A"), pairs=ROOM)
     assert alone.validation_sampler.same_room_share == 1
@@ -99,24 +98,20 @@ class Seen(LightningModule):
         return torch.optim.SGD(self.parameters(), lr=0.1)
 
 
-def plain_trainer(epochs):
-    quiet = dict.fromkeys(("logger", "enable_checkpointing", "enable_progress_bar", "enable_model_summary"), False)
-    return Trainer(max_epochs=epochs, accelerator="cpu", devices=1, num_sanity_val_steps=0, **quiet)
-
-
 @pytest.mark.parametrize("workers", [0, 2])
 @pytest.mark.filterwarnings("ignore:.*does not have many workers")
 def test_a_plain_trainer_draws_new_pairs_in_every_epoch_also_after_resuming(library, workers, tmp_path):
     sampler, roles = sampled(library.frames), (library.frames, library.frames)
     expected = {epoch: library.frames.x[sampler.epoch(epoch).first].tolist() for epoch in range(4)}
     first, data = Seen(), PairDataModule(library, *roles, pairs=ROOM, batch_size=4, workers=workers)
-    trainer = plain_trainer(3)
-    trainer.fit(first, datamodule=data)
+    training = trainer(max_epochs=3, num_sanity_val_steps=0)
+    training.fit(first, datamodule=data)
     assert first.epochs == {epoch: expected[epoch] for epoch in range(3)}
     assert first.validated[:3] == first.validated[3:6] == first.validated[6:], "validation has the same pairs each time"
-    trainer.save_checkpoint(tmp_path / "last.ckpt")
+    training.save_checkpoint(tmp_path / "last.ckpt")
     resumed, data = Seen(), PairDataModule(library, *roles, pairs=ROOM, batch_size=4, workers=workers)
-    plain_trainer(4).fit(resumed, datamodule=data, ckpt_path=tmp_path / "last.ckpt", weights_only=True)
+    again = trainer(max_epochs=4, num_sanity_val_steps=0)
+    again.fit(resumed, datamodule=data, ckpt_path=tmp_path / "last.ckpt", weights_only=True)
     assert resumed.epochs == {3: expected[3]}
 
 
