@@ -95,25 +95,18 @@ class CoarseLayer:
             made: how the layer was built.
 
         Raises:
-            DataError: not one label for each frame, no frame in a node, or a node without frames.
+            AnalyticError: not one label for each frame, or no frame in a node.
+            DataError: a node without frames.
         """
         from analytic.clustering import positions, representatives
 
         labels = np.asarray(labels, dtype=np.int64)
-        if labels.shape != (len(known),):
-            raise DataError(f"{len(known)} map frames need as many labels, got shape {labels.shape}")
-        k = int(labels.max()) + 1
-        if k < 1:
-            raise DataError("no map frame was assigned to a node: there is no coarse layer to build")
-        counts = np.bincount(labels[labels >= 0], minlength=k)
-        if (counts == 0).any():
-            raise DataError(f"node {int(np.flatnonzero(counts == 0)[0])} has no frames: number the nodes without gaps")
-
+        means = representatives(known.descriptors, labels).astype(np.float32)
         return cls(
             labels=labels,
-            representatives=representatives(known.descriptors, labels).astype(np.float32),
+            representatives=means,
             positions=positions(known.frames.xy, labels),
-            names=np.array([str(node) for node in range(k)] if names is None else names, dtype=np.str_),
+            names=np.array([str(node) for node in range(len(means))] if names is None else names, dtype=np.str_),
             edges=connections(labels, known.frames.sequence),
             made=dict(made or {}),
         )

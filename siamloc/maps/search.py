@@ -106,7 +106,13 @@ class VectorIndex:
             DataError: queries of another shape, values that are not finite or far larger than the references', or a
                 query with fewer than k references that are not excluded.
         """
-        q = self._checked_queries(queries)
+        (q, largest), width = _checked(queries, "query"), self._references.shape[1]
+        if q.shape[1] != width:
+            raise DataError(
+                f"queries have {q.shape[1]} values each, the map's descriptors {width}: describe both with one model"
+            )
+        if self.distance in ("euclidean", "minkowski") and largest * self._scale > _LARGEST:
+            raise DataError("the queries' values are out of all proportion to the map's: describe both with one model")
         m = len(self) if within is None else len(within)
         k = min(k, m)
         mask = None if excluded is None else check_excluded(excluded, (len(q), len(self)), k)
@@ -203,17 +209,6 @@ class VectorIndex:
         np.divide(unit, norm, out=unit, where=norm > 0)
         unit[norm[:, 0] == 0, -1 if is_query else -2] = 1
         return unit
-
-    def _checked_queries(self, queries: ArrayLike) -> NDArray:
-        (q, largest), width = _checked(queries, "query"), self._references.shape[1]
-        if q.shape[1] != width:
-            raise DataError(
-                f"queries have {q.shape[1]} values each, the map's descriptors {width}: describe both with one model"
-            )
-        plain = self.distance in ("euclidean", "minkowski")
-        if plain and largest * self._scale > _LARGEST:
-            raise DataError("the queries' values are out of all proportion to the map's: describe both with one model")
-        return q
 
 
 def _candidates(scores: NDArray, slack: NDArray, k: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:

@@ -71,12 +71,14 @@ class VisualMap:
     describes: Descriptor | None = None
 
     def __post_init__(self) -> None:
-        if (kind := np.asarray(self.descriptors).dtype).kind not in "buif":
-            raise DataError(f"a map needs descriptors that are real numbers, got values of type {kind}")
-        descriptors = _own(np.asarray(self.descriptors, dtype=np.float32), self.descriptors)
+        values = np.asarray(self.descriptors)
+        if values.dtype.kind not in "buif" or values.ndim != 2 or 0 in values.shape:
+            raise DataError(
+                "a map needs descriptors that are real numbers, of shape (n, D), n and D at least 1, got "
+                f"{values.dtype} {values.shape}"
+            )
+        descriptors = _own(values.astype(np.float32, copy=False), self.descriptors)
         descriptors.flags.writeable = False
-        if descriptors.ndim != 2 or 0 in descriptors.shape:
-            raise DataError(f"a map needs descriptors of shape (n, D), n and D at least 1, got {descriptors.shape}")
         if len(descriptors) != len(self.frames):
             raise DataError(
                 f"a map needs one descriptor per frame, got {len(descriptors)} for {len(self.frames)} frames"

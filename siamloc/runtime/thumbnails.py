@@ -29,9 +29,8 @@ def read_thumbnails(path: Path) -> list[bytes | None]:
         arrays = read_arrays(path)
         content, ends = arrays["jpeg"], arrays["ends"]
         lengths = np.diff(ends, prepend=0)
-        if content.dtype != np.uint8 or ends.dtype != np.int64 or content.ndim != 1 or ends.ndim != 1:
-            raise ValueError("arrays of other types")
-        if (lengths < 0).any() or lengths.sum() != len(content):
+        fits = (content.dtype, ends.dtype, content.ndim, ends.ndim) == (np.uint8, np.int64, 1, 1)
+        if not fits or (lengths < 0).any() or lengths.sum() != len(content):
             raise ValueError("arrays that do not fit together")
     except DAMAGE as error:
         raise FormatError(f"{path} holds no pictures, or not all of them: export again") from error

@@ -81,13 +81,13 @@ def test_altered_layers_are_refused(tmp_path, changed, sentence):
 @pytest.mark.parametrize(
     ("labels", "sentence"),
     [
-        ([0] * 11, "12 map frames need as many labels"),
-        ([-1] * 12, "no map frame was assigned"),
-        ([0] * 11 + [2], "node 1 has no frames"),
+        ([0] * 11, "got 11 labels for 12 frames"),
+        ([-1] * 12, "no frame is in a cluster"),
+        ([0] * 11 + [2], "needs frames in each node, 0 ... 1"),
     ],
 )
 def test_labels_that_make_no_layer(labels, sentence):
-    with pytest.raises(DataError, match=sentence):
+    with pytest.raises((ConfigError, DataError), match=sentence):
         CoarseLayer.of_labels(KNOWN, labels)
 
 
