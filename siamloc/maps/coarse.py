@@ -78,11 +78,7 @@ class CoarseLayer:
 
     @classmethod
     def of_labels(
-        cls,
-        known: VisualMap,
-        labels: ArrayLike,
-        names: ArrayLike | None = None,
-        made: Mapping[str, Any] | None = None,
+        cls, known: VisualMap, labels: ArrayLike, names: ArrayLike | None = None, made: Mapping[str, Any] | None = None
     ) -> CoarseLayer:
         """Build a layer from labels of a map's frames.
 

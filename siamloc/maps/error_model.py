@@ -101,12 +101,7 @@ class ErrorModel(Learned):
     @classmethod
     @typed
     def fit(
-        cls,
-        found: Retrieval,
-        map_xy: ArrayLike,
-        errors: ArrayLike,
-        radius: NotNegative = 1.0,
-        neighbours: Count = 20,
+        cls, found: Retrieval, map_xy: ArrayLike, errors: ArrayLike, radius: NotNegative = 1.0, neighbours: Count = 20
     ) -> ErrorModel:
         """Learn from a validation sequence.
 
@@ -215,11 +210,7 @@ class ErrorModel(Learned):
         return np.logical_not(self._strangeness(found, map_xy, poses) <= self.foreign_above)  # NaN counts as foreign
 
     def with_foreign(
-        self,
-        right: Retrieval,
-        map_xy: ArrayLike,
-        poses: RefinedPoses | None = None,
-        elsewhere: Retrieval | None = None,
+        self, right: Retrieval, map_xy: ArrayLike, poses: RefinedPoses | None = None, elsewhere: Retrieval | None = None
     ) -> ErrorModel:
         """Return a model that also recognizes images from another building, or from another camera, as foreign.
 

@@ -197,12 +197,7 @@ class VisualMap:
         if orientation is not None:
             shared = shares_values(orientation, self.descriptors)
             orientation = descriptors.reshape(-1, *orientation.shape[1:]) if shared else orientation[key]
-        return replace(
-            self,
-            descriptors=descriptors,
-            frames=self.frames.take(key),
-            orientation=orientation,
-        )
+        return replace(self, descriptors=descriptors, frames=self.frames.take(key), orientation=orientation)
 
     def placed(self) -> VisualMap:
         """Return the map of the frames that have a position: the map itself if all have one.

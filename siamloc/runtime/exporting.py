@@ -121,7 +121,7 @@ def export(
         given = as_descriptor(on_cpu(given.module), None)  # as the robot computes
     parts: dict[str, Any] = {files.MAP: known, files.ERRORS: errors, files.REFINEMENT: refinement}
     parts |= {files.LAYER: layer, files.COARSE: coarse_map}
-    made = _Ingredients(about, given, known, refinement, parts, images, thumbnails)
+    made = _Ingredients(about, given, parts, images, thumbnails)
     with atomic_folder(folder) as fresh:
         if precision == "auto":
             made.write_smallest(fresh, validation)
@@ -136,8 +136,6 @@ class _Ingredients:
 
     about: dict[str, Any]
     given: Descriptor
-    known: VisualMap | None
-    refinement: Refinement | None
     parts: dict[str, Any]
     images: Any
     thumbnails: bool
@@ -148,9 +146,9 @@ class _Ingredients:
         Raises:
             SiamlocError: the bundle differs from the original.
         """
-        module, known, finer = getattr(self.given, "module", None), self.known, None
-        if self.refinement is not None:
-            finer = {"method": self.refinement.method, "neighbours": self.refinement.neighbours}
+        module, known, finer = getattr(self.given, "module", None), self.parts[files.MAP], None
+        if (refinement := self.parts[files.REFINEMENT]) is not None:
+            finer = {"method": refinement.method, "neighbours": refinement.neighbours}
         about = {**self.about, "precision": precision, "refinement": finer}
         if module is not None:
             about["parity"] = self._write_networks(module, fresh, precision, finer)
@@ -187,11 +185,11 @@ class _Ingredients:
         from siamloc.runtime.onnx_model import export_onnx, export_relative, quantize
 
         size = self.about["preprocessing"]["height"], self.about["preprocessing"]["width"]
-        parity: dict[str, Any] = export_onnx(module, fresh / files.MODEL, size)["parity"]
+        parity: dict[str, Any] = export_onnx(module, fresh / files.MODEL, size)
         if finer is not None and finer["method"] == "relative":
             finer["parity"] = export_relative(module, fresh / files.RELATIVE)
-        if precision == "int8" and self.known is not None:
-            quantize(fresh / files.MODEL, spread(self.images, self.known.frames, CALIBRATION)[0])
+        if precision == "int8":
+            quantize(fresh / files.MODEL, spread(self.images, self.parts[files.MAP].frames, CALIBRATION)[0])
         return parity
 
 

@@ -266,16 +266,10 @@ class Localizer:
         self, panorama: NDArray[np.uint8], query: Description, tracker: Tracker | None, start: float
     ) -> Location:
         found, frames = self._found(panorama, query), self.map.frames
+        rows, apart = found.indices[0, : self._top].tolist(), found.distances[0, : self._top].tolist()
         candidates = tuple(
-            Candidate(
-                image=str(frames.path[row]),
-                x=float(frames.x[row]),
-                y=float(frames.y[row]),
-                room=str(frames.room[row]),
-                distance=float(distance),
-                row=int(row),
-            )
-            for row, distance in zip(found.indices[0, : self._top], found.distances[0, : self._top], strict=True)
+            Candidate(str(frames.path[row]), x, y, str(frames.room[row]), distance, row)
+            for row, (x, y), distance in zip(rows, frames.xy[rows].tolist(), apart, strict=True)
         )
         pose, error, lost = self._estimates(query, found)
         known, row, covariance = self.map, candidates[0].row, None

@@ -18,7 +18,7 @@ from torch import nn
 
 from augment.base import on_host
 from foundation.calls import typed
-from foundation.files import atomic_path, file_hash
+from foundation.files import atomic_path
 from siamloc.errors import ConfigError, SiamlocError
 from siamloc.maps.refinement import OUTPUTS
 from siamloc.models.describing import evaluating, identity_of, network_of, orienting, required_comparing
@@ -52,32 +52,22 @@ def export_onnx(network: nn.Module, path: str | Path, image_size: Sequence[int])
         image_size: (H, W) in pixels.
 
     Returns:
-        `path`, `bytes`, `sha256`, `opset`, `identity`, and `parity` (what `parity`
-        returns).
+        What `parity` returns.
 
     Raises:
         ConfigError: weights that are not float32 or take 2 GB or more, or an image size that does not suit the network.
         SiamlocError: the file's descriptors differ from the network's.
         StorageError: the disk is full or cannot be written to.
     """
-    path = Path(path)
     network = on_cpu(network)
-    identity, graph = identity_of(network), _FromPixels(network)
+    graph = _FromPixels(network)
     example = torch.zeros(2, 3, int(image_size[0]), int(image_size[1]), dtype=torch.uint8)
     with evaluating(graph):
         graph(example)  # a wrong size fails here, with the network's own message
     if sum(tensor.nbytes for tensor in network.state_dict().values()) >= MOST_BYTES:
         raise ConfigError("a network of 2 GB or more does not fit into an ONNX file: export a smaller one")
-    with _written(path, graph, {INPUT: example}, graph.outputs, FORMAT, identity) as temporary:
-        report = parity(network, temporary)
-    return {
-        "path": str(path),
-        "bytes": path.stat().st_size,
-        "sha256": file_hash(path),
-        "opset": OPSET,
-        "identity": identity,
-        "parity": report,
-    }
+    with _written(path, graph, {INPUT: example}, graph.outputs, FORMAT, identity_of(network)) as temporary:
+        return parity(network, temporary)
 
 
 @typed

@@ -88,14 +88,9 @@ def precision_table(bundle: Bundle) -> str:
         rows = [Measured(**row) for row in about.get("precisions") or []]
         columns = [Column("precision"), Column("size", "MB", 2), Column("time", "ms", 2)]
         columns += [Column("change of descriptor", form="percent"), Column("error", about["unit"], 3)]
+        chosen = about["precision"]
         cells = [
-            (
-                row.precision + " *" * (row.precision == about["precision"]),
-                row.bytes / 1e6,
-                row.ms,
-                row.change,
-                row.error,
-            )
+            (row.precision + " *" * (row.precision == chosen), row.bytes / 1e6, row.ms, row.change, row.error)
             for row in rows
         ]
         return Table("precisions", tuple(columns), tuple(cells)).text() if rows else ""
