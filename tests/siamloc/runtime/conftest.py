@@ -32,10 +32,16 @@ def batch(pictures: np.ndarray) -> np.ndarray:
 def rewritten(bundle: Path, folder: Path, **parts: Any) -> Path:
     """A copy of a bundle with other parts, as if it had been exported with them."""
     shutil.copytree(bundle, folder)
-    about = read_json(folder / "bundle.json")
+    names = {"map": "map.npz", "errors": "error_model.json"}
     for name, part in parts.items():
-        file = {"map": "map.npz", "errors": "error_model.json"}[name]
-        part.save(folder / file)
-        about["sha256"][file] = file_hash(folder / file)
-    write_json(folder / "bundle.json", about)
-    return folder
+        part.save(folder / names[name])
+    return altered(folder, *map(names.get, parts))
+
+
+def altered(bundle: Path, *files: str, **changed: Any) -> Path:
+    """Change values in bundle.json, and the hashes of files that were replaced."""
+    about = {**read_json(bundle / "bundle.json"), **changed}
+    for file in files:
+        about["sha256"][file] = file_hash(bundle / file)
+    write_json(bundle / "bundle.json", about)
+    return bundle

@@ -13,13 +13,14 @@ import pytest
 import analytic
 import siamloc
 from analytic.descriptors.thumbnail import Thumbnail
-from foundation.files import file_hash, read_json, write_json
+from foundation.files import file_hash
 from siamloc import evaluation, maps, runtime
 from siamloc.errors import ConfigError, FormatError
 from siamloc.maps import HierarchicalSearch, LayerSearch, VisualMap
 from siamloc.maps.packing import packed, unpacked
 from siamloc.models import as_descriptor, build
 from siamloc.runtime.precision import LOSS, Measured, smallest
+from tests.siamloc.runtime.conftest import altered
 
 PARTS = {
     "gist": {"blocks": 8, "orientations": 8},
@@ -61,7 +62,8 @@ def known(world, network):
 def made(network, known, tmp_path_factory):
     """A bundle with a coarse layer."""
     layer = maps.group(known, "sample", nodes=2)
-    return runtime.export(network, known, tmp_path_factory.mktemp("made") / "bundle", layer=layer)
+    folder = tmp_path_factory.mktemp("made") / "bundle"
+    return runtime.export(network, known, folder, layer=layer, figures={"mean": 0.2})
 
 
 @pytest.fixture
@@ -96,15 +98,6 @@ def test_a_descriptor_of_ones_own_is_not_exported(world, tmp_path):
     images, monday, _ = world
     with pytest.raises(ConfigError, match="only networks and analytic descriptors can be exported, not own"):
         runtime.export(Own(), maps.build(Own(), images, monday, progress=False), tmp_path / "bundle")
-
-
-def altered(bundle, file=None, **changed):
-    """Change bundle.json, and keep the hashes, except that of a file that was replaced."""
-    about = {**read_json(bundle / "bundle.json"), **changed}
-    if file is not None:
-        about["sha256"][file] = file_hash(bundle / file)
-    write_json(bundle / "bundle.json", about)
-    return bundle
 
 
 def test_parameters_that_did_not_make_the_map_are_refused_before_they_take_memory(world, tmp_path):
@@ -157,10 +150,9 @@ def test_layers_that_do_not_belong_are_refused(world, network, known, bundle, tm
     layer, other = (
         maps.group(one, "sample", nodes=2) for one in (known, maps.build(network, images, tuesday, progress=False))
     )
-    with pytest.raises(siamloc.errors.DataError, match="was not built over"):
-        runtime.export(network, known, tmp_path / "b", layer=other)
-    with pytest.raises(ConfigError, match="a coarse layer needs the map"):
-        runtime.export(network, None, tmp_path / "b", layer=layer, preprocessing=images.preprocessing)
+    for on, over, says in ((known, other, "was not built over"), (None, layer, "a coarse layer needs the map")):
+        with pytest.raises((ConfigError, siamloc.errors.DataError), match=says):
+            runtime.export(network, on, tmp_path / "b", layer=over, preprocessing=images.preprocessing)
     plain = runtime.export(network, known, tmp_path / "b")
     with pytest.raises(ConfigError, match="holds no coarse layer: run `siamloc map build=spectral`"):
         runtime.Localizer(plain.path, hierarchical=True)
@@ -170,7 +162,7 @@ def test_layers_that_do_not_belong_are_refused(world, network, known, bundle, tm
 
 def test_pictures_of_the_map_come_along_and_damaged_ones_are_refused(world, network, known, made, tmp_path):
     images, monday, _ = world
-    assert made.thumbnail(0) is None
+    assert (made.thumbnail(0), made.about["figures"]) == (None, {"mean": 0.2})
     bundle = runtime.export(network, known, tmp_path / "b", images=images, thumbnails=True)
     for row, panorama in enumerate(next(images.batches(monday))):
         picture = cv2.imdecode(np.frombuffer(bundle.thumbnail(row), np.uint8), cv2.IMREAD_COLOR)
@@ -227,21 +219,17 @@ def test_auto_takes_the_smallest_that_loses_little(world, network, known, tmp_pa
     table = runtime.precision_table(bundle)
     assert "[MB]" in table
     assert table.count("*") == 1
-    error = np.hypot(
-        *(np.array([[one.x, one.y] for one in map(runtime.Localizer(bundle.path).locate, tuesday.path)]) - tuesday.xy).T
-    )
+    located = map(runtime.Localizer(bundle.path).locate, tuesday.path)
+    error = np.hypot(*(np.array([[one.x, one.y] for one in located]) - tuesday.xy).T)
     chosen = next(row for row in rows if row.precision == bundle.about["precision"])
     assert chosen.error == pytest.approx(error.mean())
-    runtime.Localizer(bundle.path)
 
 
 @pytest.mark.parametrize(
     ("key", "value"),
     [
-        ("parity", {"max_abs_difference": 1.0}),
         ("parity", {"max_abs_difference": "a", "max_relative_difference": 1.0}),
         ("heading", {"name": "hog"}),
-        ("heading", 5),
         ("refinement", {"method": "magic", "neighbours": 3}),
         ("search", {"by": 3}),
         ("errors", {"lost_above": "far"}),
@@ -249,8 +237,6 @@ def test_auto_takes_the_smallest_that_loses_little(world, network, known, tmp_pa
         ("precisions", 3),
         ("unit", 5),
         ("sha256", ["model.onnx"]),
-        ("sha256", []),
-        ("preprocessing", 5),
         ("preprocessing", None),
         ("preprocessing", {"height": 32}),
         ("preprocessing", {"height": 32, "width": 128, "camera": {"kind": "Fisheye"}}),
@@ -267,10 +253,7 @@ def test_altered_descriptions_are_refused(bundle, key, value):
 @pytest.mark.parametrize(
     ("changed", "says"),
     [
-        ({"version": None}, "has format version None"),
-        ({"version": "2"}, "has format version 2"),
         ({"version": 1}, "has format version 1, this siamloc reads version 4: export again"),
-        ({"version": 5}, "has format version 5, this siamloc reads version 4: update siamloc"),
         ({"sha256": {}}, "lists no model.onnx"),
     ],
 )
@@ -374,9 +357,3 @@ def test_panoramas_of_another_size_are_one_sentence(made):
     for wrong in (np.zeros((3, 16, 64), np.uint8), np.zeros((3, 32, 64)), np.zeros((16, 64, 3), np.uint8)):
         with pytest.raises(siamloc.errors.DataError, match=r"a panorama has shape \(3, 32, 64\) and dtype uint8, got"):
             localizer.locate_panorama(wrong)
-
-
-def test_figures_of_the_evaluation_are_kept(network, known, tmp_path):
-    figures = {"errors": {"absolute": {"mean": 0.2}}}
-    bundle = runtime.export(network, known, tmp_path / "b", figures=figures)
-    assert read_json(bundle.path / "bundle.json")["figures"] == bundle.about["figures"] == figures

@@ -187,14 +187,14 @@ def test_an_empty_video_ends_in_a_sentence(world, tmp_path):
 
 def test_a_port_in_use_and_an_unknown_address_are_one_sentence(world, played):
     localizer, drive = runtime.Localizer(world[0] / "bundle"), world[0] / "drive"
-    with pytest.raises(ConfigError, match=f"port {played.port} of 127.0.0.1 is in use: choose another, such as port="):
-        runtime.Live(localizer, drive, port=played.port)
-    with pytest.raises(ConfigError, match=r"this machine cannot serve at host=192\.0\.2\.1"):
-        runtime.Live(localizer, drive, host="192.0.2.1", port=0)
-    with pytest.raises(ConfigError, match="port must be a whole number from 0 to 65,535"):
-        runtime.Live(localizer, drive, port=70_000)
-    with pytest.raises(ConfigError, match=r"fps must be 0, or a number from 0.001 to 1,000"):
-        runtime.Live(localizer, drive, fps=-1)
+    for options, says in (
+        ({"port": played.port}, f"port {played.port} of 127.0.0.1 is in use: choose another, such as port="),
+        ({"host": "192.0.2.1", "port": 0}, r"this machine cannot serve at host=192\.0\.2\.1"),
+        ({"port": 70_000}, "port must be a whole number from 0 to 65,535"),
+        ({"fps": -1}, "fps must be 0, or a number from 0.001 to 1,000"),
+    ):
+        with pytest.raises(ConfigError, match=says):
+            runtime.Live(localizer, drive, **options)
     with pytest.raises(DataError, match="there is no image"):
         runtime.Live(localizer, drive / "none.png", port=0)
 
@@ -270,10 +270,7 @@ def test_a_browser_watches_a_drive(world, tmp_path):
     hostile.mkdir()
     shutil.copy(next((folder / "drive").iterdir()), hostile / "<b>a.png")
     images = [folder / "drive", hostile]
-    with (
-        served(world, images, fps=20) as page,
-        Browser(tmp_path / "profile") as browser,
-    ):
+    with served(world, images, fps=20) as page, Browser(tmp_path / "profile") as browser:
         browser.go(page.url)
         browser.wait("document.getElementById('status').dataset.state === 'ended'")
         told = browser.run(

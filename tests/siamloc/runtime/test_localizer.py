@@ -42,26 +42,16 @@ def world():
     return network, known, replace(errors, lost_above=float(np.median(errors.predict(found, known.frames.xy))))
 
 
-def bundled(folder, world, **changed):
-    network, known, errors = world
-    export(network, known, folder, errors=changed.get("errors", errors))
-    return folder
-
-
 @pytest.fixture(scope="module")
 def bundle(world, tmp_path_factory):
-    return bundled(tmp_path_factory.mktemp("robot") / "bundle", world)
+    network, known, errors = world
+    return export(network, known, tmp_path_factory.mktemp("robot") / "bundle", errors=errors).path
 
 
 @pytest.fixture(scope="module")
 def bare(world, tmp_path_factory):
-    return bundled(tmp_path_factory.mktemp("robot") / "bare", replaced(world, heading=None), errors=None)
-
-
-def replaced(world, **changed):
-    network, known, errors = world
-    known = replace(known, **changed)
-    return network, known, replace(errors, map_digest=known.digest)
+    network, known, _ = world
+    return export(network, replace(known, heading=None), tmp_path_factory.mktemp("robot") / "bare").path
 
 
 def test_theta_and_error_are_those_of_the_evaluation(world, bundle):
@@ -87,9 +77,8 @@ def test_turning_the_robot_turns_theta_alone(bundle):
     for columns in (10, -36, 64):
         turned = localizer.locate(np.roll(picture, columns, axis=1))
         if turned.candidates[0] == straight.candidates[0]:
-            assert math.remainder(turned.theta - straight.theta - columns * math.tau / 128, math.tau) == pytest.approx(
-                0
-            )
+            off = turned.theta - straight.theta - columns * math.tau / 128
+            assert math.remainder(off, math.tau) == pytest.approx(0)
         assert -math.pi < turned.theta <= math.pi
 
 
@@ -136,14 +125,16 @@ def test_a_bundle_without_a_map_describes_alone(world, tmp_path):
 
 def test_what_does_not_belong_together_is_not_exported(world, tmp_path):
     network, known, _ = world
-    with pytest.raises(ConfigError, match="described differently from the queries: name is"):
-        export(analytic.descriptor("hog"), known, tmp_path / "bundle")
-    with pytest.raises(ConfigError, match="a bundle by hog needs a map: run `siamloc map descriptor=hog` first"):
-        export(analytic.descriptor("hog"), None, tmp_path / "bundle", preprocessing=Preprocessing.of(IMAGES))
-    with pytest.raises(ConfigError, match="described differently from the queries: weights is"):
-        export(build("simple1", "fc500_500_5", SIZE, seed=1), known, tmp_path / "bundle")
-    with pytest.raises(ConfigError, match=r"images\.width is 128 in the map, 64 here"):
-        export(network, known, tmp_path / "bundle", preprocessing=Preprocessing.of({**IMAGES, "width": 64}))
+    hog, other = analytic.descriptor("hog"), build("simple1", "fc500_500_5", SIZE, seed=1)
+    wide, narrow = Preprocessing.of(IMAGES), Preprocessing.of({**IMAGES, "width": 64})
+    for by, on, preprocessing, says in (
+        (hog, known, None, "described differently from the queries: name is"),
+        (hog, None, wide, "a bundle by hog needs a map: run `siamloc map descriptor=hog` first"),
+        (other, known, None, "described differently from the queries: weights is"),
+        (network, known, narrow, r"images\.width is 128 in the map, 64 here"),
+    ):
+        with pytest.raises(ConfigError, match=says):
+            export(by, on, tmp_path / "bundle", preprocessing=preprocessing)
     assert not list(tmp_path.iterdir())
 
 
@@ -234,8 +225,8 @@ def test_files_folders_and_videos_are_located_in_order(bundle, tmp_path):
     film.release()
     found = list(locate_all(localizer, [photos, tmp_path / "film.avi", photos / "u.png"]))
     video = [f"{tmp_path / 'film.avi'}#{number}" for number in range(4)]
-    assert [one.image for one in found] == [*(str(photos / name) for name in [*names, "v.png"]), *video,
-                                            str(photos / "u.png")]  # fmt: skip
+    first, second, damaged = (str(photos / name) for name in (*names, "v.png"))
+    assert [one.image for one in found] == [first, second, damaged, *video, second]
     assert found[0].pose == NamedPose(1.0, 0.5, 0.25, 0.0)
     assert found[0].off_by == pytest.approx(math.hypot(found[0].location.x - 0.5, found[0].location.y - 0.25))
     assert found[1].pose is None
@@ -312,7 +303,7 @@ def test_the_expected_error_rests_on_frames_that_have_a_position(world, bundle, 
 
 def test_a_model_learned_on_another_map_is_refused(world, tmp_path):
     with pytest.raises(ConfigError, match="learned on another map than the bundle's: learn it again"):
-        bundled(tmp_path / "bundle", world, errors=replace(world[2], map_digest=""))
+        export(*world[:2], tmp_path / "bundle", errors=replace(world[2], map_digest=""))
     assert not list(tmp_path.iterdir())
 
 
@@ -324,7 +315,7 @@ def test_altered_files_are_refused_and_a_bundle_takes_the_place_of_an_older_one(
         with pytest.raises(FormatError, match=f"{name} is missing or not the file the bundle was written with"):
             Localizer(folder)
         (folder / name).write_bytes(whole)
-    bundled(folder, world, errors=None)
+    export(*world[:2], folder)
     assert not (folder / "error_model.json").exists()
     assert file_hash(folder / "map.npz") == read_json(folder / "bundle.json")["sha256"]["map.npz"]
 

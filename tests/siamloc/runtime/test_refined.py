@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 import torch
 
-from foundation.files import file_hash, read_json, write_json
+from foundation.files import read_json, write_json
 from siamloc.errors import ConfigError, FormatError, SiamlocError
 from siamloc.maps import (
     ErrorModel,
@@ -30,7 +30,7 @@ from siamloc.maps.sequence_filter import spacing_of
 from siamloc.models import as_descriptor, build
 from siamloc.runtime import Bundle, Localizer, export, locate_all
 from siamloc.runtime.onnx_model import export_relative, relative_parity
-from tests.siamloc.runtime.conftest import IMAGES, SIZE, batch, drive, rewritten
+from tests.siamloc.runtime.conftest import IMAGES, SIZE, altered, batch, drive, rewritten
 
 
 @pytest.fixture(scope="module")
@@ -242,12 +242,9 @@ def test_how_poses_are_refined_is_saved(tmp_path):
     assert Refinement.load(path) == made
     for changed, says in (
         ({"format": "other"}, "is not a siamloc refinement of poses"),
-        ({"version": 1}, "has format version 1"),
         ({"version": 3}, "has format version 3"),
         ({"neighbours": 0}, "neighbours must be a whole number from 1 to 10 million, got 0"),
-        ({"neighbours": "3"}, "neighbours must be a whole number from 1 to 10 million, got '3'"),
         ({"method": "guess"}, "method must be interpolate or relative, got 'guess'"),
-        ({"widening": -1}, "widening must be a number above 0"),
         ({"more": 1}, "is not a whole refinement of poses"),
     ):
         write_json(path, {**json.loads(path.read_text()), **changed})
@@ -261,14 +258,10 @@ def test_missing_and_altered_files_are_found(bundle, tmp_path):
     (folder / "refinement.json").write_text("{}")
     with pytest.raises(FormatError, match="not the file the bundle was written with"):
         Localizer(folder)
-    about = read_json(folder / "bundle.json")
-    about["sha256"]["refinement.json"] = file_hash(folder / "refinement.json")
-    write_json(folder / "bundle.json", about)
     with pytest.raises(FormatError, match="is not a siamloc refinement of poses"):
-        Localizer(folder)
+        Localizer(altered(folder, "refinement.json"))
     shutil.copy(bundle / "refinement.json", folder)
-    about = read_json(bundle / "bundle.json")
-    del about["sha256"]["relative.onnx"]
-    write_json(folder / "bundle.json", about)
+    hashes = read_json(bundle / "bundle.json")["sha256"]
+    del hashes["relative.onnx"]
     with pytest.raises(FormatError, match="holds no network for it: export again"):
-        Localizer(folder)
+        Localizer(altered(folder, sha256=hashes))
