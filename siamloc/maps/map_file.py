@@ -17,6 +17,7 @@ Map = TypeVar("Map")
 
 _FORMAT = "siamloc map"
 _VERSION = 2
+_PLAIN = ("identity", "distance", "unit", "made")
 
 
 def write_map(path: str | Path, known: Any, precision: Precision) -> None:
@@ -35,10 +36,7 @@ def write_map(path: str | Path, known: Any, precision: Precision) -> None:
         "version": _VERSION,
         "frames": len(known),
         "width": known.width,
-        "identity": known.identity,
-        "distance": known.distance,
-        "unit": known.unit,
-        "made": known.made,
+        **{name: getattr(known, name) for name in _PLAIN},
     }
     arrays: dict[str, NDArray[Any]] = {"descriptors": known.descriptors}
     if known.heading is not None and known.orientation is not None:
@@ -80,16 +78,9 @@ def read_map(path: str | Path, kind: Callable[..., Map]) -> Map:
         orientation = arrays["heading"] if "heading" in header else arrays.get("orientation")
         if orientation is None and header.get("orientation") is not None:
             orientation = descriptors.reshape(header["orientation"])
-        known = kind(
-            descriptors,
-            FrameTable(**columns, unit=header["unit"]),
-            header["identity"],
-            header["distance"],
-            header["unit"],
-            header.get("made", {}),
-            orientation,
-            header.get("heading"),
-        )
+        frames, heading = FrameTable(**columns, unit=header["unit"]), header.get("heading")
+        values = {name: header[name] for name in _PLAIN}
+        known = kind(descriptors, frames, **values, orientation=orientation, heading=heading)
         announced = (header.get("frames"), header.get("width"))
         if descriptors.shape != announced:
             raise ValueError(f"it announces descriptors {announced} and holds {descriptors.shape}")

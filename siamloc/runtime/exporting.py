@@ -103,13 +103,16 @@ def export(
         search = search or LayerSearch()
         layer = _checked_layer(known, layer, coarse_map, search)
     _check_given(given, known, images, thumbnails, precision, validation)
+    heading = None
+    if known is not None and known.orientation is not None and known.heading_by.tells_heading:
+        heading = {"identity": known.identity if known.heading is None else known.heading}
     about = {
         "format": files.FORMAT,
         "version": files.VERSION,
         "preprocessing": parameters,
         "identity": identity,
         "unit": None if known is None else known.unit,
-        "heading": _heading_of(known),
+        "heading": heading,
         "errors": None if errors is None else errors.as_dict(),
         "search": None if search is None or layer is None else search.plain(),
         "figures": None if figures is None else plain(dict(figures)),
@@ -292,13 +295,6 @@ def _checked_layer(
         layer = layer.layer
     HierarchicalSearch(known, layer, coarse=coarse, settings=search)
     return layer
-
-
-def _heading_of(known: VisualMap | None) -> dict[str, Any] | None:
-    """Return the source of the robot's heading; None if it has none."""
-    if known is None or known.orientation is None or not known.heading_by.tells_heading:
-        return None
-    return {"identity": known.identity if known.heading is None else known.heading}
 
 
 def _described_alike(

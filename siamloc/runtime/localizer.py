@@ -161,12 +161,6 @@ class Localizer:
             raise FormatError(
                 f"{bundle_path} says that poses are refined by comparison, but holds no network for it: export again"
             )
-        method = "none" if self._refinement is None else self._refinement.method
-        if self._errors is not None and self._errors.refine != method:
-            raise FormatError(
-                f"{bundle_path} has an error model for poses with refine={self._errors.refine}, but makes them with "
-                f"refine={method}: export again"
-            )
         looked_at = [one.neighbours for one in (self._errors, self._refinement) if one is not None]
         self._wanted = max(self._top, *looked_at, 1)
         for one in {id(one): one for one in (self.map, self._placed) if one is not None}.values():
