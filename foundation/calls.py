@@ -19,7 +19,7 @@ import inspect
 import re
 import types
 from collections.abc import Callable, Mapping, Sequence
-from functools import partial, wraps
+from functools import cache, partial, wraps
 from textwrap import dedent, indent
 from typing import (
     Annotated,
@@ -89,7 +89,7 @@ def _taking(function: Callable[..., Result], kind: type[Settings]) -> Callable[.
     # Keywords that are fields become `settings`; the rest are the function's own.
     parameters = [one for one in own.parameters.values() if one.name != "settings" and one.kind is not one.VAR_KEYWORD]
     fields = {field.name: field for field in dataclasses.fields(kind)}  # type: ignore[arg-type]
-    kinds: list[dict[str, Any]] = []
+    check = _check_of(function)
     own_names = {one.name for one in parameters}
     named = [*(one.name for one in parameters if one.kind is one.KEYWORD_ONLY), *fields]
     called = function.__qualname__.removesuffix(".__init__").rpartition(".")[2]
@@ -102,9 +102,7 @@ def _taking(function: Callable[..., Result], kind: type[Settings]) -> Callable[.
                 raise ConfigError(f"{called} has no setting {name!r}: {hint(name, named)}")
         if settings is not None and given:
             raise ConfigError(f"{called} takes settings=... or {', '.join(given)}, not both")
-        if not kinds:
-            kinds.append(kinds_of(function))
-        check_arguments(own, kinds[0], arguments, keywords)
+        check(arguments, keywords)
         chosen = kind.of(given) if settings is None else checked(settings, kind, "settings")
         return function(*arguments, settings=chosen, **keywords)
 
@@ -127,34 +125,31 @@ def typed(function: Callable[Arguments, Result]) -> Callable[Arguments, Result]:
     Raises:
         ConfigError: from the call, naming the argument, what it should be, and what it is.
     """
-    signature = inspect.signature(function)
-    kinds: list[dict[str, Any]] = []
+    check = _check_of(function)
 
     @wraps(function)
     def call(*arguments: Arguments.args, **keywords: Arguments.kwargs) -> Result:
-        if not kinds:
-            kinds.append(kinds_of(function))
-        check_arguments(signature, kinds[0], arguments, keywords)
+        check(arguments, keywords)
         return function(*arguments, **keywords)
 
     return call
 
 
-def check_arguments(
-    signature: inspect.Signature, kinds: Mapping[str, Any], arguments: Sequence[Any], keywords: Mapping[str, Any]
-) -> None:
-    """Check the arguments of a call; missing or unknown ones are left to Python.
+def _check_of(function: Callable[..., Any]) -> Callable[[Sequence[Any], Mapping[str, Any]], None]:
+    """Return what checks the arguments of a function's calls; missing or unknown ones are left to Python."""
+    signature = inspect.signature(function)
+    kinds = cache(partial(kinds_of, function))
 
-    Raises:
-        ConfigError: an argument of another type or out of range.
-    """
-    try:
-        given = signature.bind_partial(*arguments, **keywords).arguments
-    except TypeError:
-        return
-    for name, value in given.items():
-        if name in kinds and value is not signature.parameters[name].default:
-            checked(value, kinds[name], name)
+    def check(arguments: Sequence[Any], keywords: Mapping[str, Any]) -> None:
+        try:
+            given = signature.bind_partial(*arguments, **keywords).arguments
+        except TypeError:
+            return
+        for name, value in given.items():
+            if name in kinds() and value is not signature.parameters[name].default:
+                checked(value, kinds()[name], name)
+
+    return check
 
 
 def kinds_of(function: Callable[..., Any]) -> dict[str, Any]:

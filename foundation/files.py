@@ -18,7 +18,7 @@ import shutil
 import stat
 import threading
 import zlib
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from itertools import count
 from pathlib import Path
@@ -299,15 +299,15 @@ def check_version(found: Any, present: int, what: str, again: str) -> None:
 
 
 def plain(value: Any) -> Any:
-    """Convert a value to dictionaries, lists, text, numbers, booleans and None only."""
-    if isinstance(value, dict):
+    """Convert a value to dictionaries, lists, text, numbers, booleans and None only; settings become their fields."""
+    if hasattr(value, "plain"):
+        return value.plain()
+    if isinstance(value, Mapping):
         return {str(key): plain(item) for key, item in value.items()}
     if isinstance(value, (list, tuple, set, frozenset)):
         return [plain(item) for item in value]
-    if isinstance(value, np.ndarray):
+    if isinstance(value, np.ndarray | np.generic):
         return plain(value.tolist())
-    if isinstance(value, np.generic):
-        return plain(value.item())
     if isinstance(value, float) and not np.isfinite(value):
         return None
     if isinstance(value, Path):

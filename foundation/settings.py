@@ -29,6 +29,7 @@ from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
 
 from foundation.errors import ConfigError, hint
+from foundation.files import plain
 
 Result = TypeVar("Result")
 Kind = TypeVar("Kind", bound="Settings")
@@ -116,7 +117,7 @@ class Settings:
 
     def plain(self) -> dict[str, Any]:
         """Return the settings as plain values, which `of` can read."""
-        return {name: _plain(getattr(self, name)) for name in fields_of(type(self))}
+        return {name: plain(getattr(self, name)) for name in fields_of(type(self))}
 
     @classmethod
     def _key(cls, name: str) -> str:
@@ -137,7 +138,7 @@ def _hints(kind: Any) -> dict[str, Any]:
 def defaults_of(kind: type[Settings]) -> dict[str, Any]:
     """Return the defaults of a settings class as plain values; fields without one are left out."""
     values = {field.name: default_of(field) for field in dataclasses.fields(kind)}  # type: ignore[arg-type]
-    return {name: _plain(value) for name, value in values.items() if value is not dataclasses.MISSING}
+    return {name: plain(value) for name, value in values.items() if value is not dataclasses.MISSING}
 
 
 def checked(value: Any, kind: Any, key: str, error: type[Exception] = ConfigError) -> Any:
@@ -355,13 +356,3 @@ def default_of(field: dataclasses.Field[Any]) -> Any:
     if field.default_factory is not dataclasses.MISSING:
         return field.default_factory()
     return field.default
-
-
-def _plain(value: Any) -> Any:
-    if isinstance(value, Settings):
-        return value.plain()
-    if isinstance(value, Mapping):
-        return {str(key): _plain(item) for key, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [_plain(item) for item in value]
-    return str(value) if isinstance(value, Path) else value
