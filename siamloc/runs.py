@@ -301,6 +301,14 @@ def newest_run(folder: Path = DEFAULT_FOLDER, *, trained: bool = True) -> Run:
     return Run(max(found, key=lambda one: one[0].stat().st_mtime_ns)[1])
 
 
+def suggested_run(otherwise: str) -> str:
+    """Suggest the newest run, for the end of an error message; if there is none, return the other suggestion."""
+    try:
+        return f"give run=FOLDER, such as run={newest_run().folder}, the newest one"
+    except ConfigError:
+        return otherwise
+
+
 @typed
 def runs_in(folder: str | Path) -> list[Run]:
     """Return the runs of a sweep: those directly inside a folder; none if the folder is a run itself.

@@ -22,7 +22,8 @@ from siamloc.evaluation.localize import Localization
 from siamloc.jobs.choices import OF_A_RUN, DescriptorChoice
 from siamloc.jobs.job import Say, quiet
 from siamloc.jobs.options import choices, option
-from siamloc.jobs.run_job import RunJob, files_in, map_file, map_known
+from siamloc.jobs.run_job import RunJob, files_in
+from siamloc.jobs.stored import map_file, map_known
 from siamloc.jobs.sweep import of_layer, of_results, own_folder, sweep_suffix, swept, with_swept
 from siamloc.jobs.tasks import BuildingsTask, RobustnessTask, Task
 from siamloc.maps import Built, VisualMap

@@ -9,7 +9,8 @@ from typing import Any, ClassVar, Literal
 from foundation.files import read_json
 from siamloc.jobs.choices import Folder
 from siamloc.jobs.job import Say, quiet
-from siamloc.jobs.run_job import RunJob, files_in, map_file
+from siamloc.jobs.run_job import RunJob, files_in
+from siamloc.jobs.stored import map_file
 from siamloc.jobs.tasks import Task
 from siamloc.maps import Built, ErrorModel, LayerSearch, Refinement, VisualMap
 

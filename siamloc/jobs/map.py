@@ -8,7 +8,8 @@ from siamloc import maps
 from siamloc.jobs.choices import OF_A_RUN
 from siamloc.jobs.job import Say, quiet
 from siamloc.jobs.options import choices, option
-from siamloc.jobs.run_job import RunJob, files_in, map_of_job
+from siamloc.jobs.run_job import RunJob, files_in
+from siamloc.jobs.stored import map_places
 from siamloc.jobs.sweep import of_layer, own_folder, swept
 from siamloc.maps import VisualMap
 
@@ -45,7 +46,7 @@ class MapFrames(RunJob):
         images, roles = self.open_roles("map")
         made = {"role": self.protocol.map.plain()}
         known = maps.build(described, images, roles["map"], heading=heading, distance=self.distance, made=made)
-        target = map_of_job(run, self.titles)
+        target = map_places(run, self.titles)[0]
         known.save(target)
         run.record_written([target])
         say(f"map: {target}, {len(known)} frames, descriptors of {known.width} numbers")

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 from foundation.settings import Count, Pace, Port, Rule, Text
 from siamloc.errors import ConfigError, DataError
 from siamloc.jobs.job import Job, Say, quiet
-from siamloc.runs import Run, newest_run
+from siamloc.runs import Run, suggested_run
 
 if TYPE_CHECKING:
     from siamloc.runtime import Localizer
@@ -52,7 +52,7 @@ class Robot(Job):
             ConfigError: neither a bundle nor a run is given, or no images.
         """
         if self.bundle is None and self.folder is None:
-            raise ConfigError(f"no bundle and no run given: give bundle=FOLDER, or {_suggestion()}")
+            raise ConfigError(f"no bundle and no run given: give bundle=FOLDER, or {suggested_run('give run=FOLDER')}")
         from siamloc.runtime import Localizer
         from siamloc.runtime.stream import named
 
@@ -199,10 +199,3 @@ class Watch(Robot):
 def _note(line: str) -> None:
     """Print a line for people where the output is for other programs."""
     print(line, file=sys.stderr)
-
-
-def _suggestion() -> str:
-    try:
-        return f"run=FOLDER, such as run={newest_run().folder}, the newest one"
-    except ConfigError:
-        return "run=FOLDER"

@@ -12,7 +12,8 @@ from siamloc.data.places import PlaceSettings
 from siamloc.errors import ConfigError
 from siamloc.jobs.choices import Augment, Folder, Loader, Loss, Model, TrainerKeys
 from siamloc.jobs.job import Given, Job, Say, quiet
-from siamloc.jobs.run_job import DataJob, of_job, with_settings_of_the_run
+from siamloc.jobs.run_job import DataJob, of_job
+from siamloc.jobs.stored import with_settings_of_the_run
 from siamloc.jobs.sweep import sweep_suffix
 from siamloc.models.registry import LOSSES, Optimizer
 from siamloc.pretraining.settings import RECIPE, ViewSettings

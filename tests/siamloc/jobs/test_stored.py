@@ -1,0 +1,40 @@
+"""Settings that a job takes from the map in its run."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from analytic import descriptor
+from siamloc.data import FrameTable
+from siamloc.jobs import Evaluate
+from siamloc.maps import VisualMap
+
+
+@pytest.fixture
+def run(tmp_path):
+    """A folder whose only content is a map of two frames by thumbnails."""
+    thumbnail = descriptor("thumbnail", rows=4)
+    described = thumbnail.describe(np.random.default_rng(0).integers(0, 256, (2, 3, 16, 64), dtype=np.uint8))
+    data = {"kind": "manifest", "manifest": "robot.csv", "image_size": [16, 64]}
+    frames = FrameTable(path=["a.png", "b.png"], x=[0.0, 1.0], y=[0.0, 0.0], theta=[0.0, 0.0])
+    known = VisualMap(described.position, frames, thumbnail.identity, made={"data": data, "role": {"every": 3}})
+    known.save(tmp_path / "evaluation/thumbnail/map.npz")
+    return str(tmp_path)
+
+
+def test_the_only_map_of_a_folder_is_read_once_and_its_settings_are_taken(run, monkeypatch):
+    read = []
+    load = VisualMap.load
+    monkeypatch.setattr(VisualMap, "load", lambda path, *given: read.append(path) or load(path, *given))
+    job = Evaluate.of({"run": run})
+    assert len(read) == 1
+    assert (job.descriptor.name, job.descriptor.parameters["rows"]) == ("thumbnail", 4)
+    assert (job.data.manifest, job.protocol.map.every) == (Path("robot.csv"), 3)
+
+
+def test_data_of_another_kind_replace_those_of_the_map(run):
+    job = Evaluate.of({"run": run, "data": {"kind": "folder", "root": "photos"}})
+    assert (job.data.kind, job.data.root, job.data.manifest) == ("folder", Path("photos"), None)
+    same = Evaluate.of({"run": run, "data": {"kind": "manifest", "circular": False}})
+    assert (same.data.manifest, same.data.circular) == (Path("robot.csv"), False)
