@@ -1,17 +1,11 @@
-"""`Effect`: parameters are drawn first and applied second, so that a draw can be saved and repeated.
-
-`Range` defines what a parameter is drawn from; `Program` holds what a batch needs to be rendered.
-"""
+"""`Effect`: parameters are drawn first and applied second, so that a draw can be saved and repeated."""
 
 from __future__ import annotations
 
-import math
 from abc import ABC, abstractmethod
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, nullcontext
-from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache, partial
-from numbers import Real
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
@@ -21,13 +15,13 @@ from torch import Tensor
 
 from augment.brushes import Brush, Frame, paint
 from augment.errors import AugmentError, hint
+from augment.ranges import Range, spread
 from foundation.settings import checked, shortened
 
 Params = dict[str, Tensor]
 Numbers = dict[str, NDArray[np.float64]]
 """Numbers by name, (B,) or (k, B): one for each of B frames, or k of them."""
 
-_FARTHEST = 1e7  # larger than any column, row or angle that makes sense
 _ROUNDING = torch.tensor([-1e-5, 1e-5])  # relative, of values that were drawn in float32 from the logarithm
 
 
@@ -36,63 +30,6 @@ def on_host() -> Iterator[None]:
     """Make tensors in main memory, whatever torch's default device is."""
     with nullcontext() if torch.get_default_device().type == "cpu" else torch.device("cpu"):
         yield
-
-
-@dataclass(frozen=True)
-class Range:
-    """What a parameter is drawn from, uniformly.
-
-    Attributes:
-        low: smallest value.
-        high: largest value.
-        minimum: smallest `low` that is allowed.
-        maximum: largest `high` that is allowed.
-        neutral: the value at which the effect does nothing, for the parameters that set its strength.
-        log: whether values are drawn uniformly in the logarithm.
-        whole: whether values are drawn from the whole numbers low ... high.
-    """
-
-    low: float
-    high: float
-    minimum: float = -math.inf
-    maximum: float = math.inf
-    neutral: float | None = None
-    log: bool = False
-    whole: bool = False
-
-    def narrowed(self, value: Any, what: str) -> Range:
-        """Return this range with another low and high, from one number or a pair (low, high).
-
-        Args:
-            value: what the user gave.
-            what: name of the parameter in the error.
-
-        Raises:
-            AugmentError: neither a number nor a pair, out of order, or beyond minimum and maximum.
-        """
-        pair = value if isinstance(value, Sequence) and not isinstance(value, str) else (value, value)
-        fits = len(pair) == 2 and all(
-            isinstance(end, Real) and not isinstance(end, bool) and math.isfinite(end) for end in pair
-        )
-        if not fits or (self.whole and any(end % 1 for end in pair)):
-            kind = "whole number" if self.whole else "number"
-            raise AugmentError(f"{what} must be a {kind} or a pair of them (low, high), got {value!r}")
-        if not self.minimum <= pair[0] <= pair[1] <= self.maximum:
-            raise AugmentError(
-                f"{what} must lie in [{self.minimum:g}, {self.maximum:g}], the lower number first, got {value!r}"
-            )
-        return replace(self, low=float(pair[0]), high=float(pair[1]))
-
-    def at(self, strength: float) -> float:
-        """Return the value for a strength in [-1, 1]: 0 is neutral, 1 the far end, -1 the end on the other side."""
-        if self.neutral is None:
-            middle = math.sqrt(self.low * self.high) if self.log else (self.low + self.high) / 2
-            return math.floor(middle) if self.whole else middle
-        end = self.high if self.neutral <= self.low or (strength >= 0 and self.high > self.neutral) else self.low
-        if self.log:
-            return self.neutral * (end / self.neutral) ** abs(strength)
-        value = self.neutral + abs(strength) * (end - self.neutral)
-        return math.floor(value + 0.5) if self.whole else value
 
 
 class Program(NamedTuple):
@@ -126,7 +63,8 @@ class Effect(ABC):
     Attributes:
         name: the name used in configurations.
         ranges: what its parameters are drawn from.
-        options: its other settings; `circular=False` means that the columns do not wrap around.
+        options: its other settings.
+        circular: whether the columns wrap around.
         effects: the single effects in their order.
         stages: for each step of `program`, the numbers of its parts.
 
@@ -159,7 +97,7 @@ class Effect(ABC):
             for key, base in self.RANGES.items()
         }
         self.options: dict[str, Any] = {key: params.get(key, value) for key, value in options.items()}
-        checked(self.options["circular"], bool, f"circular of {self.name}", AugmentError)
+        self.circular = checked(self.options["circular"], bool, f"circular of {self.name}", AugmentError)
         self.effects: tuple[Effect, ...] = (self,)
         self.stages = [[0]]
         self._spans: dict[tuple[int, int], dict[str, Range]] = {}
@@ -172,11 +110,6 @@ class Effect(ABC):
     def __call__(self, batch: Tensor, generator: torch.Generator) -> Tensor:
         """Draw and apply."""
         return self.apply(batch, self.draw(generator, batch))
-
-    @property
-    def circular(self) -> bool:
-        """Whether columns wrap around."""
-        return bool(self.options["circular"])
 
     def draw(self, generator: torch.Generator, batch: Tensor) -> Params:
         """Return parameters for every frame of a batch; they depend only on the generator and the batch's shape.
@@ -387,7 +320,7 @@ class Effect(ABC):
             fits = ((together >= low) & (together <= high)).all(1)  # NaN fits nowhere
             if not fits.all():
                 key = list(values)[fits.tolist().index(False)]
-                ends, got = "{:.7g}, {:.7g}".format(*_ends(valid[key])), values[key].tolist()
+                ends, got = "{:.7g}, {:.7g}".format(*valid[key].ends), values[key].tolist()
                 raise AugmentError(f"parameter {key!r} of {self.name} must lie in [{ends}], got {got}")
         return values
 
@@ -399,7 +332,7 @@ class Effect(ABC):
         """Return the parameters, and their smallest and largest values (P, 1) with what rounding may add."""
         if (height, width) not in self._limits:
             valid = self.limits(height, width)
-            ends = torch.tensor([_ends(span) for span in valid.values()]).view(-1, 2)
+            ends = torch.tensor([span.ends for span in valid.values()]).view(-1, 2)
             self._limits[height, width] = (valid, *(ends + ends.abs() * _ROUNDING).split(1, dim=1))
         return self._limits[height, width]
 
@@ -423,41 +356,6 @@ def seeded(*words: int) -> torch.Generator:
     """Return a generator that depends only on some whole numbers, such as a seed and the number of a frame."""
     state = np.random.SeedSequence(words).generate_state(1, np.uint64)
     return torch.Generator("cpu").manual_seed(int(state[0] >> np.uint64(1)))
-
-
-def spread(uniform: Tensor, ranges: Mapping[str, Range]) -> dict[str, Tensor]:
-    """Turn uniform numbers in [0, 1) into values drawn from ranges.
-
-    Args:
-        uniform: (B, number of ranges), float32.
-        ranges: by name.
-
-    Returns:
-        By name (B,): float32, or int64 for ranges of whole numbers.
-    """
-    if not ranges:
-        return {}
-    low, step, log, whole, has_log = _tables(tuple(ranges.values()))
-    values = low + uniform * step
-    if has_log:
-        values = torch.where(log, values.exp(), values)
-    # float32 may round low + u * step up to the excluded end, one above the largest whole number
-    counts = torch.minimum(values.floor(), low + step - 1).long().unbind(1)
-    columns = values.unbind(1)
-    return {name: counts[i] if whole[i] else columns[i] for i, name in enumerate(ranges)}
-
-
-@lru_cache(maxsize=256)
-def _tables(ranges: tuple[Range, ...]) -> tuple[Tensor, Tensor, Tensor, tuple[bool, ...], bool]:
-    low = torch.tensor([math.log(r.low) if r.log else float(r.low) for r in ranges])
-    high = torch.tensor([math.log(r.high) if r.log else float(r.high) + r.whole for r in ranges])
-    log = torch.tensor([r.log for r in ranges])
-    return low, high - low, log, tuple(r.whole for r in ranges), bool(log.any())
-
-
-def _ends(span: Range) -> tuple[float, float]:
-    """Return the smallest and the largest value of a parameter that `apply` accepts."""
-    return max(span.minimum, -_FARTHEST), min(span.maximum, _FARTHEST)
 
 
 def check_shape(batch: Tensor) -> None:

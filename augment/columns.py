@@ -12,8 +12,9 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from augment.base import Effect, Numbers, Params, Range, as_numbers, places_in
+from augment.base import Effect, Numbers, Params, as_numbers, places_in
 from augment.brushes import Brush, Frame
+from augment.ranges import Range
 
 _MOST = 4  # bars
 _PLACES = tuple(f"place{number}" for number in range(_MOST))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from difflib import SequenceMatcher
@@ -13,9 +14,10 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from augment.base import Effect, Params, Range
+from augment.base import Effect, Params
 from augment.columns import wrapped
 from augment.errors import AugmentError, hint
+from augment.ranges import Range
 from augment.registry import effect
 from foundation.settings import NotNegative, Share, checked
 
@@ -81,14 +83,14 @@ class Policy(Effect):
     def __init__(self, tree: Mapping[str, Any], name: str = "policy", circular: bool = True) -> None:
         super().__init__(circular=circular)
         self.name = name  # type: ignore[misc]
-        slots = iter(range(1 << 20))
-        self.tree = _step(tree, circular, slots, name)
+        self.tree = _step(tree, circular, itertools.count(), name)
         self.config: dict[str, Any] = {"name": name, "circular": circular, **tree}
-        self.slots: tuple[Step, ...] = tuple(step for step in _walk(self.tree) if step.effect is not None)
-        self._inner = [step for step in _walk(self.tree) if step.probability < 1]
-        self._choices = [step for step in _walk(self.tree) if step.kind == "one_of"]
-        self._prefixed = [(step.name, step.effect) for step in self.slots if step.effect is not None]
-        self.effects = tuple(inner for _, inner in self._prefixed)
+        steps = list(_walk(self.tree))
+        self.slots: tuple[Step, ...] = tuple(step for step in steps if step.effect is not None)
+        self._gates = [f"gate{number}" for number in range(sum(step.probability < 1 for step in steps))]
+        self._choices = [f"choice{number}" for number in range(sum(step.kind == "one_of" for step in steps))]
+        self._prefixed = {step.name: step.effect for step in self.slots if step.effect is not None}
+        self.effects = tuple(self._prefixed.values())
         renderers = [inner.renderer for inner in self.effects]
         self.stages = _stages(self.tree, [(type(one), repr(one.options)) for one in renderers])
 
@@ -97,16 +99,15 @@ class Policy(Effect):
 
     def places(self, height: int, width: int) -> dict[str, Range]:
         """The parameters of all slots, and one number for each decision."""
-        spans = {f"gate{number}": _UNIT for number in range(len(self._inner))}
-        spans.update({f"choice{number}": _UNIT for number in range(len(self._choices))})
-        for prefix, inner in self._prefixed:
+        spans = dict.fromkeys([*self._gates, *self._choices], _UNIT)
+        for prefix, inner in self._prefixed.items():
             spans.update({f"{prefix}.{key}": span for key, span in inner.spans(height, width).items()})
         return spans
 
     def limits(self, height: int, width: int) -> dict[str, Range]:
         """The parameters once the decisions are made."""
         spans = {}
-        for prefix, inner in self._prefixed:
+        for prefix, inner in self._prefixed.items():
             spans[f"{prefix}.on"] = _TAKEN
             spans.update({f"{prefix}.{key}": span for key, span in inner.limits(height, width).items()})
         return {**spans, "heading": Range(0, 0)}
@@ -116,7 +117,7 @@ class Policy(Effect):
         taken = self._decide(params, count)
         done: Params = {}
         heading = torch.zeros(count)
-        for slot, (prefix, inner) in enumerate(self._prefixed):
+        for slot, (prefix, inner) in enumerate(self._prefixed.items()):
             own = {key: params[f"{prefix}.{key}"] for key in inner.spans(height, width)}
             own = inner.complete(own, count, height, width)
             done[f"{prefix}.on"] = taken[slot]
@@ -127,7 +128,7 @@ class Policy(Effect):
 
     def parts(self, params: Mapping[str, Tensor]) -> list[tuple[Effect, Params, NDArray[np.bool_]]]:
         """Return effect, parameters and changed frames of each slot. See `Effect.parts`."""
-        owns: dict[str, Params] = {prefix: {} for prefix, _ in self._prefixed}
+        owns: dict[str, Params] = {prefix: {} for prefix in self._prefixed}
         for key, value in params.items():
             prefix, _, name = key.rpartition(".")
             if prefix:
@@ -144,8 +145,8 @@ class Policy(Effect):
 
     def _decide(self, params: Params, count: int) -> list[Tensor]:
         """Return for each slot which frames got it (B,)."""
-        gates = iter([params[f"gate{number}"] for number in range(len(self._inner))])
-        choices = iter([params[f"choice{number}"].contiguous() for number in range(len(self._choices))])
+        gates = iter([params[name] for name in self._gates])
+        choices = iter([params[name].contiguous() for name in self._choices])
         taken: list[Tensor] = []
 
         def visit(step: Step, here: Tensor) -> None:  # in the order of `_walk`

@@ -22,7 +22,7 @@ from torch import Tensor
 
 from augment.combinations import Variant, variants
 from augment.errors import AugmentError
-from foundation.files import is_temporary, read_json, write_json, write_picture, write_text
+from foundation.files import csv_text, is_temporary, read_json, write_json, write_picture, write_text
 from foundation.locks import LOCK
 from foundation.threads import in_order
 
@@ -244,8 +244,4 @@ def _name(path: Path, folder: Path) -> str:
 
 
 def _write_table(path: Path, rows: Iterable[Row]) -> None:
-    text = StringIO()
-    writer = csv.DictWriter(text, COLUMNS, lineterminator="\n")
-    writer.writeheader()
-    writer.writerows(rows)
-    write_text(path, text.getvalue())
+    write_text(path, csv_text([COLUMNS, *([row[column] for column in COLUMNS] for row in rows)]))

@@ -18,8 +18,9 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from augment.base import Effect, Numbers, Params, Range, by_frame, places_in
+from augment.base import Effect, Numbers, Params, by_frame, places_in
 from augment.brushes import Brush, Frame
+from augment.ranges import Range
 
 _SUN = (1.0, 0.93, 0.78)  # colour of sunlight: red, green, blue
 _PENUMBRA = 0.12  # width of a sun patch's soft edge, in half sizes of the patch

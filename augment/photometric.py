@@ -13,8 +13,9 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from augment.base import Effect, Numbers, Params, Range
+from augment.base import Effect, Numbers, Params
 from augment.brushes import Brush, Frame, flat
+from augment.ranges import Range
 
 
 class PointEffect(Effect):

@@ -17,9 +17,10 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from augment.base import Effect, Numbers, Params, Range
+from augment.base import Effect, Numbers, Params
 from augment.brushes import Brush, Frame
 from augment.layers import Layer, start_of
+from augment.ranges import Range
 
 Floats = NDArray[np.float32]
 

@@ -13,9 +13,10 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from augment.base import Effect, Numbers, Range
+from augment.base import Effect, Numbers
 from augment.brushes import Frame, flat
 from augment.columns import Rotate
+from augment.ranges import Range
 
 _TABLE = 1 << 21
 # Tables K.1 and K.2 of the standard: steps of the coefficients of brightness and of colour at quality 50.

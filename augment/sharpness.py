@@ -12,9 +12,10 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from augment.base import Effect, Numbers, Range, places_in
+from augment.base import Effect, Numbers, places_in
 from augment.brushes import Frame
 from augment.errors import AugmentError
+from augment.ranges import Range
 
 _WHOLE = 1 << 20  # steps from black to white
 

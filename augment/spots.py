@@ -11,9 +11,10 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from augment.base import Effect, Numbers, Range
+from augment.base import Effect, Numbers
 from augment.errors import AugmentError, hint
 from augment.layers import Layer, start_of
+from augment.ranges import Range
 
 TONES = ("light", "dark", "any")
 

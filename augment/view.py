@@ -10,7 +10,8 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from augment.base import Effect, Range
+from augment.base import Effect
+from augment.ranges import Range
 
 
 class View(Effect):

@@ -4,7 +4,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import augment
-from augment.base import Range, spread
+from augment.ranges import Range, spread
 
 
 @given(st.floats(-100, 100, width=32), st.floats(0, 100, width=32), st.integers(0, 999))

@@ -8,9 +8,10 @@ import pytest
 import torch
 
 import augment
-from augment.base import Effect, Range
+from augment.base import Effect
 from augment.layers import Layer
 from augment.photometric import PointEffect, Tone
+from augment.ranges import Range
 from augment.spots import Square
 from tests.augment.pictures import generator, panoramas
 
