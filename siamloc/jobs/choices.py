@@ -49,16 +49,11 @@ class Choice(Settings):
         given = dict(values)
         name = checked(given.pop("name", None), Text, f"{cls.WHERE}.name")
         label = checked(given.pop("label", None), Text | None, f"{cls.WHERE}.label") if cls.LABELLED else None
-        checks = cls.checks()
+        checks = _checks(cls.WHERE)
         if name not in checks:
             raise ConfigError(f"unknown {cls.WHERE} {name!r}: {hint(name, checks)}")
         checks[name](given)
         return cls(name, given, label)
-
-    @classmethod
-    def checks(cls) -> Mapping[str, Check]:
-        """Return the options by name, each with a function that refuses parameters that it does not have."""
-        raise NotImplementedError
 
     @property
     def title(self) -> str:
@@ -75,24 +70,12 @@ class Loss(Choice):
 
     WHERE = "loss"
 
-    @classmethod
-    def checks(cls) -> Mapping[str, Check]:
-        """Return the losses."""
-        return {"contrastive": Contrastive.of, **{name: kind.of for name, (kind, _) in LOSSES.items()}}
-
 
 class Build(Choice):
     """How the frames of a map are grouped into nodes."""
 
     WHERE = "build"
     LABELLED = True
-
-    @classmethod
-    def checks(cls) -> Mapping[str, Check]:
-        """Return the ways of grouping."""
-        from siamloc.maps.grouping import WAYS
-
-        return {"none": _only(cls.WHERE), **{name: way.of for name, way in WAYS.items()}}
 
 
 class DescriptorChoice(Choice):
@@ -101,22 +84,23 @@ class DescriptorChoice(Choice):
     WHERE = "descriptor"
     LABELLED = True
 
-    @classmethod
-    def checks(cls) -> Mapping[str, Check]:
-        """Return the descriptors."""
-        networks = dict.fromkeys(("untrained", "pretrained"), _only(cls.WHERE))
-        return {"network": _only(cls.WHERE, "run"), **networks, **_analytic(cls.WHERE)}
-
 
 class Heading(Choice):
     """The descriptor that estimates headings for a network that cannot."""
 
     WHERE = "heading"
 
-    @classmethod
-    def checks(cls) -> Mapping[str, Check]:
-        """Return the descriptors."""
-        return {"none": _only(cls.WHERE), **_analytic(cls.WHERE)}
+
+def _checks(where: str) -> Mapping[str, Check]:
+    """Return the options of a group by name, each with a function that refuses parameters that it does not have."""
+    if where == "loss":
+        return {"contrastive": Contrastive.of, **{name: kind.of for name, (kind, _) in LOSSES.items()}}
+    if where == "build":
+        from siamloc.maps.grouping import WAYS
+
+        return {"none": _only(where), **{name: way.of for name, way in WAYS.items()}}
+    networks = {"network": _only(where, "run"), **dict.fromkeys(("untrained", "pretrained"), _only(where))}
+    return {**(networks if where == "descriptor" else {"none": _only(where)}), **_analytic(where)}
 
 
 def _only(where: str, *texts: str) -> Check:

@@ -18,6 +18,7 @@ Kind = TypeVar("Kind", bound=Settings)
 _COMPARED = ("thumbnail", "untrained")
 
 
+@dataclass(frozen=True, kw_only=True)
 class Task(Settings):
     """Base of the tasks.
 
@@ -28,7 +29,7 @@ class Task(Settings):
 
     WHERE = "task"
     names: tuple[Any, ...]
-    plots: bool
+    plots: bool = True
 
     @classmethod
     def of(cls: type[Kind], values: Mapping[str, Any]) -> Kind:
@@ -54,11 +55,9 @@ class LocalizationTask(Localization, Task):
 
     Attributes:
         baselines: descriptors by name, to measure on the same frames.
-        plots: also draw pictures.
     """
 
     baselines: tuple[str, ...] = _COMPARED
-    plots: bool = True
 
 
 @dataclass(frozen=True)
@@ -88,27 +87,17 @@ class CoarseTask(CoarseRanking):
 
 @dataclass(frozen=True)
 class HierarchicalTask(Hierarchical, Task):
-    """Two layers: the nodes of build=... first, then the map frames inside the nearest ones.
-
-    Attributes:
-        plots: also draw pictures.
-    """
+    """Two layers: the nodes of build=... first, then the map frames inside the nearest ones."""
 
     names: tuple[str, ...] = ("hierarchical",)
     coarse: CoarseTask = field(default_factory=CoarseTask)
-    plots: bool = True
 
 
 @dataclass(frozen=True)
 class MappingTask(MapMeasures, Task):
-    """The quality of a coarse layer: silhouettes, rooms, loop closures, time and bytes.
-
-    Attributes:
-        plots: also draw pictures.
-    """
+    """The quality of a coarse layer: silhouettes, rooms, loop closures, time and bytes."""
 
     names: tuple[str, ...] = ("mapping",)
-    plots: bool = True
 
 
 @dataclass(frozen=True)
@@ -117,12 +106,10 @@ class CompactTask(Compact, Task):
 
     Attributes:
         clusters: descriptor for grouping frames, by name; None for the one that locates.
-        plots: also draw pictures.
     """
 
     names: tuple[str, ...] = ("compact",)
     clusters: str | None = None
-    plots: bool = True
 
 
 @dataclass(frozen=True)
@@ -132,15 +119,11 @@ class RobustnessTask(Task):
     Attributes:
         robustness: how the images are disturbed.
         baselines: descriptors by name, to measure on the same frames.
-        plots: also draw pictures.
     """
-
-    WHERE = "task"
 
     names: tuple[str, ...] = ("robustness",)
     robustness: Robustness = field(default_factory=Robustness)
     baselines: tuple[str, ...] = _COMPARED
-    plots: bool = True
 
 
 @dataclass(frozen=True)
@@ -149,14 +132,10 @@ class BuildingsTask(Task):
 
     Attributes:
         maps: run folders with a map of one building each, or map files; if None, protocol.map split by building.
-        plots: also draw pictures.
     """
-
-    WHERE = "task"
 
     names: tuple[str, ...] = ("buildings",)
     maps: tuple[Text, ...] | Text | None = None
-    plots: bool = True
 
 
 TASKS: dict[str, type[Task]] = {

@@ -73,11 +73,6 @@ def test_bars_stand_everywhere_and_differ_between_frames():
     assert len({tuple(row.tolist()) for row in hidden}) == 40
 
 
-def test_level_is_the_grey_of_the_bars():
-    out = augment.effect("occlude", share=0.5, level=90)(WHITE, generator())
-    assert set(out.unique().tolist()) == {90, 255}
-
-
 def test_bars_do_not_wrap_where_columns_do_not():
     hidden = augment.effect("occlude", share=0.4, bars=1, circular=False)(WHITE, generator())[:, 0, 0] == 0
     assert not (hidden[:, 0] & hidden[:, -1]).any()

@@ -184,19 +184,6 @@ def test_wrong_batches(name, batch, message):
         build(name)(batch, generator())
 
 
-@pytest.mark.parametrize(
-    ("params", "message"),
-    [
-        ({}, "the parameters of brighten lack 'amount'"),
-        ({"amount": [1, 2, 3]}, r"'amount' of brighten must be whole numbers \(2,\), one"),
-        ({"amuont": [1, 2]}, "brighten has no parameter 'amuont': did you mean 'amount'"),
-    ],
-)
-def test_wrong_parameters_of_apply(params, message):
-    with pytest.raises(augment.AugmentError, match=message):
-        augment.effect("brighten").apply(panoramas(2), params)
-
-
 def test_unknown_names():
     with pytest.raises(augment.AugmentError, match="unknown effect 'bulp': did you mean 'bulb'"):
         augment.effect("bulp")
@@ -253,6 +240,7 @@ def test_values_that_no_parameter_takes(name, value):
         ("brighten", "amount", 2.5, "'amount' of brighten must be whole numbers .*, got .2.5"),
         ("jpeg", "quality", 500, r"'quality' of jpeg must lie in \[1, 100\], got \[500"),
         ("policy thesis", "0.bulb.radius", 0, r"'0.bulb.radius' of thesis must lie in \[0.5, "),
+        ("brighten", "amuont", 1, "brighten has no parameter 'amuont': did you mean 'amount'"),
     ],
 )
 def test_values_outside_of_what_makes_sense(name, key, value, message):
@@ -260,6 +248,10 @@ def test_values_outside_of_what_makes_sense(name, key, value, message):
     params = effect.draw(generator(), batch)
     with pytest.raises(augment.AugmentError, match=message):
         effect.apply(batch, {**params, key: [value, value]})
+    with pytest.raises(augment.AugmentError, match=f"the parameters of .* lack '{next(iter(params))}'"):
+        effect.apply(batch, {})
+    with pytest.raises(augment.AugmentError, match=r"numbers \(2,\), one for each frame of the batch, got "):
+        effect.apply(batch, {**params, next(iter(params)): [0, 1, 0]})
 
 
 @pytest.mark.parametrize(

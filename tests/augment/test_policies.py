@@ -14,29 +14,19 @@ CONFIGS = [*PACKAGED, *sorted((Path(__file__).parents[2] / "conf" / "augment").g
 # (policy, rotate, circular): number of parameters, and the sum over them of position times mean
 GOLDEN = {
     ("none", None, True): (1, 0.0),
-    ("none", None, False): (1, 0.0),
-    ("none", 0.0, True): (1, 0.0),
     ("none", 0.3, True): (4, 119.14614074677229),
-    ("none", 1.0, True): (4, 133.82268894650042),
     ("thesis", None, True): (147, 298850.59229654726),
     ("thesis", None, False): (147, 290135.812463182),
     ("thesis", 0.0, True): (147, 298788.69006175455),
     ("thesis", 0.3, True): (147, 298819.8765778551),
     ("thesis", 1.0, True): (147, 300553.3913752581),
     ("lighting", None, True): (118, 114400.62840767554),
-    ("lighting", None, False): (118, 114400.62840767554),
-    ("lighting", 0.0, True): (118, 114400.62840767554),
     ("lighting", 0.3, True): (121, 121945.30536770448),
     ("lighting", 1.0, True): (121, 123128.27685318142),
     ("strong", None, True): (147, 294060999.8093273),
-    ("strong", None, False): (147, 294044653.2184032),
     ("strong", 0.0, True): (147, 295271944.04326344),
     ("strong", 0.3, True): (147, 295271982.73435354),
-    ("strong", 1.0, True): (147, 294060999.8093273),
     ("any_light", None, True): (152, 306264276.74249184),
-    ("any_light", None, False): (152, 306264276.74249184),
-    ("any_light", 0.0, True): (152, 306264276.74249184),
-    ("any_light", 0.3, True): (155, 315444886.506103),
     ("any_light", 1.0, True): (155, 310937907.6734415),
 }
 
@@ -162,18 +152,11 @@ def test_a_policy_may_be_a_step_of_another():
         ("- effect: blur\n", r"my.yaml must contain a mapping with one of all_of, .*, got \[\{'effect': 'blur'\}\]"),
         ("", "my.yaml must contain a mapping with one of all_of, .*, got None"),
         ("name: my.yaml\n", "my.yaml describes no policy: it needs one of all_of, one_of, effect, policy"),
-        ("all_of: blur\n", "my.yaml: all_of in policy my must be a list of steps, got 'blur'"),
         ("all_of: blur\nrotate: 1\n", "my.yaml: all_of in policy my must be a list of steps, got 'blur'"),
-        (
-            "effect: bulb\nradius: [40, 15]\n",
-            "my.yaml: radius of bulb must lie in .*, the lower number first",
-        ),
-        ("effect: bulb\nradios: 3\n", "my.yaml: bulb has no parameter 'radios': did you mean 'radius'"),
         (
             "effect: noise\nvariance: 1e-3\n",
             "my.yaml: variance of noise must be a number or a pair .*, got '1e-3'",
         ),
-        ("one_of: []\n", "my.yaml: one_of in policy my needs at least one step"),
         ("policy: night\n", "my.yaml: unknown policy 'night' in a step: "),
     ],
 )

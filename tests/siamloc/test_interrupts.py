@@ -43,14 +43,6 @@ def test_once_stops_and_cleans_up():
     assert said == ("clean\n", "siamloc: interrupted\n")
 
 
-def test_twice_ends_at_once_and_says_nothing():
-    begin, process = time.monotonic(), started(WAITS, 50)
-    process.send_signal(signal.SIGINT)
-    assert process.communicate(timeout=40) == ("", "")
-    assert process.returncode == -signal.SIGINT
-    assert time.monotonic() - begin < 40
-
-
 IGNORES = """
 import os, signal, sys, threading, time
 import siamloc.cli
@@ -82,6 +74,15 @@ entry()
 """
 
 
+@pytest.mark.parametrize(("code", "words"), [(WAITS, [50]), (IGNORES, ["other", 50])], ids=["once", "swallowed"])
+def test_a_second_interrupt_ends_the_process_at_once(code, words):
+    begin, process = time.monotonic(), started(code, *words)
+    process.send_signal(signal.SIGINT)
+    out, err = process.communicate(timeout=40)
+    assert (process.returncode, out, "siamloc" in err) == (-signal.SIGINT, "", False)
+    assert time.monotonic() - begin < 40
+
+
 @pytest.mark.parametrize(("fails", "said"), [("other", "of another kind"), ("thread", "of another thread")])
 def test_an_interrupt_that_a_destructor_swallows_is_raised_again(fails, said):
     process = started(IGNORES, fails, 0)
@@ -90,14 +91,6 @@ def test_an_interrupt_that_a_destructor_swallows_is_raised_again(fails, said):
     assert said in err, "what else is ignored is told as ever"
     assert "hear_again" not in err
     assert err.endswith("siamloc: interrupted\n")
-
-
-def test_after_a_swallowed_one_the_next_ends_the_process_at_once():
-    begin, process = time.monotonic(), started(IGNORES, "other", 50)
-    process.send_signal(signal.SIGINT)
-    process.communicate(timeout=40)
-    assert process.returncode == -signal.SIGINT
-    assert time.monotonic() - begin < 40
 
 
 def test_an_interrupt_that_another_error_hides_is_one_still(monkeypatch, capsys):

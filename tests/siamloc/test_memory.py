@@ -22,9 +22,3 @@ def test_pages_are_asked_for_once_while_memory_is_kept():
     afterwards = min(faults_of_a_large_array() for _ in range(2))
     assert kept <= usual / 4  # none of the 16,384 pages again, or few where the system uses huge ones
     assert afterwards >= usual / 2
-
-
-def test_memory_is_usual_again_after_an_error():
-    with pytest.raises(ValueError, match="inside"), kept_memory():
-        raise ValueError("inside")
-    assert np.full(2**26, 1, dtype=np.uint8)[-1] == 1

@@ -13,6 +13,8 @@ def test_plain_lines_where_nobody_watches(monkeypatch):
     assert "s left" in first
     assert second.startswith("counting: 2 of 3")
     assert last.startswith("counting: 3 of 3 in ")
+    assert list(track([], 0, "waiting")) == []
+    assert screen.getvalue().splitlines()[-1].startswith("waiting: 0 of 0")
 
 
 def test_a_bar_where_a_person_watches(monkeypatch):
@@ -25,10 +27,3 @@ def test_a_bar_where_a_person_watches(monkeypatch):
     assert list(track(range(5), 5, "counting")) == [0, 1, 2, 3, 4]
     assert "counting" in screen.getvalue()
     assert "5/5" in screen.getvalue()
-
-
-def test_nothing_to_do_is_said_too(monkeypatch):
-    screen = io.StringIO()
-    monkeypatch.setattr(sys, "stderr", screen)
-    assert list(track([], 0, "counting")) == []
-    assert screen.getvalue().startswith("counting: 0 of 0")

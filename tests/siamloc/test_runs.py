@@ -48,12 +48,6 @@ def test_altered_records_are_refused(run, key, value, says):
         run.load_record()
 
 
-def test_a_record_without_settings_is_refused(run):
-    write_json(run.record, {key: value for key, value in read_json(run.record).items() if key != "settings"})
-    with pytest.raises(FormatError, match="is not whole"):
-        run.load_record()
-
-
 def test_a_folder_without_a_record_is_no_run_and_nothing_is_noted_there(tmp_path):
     run = Run(tmp_path)
     run.record_written(["map.npz"])
