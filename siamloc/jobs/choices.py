@@ -114,13 +114,18 @@ def _only(where: str, *texts: str) -> Check:
     return check
 
 
+def parameters_of(name: str) -> dict[str, Any]:
+    """Return the parameters of an analytic descriptor; whether its columns wrap around follows from the data."""
+    from analytic.descriptors.registry import parameters
+
+    return {key: value for key, value in parameters(name).items() if key != "circular"}
+
+
 def _analytic(where: str) -> Mapping[str, Check]:
-    """Return the analytic descriptors; whether their columns wrap around follows from the data."""
     from analytic import DESCRIPTORS, descriptor
-    from analytic.descriptors.registry import parameters as every
 
     def check(name: str, parameters: Mapping[str, Any]) -> None:
-        check_known(parameters, set(every(name)) - {"circular"}, where)
+        check_known(parameters, parameters_of(name), where)
         descriptor(name, **parameters)
 
     return {name: partial(check, name) for name in DESCRIPTORS}

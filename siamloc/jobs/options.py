@@ -14,8 +14,9 @@ from typing import Any
 
 import yaml
 
-from foundation.settings import Settings, defaults_of, merged
+from foundation.settings import defaults_of, merged
 from siamloc.errors import ConfigError, hint
+from siamloc.jobs.choices import parameters_of
 
 
 @dataclass(frozen=True)
@@ -44,25 +45,7 @@ Options = dict[str, dict[str, Option]]
 @lru_cache(maxsize=1)
 def options() -> Options:
     """Return all options by group and name."""
-    from siamloc.data.panorama import HyperbolicMirror, PanoramaView, PolarRing
-    from siamloc.data.protocol import Protocol
-
-    view = {"top": PanoramaView.top, "bottom": PanoramaView.bottom}
-    unwrap: dict[str, Option] = {
-        "none": Option({"kind": "none"}, "The images are panoramas, or come from an ordinary camera: only resized."),
-        "polar": Option({"kind": "polar", **defaults_of(PolarRing)}, summary_of(PolarRing)),
-        "hyperbolic": Option(
-            {"kind": "hyperbolic", **defaults_of(HyperbolicMirror), **view}, summary_of(HyperbolicMirror)
-        ),
-    }
-    found: Options = {
-        "unwrap": unwrap,
-        "protocol": {"by_sequence": Option(defaults_of(Protocol), "Roles by the names of sequences, or patterns.")},
-        "settings": {f"data_{kind}": Option(values, "") for kind, values in _data()},
-        **_of_networks(),
-        **_of_training(),
-        **_of_maps(),
-    }
+    found = {**_of_data(), **_of_training(), **_of_maps()}
     for name, group, option in _of_recipes():
         found.setdefault(group, {})[name] = option
     return found
@@ -73,18 +56,37 @@ def summary_of(kind: type) -> str:
     return (kind.__doc__ or "").strip().partition("\n")[0]
 
 
-def _data() -> Iterator[tuple[str, dict[str, Any]]]:
+def _each(kinds: Mapping[str, type], tag: str = "name", **further: Any) -> dict[str, Option]:
+    """Return an option for each class of settings: its name under the key `tag`, and the defaults of the class."""
+    return {name: Option({tag: name, **defaults_of(kind), **further}, summary_of(kind)) for name, kind in kinds.items()}
+
+
+def _of_data() -> Options:
+    from siamloc.data.panorama import HyperbolicMirror, PanoramaView, PolarRing
+    from siamloc.data.protocol import Protocol
     from siamloc.data.reading import DataSettings
 
-    every = defaults_of(DataSettings)
-    own = {"manifest": (), "cold": ("places", "camera"), "folder": ()}
-    shared = {key: value for key, value in every.items() if key not in ("manifest", "root", "places", "camera")}
-    for kind, keys in own.items():
-        yield kind, {**shared, **{key: every[key] for key in keys}}
+    data = {key: value for key, value in defaults_of(DataSettings).items() if key not in ("manifest", "root")}
+    of_cold = {key: data.pop(key) for key in ("places", "camera")}
+    kinds = {"manifest": data, "cold": {**data, **of_cold}, "folder": data}
+    return {
+        "unwrap": {
+            "none": Option(
+                {"kind": "none"}, "The images are panoramas, or come from an ordinary camera: only resized."
+            ),
+            **_each({"polar": PolarRing}, "kind"),
+            **_each({"hyperbolic": HyperbolicMirror}, "kind", top=PanoramaView.top, bottom=PanoramaView.bottom),
+        },
+        "protocol": {"by_sequence": Option(defaults_of(Protocol), "Roles by the names of sequences, or patterns.")},
+        "settings": {f"data_{kind}": Option(values, "") for kind, values in kinds.items()},
+    }
 
 
-def _of_networks() -> Options:
-    from siamloc.models.registry import BRANCHES, HEADS
+def _of_training() -> Options:
+    from augment.registry import POLICIES
+    from siamloc.data.pairs import PairSettings
+    from siamloc.data.places import PlaceSettings
+    from siamloc.models.registry import BRANCHES, HEADS, LOSSES, OPTIMIZERS, Contrastive
 
     return {
         "model/branch": {
@@ -94,68 +96,44 @@ def _of_networks() -> Options:
             name: Option({"name": name, **({"outputs": None} if len(head.widths) == 1 else {})}, head.summary)
             for name, head in HEADS.items()
         },
-    }
-
-
-def _of_training() -> Options:
-    from augment.registry import POLICIES
-    from siamloc.data.pairs import PairSettings
-    from siamloc.data.places import PlaceSettings
-    from siamloc.models.registry import LOSSES, OPTIMIZERS, Contrastive
-
-    losses: dict[str, type[Settings]] = {name: kind for name, (kind, _) in LOSSES.items()}
-    losses["contrastive"] = Contrastive
-    return {
-        "loss": {name: Option({"name": name, **defaults_of(kind)}, summary_of(kind)) for name, kind in losses.items()},
+        "loss": _each({**{name: kind for name, (kind, _) in LOSSES.items()}, "contrastive": Contrastive}),
         "optimizer": {name: Option(made.plain(), text) for name, (made, text) in OPTIMIZERS.items()},
         "pairs": {
             "default": Option(defaults_of(PairSettings), "Pairs, labelled by room, or by distance if all is one room."),
             "in_batch": Option(defaults_of(PlaceSettings), "Batches of places: training uses all pairs in a batch."),
         },
         "augment": {
-            "none": Option({"name": "none"}, "No augmentation."),
             **{
                 name: Option({"name": name, "rotate": None}, f"The policy {name} of `augment`, and more rotations.")
                 for name in POLICIES
-                if name != "none"
             },
+            "none": Option({"name": "none"}, "No augmentation."),
         },
     }
 
 
 def _of_maps() -> Options:
     from analytic import DESCRIPTORS, descriptor
-    from analytic.descriptors.registry import parameters
     from siamloc.jobs.tasks import TASKS
     from siamloc.maps.grouping import WAYS
     from siamloc.maps.heading import HEADINGS
 
-    # Whether columns wrap around follows from the data.
-    analytic = {
-        name: {key: value for key, value in parameters(name).items() if key != "circular"} for name in DESCRIPTORS
-    }
-    none = Option({"name": "none"}, "No headings, unless the descriptor estimates them itself.")
+    values = {name: parameters_of(name) for name in DESCRIPTORS}
     return {
         "descriptor": {
             "network": Option({"name": "network", "run": None}, "The trained network of a run."),
             "untrained": Option({"name": "untrained"}, "The network of the run with its initial weights."),
             "pretrained": Option({"name": "pretrained"}, "The network that ships with siamloc; needs no run."),
-            **{
-                name: Option({"name": name, **values}, summary_of(type(descriptor(name))))
-                for name, values in analytic.items()
-            },
+            **{name: Option({"name": name, **own}, summary_of(type(descriptor(name)))) for name, own in values.items()},
         },
         "heading": {
-            "none": none,
+            "none": Option({"name": "none"}, "No headings, unless the descriptor estimates them itself."),
             **{
-                name: Option({"name": name, **analytic[name], **values}, f"Headings by {name} in place of a network's.")
-                for name, values in HEADINGS.items()
+                name: Option({"name": name, **values[name], **own}, f"Headings by {name} in place of a network's.")
+                for name, own in HEADINGS.items()
             },
         },
-        "build": {
-            "none": Option({"name": "none"}, "No nodes: the map has only its frames."),
-            **{name: Option({"name": name, **defaults_of(way)}, summary_of(way)) for name, way in WAYS.items()},
-        },
+        "build": {"none": Option({"name": "none"}, "No nodes: the map has only its frames."), **_each(WAYS)},
         "task": {name: Option(defaults_of(kind), summary_of(kind)) for name, kind in TASKS.items()},
     }
 

@@ -12,11 +12,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from analytic import DESCRIPTORS
-from analytic.descriptors.registry import parameters
 from foundation.settings import fields_of
 from siamloc.data.protocol import Protocol
 from siamloc.errors import ConfigError
-from siamloc.jobs.choices import OF_A_RUN
+from siamloc.jobs.choices import OF_A_RUN, parameters_of
 from siamloc.jobs.job import Given
 from siamloc.jobs.options import option
 from siamloc.jobs.sweep import of_map, own_folder
@@ -134,7 +133,7 @@ def descriptor_of(path: Path, known: VisualMap) -> dict[str, Any] | None:
     label, name = path.parent.name, known.identity.get("name")
     if name not in DESCRIPTORS:
         return dict(option("descriptor", label).values) if label == "pretrained" else None
-    keys = [key for key in ("name", *parameters(name)) if key in known.identity and key != "circular"]
+    keys = [key for key in ("name", *parameters_of(name)) if key in known.identity]
     return {**{key: known.identity[key] for key in keys}, **({} if label == name else {"label": label})}
 
 
