@@ -73,25 +73,8 @@ class DataJob(Job):
         return images, {name: images.readable(frames) for name, frames in roles.items()}
 
 
-EXPERIMENTAL = {
-    **DataJob.GROUPS,
-    "pairs": "default",
-    "loss": "contrastive",
-    "augment": "none",
-    "model/branch": "vgg16",
-    "model/head": "fc500_500_5",
-    "optimizer": "sgd",
-    "descriptor": "network",
-    "heading": "none",
-    "build": "none",
-    "task": "localization",
-}
-"""The groups that an experiment may choose from."""
-
-
-def of_job(names: Sequence[str]) -> dict[str, str]:
-    """Return some of the groups that an experiment may choose from."""
-    return {group: name for group, name in EXPERIMENTAL.items() if group in names}
+OF_NETWORKS = {"model/branch": "vgg16", "model/head": "fc500_500_5"}
+"""The groups of the jobs that have a network."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -110,7 +93,11 @@ class RunJob(DataJob):
         seed: seed of all random draws.
     """
 
-    GROUPS: ClassVar = of_job([*DataJob.GROUPS, "model/branch", "model/head", "descriptor", "heading", "build"])
+    GROUPS: ClassVar = {
+        **DataJob.GROUPS,
+        **OF_NETWORKS,
+        **{"descriptor": "network", "heading": "none", "build": "none"},
+    }
     SHARED = True
     REPLACES_MAP: ClassVar[bool] = False
 

@@ -12,7 +12,7 @@ from siamloc.data.places import PlaceSettings
 from siamloc.errors import ConfigError
 from siamloc.jobs.choices import Augment, Folder, Loader, Loss, Model, TrainerKeys
 from siamloc.jobs.job import Given, Job, Say, quiet
-from siamloc.jobs.run_job import DataJob, of_job
+from siamloc.jobs.run_job import OF_NETWORKS, DataJob
 from siamloc.jobs.stored import with_settings_of_the_run
 from siamloc.jobs.sweep import sweep_suffix
 from siamloc.models.registry import LOSSES, Optimizer
@@ -133,7 +133,12 @@ class Train(_Training, DataJob):
         $ siamloc train experiment=modern data=cold data.root=/data/COLD protocol=freiburg run=runs/freiburg
     """
 
-    GROUPS: ClassVar = of_job([*DataJob.GROUPS, "pairs", "loss", "augment", "model/branch", "model/head", "optimizer"])
+    GROUPS: ClassVar = {
+        **DataJob.GROUPS,
+        **{"pairs": "default", "loss": "contrastive", "augment": "none"},
+        **OF_NETWORKS,
+        "optimizer": "sgd",
+    }
     MORE: ClassVar = {"augment": {"where": "auto"}}
     SHARED = True
 
@@ -167,9 +172,6 @@ class Train(_Training, DataJob):
         return run
 
 
-_RECIPE = RECIPE.training
-
-
 @dataclass(frozen=True, kw_only=True)
 class Pretrain(_Training):
     """Train a network on random buildings, before it sees any data.
@@ -201,9 +203,9 @@ class Pretrain(_Training):
     folder: Folder = "runs/pretrained"
     views: ViewSettings = field(default_factory=ViewSettings)
     image_size: Size = RECIPE.image_size
-    epochs: Count = _RECIPE["epochs"]
-    clip: Positive | None = _RECIPE["clip"]
-    average: Probability | None = _RECIPE["average"]
+    epochs: Count = RECIPE.training["epochs"]
+    clip: Positive | None = RECIPE.training["clip"]
+    average: Probability | None = RECIPE.training["average"]
 
     def run(self, say: Say = quiet) -> Run:
         """Train the network on random buildings."""
