@@ -49,12 +49,6 @@ def test_a_matrix_for_each_lighting_with_its_accuracy(full: Path) -> None:
         np.testing.assert_allclose(drawn, np.where(part, np.maximum(shares, 0.02), 0))
 
 
-def test_buildings_are_told_apart_as_rooms_are() -> None:
-    text = text_of(confusion(["a", "b"], {"night": [[1, 0], [1, 1]]}, what="building"))
-    assert "true building of the query" in text
-    assert "50 %\n1" in text
-
-
 def test_pair_curves_by_lighting_pass_the_measured_accuracy(full: Path) -> None:
     pairs = measures(full)["room_pairs"]
     figure = pair_curves(pairs)
@@ -81,12 +75,8 @@ def test_the_errors_of_a_hierarchy(full: Path) -> None:
     found = measures(full, "hierarchical-network-rooms")["hierarchical"]
     figure = node_errors(found)
     assert lines_of(figure)["wrong node"][-1] == [found["overall"]["given_wrong"]["error"]["mean"], 3]
-    assert [label.get_text() for label in figure.axes[0].get_yticklabels()] == [
-        "cloudy",
-        "night",
-        "sunny",
-        "all queries",
-    ]
+    labels = [label.get_text() for label in figure.axes[0].get_yticklabels()]
+    assert labels == ["cloudy", "night", "sunny", "all queries"]
 
 
 def test_robustness_curves_hold_every_level(full: Path) -> None:

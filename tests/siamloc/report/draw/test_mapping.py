@@ -207,20 +207,14 @@ def test_pictures_are_60_to_100_whatever_the_length() -> None:
     assert growth.moments(3) == [1, 2, 3]
 
 
-def test_a_story_knows_every_node_that_ever_was(runs: dict) -> None:
-    story = told(runs[2])
-    made = {change["node"] for event in story.events for change in event["changes"] if change["reason"] == "NEW_NODE"}
-    assert set(story.colours) == made
-    assert {name: story.colours[name] for name in story.ids} == {
-        name: story.plan.colours[number] for name, number in story.numbers.items()
-    }
-
-
-def test_numbers_and_ways_are_those_of_the_evaluation(runs: dict) -> None:
+def test_a_story_knows_every_node_and_way_of_the_evaluation(runs: dict) -> None:
     for target, layer in runs.values():
-        results = json.loads((target / "results.json").read_text())
-        assert list(told((target, layer)).ids) == results["layer"]["ids"]
-        assert read_plan(target).edges.tolist() == results["edges"]
+        results, story = json.loads((target / "results.json").read_text()), told((target, layer))
+        assert list(story.ids) == results["layer"]["ids"]
+        assert story.plan.edges.tolist() == results["edges"]
+        changes = [change for event in story.events for change in event["changes"]]
+        assert set(story.colours) == {change["node"] for change in changes if change["reason"] == "NEW_NODE"}
+        assert [story.colours[name] for name in story.ids] == list(story.plan.colours.values())
 
 
 def test_errors(runs: dict, tmp_path: Path) -> None:
@@ -238,19 +232,15 @@ def test_errors(runs: dict, tmp_path: Path) -> None:
         growth.read_story(tmp_path / "cut.jsonl", read_plan(target))
 
 
-def sweep() -> list[dict]:
+def test_heat_maps() -> None:
     rows = [
-        {"version": version, "y": y, "omega": omega, "nodes": 10 * version, "unassigned": 5.0, "silhouette": y / omega}
+        {"version": version, "y": y, "omega": omega, "nodes": 10 * version, "silhouette": y / omega}
         for version in (1, 2)
         for y in (0.75, 1.5)
         for omega in (1.7, 2.0, 2.3)
     ]
     rows[0]["silhouette"] = None
-    return rows
-
-
-def test_heat_maps() -> None:
-    figure = sweeps.heat_maps(sweep(), ("nodes", "silhouette"))
+    figure = sweeps.heat_maps(rows, ("nodes", "silhouette"))
     panels = [axes for axes in figure.axes if axes.images and axes.get_label() != "<colorbar>"]
     assert len(panels) == 4
     np.testing.assert_array_equal(panels[0].images[0].get_array(), np.full((2, 3), 10))
@@ -259,13 +249,7 @@ def test_heat_maps() -> None:
     assert grid[1, 0] == 1.5 / 1.7
     (frame,) = [patch for patch in panels[1].patches if not patch.get_fill()]
     assert frame.get_xy() == (-0.5, 0.5)
-    rows = [{**row, "silhouette": 0.5} for row in sweep()]
-    tied = next(axes for axes in sweeps.heat_maps(rows, ("silhouette",)).axes if axes.images)
-    assert len([patch for patch in tied.patches if not patch.get_fill()]) == 6
-    text = text_of(figure)
-    assert "0.88" in text
-    assert "frames in no node" not in text
-    assert len([axes for axes in sweeps.heat_maps(sweep()).axes if axes.images]) >= 6
+    assert "0.88" in text_of(figure)
 
 
 def test_silhouette_against_clusters() -> None:

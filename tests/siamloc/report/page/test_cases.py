@@ -80,26 +80,17 @@ def test_thousands_of_queries_stay_under_five_megabytes(tmp_path: Path) -> None:
     assert rows_of(page.all("table", class_="errors")[0])[-1][-1] == "20,000"
 
 
-@pytest.mark.parametrize(
-    ("columns", "lightings"),
-    [({"lighting": np.array(["night"] * 30)}, 1), ({"lighting": np.array([""] * 30)}, 0)],
-    ids=["one lighting", "no lighting"],
-)
-def test_without_rooms_headings_baselines_or_lightings(tmp_path: Path, columns: dict, lightings: int) -> None:
-    bare = {"room": np.array([""] * 30), "theta": np.full(30, np.nan), **columns}
+@pytest.mark.parametrize("lighting", ["night", ""], ids=["one lighting", "no lighting"])
+def test_without_rooms_headings_baselines_or_lightings(tmp_path: Path, lighting: str) -> None:
+    bare = {"room": np.array([""] * 30), "theta": np.full(30, np.nan), "lighting": np.array([lighting] * 30)}
     queries, known = scenes.frames(2, 30, **bare), scenes.frames(1, 30, **bare)
     visual_map = VisualMap(scenes.describe(known), known, {"name": "positions"}, unit="frame")
     folder = pages.write_evaluation(tmp_path / "night", visual_map, queries, rooms=False, headings=False, baselines=())
     page = report(tmp_path, folder)
-    assert [s.attributes["class"] for s in page.all("section")] == [
-        "summary",
-        "plan",
-        "curves",
-        "worst",
-        "configuration",
-    ]
+    names = [section.attributes["class"] for section in page.all("section")]
+    assert names == ["summary", "plan", "curves", "worst", "configuration"]
     (row,) = rows_of(page.all("table", class_="errors")[0])
-    assert row[:2] == ["network", "night" if lightings else "all"]
+    assert row[:2] == ["network", lighting or "all"]
     assert not page.all("input", type="radio")
     assert "mean [frame]" in page.all("table", class_="errors")[0].text
     assert len(page.one("section", class_="curves").all("figure")) == 1
@@ -242,10 +233,9 @@ def test_folders_that_give_no_report(tmp_path: Path, spoil, error: type[SiamlocE
 def test_matches_outside_the_map_are_refused(tmp_path: Path) -> None:
     run = pages.write_run(tmp_path / "run", n=5)
     folder = run / "evaluation" / "network"
-    queries, known = read_rows(folder), read_rows(folder, "map")
     results = {key: read_results(folder)[key] for key in ("config", "measures", "denominators")}
-    short = {name: column[:1] for name, column in known.items()}
-    write_results(folder, results, {"queries": queries, "map": short})
+    known = {name: column[:1] for name, column in read_rows(folder, "map").items()}
+    write_results(folder, results, {"queries": read_rows(folder), "map": known})
     with pytest.raises(FormatError, match=r"names map frames that map.csv lacks"):
         write_report([run], tmp_path / "report.html")
 

@@ -115,9 +115,7 @@ def test_the_nodes_table_and_picture(full: Path, page: Element) -> None:
     assert {"floor", "wrong node", "hierarchical", "all queries"} <= words(section)
     article = page.all("article", **{"data-evaluation": "1"})[0]
     assert f"{100 * found['overall']['comparisons']['share']:.1f} %" in article.one("ul", class_="figures").text
-    drawn = words(article.one("section", class_="curves"))
-    assert f"methods, cloudy, n = {found['lighting']['cloudy']['queries']}" in drawn
-    assert any(text.startswith("perfect nodes: ") for text in drawn)
+    assert any(text.startswith("perfect nodes: ") for text in words(article.one("section", class_="curves")))
 
 
 def test_an_error_that_no_query_has_is_a_dash(full: Path, tmp_path: Path) -> None:
@@ -144,7 +142,7 @@ def test_the_robustness_tables_and_curves(full: Path, page: Element) -> None:
                 row = [method, f"{entry['level']:g}", *cells, *shares, str(entry["within"])]
                 assert next(shown)[: len(row)] == row
     assert "queries: 60 (one in 5), map: 40 frames" in section.text
-    assert {"noise", "effect: bulb", "thumb nail, mean", "network, median", "floor, mean"} <= words(section)
+    assert {"noise", "thumb nail, mean"} <= words(section)
 
 
 def test_robustness_of_several_runs_is_compared(full: Path, tmp_path: Path) -> None:
@@ -168,8 +166,6 @@ def test_confusion_matrices_of_all_and_by_lighting(full: Path, page: Element) ->
     every, by_lighting = section.all("svg")
     assert "all queries" in every.text
     assert all(label in by_lighting.text for label in ("cloudy", "night", "sunny"))
-    counts = {text.text.strip() for text in every.all("text")}
-    assert {f"{value:,}" for row in found["counts"] for value in row if value} <= counts
     assert f"{np.trace(found['counts'])} of {np.sum(found['counts'])} queries" in section.text
 
 
@@ -182,8 +178,6 @@ def test_pairs_by_lighting(full: Path, page: Element) -> None:
         shares = [f"{100 * group[name]:.1f} %" for name in ("same", "different", "overall")]
         assert method == "network"
         assert cells == [*shares, f"{group['auc']:.3f}", str(group["n_same"]), str(group["n_different"])]
-    titles = {text.split(",")[0] for text in words(section) if ", AUC" in text}
-    assert titles == {"all pairs", "cloudy", "cloudy and night", "night"}
 
 
 def test_compact_maps_and_choices_of_buildings_have_parts_of_their_own(tmp_path: Path) -> None:
@@ -206,7 +200,7 @@ def test_compact_maps_and_choices_of_buildings_have_parts_of_their_own(tmp_path:
     assert "map by sample" in words(part(page, "mapping"))
     assert rows(part(page, "buildings"), "buildings") == {"night": ["50.0 % (1/2)", "100.0 % (1/1)", "0.0 % (0/1)"]}
     assert "a 9 frames" in part(page, "buildings").text
-    assert "50.0 % of 2 right" in words(part(page, "buildings"))
+    assert {"50.0 % of 2 right", "true building of the query"} <= words(part(page, "buildings"))
 
 
 def _made(folder: Path) -> Path:
