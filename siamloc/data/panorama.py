@@ -77,9 +77,8 @@ class PanoramaView(Settings):
     def directions(self) -> Array:
         """Return the unit viewing direction of every pixel in the robot's frame (H, W, 3)."""
         azimuth, elevation = np.meshgrid(column_azimuth(self.width), self.row_elevation())
-        return np.stack(
-            [np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)], axis=-1
-        )
+        flat = np.cos(elevation)
+        return np.stack([flat * np.cos(azimuth), flat * np.sin(azimuth), np.sin(elevation)], axis=-1)
 
 
 class OmnidirectionalCamera(Protocol, Hashable):

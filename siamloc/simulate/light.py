@@ -172,7 +172,7 @@ class LightTransport:
         return total / 5**2
 
 
-def _world(mesh: QuadMesh, quad: Array, place: Array, lift: float = _LIFT) -> Array:
+def _world(mesh: QuadMesh, quad: Array, place: Array) -> Array:
     """Return points (n, 3) slightly above their quads, at least 2 cm away from the edges where there is room."""
     inset = np.minimum(0.35, 0.02 / np.maximum(mesh.size, 1e-6))[quad]
     place = np.clip(place, inset, 1 - inset)
@@ -180,7 +180,7 @@ def _world(mesh: QuadMesh, quad: Array, place: Array, lift: float = _LIFT) -> Ar
     s, t = place[:, :1], place[:, 1:]
     lower = s + t <= 1
     point = np.where(lower, a + s * (b - a) + t * (d - a), c + (1 - s) * (d - c) + (1 - t) * (b - c))
-    return point + lift * mesh.normals[quad]
+    return point + _LIFT * mesh.normals[quad]
 
 
 def _portals(building: Building) -> list[tuple[Array, Array, float, str]]:
@@ -217,7 +217,7 @@ def _sun_patches(mesh: QuadMesh, caster: Caster, grid: LightGrid, sun: Array, rn
         share[facing] += ~caster.blocked(_world(mesh, grid.quad[facing], places).astype(np.float32), towards)
     share /= tries
     mask = grid.image((share > 0).astype(np.float32))
-    return np.where(cv2.dilate(mask, np.ones((3, 3), np.uint8)) > 0, 255, 0).astype(np.uint8), share
+    return np.uint8(255) * (cv2.dilate(mask, np.ones((3, 3), np.uint8)) > 0), share
 
 
 def _gathered_from(mesh: QuadMesh, caster: Caster, grid: LightGrid, rays: int, rng: Rng) -> Array:

@@ -57,11 +57,6 @@ class QuadMesh:
         return len(self.corners)
 
     @property
-    def triangles(self) -> Array:
-        """Two triangles of each quad (2 Q, 3, 3): (a, b, d) and (c, d, b)."""
-        return self.corners[:, [[0, 1, 3], [2, 3, 1]]].reshape(-1, 3, 3)
-
-    @property
     def normals(self) -> Array:
         """Unit normals (Q, 3) on the visible side."""
         a, b, d = self.corners[:, 0], self.corners[:, 1], self.corners[:, 3]
@@ -199,7 +194,8 @@ class Caster:
     def __init__(self, mesh: QuadMesh) -> None:
         scene, triangles = embree()
         self._scene: Any = scene()
-        triangles(self._scene, np.ascontiguousarray(mesh.triangles, dtype=np.float32))
+        halves = mesh.corners[:, [[0, 1, 3], [2, 3, 1]]]  # of each quad (a, b, c, d): (a, b, d) and (c, d, b)
+        triangles(self._scene, np.ascontiguousarray(halves.reshape(-1, 3, 3), dtype=np.float32))
 
     def first_hit(self, origins: Array, directions: Array) -> tuple[Array, Array, Array, Array]:
         """Return the quad hit (n,), -1 for none, the position s, t on it (n,) and the distance (n,)."""

@@ -53,12 +53,9 @@ def test_degrees_of_a_robot_that_hardly_turns_are_recognized_by_its_way():
 
 
 def test_without_positions_degrees_show_by_their_range():
-    findings = check(drive(x=None, y=None, theta=np.arange(60) * 6.0))
-    assert "theta looks like degrees" in findings[0]
-    assert findings[1] == (
-        "all 60 frames have no position: they can be located and, as map frames, recognized, but their errors cannot "
-        "be measured. Rooms and mapping by appearance need no positions."
-    )
+    degrees, unplaced = check(drive(x=None, y=None, theta=np.arange(60) * 6.0))
+    assert "theta looks like degrees" in degrees
+    assert unplaced.startswith("all 60 frames have no position: they can be located and, as map frames, recognized")
 
 
 @pytest.mark.parametrize(
@@ -83,11 +80,9 @@ def test_copies_of_images_are_found(tmp_path):
     for name, value in (("a", 1), ("b", 2), ("c", 1), ("d", 3)):
         cv2.imwrite(str(tmp_path / f"{name}.bmp"), np.full((8, 32, 3), value, np.uint8))
     frames = FrameTable(path=[str(tmp_path / f"{name}.bmp") for name in "abcd"], sequence=["one", "one", "two", "two"])
-    copies = [finding for finding in check(frames) if "copies" in finding]
-    assert copies == [
-        f"1 images are copies of others, 1 of them of another sequence's, the first: {tmp_path / 'c.bmp'} of "
-        f"{tmp_path / 'a.bmp'}. A query with a copy in the map is found without any skill: remove them."
-    ]
+    (copies,) = [finding for finding in check(frames) if "copies" in finding]
+    says = f"1 images are copies of others, 1 of them of another sequence's, the first: {tmp_path / 'c.bmp'} of "
+    assert copies.startswith(says + f"{tmp_path / 'a.bmp'}. A query")
 
 
 def test_shapes_of_images_are_compared_with_each_other_and_with_the_panoramas(tmp_path):

@@ -68,8 +68,7 @@ def test_frames_that_would_share_a_name_are_an_error(tmp_path):
 def test_an_expanded_manifest_reads_as_the_frames(tmp_path):
     table = write_manifest(tmp_path / "in", {"day": "cloudy", "dark": "night"}, frames_per_room=2)
     frames = data.read("manifest", manifest=table)
-    turns = np.zeros((len(frames), 3))
-    turns[:, 2] = 1.0
+    turns = np.tile([0.0, 0.0, 1.0], (len(frames), 1))
     expanded("manifest", frames, table.parent, tmp_path / "out", turns)
     found = data.read("manifest", manifest=tmp_path / "out/manifest.csv", on_error="raise")
     for column in ("x", "y", "room", "sequence", "lighting", "time"):
@@ -89,8 +88,7 @@ def test_images_beside_the_manifests_folder_are_gathered_in_it(tmp_path):
 def test_an_expanded_image_folder_reads_as_the_frames(tmp_path):
     root = tmp_path / "in"
     for name in ("train_cloudy/KT-A/t1.000000_x0.500000_y0.250000_a1.000000.jpeg", "test_night/PA-A/view.png"):
-        (root / name).parent.mkdir(parents=True)
-        (root / name).touch()
+        write_picture(root / name, np.zeros((2, 2, 3), np.uint8))
     frames = data.read("folder", root=root)
     expanded("folder", frames, root, tmp_path / "out", np.tile([0.0, 0.5], (2, 1)))
     found = data.read("folder", root=tmp_path / "out")
