@@ -66,6 +66,4 @@ def _value(text: str, texts: bool) -> Any:
 
 def _text_only(kind: Any) -> bool:
     """Whether values of an annotation are texts, or lists of texts."""
-    if kind in (str, Path):
-        return True
-    return any(_text_only(part) for part in get_args(kind))
+    return kind in (str, Path) or any(map(_text_only, get_args(kind)))

@@ -189,16 +189,12 @@ def _indexed(pictures: list[NDArray[np.uint8]]) -> list[Any]:
     """Return pictures in one common palette, for small files, steady colours, and exact colours of nodes."""
     from PIL import Image
 
-    palette = Image.new("P", (1, 1))
-    palette.putpalette(_palette().ravel().tolist())
-    none = Image.Dither.NONE
-    return [Image.fromarray(picture).quantize(palette=palette, dither=none) for picture in pictures]
-
-
-def _palette() -> NDArray[np.uint8]:
-    """Return the colours used, and shades between each of them and white and ink (n, 3)."""
+    # The colours used, and shades between each of them and white and ink.
     greys = np.linspace(0, 1, 24)[1:, None] * np.ones(3)
     drawn = to_rgba_array([*POOL, NO_NODE, _NEWS])[:, :3]
     shades = [drawn + share * (1 - drawn) for share in (0, 0.25, 0.5, 0.75)]
     shades += [drawn + share * (np.array(to_rgb(INK)) - drawn) for share in (0.33, 0.67)]
-    return np.round(255 * np.concatenate([greys, *shades])).astype(np.uint8)
+    palette = Image.new("P", (1, 1))
+    palette.putpalette(np.round(255 * np.concatenate([greys, *shades])).astype(np.uint8).ravel().tolist())
+    none = Image.Dither.NONE
+    return [Image.fromarray(picture).quantize(palette=palette, dither=none) for picture in pictures]

@@ -80,7 +80,8 @@ def _compared(parts: list[Part]) -> list[Table]:
 
     Columns without a value, and those in which the evaluations do not differ, such as the protocol, are left out.
     """
-    lightings = list(dict.fromkeys(label for part in parts for label in part.evaluation.lightings))
+    scored = [part.evaluation.absolute or part.evaluation.rooms or {} for part in parts]
+    lightings = list(dict.fromkeys(label for measures in scored for label in measures.get("lighting", {})))
     rows = [((tag("a", part.title, href=f"#{part.anchor}"),), _measures(part, lightings)) for part in parts]
     values = {name: {row[name] for _, row in rows} - {None} for name in ("protocol", "unit", "estimate")}
     values["estimate"].add(_SINGLE)  # anything else has to be said, even of all evaluations

@@ -106,11 +106,6 @@ class Evaluation:
         """Unit of positions and errors."""
         return str((self.absolute or {}).get("unit", "m"))
 
-    @property
-    def lightings(self) -> list[str]:
-        """The lightings of the queries; empty if they have no labels."""
-        return list((self.absolute or self.rooms or {}).get("lighting", {}))
-
 
 @dataclass(frozen=True, eq=False)
 class RunFiles:
