@@ -59,13 +59,8 @@ def test_the_robot_says_what_the_evaluation_says(finished, flat, tmp_path, capsy
         assert float(here["error_m"]) == pytest.approx(float(there["error_m"]), rel=1e-3)
         assert here["lost"] == there["lost"]
     row = table(finished / "locations.csv")[3]
-    done(
-        "localize",
-        f"run={finished}",
-        f"images=[{flat.parent / 'second/0003.png'}]",
-        "top=1",
-        f"out={tmp_path / 'one.csv'}",
-    )
+    image = f"images=[{flat.parent / 'second/0003.png'}]"
+    done("localize", f"run={finished}", image, "top=1", f"out={tmp_path / 'one.csv'}")
     line = capsys.readouterr().out.split("\n")[0]
     assert f"heading {math.degrees(float(row['theta'])):.0f} deg" in line
     assert f"expected error {float(row['error_m']):.2f} m" in line

@@ -1,6 +1,7 @@
 """Sweeps through the command line: jobs have their own folders, folders of sweeps are accepted, the best is named."""
 
 import csv
+import itertools
 
 import pytest
 
@@ -46,14 +47,13 @@ def seeds(data, tmp_path_factory):
 def test_each_evaluation_of_a_sweep_has_a_folder_of_its_own(swept):
     found = {path.parent.relative_to(swept).as_posix() for path in swept.rglob("results.json")}
     assert found == {f"evaluation/hog-{name}/descriptor.bins-{bins}" for name in DISTANCES for bins in BINS}
-    for name in DISTANCES:
-        for bins in BINS:
-            folder = swept / "evaluation" / f"hog-{name}" / f"descriptor.bins-{bins}"
-            results = read_results(folder)
-            assert results["swept"] == {"descriptor.bins": bins, "distance": name}
-            assert (results["descriptor"]["bins"], results["distance"]) == (bins, name)
-            assert results["name"] == f"hog-{name} descriptor.bins={bins}"
-            assert (folder / "queries.csv").is_file()
+    for name, bins in itertools.product(DISTANCES, BINS):
+        folder = swept / "evaluation" / f"hog-{name}" / f"descriptor.bins-{bins}"
+        results = read_results(folder)
+        assert results["swept"] == {"descriptor.bins": bins, "distance": name}
+        assert (results["descriptor"]["bins"], results["distance"]) == (bins, name)
+        assert results["name"] == f"hog-{name} descriptor.bins={bins}"
+        assert (folder / "queries.csv").is_file()
 
 
 def test_a_job_of_a_sweep_gives_what_the_same_command_gives_alone(swept, here, words):
@@ -163,13 +163,9 @@ def test_a_report_shows_the_evaluations_of_a_sweep(swept, tmp_path):
     done("report", f"run={swept}", f"out={tmp_path / 'all.html'}")
     done("report", f"run={swept / 'evaluation' / 'hog-euclidean'}", f"out={tmp_path / 'some.html'}")
     every, some = ((tmp_path / f"{name}.html").read_text(encoding="utf-8") for name in ("all", "some"))
-    for name in DISTANCES:
-        for bins in BINS:
-            assert f"hog-{name} descriptor.bins={bins}" in every
-            assert (f"hog-{name} descriptor.bins={bins}" in some) == (name == "euclidean")
-
-
-def test_reports_of_a_sweep_lie_apart(swept, tmp_path):
+    for name, bins in itertools.product(DISTANCES, BINS):
+        assert f"hog-{name} descriptor.bins={bins}" in every
+        assert (f"hog-{name} descriptor.bins={bins}" in some) == (name == "euclidean")
     folders = [swept / "evaluation" / f"hog-{name}" / "descriptor.bins-8" for name in DISTANCES]
     done("report", "-m", f"run={','.join(map(str, folders))}", f"out={tmp_path / 'page.html'}")
     assert len(list(tmp_path.glob("page-run-*.html"))) == 2

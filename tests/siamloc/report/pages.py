@@ -118,8 +118,7 @@ def drawn(folder: Path, table: FrameTable, seed: int) -> FrameTable:
     paths = [str(folder / f"pictures {seed}" / f"{i:04d}.jpg") for i in range(len(table))]
     for i, path in enumerate(paths):
         draw(path, 10_000 * seed + i)
-    values = {name: getattr(table, name) for name in ("x", "y", "theta", "room", "sequence", "lighting")}
-    return FrameTable(path=np.array(paths), **values)
+    return table.with_columns(path=paths)
 
 
 def write_evaluation(

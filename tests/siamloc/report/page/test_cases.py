@@ -144,10 +144,9 @@ def test_runs_that_cannot_be_compared_are_marked(tmp_path: Path) -> None:
     assert "same run" in page.one("table", class_="comparison").text
 
 
-def moved(table: FrameTable, root: str = "", **columns: np.ndarray) -> FrameTable:
-    """Return frames whose files are elsewhere, or that have other columns."""
-    values = {name: getattr(table, name) for name in ("x", "y", "theta", "room", "sequence", "lighting")}
-    return FrameTable(path=np.array([f"{root}{path}" for path in table.path]), **{**values, **columns})
+def at(root: str, table: FrameTable) -> FrameTable:
+    """Return frames whose files are elsewhere."""
+    return table.with_columns(path=[f"{root}{path}" for path in table.path])
 
 
 def localized(folder: Path, queries: FrameTable, known: FrameTable) -> Path:
@@ -156,18 +155,17 @@ def localized(folder: Path, queries: FrameTable, known: FrameTable) -> Path:
 
 def test_the_same_frames_are_the_same_wherever_they_lie_and_in_any_order(tmp_path: Path) -> None:
     queries, known = scenes.frames(2, 30), scenes.frames(1, 20)
-    first = localized(tmp_path / "a", moved(queries, "data/run/"), moved(known, "data/run/"))
+    first = localized(tmp_path / "a", at("data/run/", queries), at("data/run/", known))
     turned = queries.take(np.arange(30)[::-1])
-    second = localized(tmp_path / "b", moved(turned, "/mnt/data/run/"), moved(known, "/mnt/data/run/"))
+    second = localized(tmp_path / "b", at("/mnt/data/run/", turned), at("/mnt/data/run/", known))
     assert notes_of_comparison(report(tmp_path, first, second)) == ""
 
 
 def test_a_map_that_differs_is_named_even_if_its_files_have_the_same_names(tmp_path: Path) -> None:
     queries, known = scenes.frames(2, 30), scenes.frames(1, 20)
     first = localized(tmp_path / "a", queries, known)
-    elsewhere = known.x.copy()
-    elsewhere[:5] += 0.5
-    second = localized(tmp_path / "b", queries, moved(known, x=elsewhere))
+    elsewhere = known.x + np.where(np.arange(20) < 5, 0.5, 0)
+    second = localized(tmp_path / "b", queries, known.with_columns(x=elsewhere))
     said = notes_of_comparison(report(tmp_path, first, second))
     assert "differ in their map frames (20 and 20, 15 of them in common)" in said
     assert "queries" not in said
