@@ -81,7 +81,7 @@ class Relight(Layer):
         return torch.exp2(level + slope * _above(rows, height)) * colour
 
     def brushes(self, params: Params, height: int, width: int) -> list[Brush]:
-        """Return for each frame the multiplication with its gains; those of columns come from the whole batch."""
+        """Return for each frame the multiplication with its gains, which are computed for the whole batch."""
         columns = torch.arange(width, dtype=torch.float32).view(1, 1, 1, -1)
         parts = (part.numpy() for part in self._of_columns(columns, self.tensors(params, height, width), width))
         above = _above(torch.arange(height, dtype=torch.float32).view(-1, 1), height).numpy()

@@ -158,5 +158,5 @@ class _AnySpot(Spot):
     name = "spot"
 
     def distance(self, across: Tensor, down: Tensor, values: Mapping[str, Any]) -> Tensor:
-        """Euclidean for the round ones."""
+        """Euclidean for round spots."""
         return torch.lerp(super().distance(across, down, values), torch.hypot(across, down), values["round"])

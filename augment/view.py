@@ -1,4 +1,4 @@
-"""Where the camera stands and points: the image moves, grows, rolls."""
+"""Another position and direction of the camera: the image moves, grows and rolls."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from augment.ranges import Range
 
 
 class View(Effect):
-    """The camera points, stands or rolls slightly differently; what comes into the image is black.
+    """Move, scale and roll the image, as by a camera in a slightly different place; parts that were not seen are black.
 
     With `circular=False` the image is moved by `across` W and `down` H, scaled by `zoom` stretch across and by
     `zoom` / stretch down, and rolled about its middle: for ordinary and fisheye cameras on robots that do not drive

@@ -249,7 +249,7 @@ class Model(Settings):
 
 @dataclass(frozen=True)
 class TrainerKeys(Settings):
-    """Arguments of Lightning's Trainer; it checks those without an attribute here itself.
+    """Arguments of Lightning's Trainer, which itself checks the arguments that are no fields of this class.
 
     Attributes:
         further: other arguments of Lightning's Trainer.

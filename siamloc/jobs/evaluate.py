@@ -310,7 +310,7 @@ class Evaluate(RunJob):
         return built, folder
 
     def _baselines(self, say: Say) -> dict[str, Descriptor]:
-        """Return the baseline descriptors by name; those that need a network only if the run has one."""
+        """Return the baseline descriptors by name, without networks of the run if it has none."""
         main, found = self.descriptor.title, {}
         for name in getattr(self.task, "baselines", ()):
             if name == main:

@@ -96,7 +96,7 @@ class Job(Settings):
 
     @classmethod
     def completed(cls, values: dict[str, Any], given: Given) -> dict[str, Any]:
-        """Return values together with those that follow from others, such as the settings of a run."""
+        """Return the values together with the values that follow from them, such as the settings of a run."""
         return values
 
     @classmethod
@@ -166,7 +166,7 @@ def with_options(kind: type[Job], values: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _with_choices(usual: Mapping[str, str], picked: Mapping[str, str]) -> dict[str, str]:
-    """Return the option of each group: the picked ones, then those that these choose, then the usual ones."""
+    """Return the option of each group: the picked one, else the one that an option chooses, else the usual one."""
     from siamloc.jobs.options import option
 
     followed: dict[str, str] = {}
@@ -176,7 +176,7 @@ def _with_choices(usual: Mapping[str, str], picked: Mapping[str, str]) -> dict[s
 
 
 def _fits(group: str, given: Mapping[str, Any], name: str) -> bool:
-    """Return whether keys that are given may be those of an option, by its kind or names or else by its keys."""
+    """Return whether the given keys belong to an option, by its `kind`, `name` or `names`, or else by all its keys."""
     from siamloc.jobs.options import choices, option
 
     values = option(group, name).values
@@ -186,7 +186,7 @@ def _fits(group: str, given: Mapping[str, Any], name: str) -> bool:
 
 
 def _at(values: Mapping[str, Any], group: str) -> Any:
-    """Return what the values hold for a group, such as "model/branch"; None if nothing."""
+    """Return the value of a group, such as "model/branch"; None if it has none."""
     *above, last = group.split("/")
     for name in above:
         values = values.get(name, {})

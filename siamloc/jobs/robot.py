@@ -51,14 +51,13 @@ class Robot(Job):
         Raises:
             ConfigError: neither a bundle nor a run is given, or no images.
         """
-        if self.bundle is None and self.folder is None:
+        bundle = Run(self.folder).bundle if self.bundle is None and self.folder is not None else self.bundle
+        if bundle is None:
             raise ConfigError(f"no bundle and no run given: give bundle=FOLDER, or {suggested_run('give run=FOLDER')}")
         from siamloc.runtime import Localizer
         from siamloc.runtime.stream import named
 
         named(self.images)  # refused before the bundle is loaded
-        bundle = self.bundle if self.bundle is not None or self.folder is None else Run(self.folder).bundle
-        assert bundle is not None
         return Localizer(bundle, top=self.top, threads=self.threads, hierarchical=self.hierarchical)
 
 
@@ -95,7 +94,7 @@ class Localize(Robot):
         if self.out is not None or self.format != "table":
             return self.out
         inside = self.folder if self.bundle is None else None
-        return Path("locations.csv") if inside is None else inside / "locations.csv"
+        return (inside or Path()) / "locations.csv"
 
     def run(self, say: Say = quiet) -> int:
         """Locate the images, say each location as soon as it is known, and return the number of located images.
