@@ -19,6 +19,7 @@ class Simulate(SimulateConfig, Job):
         out=data                    output folder
         runs=[cloudy1,night1]       lighting and number; each number is a different hour of a different day
         path=path2                  the route through the building
+        trajectory=FILE.places.lst  or a COLD list of poses: one image for each
         spacing=0.15                metres between frames
         camera=omnidirectional      640 x 480; or panorama: 512 x 128, already unwrapped
         workers=2 seed=0

@@ -23,8 +23,8 @@ from foundation.files import content_key, read_json, storage_errors, write_json,
 from foundation.settings import Count, Rule, Seed, Settings, Text, Thousand
 from foundation.threads import processors
 from siamloc.data.decoding import cut_short
-from siamloc.data.names import parse_name
-from siamloc.errors import ConfigError, DataError
+from siamloc.data.names import lighting_in, parse_name
+from siamloc.errors import ConfigError, DataError, FormatError
 from siamloc.progress import track
 from siamloc.simulate.buildings import load_building
 from siamloc.simulate.camera import CAMERAS, HEIGHT, CameraName, Exposure
@@ -56,6 +56,9 @@ class SimulateConfig(Settings):
         runs: lightings with numbers, such as ("cloudy1", "night2").
         spacing: metres between frames.
         camera: "omnidirectional" (640 x 480 JPEG) or "panorama" (512 x 128 JPEG).
+        trajectory: a `places.lst`; one image is rendered for each pose, under its listed name, in one run with the
+            lighting that the list's file name contains, unless runs are given. Poses are checked for collisions, but
+            not the ways between them.
         frames: largest number of frames per run; all if None.
         workers: number of processes; as many as there are processors (at most 8) if None.
         preview: write a contact sheet and a floor plan instead of the data set.
@@ -73,6 +76,7 @@ class SimulateConfig(Settings):
     runs: tuple[str, ...] = STANDARD_RUNS
     spacing: _Spacing = 0.15
     camera: CameraName = "omnidirectional"
+    trajectory: Path | None = None
     frames: Count | None = None
     workers: Thousand | None = None
     preview: bool = False
@@ -92,8 +96,11 @@ class SimulateConfig(Settings):
             raise ConfigError(f"a run is listed twice: {', '.join(self.runs)}")
 
     def drives(self) -> list[Run]:
-        """Return the runs to render."""
-        return [Run.parse(name, self.path, self.spacing) for name in self.runs]
+        """Return the runs to render; for a list of poses, the one in its name, unless other runs are given."""
+        if self.trajectory is not None and self.runs == STANDARD_RUNS:
+            lighting = lighting_in(Path(self.trajectory).name) or "cloudy"
+            return [Run.parse(f"{lighting}1", self.path, self.spacing, self.trajectory)]
+        return [Run.parse(name, self.path, self.spacing, self.trajectory) for name in self.runs]
 
 
 @dataclass(frozen=True)
@@ -185,6 +192,7 @@ def _description(config: SimulateConfig, building: Building, run: Run) -> dict[s
     del layout["source"]
     if building.materials == "standard":
         del layout["materials"]
+    poses = run.trajectory
     return {
         "schema": _SCHEMA,
         "images": config.camera,
@@ -198,6 +206,8 @@ def _description(config: SimulateConfig, building: Building, run: Run) -> dict[s
         "run": run.name,
         "path": run.path,
         "spacing": run.spacing,
+        "trajectory": None if poses is None else poses.name,
+        "trajectory_key": None if poses is None else content_key(poses.read_text("utf-8")),
         "quality": _QUALITY,
     }
 
@@ -218,11 +228,14 @@ def _missing(config: SimulateConfig, building: Building, run: Run, drive: Track)
     if pictures:
         if not note.is_file():
             raise DataError(f"{images} holds images that simulate did not render: choose another out")
-        found = read_json(note)
-        changed = sorted(key for key, value in wanted.items() if found.get(key) != value)
-        if not changed:
+        try:
+            found = read_json(note)
+        except FormatError:
+            found = None
+        if found == wanted:
             present = {file.name for file in pictures if (data := file.read_bytes()) and not cut_short(data)}
         elif not config.overwrite:
+            changed = sorted(key for key in wanted if found.get(key) != wanted[key]) if found else ["camera.json"]
             raise DataError(
                 f"{sequence} holds images of another simulation (different: {', '.join(changed)}): choose another "
                 "out, or replace them with overwrite=true"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass, replace
+from pathlib import Path as FilePath
 from typing import Literal
 
 import numpy as np
@@ -16,7 +17,7 @@ from siamloc.simulate.layout import SIDES, Array, Building, Colour, Item, Rng, R
 from siamloc.simulate.plan import clearance, inside_item, obstacles
 from siamloc.simulate.shell import Fixtures, leaf_segment
 from siamloc.simulate.sky import sun_direction
-from siamloc.simulate.trajectory import Track, drive
+from siamloc.simulate.trajectory import Track, drive, listed
 
 _START = {"cloudy": 11.0, "night": 22.0, "sunny": 10.0}
 _EPOCH = 1152860400.0
@@ -33,12 +34,14 @@ class Run(Settings):
         number: 1, 2, ... within the lighting; each number is a different hour and a different day.
         path: name of one of the building's paths.
         spacing: metres between frames.
+        trajectory: a `places.lst` whose poses are used instead of the path.
     """
 
     lighting: Literal["cloudy", "night", "sunny"] = "cloudy"
     number: Count = 1
     path: str = "path2"
     spacing: Positive = 0.15
+    trajectory: FilePath | None = None
 
     @property
     def name(self) -> str:
@@ -47,7 +50,7 @@ class Run(Settings):
         return f"seq{digits}_{self.lighting}{self.number}"
 
     @classmethod
-    def parse(cls, name: str, path: str = "path2", spacing: float = 0.15) -> Run:
+    def parse(cls, name: str, path: str = "path2", spacing: float = 0.15, trajectory: FilePath | None = None) -> Run:
         """Return the run with a name such as "cloudy1".
 
         >>> Run.parse("night2").name
@@ -61,7 +64,7 @@ class Run(Settings):
             raise ConfigError(
                 f"a run is a lighting and a number such as cloudy1, got {name!r}; {hint(name, LIGHTINGS)}"
             )
-        return cls(parts[1], int(parts[2]), path, spacing)  # type: ignore[arg-type]
+        return cls(parts[1], int(parts[2]), path, spacing, trajectory)  # type: ignore[arg-type]
 
 
 @dataclass(frozen=True)
@@ -131,8 +134,11 @@ def draw_run(building: Building, run: Run) -> RunState:
     rng = seeded(building.seed, building.name, "run", run.lighting, run.number, run.path)
     hour = _START[run.lighting] + 2.6 * ((run.number - 1) % 3) + rng.uniform(-0.4, 0.4)
     declination = float(rng.uniform(-10, 0))
-    day = 86400.0 * (3 * (run.number - 1) + LIGHTINGS.index(run.lighting))
-    track = drive(building, run.path, run.spacing, rng, round(_EPOCH + day + 3600 * hour, 6))
+    if run.trajectory is not None:
+        track = listed(building, run.trajectory)
+    else:
+        day = 86400.0 * (3 * (run.number - 1) + LIGHTINGS.index(run.lighting))
+        track = drive(building, run.path, run.spacing, rng, round(_EPOCH + day + 3600 * hour, 6))
     angles = _door_angles(building, track, rng)
     fixtures = Fixtures(angles, _blinds(building, run.lighting, rng))
     light = Light(run.lighting, hour, declination, _lamps_on(building, run.lighting, rng), run.number)

@@ -1,12 +1,14 @@
-"""Poses of the robot in every frame: the paths of the building, driven a little differently in each run."""
+"""Poses of the robot in every frame: built-in paths, driven a little differently in each run, or a list of poses."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path as FilePath
 
 import cv2
 import numpy as np
 
+from siamloc.data.cold import read_list
 from siamloc.data.names import NamedPose, format_name
 from siamloc.errors import ConfigError, DataError, hint
 from siamloc.simulate.layout import Array, Building, Path, Rng
@@ -85,6 +87,33 @@ def drive(building: Building, path: str, spacing: float, rng: Rng, start: float)
     poses, times = np.round(poses, 6), np.round(start + time[keep], 6)
     names = [format_name(NamedPose(t, *pose)) for t, pose in zip(times.tolist(), poses.tolist(), strict=True)]
     return Track(poses, times, speed[keep], rate[keep], tuple(names), tuple(room_codes(building, poses[:, :2])))
+
+
+def listed(building: Building, file: FilePath) -> Track:
+    """Return the poses of a `places.lst`; the image names stay as they are, the rooms come from the floor plan.
+
+    Raises:
+        DataError: a list that cannot be read or names other images than JPEG, or a pose in a wall or an item.
+    """
+    frames = read_list(file)
+    names = tuple(frame["image"] for frame in frames)
+    if other := [name for name in names if not name.lower().endswith((".jpeg", ".jpg"))]:
+        raise DataError(f"{file}: images are written as JPEG, but the list names {other[0]}")
+    values = np.array([[frame[key] for key in NamedPose._fields] for frame in frames])
+    inside = blocked_points(building, values[:, 1:3])
+    if inside.any():
+        raise DataError(
+            f"{file}: {int(inside.sum())} of {len(names)} poses lie in a wall or on furniture of building "
+            f"{building.name!r}, the first: {names[int(inside.argmax())]}"
+        )
+    change = np.zeros_like(values)
+    if len(names) > 1:
+        change = np.gradient(np.column_stack([values[:, :3], np.unwrap(values[:, 3])]), axis=0)
+    seconds = np.maximum(change[:, 0], 0.05)
+    speed = np.clip(np.linalg.norm(change[:, 1:3], axis=1) / seconds, 0, 1.0)
+    rate = np.clip(change[:, 3] / seconds, -1.5, 1.5)
+    codes = tuple(room_codes(building, values[:, 1:3]))
+    return Track(values[:, 1:4], values[:, 0], speed, rate, names, codes)
 
 
 def rounded(points: Array) -> Array:

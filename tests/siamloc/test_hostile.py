@@ -14,13 +14,13 @@ import pytest
 from foundation.files import atomic_path
 from siamloc.cli import main
 from siamloc.cli.compose import composed
-from siamloc.data.cold import read_list
 from siamloc.data.decoding import UnreadableImageError, read_image
 from siamloc.data.protocol import Role
 from siamloc.errors import ConfigError, DataError, FormatError, StorageError
 from siamloc.runs import Run
 from siamloc.runtime import Bundle
 from siamloc.simulate.parse import read_building_file
+from siamloc.simulate.trajectory import listed
 
 
 def test_a_file_never_takes_the_place_of_a_device_or_a_pipe(tmp_path):
@@ -62,7 +62,7 @@ def test_pipes_and_endless_devices_are_not_waited_for(tmp_path):
         with pytest.raises(DataError, match="it is not a regular file"):
             read_building_file(type(pipe)(path), 0)
         with pytest.raises(DataError, match="it is not a regular file"):
-            read_list(type(pipe)(path))
+            listed(None, type(pipe)(path))
 
 
 def test_aliases_cannot_make_a_building_endless(tmp_path):

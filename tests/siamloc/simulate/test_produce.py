@@ -131,11 +131,15 @@ def test_another_simulation_is_not_mixed_in(written: Path, tmp_path: Path) -> No
     assert small(out=tmp_path, spacing=0.3, frames=2, overwrite=True).rendered == 2
 
 
-def test_omnidirectional_pictures(tmp_path: Path) -> None:
-    summary = small(out=tmp_path, runs=["night1"], camera="omnidirectional", frames=2)
-    images = sorted((summary.folder / "part_a" / "seq2_night1" / "omni_cam").iterdir())
-    image = cv2.imread(str(images[0]))
-    assert (len(images), image.shape) == (2, (480, 640, 3))
+def test_omnidirectional_pictures_and_lists(tmp_path: Path) -> None:
+    names = ["t5.000000_x1.000000_y1.100000_a0.000000.jpeg", "t5.200000_x1.100000_y1.100000_a0.000000.jpeg"]
+    poses = tmp_path / "own.places.lst"
+    poses.write_text("".join(f"{name} CR-A\n" for name in names))
+    summary = simulate(building="mini", runs=["night1"], out=tmp_path, workers=1, trajectory=poses)
+    images = summary.folder / "part_a" / "seq2_night1" / "omni_cam"
+    assert sorted(path.name for path in images.iterdir()) == names
+    image = cv2.imread(str(images / names[0]))
+    assert image.shape == (480, 640, 3)
     assert image[5, 5].max() < 12  # outside the mirror
     assert summary.rooms == {"CR-A": 2}
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path as FilePath
 
 import numpy as np
 import pytest
@@ -14,7 +15,7 @@ from siamloc.simulate.layout import Building, Path
 from siamloc.simulate.plan import blocked_points, clearance, crossings, obstacles
 from siamloc.simulate.run import draw_run
 from siamloc.simulate.shell import leaf_segment
-from siamloc.simulate.trajectory import drive
+from siamloc.simulate.trajectory import drive, listed
 
 
 def test_frames_are_spaced_and_named_and_look_ahead(mini: Building) -> None:
@@ -64,6 +65,31 @@ def test_runs_differ_in_doors_hours_chairs_and_people(mini: Building) -> None:
     assert draw_run(mini, Run("sunny", 1)).items == a.items
     assert Run("cloudy", 2).name == "seq2_cloudy2"
     assert Run.parse("night1", path="path1").name == "seq1_night1"
+
+
+def test_lists_are_rendered_under_their_own_names(mini: Building, tmp_path: FilePath) -> None:
+    names = ["t5.000000_x1.000000_y1.100000_a-0.000000.jpeg", "t5.300000_x1.200000_y1.100000_a0.000000.jpeg"]
+    file = tmp_path / "own.places.lst"
+    file.write_text("".join(f"{name} XX\n" for name in names))
+    track = listed(mini, file)
+    assert track.names == tuple(names)
+    assert track.codes == ("CR-A", "CR-A")
+    np.testing.assert_allclose(track.poses[1], [1.2, 1.1, 0.0])
+    assert track.speed[0] == pytest.approx(0.2 / 0.3)
+
+
+@pytest.mark.parametrize(
+    ("name", "message"),
+    [
+        ("t1_x0.4_y5.4_a0.png", "images are written as JPEG, but the list names t1_x0"),
+        ("t1_x0.4_y5.4_a0.jpeg", r"1 of 1 poses lie in a wall or on .* the first: t1_x0\.4_y5\.4_a0\.jpeg"),
+    ],
+)
+def test_bad_lists(mini: Building, tmp_path: FilePath, name: str, message: str) -> None:
+    file = tmp_path / "bad.lst"
+    file.write_text(f"{name} 1PO-A\n")
+    with pytest.raises(DataError, match=message):
+        listed(mini, file)
 
 
 def test_bad_paths(mini: Building) -> None:
