@@ -128,14 +128,8 @@ def test_unit_and_source_are_kept_and_do_not_count_for_equality():
     source = {"kind": "manifest", "manifest": "/robot.csv"}
     frames = table().with_columns(unit="px", source=source)
     assert frames == table()
-    for part in (
-        frames.select(room="a"),
-        frames.take([1]),
-        frames.every(2),
-        frames.spaced(1.0),
-        frames.with_columns(x=np.zeros(6)),
-        concatenate([frames, frames.take([0])]),
-    ):
+    parts = [frames.select(room="a"), frames.take([1]), frames.every(2), frames.spaced(1.0)]
+    for part in (*parts, frames.with_columns(x=np.zeros(6)), concatenate([frames, frames.take([0])])):
         assert (part.unit, part.source) == ("px", source)
     joined = concatenate([frames.take([5, 1]), FrameTable(path=["a longer name"], room=["a room"], unit="px")])
     assert (joined.path.tolist(), joined.room.tolist()) == (["5.jpg", "1.jpg", "a longer name"], ["", "b", "a room"])
@@ -147,13 +141,9 @@ def test_unit_and_source_are_kept_and_do_not_count_for_equality():
 
 def test_a_large_table_shows_itself_in_one_line():
     n = 5000
-    frames = FrameTable(
-        path=[f"{i}.jpg" for i in range(n)],
-        x=np.where(np.arange(n) < 10, 0.0, np.nan),
-        y=np.zeros(n),
-        sequence=[f"drive{i % 40}" for i in range(n)],
-        room=["<office>"] * n,
-    )
+    paths, sequence = ([f"{name}{i % 40}" for i in range(n)] for name in ("image", "drive"))
+    x = np.where(np.arange(n) < 10, 0.0, np.nan)
+    frames = FrameTable(path=paths, x=x, y=np.zeros(n), sequence=sequence, room=["<office>"] * n)
     text = repr(frames)
     assert "\n" not in text
     assert text.startswith("FrameTable(5000 frames; sequences: drive0 125, drive1 125, ")

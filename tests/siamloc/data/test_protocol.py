@@ -12,14 +12,9 @@ from siamloc.errors import ConfigError, DataError
 @pytest.fixture
 def table():
     names = ["cloudy1", "cloudy2", "night1"]
-    return FrameTable(
-        path=[f"{name}/{i}" for name in names for i in range(10)],
-        x=np.tile(np.arange(10.0), 3),
-        y=np.zeros(30),
-        room=np.tile(["A"] * 5 + ["B"] * 5, 3),
-        sequence=np.repeat(names, 10),
-        lighting=np.repeat(["cloudy", "cloudy", "night"], 10),
-    )
+    labels = {"sequence": np.repeat(names, 10), "lighting": np.repeat(["cloudy", "cloudy", "night"], 10)}
+    paths, rooms = [f"{name}/{i}" for name in names for i in range(10)], list("AAAAABBBBB") * 3
+    return FrameTable(path=paths, x=np.tile(np.arange(10.0), 3), y=np.zeros(30), room=rooms, **labels)
 
 
 def protocol(kind="cross_run", **roles):

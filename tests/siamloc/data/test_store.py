@@ -222,8 +222,7 @@ def test_a_killed_build_leaves_nothing_that_is_taken_for_a_store(paths, tmp_path
     assert any(name.endswith(".tmp") for name in left), "the build was killed before it began to write"
     with start(tmp_path, "go") as process:
         assert process.communicate(timeout=60)[0].split()[1:] == [str(IMAGES), str(IMAGES)]
-    store = build(paths, tmp_path)
-    assert_whole(store)
+    assert_whole(store := build(paths, tmp_path))
     assert names(tmp_path / "cache") == [store.folder.name]
 
 

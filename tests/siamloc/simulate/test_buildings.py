@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import combinations
+
 import numpy as np
 import pytest
 
@@ -50,13 +52,10 @@ def test_every_kind_of_plan_is_connected_and_nothing_overlaps(draw) -> None:
                 reached.add(here)
                 waiting += [b if a == here else a for a, b, _ in plan.doors if here in (a, b)]
         assert reached == {cell.name for cell in plan.cells}
-        for number, a in enumerate(plan.cells):
-            for b in plan.cells[:number]:
-                across = min(a.x[1], b.x[1]) - max(a.x[0], b.x[0])
-                along = min(a.y[1], b.y[1]) - max(a.y[0], b.y[0])
-                assert min(across, along) < 1e-9, (a, b)
-        for door in plan.place_doors(np.random.default_rng(seed)):
-            assert door["width"] > 0.9
+        for a, b in combinations(plan.cells, 2):
+            across, along = (min(s[1], t[1]) - max(s[0], t[0]) for s, t in ((a.x, b.x), (a.y, b.y)))
+            assert min(across, along) < 1e-9, (a, b)
+        assert all(door["width"] > 0.9 for door in plan.place_doors(np.random.default_rng(seed)))
 
 
 def test_all_kinds_of_plans_are_drawn_and_what_their_rooms_may_hold_exists() -> None:

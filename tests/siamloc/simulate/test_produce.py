@@ -80,9 +80,8 @@ def test_an_interrupted_rendering_goes_on(written: Path, tmp_path: Path, monkeyp
     assert summary.rendered == 3
     assert hashes(tmp_path) == hashes(written)
     again = small(out=tmp_path)
-    assert repr(again) == f"{tmp_path / 'mini'}: 0 frames rendered in {again.seconds:.0f} s\n" + (
-        "  seq2_cloudy1: 6 frames\n  rooms: CR-A 6"
-    )
+    first = f"{tmp_path / 'mini'}: 0 frames rendered in {again.seconds:.0f} s"
+    assert repr(again).splitlines() == [first, "  seq2_cloudy1: 6 frames", "  rooms: CR-A 6"]
 
 
 def test_images_of_somebody_else_are_never_replaced(tmp_path: Path) -> None:
@@ -147,8 +146,7 @@ def test_omnidirectional_pictures_and_lists(tmp_path: Path) -> None:
 def test_preview_writes_two_pictures(tmp_path: Path) -> None:
     summary = simulate(building="mini", runs=["night1"], out=tmp_path, preview=True)
     assert [path.name for path in summary.files] == ["contact_sheet.png", "floor_plan.png"]
-    for path in summary.files:
-        assert cv2.imread(str(path)).std() > 20
+    assert min(cv2.imread(str(path)).std() for path in summary.files) > 20
 
 
 @pytest.mark.parametrize(
