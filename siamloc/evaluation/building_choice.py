@@ -61,10 +61,9 @@ def buildings(
     """
     candidates = by_building([known] if isinstance(known, VisualMap) else known)
     first = next(iter(candidates.values()))
-    describer = first.descriptor
-    if describer.aligned and layers is not None:
+    if first.aligned and layers is not None:
         raise ConfigError(
-            f"descriptors of {describer.name} are compared after turning, so their means are meaningless: leave "
+            f"descriptors of {first.descriptor.name} are compared after turning, so their means are meaningless: leave "
             "the layers out, or use another descriptor"
         )
     session = Session(first, images, queries, protocol="same_run", name=name)
@@ -75,9 +74,8 @@ def buildings(
         Session(candidates[building], images, wanted.take(wanted.building == building), protocol=protocol)
     _check_one_distance(candidates)
     chosen = {} if layers is None else _layers_of(candidates, layers)
-    several = chosen or candidates
-    vectors = [one.representatives if isinstance(one, CoarseLayer) else one.descriptors for one in several.values()]
-    names = [one.names if isinstance(one, CoarseLayer) else one.frames.path for one in several.values()]
+    vectors = [one.representatives for one in chosen.values()] or [one.descriptors for one in candidates.values()]
+    names = [one.names for one in chosen.values()] or [one.frames.path for one in candidates.values()]
     apart, rows, clock = [], [], Stopwatch()
     for part in session.parts_of(first, wanted, f"the queries, {session.name}", clock):
         with clock.of("search", len(part)):

@@ -95,12 +95,12 @@ def curves(columns: Mapping[str, NDArray], radius: float, map_frames: int) -> Co
         if no heading is known; radius, within (queries), share (of all queries), answerable (queries with a map frame
         within the radius).
     """
-    keys = list(zip(*(columns[name].tolist() for name in ("method", "disturbance", "level")), strict=True))
-    number = {key: i for i, key in enumerate(dict.fromkeys(keys))}
-    group = np.array([number[key] for key in keys])
+    groups: dict[tuple[Any, ...], list[int]] = {}
+    for i, key in enumerate(zip(*(columns[name].tolist() for name in ("method", "disturbance", "level")), strict=True)):
+        groups.setdefault(key, []).append(i)
     rows: list[dict[str, Any]] = []
-    for (method, name, level), i in number.items():
-        error, floor = columns["error"][group == i], columns["floor"][group == i]
+    for (method, name, level), group in groups.items():
+        error, floor = columns["error"][group], columns["floor"][group]
         errors = summarize(error)
         near = recall_from_ranks((error <= radius).astype(np.int64), floor, radius, 1)
         rows.append(
@@ -114,8 +114,8 @@ def curves(columns: Mapping[str, NDArray], radius: float, map_frames: int) -> Co
                 "floor": float(floor.mean()),
                 "excess": float((error - floor).mean()),
                 "hit_rate": float((error - floor <= 1e-9).mean()),
-                "heading": _mean(columns["heading_error"][group == i]),
-                "heading_nearest": _mean(columns["heading_error_nearest"][group == i]),
+                "heading": _mean(columns["heading_error"][group]),
+                "heading_nearest": _mean(columns["heading_error_nearest"][group]),
                 "radius": float(radius),
                 "within": near.hits,
                 "share": near.recall,

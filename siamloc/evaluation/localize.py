@@ -323,12 +323,12 @@ def _with_pairs(
     except SiamlocError as error:
         skipped["room_pairs"] = str(error)
         return result
-    one, other = queries.lighting[pairs.first], queries.lighting[pairs.second]
-    first, second = np.where(one <= other, one, other), np.where(one <= other, other, one)
+    first, second = np.sort([queries.lighting[pairs.first], queries.lighting[pairs.second]], axis=0)
     lighting = np.where(first == second, first, np.char.add(np.char.add(first, " and "), second))
     labels = {"first": queries.path[pairs.first], "second": queries.path[pairs.second]}
-    one_each, another = vectors[pairs.first], vectors[pairs.second]
-    judged = room_retrieval.evaluate_pairs(one_each, another, pairs.same, margin, 0.5, lighting, labels)
+    judged = room_retrieval.evaluate_pairs(
+        vectors[pairs.first], vectors[pairs.second], pairs.same, margin, 0.5, lighting, labels
+    )
     return result.joined(replace(judged, about=learned))
 
 
