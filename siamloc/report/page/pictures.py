@@ -97,7 +97,11 @@ class Decoder:
 
 
 def read_large(wanted: Iterable[tuple[Decoder, str]]) -> None:
-    """Read the larger images of files, each with its decoder, which keeps them: the first 180 that can be read."""
+    """Read larger images of the first 180 files that can be read; each decoder keeps the images of its files.
+
+    Args:
+        wanted: decoder and path of each file, the most important file first.
+    """
     count = 0
     for decoder, path in dict.fromkeys(wanted):
         if count < _MOST_LARGE and (picture := decoder.read(path, _LARGE[0])) is not None:

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import siamloc
+from siamloc import evaluation
 from siamloc.cli.compose import composed
 from siamloc.results import read_results
 from tests.siamloc.cli.commands import QUICK, done, measures, refused
@@ -21,100 +22,93 @@ def drive(images, *names):
     return images.frames.select(sequence=names)
 
 
-def localized(known, images, folder, **settings):
-    queries = drive(images, "second", "dark")
-    return siamloc.evaluation.localization(known, images, queries, **settings)
+def searched(known, images, queries, **settings):
+    return evaluation.hierarchical(known, images, queries, siamloc.maps.group(known, "sample", nodes=4), **settings)
 
 
-def learned(known, images, folder, **settings):
-    return localized(known, images, folder, validation=drive(images, "third"), names=["absolute"], **settings)
+def chosen(known, images, queries):
+    return evaluation.buildings([known], images, queries)
 
 
-def retrieved(known, images, folder):
-    return siamloc.evaluation.rooms(known, images, drive(images, "second", "dark"), baselines=["thumbnail"])
-
-
-def searched(known, images, folder):
-    layer = siamloc.maps.group(known, "sample", nodes=4)
-    queries = drive(images, "second", "dark")
-    return siamloc.evaluation.hierarchical(known, images, queries, layer, candidates=2, name="hog-sample")
-
-
-def mapped(known, images, folder):
-    # The time that the nodes took is stored in the layer, which is read again here.
-    layer = siamloc.maps.group(known, "spectral", nodes=4, folder=folder / "layers" / "hog-spectral")
-    return siamloc.evaluation.mapping(known, layer, closure_gap=5, name="spectral over hog")
-
-
-def chosen(known, images, folder):
-    return siamloc.evaluation.buildings([known], images, drive(images, "second", "dark"))
-
-
-def disturbed(known, images, folder):
-    return siamloc.evaluation.robustness(
-        known, images, drive(images, "second", "dark"), every=3, occlusion=[], turn=[0, 90], effects=["blur"], seed=3
-    )
+def learned(known, images, queries, **settings):
+    return evaluation.localization(known, images, queries, validation=drive(images, "third"), **settings)
 
 
 TASKS = {
+    "both": ("task.baselines=[]", "hog", evaluation.localization, {}),
     "absolute": (
-        ["task=absolute", "task.baselines=[thumbnail]", "task.radii=[0.3]"],
+        "task=absolute task.baselines=[thumbnail] task.radii=[0.3]",
         "hog",
-        lambda *world: localized(*world, names=["absolute"], baselines=["thumbnail"], radii=[0.3]),
+        evaluation.localization,
+        {"names": ["absolute"], "baselines": ["thumbnail"], "radii": [0.3]},
     ),
-    "both": (["task.baselines=[]"], "hog", localized),
-    "rooms": (["task=room_retrieval", "task.baselines=[thumbnail]"], "hog", retrieved),
+    "rooms": (
+        "task=room_retrieval task.baselines=[thumbnail]",
+        "hog",
+        evaluation.rooms,
+        {"baselines": ["thumbnail"]},
+    ),
     "hierarchical": (
-        ["task=hierarchical", "build=sample", "build.nodes=4", "task.candidates=2"],
+        "task=hierarchical build=sample build.nodes=4 task.candidates=2",
         "hierarchical-hog-sample",
         searched,
+        {"candidates": 2, "name": "hog-sample"},
     ),
-    "mapping": (
-        ["task=mapping", "build=spectral", "build.nodes=4", "task.closure_gap=5"],
-        "mapping-hog-spectral",
-        mapped,
-    ),
-    "buildings": (["task=buildings"], "buildings-hog", chosen),
+    "buildings": ("task=buildings", "buildings-hog", chosen, {}),
     "robustness": (
-        [
-            *["task=robustness", "task.baselines=[]", "task.robustness.every=3", "task.robustness.occlusion=[]"],
-            *["task.robustness.turn=[0,90]", "task.robustness.effects=[blur]", "seed=3"],
-        ],
+        "task=robustness task.baselines=[] task.robustness.every=3 task.robustness.occlusion=[] "
+        "task.robustness.turn=[0,90] task.robustness.effects=[blur] seed=3",
         "robustness-hog",
-        disturbed,
+        evaluation.robustness,
+        {"every": 3, "occlusion": [], "turn": [0, 90], "effects": ["blur"], "seed": 3},
     ),
     "filter": (
-        ["task=absolute", "task.baselines=[]", "task.filter=true", "task.filter_tune=true", "task.refine=interpolate"],
+        "task=absolute task.baselines=[] task.filter=true task.filter_tune=true task.refine=interpolate",
         "hog",
-        lambda *world: learned(*world, filter=True, filter_tune=True, refine="interpolate"),
+        learned,
+        {"names": ["absolute"], "filter": True, "filter_tune": True, "refine": "interpolate"},
     ),
     "error model": (
-        ["task=absolute", "task.baselines=[]", "task.error_model=true", "task.lost_above=0.7"],
+        "task=absolute task.baselines=[] task.error_model=true task.lost_above=0.7",
         "hog",
-        lambda *world: learned(*world, error_model=True, lost_above=0.7),
+        learned,
+        {"names": ["absolute"], "error_model": True, "lost_above": 0.7},
     ),
 }
 
 
-@pytest.mark.parametrize("task", TASKS)
-def test_a_task_by_command_and_by_call(town, words, images, tmp_path, task):
-    more, name, call = TASKS[task]
-    done(
-        *["evaluate", "descriptor=hog", *words, f"data.manifest={town}", f"run={tmp_path}", "task.plots=false"],
-        *more,
-    )
-    known = siamloc.maps.build("hog", images, drive(images, "first"))
-    call(known, images, tmp_path).save(tmp_path / "python", pictures=False)
-    by_command, by_call = tmp_path / "evaluation" / name, tmp_path / "python"
-    one, other = read_results(by_command), read_results(by_call)
+def agree(by_command, result, folder):
+    """Compare the files of a command with those of a result."""
+    result.save(folder, pictures=False)
+    one, other = read_results(by_command), read_results(folder)
     for key in ("measures", "baselines", "denominators", "skipped", "descriptor", "name"):
         assert one[key] == other[key], key
     assert one["measures"]
-    tables = sorted(path.name for path in by_call.iterdir() if path.name != "results.json")
+    tables = sorted(path.name for path in folder.iterdir() if path.name != "results.json")
     assert tables == sorted(path.name for path in by_command.iterdir() if path.name != "results.json")
     assert tables
     for table in tables:
-        assert (by_command / table).read_text() == (by_call / table).read_text(), table
+        assert (by_command / table).read_text() == (folder / table).read_text(), table
+
+
+@pytest.mark.parametrize("task", TASKS)
+def test_a_task_by_command_and_by_call(town, words, images, tmp_path, task):
+    line, name, call, settings = TASKS[task]
+    given = ["evaluate", "descriptor=hog", *words, f"data.manifest={town}", f"run={tmp_path}", "task.plots=false"]
+    done(*given, *line.split())
+    known = siamloc.maps.build("hog", images, drive(images, "first"))
+    result = call(known, images, drive(images, "second", "dark"), **settings)
+    agree(tmp_path / "evaluation" / name, result, tmp_path / "python")
+
+
+def test_a_layer_by_command_and_by_call(town, words, images, tmp_path):
+    given = ["evaluate", "descriptor=hog", *words, f"data.manifest={town}", f"run={tmp_path}", "task.plots=false"]
+    done(*given, "task=mapping", "build=spectral", "build.nodes=4", "task.closure_gap=5")
+    known = siamloc.maps.build("hog", images, drive(images, "first"))
+    # The time that the nodes took is stored in the layer, which is read again here.
+    layer = siamloc.maps.group(known, "spectral", nodes=4, folder=tmp_path / "layers/hog-spectral")
+    result = evaluation.mapping(known, layer, closure_gap=5, name="spectral over hog")
+    agree(tmp_path / "evaluation/mapping-hog-spectral", result, tmp_path / "python")
 
 
 def test_a_job_made_in_python_is_the_command(words, tmp_path):
@@ -131,7 +125,7 @@ def test_what_commands_made_works_in_python(trained, images, tmp_path):
     known = siamloc.maps.VisualMap.load(trained / "map.npz", siamloc.models.as_descriptor(network))
     again = siamloc.maps.build(network, images, drive(images, "first"))
     np.testing.assert_allclose(known.descriptors, again.descriptors, atol=1e-6)
-    result = siamloc.evaluation.localization(known, images, drive(images, "second"))
+    result = evaluation.localization(known, images, drive(images, "second"))
     assert result.measures["queries"] == 24
     bundle = siamloc.runtime.export(network, known, tmp_path / "bundle")
     location = siamloc.runtime.Localizer(bundle.path).locate(images.frames.path[0])
@@ -171,7 +165,7 @@ def test_excluded_map_frames_reach_the_evaluation(town, words, images, tmp_path)
     done(*given, "protocol.leave_one_out=true")
     protocol = siamloc.data.Protocol(leave_one_out=True)
     known = siamloc.maps.build("hog", images, drive(images, "first"))
-    result = siamloc.evaluation.localization(known, images, drive(images, "first"), protocol=protocol)
+    result = evaluation.localization(known, images, drive(images, "first"), protocol=protocol)
     held = measures(tmp_path / "evaluation/hog")["absolute"]["overall"]
     assert held["error"] == result.measures["error"]
     assert held["floor"]["mean"] > 0, "no query finds itself"
