@@ -25,9 +25,6 @@ class NamedRooms:
     probabilities: NDArray[np.float64]
     names: NDArray[np.str_]
 
-    def __len__(self) -> int:
-        return len(self.room)
-
 
 @dataclass(frozen=True, eq=False)
 class RoomClassifier:

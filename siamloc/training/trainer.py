@@ -240,7 +240,6 @@ def quiet() -> Iterator[None]:
         "many workers",
         "smaller than the logging interval",
         "is not empty",
-        "not supported by the model summary",  # which then counts 32 bits per weight, as there are in mixed precision
         "before the epoch ended",
         "The .grad attribute of a Tensor that is not a leaf",  # torch's compiler reads it
     )

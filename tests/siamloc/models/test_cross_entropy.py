@@ -70,7 +70,7 @@ def test_the_class_layer_names_the_same_rooms_without_torch():
     expected = loss.scores(descriptors).softmax(dim=1)
     np.testing.assert_allclose(named.probabilities, expected.detach().numpy(), rtol=1e-5)
     assert named.room.tolist() == [ROOMS[number] for number in expected.argmax(dim=1).tolist()]
-    assert (len(named), len(rooms)) == (7, 3)
+    assert len(rooms) == 3
     some = rooms.of(["office", "hall"])
     assert some.names.tolist() == ["office", "hall"]
     np.testing.assert_array_equal(some.scores(descriptors), rooms.scores(descriptors)[:, [2, 0]])
