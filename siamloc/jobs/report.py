@@ -90,6 +90,9 @@ class Compare(Job):
         found = (evaluation if measured else training).compare(folders, by=self.by)
         say(found.table())
         say(found.verdict())
+        if not measured and files_named(folders, "results.json"):
+            named = folders if isinstance(folders, str) else f"[{','.join(folders)}]"
+            say(f"to compare the evaluations of these runs: siamloc compare runs={named} by=error")
         name = "evaluations.csv" if measured else "trainings.csv"
         inside = Path(folders) / name if isinstance(folders, str) else None
         out = inside if self.out is None else Path(self.out)
