@@ -8,7 +8,7 @@
     foundation.errors.ConfigError: frames must be a FrameTable, got 'abc'
 
 The names in an annotation are looked up when the call is made. A class that is only imported for type checking is
-recognized by its name. Arguments whose annotations cannot be checked by value (arrays, callables, type variables) pass.
+recognized by its name. Arguments pass if their annotations cannot be checked by value (array-likes, type variables).
 """
 
 from __future__ import annotations
@@ -25,7 +25,6 @@ from typing import (
     Annotated,
     Any,
     Concatenate,
-    Literal,
     ParamSpec,
     Protocol,
     TypeVar,
@@ -191,15 +190,8 @@ class _Space(dict[str, Any]):
 
 
 def _can_be_told(kind: Any) -> bool:
-    """Whether a value can be checked against this annotation."""
+    """Whether a value can be checked against an annotation: any but numpy's array-likes, which can be anything."""
     origin, parts = get_origin(kind), get_args(kind)
-    if origin is Annotated:
-        return _can_be_told(parts[0])
-    if origin in (Union, types.UnionType, tuple, list, Sequence):
-        return all(_can_be_told(part) for part in parts if part is not Ellipsis)
-    if origin in (dict, Mapping, Literal) or kind in (dict, Mapping, None, type(None)):
-        return True
-    if not isinstance(origin or kind, type):
-        return False
-    # Of numpy's types only arrays: array-likes and number-likes can be anything.
-    return kind is not Any and (origin is np.ndarray or not (origin or kind).__module__.startswith("numpy"))
+    if origin in (Annotated, Union, types.UnionType, tuple, list, Sequence):
+        return all(map(_can_be_told, parts))
+    return origin is np.ndarray or not getattr(origin or kind, "__module__", "").startswith("numpy")
