@@ -29,7 +29,7 @@ def check(frames: FrameTable, images: PanoramaLibrary | None = None) -> list[str
     """Check a data set for faults that go unnoticed until the results are poor.
 
     Checked are headings (degrees instead of radians, clockwise, x and y exchanged), missing positions and labels, steps
-    that no robot indoors makes, jumps and stops of a drive, the sizes of the images, and duplicate images.
+    that no robot indoors makes, jumps and stops of a drive, times, the sizes of the images, and duplicate images.
 
     Args:
         frames: the data set.
@@ -170,7 +170,7 @@ def _missing(frames: FrameTable) -> Iterator[str]:
 
 
 def _drives(frames: FrameTable) -> Iterator[str]:
-    """Look for stops, jumps and improbable steps in each drive."""
+    """Look for stops, jumps and uneven times in each drive."""
     for name, rows in frames.rows_by("sequence").items():
         own, drive = frames.take(rows), f"sequence {name or '(unnamed)'}"
         known = own.take(own.has_position)
@@ -195,6 +195,16 @@ def _drives(frames: FrameTable) -> Iterator[str]:
                 f"{drive} jumps by {steps.max():.3g} {frames.unit} at {known.path[at]}, where its usual step is "
                 f"{usual:.2g} {frames.unit}: if several drives share the name, give each its own."
             )
+        gaps = np.diff(own.time) if np.isfinite(own.time).all() else np.zeros(0)
+        if len(gaps) > 10 and gaps.max() > max(20 * np.median(gaps), 10.0):
+            at = int(gaps.argmax()) + 1
+            yield (
+                f"{drive} pauses for {gaps.max():.0f} s before {own.path[at]}, where frames usually are "
+                f"{np.median(gaps):.2g} s apart: a filter over time should start again there. Give it its own sequence."
+            )
+        same = int((gaps == 0).sum())
+        if same:
+            yield f"{_count(same, len(own))} of {drive} have the time of the frame before: check the unit of the times."
 
 
 def _sizes(frames: FrameTable, images: PanoramaLibrary | None) -> Iterator[str]:

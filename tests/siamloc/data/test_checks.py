@@ -66,6 +66,8 @@ def test_without_positions_degrees_show_by_their_range():
         ({"x": drive().x + 100 * (np.arange(60) > 30)}, "jumps by 99.7 m at 31.jpg.*several drives share the name"),
         ({"x": 1000 * drive().x, "y": 1000 * drive().y}, "the usual step of .* is [0-9]+ m.*millimetres, divide by"),
         ({"x": drive().x / 1000, "y": drive().y / 1000}, "kilometres, multiply by 1000, or name their unit"),
+        ({"time": np.arange(60) + 300.0 * (np.arange(60) > 20)}, "pauses for 301 s before 21.jpg"),
+        ({"time": np.arange(60) // 2}, "30 of 60 frames of .* have the time of the frame before"),
         ({"path": ["a.jpg"] + [f"{i}.jpg" for i in range(1, 59)] + ["a.jpg"]}, "1 of 60 frames show an image that"),
     ],
 )
