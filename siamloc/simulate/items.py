@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import Any
 
+from siamloc.errors import DataError
 from siamloc.simulate.furniture import (
     BLACKISH,
     CLOTHES,
@@ -294,9 +295,17 @@ KINDS: dict[str, Kind] = FURNITURE | {
 
 
 def add_items(builder: MeshBuilder, building: Building, items: Iterable[Item]) -> None:
-    """Add items to a mesh; an item's details depend on its position in the list and its look, not on the run."""
+    """Add items to a mesh; an item's details depend on its position in the list and its look, not on the run.
+
+    Raises:
+        DataError: an item that is too small for its parts.
+    """
     for number, item in enumerate(items):
         builder.room = building.room_index(item.room)
         with builder.at(item.x, item.y, item.z, item.facing - 90):
             rng = seeded(building.seed, building.name, "item", number, int(item.options.get("look", 0)))
-            KINDS[item.kind].build(builder, item, rng, *item.size)
+            try:
+                KINDS[item.kind].build(builder, item, rng, *item.size)
+            except ValueError as error:  # a part would have to lie between two ends that cross
+                where = f"{building.where(item.line)}: room {item.room!r}: {item.kind}"
+                raise DataError(f"{where} is too small for its parts at {item.size}: give it a larger size") from error

@@ -211,7 +211,7 @@ def build_scene(building: Building, run: Run, detail: Detail = FULL, light: Ligh
 
     Raises:
         ConfigError: the building has no such path.
-        DataError: the run's path or list of poses leads into a wall or furniture.
+        DataError: the run's path leads into a wall or furniture, or an item is too small for its parts.
         SiamlocError: embreex is not installed.
     """
     state = draw_run(building, run)
