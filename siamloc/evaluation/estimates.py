@@ -138,10 +138,10 @@ def search_validation(session: Session, frames: FrameTable | None, settings: Est
         offsets = (known.frames.xy - xy for xy in frames.xy[search.rows])
         near = np.stack([np.hypot(*offset.T) <= _ELSEWHERE * settings.place_radius for offset in offsets])
         enough = (~near).sum(axis=1) >= k
-        elsewhere = Search(known, search.rows[enough], k, excluded=near[enough])
-        searches["elsewhere"] = elsewhere
+        if enough.any():
+            elsewhere = searches["elsewhere"] = Search(known, search.rows[enough], k, excluded=near[enough])
     session.run(known, frames, searches, "the validation frames")
-    return Validation(frames.take(has), search, elsewhere if elsewhere is not None and len(elsewhere.rows) else None)
+    return Validation(frames.take(has), search, elsewhere)
 
 
 def refinement(settings: Estimates, known: VisualMap) -> Refinement | None:

@@ -12,7 +12,7 @@ from dataclasses import asdict, dataclass, field
 from difflib import get_close_matches
 from functools import cache
 from itertools import product
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 from foundation.calls import typed
 from foundation.settings import Settings, Text
@@ -24,7 +24,7 @@ Scale = Literal["smoke", "short", "full"]
 DataName = Literal["cold", "freiburg_sim", "mini"]
 """Data sets of `study_book.yaml`."""
 
-_SCALES = ("smoke", "short", "full")
+_SCALES = get_args(Scale)
 
 
 @dataclass(frozen=True)
