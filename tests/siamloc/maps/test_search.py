@@ -69,7 +69,7 @@ def test_neither_memory_nor_slices_nor_batch_change_a_bit(distance: str, k: int)
     queries, references = gaussian(12, 130, 24, seed=1)
     whole = nearest(queries, references, k, distance)
     for memory, values in ((TINY, 1), (SMALL, 24), (1 << 20, 5 * 24)):
-        with mock.patch("siamloc.maps.search._VALUES_PER_SLICE", values):
+        with mock.patch.multiple("siamloc.maps.search", _VALUES_PER_SLICE=values, _REFERENCES_PER_BLOCK=50):
             part = nearest(queries, references, k, distance, memory)
         np.testing.assert_array_equal(part.indices, whole.indices)
         np.testing.assert_array_equal(part.distances, whole.distances)
@@ -88,22 +88,6 @@ def test_near_zero_distances_far_from_the_origin_are_right() -> None:
     np.testing.assert_array_equal(found.indices, indices)
     np.testing.assert_allclose(found.distances, distances, rtol=1e-12, atol=0)
     assert (found.distances[:, 0] == 0).all()
-
-
-@pytest.mark.parametrize("distance", ["euclidean", "manhattan", "cosine"])
-@pytest.mark.parametrize("k", [1, 3, 20, 600])
-@pytest.mark.parametrize("smooth", [False, True])
-def test_many_groups_of_references(distance: str, k: int, smooth: bool) -> None:
-    queries, references = gaussian(9, 1100, 6, seed=9)
-    if smooth:  # neighbours look alike, and all near frames are together
-        references = np.cumsum(references, axis=0, dtype=np.float32)
-        queries += references[::123]
-    references[700:720] = references[100]
-    indices, distances = oracle.nearest(queries, references, k, distance)
-    for memory in (SMALL, 1 << 20, 1 << 28):
-        found = nearest(queries, references, k, distance, memory)
-        np.testing.assert_array_equal(found.indices, indices)
-        np.testing.assert_allclose(found.distances, distances, rtol=1e-9, atol=1e-15)
 
 
 @pytest.mark.parametrize("distance", ["cosine", "correlation"])

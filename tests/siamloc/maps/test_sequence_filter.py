@@ -55,15 +55,6 @@ def test_the_filter_equals_the_naive_forward_algorithm(seed: int, kidnapping: fl
         assert track.spread[i] == pytest.approx(math.sqrt(math.fsum(squares)))
 
 
-def test_transitions_are_probabilities_that_fall_with_the_distance_both_ways() -> None:
-    motion = MotionModel.learn(corridor(), step=0.5)
-    np.testing.assert_allclose(np.bincount(motion.source, motion.weight), 1)
-    moved = motion.predict(np.eye(60)[30])
-    np.testing.assert_allclose(moved[31:36], moved[29:24:-1])
-    assert (np.diff(moved[30:35]) < 0).all()
-    assert moved[:10].max() == moved[50:].max() == 0
-
-
 def test_the_step_is_learned_from_the_spacing_or_from_speed_and_interval() -> None:
     known = corridor()
     assert MotionModel.learn(known).step == MotionModel.learn(known).spacing == 0.5

@@ -8,8 +8,11 @@ from typing import Any
 
 import numpy as np
 
+from analytic import Descriptor
 from foundation.files import file_hash, read_json, write_json
 from siamloc.data.frames import FrameTable
+from siamloc.maps import VisualMap
+from siamloc.maps.heading import NetworkHeading, described, halved
 from tests.drawn import draw_panorama, draw_sequence
 
 SIZE = (32, 128)
@@ -27,6 +30,16 @@ def drive(seed: int, frames_per_room: int = 8) -> tuple[np.ndarray, FrameTable]:
 def batch(pictures: np.ndarray) -> np.ndarray:
     """Return pictures as a batch of panoramas (N, 3, H, W)."""
     return pictures.transpose(0, 3, 1, 2)
+
+
+def mapped(by: Descriptor, heading: Descriptor | None = None) -> VisualMap:
+    """Return the map of the first drive, with headings by a second descriptor or, if it finds them, by a network."""
+    pictures, frames = drive(0)
+    seen, parts = described(by, heading, batch(pictures)), {}
+    if seen.orientation is not None:
+        heading = heading or NetworkHeading()
+        parts = {"orientation": halved(heading, seen.orientation), "heading": heading.identity}
+    return VisualMap(seen.position, frames, {**by.identity, "images": IMAGES}, **parts, describes=by)
 
 
 def rewritten(bundle: Path, folder: Path, **parts: Any) -> Path:

@@ -13,18 +13,15 @@ import onnx
 import pytest
 
 from siamloc.errors import ConfigError, FormatError, SiamlocError
-from siamloc.maps import VisualMap
 from siamloc.models import as_descriptor, build
 from siamloc.runtime import Bundle, Localizer, export
-from tests.siamloc.runtime.conftest import IMAGES, SIZE, altered, batch, drive
+from tests.siamloc.runtime.conftest import SIZE, altered, drive, mapped
 
 
 @pytest.fixture(scope="module")
 def world():
     network = as_descriptor(build("simple1", "fc500_500_5", SIZE))
-    pictures, frames = drive(0, 6)
-    seen = network.describe(batch(pictures))
-    return network, VisualMap(seen.position, frames, {**network.identity, "images": IMAGES}, describes=network)
+    return network, mapped(network)
 
 
 @pytest.fixture(scope="module")

@@ -18,24 +18,19 @@ from foundation.files import file_hash, read_json
 from siamloc.data.decoding import Preprocessing
 from siamloc.data.names import NamedPose
 from siamloc.errors import ConfigError, DataError, FormatError
-from siamloc.maps import VisualMap, headings
+from siamloc.maps import headings
 from siamloc.maps.error_model import ErrorModel
-from siamloc.maps.heading import NetworkHeading, described, halved
 from siamloc.models import as_descriptor, build
 from siamloc.runtime import Bundle, Localizer, Located, export, locate_all, written
 from tests.drawn import ROOMS
-from tests.siamloc.runtime.conftest import IMAGES, SIZE, batch, drive, rewritten
+from tests.siamloc.runtime.conftest import IMAGES, SIZE, batch, drive, mapped, rewritten
 
 
 @pytest.fixture(scope="module")
 def world():
     """A network, a map with headings, and an error model."""
     network = as_descriptor(build("simple1", "fc500_500_5", SIZE))
-    hog = analytic.descriptor("hog", rows=1)
-    pictures, frames = drive(0)
-    seen = described(network, hog, batch(pictures))
-    parts = {"orientation": halved(hog, seen.orientation), "heading": hog.identity}
-    known = VisualMap(seen.position, frames, {**network.identity, "images": IMAGES}, **parts, describes=network)
+    known = mapped(network, analytic.descriptor("hog", rows=1))
     pictures, _ = drive(1)
     found = known.search(network.describe(batch(pictures)).position, 20)
     errors = ErrorModel("ratio", 1.0, 20, (0.0, 0.5, 1.0), (0.1, 0.4, 3.0), 24, map_digest=known.digest)
@@ -341,11 +336,7 @@ print(json.dumps([location.x, location.y, location.theta, location.error_m, loca
 
 def test_a_network_that_finds_headings_needs_nothing_beside_it(tmp_path):
     network = as_descriptor(build("panoresnet", "fourier", SIZE, circular=True))
-    pictures, frames = drive(0)
-    seen = network.describe(batch(pictures))
-    by = NetworkHeading()
-    parts = {"orientation": halved(by, seen.orientation), "heading": by.identity}
-    known = VisualMap(seen.position, frames, {**network.identity, "images": IMAGES}, **parts, describes=network)
+    known = mapped(network)
     bundle = export(network, known, tmp_path / "bundle")
     assert bundle.about["heading"]["identity"] == {"name": "network", "version": 1}
     assert bundle.parity["orientation"]["max_relative_difference"] <= 1e-4

@@ -25,12 +25,11 @@ from siamloc.maps import (
     match,
     temperature_of_map,
 )
-from siamloc.maps.heading import NetworkHeading, halved
 from siamloc.maps.sequence_filter import spacing_of
 from siamloc.models import as_descriptor, build
 from siamloc.runtime import Bundle, Localizer, export, locate_all
 from siamloc.runtime.onnx_model import export_relative, relative_parity
-from tests.siamloc.runtime.conftest import IMAGES, SIZE, altered, batch, drive, rewritten
+from tests.siamloc.runtime.conftest import SIZE, altered, batch, drive, mapped, rewritten
 
 
 @pytest.fixture(scope="module")
@@ -45,13 +44,7 @@ def network():
 
 @pytest.fixture(scope="module")
 def known(network) -> VisualMap:
-    pictures, frames = drive(0)
-    descriptor = as_descriptor(network)
-    seen = descriptor.describe(batch(pictures))
-    by = NetworkHeading()
-    parts = {"orientation": halved(by, seen.orientation), "heading": by.identity}
-    identity = {**descriptor.identity, "images": IMAGES}
-    return VisualMap(seen.position, frames, identity, **parts, describes=descriptor)
+    return mapped(as_descriptor(network))
 
 
 def refinement(known: VisualMap, method: str, **options) -> Refinement:
