@@ -99,19 +99,13 @@ def test_headings_count_neither_for_the_digest_nor_for_the_describer() -> None:
     assert len({bare.digest, *(other.digest for other in others)}) == 5
 
 
-def test_a_map_need_not_have_a_heading_part(tmp_path: Path) -> None:
-    known = replace(map_with_headings([0.5, -2.0], analytic.descriptor("hog")), orientation=None, heading=None)
-    known.save(tmp_path / "map.npz")
-    loaded = VisualMap.load(tmp_path / "map.npz")
-    assert loaded.heading is None
-    with pytest.raises(ConfigError, match="holds nothing to find headings by: make it again with `siamloc map heading"):
-        loaded.with_heading(analytic.descriptor("hog"))
-
-
 def test_headings_by_another_descriptor_are_refused() -> None:
     known = map_with_headings([0.5, -2.0], analytic.descriptor("hog"))
     assert known.with_heading(analytic.descriptor("hog")) is known
-    assert known.with_heading(None).heading is None
+    bare = known.with_heading(None)
+    assert (bare.heading, bare.orientation) == (None, None)
+    with pytest.raises(ConfigError, match="holds nothing to find headings by: make it again with `siamloc map heading"):
+        bare.with_heading(analytic.descriptor("hog"))
     with pytest.raises(ConfigError, match=r"another way: name is 'hog' in the map, 'fs' here: make it again"):
         known.with_heading(analytic.descriptor("fs", **SMALL["fs"]))
     with pytest.raises(ConfigError, match=r"another way: rows is .* in the map, 2 here: make it again"):

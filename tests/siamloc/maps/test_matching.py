@@ -62,16 +62,6 @@ def test_excluded_frames_are_not_found_and_the_others_exactly(descriptor):
         match(known, queries, 1, excluded=excluded[:, 1:])
 
 
-def test_orientation_parts_are_saved_with_the_map(tmp_path):
-    known = map_of(HOG, IMAGES, np.zeros(9))
-    known.save(tmp_path / "map.npz")
-    loaded = VisualMap.load(tmp_path / "map.npz")
-    assert np.array_equal(loaded.orientation, known.orientation)
-    part = loaded.take(np.array([3, 1]))
-    assert np.array_equal(part.orientation, known.orientation[[3, 1]])
-    assert part.frames.path.tolist() == ["3.png", "1.png"]
-
-
 def test_what_turns_as_a_whole_is_kept_once(tmp_path):
     wisurf = analytic.descriptor("wisurf", rows=2, windows=16)
     known = map_of(wisurf, IMAGES)

@@ -91,9 +91,6 @@ def test_each_sequence_begins_anew():
     whole = PoseFilter(STEP).run(poses, ["a"] * 30 + ["b"] * 30)
     halves = [PoseFilter(STEP).run(poses.take(rows), ["x"] * 30) for rows in (np.arange(30), np.arange(30, 60))]
     np.testing.assert_array_equal(whole.xy, RefinedPoses.concatenate(halves).xy)
-    steps = PoseFilter(STEP)
-    one_by_one = [steps.step(poses.take(np.array([row]))) for row in range(30)]
-    np.testing.assert_array_equal(RefinedPoses.concatenate(one_by_one).xy, whole.xy[:30])
 
 
 def test_the_axes_do_not_matter():
