@@ -342,22 +342,17 @@ _PLACES = ("manifest", "root", "places")
 
 def _frames_measured(protocol: Protocol, data: Mapping[str, Any]) -> dict[str, Any]:
     """Return what decides which frames are located in which map, by the keys that set it."""
-    known = protocol.train if protocol.map == Role() else protocol.map
-    roles = {"map": known.plain(), "query": protocol.query.plain()}
-    rest = {key: value for key, value in protocol.plain().items() if key not in ("train", "validation", *roles)}
-    return {
-        **{
-            f"protocol.{name}": {
-                key: sorted(value) if isinstance(value, list) else value for key, value in role.items()
-            }
-            for name, role in roles.items()
-        },
-        **{f"protocol.{key}": value for key, value in rest.items()},
-        "data": [
-            *(str(real_path(str(data[key]))) for key in _PLACES if data.get(key) is not None),
-            *([data.get("camera", "omni_cam")] if data.get("kind") == "cold" else []),
-        ],
-    }
+    values = {**protocol.plain(), "map": (protocol.train if protocol.map == Role() else protocol.map).plain()}
+    wanted = {f"protocol.{key}": _sorted(value) for key, value in values.items() if key not in ("train", "validation")}
+    places = [str(real_path(str(data[key]))) for key in _PLACES if data.get(key) is not None]
+    return {**wanted, "data": [*places, *([data.get("camera", "omni_cam")] if data.get("kind") == "cold" else [])]}
+
+
+def _sorted(role: Any) -> Any:
+    """Return a role in plain values with its lists sorted; other settings of a protocol as they are."""
+    if not isinstance(role, Mapping):
+        return role
+    return {key: sorted(value) if isinstance(value, list) else value for key, value in role.items()}
 
 
 def _saved_maps(named: Any, label: str, described: Descriptor) -> list[VisualMap]:
