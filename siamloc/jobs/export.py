@@ -78,9 +78,8 @@ class Export(RunJob):
             say(compared)
         say(bundle.summary())
         if known is not None:
-            for name, learned in {"error_model": further["errors"], "refinement": further["refinement"]}.items():
-                if learned is None and (run.evaluation(label) / f"{name}.json").is_file():
-                    say(f"{name}.json left out, it was learned on another map: evaluate again, then export again")
+            for line in self._further_steps(known, further["errors"], further["refinement"]):
+                say(line)
             where = f"run={run.folder}" if folder == run.bundle else f"bundle={folder}"
             say(f"next: siamloc localize {where} images=[photo.jpeg]")
         return bundle
@@ -91,6 +90,27 @@ class Export(RunJob):
         if "candidates" not in task:
             return {}
         return {"candidates": task["candidates"], "along": task["along"], **{k: task["coarse"][k] for k in _RANKING}}
+
+    def _further_steps(self, known: VisualMap, errors: ErrorModel | None, refinement: Refinement | None) -> list[str]:
+        """Return lines that say what else could be exported for the robot."""
+        label, lines = self.descriptor.title, []
+        folder, named = self.here.evaluation(label), f"run={self.here.folder}"
+        named += "" if label == "network" else f" descriptor={label}"
+        none = known.orientation is None
+        if none and known.made.get("data", {}).get("circular", True):
+            which = "" if known.descriptor.tells_heading else " heading=hog"
+            lines.append(f"for a heading as well: siamloc map {named}{which}, then export again")
+        if errors is None:
+            if (folder / "error_model.json").is_file():
+                lines.append("error_model.json left out, it was learned on another map")
+            lines.append(f"for expected errors: siamloc evaluate {named} task.error_model=true, then export again")
+        if refinement is None:
+            if (folder / "refinement.json").is_file():
+                lines.append("refinement.json left out, it was learned on another map")
+            elif getattr(known.descriptor, "compares", False):
+                step = f"siamloc evaluate {named} task.refine=relative"
+                lines.append(f"for poses finer than the map: {step}, then export again")
+        return lines
 
 
 def _figures_in(path: Path) -> dict[str, Any] | None:
