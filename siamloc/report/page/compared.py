@@ -26,7 +26,10 @@ _SINGLE = "single frame"
 def comparison(parts: list[Part]) -> Markup | None:
     """Return the tables and curves of what several evaluations measured; None if nothing was measured twice."""
     scored = [part for part in parts if part.evaluation.measured]
-    disturbed = _robustness({part.method: part.evaluation for part in parts if part.evaluation.kind == "robustness"})
+    robust = {
+        part.named(part.evaluation.name): part.evaluation for part in parts if part.evaluation.kind == "robustness"
+    }
+    disturbed = _robustness(robust)
     own = _localization(scored) if len(scored) > 1 else None
     return tag("article.overview", own, disturbed) if own or disturbed else None
 

@@ -60,14 +60,10 @@ class Part:
     @property
     def title(self) -> str:
         """What was measured, with its run unless that is the only one or has the same name."""
-        return self._of_run(self.evaluation.title)
+        return self.named(self.evaluation.title)
 
-    @property
-    def method(self) -> str:
-        """The descriptor, with its run unless that is the only one or has the same name."""
-        return self._of_run(self.evaluation.name)
-
-    def _of_run(self, name: str) -> str:
+    def named(self, name: str) -> str:
+        """Return a name of the evaluation, with its run unless that is the only one or has the evaluation's name."""
         return name if self.alone or self.run.title == self.evaluation.name else f"{self.run.title} · {name}"
 
 
