@@ -13,6 +13,7 @@ from foundation.files import atomic_path
 from foundation.settings import Thousand
 from siamloc.data.names import LIGHTINGS
 from siamloc.simulate.buildings import load_building
+from siamloc.simulate.items import KINDS
 from siamloc.simulate.layout import Array, Building
 from siamloc.simulate.plan import clearance, obstacles
 from siamloc.simulate.rendering import render
@@ -80,16 +81,24 @@ def contact_sheet(building: Building, runs: list[Run]) -> Any:
 
 
 def floor_plan(building: Building, runs: list[Run]) -> Any:
-    """Return a matplotlib figure of the plan: walls, furniture, windows, doors, room codes and the runs' paths."""
+    """Return a matplotlib figure of the plan: walls, doors, windows, furniture, room codes and the runs' paths."""
     from matplotlib.figure import Figure
+    from matplotlib.patches import Polygon, Rectangle
 
     (x0, x1), (y0, y1) = building.bounds
     figure = Figure(figsize=(0.62 * (x1 - x0) + 1, 0.62 * (y1 - y0) + 1), dpi=110, layout="constrained")
     axis = figure.subplots()
     for room in building.rooms.values():
+        size = (room.x[1] - room.x[0], room.y[1] - room.y[0])
+        axis.add_patch(Rectangle((room.x[0], room.y[0]), *size, facecolor="#f4f1ea", edgecolor="none"))
         axis.annotate(room.code, (room.x[0] + 0.15, room.y[1] - 0.15), va="top", fontsize=9, weight="bold", zorder=5)
-    for segment in obstacles(building)[0]:
-        axis.plot(*segment.T, color="#333333", linewidth=1.4)
+    for item in building.items:
+        if KINDS[item.kind].blocks:
+            axis.add_patch(Polygon(item.footprint(), facecolor="#d8cbb3", edgecolor="#8d7f66", linewidth=0.6))
+    segments, names = obstacles(building)
+    for segment, name in zip(segments, names, strict=True):
+        if "wall" in name:
+            axis.plot(*segment.T, color="#333333", linewidth=2.2, solid_capstyle="round")
     for opening in building.openings:
         if opening.kind in ("window", "pane"):
             ends = np.array([opening.point(end, 0.0) for end in opening.interval])
@@ -98,7 +107,10 @@ def floor_plan(building: Building, runs: list[Run]) -> Any:
             axis.plot(*leaf_segment(building, opening, 90).T, color="#a0522d", linewidth=1.6)
     for run in runs:
         line = draw_run(building, run).track.poses[:, :2].T
-        axis.plot(*line, color=_COLOURS[run.lighting], linewidth=0.9, alpha=0.8, label=run.name)
+        axis.plot(*line, color=_COLOURS[run.lighting], linewidth=0.9, alpha=0.8)
+    for lighting in dict.fromkeys(run.lighting for run in runs):
+        axis.plot([], [], color=_COLOURS[lighting], label=f"{lighting} runs")
     axis.legend(loc="lower right", fontsize=9)
-    axis.set(aspect="equal", xlabel="x in m", ylabel="y in m", title=f"{building.name}, seed {building.seed}")
+    title = f"{building.name}, seed {building.seed}"
+    axis.set(aspect="equal", xlabel="x in m", ylabel="y in m", title=title)
     return figure
