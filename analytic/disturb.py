@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -14,9 +14,16 @@ from foundation.settings import Count, NotNegative, Share, checked
 NOISE_LEVELS = (0.0, 0.0025, 0.005, 0.01, 0.02, 0.05)
 OCCLUSION_LEVELS = (0.0, 0.05, 0.1, 0.2, 0.4)
 
+BarColour = Literal["black", "grey", "mean"]
+"""Colour of a bar: black, the middle grey, or the mean colour of the image behind it."""
+
 
 def noise(batch: ArrayLike, variance: float, generator: np.random.Generator) -> NDArray[Any]:
-    """Return images with white Gaussian noise of mean 0, drawn separately for each channel of each pixel.
+    """Return images with white Gaussian noise of mean 0, drawn for each pixel and added to all its channels.
+
+    The channels of a pixel share one draw, so that the grey image has exactly this variance, as [T]'s grey images do,
+    and a network on colours sees noise of the same strength. Noise of its own in each channel would leave luma only
+    0.447 of the variance. The effect `noise` of `augment`, which only has to vary images, draws for each channel.
 
     Args:
         batch: (B, H, W), (B, 3, H, W) or one image; uint8, or floating point in [0, 1].
@@ -40,7 +47,9 @@ def noise(batch: ArrayLike, variance: float, generator: np.random.Generator) -> 
     if variance == 0:
         return images.copy()
     scale = 255 if images.dtype == np.uint8 else 1
-    noisy = generator.normal(0, scale * np.sqrt(variance), images.shape) + images
+    planes = with_channels(images)
+    drawn = generator.normal(0, scale * np.sqrt(variance), (len(planes), 1, *planes.shape[2:]))
+    noisy = (drawn + planes).reshape(images.shape)
     if scale == 255:
         np.rint(noisy, out=noisy)
     return np.clip(noisy, 0, scale, out=noisy).astype(images.dtype)
@@ -51,28 +60,33 @@ def occlude(
     share: float,
     generator: np.random.Generator,
     *,
-    bars: int = 4,
-    value: float = 0.0,
+    bars: int = 1,
+    colour: BarColour = "black",
+    place: float | None = None,
     circular: bool = True,
 ) -> NDArray[Any]:
-    """Return images with vertical bars over a share of the columns, at different places in each image.
+    """Return images with vertical bars over a share of the columns.
 
     The bars are as high as the image, of equal widths up to one column, and do not overlap, so that they cover
-    round(share * W) columns exactly. Every set of gaps between them is equally likely.
+    round(share * W) columns exactly. [T] gives neither their number nor their colour nor their places.
 
     Args:
         batch: (B, H, W), (B, 3, H, W) or one image; uint8, or floating point in [0, 1].
         share: share of the columns to cover, in [0, 1]; [T] uses OCCLUSION_LEVELS.
         generator: source of the random numbers.
         bars: number of bars; fewer if there are fewer columns to cover.
-        value: grey value of a bar, in [0, 1]: 0 is black.
-        circular: whether a bar may continue across the seam of a panorama.
+        colour: "black", "grey" (0.5), or "mean", the mean colour of each image.
+        place: where each bar stands in its own part of the image, which is divided into as many equal parts as there
+            are bars: 0 is the left end, 0.5 the middle, 1 the right end. If None, places are drawn for each image, and
+            every set of gaps between the bars is equally likely.
+        circular: whether a bar at a drawn place may continue across the seam of a panorama.
 
     Returns:
         The same number of images, of the same shape and type.
 
     Raises:
-        AnalyticError: a wrong shape or type, values out of range, a share or value outside [0, 1], or no bars.
+        AnalyticError: a wrong shape or type, values out of range, a share or place outside [0, 1], no bars, or an
+            unknown colour.
 
     Example:
         >>> hidden = occlude(np.ones((128, 512)), 0.25, np.random.default_rng(0))
@@ -80,28 +94,37 @@ def occlude(
         0.75
     """
     images = _images(batch, generator)
-    for key, number, kind in (("share", share, Share), ("value", value, Share), ("bars", bars, Count)):
-        checked(number, kind, key, AnalyticError)
+    values, kinds = (share, bars, colour, place), (Share, Count, BarColour, Share | None)
+    for key, value, kind in zip(("share", "bars", "colour", "place"), values, kinds, strict=True):
+        checked(value, kind, key, AnalyticError)
     hidden = images.copy()
-    fill = np.rint(255 * value) if images.dtype == np.uint8 else value
+    full = 255 if images.dtype == np.uint8 else 1
     for image in with_channels(hidden):
-        image[..., _covered(images.shape[-1], share, bars, circular, generator)] = fill
+        mean = image.mean(axis=(1, 2), dtype=np.float64)
+        fill = {"black": np.zeros_like(mean), "grey": np.full_like(mean, full / 2), "mean": mean}[colour]
+        fill = np.rint(fill) if full == 255 else fill
+        image[..., _covered(images.shape[-1], share, bars, place, circular, generator)] = fill[:, None, None]
     return hidden
 
 
-def _covered(width: int, share: float, bars: int, circular: bool, generator: np.random.Generator) -> NDArray[np.bool_]:
+def _covered(
+    width: int, share: float, bars: int, place: float | None, circular: bool, generator: np.random.Generator
+) -> NDArray[np.bool_]:
     """Return which columns (W,) the bars of one image cover."""
     total = round(share * width)
-    bars = min(bars, total)
+    bars, free = min(bars, total), width - total
     covered = np.zeros(width, dtype=bool)
     if not bars:
         return covered
     edges = np.arange(bars + 1) * total // bars
-    # Sorted places among the free columns: where bars of zero width would be.
-    starts = np.sort(generator.integers(0, width - total + 1, bars)) + edges[:-1]
-    for start, length in zip(starts, np.diff(edges), strict=True):
+    # Places among the free columns, from left to right: where bars of zero width would be.
+    if place is None:
+        gaps = np.sort(generator.integers(0, free + 1, bars))
+    else:
+        gaps = np.rint(free * (np.arange(bars) + place) / bars).astype(np.int64)
+    for start, length in zip(gaps + edges[:-1], np.diff(edges), strict=True):
         covered[start : start + length] = True
-    return np.roll(covered, generator.integers(width)) if circular else covered
+    return np.roll(covered, generator.integers(width)) if circular and place is None else covered
 
 
 def _images(batch: ArrayLike, generator: np.random.Generator) -> NDArray[Any]:

@@ -37,6 +37,9 @@ _FROM_COLOURS = ((1.0, 0.0, 1.402), (1.0, -0.344136, -0.714136), (1.0, 1.772, 0.
 class Noise(Effect):
     """Gaussian noise: I' = I + n, n ~ N(0, variance) on [0, 1], separately for each pixel and channel ([T] 3.4.2).
 
+    The channels of a pixel differ, as those of a sensor do; the luma of a frame has 0.447 of the variance. Queries of a
+    test get noise of exactly that variance in luma from `analytic.disturb.noise`.
+
     n = sqrt(variance) (t(a) + t(b)) / sqrt 2: the normalized sum of two stretches of one fixed table of 2^21 normal
     numbers, which begin at `first` and `second`. Every device thus gets the same noise, from two numbers per frame.
 

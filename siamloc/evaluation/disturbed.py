@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Annotated, Any, TypedDict
 
 import numpy as np
 from numpy.typing import NDArray
 
+from analytic.disturb import BarColour
 from foundation.calls import OF_FIELDS, takes
-from foundation.settings import Count, NotNegative, Rule, Seed, Settings
+from foundation.settings import Count, NotNegative, Rule, Seed, Settings, Share
 from siamloc.data.frames import FrameTable
 from siamloc.data.library import PanoramaLibrary
 from siamloc.data.protocol import Protocol
@@ -47,6 +48,10 @@ class Robustness(Settings):
         radius: the share of queries located within this radius is measured, in the unit of the positions.
         noise: noise variances for images in [0, 1]; the levels of the thesis if None, no noise if ().
         occlusion: shares of the columns behind bars; the levels of the thesis if None, no bars if ().
+        bars: number of bars.
+        bar_colour: "black", "grey", or "mean", the mean colour of each image.
+        bar_place: where bars stand, from 0, left, to 1, right, each in its own part of the image; drawn if None. See
+            `analytic.disturb.occlude`.
         turn: degrees by which the robot has turned left.
         effects: effects of `augment`, such as "bulb", "darken" or "blur".
         strengths: strengths of each effect: 0 has no effect, 1 is the far end of its ranges.
@@ -58,6 +63,9 @@ class Robustness(Settings):
     radius: NotNegative = 0.5
     noise: Annotated[tuple[float, ...], _levels(0, np.inf)] | None = None
     occlusion: Annotated[tuple[float, ...], _levels(0, 1)] | None = None
+    bars: Count = 1
+    bar_colour: BarColour = "black"
+    bar_place: Share | None = None
     turn: Annotated[tuple[float, ...], _levels(-360, 360)] = (0, 1, 5, 15, 45, 90, 180)
     effects: tuple[str, ...] = ()
     strengths: Annotated[tuple[float, ...], _levels(-1, 1)] = (0, 0.25, 0.5, 0.75, 1)
@@ -80,8 +88,9 @@ class Robustness(Settings):
         if len(set(names)) < len(names):
             twice = next(name for name in names if names.count(name) > 1)
             raise ConfigError(f"task.robustness.effects names {twice!r} twice, or a disturbance that is there already")
+        bars = {"bars": self.bars, "colour": self.bar_colour, "place": self.bar_place}
         made = [
-            Disturbance(name, tuple(map(float, levels)), kind, circular)
+            Disturbance(name, tuple(map(float, levels)), kind, circular, bars)
             for name, kind, levels in wanted
             if levels or kind == "effect"
         ]
@@ -99,6 +108,9 @@ class RobustnessFields(TypedDict, total=False):
     radius: float
     noise: Sequence[float] | None
     occlusion: Sequence[float] | None
+    bars: int
+    bar_colour: BarColour
+    bar_place: float | None
     turn: Sequence[float]
     effects: Sequence[str]
     strengths: Sequence[float]
@@ -183,6 +195,7 @@ class Disturbance:
         levels: noise variances for images in [0, 1]; shares of the columns; degrees turned left; strengths in [-1, 1].
         kind: "effect" for an effect of `augment`, even one called noise; otherwise the name.
         circular: whether columns wrap around.
+        bars: number, colour and place of the bars, as arguments of `analytic.disturb.occlude`.
 
     Raises:
         ConfigError: a turn of images whose columns do not wrap around.
@@ -193,6 +206,7 @@ class Disturbance:
     levels: tuple[float, ...]
     kind: str
     circular: bool = True
+    bars: Mapping[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         if self.kind == "turn" and not self.circular:
@@ -228,7 +242,7 @@ class Disturbance:
             if self.kind == "noise":
                 made.append(disturb.noise(image, level, rng))
             else:
-                made.append(disturb.occlude(image, level, rng, circular=self.circular))
+                made.append(disturb.occlude(image, level, rng, circular=self.circular, **self.bars))
         return np.stack(made)
 
     def _with_effect(self, images: Images, strength: float, rows: NDArray[np.int64], seed: int) -> Images:

@@ -15,6 +15,7 @@ def given(words):
     return [
         *["evaluate", "task=robustness", "descriptor=hog", *words, "protocol.query.sequences=[second]"],
         *["task.baselines=[thumbnail]", "task.robustness.every=3", "task.robustness.turn=[0,90]"],
+        "task.robustness.bar_colour=mean",
     ]
 
 
@@ -29,6 +30,7 @@ def test_the_files_hold_every_method_disturbance_and_level(folder):
     results, table = read_results(folder), read_rows(folder, "robustness")
     found = results["measures"]["robustness"]
     assert results["denominators"] == {"queries": 8, "queries_of_the_role": 24, "map_frames": 24}
+    assert results["config"]["task"]["bar_colour"] == "mean"
     assert list(found["methods"]) == ["hog", "thumbnail"]
     levels = {one["name"]: len(one["levels"]) for one in found["disturbances"]}
     assert levels == {"noise": 6, "occlusion": 5, "turn": 2, "bulb": 2}

@@ -58,6 +58,15 @@ def test_draws_follow_from_seed_and_query_alone(images: np.ndarray, name: str, k
     assert (same[0] != same[1]).any(), "each query has a draw of its own"
 
 
+def test_bars_are_as_many_of_the_colour_and_at_the_place_asked_for(images: np.ndarray) -> None:
+    asked = Robustness(noise=(), turn=(), occlusion=(0.5,), bars=2, bar_colour="grey", bar_place=0.0)
+    (one,) = asked.disturbances(circular=True)
+    hidden = one.apply(images, 0.5, ROWS)
+    covered = np.isin(np.arange(72) // 18, (0, 2))
+    assert (hidden[..., covered] == 128).all()
+    np.testing.assert_array_equal(hidden[..., ~covered], images[..., ~covered])
+
+
 def test_stronger_effects_change_more_at_the_same_place() -> None:
     grey = np.full((3, 3, 64, 256), 100, dtype=np.uint8)
     bulb = Disturbance("bulb", (0.25, 0.5, 1), "effect")
@@ -74,6 +83,9 @@ def test_stronger_effects_change_more_at_the_same_place() -> None:
         ({"noise": (-0.1,)}, ConfigError, "noise must be a list of numbers from 0 to inf that differ"),
         ({"noise": (math.nan,)}, ConfigError, "noise must be"),
         ({"occlusion": (0.1, 1.5)}, ConfigError, "from 0 to 1"),
+        ({"bars": 0}, ConfigError, "bars must be a whole number from 1"),
+        ({"bar_colour": "white"}, ConfigError, "bar_colour must be black or grey or mean, got 'white'"),
+        ({"bar_place": 1.5}, ConfigError, "bar_place must be a number from 0 to 1, or null, got 1.5"),
         ({"turn": (5, 5)}, ConfigError, "turn must be .* that differ"),
         ({"turn": (5,)}, ConfigError, "cannot be turned"),
         ({"strengths": (2,)}, ConfigError, "from -1 to 1"),
