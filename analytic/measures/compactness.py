@@ -16,6 +16,7 @@ from analytic.errors import AnalyticError
 from foundation.settings import checked
 
 Mode = Literal["nearest", "pooled"]
+Unassigned = Literal["left_out", "cluster"]
 _FEW_DIMENSIONS = 16  # up to this, subtracting is as fast as a matrix product, and exact
 
 
@@ -45,7 +46,13 @@ class Silhouettes:
         return float(np.nanmean(self.frames))
 
 
-def silhouette(X: ArrayLike, labels: ArrayLike, mode: Mode = "nearest", distance: str = "euclidean") -> float:
+def silhouette(
+    X: ArrayLike,
+    labels: ArrayLike,
+    mode: Mode = "nearest",
+    distance: str = "euclidean",
+    unassigned: Unassigned = "left_out",
+) -> float:
     """Measure how compact clusters are by the average silhouette of positions or of descriptors, in [-1, 1].
 
     Higher is more compact. See `silhouettes` for both modes, the arguments and the errors. With "nearest" every frame
@@ -56,10 +63,16 @@ def silhouette(X: ArrayLike, labels: ArrayLike, mode: Mode = "nearest", distance
         >>> round(silhouette(points, [0, 0, 1, 1]), 3)
         0.889
     """
-    return silhouettes(X, labels, mode, distance).mean
+    return silhouettes(X, labels, mode, distance, unassigned).mean
 
 
-def silhouettes(X: ArrayLike, labels: ArrayLike, mode: Mode = "nearest", distance: str = "euclidean") -> Silhouettes:
+def silhouettes(
+    X: ArrayLike,
+    labels: ArrayLike,
+    mode: Mode = "nearest",
+    distance: str = "euclidean",
+    unassigned: Unassigned = "left_out",
+) -> Silhouettes:
     """Compute the silhouettes (b - a) / max(a, b) of frames and clusters.
 
     a is the mean distance of a frame to the *other* frames of its cluster. b is, with "nearest", the smallest of its
@@ -69,13 +82,15 @@ def silhouettes(X: ArrayLike, labels: ArrayLike, mode: Mode = "nearest", distanc
 
     Args:
         X: positions (n, 2), or descriptors (n, D).
-        labels: whole numbers (n,); frames with a negative one are in no cluster and are left out.
+        labels: whole numbers (n,); frames with a negative one are in no cluster.
         mode: "nearest" or "pooled".
         distance: a name in `analytic.DISTANCES`; the papers do not say which they use; Euclidean is customary.
+        unassigned: "left_out" measures the clusters alone; "cluster" counts the frames in no cluster as one more
+            cluster, because [I] 7 averages over the capture points of *every* image.
 
     Raises:
         AnalyticError: wrong shapes, values that are not finite, labels of the wrong length, fewer than two clusters, or
-            an unknown mode or distance.
+            an unknown mode, distance or way with unassigned frames.
 
     Examples:
         >>> found = silhouettes([[0.0], [1.0], [9.0]], [0, 0, 1], mode="pooled")
@@ -83,9 +98,12 @@ def silhouettes(X: ArrayLike, labels: ArrayLike, mode: Mode = "nearest", distanc
         ([0.889, 0.875, 0.0], [2, 1])
     """
     checked(mode, Mode, "mode", AnalyticError)
+    checked(unassigned, Unassigned, "unassigned", AnalyticError)
     distance_named(distance)
     x = checks.vectors(X, "positions or descriptors")
     names = checks.cluster_labels(labels, len(x))
+    if unassigned == "cluster":
+        names = np.where(names < 0, names.max(initial=-1) + 1, names)
     rows = np.flatnonzero(names >= 0)
     rows = rows[np.argsort(names[rows], kind="stable")]
     present, start, number, sizes = np.unique(names[rows], return_index=True, return_inverse=True, return_counts=True)

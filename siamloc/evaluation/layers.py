@@ -122,7 +122,8 @@ def mapping_measures(columns: Mapping[str, NDArray], radius: float, gap: int) ->
 
     Returns:
         frames, nodes, unassigned (frames in no node, and their share); `silhouette` of the capture points, "nearest"
-        ([C] 8-11) and "pooled" ([I] 12-13), NaN with fewer than two nodes; `inertia` ([C] 7); silhouette and inertia
+        ([C] 8-11), "every_frame" (the same, with the frames in no node as one more node) and "pooled" ([I] 12-13), NaN
+        with fewer than two nodes; `inertia` ([C] 7); silhouette and inertia
         are computed over the frames that have a position, NaN if there are none; `purity` per room and overall, with
         the number of frames; `closures` with precision, recall, F1 and their denominators, NaN unless all frames have a
         position; `ms_per_frame` as mean, median and p95; `reasons` with their counts, if any.
@@ -144,7 +145,11 @@ def mapping_measures(columns: Mapping[str, NDArray], radius: float, gap: int) ->
         "frames": len(labels),
         "nodes": len(set(labels[labels >= 0].tolist())),
         "unassigned": {"frames": unassigned, "share": unassigned / len(labels)},
-        "silhouette": {mode: silhouette(xy[placed], labels[placed], mode) for mode in ("nearest", "pooled")},
+        "silhouette": {
+            "nearest": silhouette(xy[placed], labels[placed]),
+            "every_frame": silhouette(xy[placed], labels[placed], unassigned="cluster"),
+            "pooled": silhouette(xy[placed], labels[placed], "pooled"),
+        },
         "inertia": float(np.nansum(inertias)) if np.isfinite(inertias).any() else math.nan,
         "purity": {
             "overall": pure.overall,
@@ -181,13 +186,18 @@ def closures(known: VisualMap, labels: NDArray[np.int64], gap: int) -> NDArray[n
     return found
 
 
-def silhouette(values: NDArray, labels: NDArray[np.int64], mode: Literal["nearest", "pooled"] = "nearest") -> float:
+def silhouette(
+    values: NDArray,
+    labels: NDArray[np.int64],
+    mode: Literal["nearest", "pooled"] = "nearest",
+    unassigned: Literal["left_out", "cluster"] = "left_out",
+) -> float:
     """Return the silhouette of nodes in positions or descriptors (n, D), NaN with fewer than two nodes."""
     from analytic import measures
 
     if len(set(labels[labels >= 0].tolist())) < 2:
         return math.nan
-    return measures.silhouette(values, labels, mode)
+    return measures.silhouette(values, labels, mode, unassigned=unassigned)
 
 
 def _nodes(layer: CoarseLayer, columns: Columns) -> Columns:

@@ -190,6 +190,7 @@ class Reproduction:
         """Return the lines of the table with the published numbers next to ours."""
         rows = self.rows
         listed = {row.measure for row in rows}
+        rows += [Row(None, one) for one in _best(self.records, self.study) if one.measure in self.study.also]
         rows += [Row(None, one) for one in _best(self.beside, self.study) if one.measure in listed]
         names = dict.fromkeys(name for row in rows for name in row.settings)
         apart = [name for name in names if len({_shown(row.settings.get(name)) for row in rows}) > 1]

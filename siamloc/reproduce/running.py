@@ -21,8 +21,8 @@ from siamloc.reproduce.study_book import DataName, Job, Scale, Study, data_named
 if TYPE_CHECKING:
     from siamloc.reproduce.experiments import Data
 
-_VERSION = 1
-"""Version of the experiments: records from another version are measured again."""
+_VERSIONS = {"mapping": 2, "matched": 2}
+"""Version of each kind of experiment, 1 if not listed: records from another version are measured again."""
 
 
 @typed
@@ -106,7 +106,12 @@ def _done(job: Job, data: Data, out: Path, measure: bool) -> dict[str, Any]:
     """Return the records of a job and their cost, measured or read from an earlier measurement."""
     from siamloc.reproduce.experiments import measured
 
-    wanted = {"version": _VERSION, "data": data.name, "frames": _fingerprint(job, data), **job.plain()}
+    wanted = {
+        "version": _VERSIONS.get(job.kind, 1),
+        "data": data.name,
+        "frames": _fingerprint(job, data),
+        **job.plain(),
+    }
     path = out / "measured" / job.experiment / f"{content_key(wanted)}.json"
     if (kept := _kept(path, wanted)) is not None:
         return kept

@@ -115,6 +115,7 @@ class Study(Settings):
         claims: ids of the claims the text makes about it.
         join: settings by which published and measured numbers are matched; all common ones if None.
         best: of several records with the same `join`, the one with the largest value of this measure is used.
+        also: measures of ours that the table shows although nothing was printed of them.
         where: settings that select the published numbers it measures; all if empty.
         covers: ids of further figures and tables whose numbers are included.
         figure: how it is drawn: `measure`, `x`, `series` and `panels`, or nothing.
@@ -129,6 +130,7 @@ class Study(Settings):
     claims: tuple[Text, ...] = ()
     join: tuple[Text, ...] | None = None
     best: Text | None = None
+    also: tuple[Text, ...] = ()
     where: dict[str, Any] = field(default_factory=dict)
     covers: tuple[Text, ...] = ()
     figure: tuple[dict[str, Any], ...] = ()

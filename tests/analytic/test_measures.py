@@ -49,6 +49,14 @@ def test_silhouettes_follow_their_definition(mode, length):
     assert measures.silhouette(x, labels, mode) == pytest.approx(average, abs=1e-10)
 
 
+@pytest.mark.parametrize("mode", ["nearest", "pooled"])
+def test_frames_in_no_cluster_may_count_as_one_more_cluster(mode):
+    x, labels = grouped()
+    without, with_them = np.where(labels == 2, -1, labels), np.where(labels == 2, 7, labels)
+    assert measures.silhouette(x, without, mode, unassigned="cluster") == measures.silhouette(x, with_them, mode)
+    assert measures.silhouette(x, labels, mode, unassigned="cluster") == measures.silhouette(x, labels, mode)
+
+
 def test_the_two_silhouettes_by_hand():
     x = np.array([[0.0], [1], [3], [10], [10], [12]])
     labels = [0, 0, 1, 2, 2, 2]
@@ -200,6 +208,22 @@ def test_sampling_a_real_path_keeps_to_rooms_and_places():
     assert set(perfect.rooms.values()) == {1.0}
 
 
+@pytest.mark.data
+@pytest.mark.skipif(not LISTS.is_dir(), reason="the real pose lists do not lie beside the project")
+def test_on_a_real_path_the_pooled_silhouette_rises_with_the_nodes_and_the_nearest_falls():
+    frames = read_list(LISTS / "freiburg_seq2_cloudy1.places.lst")
+    points = np.array([(x, y) for _, _, _, x, y, _ in frames])
+    chunks = {count: np.arange(len(points)) * count // len(points) for count in (6, 40)}
+    pooled, nearest = (
+        [measures.silhouette(points, chunks[count], mode) for count in (6, 40)] for mode in ("pooled", "nearest")
+    )
+    assert pooled == pytest.approx([0.64, 0.90], abs=0.005)
+    assert nearest == pytest.approx([0.29, 0.08], abs=0.005)  # the published one falls from about 0.25 to 0.1
+    # Three in five frames in no node: as one node, which spreads over the whole path, they make the mean negative.
+    parked = np.where(np.arange(len(points)) % 100 < 60, -1, chunks[40])
+    assert measures.silhouette(points, parked, unassigned="cluster") < -0.15 < measures.silhouette(points, parked)
+
+
 P = np.arange(10.0).reshape(5, 2)
 
 
@@ -212,6 +236,7 @@ P = np.arange(10.0).reshape(5, 2)
         (lambda: measures.silhouette(np.where(P > 8, np.inf, P), [0, 0, 1, 1, 1]), "1 of 5 .* not finite"),
         (lambda: measures.silhouette(P, [0, 0, 1, 1, 1], "mean"), "mode must be nearest or pooled, got 'mean'"),
         (lambda: measures.silhouette(P, [0, 0, 1, 1, 1], distance="cosinus"), "did you mean 'cosine'"),
+        (lambda: measures.silhouette(P, [0, 0, 1, 1, 1], unassigned="no"), "unassigned must be left_out or cluster"),
         (lambda: measures.moment_of_inertia(P, [-1] * 5), "no frame is in a cluster"),
         (lambda: measures.purity([0, 1], ["a"]), "got 2 labels for 1 frames"),
         (lambda: measures.purity([0, 1], np.array(["a", None], dtype=object)), "rooms must be strings"),
