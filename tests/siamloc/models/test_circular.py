@@ -29,16 +29,19 @@ def test_turning_the_panorama_turns_the_features(branch):
     assert torch.allclose(turned, expected, atol=1e-5 * float(features.abs().max()))
 
 
-@pytest.mark.parametrize(
-    ("kernel", "stride", "padding"), [(3, 1, 1), (5, 2, 2), (7, 2, 3), (11, 4, 2), (1, 1, 0), (3, 2, 0)]
-)
-def test_a_convolution_is_that_of_the_repeated_panorama(kernel, stride, padding):
-    layer = nn.Conv2d(2, 3, kernel, stride, padding)
+LAYERS = [
+    *(nn.Conv2d(2, 3, *one) for one in ((3, 1, 1), (5, 2, 2), (7, 2, 3), (11, 4, 2), (1, 1, 0), (3, 2, 0))),
+    *(nn.MaxPool2d(*one) for one in ((3, 2, 0), (3, 2, 1), (2, 2, 0))),
+]
+
+
+@pytest.mark.parametrize("layer", LAYERS, ids=str)
+def test_a_layer_is_that_of_the_repeated_panorama(layer):
     image = torch.rand(1, 2, 16, 32)
     wrapped = circular(copy.deepcopy(layer))(image)
     # Far from the ends of three panoramas side by side the plain layer sees what the wrapped one sees.
     three = layer(torch.cat([image] * 3, dim=3))
-    columns = 32 // stride
+    columns = 32 // (layer.stride[0] if isinstance(layer, nn.Conv2d) else layer.stride)
     assert wrapped.shape[3] == columns
     assert torch.allclose(wrapped, three[..., columns : 2 * columns], atol=1e-6)
 
@@ -48,13 +51,6 @@ def test_any_width_will_do(columns):
     network = build("panoresnet", "fourier", (64, columns), circular=True).eval()
     with torch.inference_mode():
         assert network(torch.rand(1, 3, 64, columns)).shape == (1, 256)
-
-
-def test_a_pool_is_that_of_the_repeated_panorama():
-    for pool in (nn.MaxPool2d(3, 2), nn.MaxPool2d(3, 2, padding=1), nn.MaxPool2d(2, 2)):
-        image = torch.rand(1, 2, 16, 32)
-        three = pool(torch.cat([image] * 3, dim=3))
-        assert torch.equal(circular(pool)(image), three[..., 16:32])
 
 
 @pytest.mark.parametrize("branch", ["alexnet", "vgg11", "densenet121", "panoresnet", "simple1"])

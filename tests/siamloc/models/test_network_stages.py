@@ -8,7 +8,6 @@ from torch import nn
 
 from siamloc.errors import ConfigError
 from siamloc.models import BRANCHES, HEADS, Network, build, stages
-from siamloc.models.network_stages import FrozenStages
 
 SIZE = (64, 128)
 COUNTS = {"simple": 2, "alexnet": 4, "densenet121": 6, "vgg": 6, "panoresnet": 5}
@@ -44,29 +43,6 @@ def test_every_branch_has_a_stage_for_each_resolution_and_the_head(branch, circu
 def test_a_head_with_weights_is_the_last_stage(head):
     network = build("simple1", head, SIZE)
     assert stages(network)[-1] == [f"head.{name}" for name, _ in network.head.named_parameters()]
-
-
-@pytest.mark.parametrize("branch", ["panoresnet", "densenet121"])
-def test_frozen_stages_keep_weights_and_statistics_and_are_thawed(branch):
-    network = build(branch, "flat", SIZE)
-    first, second = ([name for names in part for name in names] for part in (stages(network)[:2], stages(network)[2:]))
-    network.get_parameter(second[-1]).requires_grad_(False)  # by hand
-    before = {name: tensor.clone() for name, tensor in network.state_dict().items()}
-    frozen = FrozenStages(network, 2)
-    frozen.rest()
-    network(torch.rand(4, 3, *SIZE)).sum().backward()
-    weights = dict(network.named_parameters())
-    assert all(weights[name].grad is None for name in first)
-    assert all(weights[name].grad is not None for name in second[:-1])
-    after = network.state_dict()
-    moved = {name for name in before if "running" in name and not torch.equal(before[name], after[name])}
-    parts = {name.rpartition(".")[0] for name in first}
-    assert moved
-    assert not {name.rpartition(".")[0] for name in moved} & parts
-    frozen.thaw()
-    assert all(weights[name].requires_grad for name in [*first, *second[:-1]])
-    assert not weights[second[-1]].requires_grad
-    assert all(part.training for part in network.modules())
 
 
 class Own(nn.Module):
