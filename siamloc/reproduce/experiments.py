@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from math import isfinite, prod
 from pathlib import Path
+from time import perf_counter
 from typing import Any
 
 import numpy as np
@@ -189,17 +190,19 @@ def _options_of(build: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def growing(job: Job, data: Data) -> Measured:
-    """Count the nodes as a map grows ([T] figures 4.13-4.15)."""
+    """Measure nodes, frames in no node and time as a map grows ([T] figures 4.13-4.15, [I] figures S1-S2)."""
     from analytic.mapper import IncrementalMapper
 
     known, steps = data.described(job.options["descriptor"], job.roles["map"]), job.options["steps"]
-    mapper = IncrementalMapper(known.descriptor, **_options_of(job.options["build"]))
+    mapper, start = IncrementalMapper(known.descriptor, **_options_of(job.options["build"])), perf_counter()
     marks = {round(share * len(known) / steps) for share in range(1, steps + 1)}
     poses = np.column_stack([known.frames.xy, known.frames.theta])
     for row in range(len(known)):
         mapper.add(known.description.take(slice(row, row + 1)), poses[row].tolist())
         if row + 1 in marks:
-            yield from _records({**job.settings, "frames_seen": row + 1}, nodes=len(mapper.nodes))
+            told, unassigned = {**job.settings, "frames_seen": row + 1}, (mapper.labels() < 0).mean()
+            seconds = perf_counter() - start
+            yield from _records(told, nodes=len(mapper.nodes), unassigned=unassigned, clustering_seconds=seconds)
 
 
 def compact(job: Job, data: Data) -> Measured:

@@ -99,6 +99,11 @@ def test_what_was_not_measured_may_be_left_out(smoke, root, tmp_path, capsys):
     assert "| table_4_2 | not measured: not all of it" in (page / "report.md").read_text()
 
 
+def test_a_table_of_the_mapper_shows_the_share_of_frames_in_no_node(smoke):
+    rows = [line for line in smoke("table_4_2").table().splitlines() if line.startswith("|") and "unassigned" in line]
+    assert len(rows) == 2
+
+
 def test_a_bound_has_no_difference_and_a_protocol_its_scale(smoke):
     found = smoke("figure_3_17")
     rows = {row.settings["descriptor"]: row for row in found.rows if row.settings["size"] == "largest"}
@@ -171,7 +176,7 @@ def test_studies_name_what_there_is():
 
 NUMBERED = [
     *(f"table_5_{number}" for number in range(5, 20)),
-    *("table_4_2", "table_4_3", "c_table_2", "i_figure_9", "i_figure_10"),
+    *("table_4_2", "table_4_3", "c_table_2", "i_figure_9", "i_figure_10", "i_figure_s1", "i_figure_s2"),
     *(f"figure_4_{number}" for number in range(6, 21)),
     *(f"figure_3_{number}" for number in range(10, 50)),
     *(f"c_figure_{number}" for number in range(6, 22)),
