@@ -46,15 +46,6 @@ def test_nodes_are_ranked_by_their_probabilities():
         rank_by_classifier(QUERIES[:, :3], layer.classifier)
 
 
-def test_a_layer_keeps_its_classifier(tmp_path):
-    built = group(seen(), "rooms", folder=tmp_path)
-    loaded = CoarseLayer.load(tmp_path / "layer.npz")
-    for name in ("names", "weight", "bias"):
-        np.testing.assert_array_equal(getattr(loaded.classifier, name), getattr(built.layer.classifier, name))
-    bare = VisualMap(DESCRIPTORS, FRAMES)  # as a robot has it
-    assert HierarchicalSearch(bare, loaded, by="classifier").rank(Description(QUERIES)).nodes.shape == (20, 2)
-
-
 def test_a_layer_built_without_the_network_is_built_again_with_it(tmp_path):
     known = VisualMap(DESCRIPTORS, FRAMES)
     assert group(known, "rooms", folder=tmp_path).layer.classifier is None

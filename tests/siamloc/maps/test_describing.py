@@ -146,12 +146,3 @@ def test_another_descriptor_can_be_chosen_for_the_headings_of_a_network(images):
         build("hog", library, frames, heading=as_descriptor(network), progress=False)
     other = build(build_network("panoresnet", "flat", SIZE, circular=True), library, frames, progress=False)
     assert other.heading is None
-
-
-def test_columns_that_do_not_wrap_around_give_no_headings(images, tmp_path):
-    frames, _ = images
-    flat = PanoramaLibrary(frames, tmp_path / "cache", image_size=SIZE, circular=False)
-    network = build_network("panoresnet", "fourier", SIZE, circular=True)
-    known = build(network, flat, frames, progress=False)
-    assert known.heading is None
-    assert known.orientation is None

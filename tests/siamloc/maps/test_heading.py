@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 import analytic
-from analytic import Description
-from siamloc.errors import ConfigError, DataError
-from siamloc.maps import Retrieval, VisualMap, headings
-from siamloc.maps.heading import described, halved, is_analytic
+from siamloc.errors import DataError
+from siamloc.maps import VisualMap
+from siamloc.maps.heading import described, halved
 from tests.drawn import draw_panorama
 from tests.siamloc.maps.conftest import placed
 
@@ -61,30 +59,6 @@ def test_frames_are_scaled_one_by_one_and_to_full_use() -> None:
     assert largest[2] == 0
 
 
-@pytest.mark.parametrize("name", ["hog", "fs"])
-def test_round_trip_through_the_file(tmp_path: Path, name: str) -> None:
-    heading = analytic.descriptor(name, **SMALL[name])
-    saved = map_with_headings([0.0, 1.0, 2.0], heading)
-    saved.save(tmp_path / "map.npz")
-    loaded = VisualMap.load(tmp_path / "map.npz")
-    assert loaded.description.orientation is None
-    assert loaded.heading == heading.identity == loaded.heading_by.identity
-    np.testing.assert_array_equal(loaded.orientation, saved.orientation)
-    part = loaded.take(np.array([2, 0]))
-    np.testing.assert_array_equal(part.orientation, saved.orientation[[2, 0]])
-
-
-def test_the_map_frames_own_heading_is_added() -> None:
-    hog = analytic.descriptor("hog")
-    known = map_with_headings([0.5, -2.0], hog)
-    seen = known.describe(views([3.1, -1.0]))
-    found = Retrieval(np.array([[0], [1]]), np.zeros((2, 1)))
-    told = headings(known, seen, found)[:, 0]
-    step = hog.resolution(SIZE[1])
-    assert ((told > -np.pi) & (told <= np.pi)).all()
-    np.testing.assert_allclose(np.angle(np.exp(1j * (told - [3.1, -1.0]))), 0, atol=1.01 * step)
-
-
 def test_headings_count_neither_for_the_digest_nor_for_the_describer() -> None:
     known = map_with_headings([0.5, -2.0], analytic.descriptor("hog"))
     bare = replace(known, orientation=None, heading=None)
@@ -99,19 +73,6 @@ def test_headings_count_neither_for_the_digest_nor_for_the_describer() -> None:
     assert len({bare.digest, *(other.digest for other in others)}) == 5
 
 
-def test_headings_by_another_descriptor_are_refused() -> None:
-    known = map_with_headings([0.5, -2.0], analytic.descriptor("hog"))
-    assert known.with_heading(analytic.descriptor("hog")) is known
-    bare = known.with_heading(None)
-    assert (bare.heading, bare.orientation) == (None, None)
-    with pytest.raises(ConfigError, match="holds nothing to find headings by: make it again with `siamloc map heading"):
-        bare.with_heading(analytic.descriptor("hog"))
-    with pytest.raises(ConfigError, match=r"another way: name is 'hog' in the map, 'fs' here: make it again"):
-        known.with_heading(analytic.descriptor("fs", **SMALL["fs"]))
-    with pytest.raises(ConfigError, match=r"another way: rows is .* in the map, 2 here: make it again"):
-        known.with_heading(analytic.descriptor("hog", rows=2))
-
-
 def test_parts_that_are_no_heading_parts() -> None:
     known, values = map_with_headings([0.0, 1.0], analytic.descriptor("hog")), np.ones((2, 4, 3), dtype=np.float16)
     for bad in (None, values.astype(np.float32), values[0], values[:1], np.ones((2, 4, 3, 3), dtype=np.float16)):
@@ -121,18 +82,3 @@ def test_parts_that_are_no_heading_parts() -> None:
         replace(known, orientation=values * np.float16("nan"))
     with pytest.raises(DataError, match="the orientation parts of hog hold values that are not finite"):
         halved(analytic.descriptor("hog"), np.full((1, 4, 2), np.inf))
-
-
-def test_descriptions_of_another_size_are_not_compared() -> None:
-    hog = analytic.descriptor("hog")
-    known = map_with_headings([0.0], hog)
-    seen = Description(known.descriptors, np.zeros((1, 7, 16), dtype=np.float32))
-    with pytest.raises(analytic.AnalyticError, match="different sizes"):
-        headings(known, seen, Retrieval(np.zeros((1, 1), dtype=np.int64), np.zeros((1, 1))))
-
-
-@pytest.mark.parametrize(
-    ("name", "analytic_one"), [("hog", True), ("thumbnail", True), ("network", False), (["hog"], False)]
-)
-def test_an_identity_from_a_file_may_have_any_name(name, analytic_one):
-    assert is_analytic({"name": name}) is analytic_one

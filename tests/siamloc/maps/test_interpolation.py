@@ -30,23 +30,21 @@ def test_poses_equal_the_loop(seed: int, k: int, radius: float) -> None:
     assert ((poses.agreement >= 1 / k) & (poses.agreement <= 1)).all()
 
 
-@given(seed=st.integers(0, 2**32 - 1))
-def test_one_neighbour_is_the_nearest_frame_to_the_last_bit(seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    frames, found = placed(rng.normal(size=(8, 2))), retrieval(np.random.default_rng(seed), 4, 8, 3)
-    headings = rng.uniform(-math.pi, math.pi, (4, 3))
-    for k, radius in ((1, 5.0), (3, 0.0)):
-        poses = interpolate_poses(found, frames, k, radius, headings)
-        np.testing.assert_array_equal(poses.xy, frames.xy[found.indices[:, 0]])
-        np.testing.assert_array_equal(poses.theta, headings[:, 0])
-        assert poses.agreement.tolist() == [1 / k] * 4
-
-
-def test_a_query_between_two_frames_lies_between_them() -> None:
-    frames = placed([[0, 0], [1, 0], [2, 0]])
-    found = Retrieval(np.array([[0, 1]]), np.array([[0.25, 0.75]]))
-    poses = interpolate_poses(found, frames, 2, 1.5)
-    np.testing.assert_allclose(poses.xy, [[0.25, 0]], atol=1e-5)
+@pytest.mark.parametrize(
+    ("frames", "distances", "x"),
+    [
+        ([0, 1], [0.25, 0.75], 0.25),
+        ([0, 1], [0.0, 0.5], 0),
+        ([0, 1], [0.0, 0.0], 0.5),
+        ([1, 1], [0.5, math.inf], 1),
+        ([0], [0.3], 0),
+    ],
+    ids=["between two frames", "on a frame", "on both", "one found", "a map of one frame"],
+)
+def test_a_query_lies_between_its_frames(frames: list[int], distances: list[float], x: float) -> None:
+    known = placed([[n, 0] for n in range(max(frames) + 1)])
+    poses = interpolate_poses(Retrieval(np.array([frames]), np.array([distances])), known, 2, 2.0)
+    np.testing.assert_allclose(poses.xy, [[x, 0]], atol=1e-5)
     assert np.isnan(poses.theta).all()
 
 
@@ -68,27 +66,6 @@ def test_headings_on_either_side_of_the_seam_and_unknown_ones() -> None:
     headings = [[math.pi - 0.1, -math.pi + 0.3], [math.nan, 2.0], [math.nan, math.nan]]
     theta = interpolate_poses(found, frames, 2, 2.0, headings).theta
     np.testing.assert_allclose(theta, [-math.pi + 0.1, 2.0, math.nan])
-
-
-def test_identical_descriptors_have_finite_weights() -> None:
-    frames = placed([[0, 0], [1, 0]])
-    poses = interpolate_poses(Retrieval(np.array([[0, 1]]), np.array([[0.0, 0.5]])), frames, 2, 2.0)
-    np.testing.assert_allclose(poses.xy, [[0, 0]], atol=1e-5)
-    both = interpolate_poses(Retrieval(np.array([[0, 1]]), np.array([[0.0, 0.0]])), frames, 2, 2.0)
-    np.testing.assert_allclose(both.xy, [[0.5, 0]])
-
-
-def test_neighbours_at_infinite_distance_do_not_count() -> None:
-    frames = placed([[0, 0], [1, 0]])
-    poses = interpolate_poses(Retrieval(np.array([[1, 1]]), np.array([[0.5, math.inf]])), frames, 2, 2.0)
-    assert poses.xy.tolist() == [[1, 0]]
-
-
-def test_a_map_of_one_frame_and_no_queries() -> None:
-    frames = placed([[3, 4]])
-    assert interpolate_poses(Retrieval(np.array([[0]]), np.array([[0.3]])), frames, 5).xy.tolist() == [[3, 4]]
-    none = Retrieval(np.zeros((0, 1), dtype=int), np.zeros((0, 1)))
-    assert len(interpolate_poses(none, frames, 5, headings=np.zeros((0, 1)))) == 0
 
 
 def test_errors() -> None:

@@ -53,13 +53,6 @@ def test_nodes_by_vote_equal_the_loop(seed: int, k: int, candidates: int) -> Non
     assert ranking.compared.tolist() == [12] * 5
 
 
-def test_votes_of_a_small_example() -> None:
-    found = Retrieval(np.array([[0, 2, 3, 1]]), np.zeros((1, 4)))
-    assert rank_by_vote(found, [0, 1, 2, 2], 2).nodes.tolist() == [[2, 0]]  # two votes, then the nearer of one each
-    assert rank_by_vote(found, [-1, -1, -1, 0], 2).nodes.tolist() == [[0]]  # there is but one node
-    assert rank_by_vote(found, [-1] * 4, 1).nodes.tolist() == [[-1]]
-
-
 @settings(deadline=None)
 @given(seed=seeds)
 def test_the_perfect_layer_is_the_node_of_the_nearest_frame(seed: int) -> None:

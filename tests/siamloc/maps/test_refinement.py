@@ -58,6 +58,19 @@ def found(*rows: int) -> Retrieval:
     return Retrieval(np.array([rows]), np.arange(len(rows), dtype=float)[None])
 
 
+def astray(sure: float, likely: float = 3.0):
+    """Return what compares exactly but for the second map frame, whose answer is wrong, as sure and as likely."""
+
+    def compare(queries: np.ndarray, known: np.ndarray):
+        pose, information, match = exact(queries, known)
+        wrong = number(known) == 1
+        pose[wrong] += [3.0, -2.0, 1.0]
+        information[wrong] *= sure
+        return pose, information, np.where(wrong, likely, match)
+
+    return compare
+
+
 @pytest.mark.parametrize("rows", [(0,), (2, 1), (0, 1, 2)])
 def test_right_answers_give_the_pose(rows):
     poses = refine(map_of(), asked(), found(*rows), exact, k=3)
@@ -72,14 +85,7 @@ def test_right_answers_give_the_pose(rows):
 @pytest.mark.parametrize("rows", [(0, 1, 2), (1, 0, 2), (2, 0, 1)])
 @pytest.mark.parametrize("sure", [0.5, 1.0, 1.2, 3.0])
 def test_a_stray_answer_is_left_out_however_sure_it_is(rows, sure):
-    def one_astray(queries, known):
-        pose, information, match = exact(queries, known)
-        astray = number(known) == 1
-        pose[astray] += [3.0, -2.0, 1.0]
-        information[astray] *= sure
-        return pose, information, match
-
-    poses = refine(map_of(), asked(), found(*rows), one_astray, k=3)
+    poses = refine(map_of(), asked(), found(*rows), astray(sure), k=3)
     np.testing.assert_allclose(poses.xy[0], TRUE, atol=0.01)
     np.testing.assert_allclose(poses.theta, [HEADING], atol=0.01)
     assert poses.frame[0] != 1
@@ -87,13 +93,7 @@ def test_a_stray_answer_is_left_out_however_sure_it_is(rows, sure):
 
 
 def test_an_answer_that_is_no_match_does_not_count():
-    def no_match(queries, known):
-        pose, information, match = exact(queries, known)
-        astray = number(known) == 1
-        pose[astray] += [3.0, -2.0, 1.0]
-        information[astray] *= 100
-        return pose, information, np.where(astray, -12.0, match)
-
+    no_match = astray(100, likely=-12.0)
     poses = refine(map_of(), asked(), found(1, 0), no_match, k=2)
     np.testing.assert_allclose(poses.xy[0], TRUE, atol=0.01)
     assert poses.frame.tolist() == [0]

@@ -145,12 +145,6 @@ def test_queries_far_from_a_small_map() -> None:
     np.testing.assert_allclose(found.distances, distances, rtol=1e-14)
 
 
-def test_a_network_that_gives_one_descriptor_for_everything() -> None:
-    found = nearest(np.full((7, 3), 0.1), np.full((5000, 3), 0.1), 4, memory=1 << 20)
-    np.testing.assert_array_equal(found.indices, [[0, 1, 2, 3]] * 7)
-    assert (found.distances == 0).all()
-
-
 def test_no_queries() -> None:
     found = nearest(np.empty((0, 3)), np.ones((4, 3)), 2)
     assert found.indices.shape == found.distances.shape == (0, 2)

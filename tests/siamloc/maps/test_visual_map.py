@@ -12,7 +12,7 @@ import pytest
 import analytic
 from siamloc.data.frames import FrameTable
 from siamloc.errors import ConfigError, DataError, FormatError
-from siamloc.maps import VectorIndex, VisualMap
+from siamloc.maps import VisualMap
 
 IDENTITY = {"name": "network", "branch": {"name": "vgg16", "weights": None}, "width": 3}
 
@@ -45,24 +45,6 @@ def test_equal_maps_give_equal_files(tmp_path: Path) -> None:
     assert (tmp_path / "a.npz").read_bytes() == (tmp_path / "b.npz").read_bytes()
 
 
-def test_search_is_nearest_with_the_maps_distance() -> None:
-    visual_map = make_map()
-    queries = np.random.default_rng(1).normal(size=(4, 3)).astype(np.float32)
-    found, expected = visual_map.search(queries, 2), VectorIndex(visual_map.descriptors, "cosine").search(queries, 2)
-    np.testing.assert_array_equal(found.indices, expected.indices)
-    np.testing.assert_array_equal(found.distances, expected.distances)
-
-
-def test_a_map_is_prepared_once_for_all_searches(monkeypatch: pytest.MonkeyPatch) -> None:
-    prepared = []
-    prepare = VectorIndex._prepare
-    monkeypatch.setattr(VectorIndex, "_prepare", lambda index: (prepared.append(index), prepare(index)))
-    visual_map = make_map()
-    for query in np.eye(3):
-        visual_map.search(query[None], 2)
-    assert len(prepared) == 1
-
-
 def test_a_map_knows_its_descriptor(tmp_path: Path) -> None:
     hog = analytic.descriptor("hog", rows=2)
     frames = FrameTable(path=["a.png", "b.png"])
@@ -72,9 +54,6 @@ def test_a_map_knows_its_descriptor(tmp_path: Path) -> None:
     assert VisualMap.load(tmp_path / "map.npz", hog).descriptor is hog
     with pytest.raises(ConfigError, match=r"rows is 2 in the map, 4 here.*build the map again"):
         VisualMap.load(tmp_path / "map.npz", analytic.descriptor("hog", rows=4))
-    hog_map.check_images({"height": 16, "width": 64, "camera": None})
-    with pytest.raises(ConfigError, match=r"images\.width is 64 in the map, 128 here"):
-        hog_map.check_images({"height": 16, "width": 128, "camera": None})
     learned = make_map()
     assert not learned.aligned
     with pytest.raises(ConfigError, match="described by 'network', which it does not hold"):
@@ -87,20 +66,6 @@ def test_a_map_without_positions_says_so() -> None:
         VisualMap([[1.0]], FrameTable(path=["a.png"])).placed()
 
 
-def test_no_frames_of_a_map_are_no_map() -> None:
-    with pytest.raises(DataError, match=r"n and D at least 1, got \(0, 3\)"):
-        make_map().take([])
-
-
-def test_descriptors_are_a_read_only_copy() -> None:
-    values = np.ones((2, 3), dtype=np.float32)
-    visual_map = VisualMap(values, FrameTable(path=np.array(["a", "b"])))
-    values[:] = 5
-    assert (visual_map.descriptors == 1).all()
-    with pytest.raises(ValueError, match="read-only"):
-        visual_map.descriptors[0] = 2
-
-
 @pytest.mark.parametrize(
     ("descriptors", "names", "distance", "error", "message"),
     [
@@ -108,6 +73,9 @@ def test_descriptors_are_a_read_only_copy() -> None:
         (np.ones((2, 3)), ["a"], "euclidean", DataError, "got 2 for 1 frames"),
         (np.ones(3), ["a"], "euclidean", DataError, "got float64 (3,)"),
         ([[1.0], [np.nan]], ["a.png", "b.png"], "euclidean", DataError, "the first that of b.png"),
+        (np.full((1, 2), "a"), ["a"], "euclidean", DataError, "descriptors that are real numbers"),
+        (np.full((1, 2), 1j), ["a"], "euclidean", DataError, "got complex128 (1, 2)"),
+        (np.full((1, 2), 1.0, object), ["a"], "euclidean", DataError, "got object (1, 2)"),
         (np.ones((1, 3)), ["a"], "cosin", ConfigError, "did you mean 'cosine'"),
     ],
 )
@@ -130,11 +98,6 @@ def test_check_describer_names_what_differs() -> None:
     assert "hash is absent in the map, 'ab' here" in message
     assert "weights" not in message
     assert "Describe the queries with the map's model" in message
-
-
-def test_identity_may_hold_tuples_and_arrays() -> None:
-    frames = FrameTable(path=np.array(["a"]))
-    VisualMap(np.ones((1, 2)), frames, {"size": (128, 512)}).check_describer({"size": np.array([128, 512])})
 
 
 def rewritten(source: Path, target: Path, **changes: object) -> Path:
@@ -201,9 +164,3 @@ def test_maps_and_tasks_do_not_load_torch() -> None:
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "[]"
-
-
-@pytest.mark.parametrize("values", [np.full((3, 2), "a"), np.full((3, 2), 1j), np.full((3, 2), 1.0, object)])
-def test_descriptors_are_real_numbers(values):
-    with pytest.raises(DataError, match=r"descriptors that are real numbers, .* got (<U1|complex128|object) \(3, 2\)"):
-        VisualMap(values, FrameTable(path=["a", "b", "c"]))
