@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from benchmarks.torture import STRANGE, outcome_of
 from benchmarks.torture_calls import call_cases, public_calls
-from foundation.calls import kinds_of, typed
+from foundation.calls import typed
 from foundation.errors import ConfigError
 from foundation.settings import Count
 from siamloc.data import FrameTable
@@ -65,7 +65,6 @@ def test_what_the_annotations_allow_passes():
     [
         ({"frames": "abc"}, "frames must be a FrameTable, or null, got 'abc'"),
         ({"k": 0}, "k must be a whole number from 1 to 10 million, got 0"),
-        ({"k": 10**12}, "k must be a whole number from 1 to 10 million, got 1000000000000"),
         ({"folder": 3}, "folder must be a text, or a path, or a PathLike, or null, got 3"),
         ({"elsewhere": 3}, "elsewhere must be an Elsewhere, or a Module, or null, got 3"),
         ({"names": "abc"}, "names must be a list, each item a text, got 'abc'"),
@@ -79,17 +78,6 @@ def test_what_the_annotations_allow_passes():
 def test_what_they_do_not_allow_is_refused(given, says):
     with pytest.raises(ConfigError, match=says):
         called(**given)
-
-
-def test_the_number_of_arguments_is_pythons_to_check():
-    with pytest.raises(TypeError, match="unexpected keyword argument 'zzz'"):
-        called(zzz=1)
-
-
-def test_what_cannot_be_told_is_left_alone():
-    assert set(kinds_of(called)) == {
-        *("frames", "k", "folder", "elsewhere", "names", "way", "array", "function", "draws", "options")
-    }
 
 
 def test_public_calls_refuse_nonsense():
