@@ -7,8 +7,6 @@ import numpy as np
 import pytest
 
 from analytic import DISTANCES, AnalyticError, descriptor, distance
-from analytic.filters import homomorphic
-from analytic.images import unit, with_channels
 from tests.analytic.radon_lines import radon_transform
 from tests.oracles.descriptors import briefgist, fourier, gist, hog, hsv, radon, turns, wisurf
 from tests.oracles.descriptors.cases import ODD, SHAPES, SWEEP
@@ -305,11 +303,3 @@ def test_of_equal_turns_of_bits_the_smallest_to_the_left_is_taken():
             assert hamming[i, j] == min(different)
             assert found[i, j] == pytest.approx(turns.angle(different.index(min(different)), 8), abs=1e-9)
     assert ties > 100
-
-
-@pytest.mark.parametrize("circular", [True, False], ids=["circular", "flat"])
-def test_the_homomorphic_filter_follows_its_formula(circular):
-    cases = [(MADE["odd"][0], slow_homomorphic), (MADE["flat and a bar"][1], slow_homomorphic)]
-    for image, slowly in (*cases, (MADE["colour"][0], homomorphic_colour)):
-        found = homomorphic(unit(with_channels(image)), circular=circular)[0]
-        np.testing.assert_allclose(found, np.broadcast_to(slowly(image, circular=circular), found.shape), atol=1e-5)

@@ -5,14 +5,6 @@ from analytic import descriptor
 SMALL = {"rows": 4, "columns": 5, "orientation_rows": 8, "orientation_columns": 20, "turns": 48}
 
 
-def test_a_wave_has_its_amplitude_and_its_phase():
-    x = 2 * np.pi * np.arange(48) / 48
-    image = np.tile(0.5 + 0.4 * np.cos(3 * x - 1), (16, 1))
-    found = descriptor("fs", **SMALL).describe(image)
-    np.testing.assert_allclose(found.position.reshape(4, 5), [[0.5, 0, 0, 0.2, 0]] * 4, atol=1e-6)
-    np.testing.assert_allclose(np.angle(found.orientation[0, 3]), -1, atol=1e-5)
-
-
 def test_values_do_not_depend_on_the_size_of_the_image():
     fs = descriptor("fs", **{**SMALL, "columns": 4, "orientation_columns": 6, "turns": 96})
     x = 2 * np.pi * np.arange(96) / 96

@@ -55,26 +55,6 @@ def test_line_integrals_of_a_smooth_picture_are_the_exact_ones(source, image, st
     assert np.abs(found[0] - expected).max() < 0.01 * expected.max()
 
 
-def test_a_left_turn_moves_the_orientations_on():
-    here = radon_transform(IMAGES, step=360 / 16, size=32)
-    there = radon_transform(np.roll(IMAGES, 12, axis=-1), step=360 / 16, size=32)
-    np.testing.assert_allclose(there, np.roll(here, 3, axis=1), atol=1e-4)
-    here = radon_transform(SQUARES, step=360 / 16, size=32, source="omnidirectional")
-    there = radon_transform(np.rot90(SQUARES, axes=(1, 2)), step=360 / 16, size=32, source="omnidirectional")
-    np.testing.assert_allclose(there, np.roll(here, 4, axis=1), atol=1e-4)
-
-
-def test_both_sources_agree_on_one_scene():
-    # Beyond the ring the scene is empty, so that a panorama shows all of it.
-    polar = radon_transform(ring(), step=3, size=128)
-    square = radon_transform(disc(), step=3, size=128, source="omnidirectional")
-    assert np.abs(polar - square).max() < 0.01 * square.max()
-    one = descriptor("radon_fourier", step=3, size=128)
-    other = descriptor("radon_fourier", step=3, size=128, source="omnidirectional")
-    a, b = one.describe(ring()).position[0], other.describe(disc()).position[0]
-    assert np.linalg.norm(a - b) < 0.01 * np.linalg.norm(b)
-
-
 @given(st.integers(0, 63))
 @settings(max_examples=15, deadline=None)
 def test_any_turn_by_columns_leaves_the_magnitudes(turn):

@@ -3,13 +3,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from analytic.mapper.closure import (
-    Similarity,
-    image_level,
-    node_level,
-    prominences,
-    prominences_of,
-)
+from analytic.mapper.closure import Similarity, image_level, node_level, prominences
 from analytic.mapper.node import Mode, Node
 from analytic.mapper.parameters import Parameters
 from tests.analytic.mapper.world import World, corridor_drive, rows
@@ -24,10 +18,6 @@ def test_prominence_is_a_walk_down_from_each_peak(heights):
     curve = np.array(heights, dtype=np.float64)
     padded = [0.0, *heights, 0.0]
     assert prominences(curve).tolist() == [walk(padded, i + 1) for i in range(len(heights))]
-
-
-def test_prominence_by_hand():
-    assert prominences(np.array([2.0, 1, 5, 4, 4.5, 0, 3, 3])).tolist() == [1, 0, 5, 0, 0.5, 0, 3, 0]
 
 
 def nodes_of(world, poses, labels):
@@ -73,17 +63,6 @@ def test_an_equal_image_is_most_similar_and_nothing_is_infinite():
     found = image_level(world, same, [Node(0, (alike,))], "euclidean")
     assert found.values.tolist() == [0.2] * 5
     assert found.best() == 0
-
-
-def test_the_curve_falls_to_zero_at_frames_of_other_nodes():
-    world = World(steps=0)
-    labels = np.array([0] * 12 + [1] * 10 + [0] * 3 + [-1] + [0] * 4)
-    nodes = nodes_of(world, corridor_drive(30), labels)
-    found = image_level(world, world.at([[0, 0, 0]]), nodes[:1], "euclidean")
-    curve = np.zeros(30)
-    curve[labels == 0] = found.values
-    assert prominences_of(found, labels, [0]).tolist() == prominences(curve)[labels == 0].tolist()
-    assert len(found.frames) == 19
 
 
 def test_the_mean_similarity_of_a_node_is_that_of_its_best_mode():

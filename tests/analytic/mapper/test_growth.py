@@ -11,12 +11,6 @@ def node(*centres):
     return SimpleNamespace(modes=[SimpleNamespace(centre=np.array(centre, dtype=float)) for centre in centres])
 
 
-def test_a_place_is_as_far_as_the_nearest_of_its_modes():
-    place, other = node([0, 0], [10, 0]), node([4, 0])
-    assert distinctness(np.array([9.0, 0]), [place, other]) == ({"distance": 3, "least_distance": 4}, False)
-    assert distinctness(np.array([9.0, 0]), [place]) == ({"distance": 1, "least_distance": 0}, True)
-
-
 @pytest.mark.parametrize("most_modes", [1, 3])
 def test_mean_distances_are_those_of_all_pairs(most_modes):
     generator = np.random.default_rng(most_modes)

@@ -7,11 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-import analytic
 from analytic.descriptors.base import Description
-from analytic.mapper import IncrementalMapper, Reason, replay
+from analytic.mapper import IncrementalMapper, Reason
 from analytic.mapper import mapper as mapper_module
-from tests.analytic.mapper.test_node import check
 from tests.analytic.mapper.world import FRAMES, WORLD, World, cold_drive, corridor_drive, rows
 from tests.oracles.mapper import SlowMapper
 
@@ -39,40 +37,34 @@ def compare(mapper, slow, frames):
         seen[decision.reason.name] += 1
         for change in decision.changes:
             seen[f"{change.reason.name} {change.scores.get('trigger', '')}".strip()] += 1
+    for node in mapper.nodes:
+        assert node.frames == np.flatnonzero(mapper.labels() == node.id).tolist()
     return seen
 
 
-SYNTHETIC = [
-    (1, {}, {"NODE_PARKED", "JOINED_PARKED"}),
-    (1, {"two_sided": False, "y": 0.5}, {"NODE_PARKED"}),
-    (2, {"y": 1.5}, {"NODES_MERGED", "REASSIGNED"}),
-]
+WIDE = World(size=96, steps=0, reach=6.0, seed=2)  # more numbers than frames in a node, as images have
+WIDE_FRAMES = rows(WIDE.at(corridor_drive(300, seed=5, rooms=6), noise=0.2, seed=3))
+
+
+@pytest.mark.parametrize(
+    ("world", "version", "parameters", "happens"),
+    [
+        (WORLD, 1, {}, {"NODE_PARKED", "JOINED_PARKED"}),
+        (WORLD, 1, {"two_sided": False, "y": 0.5}, {"NODE_PARKED"}),
+        (WORLD, 2, {"y": 1.5}, {"NODES_MERGED", "REASSIGNED"}),
+        (WIDE, 1, {}, {"NODE_PARKED"}),
+        (WIDE, 2, {"y": 2.5}, {"NODES_MERGED", "REASSIGNED"}),
+        (WIDE, 2, {"y": 2.5, "two_sided": False}, set()),
+    ],
+)
+def test_every_decision_is_that_of_the_oracle(world, version, parameters, happens):
+    mapper, slow = IncrementalMapper(world, version, **parameters), SlowMapper(version, **parameters)
+    seen = compare(mapper, slow, FRAMES if world is WORLD else WIDE_FRAMES)
+    assert happens | {"ASSIGNED", "NO_CANDIDATE_NODE"} <= set(seen)
+    assert any(mode.scatter is None for node in mapper.nodes for mode in node.modes) or world is WORLD
+
 
 # With more numbers than frames in a node, as images have.
-WIDE = [
-    (1, {}, {"NODE_PARKED"}),
-    (2, {"y": 2.5}, {"NODES_MERGED", "REASSIGNED"}),
-    (2, {"y": 2.5, "two_sided": False}, set()),
-]
-
-
-@pytest.mark.parametrize(("version", "parameters", "happens"), WIDE)
-def test_every_decision_on_wide_descriptors_is_that_of_the_oracle(version, parameters, happens):
-    world = World(size=96, steps=0, reach=6.0, seed=2)
-    frames = rows(world.at(corridor_drive(300, seed=5, rooms=6), noise=0.2, seed=3))
-    mapper, slow = IncrementalMapper(world, version, **parameters), SlowMapper(version, **parameters)
-    seen = compare(mapper, slow, frames)
-    assert happens | {"ASSIGNED", "NO_CANDIDATE_NODE"} <= set(seen)
-    assert any(mode.scatter is None for node in mapper.nodes for mode in node.modes)
-
-
-@pytest.mark.parametrize(("version", "parameters", "happens"), SYNTHETIC)
-def test_every_decision_is_that_of_the_oracle(version, parameters, happens):
-    mapper, slow = IncrementalMapper(WORLD, version, **parameters), SlowMapper(version, **parameters)
-    seen = compare(mapper, slow, FRAMES)
-    assert happens | {"ASSIGNED", "NO_CANDIDATE_NODE"} <= set(seen)
-
-
 REAL = [
     ("freiburg_seq2_cloudy1", 8, 0.1, 3.0, 1, {}, {"NEW_NODE consecutive", "JOINED_PARKED", "MOVES_CENTROID"}),
     ("freiburg_seq2_cloudy1", 12, 0.3, 3.0, 1, {"gamma": 15.0}, {"NOT_PROMINENT", "NODES_MERGED", "NODE_PARKED"}),
@@ -115,31 +107,6 @@ def test_every_decision_under_drawn_settings_is_that_of_the_oracle(seed):
     compare(IncrementalMapper(world, version, **parameters), SlowMapper(version, **parameters), frames)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("name", ["hog", "gist", "fs"])
-@pytest.mark.parametrize("version", [1, 2])
-def test_every_decision_on_images_is_that_of_the_oracle(name, version):
-    generator = np.random.default_rng(0)
-    places = generator.uniform(0, 255, (9, 16, 64))
-    poses = corridor_drive(180, seed=3)
-    apart = np.linalg.norm(poses[:, None, :2] - generator.choice(poses[:, :2], 9), axis=2)
-    weights = np.exp(-((apart / 4) ** 2)) + 0.02
-    views = np.einsum("np,phw->nhw", weights / weights.sum(axis=1, keepdims=True), places)
-    images = np.clip(views + generator.normal(0, 6, views.shape), 0, 255).astype(np.uint8)
-    options = {
-        "fs": {"rows": 4, "orientation_rows": 8, "orientation_columns": 16},
-        "hog": {"rows": 4, "bins": 8, "step": 2},
-        "gist": {"blocks": 4, "orientations": 4, "step": 2},
-    }
-    descriptor = analytic.descriptor(name, **options[name])
-    turned = [np.roll(image, round(10 * pose[2]), axis=1) for image, pose in zip(images, poses, strict=True)]
-    frames = rows(descriptor.describe(np.stack(turned)))
-    if name == "fs":  # its phases are compared otherwise than by turning
-        frames = [Description(frame.position, None, frame.identity) for frame in frames]
-    seen = compare(IncrementalMapper(descriptor, version), SlowMapper(version), frames)
-    assert seen["ASSIGNED"] > 20
-
-
 @pytest.mark.data
 def test_a_parked_candidate_becomes_a_node_and_the_oldest_is_forgotten():
     poses = cold_drive("freiburg_seq2_cloudy1")
@@ -170,47 +137,6 @@ def test_a_robot_that_keeps_changing_node_gets_a_node_between():
 
 
 @pytest.mark.parametrize("version", [1, 2])
-def test_statistics_are_those_of_the_members_and_similar_nodes_merge(version):
-    world = World(size=16, steps=0, reach=4.0, seed=5)
-    poses = corridor_drive(1100, seed=5, rooms=6)
-    description = world.at(poses, noise=0.25, seed=5)
-    mapper = IncrementalMapper(world, version, y=2.5)
-    decisions = feed(mapper, rows(description))
-    changes = Counter(change.reason for decision in decisions for change in decision.changes)
-    assert changes[Reason.NODES_MERGED]
-    assert max(map(len, mapper.nodes)) > 300
-    labels = mapper.labels()
-    for node in mapper.nodes:
-        (mode,) = node.modes
-        assert node.frames == np.flatnonzero(labels == node.id).tolist()
-        check(mode, description.position[mode.frames].astype(np.float64))
-
-
-@pytest.mark.parametrize("version", [1, 2])
-def test_the_order_of_nodes_in_memory_changes_nothing(version):
-    plain, shuffled = IncrementalMapper(WORLD, version), IncrementalMapper(WORLD, version)
-    generator = np.random.default_rng(0)
-    for frame in FRAMES:
-        keys = generator.permutation(list(shuffled._state.nodes)).tolist()
-        shuffled._state.nodes = {key: shuffled._state.nodes[key] for key in keys}
-        assert plain.add(frame) == shuffled.add(frame)
-    assert plain.events == shuffled.events
-
-
-def test_an_equal_score_goes_to_the_older_node():
-    world = World(size=6, steps=0, seed=4)
-    frames = rows(world.at(corridor_drive(30, seed=2), noise=0.3))
-    mapper = IncrementalMapper(world, 2, merge="never")
-    feed(mapper, frames[:20])
-    (node,) = mapper.nodes
-    state = mapper._state
-    state.nodes = {9: type(node)(9, node.modes), 4: type(node)(4, node.modes)}
-    state.labels[:] = 4
-    closing = [mapper.locate(frame).node for frame in frames[:20]]
-    assert set(closing) == {4}
-
-
-@pytest.mark.parametrize("version", [1, 2])
 @pytest.mark.parametrize("exemplars", [None, 12])
 def test_scores_explain_each_decision(version, exemplars):
     mapper = IncrementalMapper(WORLD, version, exemplars=exemplars)
@@ -235,17 +161,6 @@ def test_scores_explain_each_decision(version, exemplars):
         if decision.reason is Reason.NO_CANDIDATE_NODE:
             assert not closing
             assert decision.node is None
-
-
-def test_bounded_exemplars_keep_the_statistics_of_all_frames():
-    mapper = IncrementalMapper(WORLD, exemplars=12)
-    feed(mapper, FRAMES)
-    assert max(len(node) for node in mapper.nodes) > 30
-    for node in mapper.nodes:
-        (mode,) = node.modes
-        assert len(mode.gallery) <= 12
-        assert len(mode.points) == len(node.frames)
-    assert np.array_equal(replay(mapper.events), mapper.labels())
 
 
 @pytest.mark.parametrize("seed", [5, 16])
