@@ -192,7 +192,6 @@ class Reproduction:
         listed = {row.measure for row in rows}
         rows += [Row(None, one) for one in _best(self.records, self.study) if one.measure in self.study.also]
         rows += [Row(None, one) for one in _best(self.beside, self.study) if one.measure in listed]
-        rows += [Row(None, one) for one in _best(self.records, self.study) if one.measure in self.study.also]
         names = dict.fromkeys(name for row in rows for name in row.settings)
         apart = [name for name in names if len({_shown(row.settings.get(name)) for row in rows}) > 1]
         heads = [name for name in apart if self.study.join is None or name in self.study.join]
