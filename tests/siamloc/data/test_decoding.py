@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from siamloc.data.decoding import Preprocessing, UnreadableImageError, read_image
-from siamloc.data.panorama import HyperbolicMirror, PanoramaView, PolarRing, unwrap
+from siamloc.data.panorama import PanoramaView, PolarRing, unwrap
 from siamloc.errors import ConfigError
 
 
@@ -83,12 +83,3 @@ def test_a_camera_that_does_not_fit(tmp_path):
 def test_impossible_preprocessing(size, camera, message):
     with pytest.raises(ConfigError, match=message):
         Preprocessing.checked(size, camera)
-
-
-def test_parameters_tell_what_decides_the_pixels():
-    views = [PanoramaView(16, 32), PanoramaView(16, 32, top=10)]
-    plain, other = (Preprocessing(view, None).parameters() for view in views)
-    assert plain == other
-    cameras = [PolarRing(), PolarRing(forward=1), HyperbolicMirror(), HyperbolicMirror(fx=1)]
-    different = [Preprocessing(view, camera).parameters() for camera in cameras for view in views]
-    assert all(a != b for i, a in enumerate(different) for b in [plain, *different[:i]])

@@ -156,14 +156,6 @@ def test_frames_are_known_by_sequence_and_absolute_path_and_rooms_by_building(tm
     assert table().place.tolist() == ["one/a", "one/b", "one/", "a", "b", ""]
 
 
-def test_describe_names_what_there_is():
-    assert table().describe() == (
-        "6 frames; sequences: seq2_cloudy1 3, seq2_night1 3; rooms: a, b; lightings: none; positions: all, in m"
-    )
-    nothing = "1 frames; sequences: (unnamed) 1; rooms: none; lightings: none; positions: none"
-    assert FrameTable(path=["a"]).describe() == nothing
-
-
 def test_image_files_are_those_with_an_images_suffix(tmp_path: Path):
     for name in ("b.JPG", "a.jpeg", "c.png", "notes.txt"):
         (tmp_path / name).touch()

@@ -88,6 +88,7 @@ def test_unreadable_images_are_left_out_and_named(frames, tmp_path, caplog):
         {"path": frames.path[3], "reason": "the file does not exist"},
     ]
     assert library.frames == frames.take([1, 2, 4, 5, 6, 7])
+    assert open_library(frames, tmp_path).rejected == library.rejected
     assert library.readable(frames.take([7, 3, 2])) == frames.take([7, 2])
     np.testing.assert_array_equal(library.batch(library.rows(frames.take([7, 2]))), expected(7, 2))
     with pytest.raises(DataError, match=r"1 of 2 frames have no panorama, .*3\.png \(the file does not exist\): leave"):

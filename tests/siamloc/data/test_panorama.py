@@ -168,17 +168,6 @@ def test_turning_left_moves_the_content_to_the_right(turn, camera):
     assert circular_gap(columns[1], columns[0] + turn * 512 / (2 * np.pi), 512) < 0.6
 
 
-def test_other_sizes_and_elevations():
-    view = PanoramaView(height=64, width=300, top=10, bottom=-20)
-    mirror = HyperbolicMirror(fx=600, fy=600, cx=639.5, cy=479.5)
-    image = with_blob((960, 1280), *oracle.pixel(direction(60, -5), mirror))
-    panorama = unwrap(image, mirror, view)
-    assert panorama.shape == (64, 300)
-    column, row = blob_at(panorama)
-    assert column == pytest.approx(float(azimuth_column(np.radians(60), 300)), abs=0.5)
-    assert row == pytest.approx(float(elevation_row(view, np.radians(-5))), abs=0.7)
-
-
 def test_what_lies_outside_the_image_is_black():
     panorama = unwrap(np.full((100, 100), 200, np.uint8), PolarRing(inner=10, outer=80))
     assert panorama[0].max() == 0

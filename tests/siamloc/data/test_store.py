@@ -99,22 +99,6 @@ def test_a_second_time_nothing_is_decoded(paths, tmp_path, monkeypatch):
     np.testing.assert_array_equal(again.panoramas, first.panoramas)
 
 
-def test_unreadable_images_are_left_out_and_reported_once(paths, tmp_path, caplog):
-    Path(paths[0]).write_bytes(b"")
-    Path(paths[3]).unlink()
-    with caplog.at_level(logging.WARNING, "siamloc"):
-        store = build(paths, tmp_path)
-    assert len(caplog.records) == 1
-    assert f"2 of {IMAGES} images cannot be read, the first: {paths[0]} (the file is empty)" in caplog.text
-    assert store.rejected == [
-        {"path": paths[0], "reason": "the file is empty"},
-        {"path": paths[3], "reason": "the file does not exist"},
-    ]
-    assert store.kept.tolist() == [1, 2, *range(4, IMAGES)]
-    np.testing.assert_array_equal(store.panoramas[:, 0, 0, 0], store.kept)
-    assert build(paths, tmp_path).rejected == store.rejected
-
-
 def test_the_strict_stop_at_an_unreadable_image_and_everybody_where_none_is_readable(paths, tmp_path):
     Path(paths[3]).write_bytes(b"no image")
     for _ in range(2):
