@@ -8,16 +8,10 @@ import pytest
 from siamloc.data.frames import FrameTable
 from siamloc.errors import ConfigError
 from siamloc.evaluation import metrics
-from siamloc.evaluation.absolute import (
-    estimate_columns,
-    estimate_measures,
-    pose_measures,
-    with_baseline,
-)
-from siamloc.evaluation.columns import located_columns
+from siamloc.evaluation.absolute import estimate_columns, estimate_measures, pose_measures, with_baseline
 from siamloc.evaluation.hierarchy import Hierarchical
 from siamloc.evaluation.localize import Localization
-from siamloc.maps import Retrieval, VisualMap
+from siamloc.maps import VisualMap
 from tests.siamloc.evaluation import scenes
 from tests.siamloc.evaluation.scenes import evaluate_absolute
 
@@ -39,11 +33,8 @@ def test_rows_hold_the_match_and_its_error() -> None:
         row, match = result.rows[i], int(found.indices[i, 0])
         assert (row["query"], row["path"], row["sequence"]) == (i, queries.path[i], "run2")
         assert (row["lighting"], row["room"]) == (queries.lighting[i], queries.room[i])
-        assert (row["match"], row["match_path"], row["match_room"]) == (
-            match,
-            known.frames.path[match],
-            known.frames.room[match],
-        )
+        of_map = known.frames.path[match], known.frames.room[match]
+        assert (row["match"], row["match_path"], row["match_room"]) == (match, *of_map)
         assert (row["est_x"], row["est_y"]) == tuple(known.frames.xy[match])
         assert row["error"] == pytest.approx(math.dist(known.frames.xy[match], queries.xy[i]))
         assert row["floor"] == pytest.approx(min(math.dist(p, queries.xy[i]) for p in known.frames.xy))
@@ -191,14 +182,3 @@ def test_a_perfect_estimate_is_below_the_floor_and_a_distant_one_is_not_recalled
     assert overall["error"]["mean"] == pytest.approx(5)
     assert [entry["hits"] for entry in overall["recall"]] == [0, 0]
     assert "heading_error" not in overall
-
-
-def test_queries_without_a_pose_are_listed_with_their_estimates() -> None:
-    known = scenes.visual_map()
-    queries = scenes.frames(2, 5, x=np.full(5, math.nan))
-    found = Retrieval(np.array([[3], [0], [149], [3], [7]]), np.arange(5.0)[:, None])
-    columns = located_columns(known, queries, found, [0.1, math.nan, 0, 0, 0])
-    np.testing.assert_array_equal(columns["est_x"], known.frames.x[[3, 0, 149, 3, 7]])
-    assert columns["match_path"][2] == known.frames.path[149]
-    assert columns["est_theta"][0] == 0.1
-    assert not {"error", "floor", "x"} & set(columns)

@@ -93,12 +93,6 @@ def test_evaluations_without_the_measure_come_last(measured, tmp_path):
     assert len(found.plot().axes[0].lines[0].get_xdata()) == 1
 
 
-def test_the_picture_is_written(measured, tmp_path):
-    for bins in (8, 16):
-        write(measured, tmp_path / str(bins), 0.9, {"descriptor.bins": bins})
-    assert compare(tmp_path).save_picture(tmp_path / "picture.png").read_bytes()[:4] == b"\x89PNG"
-
-
 def test_mistakes_are_named(measured, tmp_path):
     for folders, says in (
         (tmp_path / "no", "no folder"),

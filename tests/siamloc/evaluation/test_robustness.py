@@ -40,12 +40,7 @@ def test_a_left_turn_moves_the_content_to_the_right(images: np.ndarray) -> None:
 
 @pytest.mark.parametrize(
     ("name", "kind", "level"),
-    [
-        ("noise", "noise", 0.02),
-        ("occlusion", "occlusion", 0.3),
-        ("bulb", "effect", 1.0),
-        ("sun_patch", "effect", 0.5),
-    ],
+    [("noise", "noise", 0.02), ("occlusion", "occlusion", 0.3), ("bulb", "effect", 1.0), ("sun_patch", "effect", 0.5)],
 )
 def test_draws_follow_from_seed_and_query_alone(images: np.ndarray, name: str, kind: str, level: float) -> None:
     one = Disturbance(name, (level,), kind)

@@ -24,11 +24,8 @@ from tests.siamloc.evaluation.world import Reads, drive, library
 @pytest.fixture(scope="module")
 def world(tmp_path_factory):
     folder = tmp_path_factory.mktemp("world")
-    monday, tuesday, sunday = (
-        drive(folder, "monday", 40, 1),
-        drive(folder, "tuesday", 30, 2),
-        drive(folder, "sunday", 30, 3),
-    )
+    drives = ("monday", 40, 1), ("tuesday", 30, 2), ("sunday", 30, 3)
+    monday, tuesday, sunday = (drive(folder, *one) for one in drives)
     images = library(folder, monday, tuesday, sunday)
     return images, monday, tuesday, sunday, maps.build(Reads(), images, monday, progress=False)
 
@@ -251,10 +248,7 @@ def test_frames_left_out_stay_left_out_under_disturbances_and_are_refused_where_
     ("options", "says"),
     [
         ({"radius": (1,)}, "localization has no setting 'radius': did you mean 'radii'"),
-        ({"ks": ()}, "task.ks must be a list of one or more whole numbers from 1 that differ, got ()"),
-        ({"radii": (1, 1)}, "task.radii must be a list of one or more numbers from 0 that differ"),
         ({"names": ()}, "task.names must be a list of one or more of absolute and room_retrieval"),
-        ({"baselines": "hogg"}, "unknown descriptor 'hogg'.*hog"),
         ({"filter_tune": True}, "task.filter_tune=true chooses the settings of the sequence filter"),
         ({"names": ("room_retrieval",), "refine": "interpolate"}, "task.refine goes with absolute localization"),
         ({"protocol": "honest"}, "protocol.kind must be cross_run or same_run, got 'honest'"),

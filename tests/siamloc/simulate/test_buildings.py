@@ -9,10 +9,9 @@ import pytest
 
 from siamloc.errors import DataError
 from siamloc.simulate import Run, load_building
-from siamloc.simulate.floor_plans import PLANS, Cell, draw_plan
+from siamloc.simulate.floor_plans import PLANS, draw_plan
 from siamloc.simulate.furnishing import USES
 from siamloc.simulate.items import KINDS
-from siamloc.simulate.layout import shared_wall
 from siamloc.simulate.parse import parse_building
 from siamloc.simulate.plan import clearance, obstacles, room_at
 from siamloc.simulate.route import FreeSpace
@@ -65,14 +64,6 @@ def test_all_kinds_of_plans_are_drawn_and_what_their_rooms_may_hold_exists() -> 
     groups = {"desk_pair", "dining", "conference", "seating", "benches", "stacks", "plant_island", "television_set"}
     for use in USES.values():
         assert set(f"{use.walls} {use.middle} {use.hung}".split()) - groups <= set(KINDS)
-
-
-def test_walls_that_look_outside() -> None:
-    left, right = Cell("a", "office", (0.0, 4.0), (0.0, 3.0)), Cell("b", "office", (4.0, 8.0), (1.0, 3.0))
-    assert shared_wall(left, right) == ("y", 4.0, (1.0, 3.0))
-    assert left.outside("east", [left, right]) == [(0.0, 1.0)]
-    assert left.outside("north", [left, right]) == [(0.0, 4.0)]
-    assert shared_wall(right, Cell("c", "office", (9.0, 10.0), (0.0, 3.0))) is None
 
 
 def ends(space: FreeSpace, *points: tuple[float, float]) -> list[int]:

@@ -62,15 +62,6 @@ def test_bounces_approach_the_closed_room_limit() -> None:
     assert sums[0.5] / sums[0.0] == pytest.approx(2.0 * (1 - 0.5**5), rel=0.1)
 
 
-def test_every_node_has_a_pixel_of_its_own() -> None:
-    _, mesh = closed_room()
-    grid = LightGrid.over(mesh, 0.3, 0.1)
-    assert len(set(grid.pixel.tolist())) == len(grid.pixel)
-    image = grid.image(np.arange(len(grid.quad), dtype=np.float32))
-    x, y = grid.position(grid.quad, grid.place[:, 0], grid.place[:, 1])
-    np.testing.assert_array_equal(image[np.rint(y).astype(int), np.rint(x).astype(int)], np.arange(len(grid.quad)))
-
-
 def test_texture_lookup_wraps_and_is_upright() -> None:
     image = np.zeros((256, 256, 3), dtype=np.uint8)
     image[:64, :128] = (255, 0, 0)  # the upper left corner is red
