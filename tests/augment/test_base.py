@@ -38,10 +38,6 @@ def test_logarithmic_ranges_have_their_geometric_middle_in_the_middle():
     assert values.tolist() == pytest.approx([0.5, 1.0])
 
 
-def test_a_number_is_a_range_of_one_value():
-    assert (augment.effect("contrast", factor=1.3).ranges["factor"].low) == 1.3
-
-
 @pytest.mark.parametrize(
     ("name", "params", "message"),
     [

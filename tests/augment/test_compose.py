@@ -38,12 +38,6 @@ def test_probabilities_of_steps_and_of_groups_multiply():
     assert "darken" not in found
 
 
-@pytest.mark.parametrize("probability", [0, 1])
-def test_probability_at_its_ends(probability):
-    found = shares(Policy({"effect": "blur", "probability": probability}))
-    assert found == {"blur" if probability else "original": 1.0}
-
-
 def test_frames_that_did_not_get_an_effect_stay_as_they_are():
     batch = panoramas(40, 8, 16)
     policy = Policy({"effect": "darken", "probability": 0.5})
@@ -71,12 +65,6 @@ def test_headings_add_up_over_the_rotations_a_frame_got():
         assert math.cos(heading - columns * 2 * math.pi / 64) == pytest.approx(1, abs=1e-6)
 
 
-def test_slots_of_one_effect_draw_for_themselves():
-    policy = Policy({"all_of": [{"effect": "bulb"}, {"effect": "bulb"}]})
-    params = policy.draw(generator(), panoramas(3))
-    assert not torch.equal(params["0.bulb.column"], params["1.bulb.column"])
-
-
 def test_effects_inherit_circular_from_the_policy():
     policy = Policy({"all_of": [{"effect": "bulb"}, {"effect": "blur", "circular": True}]}, circular=False)
     assert [effect.circular for effect in policy.effects] == [False, True]
@@ -95,10 +83,7 @@ def test_effects_inherit_circular_from_the_policy():
         ({}, "exactly one of effect, all_of, one_of, got {}"),
         ({"all_of": [], "probabilty": 0.5}, "has no key 'probabilty': did you mean 'probability'"),
         ({"all_of": "blur"}, "all_of in policy test must be a list of steps, got 'blur'"),
-        (
-            {"all_of": ["blur"]},
-            "a step of policy test has exactly one of effect, all_of, one_of, got 'blur'",
-        ),
+        ({"all_of": ["blur"]}, "a step of policy test has exactly one of effect, all_of, one_of, got 'blur'"),
         ({"one_of": []}, "one_of in policy test needs at least one step with a weight above 0"),
     ],
 )

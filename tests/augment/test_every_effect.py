@@ -97,9 +97,10 @@ def test_jpeg_turns_by_whole_blocks():
     assert torch.equal(before[:, :, inner], after[:, :, inner])
 
 
+@pytest.mark.parametrize("circular", [True, False])
 @pytest.mark.parametrize("name", augment.EFFECTS)
-def test_8_bit_and_float_follow_one_formula(name):
-    effect, batch = augment.effect(name), panoramas(6)
+def test_8_bit_and_float_follow_one_formula_for_every_camera(name, circular):
+    effect, batch = augment.effect(name, circular=circular), panoramas(6)
     params = effect.draw(generator(4), batch)
     bits = effect.apply(batch, params).float()
     exact = effect.apply(batch.float() / 255, params) * 255
@@ -136,19 +137,6 @@ def test_the_program_never_waits_for_the_device_of_a_batch(name):
     with Watched():
         out = effect.play(batch, program)
     assert (out.device.type, out.dtype, out.shape) == ("meta", torch.float32, batch.shape)
-
-
-@pytest.mark.parametrize("name", NAMES)
-def test_no_wrapping_for_ordinary_cameras(name):
-    effect, batch = build(name, circular=False), panoramas(6)
-    params = effect.draw(generator(), batch)
-    out = effect.apply(batch, params)
-    assert out.shape == batch.shape
-    if "heading" in params:
-        assert not params["heading"].any()
-    float_out = effect.apply(batch.float() / 255, params)
-    if "policy" not in name:
-        assert float((out.float() - 255 * float_out).abs().max()) <= 0.5 + 1e-3
 
 
 @pytest.mark.parametrize("name", ["bulb", "equalize", "noise", "policy strong"])

@@ -93,10 +93,6 @@ def test_lighting_does_not_turn_and_strong_always_does():
     assert bool((turned != 0).all())
 
 
-def test_every_policy_has_a_file():
-    assert set(augment.POLICIES) == {path.stem for path in PACKAGED}
-
-
 def write(path, text):
     path.write_text(text, encoding="utf-8")
     return path
@@ -153,10 +149,7 @@ def test_a_policy_may_be_a_step_of_another():
         ("", "my.yaml must contain a mapping with one of all_of, .*, got None"),
         ("name: my.yaml\n", "my.yaml describes no policy: it needs one of all_of, one_of, effect, policy"),
         ("all_of: blur\nrotate: 1\n", "my.yaml: all_of in policy my must be a list of steps, got 'blur'"),
-        (
-            "effect: noise\nvariance: 1e-3\n",
-            "my.yaml: variance of noise must be a number or a pair .*, got '1e-3'",
-        ),
+        ("effect: noise\nvariance: 1e-3\n", "my.yaml: variance of noise must be a number or a pair .*, got '1e-3'"),
         ("policy: night\n", "my.yaml: unknown policy 'night' in a step: "),
     ],
 )

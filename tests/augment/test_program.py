@@ -1,7 +1,5 @@
 """Rendering a batch from a program: effects that exclude each other share a step."""
 
-from itertools import pairwise
-
 import pytest
 import torch
 
@@ -31,18 +29,6 @@ def test_alternatives_share_steps():
     sizes = {"one_of": [{"effect": "blur", "size": 3}, {"effect": "blur", "size": 5}, {"effect": "blur"}]}
     assert names(Policy(sizes)) == [["blur"], ["blur"]]
     assert sum(map(len, Policy(sizes).stages)) == 3
-
-
-@pytest.mark.parametrize("name", augment.POLICIES)
-def test_steps_keep_the_order_of_the_effects_of_every_frame(name):
-    policy, batch = augment.policy(name), panoramas(400, 4, 16)
-    params = policy.draw(generator(), batch)
-    place = {slot: number for number, stage in enumerate(policy.stages) for slot in stage}
-    assert sorted(place) == list(range(len(policy.slots)))
-    on = torch.stack([params[f"{step.name}.on"] for step in policy.slots]).T if policy.slots else torch.zeros(0, 0)
-    for frame in on.tolist():
-        steps = [place[slot] for slot, taken in enumerate(frame) if taken]
-        assert all(one < other for one, other in pairwise(steps))
 
 
 @pytest.mark.parametrize("name", [*augment.POLICIES, "bulb", "noise"])
@@ -86,15 +72,6 @@ def test_an_empty_batch_has_an_empty_program():
     policy, batch = augment.policy("thesis"), panoramas(0)
     program = policy.program(policy.draw(generator(), batch), 24, 64)
     assert policy.play(batch, program).shape == batch.shape
-
-
-def test_frames_without_effects_are_left_out():
-    effect, batch = augment.effect("gamma"), panoramas(3, dtype=torch.float32)
-    program = effect.program({"gamma": torch.tensor([1.0, 0.5, 1.0])}, 24, 64)
-    assert program.frames.tolist() == [1]
-    out = effect.play(batch, program)
-    assert torch.equal(out[[0, 2]], batch[[0, 2]])
-    assert torch.allclose(out[1], batch[1] ** 0.5, atol=1e-6)
 
 
 def coefficients(effect, batch):

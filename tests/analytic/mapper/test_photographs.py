@@ -13,10 +13,7 @@ from analytic.mapper import IncrementalMapper, Reason, replay
 
 CORRIDOR = Path(__file__).parents[3] / ".." / "shared" / "data" / "corridor"
 
-pytestmark = [
-    pytest.mark.data,
-    pytest.mark.skipif(not CORRIDOR.exists(), reason="needs ../shared/data/corridor"),
-]
+pytestmark = [pytest.mark.data, pytest.mark.skipif(not CORRIDOR.exists(), reason="needs ../shared/data/corridor")]
 
 
 @pytest.fixture(scope="module")
