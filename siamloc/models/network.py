@@ -139,6 +139,7 @@ class Network(nn.Module):
 
     rooms: RoomClassifier | None = None
 
+    @typed
     def __init__(
         self,
         branch: str,

@@ -60,7 +60,9 @@ def test_a_map_knows_its_descriptor(tmp_path: Path) -> None:
         learned.descriptor  # noqa: B018
 
 
-def test_a_map_without_positions_says_so() -> None:
+def test_a_map_without_frames_or_positions_says_so() -> None:
+    with pytest.raises(DataError, match=r"n and D at least 1, got float32 \(0, 3\)"):
+        make_map().take([])
     assert len(make_map().placed()) == 5
     with pytest.raises(DataError, match="no map frame has a position"):
         VisualMap([[1.0]], FrameTable(path=["a.png"])).placed()
