@@ -128,7 +128,7 @@ def test_the_heading_survives_bars_and_noise_on_photographs(name):
         generator = np.random.default_rng(seed)
         turns = generator.integers(0, 512 // step, len(pictures)) * step
         turned = np.stack([np.roll(picture, turn, axis=-1) for picture, turn in zip(pictures, turns, strict=True)])
-        there = made.describe(noise(occlude(turned, 0.1, generator), 0.005, generator))
+        there = made.describe(noise(occlude(turned, 0.1, generator, bars=4), 0.005, generator))
         error = apart(made.relative_heading(there, here), 2 * np.pi * turns / 512)
         good.extend(error <= made.resolution(512) * 1.001)
     assert np.mean(good) >= 0.95

@@ -33,8 +33,41 @@ def weights(h):
     return [value / sum(values) for value in values]
 
 
-def describe(grey, rows, windows, circular=True):
+def overlaps(begin, end, count):
+    """Return how much of each of `count` values, of width 1, lies between two places."""
+    at = np.arange(count)
+    return np.maximum(0, np.minimum(end, at + 1) - np.maximum(begin, at))
+
+
+def sampled(grey, rows, windows, circular):
+    """Return the orientation part by SURF's own sampling: every sample of every window by itself."""
+    height, width = grey.shape
+    h, step = height // rows, width // windows
+    s = h / 20
+    padded = np.pad(np.pad(grey, ((h, h), (0, 0)), mode="edge"), ((0, 0), (h, h)), mode="wrap" if circular else "edge")
+    gauss = [math.exp(-((n - 9.5) ** 2) / (2 * 3.3**2)) for n in range(20)]
+    orientation = np.zeros((windows, rows, 4, 4, 4))
+    for r in range(rows):
+        for j in range(windows):
+            for n in range(20):
+                for m in range(20):
+                    y, x = h + r * h + (n + 0.5) * s, h + j * step + (m + 0.5) * s
+                    above, below = (overlaps(y + a, y + a + s, len(padded)) for a in (-s, 0))
+                    left, right = (overlaps(x + a, x + a + s, padded.shape[1]) for a in (-s, 0))
+                    tall, wide = np.add(above, below), np.add(left, right)
+                    dx = tall @ padded @ np.subtract(right, left) / (2 * s * s)
+                    dy = np.subtract(below, above) @ padded @ wide / (2 * s * s)
+                    responses = np.array([dx, dy, abs(dx), abs(dy)])
+                    orientation[j, r, n // 5, m // 5] += gauss[n] * gauss[m] / sum(gauss) ** 2 * responses
+    vectors = orientation.reshape(windows, rows, 64)
+    return vectors / np.maximum(np.linalg.norm(vectors, axis=2, keepdims=True), 1e-6)
+
+
+def describe(grey, rows, windows, circular=True, sampling="pixels"):
     """Return position (windows * rows * 64,) and orientation (windows, rows * 64)."""
+    if sampling == "surf":
+        orientation = sampled(grey, rows, windows, circular).reshape(windows, rows * 64)
+        return orientation.ravel(), orientation
     height, width = grey.shape
     h, step = height // rows, width // windows
     dx, dy = wavelets(grey, max(1, math.floor(h / 20 + 0.5)), circular)
