@@ -25,7 +25,8 @@ def drawn(figures: Sequence[Figure], records: Sequence[Record]) -> Picture:
     """Draw each panel of a study's figure.
 
     Args:
-        figures: what to draw: `measure`, `x`, `series` or `y`, `panels`, `where`, `title`.
+        figures: what to draw: `measure`, `x`, `series` or `y`, `panels`, `where` (null for a setting that a record must
+            lack), `title`.
         records: measured numbers.
 
     Raises:
@@ -69,7 +70,9 @@ def shown(figure: Figure, records: Sequence[Record]) -> list[Record]:
     return [
         one
         for one in records
-        if one.measure == figure["measure"] and needed <= set(one.settings) and where <= one.settings.items()
+        if one.measure == figure["measure"]
+        and needed <= set(one.settings)
+        and all(one.settings.get(name) == value for name, value in where)
     ]
 
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 import shutil
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from math import isfinite, prod
 from pathlib import Path
@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from analytic import Description, descriptor
+from analytic import Description, descriptor, disturb
 from foundation.files import content_key
 from siamloc import evaluation, maps
 from siamloc.data import DataSettings, FrameTable, PanoramaLibrary, Role, room_sizes
@@ -74,19 +74,26 @@ class Data:
         about = data_named(self.name)["other"]
         return Data(about["name"], self.root.parent / about["folder"], self.image_size, self.work)
 
-    def described(self, options: Mapping[str, Any], role: Mapping[str, Any]) -> VisualMap:
+    def described(self, options: Mapping[str, Any], role: Mapping[str, Any], noise: float = 0.0) -> VisualMap:
         """Return the map of a role's frames by a descriptor; the last few are cached.
 
         Args:
             options: the descriptor's name and parameters.
             role: the frames.
+            noise: variance of noise in the map's images, for an analytic descriptor.
         """
-        key = content_key([options, role])
+        key = content_key([options, role, noise])
         if key not in self._described:
             if len(self._described) == _REMEMBERED:
                 del self._described[next(iter(self._described))]
             by = "pretrained" if options["name"] == "pretrained" else descriptor(**options)
-            self._described[key] = maps.build(by, self.images, self.role(role), distance="euclidean", progress=False)
+            known = maps.build(by, self.images, self.role(role), distance="euclidean", progress=False)
+            if noise:
+                rng = np.random.default_rng(0)
+                batches = (disturb.noise(batch, noise, rng) for batch in self.images.batches(known.frames))
+                noisy = Description.concatenate([known.descriptor.describe(batch) for batch in batches])
+                known = replace(known, descriptors=noisy.position, orientation=noisy.orientation)
+            self._described[key] = known
         return self._described[key]
 
     def role(self, role: Mapping[str, Any]) -> FrameTable:
@@ -136,12 +143,13 @@ def disturbed(job: Job, data: Data) -> Measured:
     a share of the number of pixels.
     """
     options, frames = job.options, data.role(job.roles["query"])
-    known = data.described(options["descriptor"], job.roles["map"])
+    known = data.described(options["descriptor"], job.roles["map"], options.get("map_noise", 0.0))
     size = {}
     if options["descriptor"]["name"] != "pretrained":
         position, _ = descriptor(**options["descriptor"]).sizes(*data.image_size)
         size = {"information": prod(position) / prod(data.image_size)}
     levels: dict[str, Any] = {name: tuple(options.get(name, ())) for name in ("noise", "occlusion")}
+    levels |= {name: options[name] for name in ("bars", "bar_colour") if name in options}
     for place, settings in _compared(known, job):
         result = evaluation.robustness(place, data.images, frames, every=1, turn=(), name="measured", **levels)
         for name, curve in result.measures["methods"]["measured"].items():

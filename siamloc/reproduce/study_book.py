@@ -83,7 +83,9 @@ class Experiment(Settings):
         """Return one job per combination of the varied settings."""
         protocol = contents("study_book")["protocols"][self.protocol]
         axes = {name: _resolved(axis["to"], scale) for name, axis in self.over.items()}
-        numeric = [name for name, values in axes.items() if all(isinstance(value, int | float) for value in values)]
+        numeric = {name: values for name, values in axes.items() if all(type(one) in (int, float) for one in values)}
+        ends = {name: min if axis(name).get("largest") == "min" else max for name in numeric}
+        largest = {name: ends[name](values) for name, values in numeric.items()}
         made = []
         for combination in product(*axes.values()):
             chosen = dict(zip(axes, combination, strict=True))
@@ -95,7 +97,7 @@ class Experiment(Settings):
                     place = place.setdefault(part, {})
                 place[last] = value
             settings = {**self.settings, **chosen}
-            if numeric and all(chosen[name] == max(axes[name]) for name in numeric):
+            if largest and largest.items() <= chosen.items():
                 settings["size"] = "largest"
             roles, same_run = _resolved(protocol["roles"], scale), bool(protocol.get("same_run"))
             made.append(Job(self.id, self.kind, roles, options, settings, self.dense, same_run))
@@ -197,7 +199,7 @@ def seconds_of(job: Job, scale: str) -> float:
 
 
 def axis(name: str) -> Mapping[str, Any]:
-    """Return how a setting is labelled in figures: `says`, `short`, `unit`, `factor`."""
+    """Return how a setting is labelled in figures: `says`, `short`, `unit`, `factor`; and its `largest` end."""
     found: Mapping[str, Any] = contents("study_book")["axes"].get(name, {})
     return found
 

@@ -239,6 +239,33 @@ def test_a_panel_shows_only_what_it_is_drawn_over(smoke):
     assert {one.settings["information"] for one in disturbed.records} == {8 * 8 / (128 * 512)}
 
 
+def test_the_largest_descriptor_has_the_finest_steps():
+    def largest(id):
+        return [dict(job.settings) for job in experiment(id).jobs("full") if job.settings.get("size") == "largest"]
+
+    sized = {"size": "largest"}
+    assert largest("hits_radon_fourier") == [{"descriptor": "radon_fourier", "k11": 64, "p1": 1.0, **sized}]
+    assert largest("heading_hog") == [{"descriptor": "hog", "l1": 128, "d1": 1, **sized}]
+    assert [one["filter"] for one in largest("disturbed_hog")] == [False, True]  # not a number
+
+
+def test_bars_and_noise_of_the_map_are_shown_beside_the_published_choice(smoke):
+    found = smoke("figure_3_27")
+    assert {job.options["bars"] for job in found.study.jobs("full") if "filter" in job.settings} == {1}
+    assert {"bars", "bar_colour"} <= {name for one in found.beside for name in one.settings}
+    assert not any("bars" in one.settings for one in found.records)
+    best, by_bars = found.study.figure[1:]
+    every = [*found.records, *found.beside]
+    assert all("bars" not in one.settings for one in shown(best, every))
+    assert {one.settings["bars"] for one in shown(by_bars, every)} == {1, 2}
+    assert "number nor the colour" in found.table()
+    noisy = smoke("figure_3_26")
+    clean = next(one for one in noisy.records if one.settings.get("noise") == 0.02)
+    assert "map_noise" not in clean.settings
+    (own,) = (one for one in noisy.beside if one.measure == "error")
+    assert own.settings["map_noise"] == 0.0004
+
+
 def test_a_role_may_keep_a_part_of_what_it_selects(root, tmp_path):
     data = Data("mini", root, (128, 512), tmp_path)
     role = {"runs": ["cloudy3"], "spacing": 0.6, "rest": True}
