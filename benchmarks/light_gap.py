@@ -9,6 +9,12 @@ floor of at most 0.05 m under clouds, 0.10 m at night and 0.15 m in the sun.
 
     siamloc simulate camera=panorama out=data
     python -m benchmarks.light_gap --data data/freiburg_like
+
+The recipe was chosen by this ablation, on the queries of freiburg_like. In another building, without the ablation, it
+has had no influence on any choice; its file is named after the building:
+
+    siamloc simulate building=random seed=301 camera=panorama out=data
+    python -m benchmarks.light_gap --data data/random_301 --changes
 """
 
 from __future__ import annotations
@@ -20,7 +26,7 @@ from pathlib import Path
 from typing import Any
 
 import siamloc
-from benchmarks.building import LIGHTINGS, MAP, Building, located, mean_and_range
+from benchmarks.building import LIGHTINGS, MAP, Building, located, mean_and_range, report_name
 from benchmarks.report import Report, hardware, parser
 
 RECIPE = siamloc.training.recipe("modern")
@@ -67,7 +73,7 @@ def main() -> None:
     arguments.add_argument("--changes", nargs="*", default=list(CHANGES), choices=list(CHANGES), help="ablation rows")
     arguments.add_argument("--analytic", nargs="+", default=ANALYTIC, choices=ANALYTIC, help="descriptors to compare")
     options = arguments.parse_args()
-    report = Report("light_gap", options.out)
+    report = Report(report_name("light_gap", options.data), options.out)
     small, large = Building(options.data, RECIPE.image_size), Building(options.data)
     rows: dict[str, list[dict[str, Any]]] = {}
     with tempfile.TemporaryDirectory() as folder:
