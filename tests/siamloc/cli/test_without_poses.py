@@ -77,6 +77,7 @@ def test_some_queries_without_poses(without, given, tmp_path, capsys, more, name
     assert np.isfinite([located["est_x"], located["est_theta"]]).all()
     assert "error" not in located
     assert len(read_rows(folder)["error"]) == 19
+    assert "The true position of 5 queries is unknown: located.csv holds the estimates." in notes(page_of(tmp_path))
     assert "5 of 24 queries have no position" in refused(capsys, *given, *more, some, "data.on_error=raise")
     bare = without("y", which=lambda row: row["sequence"] == "first")
     error = refused(capsys, *given, *more, f"data.manifest={bare}", "overwrite=true")

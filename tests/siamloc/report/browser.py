@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import json
 import re
-import selectors
 import shutil
 import subprocess
-import time
 import urllib.error
 import urllib.request
 from pathlib import Path
@@ -25,10 +23,9 @@ class Browser:
     Args:
         profile: empty folder for the browser's own files.
         width: width of the window in pixels.
-        height: height of the window in pixels.
     """
 
-    def __init__(self, profile: Path, width: int = 1000, height: int = 1400) -> None:
+    def __init__(self, profile: Path, width: int = 1000) -> None:
         assert CHROMIUM is not None
         assert DRIVER is not None
         # The driver chooses a free port itself and says which.
@@ -44,7 +41,7 @@ class Browser:
                 "--no-first-run",
                 "--hide-scrollbars",
                 "--force-device-scale-factor=1",
-                f"--window-size={width},{height}",
+                f"--window-size={width},1400",
                 f"--user-data-dir={profile}",
             ]
             wanted = {
@@ -121,17 +118,11 @@ class Browser:
 
     def _port(self) -> int:
         assert self._driver.stdout is not None
-        deadline = time.monotonic() + _SECONDS
         said = b""
-        with selectors.DefaultSelector() as selector:
-            selector.register(self._driver.stdout, selectors.EVENT_READ)
-            while (left := deadline - time.monotonic()) > 0 and selector.select(left):
-                chunk = self._driver.stdout.read1(4096)  # type: ignore[attr-defined]
-                said += chunk
-                if found := re.search(rb"started successfully on port (\d+)", said):
-                    return int(found[1])
-                if not chunk:
-                    break
+        for line in self._driver.stdout:
+            if found := re.search(rb"started successfully on port (\d+)", line):
+                return int(found[1])
+            said += line
         raise RuntimeError(f"chromedriver did not start: {said.decode(errors='replace')}")
 
     def _ask(self, method: str, path: str, body: dict[str, Any] | None = None) -> Any:

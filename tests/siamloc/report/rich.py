@@ -31,11 +31,9 @@ DISTURBANCES = [
 ]
 
 
-def write_run(folder: Path, pictures: Path | None = None, n: int = 60, m: int = 40) -> Path:
+def write_run(folder: Path, pictures: Path) -> Path:
     """Write a run with localization and all further estimates, hierarchical localization, and robustness."""
-    queries, known = scenes.frames(2, n), scenes.frames(1, m)
-    if pictures is not None:
-        queries, known = pages.drawn(pictures, queries, 2), pages.drawn(pictures, known, 1)
+    queries, known = pages.drawn(pictures, scenes.frames(2, 60), 2), pages.drawn(pictures, scenes.frames(1, 40), 1)
     visual_map = VisualMap(scenes.describe(known, seed=1), known, {"name": "positions"})
     write_localization(folder / "evaluation" / "network", visual_map, queries)
     write_hierarchical(folder / "evaluation" / "hierarchical-network-rooms", visual_map, queries)
@@ -108,36 +106,19 @@ def write_hierarchical(folder: Path, known: VisualMap, queries: FrameTable) -> N
     _save(folder, replace(result, settings=settings), "network", descriptor={"name": "network"}, **more)
 
 
-def write_robustness(folder: Path, queries: FrameTable, known: FrameTable, worse: float = 1.0) -> None:
-    rng = np.random.default_rng(7)
-    tables = []
+def write_robustness(folder: Path, queries: FrameTable, known: FrameTable) -> None:
+    rng, none, tables = np.random.default_rng(7), np.full(len(queries), np.nan), []
     for i, method in enumerate(("network", "thumb_nail")):
         found = {}
         for one in DISTURBANCES:
             for rank, level in enumerate(one.levels):
-                vectors = scenes.describe(queries, seed=3, noise=0.3 + worse * rank + i) + 0.01 * rng.normal()
+                vectors = scenes.describe(queries, seed=3, noise=0.3 + rank + i) + 0.01 * rng.normal()
                 distance = np.linalg.norm(vectors[:, None, :2] - known.xy[None], axis=2)
-                found[one.name, level] = distance.argmin(axis=1)
-        none = np.full(len(queries), np.nan)
-        tables.append(
-            disturbed.curves(
-                disturbed.answers(
-                    method, known, queries, {key: disturbed.Answer(row, none, none) for key, row in found.items()}
-                ),
-                0.5,
-                len(known),
-            )
-        )
+                found[one.name, level] = disturbed.Answer(distance.argmin(axis=1), none, none)
+        tables.append(disturbed.curves(disturbed.answers(method, known, queries, found), 0.5, len(known)))
     table = disturbed.concatenated(tables)
     parts = {"robustness": disturbed.measures(table, [one.plain() for one in DISTURBANCES], "m", 5)}
     _save(folder, Result("network", parts, {"robustness": table}), "network")
-
-
-def write_located(folder: Path, queries: int = 7) -> None:
-    """Write what there is when no query has a pose."""
-    columns = {"query": np.arange(queries), "est_x": np.zeros(queries), "est_y": np.ones(queries)}
-    skipped = {"absolute": f"{queries} of {queries} queries have no position"}
-    _save(folder, Result("hog", {}, {"located": columns}, skipped=skipped), "hog")
 
 
 def _save(folder: Path, result: Result, name: str, **about: Any) -> None:

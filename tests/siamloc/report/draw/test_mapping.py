@@ -132,12 +132,6 @@ def test_contrast_is_the_worst_of_three_sights() -> None:
     assert min(contrast(colour, NO_NODE) for colour in POOL) >= CLEAR
 
 
-def test_fixed_colours_are_kept() -> None:
-    colours = node_colours([(0, 1), (1, 2)], [0, 1, 2], {1: POOL[3]})
-    assert colours[1] == POOL[3]
-    assert min(contrast(colours[0], POOL[3]), contrast(colours[2], POOL[3])) >= CLEAR
-
-
 def test_neighbours_are_near_or_connected() -> None:
     xy = np.array([[0, 0], [0.5, 0], [9, 0], [20, 0], [0.2, 0.1]])
     assert neighbouring(xy, [0, 1, 2, 3, -1]) == {(0, 1)}
@@ -205,16 +199,6 @@ def test_pictures_are_60_to_100_whatever_the_length() -> None:
         assert 60 <= len(taken) <= 100
         assert (taken[0], taken[-1]) == (1, events)
     assert growth.moments(3) == [1, 2, 3]
-
-
-def test_a_story_knows_every_node_and_way_of_the_evaluation(runs: dict) -> None:
-    for target, layer in runs.values():
-        results, story = json.loads((target / "results.json").read_text()), told((target, layer))
-        assert list(story.ids) == results["layer"]["ids"]
-        assert story.plan.edges.tolist() == results["edges"]
-        changes = [change for event in story.events for change in event["changes"]]
-        assert set(story.colours) == {change["node"] for change in changes if change["reason"] == "NEW_NODE"}
-        assert [story.colours[name] for name in story.ids] == list(story.plan.colours.values())
 
 
 def test_errors(runs: dict, tmp_path: Path) -> None:

@@ -18,6 +18,7 @@ from siamloc.report.page.markup import Markup, tag
 from siamloc.report.page.write import write_report
 from siamloc.results import read_results, read_rows, write_results
 from siamloc.runs import Run
+from tests.siamloc.cli.commands import refused
 from tests.siamloc.evaluation import scenes
 from tests.siamloc.evaluation.scenes import evaluate_rooms
 from tests.siamloc.report import pages
@@ -238,13 +239,6 @@ def test_matches_outside_the_map_are_refused(tmp_path: Path) -> None:
         write_report([run], tmp_path / "report.html")
 
 
-def test_no_runs_and_no_folder(tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match=r"at least one run"):
-        write_report([], tmp_path / "report.html")
-    with pytest.raises(ConfigError, match=r"there is no folder .*absent"):
-        write_report([tmp_path / "absent"], tmp_path / "report.html")
-
-
 def test_the_command(tmp_path: Path, capsys, monkeypatch) -> None:
     run = pages.write_run(tmp_path / "runs" / "vgg16", n=5)
     Run(run).start({"training": {"epochs": 3}}, [])
@@ -256,7 +250,9 @@ def test_the_command(tmp_path: Path, capsys, monkeypatch) -> None:
     assert (tmp_path / "report.html").exists()
     assert main(["report", f"run={run}", "out=deep/page.html"]) == 0
     assert (tmp_path / "deep" / "page.html").exists()
-    assert main(["report", "run=a", "runs=[b]"]) == 2
-    assert "not both" in capsys.readouterr().err
-    assert main(["report", f"run={run}", "out=page.pdf"]) == 2
-    assert "ending in .html" in capsys.readouterr().err
+    for wrong, says in (
+        (["run=a", "runs=[b]"], "not both"),
+        ([f"run={run}", "out=page.pdf"], "ending in .html"),
+        (["run=absent"], "there is no folder"),
+    ):
+        assert says in refused(capsys, "report", *wrong)

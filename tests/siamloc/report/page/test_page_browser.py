@@ -84,17 +84,6 @@ def queries(run: Path) -> dict[str, np.ndarray]:
     return read_rows(run / "evaluation" / "network")
 
 
-def canvas_corner(browser: Browser) -> tuple[float, float]:
-    """Scroll to the plan and return where its upper left corner is in the window."""
-    box = browser.run("""
-        const canvas = document.querySelector(".stage canvas");
-        canvas.scrollIntoView({ block: "center", behavior: "instant" });
-        const { left, top } = canvas.getBoundingClientRect();
-        return [left, top];
-    """)
-    return box[0], box[1]
-
-
 def test_all_parts_are_there_and_nothing_complains_or_is_fetched(full: Path, page: Browser) -> None:
     for name in ("filtered", "interpolated", "expected", "pair-curves", "hierarchical", "robustness"):
         box = page.run("return document.querySelector(arguments[0]).getBoundingClientRect().toJSON()", f".{name}")
@@ -168,7 +157,12 @@ def test_pointing_and_clicking(page: Browser) -> None:
     first, second = select(7), select(31)
     page.key(".stage canvas", ESCAPE)
     assert first["at"] != second["at"]
-    left, top = canvas_corner(page)
+    left, top = page.run("""
+        const canvas = document.querySelector(".stage canvas");
+        canvas.scrollIntoView({ block: "center", behavior: "instant" });
+        const { left, top } = canvas.getBoundingClientRect();
+        return [left, top];
+    """)
     x, y = (float(value) for value in first["at"].split())
     page.point(left + x, top + y)
     page.wait("document.querySelector('.stage canvas').dataset.selected !== '31'")
