@@ -50,21 +50,6 @@ def test_similarity_is_the_product_of_two_shares(steps):
     assert len(without.frames) == len(found.frames) - 1
 
 
-def test_an_equal_image_is_most_similar_and_nothing_is_infinite():
-    world = World(steps=0)
-    poses = corridor_drive(20)
-    nodes = nodes_of(world, poses, np.zeros(20, dtype=int))
-    query = world.at(poses).take([4])
-    found = image_level(world, query, nodes, "euclidean")
-    assert found.frames[found.best()] == 4
-    assert np.isfinite(found.values).all()
-    same = nodes_of(world, np.tile(poses[:1], (20, 1)), np.zeros(20, dtype=int))[0].modes[0].gallery.shown.take([0])
-    alike = Mode.of(RULES, range(5), [same] * 5)
-    found = image_level(world, same, [Node(0, (alike,))], "euclidean")
-    assert found.values.tolist() == [0.2] * 5
-    assert found.best() == 0
-
-
 def test_the_mean_similarity_of_a_node_is_that_of_its_best_mode():
     generator = np.random.default_rng(3)
     nodes, modes, values = generator.integers(0, 9, 80), generator.integers(0, 3, 80), generator.random(80)
