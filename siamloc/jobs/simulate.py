@@ -21,12 +21,17 @@ class Simulate(SimulateConfig, Job):
         path=path2                  the route through the building
         trajectory=FILE.places.lst  or a COLD list of poses: one image for each
         spacing=0.15                metres between frames
+        path=grid                   no route: a grid of positions over the free floor, spacing metres apart
+        path=halfway                the middles of the grid's squares: queries for such a map
+        positions=11 headings=16    with these two: number of positions in each run, of frames at each of them
+        hours=[9,15.5]              solar time of each run, which also dims a cloudy sky
         camera=omnidirectional      640 x 480; or panorama: 512 x 128, already unwrapped
         workers=2 seed=0
         preview=true                only a contact sheet and a floor plan
 
     Example:
         $ siamloc simulate camera=panorama
+        $ siamloc simulate camera=panorama path=grid spacing=0.4 runs=[cloudy1] out=data/grid
     """
 
     def run(self, say: Say = quiet) -> Summary:

@@ -20,15 +20,15 @@ from siamloc.simulate.rendering import render
 from siamloc.simulate.run import Run, draw_run
 from siamloc.simulate.scene import build_scene
 from siamloc.simulate.shell import leaf_segment
-from siamloc.simulate.trajectory import Track
+from siamloc.simulate.trajectory import GRIDS, Track
 
 _COLOURS = {"cloudy": "#5b8fd6", "night": "#3b3b6d", "sunny": "#e8a013"}
 
 
 def write_preview(building: Building, runs: list[Run], folder: Path) -> tuple[Path, ...]:
     """Write `contact_sheet.png` and `floor_plan.png` of some runs and return their paths."""
-    first = {run.lighting: run for run in reversed(runs)}
-    drives = [first[lighting] for lighting in LIGHTINGS if lighting in first]
+    first = {(run.lighting, run.hour): run for run in reversed(runs)}
+    drives = sorted(first.values(), key=lambda run: (LIGHTINGS.index(run.lighting), runs.index(run)))
     figures = {"contact_sheet.png": contact_sheet(building, drives), "floor_plan.png": floor_plan(building, runs)}
     for name, figure in figures.items():
         with atomic_path(folder / name) as temporary:
@@ -107,7 +107,8 @@ def floor_plan(building: Building, runs: list[Run]) -> Any:
             axis.plot(*leaf_segment(building, opening, 90).T, color="#a0522d", linewidth=1.6)
     for run in runs:
         line = draw_run(building, run).track.poses[:, :2].T
-        axis.plot(*line, color=_COLOURS[run.lighting], linewidth=0.9, alpha=0.8)
+        style = {"marker": ".", "linestyle": "none"} if run.path in GRIDS else {"linewidth": 0.9}
+        axis.plot(*line, color=_COLOURS[run.lighting], alpha=0.8, **style)
     for lighting in dict.fromkeys(run.lighting for run in runs):
         axis.plot([], [], color=_COLOURS[lighting], label=f"{lighting} runs")
     axis.legend(loc="lower right", fontsize=9)

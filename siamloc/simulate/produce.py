@@ -32,13 +32,14 @@ from siamloc.simulate.layout import Building
 from siamloc.simulate.mesh import embree
 from siamloc.simulate.preview import write_preview
 from siamloc.simulate.rendering import frames, meter
-from siamloc.simulate.run import Run, draw_run
+from siamloc.simulate.run import Hour, Run, draw_run
 from siamloc.simulate.scene import Scene, build_scene
 from siamloc.simulate.trajectory import Track
 
 #: The standard benchmark: path 2 under three lightings.
 STANDARD_RUNS = ("cloudy1", "cloudy2", "cloudy3", "night1", "night2", "sunny1", "sunny2", "sunny3")
 _SCHEMA = 1
+_STANDING = ("hour", "headings", "positions")
 _BATCH = 16
 _QUALITY = 92  # of the JPEG files, 1 to 100
 _Spacing = Annotated[float, Rule("a number of metres from 0.005", lambda value: 0.005 <= value < 1e6)]
@@ -52,9 +53,13 @@ class SimulateConfig(Settings):
         out: output folder, which receives `<building>/part_a/seq2_cloudy1/...`.
         building: name of a built-in building, "random", or a YAML file.
         seed: seed of all random draws; equal seeds give equal bytes.
-        path: name of one of the building's paths.
+        path: name of one of the building's paths; or "grid", a grid of positions over the free floor, or "halfway", the
+            middles of its squares.
         runs: lightings with numbers, such as ("cloudy1", "night2").
-        spacing: metres between frames.
+        spacing: metres between frames, or between the positions of the grid.
+        hours: solar time of each run, which also dims a cloudy sky; drawn around a usual one if empty.
+        headings: frames at each position of a grid, evenly turned.
+        positions: number of positions of a grid in each run, spread over the rooms; all that are free if None.
         camera: "omnidirectional" (640 x 480 JPEG) or "panorama" (512 x 128 JPEG).
         trajectory: a `places.lst`; one image is rendered for each pose, under its listed name, in one run with the
             lighting that the list's file name contains, unless runs are given. Poses are checked for collisions, but
@@ -75,6 +80,9 @@ class SimulateConfig(Settings):
     path: Text = "path2"
     runs: tuple[str, ...] = STANDARD_RUNS
     spacing: _Spacing = 0.15
+    hours: tuple[Hour, ...] = ()
+    headings: Count = 1
+    positions: Count | None = None
     camera: CameraName = "omnidirectional"
     trajectory: Path | None = None
     frames: Count | None = None
@@ -91,6 +99,8 @@ class SimulateConfig(Settings):
         super().__post_init__()
         if not self.runs:
             raise ConfigError("simulate needs at least one run, such as runs=[cloudy1]")
+        if self.hours and len(self.hours) != len(self.runs):
+            raise ConfigError(f"hours needs one hour for each of {len(self.runs)} runs, got {len(self.hours)}")
         names = [run.name for run in self.drives()]
         if len(set(names)) < len(names):
             raise ConfigError(f"a run is listed twice: {', '.join(self.runs)}")
@@ -99,8 +109,13 @@ class SimulateConfig(Settings):
         """Return the runs to render; for a list of poses, the one in its name, unless other runs are given."""
         if self.trajectory is not None and self.runs == STANDARD_RUNS:
             lighting = lighting_in(Path(self.trajectory).name) or "cloudy"
-            return [Run.parse(f"{lighting}1", self.path, self.spacing, self.trajectory)]
-        return [Run.parse(name, self.path, self.spacing, self.trajectory) for name in self.runs]
+            return [Run.parse(f"{lighting}1", self.path, self.spacing, trajectory=self.trajectory)]
+        hours = self.hours or (None,) * len(self.runs)
+        still = {"headings": self.headings, "positions": self.positions}
+        return [
+            Run.parse(name, self.path, self.spacing, trajectory=self.trajectory, hour=hour, **still)
+            for name, hour in zip(self.runs, hours, strict=True)
+        ]
 
 
 @dataclass(frozen=True)
@@ -209,6 +224,7 @@ def _description(config: SimulateConfig, building: Building, run: Run) -> dict[s
         "trajectory": None if poses is None else poses.name,
         "trajectory_key": None if poses is None else content_key(poses.read_text("utf-8")),
         "quality": _QUALITY,
+        **{name: value for name in _STANDING if (value := getattr(run, name)) != getattr(Run, name)},
     }
 
 

@@ -5,19 +5,21 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass, replace
 from pathlib import Path as FilePath
-from typing import Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 
-from foundation.settings import Count, Positive, Settings
+from foundation.settings import Count, Positive, Rule, Settings
 from siamloc.data.names import LIGHTINGS
 from siamloc.errors import ConfigError, hint
 from siamloc.simulate.items import KINDS
 from siamloc.simulate.layout import SIDES, Array, Building, Colour, Item, Rng, Room, seeded
 from siamloc.simulate.plan import clearance, inside_item, obstacles
 from siamloc.simulate.shell import Fixtures, leaf_segment
-from siamloc.simulate.sky import sun_direction
-from siamloc.simulate.trajectory import Track, drive, listed
+from siamloc.simulate.sky import overcast, sun_direction
+from siamloc.simulate.trajectory import GRIDS, Track, drive, grid, listed
+
+Hour = Annotated[float, Rule("an hour from 0 to 24", lambda value: 0 <= value <= 24)]
 
 _START = {"cloudy": 11.0, "night": 22.0, "sunny": 10.0}
 _EPOCH = 1152860400.0
@@ -32,9 +34,16 @@ class Run(Settings):
     Attributes:
         lighting: "cloudy", "night" or "sunny".
         number: 1, 2, ... within the lighting; each number is a different hour and a different day.
-        path: name of one of the building's paths.
-        spacing: metres between frames.
+        path: name of one of the building's paths; or "grid" or "halfway", a grid of positions or the middles of its
+            squares.
+        spacing: metres between frames, or between the positions of the grid.
         trajectory: a `places.lst` whose poses are used instead of the path.
+        hour: solar time, which also dims a cloudy sky; drawn around a usual one if None.
+        headings: frames at each position of a grid, evenly turned.
+        positions: number of positions of a grid; all that are free if None.
+
+    Raises:
+        ConfigError: headings or positions without a grid, or an invalid value.
     """
 
     lighting: Literal["cloudy", "night", "sunny"] = "cloudy"
@@ -42,6 +51,14 @@ class Run(Settings):
     path: str = "path2"
     spacing: Positive = 0.15
     trajectory: FilePath | None = None
+    hour: Hour | None = None
+    headings: Count = 1
+    positions: Count | None = None
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.path not in GRIDS and (self.headings, self.positions) != (1, None):
+            raise ConfigError(f"headings and positions go with path={' or path='.join(GRIDS)}, got path={self.path}")
 
     @property
     def name(self) -> str:
@@ -50,8 +67,8 @@ class Run(Settings):
         return f"seq{digits}_{self.lighting}{self.number}"
 
     @classmethod
-    def parse(cls, name: str, path: str = "path2", spacing: float = 0.15, trajectory: FilePath | None = None) -> Run:
-        """Return the run with a name such as "cloudy1".
+    def parse(cls, name: str, path: str = "path2", spacing: float = 0.15, **options: Any) -> Run:
+        """Return the run with a name such as "cloudy1"; the options are the other attributes.
 
         >>> Run.parse("night2").name
         'seq2_night2'
@@ -64,7 +81,7 @@ class Run(Settings):
             raise ConfigError(
                 f"a run is a lighting and a number such as cloudy1, got {name!r}; {hint(name, LIGHTINGS)}"
             )
-        return cls(parts[1], int(parts[2]), path, spacing, trajectory)  # type: ignore[arg-type]
+        return cls(parts[1], int(parts[2]), path, spacing, **options)  # type: ignore[arg-type]
 
 
 @dataclass(frozen=True)
@@ -101,6 +118,7 @@ class Light:
         declination: declination of the sun in degrees.
         lamps_on: radiosity of the lit lamps by room name; rooms whose lamps are off are absent.
         number: seeds the clouds and their brightness.
+        overcast: brightness of a cloudy sky relative to noon.
     """
 
     lighting: str
@@ -108,6 +126,7 @@ class Light:
     declination: float
     lamps_on: dict[str, Colour]
     number: int
+    overcast: float = 1.0
 
 
 @dataclass(frozen=True)
@@ -134,14 +153,16 @@ def draw_run(building: Building, run: Run) -> RunState:
     rng = seeded(building.seed, building.name, "run", run.lighting, run.number, run.path)
     hour = _START[run.lighting] + 2.6 * ((run.number - 1) % 3) + rng.uniform(-0.4, 0.4)
     declination = float(rng.uniform(-10, 0))
+    hour, level = (hour, 1.0) if run.hour is None else (run.hour, overcast(run.hour, declination))
     if run.trajectory is not None:
         track = listed(building, run.trajectory)
     else:
         day = 86400.0 * (3 * (run.number - 1) + LIGHTINGS.index(run.lighting))
-        track = drive(building, run.path, run.spacing, rng, round(_EPOCH + day + 3600 * hour, 6))
+        way = building, run.path, run.spacing, rng, round(_EPOCH + day + 3600 * hour, 6)
+        track = grid(*way, run.headings, run.positions) if run.path in GRIDS else drive(*way)
     angles = _door_angles(building, track, rng)
     fixtures = Fixtures(angles, _blinds(building, run.lighting, rng))
-    light = Light(run.lighting, hour, declination, _lamps_on(building, run.lighting, rng), run.number)
+    light = Light(run.lighting, hour, declination, _lamps_on(building, run.lighting, rng), run.number, level)
     items = [*_moved_items(building, track, angles, rng), *_standing_people(building, track, rng)]
     return RunState(track, tuple(items), fixtures, _walkers(building, track, rng), light)
 

@@ -233,7 +233,8 @@ def relit(scene: Scene, light: Light) -> Scene:
     building, transport, mesh = scene.building, scene.transport, scene.surfaces.mesh
     rng, clouds = (seeded(building.seed, building.name, key, light.lighting, light.number) for key in ("light", "sky"))
     view = seeded(building.seed, building.name, "view")
-    sky = make_sky(light.lighting, clouds, view, light.hour, building.north, light.declination, transport.detail.sky)
+    where = light.hour, building.north, light.declination
+    sky = make_sky(light.lighting, clouds, view, *where, transport.detail.sky, light.overcast)
     on = [replace(lamp, radiosity=light.lamps_on[lamp.room]) for lamp in scene.lamps if lamp.room in light.lamps_on]
     baked = transport.bake(scene.atlas.mean[mesh.texture] * mesh.tint, on, sky, rng)
     lamps = np.array([light.lamps_on.get(name, (0.0, 0.0, 0.0)) for name in building.rooms])

@@ -59,7 +59,22 @@ def sun_direction(hour: float, north: float, declination: float) -> Array:
     return np.array([ahead * cosine + east * sine, ahead * sine - east * cosine, up])
 
 
-def make_sky(lighting: str, rng: Rng, view: Rng, hour: float, north: float, declination: float, rows: int = 512) -> Sky:
+def overcast(hour: float, declination: float) -> float:
+    """Return the brightness of an overcast sky, relative to noon: 0.3 + 21 sin(elevation) klx (Krochmann 1974)."""
+    now, noon = (0.3 + 21 * max(0.0, float(sun_direction(at, 0, declination)[2])) for at in (hour, 12.0))
+    return now / noon
+
+
+def make_sky(
+    lighting: str,
+    rng: Rng,
+    view: Rng,
+    hour: float,
+    north: float,
+    declination: float,
+    rows: int = 512,
+    brightness: float = 1.0,
+) -> Sky:
     """Paint the world outside.
 
     Args:
@@ -70,6 +85,7 @@ def make_sky(lighting: str, rng: Rng, view: Rng, hour: float, north: float, decl
         north: direction of north in degrees.
         declination: declination of the sun in degrees.
         rows: number of rows of the image; it has four times as many columns.
+        brightness: factor of an overcast sky.
     """
     columns = 4 * rows
     elevation = (0.5 - (np.arange(rows) + 0.5) / rows) * np.pi
@@ -81,7 +97,7 @@ def make_sky(lighting: str, rng: Rng, view: Rng, hour: float, north: float, decl
         sky = single((0.006, 0.008, 0.016)) + single((0.05, 0.035, 0.02)) * np.exp(-8 * np.abs(height))
         light = np.array((0.012, 0.010, 0.009))
     elif lighting == "cloudy":
-        level = rng.uniform(4.5, 5.5)
+        level = brightness * rng.uniform(4.5, 5.5)
         clouds = 1 + 0.16 * _clouds(rng, rows)
         sky = level * single((0.95, 1.0, 1.06)) * (1 + 1.2 * np.clip(height, 0, 1)) / 2.0 * clouds
         light = level * np.array((0.75, 0.78, 0.80))

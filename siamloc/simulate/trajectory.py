@@ -1,4 +1,4 @@
-"""Poses of the robot in every frame: built-in paths, driven a little differently in each run, or a list of poses."""
+"""Poses of the robot in every frame: built-in paths, driven a little differently in each run, grids, or a list."""
 
 from __future__ import annotations
 
@@ -12,12 +12,16 @@ from siamloc.data.cold import read_list
 from siamloc.data.names import NamedPose, format_name
 from siamloc.errors import ConfigError, DataError, hint
 from siamloc.simulate.layout import Array, Building, Path, Rng
-from siamloc.simulate.plan import blocked_points, clearance, crossings, obstacles, room_codes
+from siamloc.simulate.plan import blocked_points, clearance, crossings, obstacles, room_at, room_codes
+from siamloc.simulate.shell import leaf_segment
 
 #: Distance in metres that the robot's middle keeps from walls and furniture.
 BODY = 0.26
 SPEED = 0.35
 TURN_RATE = 0.9
+#: Paths that every building has: the points of a grid over its free floor, and the middles of the grid's squares.
+GRIDS = ("grid", "halfway")
+_PAUSE = 5.0  # seconds between two pictures of a robot that stands still
 _STEP = 0.02
 _SHIFT_LENGTH = 2.5
 _MAX_SHIFT = 0.3
@@ -85,8 +89,52 @@ def drive(building: Building, path: str, spacing: float, rng: Rng, start: float)
     rate = cv2.blur(np.gradient(heading, time)[:, None], (1, 15), borderType=cv2.BORDER_REPLICATE)[:, 0]
     poses = np.column_stack([line, (heading + np.pi) % (2 * np.pi) - np.pi])[keep]
     poses, times = np.round(poses, 6), np.round(start + time[keep], 6)
+    return _named(building, poses, times, speed[keep], rate[keep])
+
+
+def _named(building: Building, poses: Array, times: Array, speed: Array, turn_rate: Array) -> Track:
     names = [format_name(NamedPose(t, *pose)) for t, pose in zip(times.tolist(), poses.tolist(), strict=True)]
-    return Track(poses, times, speed[keep], rate[keep], tuple(names), tuple(room_codes(building, poses[:, :2])))
+    return Track(poses, times, speed, turn_rate, tuple(names), tuple(room_codes(building, poses[:, :2])))
+
+
+def grid(
+    building: Building, path: str, spacing: float, rng: Rng, start: float, headings: int, positions: int | None
+) -> Track:
+    """Stand still on a grid over the free floor of all rooms, or halfway between its points ([T] 3.4.1, [C] 5.1).
+
+    Args:
+        building: the building with its obstacles; open doors are obstacles too.
+        path: "grid", whose first heading is that of the x axis; or "halfway", for the middle of the grid's squares,
+            with a drawn first heading at each position.
+        spacing: metres between the points of the grid.
+        rng: draws the positions and headings.
+        start: time of the first frame in seconds.
+        headings: number of frames at each position, evenly turned.
+        positions: number of positions, spread over the rooms by their free floor; all if None.
+
+    Raises:
+        DataError: fewer free positions than wanted.
+    """
+    first = 0.5 * spacing * (1 + GRIDS.index(path))
+    axes = [np.arange(low + first, high, spacing) for low, high in building.bounds]
+    points = np.stack(np.meshgrid(*axes), axis=-1).reshape(-1, 2)
+    points = points[~blocked_points(building, points)]
+    doors = [opening for opening in building.openings if opening.kind in ("leaf", "glass")]
+    leaves = [leaf_segment(building, door, angle)[None] for door in doors for angle in (86, 98)]
+    points = points[clearance(points, np.concatenate([obstacles(building)[0], *leaves])) >= BODY]
+    points = points[np.argsort(room_at(building, points), kind="stable")]
+    wanted = len(points) if positions is None else positions
+    if not 0 < wanted <= len(points):
+        raise DataError(
+            f"building {building.name!r} has {len(points)} free positions on a grid of {spacing} m: "
+            f"ask for 1 to {len(points)}, got {wanted}"
+        )
+    points = points[((np.arange(wanted) + rng.uniform()) * len(points) / wanted).astype(int)]
+    turned = np.arange(headings) * 2 * np.pi / headings + (path == "halfway") * rng.uniform(0, 2 * np.pi, (wanted, 1))
+    heading = (turned + np.zeros((wanted, 1)) + np.pi) % (2 * np.pi) - np.pi
+    poses = np.round(np.column_stack([np.repeat(points, headings, axis=0), heading.ravel()]), 6)
+    still = np.zeros(len(poses))
+    return _named(building, poses, np.round(start + _PAUSE * np.arange(len(poses)), 6), still, still)
 
 
 def listed(building: Building, file: FilePath) -> Track:

@@ -143,6 +143,15 @@ def test_omnidirectional_pictures_and_lists(tmp_path: Path) -> None:
     assert summary.rooms == {"CR-A": 2}
 
 
+def test_a_grid_is_a_run_like_others(tmp_path: Path) -> None:
+    asked = {"path": "grid", "spacing": 0.8, "runs": ["cloudy2"], "hours": [9], "headings": 2, "positions": 2}
+    asked |= {"frames": None, "out": tmp_path}
+    assert small(**asked).sequences == {"seq1_cloudy2": 4}
+    assert read_cold(tmp_path / "mini", on_error="raise").lighting.tolist() == ["cloudy"] * 4
+    with pytest.raises(DataError, match=r"another simulation \(different: hour\)"):
+        small(**asked | {"hours": [15]})
+
+
 def test_preview_writes_two_pictures(tmp_path: Path) -> None:
     summary = simulate(building="mini", runs=["night1"], out=tmp_path, preview=True)
     assert [path.name for path in summary.files] == ["contact_sheet.png", "floor_plan.png"]
@@ -158,6 +167,7 @@ def test_preview_writes_two_pictures(tmp_path: Path) -> None:
         ({"runs": ["cloudy1", "cloudy01"]}, "listed twice"),
         ({"runs": ["rainy1"]}, "a lighting and a number such as cloudy1, got 'rainy1'"),
         ({"path": 3}, "building 'mini' has no path '3'; valid: path1, path2"),
+        ({"hours": [9, 12]}, "hours needs one hour for each of 1 runs, got 2"),
         ({"spacing": float("nan")}, "spacing must be a number of metres from 0.005, got nan"),
     ],
 )

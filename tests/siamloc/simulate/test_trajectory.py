@@ -15,6 +15,7 @@ from siamloc.simulate.layout import Building, Path
 from siamloc.simulate.plan import blocked_points, clearance, crossings, obstacles
 from siamloc.simulate.run import draw_run
 from siamloc.simulate.shell import leaf_segment
+from siamloc.simulate.sky import make_sky
 from siamloc.simulate.trajectory import drive, listed
 
 
@@ -67,6 +68,36 @@ def test_runs_differ_in_doors_hours_chairs_and_people(mini: Building) -> None:
     assert Run.parse("night1", path="path1").name == "seq1_night1"
 
 
+def test_a_grid_covers_the_free_floor_and_queries_stand_halfway(mini: Building) -> None:
+    state = draw_run(mini, Run("cloudy", 1, "grid", 0.4))
+    points, segments = state.track.poses[:, :2], obstacles(mini, state.items)[0]
+    assert set(state.track.codes) == {room.code for room in mini.rooms.values()}
+    assert not blocked_points(mini, points, state.items).any()
+    leaves = [leaf_segment(mini, mini.openings[i], a) for i, a in state.fixtures.door_angles.items()]
+    assert clearance(points, np.concatenate([segments, leaves])).min() > 0.25
+    gap = np.linalg.norm(points[:, None] - points, axis=2) + 9 * np.eye(len(points))
+    np.testing.assert_allclose(gap.min(axis=1), 0.4, atol=1e-6)
+    assert not state.track.poses[:, 2].any()
+    between = [draw_run(mini, Run("cloudy", n, "halfway", 0.4, headings=16, positions=9)).track for n in (2, 3)]
+    for track in between:
+        far = np.linalg.norm(track.poses[:, None, :2] - points, axis=2).min(axis=1)
+        assert far.min() == pytest.approx(0.2 * np.sqrt(2), abs=1e-6)
+        turns = np.diff(np.sort(track.poses[:, 2].reshape(9, 16), axis=1), axis=1)
+        np.testing.assert_allclose(turns, np.pi / 8, atol=1e-5)
+        assert len(np.unique(track.poses[:, :2], axis=0)) == 9
+        assert len(set(track.codes)) == 4, "every room has its share of the positions"
+    assert between[0].names[0] != between[1].names[0]
+
+
+def test_hours_dim_a_cloudy_sky_and_leave_the_rest(mini: Building) -> None:
+    noon, late, drawn = (draw_run(mini, Run("cloudy", 1, hour=hour)) for hour in (12, 17, None))
+    assert noon.items == late.items == drawn.items
+    assert (noon.light.hour, noon.light.overcast, drawn.light.overcast) == (12, 1.0, 1.0)
+    assert 0.1 < late.light.overcast < 0.4
+    outside = [make_sky("cloudy", *map(np.random.default_rng, (0, 1)), 12, 0, 0, 16, level) for level in (1.0, 0.5)]
+    np.testing.assert_allclose(outside[1].image, 0.5 * outside[0].image, rtol=1e-5)
+
+
 def test_lists_are_rendered_under_their_own_names(mini: Building, tmp_path: FilePath) -> None:
     names = ["t5.000000_x1.000000_y1.100000_a-0.000000.jpeg", "t5.300000_x1.200000_y1.100000_a0.000000.jpeg"]
     file = tmp_path / "own.places.lst"
@@ -97,6 +128,10 @@ def test_bad_paths(mini: Building) -> None:
         drive(mini, "path3", 0.15, np.random.default_rng(0), 0.0)
     with pytest.raises(ConfigError, match="spacing must be a number above 0, got 0"):
         Run("cloudy", 1, "path1", 0.0)
+    with pytest.raises(ConfigError, match="headings and positions go with path=grid or path=halfway, got path=path2"):
+        Run("cloudy", headings=16)
+    with pytest.raises(DataError, match=r"has \d+ free positions on a grid of 0.4 m: ask for 1 to \d+, got 999"):
+        draw_run(mini, Run("cloudy", 1, "grid", 0.4, positions=999))
     for wrong in ("cloudy", "rainy1", "cloudy0"):
         with pytest.raises(ConfigError, match=r"got '(cloudy|rainy1)'|number must be a whole number from 1"):
             Run.parse(wrong)
