@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
+from analytic.mapper import IncrementalMapper
 from siamloc import maps
+from siamloc.data import Protocol, Role
 from siamloc.jobs.choices import OF_A_RUN
 from siamloc.jobs.job import Say, quiet
 from siamloc.jobs.options import choices, option
 from siamloc.jobs.run_job import RunJob, files_in
 from siamloc.jobs.stored import map_places
 from siamloc.jobs.sweep import of_layer, own_folder, swept
-from siamloc.maps import VisualMap
+from siamloc.maps import Built, VisualMap
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -30,6 +32,8 @@ class MapFrames(RunJob):
         build=incremental|spectral|som|sample|rooms
                                         also group the frames into nodes, and write that coarse layer
         build.nodes=40 build.y=1.5      its parameters; `siamloc map build=... --cfg job` lists them
+        update=[tuesday]                maintain the map instead: find where it is out of date on drives whose positions
+                                        are known, and add their frames there; with build=incremental, its nodes too
         -m descriptor.bins=8,16         a sweep: each map in its own folder, evaluation/hog/descriptor.bins-8, where an
                                         evaluation of the same sweep finds it
 
@@ -39,8 +43,12 @@ class MapFrames(RunJob):
 
     REPLACES_MAP = True
 
+    update: tuple[str, ...] = ()
+
     def run(self, say: Say = quiet) -> VisualMap:
         """Describe the map frames of the run, and group them into nodes if requested."""
+        if self.update:
+            return self._maintained(say)
         run, label = self.here, self.descriptor.title
         described, heading = self.make_descriptor(), self.make_heading(say)  # before any image is decoded
         images, roles = self.open_roles("map")
@@ -64,6 +72,27 @@ class MapFrames(RunJob):
                 further = f" task=hierarchical build={self.build.title}"
             say(f"next: siamloc evaluate run={run.folder}{further}")
         return known
+
+    def _maintained(self, say: Say) -> VisualMap:
+        """Maintain the saved map, and the saved nodes over it if a build is named."""
+        path, built = map_places(self.here, self.titles)[0], None
+        known = VisualMap.load(path, self.make_descriptor())
+        folder = own_folder(self.here.layer(self.descriptor.title, self.build.title), self.titles, of_layer)
+        if self.build.name != "none":
+            built = Built.load(folder)
+            if (folder / "mapper.npz").is_file():
+                mapper = IncrementalMapper.load(folder / "mapper.npz", known.descriptor, extend=True)
+                built = replace(built, mapper=mapper)
+        drives = replace(self, protocol=Protocol(map=Role(sequences=self.update)))
+        images, roles = drives.open_roles("map", known=known)
+        found = maps.update(known, images, roles["map"], built=built)
+        say(found.summary())
+        if found.added.any():
+            found.known.save(path)
+            if found.built is not None:
+                found.built.save(folder)
+            self.here.record_written([path, *(files_in(folder) if built is not None else [])])
+        return found.known
 
     def _changed(self) -> str:
         """Return the parameters of the descriptor that are not those of its option, as words of the command line."""

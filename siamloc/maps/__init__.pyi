@@ -7,6 +7,7 @@ from .hierarchy import (
     HierarchicalSearch as HierarchicalSearch,
     LayerSearch as LayerSearch,
 )
+from .maintenance import Update as Update, update as update
 from .matching import frame_distances as frame_distances, headings as headings, match as match
 from .pose_filter import PoseFilter as PoseFilter
 from .ranking import NodeRanking as NodeRanking

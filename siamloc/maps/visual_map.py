@@ -19,7 +19,7 @@ from analytic.errors import known
 from foundation.calls import typed
 from foundation.files import plain
 from foundation.settings import leaves
-from siamloc.data.frames import FrameTable
+from siamloc.data.frames import FrameTable, concatenate
 from siamloc.errors import ConfigError, DataError
 from siamloc.maps.aligned import AlignedIndex
 from siamloc.maps.heading import NetworkHeading, described, descriptor_of, heading_descriptor, is_analytic
@@ -198,6 +198,22 @@ class VisualMap:
             shared = shares_values(orientation, self.descriptors)
             orientation = descriptors.reshape(-1, *orientation.shape[1:]) if shared else orientation[key]
         return replace(self, descriptors=descriptors, frames=self.frames.take(key), orientation=orientation)
+
+    def merge(self, other: VisualMap) -> VisualMap:
+        """Return the map with the frames of another map after its own.
+
+        Raises:
+            ConfigError: the other map was described differently.
+            DataError: positions in another unit, or a map with headings and one without.
+        """
+        self.check_describer(other.identity)
+        if self.heading != other.heading or (self.orientation is None) != (other.orientation is None):
+            raise DataError("a map with headings and one without, or with headings found otherwise, cannot be merged")
+        parts = None if self.orientation is None else np.concatenate([self.orientation, other.orientation])  # type: ignore[list-item]
+        descriptors = np.concatenate([self.descriptors, other.descriptors])
+        frames = concatenate([self.frames, other.frames])
+        made = {**self.made, "sequences": list(frames.rows_by("sequence")), "frames": len(frames)}
+        return replace(self, descriptors=descriptors, frames=frames, orientation=parts, made=made)
 
     def placed(self) -> VisualMap:
         """Return the map of the frames that have a position: the map itself if all have one.
