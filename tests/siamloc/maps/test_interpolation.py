@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from siamloc.errors import ConfigError, DataError
 from siamloc.maps import Retrieval
-from siamloc.maps.refinement import interpolate_poses, path_positions
+from siamloc.maps.refinement import interpolate_poses
 from tests.oracles import interpolation as oracle
 from tests.siamloc.maps.conftest import placed, retrieval
 
@@ -46,18 +46,6 @@ def test_a_query_lies_between_its_frames(frames: list[int], distances: list[floa
     poses = interpolate_poses(Retrieval(np.array([frames]), np.array([distances])), known, 2, 2.0)
     np.testing.assert_allclose(poses.xy, [[x, 0]], atol=1e-5)
     assert np.isnan(poses.theta).all()
-
-
-def test_frames_across_a_wall_and_aliases_do_not_count() -> None:
-    # Down one side of a wall and back on the other: 0.5 m through the wall are 10.5 m along the path.
-    frames = placed(np.r_[np.c_[np.arange(6), np.zeros(6)], np.c_[np.arange(6)[::-1], np.full(6, 0.5)]])
-    found = Retrieval(np.array([[0, 11, 1]]), np.array([[0.1, 0.1, 0.1]]))
-    poses = interpolate_poses(found, frames, 3, 2.0)
-    np.testing.assert_allclose(poses.xy, [[0.5, 0]])
-    assert poses.agreement.tolist() == [2 / 3]
-    two = placed(frames.xy, sequence=["a"] * 6 + ["b"] * 6)
-    assert interpolate_poses(found, two, 3, 100.0).agreement.tolist() == [2 / 3]
-    assert path_positions(two).tolist() == [0, 1, 2, 3, 4, 5, 0, 1, 2, 3, 4, 5]
 
 
 def test_headings_on_either_side_of_the_seam_and_unknown_ones() -> None:

@@ -145,12 +145,6 @@ def test_queries_far_from_a_small_map() -> None:
     np.testing.assert_allclose(found.distances, distances, rtol=1e-14)
 
 
-def test_no_queries() -> None:
-    found = nearest(np.empty((0, 3)), np.ones((4, 3)), 2)
-    assert found.indices.shape == found.distances.shape == (0, 2)
-    assert len(found) == 0
-
-
 def test_memory_is_bounded() -> None:
     queries, references = gaussian(3000, 20_000, 8, seed=6)
     for ties in (False, True):
