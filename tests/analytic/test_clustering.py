@@ -85,6 +85,7 @@ def test_equal_eigenvalues_of_separate_parts_are_all_found():
     np.testing.assert_allclose(matrix @ found, found, atol=1e-9)
     np.testing.assert_allclose(found.T @ found, np.eye(20), atol=1e-9)
     assert np.array_equal(partition(graph, 20), first_first(part))
+    assert partition(np.eye(3), 3).tolist() == [0, 1, 2]
 
 
 @pytest.mark.usefixtures("small")
