@@ -52,20 +52,6 @@ def test_descriptions_stay_closer_when_the_light_changes():
     assert apart[True] < apart[False]
 
 
-def test_columns_wrap_around_and_rows_do_not():
-    turned = filtered(np.roll(IMAGES, 17, axis=-1))
-    np.testing.assert_allclose(turned, np.roll(filtered(IMAGES), 17, axis=-1), atol=1e-5)
-    lifted = filtered(np.roll(IMAGES * light(), 7, axis=-2))
-    assert np.abs(lifted - np.roll(filtered(IMAGES * light()), 7, axis=-2)).max() > 1e-2
-    np.testing.assert_allclose(filtered(IMAGES[:, ::-1]), filtered(IMAGES)[:, ::-1], atol=1e-5)
-
-
-def test_without_a_circle_the_border_is_a_mirror():
-    flat = filtered(IMAGES, circular=False)
-    np.testing.assert_allclose(filtered(IMAGES[..., ::-1], circular=False), flat[..., ::-1], atol=1e-5)
-    assert np.abs(flat - filtered(IMAGES)).max() > 1e-3
-
-
 def test_colour_keeps_its_luma_and_its_ratios():
     colour = 0.2 + 0.3 * RNG.uniform(size=(3, 16, 24))
     found = filtered(colour)

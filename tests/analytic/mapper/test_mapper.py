@@ -256,21 +256,6 @@ def test_a_robot_that_stops_stays_in_its_node_though_the_held_out_frames_are_all
         assert {decision.reason for decision in decisions[20:]} == {Reason.ASSIGNED}
 
 
-def test_version_2_leaves_fewer_frames_without_a_node():
-    poses = cold_drive("freiburg_seq2_cloudy1")
-    if poses is None:
-        pytest.skip("needs ../shared/data/cold_places")
-    world = World(size=24, steps=0, reach=3.0, seed=3)
-    frames = rows(world.at(poses[::3][:600], noise=0.15, seed=1))
-    share = []
-    for version in (1, 2):
-        mapper = IncrementalMapper(world, version)
-        feed(mapper, frames)
-        share.append((mapper.labels() < 0).mean())
-        assert len(mapper.nodes) > 4
-    assert share[1] < share[0]
-
-
 def test_labels_and_nodes_are_copies_of_what_the_map_holds():
     mapper = IncrementalMapper(WORLD)
     position, turned = FRAMES[0].position.copy(), FRAMES[0].orientation.copy()
