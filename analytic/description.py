@@ -51,7 +51,7 @@ class Description:
         return len(self.position)
 
     def take(self, rows: Any) -> Description:
-        """Return the rows of an index array, a mask or a slice."""
+        """Return the description of some images, given by an index array, a mask or a slice."""
         orientation = None if self.orientation is None else self.orientation[rows]
         return Description(self.position[rows], orientation, self.identity)
 
@@ -107,7 +107,7 @@ class Description:
 
 @dataclass(frozen=True)
 class Alignment:
-    """The relative heading of each query and each reference, and their distance after aligning them.
+    """The relative heading of n queries to m references, and their distances after alignment.
 
     Attributes:
         heading: (n, m) how far the robot of the query has turned left since the reference, rad in (-pi, pi].
@@ -172,7 +172,7 @@ def fft() -> ModuleType:
 
 
 def joined(parts: Sequence[tuple[NDArray[Any], NDArray[Any] | None]]) -> tuple[NDArray[Any], NDArray[Any] | None]:
-    """Return position and orientation parts of all rows.
+    """Join the position parts and the orientation parts of several descriptions.
 
     If the position part is a flat view of the orientation part, it stays one, so the values are in memory only once.
     """

@@ -21,7 +21,7 @@ class AnalyticError(ConfigError):
 
 
 def known(name: object, valid: Iterable[str], what: str) -> str:
-    """Return the name if it is valid.
+    """Check that a name, such as the name of a descriptor, is among the valid ones, and return it.
 
     Raises:
         AnalyticError: the name is not valid, or not a string.

@@ -32,7 +32,7 @@ def homomorphic(images: NDArray[np.float32], *, circular: bool = True) -> NDArra
     g = (Y' + 1/255) / (Y + 1/255) of its pixel.
 
     Args:
-        images: (B, C, H, W).
+        images: (B, C, H, W), colour (C = 3) or grey (C = 1).
         circular: whether columns wrap around; otherwise they are extended by their mirror image.
 
     Example:

@@ -11,7 +11,7 @@ from foundation.threads import in_order
 
 
 def each(function: Callable[[Any], Any], parts: Sequence[Any]) -> list[Any]:
-    """Apply a function to parts, with as many threads as `cv2.setNumThreads` allows; keep the order.
+    """Apply a function to each item of a batch in threads, as many as `cv2.setNumThreads` allows; keep the order.
 
     Every part is computed by one thread, so that results do not depend on the number of threads.
 

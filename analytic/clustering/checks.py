@@ -57,7 +57,7 @@ def cluster_labels(labels: ArrayLike, frames: int | None = None) -> Integers:
 
 
 def renumbered(labels: NDArray[Any]) -> Integers:
-    """Number labels from 0 to k-1 in the order of their first appearance (n,)."""
+    """Renumber labels (n,) from 0 to k-1 in the order of their first appearance."""
     _, first, inverse = np.unique(labels, return_index=True, return_inverse=True)
     rank = np.empty(len(first), dtype=np.int64)
     rank[np.argsort(first)] = np.arange(len(first))
@@ -74,7 +74,7 @@ def distinct(rows: Floats) -> tuple[Floats, Integers, Integers]:
 
 
 def to_unit_range(rows: Floats) -> tuple[Floats, float]:
-    """Return the rows, centred on their mean and scaled by their largest value, and that scale.
+    """Centre rows on their mean and divide them by their largest magnitude; return the rows and that divisor.
 
     Distances keep their ratios; squares neither overflow nor vanish, and a common offset costs no precision.
     """

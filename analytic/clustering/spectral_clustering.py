@@ -98,8 +98,8 @@ def affinity(X: ArrayLike, sigma: float | None = None, neighbours: int | None = 
             the mean, over the frames, of the distance to the k-th nearest other frame, k = ceil(ln n) + 1 or n - 1 if
             that is less; 1 if that mean is 0. (The mean itself is von Luxburg's rule; along a drive it joins frames
             of different places, and the clusters break up.)
-        neighbours: t, from 1 to n-1: keep S_ij only where j is among the t nearest other frames of i, or i among those
-            of j. All if None.
+        neighbours: t, from 1 to n-1: keep S_ij only where j is among the t nearest other frames of i, or i among the t
+            nearest of j. All if None.
 
     Returns:
         A symmetric array (n, n), 1 on the diagonal; with `neighbours` a scipy.sparse.csr_array that stores the

@@ -68,7 +68,7 @@ class Descriptor(ABC):
     @property
     @abstractmethod
     def identity(self) -> dict[str, Any]:
-        """Name and parameters as plain values; two descriptions can be compared if these agree."""
+        """Name and parameters as plain values; two descriptions can be compared if their identities are equal."""
 
     @abstractmethod
     def describe(self, batch: ArrayLike) -> Description:

@@ -58,7 +58,7 @@ class BriefGist(AlignedDescriptor):
     columns: Several = 16
 
     def sizes(self, height: int, width: int) -> tuple[tuple[int, ...], tuple[int, ...]]:
-        """Return (rows * columns,) and (columns, rows)."""
+        """Return the shapes (rows * columns,) of the position part and (columns, rows) of the orientation part."""
         return (self.rows * self.columns,), (self.columns, self.rows)
 
     def _check_size(self, height: int, width: int) -> None:

@@ -93,11 +93,11 @@ class FourierSignature(ImageDescriptor):
         return 2 * pi / min(width, self.turns)
 
     def sizes(self, height: int, width: int) -> tuple[tuple[int, ...], tuple[int, ...]]:
-        """Return (k1, k2) and (k3, k4); the arrays are (B, k1 k2) and (B, k4, k3)."""
+        """Return the sizes (k1, k2) and (k3, k4) of [T]; the parts are (B, k1 k2) and (B, k4, k3)."""
         return (self.rows, self.columns), (self.orientation_rows, self.orientation_columns)
 
     def align(self, queries: Description, references: Description) -> Alignment:
-        """Return the relative heading and the aligned distance of every query to every reference; see the class."""
+        """Return the relative heading and aligned distance (n, m) of each query to each reference; see the class."""
         self.check(queries, references)
         self._steps(queries, references)  # checks that both have an orientation part
         step, distance = (self._correlated if self.heading == "correlation" else self._multiplied)(queries, references)

@@ -101,7 +101,7 @@ class Gist(ImageDescriptor):
     normalized: bool = True
 
     def sizes(self, height: int, width: int) -> tuple[tuple[int, ...], tuple[int, ...]]:
-        """Return (2 k7 m1,) and (k8, levels m2), k8 = width / step."""
+        """Return (2 k7 m1,) for the position part, and (W / step, levels m2) for the orientation part."""
         position = (LEVELS * self.blocks * self.orientations,)
         return position, (width // self.step, self.orientation_levels * self.orientation_filters)
 
@@ -201,7 +201,7 @@ def bank(
 
 @lru_cache(maxsize=8)
 def windows(width: int, window: int, step: int, circular: bool) -> NDArray[np.float32]:
-    """Return the matrix (W, W / step) that maps columns to the means of windows."""
+    """Return the matrix (W, W / step) that turns the values of W columns into the means of windows."""
     column, first = np.arange(width)[:, None], np.arange(0, width, step)[None]
     inside: NDArray[np.bool_] = (column - first) % width < window
     if not circular:

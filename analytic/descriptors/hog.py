@@ -76,7 +76,7 @@ class Hog(ImageDescriptor):
     whitened: bool = True
 
     def sizes(self, height: int, width: int) -> tuple[tuple[int, ...], tuple[int, ...]]:
-        """Return (k5 b1,) and (k6, b2), k6 = width / step."""
+        """Return the shapes (k5 b1,) of the position part and (k6, b2) of the orientation part, k6 = width / step."""
         return (self.rows * self.bins,), (width // self.step, self.orientation_bins)
 
     def _check_size(self, height: int, width: int) -> None:
@@ -99,7 +99,7 @@ class Hog(ImageDescriptor):
 
 
 def window_sums(columns: NDArray[np.float32], window: int, step: int, circular: bool) -> NDArray[np.float32]:
-    """Return the sums (W / step, F) over windows of the values of columns (W, F).
+    """Return the sums (W / step, F) of F values per column (W, F) over windows of columns.
 
     Example:
         >>> window_sums(np.arange(4.0).reshape(4, 1), window=2, step=1, circular=True).ravel()
@@ -113,14 +113,14 @@ def window_sums(columns: NDArray[np.float32], window: int, step: int, circular: 
 
 
 def cell_sums(cell: Integers, cells: int, place: Integers, bins: int, weight: NDArray[np.float32]) -> Floats:
-    """Return the sums of weights (H, W) by cell and bin (cells, bins).
+    """Return the sums (cells, bins) of the weights of the pixels in each cell and bin.
 
     Args:
         cell: cell of each pixel, (H, 1) or (W,).
         cells: number of cells.
         place: (H, W) bin of each pixel.
         bins: number of bins.
-        weight: (H, W).
+        weight: (H, W) weight of each pixel.
     """
     sums = np.bincount((cell * bins + place).ravel(), weight.ravel(), cells * bins)
     return np.asarray(sums.reshape(cells, bins), dtype=np.float64)

@@ -74,7 +74,7 @@ class Hsv(ImageDescriptor):
     step: Cells = 2
 
     def sizes(self, height: int, width: int) -> tuple[tuple[int, ...], tuple[int, ...]]:
-        """Return (rows * (hues * saturations + values),) and (W / step, hues + values)."""
+        """Return (rows * (hues * saturations + values),) for the position part, and (W / step, hues + values)."""
         position = self.rows * (self.hues * self.saturations + self.values)
         return (position,), (width // self.step, self.hues + self.values)
 
@@ -108,7 +108,7 @@ class Hsv(ImageDescriptor):
 
 
 def cone(colours: NDArray[np.float32]) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]:
-    """Return hue in [-1/6, 5/6], saturation and value in [0, 1] of the colours of an image (3, H, W), (H, W) each.
+    """Convert an image (3, H, W) to hue in [-1/6, 5/6], saturation and value in [0, 1], (H, W) each.
 
     Example:
         >>> [float(part[0, 0]) for part in cone(np.array([0.25, 0.5, 0.25], dtype=np.float32).reshape(3, 1, 1))]

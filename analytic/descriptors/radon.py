@@ -81,7 +81,8 @@ class RadonFourier(ImageDescriptor):
     source: Source = "panorama"
 
     def sizes(self, height: int, width: int) -> tuple[tuple[int, ...], tuple[int, ...]]:
-        """Return (360 / p1, k11) and (360 / p1, k12); the arrays are (B, 360 / p1 * k11) and (B, 360 / p1, k12)."""
+        """Return the sizes (360 / p1, k11) and (360 / p1, k12) of [T]; the parts are (B, 360 / p1 * k11) and
+        (B, 360 / p1, k12)."""
         return (steps(self.step), self.lines), (steps(self.step), self.orientation_lines)
 
     def __post_init__(self) -> None:
@@ -165,7 +166,7 @@ class RadonPoc(AlignedDescriptor):
     source: Source = "panorama"
 
     def sizes(self, height: int, width: int) -> tuple[tuple[int, ...], tuple[int, ...]]:
-        """Return (360 / p1, Nx / 2) twice; the arrays are (B, 360 / p1 * Nx / 2) and (B, 360 / p1, Nx / 2)."""
+        """Return (360 / p1, Nx / 2) for both parts; they are (B, 360 / p1 * Nx / 2) and (B, 360 / p1, Nx / 2)."""
         return (steps(self.step), self.size // 2), (steps(self.step), self.size // 2)
 
     def _check_size(self, height: int, width: int) -> None:

@@ -59,7 +59,7 @@ _SPACING = 0.5  # pixels between the points of a line
 
 
 def steps(step: float) -> int:
-    """Return the number of orientations of a full turn."""
+    """Return the number of orientations in a full turn, 360 / step."""
     return round(360 / step)
 
 
@@ -101,7 +101,7 @@ def harmonics(
 
 
 def orientations(found: NDArray[np.complex128], count: int) -> NDArray[np.float64]:
-    """Return the values (T, F) that have the given coefficients (M + 1, F) along T orientations."""
+    """Return the values (T, F) at T orientations of a function with Fourier coefficients (M + 1, F)."""
     return np.fft.irfft(found, n=count, axis=0, norm="forward")
 
 

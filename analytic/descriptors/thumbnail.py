@@ -38,7 +38,7 @@ class Thumbnail(ImageDescriptor):
     columns: Cells = 32
 
     def sizes(self, height: int, width: int) -> tuple[tuple[int, ...], tuple[int, ...]]:
-        """Return (rows, columns) and (0,)."""
+        """Return (rows, columns) for the position part, and (0,), as there is no orientation part."""
         return (self.rows, self.columns), (0,)
 
     def _check_size(self, height: int, width: int) -> None:
