@@ -33,12 +33,12 @@ def on_host() -> Iterator[None]:
 
 
 class Program(NamedTuple):
-    """What is done to the images of a batch, packed so that it reaches a device in two transfers.
+    """The effects to apply to a batch, packed so that their parameters reach a device in two transfers.
 
     Attributes:
         numbers: (P,) float32, the coefficients of all steps, one after the other.
-        frames: (F,) int64, the frames of all steps.
-        steps: for each step the number of its effect in `Effect.effects`, the number of its frames, and name and
+        frames: (F,) int64, the numbers of the frames that each step alters, step after step.
+        steps: for each step the index of its effect in `Effect.effects`, how many frames it alters, and name and
             length of each of its coefficients.
     """
 
@@ -66,7 +66,7 @@ class Effect(ABC):
         options: its other settings.
         circular: whether the columns wrap around.
         effects: the single effects in their order.
-        stages: for each step of `program`, the numbers of its parts.
+        stages: for each step of `program`, the indices of its effects in `effects`.
 
     Raises:
         AugmentError: an unknown parameter, or an invalid value.
@@ -131,7 +131,7 @@ class Effect(ABC):
 
     @on_host()
     def values(self, uniform: Tensor, height: int, width: int) -> Params:
-        """Turn uniform numbers in [0, 1), (B, number of spans), into the parameters of B frames."""
+        """Turn uniform numbers in [0, 1), (B, number of parameters drawn), into the parameters of B frames."""
         return self.complete(spread(uniform, self.spans(height, width)), len(uniform), height, width)
 
     @on_host()
@@ -262,14 +262,14 @@ class Effect(ABC):
         return params
 
     def spans(self, height: int, width: int) -> dict[str, Range]:
-        """Return what each parameter is drawn from, for frames of this size."""
+        """Return the range that each parameter is drawn from, by name, for frames of this size."""
         key = (height, width)
         if key not in self._spans:
             self._spans[key] = {**self.ranges, **self.places(height, width)}
         return self._spans[key]
 
     def places(self, height: int, width: int) -> dict[str, Range]:
-        """Return what is drawn in addition to the ranges that users set, such as a place. Nothing by default."""
+        """Return the ranges of parameters that users cannot set, such as a place in the image; none by default."""
         return {}
 
     def complete(self, params: Params, count: int, height: int, width: int) -> Params:
@@ -299,7 +299,7 @@ class Effect(ABC):
         """
 
     def tensors(self, params: Mapping[str, Tensor], height: int, width: int) -> dict[str, Tensor]:
-        """Return the coefficients as `render` takes them, in main memory."""
+        """Return the coefficients as tensors in main memory, in the shapes that `render` needs."""
         return _as_tensors(self.coefficients(as_numbers(params), height, width))
 
     def checked(self, params: Mapping[str, Any], count: int, height: int, width: int) -> Params:
@@ -325,7 +325,7 @@ class Effect(ABC):
         return values
 
     def limits(self, height: int, width: int) -> dict[str, Range]:
-        """Return the parameters that `draw` returns; `apply` takes values from their minimum to their maximum."""
+        """Return the parameters that `draw` returns, each with the minimum and maximum that `apply` accepts."""
         return self.spans(height, width)
 
     def _bounds(self, height: int, width: int) -> tuple[dict[str, Range], Tensor, Tensor]:
@@ -377,7 +377,7 @@ def check_batch(batch: Tensor) -> None:
 
 
 def beside(values: Tensor, batch: Tensor) -> Tensor:
-    """Move numbers from main memory to the device of a batch, without waiting for the transfer to a GPU."""
+    """Move a tensor from main memory to the device of a batch, without waiting for the transfer to a GPU."""
     if values.device == batch.device:
         return values
     return (values.pin_memory() if batch.is_cuda else values).to(batch.device, non_blocking=True)
@@ -385,19 +385,19 @@ def beside(values: Tensor, batch: Tensor) -> Tensor:
 
 @lru_cache(maxsize=8)
 def places_in(height: int, width: int, device: torch.device) -> tuple[Tensor, Tensor]:
-    """Return the numbers of rows (1, 1, H, 1) and columns (1, 1, 1, W), float32; kept for further batches."""
+    """Return the row numbers (1, 1, H, 1) and column numbers (1, 1, 1, W) of an image, float32; cached."""
     rows, columns = (torch.arange(count, device=device, dtype=torch.float32) for count in (height, width))
     return rows.view(1, 1, -1, 1), columns.view(1, 1, 1, -1)
 
 
 def by_frame(params: Mapping[str, Tensor]) -> list[dict[str, Any]]:
-    """Return the parameters of each frame as plain numbers."""
+    """Return the parameters of each frame as plain numbers by name, one dictionary per frame."""
     columns = [value.tolist() for value in params.values()]
     return [dict(zip(params, each, strict=True)) for each in zip(*columns, strict=True)]
 
 
 def as_numbers(params: Mapping[str, Tensor]) -> Numbers:
-    """Return parameters as arrays, in double precision."""
+    """Return parameters as float64 arrays, by name."""
     return {key: value.numpy().astype(np.float64) for key, value in params.items()}
 
 

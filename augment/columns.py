@@ -35,7 +35,7 @@ class Rotate(Effect):
     RANGES: ClassVar[Mapping[str, Range]] = {"degrees": Range(10, 350, minimum=-360, maximum=360)}
 
     def spans(self, height: int, width: int) -> dict[str, Range]:
-        """The shift in columns."""
+        """Return the range of `shift`, in whole columns."""
         degrees = self.ranges["degrees"]
         low, high = ceil(degrees.low * width / 360), floor(degrees.high * width / 360)
         if not self.circular:
@@ -45,24 +45,24 @@ class Rotate(Effect):
         return {"shift": Range(low, high, neutral=0, whole=True)}
 
     def complete(self, params: Params, count: int, height: int, width: int) -> Params:
-        """Add the heading."""
+        """Add the parameter `heading`, in rad, that follows from the shift."""
         return {**params, "heading": wrapped(params["shift"] * (2 * pi / width))}
 
     def limits(self, height: int, width: int) -> dict[str, Range]:
-        """Any shift, and the heading."""
+        """Return the limits of `shift` and `heading`: none."""
         return {"shift": Range(0, 0, whole=True), "heading": Range(0, 0)}
 
     def paint(self, params: Mapping[str, float], frame: Frame) -> None:
-        """Move the columns of a frame."""
+        """Move the columns of a frame to the right by its shift."""
         shift = int(params["shift"]) % frame.shape[2]
         frame[:] = np.concatenate([frame[:, :, -shift:], frame[:, :, :-shift]], axis=2)
 
     def coefficients(self, params: Numbers, height: int, width: int) -> Numbers:
-        """The shift within one turn."""
+        """Return the shift to the right in columns, in [0, W)."""
         return {"shift": params["shift"] % width}
 
     def render(self, batch: Tensor, values: Mapping[str, Tensor]) -> Tensor:
-        """Return the batch with moved columns."""
+        """Return the batch with the columns of each frame moved to the right by its shift."""
         _, columns = places_in(*batch.shape[2:], batch.device)
         source = ((columns - values["shift"]) % batch.shape[3]).long()
         return batch.gather(3, source.expand_as(batch))
@@ -77,7 +77,7 @@ class Occlude(Effect):
     Args:
         share: share of the columns that are hidden. 5 ... 40 % as published.
         bars: number of bars, 1 ... 4.
-        level: their grey level, 0 ... 255; black as published.
+        level: grey level of the bars, 0 ... 255; black as published.
         circular: sectors begin anywhere and wrap around.
     """
 
@@ -89,22 +89,22 @@ class Occlude(Effect):
     }
 
     def places(self, height: int, width: int) -> dict[str, Range]:
-        """Where the first sector begins, and where each bar is in its sector."""
+        """Return the ranges of the first sector's first column and of each bar's place in its sector, from 0 to 1."""
         column = Range(0, width - 1 if self.circular else 0, whole=True)
         return {"column": column, **{place: Range(0, 1, minimum=0, maximum=1) for place in _PLACES}}
 
     def brushes(self, params: Params, height: int, width: int) -> list[Brush]:
-        """Return for each frame what fills its bars; the bars of all frames are computed at once."""
+        """Return for each frame the function that fills the columns of its bars."""
         starts, lengths = (value.T.astype(int).tolist() for value in _bars(as_numbers(params), width))
         return [partial(_fill, *bars) for bars in zip(starts, lengths, params["level"].tolist(), strict=True)]
 
     def coefficients(self, params: Numbers, height: int, width: int) -> Numbers:
-        """The bars."""
+        """Return the first column and the width of each bar, in columns, and the grey level of the bars in [0, 1]."""
         starts, lengths = _bars(params, width)
         return {"start": starts, "length": lengths, "level": params["level"] / 255}
 
     def render(self, batch: Tensor, values: Mapping[str, Tensor]) -> Tensor:
-        """Return the batch behind the bars."""
+        """Return the batch with the columns of the bars in the bars' grey level."""
         _, columns = places_in(*batch.shape[2:], batch.device)
         hidden = ((columns - values["start"]) % batch.shape[3] < values["length"]).any(dim=1, keepdim=True)
         return torch.where(hidden, values["level"], batch)

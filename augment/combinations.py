@@ -49,7 +49,7 @@ class Variant:
     def parameters(self, seed: int, frames: Iterable[int], size: tuple[int, int]) -> Params:
         """Return the parameters of this variant for the given frames, each of shape (number of frames,).
 
-        Those of a frame depend only on the seed, the variant and the frame's number.
+        The parameters of a frame depend only on the seed, the variant and the frame's number.
 
         Args:
             seed: seed of the expansion, 0 or more.
@@ -71,8 +71,8 @@ def variants(depth: int, circular: bool = True) -> list[Variant]:
       lowered, equalize, saturate), and a rotation;
     - 17-44: the 14 single effects with a rotation, brighten and darken with each of the six spots, three light
       bulbs and three dark ones;
-    - 45-104: three bulbs of mixed tones, every pair of spots, and a rotation with each of the combinations that has
-      not had one yet. Depth 104 therefore has every combination once;
+    - 45-104: three bulbs of mixed tones, every pair of spots, and a rotation with each combination that
+      lacks one above. Depth 104 therefore has every combination once;
     - from 105: the same list again without the original, with other parameters: depth 128 reaches its 24th entry,
       129 its 25th, and 246 the 39th entry of the third round.
 
@@ -96,7 +96,7 @@ def variants(depth: int, circular: bool = True) -> list[Variant]:
 
 
 def combinations() -> dict[str, list[Tree]]:
-    """Return the 104 combinations in the order of `variants`: the steps of each by its label."""
+    """Return the effects of the 104 combinations by label, in the order of `variants`."""
     singles = [*_LOCALS, *_GLOBALS, *_WHOLE]
     bulbs = [tuple((f"bulb {tone}", {"effect": "bulb", "tone": tone}) for tone in tones) for tones in _BULBS]
     lit = [(change, spot) for change in _GLOBALS for spot in _LOCALS]

@@ -98,14 +98,14 @@ class Policy(Effect):
         return f"Policy({self.name!r}, {len(self.slots)} slots)"
 
     def places(self, height: int, width: int) -> dict[str, Range]:
-        """The parameters of all slots, and one number for each decision."""
+        """Return the ranges of the parameters of all effects, and of one random number for each decision."""
         spans = dict.fromkeys([*self._gates, *self._choices], _UNIT)
         for prefix, inner in self._prefixed.items():
             spans.update({f"{prefix}.{key}": span for key, span in inner.spans(height, width).items()})
         return spans
 
     def limits(self, height: int, width: int) -> dict[str, Range]:
-        """The parameters once the decisions are made."""
+        """Return the limits of all parameters that `draw` returns, including whether each effect is on."""
         spans = {}
         for prefix, inner in self._prefixed.items():
             spans[f"{prefix}.on"] = _TAKEN
@@ -113,7 +113,7 @@ class Policy(Effect):
         return {**spans, "heading": Range(0, 0)}
 
     def complete(self, params: Params, count: int, height: int, width: int) -> Params:
-        """Make the decisions, and add up the headings."""
+        """Decide which effects each frame gets, and add up the headings of their rotations."""
         taken = self._decide(params, count)
         done: Params = {}
         heading = torch.zeros(count)
@@ -127,7 +127,7 @@ class Policy(Effect):
         return {**done, "heading": wrapped(heading)}
 
     def parts(self, params: Mapping[str, Tensor]) -> list[tuple[Effect, Params, NDArray[np.bool_]]]:
-        """Return effect, parameters and changed frames of each slot. See `Effect.parts`."""
+        """Return the effect, the parameters and the altered frames of each slot. See `Effect.parts`."""
         owns: dict[str, Params] = {prefix: {} for prefix in self._prefixed}
         for key, value in params.items():
             prefix, _, name = key.rpartition(".")

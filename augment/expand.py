@@ -44,7 +44,7 @@ class Expansion(NamedTuple):
     Attributes:
         written: number of images made.
         kept: number of images that existed already.
-        failed: sources that could not be used, each with the reason; none of their images were made.
+        failed: source images that could not be used, each with the reason; no variant of them was made.
     """
 
     written: int
@@ -150,7 +150,7 @@ def headings(frames: int, depth: int, seed: int, size: tuple[int, int], circular
 
 
 def replay(row: Row, picture: Tensor, circular: bool = True) -> Tensor:
-    """Make the image (1, 3, H, W) that a row of the table describes from its source (1, 3, H, W).
+    """Make an image (1, 3, H, W) of the expanded data set again from its source (1, 3, H, W) and its row in the table.
 
     Example:
         >>> values = {"0.brighten.on": True, "0.brighten.amount": 40, "heading": 0.0}

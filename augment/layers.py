@@ -31,10 +31,10 @@ _BAND = 32768
 
 
 class Layer(Effect):
-    """An effect that is a function of the place of the pixel: I' = I + layer, or I' = I layer.
+    """An effect that adds a layer to the image or multiplies by it: I' = I + layer, or I' = I layer.
 
     Attributes:
-        additive: the layer is added; otherwise it is a gain.
+        additive: whether the layer is added, in units of white; otherwise it is a gain.
     """
 
     additive: ClassVar[bool] = False
@@ -44,8 +44,8 @@ class Layer(Effect):
         """Return the layer at the given pixels.
 
         Args:
-            rows: (..., h, 1).
-            columns: (..., 1, w); some may lie beyond the seam.
+            rows: (..., h, 1) numbers of the rows.
+            columns: (..., 1, w) numbers of the columns; some may lie beyond the seam.
             values: the coefficients: (..., 1, 1, 1) or (..., k, 1, 1) each.
             height: rows of the frame.
             width: columns of the frame.
@@ -62,7 +62,7 @@ class Layer(Effect):
         return 0, height, 0, width
 
     def brushes(self, params: Params, height: int, width: int) -> list[Brush]:
-        """Return for each frame the application of its layer."""
+        """Return for each frame the function that applies the frame's layer to it."""
         values = self.tensors(params, height, width)
         frames = [dict(zip(values, each, strict=True)) for each in zip(*values.values(), strict=True)]
         boxes = [self.box(each, height, width) for each in by_frame(params)]
@@ -78,7 +78,7 @@ class Layer(Effect):
         """Return the distance of columns to the right of a column, the shorter way round if columns wrap around.
 
         Args:
-            columns: (..., 1, w).
+            columns: (..., 1, w) numbers of the columns.
             start: half a width to the left of that column, see `start_of`.
             width: columns of the frame.
         """
@@ -132,13 +132,13 @@ class Vignette(Layer):
     }
 
     def coefficients(self, params: Numbers, height: int, width: int) -> Numbers:
-        """The row of the axis, and k over the square of the distance of the farthest edge."""
+        """Return the row of the axis, and k divided by the squared distance, in pixels, of the farthest edge."""
         farthest = abs(params["centre"] - 0.5) * (height - 1) + max(height - 1, 1) / 2
         edge = farthest**2 + (0 if self.circular else ((width - 1) / 2) ** 2)
         return {"row": params["centre"] * (height - 1), "fall": ((1 - params["strength"]) ** -0.5 - 1) / edge}
 
     def layer(self, rows: Tensor, columns: Tensor, values: Mapping[str, Any], height: int, width: int) -> Tensor:
-        """Return the gain."""
+        """Return the gain (1 + k q^2)^-2 at the given pixels."""
         square = (rows - values["row"]) ** 2
         if not self.circular:
             square = square + (columns - (width - 1) / 2) ** 2
@@ -170,11 +170,11 @@ class Shadow(Layer):
     }
 
     def places(self, height: int, width: int) -> dict[str, Range]:
-        """The column towards which the shadow lies."""
+        """Return the range of `column`, the column in the middle of the shadow."""
         return {"column": Range(0, width - 1, whole=True)}
 
     def coefficients(self, params: Numbers, height: int, width: int) -> Numbers:
-        """The tilt as a unit vector, and the edge as a line t = steep e + lift."""
+        """Return the direction of the shadow, and `steep` and `lift` of the smooth step's argument steep e + lift."""
         tilt, steep = np.radians(params["tilt"]), 1 / params["softness"]
         lift = 0.5 - params["offset"] * steep
         scale = 1 if self.circular else 2 / width
@@ -182,7 +182,7 @@ class Shadow(Layer):
         return {"start": start_of(params, width), "depth": params["depth"], "lift": lift, **of_tilt}
 
     def layer(self, rows: Tensor, columns: Tensor, values: Mapping[str, Any], height: int, width: int) -> Tensor:
-        """Return the gain."""
+        """Return the gain of the shadow at the given pixels."""
         right, above = self.offset(columns, values["start"], width), (height - 1) / 2 - rows
         if self.circular:
             elevation = (above * (2 * pi / width)).clamp(-pi / 2, pi / 2)
@@ -219,11 +219,11 @@ class SunPatch(Layer):
     }
 
     def places(self, height: int, width: int) -> dict[str, Range]:
-        """The column of the patch's middle."""
+        """Return the range of `column`, the column of the patch's middle."""
         return {"column": Range(0, width - 1, whole=True)}
 
     def coefficients(self, params: Numbers, height: int, width: int) -> Numbers:
-        """Where the patch lies, the row that looks straight down, and the axes of the patch, in its half sizes.
+        """Return the row that looks straight down, and the place and axes of the patch, in units of its half sizes.
 
         A point ahead and aside lies at ahead `along` + aside `across` - `middle` from the middle, along each axis. The
         soft edges of the patch and of its bars are the smooth steps of `steep` |place| + `lift`.
@@ -244,7 +244,7 @@ class SunPatch(Layer):
         }
 
     def layer(self, rows: Tensor, columns: Tensor, values: Mapping[str, Any], height: int, width: int) -> Tensor:
-        """Return the gain of each colour."""
+        """Return the gain of each colour at the given pixels."""
         pixel = self._pixel(width)
         reach = ((values["nadir"] - rows) * pixel).clamp(1e-3, pi / 2 - 1e-3).tan()
         azimuth = self.offset(columns, values["start"], width) * pixel
@@ -253,7 +253,7 @@ class SunPatch(Layer):
         return 1 + _smooth(steps).prod(dim=-3, keepdim=True) * values["sun"]
 
     def box(self, params: Mapping[str, float], height: int, width: int) -> tuple[int, int, int, int]:
-        """Return rows and columns around the patch."""
+        """Return the rows and columns that the patch can cover; see `Layer.box`."""
         pixel = self._pixel(width)
         horizon = params["horizon"] * (height - 1)
         radius = hypot(params["length"], params["breadth"]) / 2
@@ -276,5 +276,5 @@ def _smooth(step: Tensor) -> Tensor:
 
 
 def start_of(params: Numbers, width: int) -> NDArray[np.float64]:
-    """Return where `Layer.offset` begins to count for the parameter `column`."""
+    """Return the column half a width to the left of the parameter `column`, for `Layer.offset`."""
     return params["column"] - width // 2

@@ -23,17 +23,17 @@ class PointEffect(Effect):
 
     @abstractmethod
     def curve(self, level: Tensor, values: Mapping[str, Tensor]) -> Tensor:
-        """Return the new level for levels in [0, 1], (B, 3, H, W) or (1, 1, 1, 256); values as for `render`."""
+        """Return the new levels of levels in [0, 1], (B, 3, H, W) or (1, 1, 1, 256); values as for `render`."""
 
     def brushes(self, params: Params, height: int, width: int) -> list[Brush]:
-        """Return for each frame the lookup of its table."""
+        """Return for each frame the function that looks its levels up in its table."""
         levels = (torch.arange(256, dtype=torch.float32) / 255).view(1, 1, 1, 256)
         curves = self.curve(levels, self.tensors(params, height, width))
         tables = (curves.clamp(0, 1) * 255).round().to(torch.uint8).squeeze(2).numpy()
         return [partial(_look_up, table) for table in tables]
 
     def render(self, batch: Tensor, values: Mapping[str, Tensor]) -> Tensor:
-        """Return the curve of every value."""
+        """Return the batch with every level replaced by its value on the curve."""
         return self.curve(batch, values)
 
 
@@ -44,11 +44,11 @@ class Tone(PointEffect):
 
     @cached_property
     def renderer(self) -> Effect:
-        """The common formula."""
+        """The tone curve that all subclasses with this curve are rendered by."""
         return Tone() if type(self).curve is Tone.curve else self
 
     def curve(self, level: Tensor, values: Mapping[str, Tensor]) -> Tensor:
-        """Power, gain, offset."""
+        """Return gain I^gamma + offset."""
         return level ** values["gamma"] * values["gain"] + values["offset"]
 
 
@@ -66,7 +66,7 @@ class Brighten(Tone):
     sign: ClassVar[int] = 1
 
     def coefficients(self, params: Numbers, height: int, width: int) -> Numbers:
-        """The sum."""
+        """Return c as the offset of the tone curve, negative in `Darken`."""
         return _tone(offset=params["amount"] * (self.sign / 255))
 
     brushes = Effect.brushes  # a saturating addition is faster than the table
@@ -103,7 +103,7 @@ class Contrast(Tone):
     }
 
     def coefficients(self, params: Numbers, height: int, width: int) -> Numbers:
-        """The slope, and what keeps the pivot."""
+        """Return the gain c, and the offset that leaves the pivot unchanged."""
         return _tone(gain=params["factor"], offset=(1 - params["factor"]) * params["pivot"] / 255)
 
     brushes = Effect.brushes  # a saturating scaling is faster than the table
@@ -127,7 +127,7 @@ class Gamma(Tone):
     }
 
     def coefficients(self, params: Numbers, height: int, width: int) -> Numbers:
-        """The power."""
+        """Return the exponent gamma of the tone curve."""
         return _tone(gamma=params["gamma"])
 
 
@@ -145,11 +145,11 @@ class Exposure(PointEffect):
     RANGES: ClassVar[Mapping[str, Range]] = {"stops": Range(-1.5, 1.5, minimum=-10, maximum=10, neutral=0)}
 
     def coefficients(self, params: Numbers, height: int, width: int) -> Numbers:
-        """The gain of light."""
+        """Return the gain of the light, 2^stops."""
         return {"gain": np.exp2(params["stops"])}
 
     def curve(self, level: Tensor, values: Mapping[str, Tensor]) -> Tensor:
-        """Decode, scale, encode; what is above 1 is clipped afterwards."""
+        """Return the levels after decoding to light, applying the gain and encoding; clipping to 1 comes afterwards."""
         light = torch.where(level <= 0.04045, level / 12.92, ((level + 0.055) / 1.055) ** 2.4)
         light = light * values["gain"]
         return torch.where(light <= 0.0031308, light * 12.92, 1.055 * light ** (1 / 2.4) - 0.055)
@@ -173,12 +173,12 @@ class WhiteBalance(PointEffect):
     }
 
     def coefficients(self, params: Numbers, height: int, width: int) -> Numbers:
-        """The gain of each colour."""
+        """Return the gains of red, green and blue."""
         warm, magenta = np.outer([0.5, 0.0, -0.5], params["temperature"]), np.outer([1, -2, 1], params["tint"] / 3)
         return {"gain": np.exp2(warm + magenta)}
 
     def curve(self, level: Tensor, values: Mapping[str, Tensor]) -> Tensor:
-        """The gain of each colour."""
+        """Return the levels multiplied by the gain of their colour."""
         return level * values["gain"]
 
 
@@ -203,7 +203,7 @@ class Equalize(Effect):
     RANGES: ClassVar[Mapping[str, Range]] = {"strength": Range(1, 1, minimum=0, maximum=1, neutral=0)}
 
     def paint(self, params: Mapping[str, float], frame: Frame) -> None:
-        """Look up the levels of a frame in the tables that its histograms give."""
+        """Equalize the histogram of each channel of a frame."""
         tables = np.empty((3, 256), dtype=np.uint8)
         levels = np.arange(256)
         for channel in range(3):
@@ -214,7 +214,7 @@ class Equalize(Effect):
         _look_up(tables, frame)
 
     def render(self, batch: Tensor, values: Mapping[str, Tensor]) -> Tensor:
-        """Return the lookup, mixed by strength; a channel of one level stays as it is."""
+        """Return the equalized images, mixed with the originals by strength; a channel of one level stays as it is."""
         levels = (batch * 255).round().long().flatten(2)
         counts = torch.zeros(*batch.shape[:2], 256, dtype=torch.int64, device=batch.device)
         counts.scatter_add_(2, levels, counts.new_ones(()).expand_as(levels))
@@ -239,7 +239,7 @@ class Saturate(Effect):
     RANGES: ClassVar[Mapping[str, Range]] = {"factor": Range(0.2, 2.0, minimum=0, maximum=20, neutral=1)}
 
     def paint(self, params: Mapping[str, float], frame: Frame) -> None:
-        """Apply the formula to the three planes of a frame."""
+        """Change the saturation of a frame."""
         factor, value = params["factor"], np.maximum(np.maximum(frame[0], frame[1]), frame[2])
         if factor < 1:
             for channel in range(3):
@@ -253,7 +253,7 @@ class Saturate(Effect):
             np.subtract(value, below, out=frame[channel])
 
     def render(self, batch: Tensor, values: Mapping[str, Tensor]) -> Tensor:
-        """Return the formula, in a form that leaves grey exactly as it is."""
+        """Return the images with changed saturation; grey pixels keep their exact values."""
         least, value = batch.aminmax(dim=1, keepdim=True)
         scale = torch.minimum(values["factor"], value / (value - least).clamp(min=1e-6))
         return torch.addcmul(batch, 1 - scale, value - batch)

@@ -19,7 +19,7 @@ _FARTHEST = 1e7  # larger than any column, row or angle that makes sense
 
 @dataclass(frozen=True)
 class Range:
-    """What a parameter is drawn from, uniformly.
+    """The range of values from which a parameter is drawn uniformly.
 
     Attributes:
         low: smallest value.
@@ -43,7 +43,7 @@ class Range:
         """Return this range with another low and high, from one number or a pair (low, high).
 
         Args:
-            value: what the user gave.
+            value: a number, or a pair (low, high).
             what: name of the parameter in the error.
 
         Raises:

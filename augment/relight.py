@@ -56,13 +56,13 @@ class Relight(Layer):
     }
 
     def places(self, height: int, width: int) -> dict[str, Range]:
-        """A column, and phase and tilt of each wave."""
+        """Return the ranges of the column, and of the phase in rad and the tilt of each wave."""
         phases = {name: Range(-pi, pi, minimum=-2 * pi, maximum=2 * pi) for name in _PHASES}
         tilts = {name: Range(-0.8, 0.8, minimum=-1, maximum=1) for name in _TILTS}
         return {"column": Range(0, width - 1, whole=True), **phases, **tilts}
 
     def coefficients(self, params: Numbers, height: int, width: int) -> Numbers:
-        """The waves, and everything else in powers of two of a pixel."""
+        """Return each wave's phase, weight and tilt, and slope and warmth, as binary logarithms of pixel gains."""
         stops, waves = params["stops"] / _GAMMA, np.arange(1, _WAVES + 1)[:, None]
         weights = stops / waves
         return {
@@ -76,12 +76,12 @@ class Relight(Layer):
         }
 
     def layer(self, rows: Tensor, columns: Tensor, values: Mapping[str, Any], height: int, width: int) -> Tensor:
-        """Return the gain of each colour."""
+        """Return the gain of each colour at the given pixels."""
         level, slope, colour = self._of_columns(columns, values, width)
         return torch.exp2(level + slope * _above(rows, height)) * colour
 
     def brushes(self, params: Params, height: int, width: int) -> list[Brush]:
-        """Return for each frame the multiplication with its gains, which are computed for the whole batch."""
+        """Return for each frame the function that multiplies it by its gains; they are computed for the whole batch."""
         columns = torch.arange(width, dtype=torch.float32).view(1, 1, 1, -1)
         parts = (part.numpy() for part in self._of_columns(columns, self.tensors(params, height, width), width))
         above = _above(torch.arange(height, dtype=torch.float32).view(-1, 1), height).numpy()
@@ -111,11 +111,11 @@ class Doorway(Layer):
     }
 
     def places(self, height: int, width: int) -> dict[str, Range]:
-        """The column in the middle."""
+        """Return the range of `column`, the column in the middle of the sector."""
         return {"column": Range(0, width - 1, whole=True)}
 
     def coefficients(self, params: Numbers, height: int, width: int) -> Numbers:
-        """The gain above 1, and the distance from the middle, in columns, at which the soft edge ends."""
+        """Return the gain minus 1, and the distance from the middle, in columns, at which the soft edge ends."""
         return {
             "start": start_of(params, width),
             "more": np.exp2(params["stops"] / _GAMMA) - 1,
@@ -123,7 +123,7 @@ class Doorway(Layer):
         }
 
     def layer(self, rows: Tensor, columns: Tensor, values: Mapping[str, Any], height: int, width: int) -> Tensor:
-        """Return the gain."""
+        """Return the gain of the sector at the given pixels."""
         aside = self.offset(columns, values["start"], width).abs() * (1 / (2 * _SOFT * width))
         return 1 + (values["reach"] - aside).clamp(0, 1) * values["more"]
 
@@ -142,7 +142,7 @@ class Windows(Effect):
     Args:
         share: largest share of the pixels that change.
         level: 0 ... 255; dark like windows at night, or white as in the sun.
-        strength: 1 replaces what was there.
+        strength: 1 replaces the brightest parts by `level`, less mixes both.
     """
 
     name = "windows"
@@ -163,7 +163,7 @@ class Windows(Effect):
         frame[:, rows, columns] = np.rint(old + strength * (level - old)).clip(0, 255)
 
     def coefficients(self, params: Numbers, height: int, width: int) -> Numbers:
-        """The number of pixels that must be darker than the threshold."""
+        """Return the number of pixels below the threshold, the level in [0, 1] and the strength."""
         most = np.floor(params["share"].astype(np.float32) * (height * width))
         return {"darker": height * width - most, "level": params["level"] / 255, "strength": params["strength"]}
 

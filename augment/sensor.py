@@ -51,7 +51,7 @@ class Noise(Effect):
     RANGES: ClassVar[Mapping[str, Range]] = {"variance": Range(0.0025, 0.05, minimum=0, maximum=1, neutral=0)}
 
     def places(self, height: int, width: int) -> dict[str, Range]:
-        """Where the two stretches begin, and how far the noise is turned."""
+        """Return the ranges of the starts of the two stretches in the table, and of the noise's shift in columns."""
         return {
             "first": Range(0, _TABLE // 2 - 1, minimum=0, maximum=_TABLE - 1, whole=True),
             "second": Range(_TABLE // 2, _TABLE - 1, minimum=0, maximum=_TABLE - 1, whole=True),
@@ -59,7 +59,7 @@ class Noise(Effect):
         }
 
     def paint(self, params: Mapping[str, float], frame: Frame) -> None:
-        """Add its noise to a frame."""
+        """Add noise to a frame."""
         scale, stretches = 255 * (params["variance"] / 2) ** 0.5, _stretches("cpu", frame.size)
         a, b = (stretches[int(params[start])].view(flat(frame).shape).numpy() for start in ("first", "second"))
         noise = cv2.addWeighted(a, scale, b, scale, 0)
@@ -68,13 +68,13 @@ class Noise(Effect):
         cv2.add(flat(frame), noise, dst=flat(frame), dtype=cv2.CV_8U)
 
     def coefficients(self, params: Numbers, height: int, width: int) -> Numbers:
-        """The scale of the sum; the turn is left out where no frame has one."""
+        """Return the factor on the sum of the stretches, their starts, and the shift if any frame has one."""
         turn = {"column": params["column"] % width} if params["column"].any() else {}
         starts = np.stack([params["first"], params["second"]])
         return {"scale": (params["variance"] / 2) ** 0.5, "starts": starts, **turn}
 
     def render(self, batch: Tensor, values: Mapping[str, Tensor]) -> Tensor:
-        """Return the batch with its noise."""
+        """Return the batch with noise added."""
         stretches = _stretches(str(batch.device), batch[0].numel())
         both = stretches.index_select(0, values["starts"].long().flatten())
         noise = both.view(-1, 2, *batch.shape[1:]).sum(dim=1)
@@ -102,7 +102,7 @@ class Jpeg(Effect):
     }
 
     def paint(self, params: Mapping[str, float], frame: Frame) -> None:
-        """Pass a frame through the codec."""
+        """Compress and decode a frame with opencv's codec."""
         quality, strength = int(params["quality"]), params["strength"]
         packed = cv2.imencode(".jpg", cv2.merge(list(frame[::-1])), [cv2.IMWRITE_JPEG_QUALITY, quality])[1]
         planes = cv2.split(np.asarray(cv2.imdecode(packed, cv2.IMREAD_COLOR)))[::-1]
@@ -110,14 +110,14 @@ class Jpeg(Effect):
             channel[:] = plane if strength == 1 else cv2.addWeighted(channel, 1 - strength, plane, strength, 0)
 
     def coefficients(self, params: Numbers, height: int, width: int) -> Numbers:
-        """The steps of the coefficients of brightness and of colour, as libjpeg scales them."""
+        """Return the quantization steps of brightness and of colour for the quality, as libjpeg scales them."""
         quality = params["quality"]
         scale = np.where(quality < 50, np.floor(5000 / quality), 200 - 2 * quality)
         steps = [np.floor((np.outer(table, scale) + 50) / 100).clip(1, 255) for table in _QUANTA]
         return {"quality": quality, "strength": params["strength"], "brightness": steps[0], "colour": steps[1]}
 
     def render(self, batch: Tensor, values: Mapping[str, Tensor]) -> Tensor:
-        """Return the compressed images, mixed by strength."""
+        """Return the compressed images, mixed with the originals by strength."""
         if batch.device.type == "cpu":
             frames = (batch * 255).round().to(torch.uint8).numpy()
             for frame, quality in zip(frames, values["quality"].flatten().tolist(), strict=True):
@@ -137,12 +137,12 @@ def _stretches(device: str, length: int) -> Tensor:
 
 
 def compressed(batch: Tensor, brightness: Tensor, colour: Tensor) -> Tensor:
-    """Do to images what JPEG compression does (ITU-T T.81), on any device, in float32 even under autocast.
+    """Apply the losses of JPEG compression (ITU-T T.81) to images, on any device, in float32 even under autocast.
 
     Args:
         batch: (B, 3, H, W), RGB in [0, 1].
-        brightness: (B, 64, 1, 1) steps of the coefficients of each block, row by row.
-        colour: the same of the two colours.
+        brightness: (B, 64, 1, 1) quantization steps of the 8 x 8 coefficients of a block, row by row.
+        colour: (B, 64, 1, 1) quantization steps of the two colour channels.
     """
     height, width = batch.shape[2:]
     there, back, waves, lift = _constants(str(batch.device))

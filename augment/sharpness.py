@@ -33,13 +33,13 @@ class Sharpen(Effect):
     RANGES: ClassVar[Mapping[str, Range]] = {"strength": Range(1, 1, minimum=0, maximum=10, neutral=0)}
 
     def paint(self, params: Mapping[str, float], frame: Frame) -> None:
-        """Filter a frame with its mask."""
+        """Sharpen a frame."""
         s = params["strength"]
         mask = np.array([[0, -s, 0], [-s, 1 + 4 * s, -s], [0, -s, 0]], dtype=np.float32)
         _filter(frame, _convolution(mask), 1, self.circular)
 
     def render(self, batch: Tensor, values: Mapping[str, Tensor]) -> Tensor:
-        """Return the batch with its scaled Laplacian added."""
+        """Return the sharpened images: the originals with a scaled Laplacian added."""
         wide = _extended(batch, 1, 1, self.circular)
         across = wide[:, :, 1:-1, :-2] + wide[:, :, 1:-1, 2:]
         down = wide[:, :, :-2, 1:-1] + wide[:, :, 2:, 1:-1]
@@ -67,7 +67,7 @@ class Blur(Effect):
             raise AugmentError(f"size of {self.name} must be an odd number of pixels, got {size!r}")
 
     def paint(self, params: Mapping[str, float], frame: Frame) -> None:
-        """Filter a frame with a box, or with the mixture of the box and the original in one mask."""
+        """Blur a frame with a box filter, mixed with the original by strength."""
         size, strength = self.options["size"], params["strength"]
         mask = np.full((size, size), strength / size**2, dtype=np.float32)
         mask[size // 2, size // 2] += 1 - strength
@@ -75,7 +75,7 @@ class Blur(Effect):
         _filter(frame, work, size // 2, self.circular)
 
     def render(self, batch: Tensor, values: Mapping[str, Tensor]) -> Tensor:
-        """Return the mean of the neighbours, mixed by strength."""
+        """Return the mean of each pixel's neighbours, mixed with the original by strength."""
         size = self.options["size"]
         wide = _extended(batch, size // 2, size // 2, self.circular)
         mean = F.avg_pool2d(F.avg_pool2d(wide, (1, size), 1), (size, 1), 1)
@@ -94,16 +94,16 @@ class MotionBlur(Effect):
     RANGES: ClassVar[Mapping[str, Range]] = {"length": Range(3, 15, minimum=1, maximum=255, neutral=1)}
 
     def paint(self, params: Mapping[str, float], frame: Frame) -> None:
-        """Filter a frame with a box along its rows."""
+        """Blur a frame along its rows."""
         length = _odd(params["length"], frame.shape[2])
         _filter(frame, _box(length, 1), length // 2, self.circular)
 
     def coefficients(self, params: Numbers, height: int, width: int) -> Numbers:
-        """r."""
+        """Return the radius r of the blur, in columns."""
         return {"radius": np.array([_odd(length, width) // 2 for length in params["length"].tolist()])}
 
     def render(self, batch: Tensor, values: Mapping[str, Tensor]) -> Tensor:
-        """Return the means, as differences of the sums from the left."""
+        """Return the mean of n pixels along the rows, from differences of cumulative sums."""
         before = _odd(self.ranges["length"].maximum, batch.shape[3]) // 2 + 1
         # Whole numbers, whose sums have no rounding, and do not depend on the order of their addition.
         sums = (_extended(batch, before, 0, self.circular) * _WHOLE).round().long().cumsum(3)

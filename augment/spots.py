@@ -50,7 +50,7 @@ class Spot(Layer):
             raise AugmentError(f"unknown tone {tone!r} of {self.name}: {hint(tone, TONES)}")
 
     def places(self, height: int, width: int) -> dict[str, Range]:
-        """Centre and tone: 1 light, 0 dark."""
+        """Return the ranges of the centre's column and row, and of `light`: 1 for a light spot, 0 for a dark one."""
         low, high, neutral = {"light": (1, 1, None), "dark": (0, 0, None), "any": (0, 1, 0.5)}[self.options["tone"]]
         return {
             "column": Range(0, width - 1, whole=True),
@@ -60,7 +60,7 @@ class Spot(Layer):
 
     @cached_property
     def renderer(self) -> Effect:
-        """The shapes of this module, in one formula."""
+        """The effect that renders spots of all shapes in one formula."""
         return _AnySpot(circular=self.circular) if type(self) in (Bulb, Square, Trapezoid) else self
 
     def distance(self, across: Tensor, down: Tensor, values: Mapping[str, Any]) -> Tensor:
@@ -69,7 +69,7 @@ class Spot(Layer):
         return torch.maximum(across.abs() / half, down.abs())
 
     def coefficients(self, params: Numbers, height: int, width: int) -> Numbers:
-        """The place and the half sizes of the spot, and the layer as a line centre + slope rho; the taper of its edges.
+        """Return the place, half sizes and taper of the spot, and `centre` and `slope` of the layer centre + slope rho.
 
         The half width at the height v is `middle` + `lean` v.
         """
@@ -90,7 +90,7 @@ class Spot(Layer):
         }
 
     def layer(self, rows: Tensor, columns: Tensor, values: Mapping[str, Any], height: int, width: int) -> Tensor:
-        """Return what is added."""
+        """Return what the spot adds to the given pixels, in units of white."""
         across = self.offset(columns, values["start"], width) * values["across"]
         rho = self.distance(across, (rows - values["row"]) * values["down"], values)
         return (rho * values["slope"] + values["centre"]) * (rho <= 1)
@@ -119,7 +119,7 @@ class Bulb(Spot):
     RANGES: ClassVar[Mapping[str, Range]] = {**_SPOT, "aspect": Range(0.8, 1.25, minimum=0.05, maximum=20, log=True)}
 
     def distance(self, across: Tensor, down: Tensor, values: Mapping[str, Any]) -> Tensor:
-        """Euclidean."""
+        """Return the distance rho from the centre for a round spot."""
         return torch.hypot(across, down)
 
 

@@ -71,7 +71,7 @@ class Augment(v2.Transform):
         return f"{self.effect!r}, seed={self.seed}"
 
     def forward(self, *inputs: Any) -> Any:
-        """Return the sample with its images augmented, or as it is after `eval()`."""
+        """Return the sample with augmented images; after `eval()` the sample as it is."""
         if self.training:
             return super().forward(*inputs)
         return inputs if len(inputs) > 1 else inputs[0]

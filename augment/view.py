@@ -15,7 +15,7 @@ from augment.ranges import Range
 
 
 class View(Effect):
-    """Move, scale and roll the image, as by a camera in a slightly different place; parts that were not seen are black.
+    """Move, scale and roll the image, as by a camera in a slightly different place; parts beyond the image are black.
 
     With `circular=False` the image is moved by `across` W and `down` H, scaled by `zoom` stretch across and by
     `zoom` / stretch down, and rolled about its middle: for ordinary and fisheye cameras on robots that do not drive
@@ -27,7 +27,7 @@ class View(Effect):
         across: shift to the right, as a share of the width.
         down: shift downwards, as a share of the height.
         zoom: above 1 for an image that grows.
-        stretch: above 1 for one that grows more across than down.
+        stretch: above 1 for an image that grows more across than down.
         roll: angle in degrees.
     """
 
@@ -41,11 +41,11 @@ class View(Effect):
     }
 
     def places(self, height: int, width: int) -> dict[str, Range]:
-        """The column towards which a panorama rolls."""
+        """Return the range of `column`, the column towards which a panorama rolls."""
         return {"column": Range(0, width - 1 if self.circular else 0, whole=True)}
 
     def render(self, batch: Tensor, values: Mapping[str, Tensor]) -> Tensor:
-        """Return the batch from the other view."""
+        """Return the batch as the moved, scaled and rolled camera would see it."""
         p = {key: value[..., 0] for key, value in values.items()}  # (b, 1, 1)
         height, width = batch.shape[2:]
         rows = torch.arange(height, device=batch.device, dtype=torch.float32).view(1, -1, 1) - (height - 1) / 2
