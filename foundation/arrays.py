@@ -59,9 +59,9 @@ def read_headed(
 
     Args:
         path: the file.
-        what: `format` in the header, such as "siamloc map".
-        version: `version` in the header.
-        again: how to make it again.
+        what: expected `format` in the header, such as "siamloc map".
+        version: expected `version` in the header.
+        again: how to make the file again, for the error message.
 
     Raises:
         FormatError: no such file, a damaged file, another format, or another version of it.
@@ -86,7 +86,7 @@ def read_arrays(path: str | Path) -> dict[str, NDArray[Any]]:
     most a hundred times the length of the file plus 64 MB, however well they were compressed.
 
     Raises:
-        OSError, ValueError, ...: one of `DAMAGE`, saying what is wrong.
+        OSError, ValueError, ...: one of the exceptions in `DAMAGE`, saying what is wrong.
     """
     found: dict[str, NDArray[Any]] = {}
     with zipfile.ZipFile(path) as archive:

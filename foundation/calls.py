@@ -55,7 +55,7 @@ OF_FIELDS: Any = None
 
 
 class Taking(Protocol[Fields, Group_co]):
-    """The type of what `takes` returns."""
+    """The type of the decorator that `takes` returns."""
 
     @overload
     def __call__(

@@ -30,7 +30,7 @@ class Rows:
         return len(getattr(self, fields(self)[0].name))
 
     def take(self: Own, rows: Any) -> Own:
-        """Return some of the rows, given by index, by a mask or by a slice."""
+        """Return some of the rows, selected by index, mask or slice."""
 
         def taken(value: Any) -> Any:
             return value[rows] if isinstance(value, np.ndarray) else None if value is None else value.take(rows)

@@ -169,7 +169,7 @@ _REFUSALS = {
 
 @contextmanager
 def storage_errors(path: str | Path) -> Iterator[None]:
-    """Turn the operating system's refusals while writing `path` into one clear sentence."""
+    """Turn errors of the operating system while writing `path` into a StorageError of one clear sentence."""
     try:
         yield
     except StorageError:
@@ -286,9 +286,9 @@ def check_version(found: Any, present: int, what: str, again: str) -> None:
 
     Args:
         found: version in the file.
-        present: the version that is written.
+        present: the version that this code writes.
         what: the file in words, for the message.
-        again: how to make it again, such as "build it again".
+        again: how to make the file again, such as "build it again".
 
     Raises:
         FormatError: another version, or none.

@@ -16,7 +16,7 @@ LOCK = ".lock"
 
 @contextmanager
 def locked(file: Path, *, wait: bool = True) -> Iterator[bool]:
-    """Hold a lock file, which is removed at the end, and yield whether that succeeded.
+    """Hold a lock file inside a `with` block, remove it at the end, and yield whether it could be locked.
 
     Where the file system has no locks, as in some network folders, nothing is locked, and it yields True.
 

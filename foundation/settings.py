@@ -187,7 +187,7 @@ def misfit(values: Mapping[str, Any], kinds: Mapping[str, Any], prefix: str = ""
 
 
 def merged(values: Mapping[str, Any], others: Mapping[str, Any]) -> dict[str, Any]:
-    """Return nested values with others on top of them, paths as texts."""
+    """Return nested values with other values merged over them; paths become texts."""
     result = dict(values)
     for key, value in others.items():
         if isinstance(value, Mapping):
@@ -199,7 +199,7 @@ def merged(values: Mapping[str, Any], others: Mapping[str, Any]) -> dict[str, An
 
 
 def leaves(values: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
-    """Yield the keys of nested values, with dots, and the values."""
+    """Yield the dotted key and the value of each leaf of nested values."""
     for key, value in values.items():
         if isinstance(value, Mapping) and value:
             yield from leaves(value, f"{prefix}{key}.")
