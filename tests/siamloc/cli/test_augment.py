@@ -19,10 +19,8 @@ def manifest(tmp_path_factory):
 
 
 def words(manifest, out, *more):
-    return [
-        *("augment", "expand", f"data.manifest={manifest}", "data.image_size=[32,128]", f"out={out}", "depth=16"),
-        *more,
-    ]
+    given = [f"data.manifest={manifest}", "data.image_size=[32,128]", f"out={out}", "depth=16"]
+    return ["augment", "expand", *given, *more]
 
 
 @pytest.fixture(scope="module")
@@ -98,9 +96,5 @@ def test_a_preview_of_data_and_of_files(manifest, tmp_path, capsys):
     image = data.read("manifest", manifest=manifest).path[0]
     done("augment", "preview", f"images=[{image}]", size, f"out={tmp_path / 'sheet.jpg'}")
     assert f"{len(augment.EFFECTS)} effects on 1 panoramas" in capsys.readouterr().out
-    assert f"{manifest} cannot be shown: " in refused(
-        capsys, "augment", "preview", f"images=[{manifest}]", f"out={tmp_path / 'sheet.png'}"
-    )
-    assert "must be a picture" in refused(
-        capsys, "augment", "preview", f"images=[{image}]", f"out={tmp_path / 'sheet.txt'}"
-    )
+    for shown, out, says in ((manifest, "sheet.png", " cannot be shown: "), (image, "sheet.txt", "must be a picture")):
+        assert says in refused(capsys, "augment", "preview", f"images=[{shown}]", f"out={tmp_path / out}")

@@ -24,25 +24,21 @@ def data(table, descriptor="hog"):
     return [f"data.manifest={table}", "data.image_size=[32,128]", cache, f"descriptor={descriptor}"]
 
 
+@pytest.fixture(scope="module")
+def maps(table, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("maps")
+    for building in BUILDINGS:
+        done("map", *data(table), f"protocol.map.sequences=[{building}_first]", f"run={folder / building}")
+    return [folder / building for building in BUILDINGS]
+
+
 def words(table, run, *more, descriptor="hog"):
     queries = "protocol.query.sequences=['*second','*dark']"
     return ["evaluate", "task=buildings", *data(table, descriptor), queries, f"run={run}", *more]
 
 
-def make_maps(table, folder, *more, descriptor="hog"):
-    for building in BUILDINGS:
-        role = f"protocol.map.sequences=[{building}_first]"
-        done("map", *data(table, descriptor), role, f"run={folder / building}", *more)
-    return [folder / building for building in BUILDINGS]
-
-
 def named(folders):
     return f"task.maps=[{','.join(map(str, folders))}]"
-
-
-@pytest.fixture(scope="module")
-def maps(table, tmp_path_factory):
-    return make_maps(table, tmp_path_factory.mktemp("maps"))
 
 
 def test_the_table_says_what_the_measures_say(table, maps, tmp_path, capsys):

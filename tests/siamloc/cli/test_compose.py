@@ -1,12 +1,10 @@
-from pathlib import Path
-
 import pytest
 
 from siamloc.cli.compose import composed
 from siamloc.data import Protocol
 from siamloc.errors import ConfigError
 from siamloc.jobs import Evaluate, MapFrames, Prepare, Pretrain, Preview, Report, Train
-from siamloc.jobs.options import choices, config_folder, groups, option
+from siamloc.jobs.options import choices, groups, option
 
 
 @pytest.mark.slow
@@ -61,12 +59,6 @@ def test_every_option_of_every_group_composes(override):
             MapFrames,
             {"data": "freiburg_sim", "descriptor": "hog", "build": {"name": "spectral", "nodes": 9}},
         ),
-        (
-            "evaluate",
-            "data=freiburg_sim descriptor=hog task=compact task.nodes=[3]",
-            Evaluate,
-            {"data": "freiburg_sim", "descriptor": "hog", "task": {"names": ["compact"], "nodes": [3]}},
-        ),
         # An experiment chooses before its data do, and what it does not choose follows the data that are given.
         (
             "train",
@@ -112,14 +104,3 @@ def test_other_arguments_of_the_trainer_are_added_with_a_plus():
         composed("train", words)
     config = composed("train", [*words[:2], f"+{words[2]}"])
     assert config.trainer.further == {"limit_train_batches": 3}
-
-
-def test_configuration_lies_in_the_package_or_beside_it():
-    assert (config_folder() / "protocol/freiburg.yaml").is_file()
-    assert config_folder().parent in (Path(__file__).parents[3], Path(__file__).parents[3] / "siamloc")
-
-
-def test_the_commands_without_experiments_compose():
-    for name in ("demo", "report", "simulate"):
-        assert composed(name, []).plain()
-    assert composed("augment expand", ["data=cold", "data.root=x", "out=y"]).plain()

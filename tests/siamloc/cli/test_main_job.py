@@ -44,12 +44,7 @@ def test_a_training_is_replaced_or_continued_only_when_told(trained, data, tmp_p
     run = Run(shutil.copytree(trained, tmp_path / "run"))
     before, again = run.curves(), ["train", f"run={run.folder}"]
     given = train(data, run.folder)
-    for wrong, says in (
-        ("pairs.same_room_share=7", "same_room_share must be"),
-        ("trainer.precision=bf", "the trainer cannot be set up"),
-        ("model.branch.weights=/nowhere.pth", "nowhere.pth"),
-    ):
-        assert says in refused(capsys, *given, "overwrite=true", wrong)
+    assert "the trainer cannot be set up" in refused(capsys, *given, "overwrite=true", "trainer.precision=bf")
     assert "resume=true" in refused(capsys, *given)
     for other in ("model/branch=simple2", "optimizer.learning_rate=5", "seed=7", "pairs.same_room_share=0.3"):
         assert "cannot be resumed with" in refused(capsys, *again, "resume=true", "epochs=9", other)

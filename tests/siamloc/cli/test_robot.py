@@ -44,14 +44,6 @@ def bare(trained, tmp_path):
     return Path(shutil.copytree(trained, tmp_path / "run"))
 
 
-def test_a_network_tells_headings_as_an_analytic_method_does(finished):
-    results = read_results(finished / "evaluation/network")
-    assert (results["heading"]["name"], results["heading"]["step"]) == ("hog", 4)
-    overall = results["measures"]["absolute"]["overall"]
-    assert overall["heading_error"]["count"] == overall["queries"] == 24
-    assert overall["heading_error"]["median"] < 20
-
-
 def test_the_robot_says_what_the_evaluation_says(finished, flat, tmp_path, capsys):
     for here, there in answers(finished):
         assert float(here["distance"]) == pytest.approx(float(there["descriptor_distance"]), abs=1e-3)

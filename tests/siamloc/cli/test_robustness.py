@@ -3,30 +3,18 @@
 from __future__ import annotations
 
 import numpy as np
-import pytest
 
 from siamloc.evaluation.disturbed_tables import curves
 from siamloc.results import read_results, read_rows
 from tests.siamloc.cli.commands import done
 
 
-@pytest.fixture(scope="module")
-def given(words):
-    return [
-        *["evaluate", "task=robustness", "descriptor=hog", *words, "protocol.query.sequences=[second]"],
-        *["task.baselines=[thumbnail]", "task.robustness.every=3", "task.robustness.turn=[0,90]"],
-        "task.robustness.bar_colour=mean",
-    ]
-
-
-@pytest.fixture(scope="module")
-def folder(given, tmp_path_factory):
-    run = tmp_path_factory.mktemp("run")
-    done(*given, f"run={run}", "task.robustness.effects=[bulb]", "task.robustness.strengths=[0,1]")
-    return run / "evaluation" / "robustness-hog"
-
-
-def test_the_files_hold_every_method_disturbance_and_level(folder):
+def test_the_files_hold_every_method_disturbance_and_level(words, tmp_path):
+    levels = [f"task.robustness.{level}" for level in ("turn=[0,90]", "effects=[bulb]", "strengths=[0,1]", "every=3")]
+    levels.append("task.robustness.bar_colour=mean")
+    given = [*words, "protocol.query.sequences=[second]", "task.baselines=[thumbnail]", *levels]
+    done("evaluate", "task=robustness", "descriptor=hog", *given, f"run={tmp_path}")
+    folder = tmp_path / "evaluation/robustness-hog"
     results, table = read_results(folder), read_rows(folder, "robustness")
     found = results["measures"]["robustness"]
     assert results["denominators"] == {"queries": 8, "queries_of_the_role": 24, "map_frames": 24}

@@ -7,7 +7,6 @@ import pytest
 
 import siamloc
 from siamloc import evaluation
-from siamloc.cli.compose import composed
 from siamloc.results import read_results
 from tests.siamloc.cli.commands import QUICK, done, measures, refused
 
@@ -63,16 +62,14 @@ TASKS = {
         {"every": 3, "occlusion": [], "turn": [0, 90], "effects": ["blur"], "seed": 3},
     ),
     "filter": (
-        "task=absolute task.baselines=[] task.filter=true task.filter_tune=true task.refine=interpolate",
+        "task=absolute task.baselines=[] task.filter=true task.filter_tune=true task.refine=interpolate "
+        "task.error_model=true task.lost_above=0.7",
         "hog",
         learned,
-        {"names": ["absolute"], "filter": True, "filter_tune": True, "refine": "interpolate"},
-    ),
-    "error model": (
-        "task=absolute task.baselines=[] task.error_model=true task.lost_above=0.7",
-        "hog",
-        learned,
-        {"names": ["absolute"], "error_model": True, "lost_above": 0.7},
+        {
+            **{"names": ["absolute"], "filter": True, "filter_tune": True, "refine": "interpolate"},
+            **{"error_model": True, "lost_above": 0.7},
+        },
     ),
 }
 
@@ -109,15 +106,6 @@ def test_a_layer_by_command_and_by_call(town, words, images, tmp_path):
     layer = siamloc.maps.group(known, "spectral", nodes=4, folder=tmp_path / "layers/hog-spectral")
     result = evaluation.mapping(known, layer, closure_gap=5, name="spectral over hog")
     agree(tmp_path / "evaluation/mapping-hog-spectral", result, tmp_path / "python")
-
-
-def test_a_job_made_in_python_is_the_command(words, tmp_path):
-    more = [*words, "descriptor=thumbnail", *QUICK]
-    done("evaluate", *more, f"run={tmp_path / 'a'}")
-    result = composed("evaluate", [*more, f"run={tmp_path / 'b'}"]).run()
-    tables = [(tmp_path / run / "evaluation/thumbnail/queries.csv").read_text() for run in "ab"]
-    assert tables[0] == tables[1]
-    assert result.measures["queries"] == 48
 
 
 def test_what_commands_made_works_in_python(trained, images, tmp_path):

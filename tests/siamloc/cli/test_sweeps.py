@@ -190,11 +190,6 @@ def test_long_words_make_names_that_file_systems_take(here, words):
     assert len(list(Run("run").evaluation("hog").glob("*/results.json"))) == 2
 
 
-def test_a_run_of_a_sweep_is_mapped(seeds):
-    done("map", f"run={seeds / 'seed-1'}")
-    assert (seeds / "seed-1/map.npz").is_file()
-
-
 @pytest.mark.slow
 def test_joblib_trains_the_jobs_of_a_sweep_side_by_side(here, data):
     pytest.importorskip("hydra_plugins.hydra_joblib_launcher", reason="the extra `sweeps` is not installed")

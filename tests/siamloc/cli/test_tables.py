@@ -22,17 +22,3 @@ def test_headings_of_some_queries_say_how_many():
     assert ends == [["2.1", "32"], ["2.1", "32"], ["–", "32"]]
     notes = [line for line in lines if line.startswith("heading,")]
     assert notes == ["heading, hog: 10 of 32 queries, where theta is known on both sides"]
-
-
-def test_rooms_count_under_lightings_without_any_position():
-    def group(share):
-        return {"accuracy": share, "top": {"5": 1.0}, "mean_average_precision": 0.4, "chance": 0.25, "queries": 32}
-
-    by_lighting = {"cloudy": group(0.5), "night": group(1.0)}
-    rooms = {"room_retrieval": {"overall": group(0.75), "lighting": by_lighting}}
-
-    fs = {**measured(0), **rooms}
-    lines = [line.split() for line in said({**measured(10), **rooms}, fs=fs) if line.startswith(("hog", "fs "))]
-    assert [line[1] for line in lines] == ["night"] * 2 + ["cloudy", "night", "all"] * 2
-    for line, share in zip(lines[2:], ["50.0", "100.0", "75.0"] * 2, strict=True):
-        assert line[2:] == [share, "%", "100.0", "%", "40.0", "%", "25.0", "%", "32"]
