@@ -1,4 +1,4 @@
-"""Distances between sets of descriptors ([T] eq. 3.8-3.12, [C] eq. 3-6)."""
+"""Distances between sets of descriptors: [T] 3.5.1, eq. 3.8-3.12, and [C] eq. 3-6."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def minkowski(a: ArrayLike, b: ArrayLike, p: float = 2.0, weights: ArrayLike | N
     Args:
         a: (n, D).
         b: (m, D).
-        p: order, at least 1; 1 is Manhattan ([T] eq. 3.9), 2 Euclidean ([T] eq. 3.10).
+        p: order, at least 1; 1 is Manhattan ([T]'s dist1), 2 Euclidean ([T]'s dist2).
         weights: (D,), not negative; ones if None.
 
     Raises:
@@ -50,7 +50,9 @@ def minkowski(a: ArrayLike, b: ArrayLike, p: float = 2.0, weights: ArrayLike | N
 
 
 def cosine(a: ArrayLike, b: ArrayLike) -> Floats:
-    """Return 1 - cosine similarity (n, m), in [0, 2] ([T] eq. 3.12). A zero vector has distance 1 to everything.
+    """Return 1 - cosine similarity (n, m), in [0, 2] ([T] eq. 3.11-3.12, dist4).
+
+    A zero vector has distance 1 to everything.
 
     Example:
         >>> cosine([[1, 0]], [[2, 0], [0, 1], [-1, 0]])
@@ -61,7 +63,9 @@ def cosine(a: ArrayLike, b: ArrayLike) -> Floats:
 
 
 def correlation(a: ArrayLike, b: ArrayLike) -> Floats:
-    """Return 1 - Pearson correlation (n, m), in [0, 2] ([T] eq. 3.11). A constant vector has distance 1 to everything.
+    """Return 1 - Pearson correlation (n, m), in [0, 2] ([T] eq. 3.9-3.10, dist3).
+
+    A constant vector has distance 1 to everything.
 
     Example:
         >>> correlation([[1, 2, 3]], [[5, 7, 9], [3, 2, 1], [4, 4, 4]]).round(6)

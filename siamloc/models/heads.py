@@ -36,8 +36,7 @@ class Head(nn.Module):
 class FullyConnected(Head):
     """Two or three fully connected layers with a ReLU between them ([T] table 5.2).
 
-    Nothing follows the last layer, not even a softmax: it would squeeze the descriptors of all places together, and
-    the published code of the thesis has none.
+    Nothing follows the last layer, as in the published code of the thesis; see `SoftmaxHead` for the text's softmax.
 
     Args:
         name: of the head.
@@ -56,6 +55,18 @@ class FullyConnected(Head):
     def forward(self, features: Tensor) -> Tensor:
         """Return the descriptors of features (B, C, h, w)."""
         return self.layers(features)
+
+
+class SoftmaxHead(FullyConnected):
+    """Two or three fully connected layers, and a softmax after the last: [T] 5.3 read literally.
+
+    Descriptors are positive and sum to 1. They lie at most sqrt(2) apart, so that no two places ever reach the thesis's
+    margin of 2.
+    """
+
+    def forward(self, features: Tensor) -> Tensor:
+        """Return the descriptors of features (B, C, h, w)."""
+        return super().forward(features).softmax(dim=1)
 
 
 class UnitHead(Head):

@@ -75,13 +75,14 @@ class HeadSpec:
     summary: str = "Fully connected layers ([T] table 5.2)."
 
 
+_LAYERS = ((500, 500, 5), (500, 100, 10), (1000, 1000, 10), (4096, 4096, 1000))
+_SOFTMAX = "The same layers, then a softmax: the literal form of [T] 5.3."
+
 HEADS: dict[str, HeadSpec] = {
     spec.name: spec
     for spec in (
-        HeadSpec("fc500_500_5", (500, 500, 5)),
-        HeadSpec("fc500_100_10", (500, 100, 10)),
-        HeadSpec("fc1000_1000_10", (1000, 1000, 10)),
-        HeadSpec("fc4096_4096_1000", (4096, 4096, 1000)),
+        *(HeadSpec(f"fc{a}_{b}_{c}", (a, b, c)) for a, b, c in _LAYERS),
+        *(HeadSpec(f"fc{a}_{b}_{c}_softmax", (a, b, c), "SoftmaxHead", _SOFTMAX) for a, b, c in _LAYERS),
         HeadSpec("fc4096_4096", (4096, 4096), summary="Two layers, as in AlexNet before its class layer."),
         HeadSpec("flat", (256,), "Flat", "One layer over all features: what is seen where, relative to the robot."),
         HeadSpec("gem", (256,), "GeneralizedMean", "The generalized mean of each channel, then one layer."),
@@ -90,9 +91,10 @@ HEADS: dict[str, HeadSpec] = {
         HeadSpec("magnitudes", (2048,), "Magnitudes", "Fourier magnitudes along the azimuth, without weights."),
     )
 }
-"""Three fully connected layers in versions 1 to 4 of [T] table 5.2; two as in AlexNet before its class layer, with the
-descriptor of 4096 numbers in [T] table 5.19; and heads with descriptors of unit length. The descriptors of the head
-`magnitudes` are shorter than 2048 if the features of small images have fewer magnitudes."""
+"""Three fully connected layers in versions 1 to 4 of [T] table 5.2, also with a softmax after the last; two layers as
+in AlexNet before its class layer, with the descriptor of 4096 numbers in [T] table 5.19; and heads with descriptors of
+unit length. The descriptors of the head `magnitudes` are shorter than 2048 if the features of small images have fewer
+magnitudes."""
 
 
 Outputs = Annotated[int, Rule("a whole number from 1 to 65,536", lambda value: 1 <= value <= 65_536)]

@@ -28,6 +28,16 @@ def test_descriptors_have_unit_length_and_as_many_numbers_as_asked_for(head):
     assert build("simple1", head, SIZE).outputs == 256
 
 
+def test_the_literal_head_of_the_thesis_is_a_softmax_of_the_other():
+    plain, literal = (build("simple1", name, SIZE, seed=3).eval() for name in ("fc500_500_5", "fc500_500_5_softmax"))
+    literal.load_state_dict(plain.state_dict())
+    with torch.inference_mode():
+        found = literal(images())
+        raised = plain(images()).exp()
+    torch.testing.assert_close(found, raised / raised.sum(dim=1, keepdim=True))
+    assert literal.outputs == 5
+
+
 def test_fourier_is_the_magnitude_of_the_transform_along_the_azimuth():
     network = build("simple1", "fourier", SIZE, outputs=9, seed=3).eval()
     head = network.head
