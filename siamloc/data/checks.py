@@ -105,7 +105,7 @@ def _spacing(frames: FrameTable) -> str:
 
 
 def wrong_headings(frames: FrameTable) -> Iterator[str]:
-    """Check headings: their range, and whether they follow the direction in which the robot moves."""
+    """Return a sentence for each fault of the headings: their range, or a disagreement with the robot's movement."""
     theta = frames.theta[np.isfinite(frames.theta)]
     beyond, largest = int((np.abs(theta) > _TURN + 0.01).sum()), np.abs(theta).max(initial=0)
     heading, travel = _moving(frames)

@@ -160,7 +160,7 @@ def expand(
 
 
 def outputs(kind: str, frames: FrameTable, root: Path, folder: Path, theta: NDArray[np.float64]) -> list[list[Path]]:
-    """Return the file of every image (frames, depth).
+    """Return the file to write for every image (frames, depth), by the layout:
 
     - cold: `<sequence folder>/<camera>/t<time>_x<x>_y<y>_a<theta>.jpeg`; the variants of a frame are a microsecond
       apart, so that no two have the same name.

@@ -119,17 +119,17 @@ class FrameTable:
         return np.char.add(prefix, self.room)
 
     def identities(self) -> list[tuple[str, str]]:
-        """Return what identifies each frame (n): its sequence, and the absolute path of its image."""
+        """Return for each frame (n) its sequence and the absolute path of its image, which identify it."""
         paths = [abspath(path) for path in self.path.tolist()]  # noqa: PTH100 (tens of thousands of paths)
         return list(zip(self.sequence.tolist(), paths, strict=True))
 
     def columns(self) -> dict[str, NDArray[Any]]:
-        """Return the columns by name."""
+        """Return the columns (n,) by name."""
         return {name: getattr(self, name) for name in _COLUMNS}
 
     @typed
     def take(self, rows: ArrayLike | slice) -> FrameTable:
-        """Return the rows given by positions, a mask (n,) or a slice, in that order."""
+        """Return the frames at some rows, given by row numbers, a mask (n,) or a slice, in that order."""
         key: Any = rows if isinstance(rows, slice) else np.asarray(rows)
         if not isinstance(key, slice) and key.size == 0:
             key = key.astype(np.int64)

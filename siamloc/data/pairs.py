@@ -60,7 +60,7 @@ class Pairs:
         return len(self.first)
 
     def take(self, rows: Any) -> Pairs:
-        """Select the pairs at these positions."""
+        """Return the pairs at some positions, given by index, mask or slice."""
         return Pairs(self.first[rows], self.second[rows], self.label[rows], self.same[rows])
 
 
@@ -120,7 +120,7 @@ class PairSampler:
         return self.epoch_pairs
 
     def summary(self) -> str:
-        """Describe an epoch."""
+        """Describe the pairs of an epoch in a line: their number and their labels."""
         return f"{self.epoch_pairs} {self.label} pairs"
 
     def epoch(self, epoch: int, rank: int = 0, world_size: int = 1) -> Pairs:

@@ -85,7 +85,7 @@ class OmnidirectionalCamera(Protocol, Hashable):
     """Anything that knows where each pixel of a panorama lies in the omnidirectional image."""
 
     def sampling(self, view: PanoramaView, image_size: tuple[int, int]) -> tuple[Array, Array]:
-        """Return the columns (H, W) and rows (H, W) to sample in an image of size (rows, columns)."""
+        """Return the columns (H, W) and rows (H, W) of a panorama's pixels in an image of size (rows, columns)."""
         ...
 
 
@@ -113,7 +113,7 @@ class PolarRing(Settings):
     inside_up: bool = False
 
     def sampling(self, view: PanoramaView, image_size: tuple[int, int]) -> tuple[Array, Array]:
-        """Return the columns (H, W) and rows (H, W) to sample. See `OmnidirectionalCamera`.
+        """Return the columns (H, W) and rows (H, W) in the omnidirectional image of a panorama's pixels.
 
         Raises:
             ConfigError: a ring thinner than a pixel, or of which less than half lies in the image.
@@ -218,7 +218,7 @@ class HyperbolicMirror(Settings):
         return point / np.linalg.norm(point, axis=-1, keepdims=True)
 
     def sampling(self, view: PanoramaView, image_size: tuple[int, int]) -> tuple[Array, Array]:
-        """Return the columns (H, W) and rows (H, W) to sample. See `OmnidirectionalCamera`."""
+        """Return the columns (H, W) and rows (H, W) in the omnidirectional image of a panorama's pixels."""
         if np.radians(view.top) >= self.highest_elevation:
             raise ConfigError(
                 f"the panorama looks up to {view.top} degrees, but a mirror of eccentricity {self.eccentricity} "

@@ -105,11 +105,11 @@ class PlaceSampler:
         return self.epoch_batches
 
     def summary(self) -> str:
-        """Describe an epoch."""
+        """Describe the batches of an epoch in a line: their number and their places."""
         return f"{self.epoch_batches} batches of {self.settings.places} places x {self.settings.images} images"
 
     def notes(self) -> list[str]:
-        """Return notes on the frames whose batches cannot be as requested."""
+        """Return sentences about frames from which batches cannot be drawn as the settings request."""
         settings = self.settings
         unit = self.frames.unit if settings.by == "position" else "frames"
         instead = {
@@ -136,7 +136,7 @@ class PlaceSampler:
             )
 
     def batch(self, epoch: int, number: int, rank: int = 0, world_size: int = 1) -> NDArray[np.int64]:
-        """Return the rows of a batch (places * images,), one place after another.
+        """Return the rows of the frames in one process's batch (places * images,), place after place.
 
         Raises:
             ConfigError: there are more places than frames.
@@ -145,7 +145,7 @@ class PlaceSampler:
         return self.whole_batch(epoch, number, world_size)[rank * each : (rank + 1) * each]
 
     def whole_batch(self, epoch: int, number: int, world_size: int = 1) -> NDArray[np.int64]:
-        """Return the rows of a batch of all processes together (places * images * world_size,).
+        """Return the rows of the frames in the batch of all processes (places * images * world_size,).
 
         Raises:
             ConfigError: there are more places than frames.

@@ -19,7 +19,7 @@ ROLES = ("train", "validation", "map", "query")
 
 @dataclass(frozen=True)
 class Role(Settings):
-    """A selection of frames.
+    """A selection of frames by sequence, lighting, room and spacing, such as the frames of the map.
 
     Attributes:
         sequences: names or shell patterns such as "*seq2_cloudy3"; None if the role is not filled.
