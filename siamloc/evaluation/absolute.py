@@ -70,7 +70,7 @@ def evaluate_absolute(
 
 
 def with_baseline(result: Result, name: str, baseline: Result) -> Result:
-    """Return a result that also has the errors of another method on the same queries."""
+    """Add the errors of another method on the same queries to a result, as the column `baseline_<name>`."""
     columns = {**result.tables["queries"], f"baseline_{name}": baseline.tables["queries"]["error"]}
     result = result.with_part("absolute", pose_measures(columns, result.parts["absolute"]), columns)
     return replace(result, baselines={**result.baselines, name: baseline})

@@ -104,7 +104,7 @@ def buildings(
 
 @typed
 def by_building(known: Sequence[VisualMap]) -> dict[str, VisualMap]:
-    """Return one map per building, by the building's name.
+    """Split maps by building: return one map per building, by the building's name.
 
     Raises:
         ConfigError: fewer than two buildings, two maps of the same building, or maps with different descriptors.

@@ -48,7 +48,8 @@ def lost_measures(called: ArrayLike, error: ArrayLike, lost_above: float) -> dic
         lost_above: the threshold.
 
     Returns:
-        lost_above; `called`, `lost` and `both`, numbers of queries; `precision`, both / called; `recall`, both / lost;
+        lost_above; the numbers of queries `called` lost, truly `lost` and `both`; `precision`, both / called; `recall`,
+        both / lost;
         NaN if the denominator is zero.
     """
     verdict, lost = np.asarray(called, dtype=bool), np.asarray(error) > lost_above
@@ -71,7 +72,7 @@ def calibration_measures(columns: Mapping[str, NDArray], lost_above: float) -> d
     Returns:
         The groups "overall", "lighting" (by label) and "room" (by label). A group holds `queries`; `predicted` and
         `observed`, the means; `gap`, the difference between predicted and observed error in a query's bin of the
-        calibration curve, averaged over queries; `curve`, as from `calibration_curve`; and `lost`, as from
+        calibration curve, averaged over queries; `curve`, as from `calibration_curve`; and `lost`, from
         `lost_measures`.
     """
 

@@ -24,7 +24,7 @@ def room_names(*tables: FrameTable) -> list[NDArray[np.str_]]:
 
 
 def query_columns(frames: FrameTable, rooms: NDArray[np.str_]) -> Columns:
-    """Return the first columns of the table of queries (n), with the names of their rooms (n,)."""
+    """Return the first columns of `queries.csv` for n queries, and their room names (n,)."""
     return {
         "query": np.arange(len(frames)),
         "path": frames.path,
@@ -35,13 +35,13 @@ def query_columns(frames: FrameTable, rooms: NDArray[np.str_]) -> Columns:
 
 
 def right_share(columns: Mapping[str, NDArray], rows: NDArray[np.int64]) -> dict[str, Any]:
-    """Return `accuracy`, `correct` and `queries` of some rows (at least one), from the column `correct`."""
+    """Return `accuracy` and the counts `correct` and `queries` of some rows (at least one)."""
     correct = int(columns["correct"][rows].sum())
     return {"accuracy": correct / len(rows), "correct": correct, "queries": len(rows)}
 
 
 def map_columns(known: FrameTable, queries: FrameTable) -> Columns:
-    """Return the columns of `map.csv` for a map's frames, used for pictures and to compare runs."""
+    """Return the columns of `map.csv`: the map's frames, for pictures and to compare runs."""
     rooms = room_names(known, queries)[0]
     return {"path": known.path, "x": known.x, "y": known.y, "theta": known.theta, "room": rooms}
 
@@ -63,7 +63,7 @@ def confusions(columns: Mapping[str, NDArray], what: str, labels: Sequence[str])
     """Return the confusion matrices of rooms or buildings, as lists of rows.
 
     Args:
-        columns: the true label of each query in the column `what`, and the other one in `predicted_<what>`.
+        columns: the true label of each query in the column `what`, and the predicted label in `predicted_<what>`.
         what: "room" or "building".
         labels: all labels, in the order of the rows and columns.
 

@@ -240,7 +240,7 @@ def _nearest(search: Callable[[], Retrieval], clock: Stopwatch, queries: int) ->
 
 
 def grid_of(nodes: int) -> tuple[int, int]:
-    """Return the grid of a self-organizing map with about this number of units, as square as possible.
+    """Return rows and columns, as equal as possible, of a self-organizing map with about this number of units.
 
     Example:
         >>> grid_of(40), grid_of(10), grid_of(7)

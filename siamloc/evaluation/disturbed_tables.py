@@ -132,8 +132,8 @@ def measures(
 
     Args:
         table: the columns that `curves` returned.
-        disturbances: `Disturbance.plain` of each.
-        unit: of the errors.
+        disturbances: name, kind and levels of each disturbance, from `Disturbance.plain`.
+        unit: unit of the errors.
         every: number of queries of which one was used.
 
     Returns:
@@ -156,7 +156,7 @@ def measures(
 
 
 def concatenated(parts: Sequence[Mapping[str, NDArray]]) -> Columns:
-    """Join tables with the same columns."""
+    """Concatenate tables with the same columns, row after row."""
     return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
 
 

@@ -47,7 +47,7 @@ class FilterSettings(Settings):
 
 @dataclass(frozen=True)
 class Estimates(Settings):
-    """Estimates for each query in addition to the position of the nearest map frame.
+    """Which estimates are made of each query's position in addition to the nearest map frame's position.
 
     Attributes:
         filter: track the robot through each sequence; keeps the distances of all queries to all map frames. With
@@ -83,13 +83,13 @@ class Estimates(Settings):
 
 @dataclass(frozen=True)
 class Learned:
-    """What is learned for the estimates before the queries are judged.
+    """What the estimates need to know, learned from the map and the validation frames.
 
     Attributes:
         validation: the validation frames, searched in the map; None if nothing is learned from them.
         refinement: the method for poses finer than the map, with the learned width of the ellipses; None for none.
         errors: the error model; None for none.
-        about: the data from which each of them was learned, as plain values.
+        about: the data from which the refinement and the error model were learned, as plain values.
     """
 
     validation: Validation | None
@@ -156,7 +156,7 @@ def refinement(settings: Estimates, known: VisualMap) -> Refinement | None:
 
 
 def prepared(settings: Estimates, search: Search) -> Search:
-    """Return a search that provides everything the further estimates need.
+    """Return a search with the distances and refined poses that the settings of `Estimates` need.
 
     Raises:
         DataError: `refine` is "relative", and the map has headings that cannot be right.
@@ -173,7 +173,7 @@ def prepared(settings: Estimates, search: Search) -> Search:
 
 
 def learn(session: Session, settings: Estimates, search: Search) -> Learned:
-    """Return what the settings ask to learn for a map.
+    """Learn the error model and the width of the ellipses of refined poses, as far as the settings need them.
 
     Args:
         session: a session, with validation frames if the settings need them.
@@ -286,7 +286,7 @@ def filtered(
 
 
 def refined(refinement: Refinement, poses: RefinedPoses, queries: FrameTable) -> Columns:
-    """Return the columns of finer poses for `queries.csv`."""
+    """Return the columns of `queries.csv` with poses between map frames and, for "relative", their agreement."""
     columns = estimate_columns(ESTIMATES[refinement.method], poses.xy, queries, poses.theta)
     if refinement.method == "interpolate":
         used = np.rint(poses.agreement * refinement.neighbours)
@@ -296,14 +296,14 @@ def refined(refinement: Refinement, poses: RefinedPoses, queries: FrameTable) ->
 
 
 def tracked(step: float, kidnapping: float, queries: FrameTable, poses: RefinedPoses) -> tuple[Columns, dict[str, Any]]:
-    """Filter poses by comparison along the queries of each sequence; return the columns and the filter's parameters.
+    """Filter refined poses along the queries of each sequence; return their columns and the filter's parameters.
 
     Args:
         step: distance the robot moves between two queries, learned from the map; the median step of the query poses if
             that is larger.
         kidnapping: as for `PoseFilter`.
         queries: n queries.
-        poses: poses of the queries (n), estimated by comparison.
+        poses: refined poses of the queries (n).
     """
     gone = [np.hypot(*np.diff(poses.xy[rows], axis=0).T) for rows in queries.rows_by("sequence").values()]
     usual = float(np.median(steps)) if len(steps := np.concatenate([np.empty(0), *gone])) else 0.0

@@ -39,8 +39,8 @@ class CoarseRanking(Settings):
     """How the nodes are ranked for a query.
 
     Attributes:
-        by: by their "representatives", by the "vote" of the nearest map frames, or, if nodes are rooms, by the
-            "classifier" that a network was trained with to name them.
+        by: the distance to the nodes' "representatives", the "vote" of the nearest map frames, or, if nodes are rooms,
+            the "classifier" of a network that was trained to name rooms.
         neighbours: number of map frames that vote.
         ratio: candidates whose representative is more than `ratio` times as far as the nearest one are not searched, at
             least 1; None searches all candidates.

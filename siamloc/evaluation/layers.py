@@ -118,7 +118,7 @@ def mapping(
 
 
 def mapping_measures(columns: Mapping[str, NDArray], radius: float, gap: int) -> dict[str, Any]:
-    """Return the measures that can be computed from the columns of `frames.csv`.
+    """Return the measures of a coarse layer that can be computed from the columns of `frames.csv`.
 
     Returns:
         frames, nodes, unassigned (frames in no node, and their share); `silhouette` of the capture points, "nearest"
@@ -192,7 +192,7 @@ def silhouette(
     mode: Literal["nearest", "pooled"] = "nearest",
     unassigned: Literal["left_out", "cluster"] = "left_out",
 ) -> float:
-    """Return the silhouette of nodes in positions or descriptors (n, D), NaN with fewer than two nodes."""
+    """Return the average silhouette, in [-1, 1], of nodes in positions or descriptors (n, D); NaN below two nodes."""
     from analytic import measures
 
     if len(set(labels[labels >= 0].tolist())) < 2:

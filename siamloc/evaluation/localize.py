@@ -45,7 +45,7 @@ Name = Literal["absolute", "room_retrieval"]
 
 @dataclass(frozen=True)
 class JudgedPairs(Settings):
-    """Pairs of queries that are judged to be from the same room or not.
+    """Pairs of queries for which the descriptor distance decides whether both show the same room.
 
     Attributes:
         count: number of pairs.
@@ -60,13 +60,13 @@ class JudgedPairs(Settings):
 
 @dataclass(frozen=True)
 class Localization(Estimates):
-    """What is measured for the queries; further estimates as in `Estimates`.
+    """Settings of `localization`; those of further estimates as in `Estimates`.
 
     Attributes:
-        names: "absolute" for poses, "room_retrieval" for rooms.
+        names: what is measured: "absolute" for poses, "room_retrieval" for rooms.
         radii: radii of the recall: a retrieved map frame within such a radius is right, in the unit of the positions.
         ks: numbers of retrieved frames for the recall.
-        pairs: pairs of queries that are judged as well, if the descriptor is a network.
+        pairs: pairs of queries to judge as from one room or two, if the descriptor is a network.
     """
 
     WHERE = "task"

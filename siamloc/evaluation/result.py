@@ -27,11 +27,11 @@ class Measures(TypedDict, total=False):
     """The measures of a task over all queries. Each task fills in some of the keys.
 
     Attributes:
-        unit: of positions and errors.
+        unit: unit of positions and errors.
         queries: number of queries; by lighting in compact maps.
         map_frames: number of map frames.
         lighting: the same measures by lighting; likewise `room` and `room_by_lighting`.
-        error: of a position, with "mean", "median", "p95", "max" and "rmse"; likewise `floor` (of the map
+        error: errors of positions, with "mean", "median", "p95", "max" and "rmse"; likewise `floor` (of the map
             frame that is truly nearest), `excess` (the error above the floor) and `heading_error` in degrees.
         hit_rate: share of queries whose answer lies within each of the `radii`, with "radius" and "rate".
         recall: share of queries with an answer within a radius among the first `ks`, with "radius", "k" and "recall".
@@ -40,7 +40,7 @@ class Measures(TypedDict, total=False):
         coarse: how often the right node comes first in a hierarchical search; `perfect_coarse` is what the map could do
             with the right node, `absolute` without nodes, and `loss` the difference of the mean errors.
         comparisons: number of map frames that a query is compared with.
-        silhouette: of the nodes of a map, and further `inertia`, `purity`, `closures`, `nodes`, `bytes` and more.
+        silhouette: silhouette of a map's nodes; likewise `inertia`, `purity`, `closures`, `nodes`, `bytes` and more.
         curves: errors of compact maps by way and number of nodes.
         methods: errors under disturbances, by method and disturbance.
     """
@@ -98,7 +98,7 @@ class Measures(TypedDict, total=False):
 
 @dataclass(frozen=True, eq=False)
 class Result:
-    """Measures, and the tables from which they are computed.
+    """The result of an evaluation: measures, and the tables from which they are computed.
 
     Attributes:
         name: name of its folder and of its rows in a comparison, such as "hog".
@@ -291,7 +291,7 @@ class Result:
         )
 
     def with_part(self, name: str, measures: Mapping[str, Any], queries: Columns) -> Result:
-        """Return the result with further measures and another table "queries"."""
+        """Return the result with the measures of another part, such as "room_retrieval", and a new table "queries"."""
         return replace(self, parts={**self.parts, name: measures}, tables={**self.tables, "queries": queries})
 
     def joined(self, other: Result) -> Result:

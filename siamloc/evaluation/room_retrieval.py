@@ -91,7 +91,7 @@ def evaluate_pairs(
         same: True for pairs from one room (n,).
         margin: the contrastive loss's margin, positive.
         threshold: dissimilarity min(distance / margin, 1) below which a pair is judged to be from one room; in (0, 1].
-        lighting: of each pair (n,), for measures by lighting.
+        lighting: lighting of each pair (n,), for measures by lighting.
         labels: more columns for `pairs.csv`, such as the two paths and rooms.
 
     Raises:

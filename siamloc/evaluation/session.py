@@ -29,7 +29,7 @@ Baselines = Mapping[str, Descriptor] | Sequence[str | Descriptor] | str | Descri
 
 
 def several(words: str) -> Rule:
-    """Return the rule that a list has one or more values, none of them twice."""
+    """Return the rule that a list has at least one value and no value twice."""
     return Rule(f"a list of one or more {words} that differ", lambda values: 0 < len(values) == len(set(values)))
 
 
@@ -39,7 +39,7 @@ Counts = Annotated[tuple[Count, ...], several("whole numbers from 1")]
 
 @dataclass(frozen=True)
 class Found(Rows):
-    """Results of a search for n frames.
+    """Results of a search in a map for n frames.
 
     Attributes:
         retrieval: the nearest map frames.
@@ -76,7 +76,7 @@ class Search:
     _parts: list[Found] = field(default_factory=list)
 
     def take_in(self, queries: Description, clock: Stopwatch) -> None:
-        """Search the map for the next batch of frames, and add the results."""
+        """Search the map for the next batch of described frames, and add their results."""
         start = sum(map(len, self._parts))
         barred = None if self.excluded is None else self.excluded[start : start + len(queries)]
         with clock.of("search", len(queries)):
@@ -91,7 +91,7 @@ class Search:
 
     @cached_property
     def found(self) -> Found:
-        """The results for all frames; read once all batches are in."""
+        """The results for all frames; valid after the last batch."""
         return Found.concatenate(self._parts)
 
 
@@ -157,7 +157,7 @@ class Session:
             )
 
     def map_by(self, other: Descriptor) -> VisualMap:
-        """Return a map of the same frames, described by another descriptor."""
+        """Return a map of the same frames by another descriptor."""
         if other is self.known.descriptor:
             return self.known
         return maps.build(other, self.images, self.known.frames)
@@ -165,7 +165,7 @@ class Session:
     def parts_of(
         self, by: VisualMap | Descriptor, frames: FrameTable, what: str, clock: Stopwatch | None = None
     ) -> Iterable[Description]:
-        """Return descriptions of frames, in one part unless the descriptor compares after turning.
+        """Yield the descriptions of frames: all at once, or batch by batch if the descriptor compares after turning.
 
         Descriptions by such descriptors are large, so only one batch at a time is in memory.
         """
@@ -207,10 +207,10 @@ class Session:
         return text
 
     def leave_out(self, has: NDArray[np.bool_], what: str, key: str, remedy: str) -> None:
-        """Record in `skipped` how many frames lack a property, and are left out therefore.
+        """Record in `skipped` how many frames are left out because they lack a property.
 
         Args:
-            has: which frames have it.
+            has: which frames have the property.
             what: what is missing, and of which frames, such as "queries have no position".
             key: key in `skipped`.
             remedy: what to do if all frames lack it.

@@ -66,7 +66,7 @@ def recall_at_one_percent(retrieved: ArrayLike, map_xy: ArrayLike, query_xy: Arr
 
 
 def one_percent(map_size: int) -> int:
-    """Return K = max(1, ceil(m / 100)) for a map of m frames."""
+    """Return one percent of a map of m frames as a number of frames, max(1, ceil(m / 100))."""
     return max(1, -(-int(map_size) // 100))
 
 
