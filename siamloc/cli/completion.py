@@ -34,7 +34,7 @@ _INTERNAL = ("hydra", "settings", "building")
 
 
 def completion(words: list[str]) -> str:
-    """Return the script for a shell, or for `query LINE` the candidates, one per line.
+    """Return the completion script for a shell; for `query LINE`, the possible last words, one per line.
 
     Raises:
         ConfigError: an unknown shell.

@@ -39,7 +39,7 @@ _print = partial(print, flush=True)
 
 
 def run(command: str, words: list[str]) -> None:
-    """Compose the job of a command and run it; with -m once for each combination.
+    """Run the job of a command with the settings of these words; with -m once for each combination.
 
     Raises:
         ConfigError: an unknown key, group option or value, with the nearest valid one.
@@ -81,7 +81,7 @@ def run(command: str, words: list[str]) -> None:
 
 
 def composed(command: str, words: list[str]) -> Job:
-    """Return the job that a command would run with these words.
+    """Return the job that a command would run with these words, such as "data=cold".
 
     Raises:
         ConfigError: as `run`.
@@ -98,7 +98,7 @@ def composed(command: str, words: list[str]) -> Job:
 
 
 def compose_values(kind: type[Job], words: list[str]) -> DictConfig:
-    """Compose the values of a job, and restore the state of any running Hydra job afterwards."""
+    """Return the settings of a job composed by Hydra; the state of a running Hydra job is restored afterwards."""
     from hydra import compose as hydra_compose
 
     with _initialized(kind):
@@ -106,7 +106,7 @@ def compose_values(kind: type[Job], words: list[str]) -> DictConfig:
 
 
 def completed(kind: type[Job], line: str) -> list[str]:
-    """Return what may follow the words of a line, for the tab key."""
+    """Return the possible next words of a command line, for the tab key."""
     from hydra.core.global_hydra import GlobalHydra
     from hydra.plugins.completion_plugin import DefaultCompletionPlugin
 
@@ -154,7 +154,7 @@ def _made(kind: type[Job], config: DictConfig, words: list[str]) -> Job:
 
 
 def together(kind: type[Job]) -> list[type[Job]]:
-    """Return the jobs that share their keys with a job: all that experiments may set keys for, or itself alone."""
+    """Return the jobs for which an experiment sets keys, if this is one of them, or else this job alone."""
     return [job_of(name) for name in ("prepare", "train", "map", "evaluate", "export")] if kind.SHARED else [kind]
 
 

@@ -31,14 +31,14 @@ COMMANDS = {
 
 
 def job_of(command: str) -> type[Job]:
-    """Load the job of a command."""
+    """Return the class of a command's job."""
     module, _, name = COMMANDS[command][0].rpartition(".")
     job: type[Job] = getattr(import_module(f"siamloc.{module}"), name)
     return job
 
 
 def overview() -> str:
-    """Return the answer to `siamloc --help`."""
+    """Return the text of `siamloc --help`: the commands, a line each."""
     width = max(map(len, COMMANDS))
     lines = "\n".join(f"  {name:<{width}}  {summary}" for name, (_, summary) in COMMANDS.items())
     return (

@@ -25,11 +25,11 @@ OF_A_RUN = ("network", "untrained")
 
 @dataclass(frozen=True)
 class Choice(Settings):
-    """An option of a group by its name, with its parameters.
+    """An option of a group, chosen by its name, with its parameters.
 
     Attributes:
-        name: of the option.
-        parameters: of the option, as plain values.
+        name: name of the option.
+        parameters: parameters of the option, as plain values.
         label: name in folders and tables in place of the option's.
     """
 
@@ -57,7 +57,7 @@ class Choice(Settings):
 
     @property
     def title(self) -> str:
-        """The label, else the name."""
+        """The label if there is one, else the name."""
         return self.label or self.name
 
     def plain(self) -> dict[str, Any]:
@@ -66,7 +66,7 @@ class Choice(Settings):
 
 
 class Loss(Choice):
-    """The loss of a training."""
+    """The loss of a training, by its name."""
 
     WHERE = "loss"
 
@@ -186,7 +186,7 @@ class Branch(Settings):
     """The branch of a network.
 
     Attributes:
-        name: of the branch.
+        name: name of the branch.
         weights: imagenet or siamloc, or the path of a run or of a file of weights; random if None.
     """
 
@@ -201,8 +201,8 @@ class Head(Settings):
     """The head of a network.
 
     Attributes:
-        name: of the head.
-        outputs: length of a descriptor, for heads of one layer; the head's own if None.
+        name: name of the head.
+        outputs: length of a descriptor, for heads of one layer; the head's default if None.
     """
 
     WHERE = "model.head"
@@ -220,8 +220,8 @@ class Model(Settings):
         head: turns features into a descriptor.
         circular: convolutions wrap around the azimuth; refused with data.circular=false.
         normalize: channels, image, local or local_brightness; the default of the branch if None.
-        canonical: turn panoramas first, so that a turn by whole columns changes nothing; for circular=true.
-        relative: also learn where an image was taken relative to a map frame; for circular=true.
+        canonical: turn panoramas first, so that a turn by whole columns leaves the descriptor; for circular=true.
+        relative: whether to learn where an image was taken relative to a map frame; for circular=true.
     """
 
     WHERE = "model"

@@ -94,7 +94,7 @@ class Evaluate(RunJob):
                 raise ConfigError(f"unknown descriptor {name!r} in task.baselines: {hint(name, known)}")
 
     def run(self, say: Say = quiet) -> Result:
-        """Measure the task, and write the results."""
+        """Measure the task and write its results."""
         run = self.here
         shared = run.evaluation(self.name) if self.out is None else Path(self.out)
         # Elsewhere than in the run, no part of the path says which run or descriptor the results are of.
@@ -117,7 +117,7 @@ class Evaluate(RunJob):
 
     @property
     def label(self) -> str:
-        """The name of the descriptor's results, with the distance if one is given."""
+        """The label of the results: the descriptor's title, with the distance if the user gave one."""
         title = self.descriptor.title
         return title if self.distance is None else f"{title}-{self.distance}"
 

@@ -27,16 +27,16 @@ _FIELD = {key: name for name, key in _KEY.items()}
 
 
 def quiet(line: str) -> None:
-    """Receive a line and do nothing."""
+    """Ignore a line of output; the default `say` of `run`."""
 
 
 @dataclass(frozen=True)
 class Given:
-    """What a user has set, as opposed to defaults: it wins over the settings of a run.
+    """Which settings the user gave, as opposed to defaults: they win over the settings of a run.
 
     Attributes:
-        keys: with dots, such as "protocol.map.every".
-        groups: those of the keys that choose an option, with dots, such as "data" or "model.branch".
+        keys: keys with dots, such as "protocol.map.every".
+        groups: the keys that choose an option, with dots, such as "data" or "model.branch".
     """
 
     keys: Sequence[str] = ()
@@ -48,9 +48,9 @@ class Job(Settings):
 
     Attributes:
         GROUPS: the groups of options, each with the option that is chosen by default.
-        MORE: values on top of the options and defaults.
+        MORE: further values, which replace those of options and defaults.
         SHARED: other jobs whose keys are accepted and ignored, as experiments set keys for all of them.
-        ALONE: the key whose value a word without "=" is.
+        ALONE: the key that a word without "=" gives the value of.
         BY_HYDRA: whether Hydra composes the settings; the robot runs without it.
     """
 
@@ -61,7 +61,7 @@ class Job(Settings):
     BY_HYDRA: ClassVar[bool] = True
 
     def run(self, say: Say = quiet) -> Any:
-        """Do the work.
+        """Do the work of the job.
 
         Args:
             say: receives each line that the command line prints.
@@ -73,8 +73,8 @@ class Job(Settings):
         """Make a job from plain values; a group is the name of an option, or a mapping of its keys.
 
         Args:
-            values: of the fields; missing ones get their defaults.
-            given: the values that win over the settings of a run; all if None.
+            values: values of the fields; missing fields get their defaults.
+            given: the keys whose values win over the settings of a run; all if None.
 
         Raises:
             ConfigError: an unknown key, a missing key without a default, or a value of the wrong type or out of range.
@@ -122,7 +122,7 @@ class Job(Settings):
 
 
 def given_by(kind: type[Job], values: Mapping[str, Any]) -> Given:
-    """Return which keys and groups a mapping of values sets."""
+    """Return which keys and groups of a job a mapping of values sets."""
     groups = [group for group in (*kind.GROUPS, "experiment") if isinstance(_at(values, group), str)]
     return Given([key for key, _ in leaves(values)], [group.replace("/", ".") for group in groups])
 

@@ -25,8 +25,8 @@ class Option:
 
     Attributes:
         values: the keys of the group with their defaults.
-        summary: what the option is, in one line.
-        chooses: options of other groups that it chooses, by group.
+        summary: description of the option in one line.
+        chooses: names of the options of other groups that come with this option, by group.
     """
 
     values: Mapping[str, Any]
@@ -189,7 +189,7 @@ def groups() -> list[str]:
 
 
 def choices(group: str) -> dict[str, str]:
-    """Return the options of a group, from the registries and from files, with one line about each."""
+    """Return the names of a group's options, from registries and files, with a line about each."""
     found = {name: option.summary for name, option in options().get(group, {}).items()}
     for path in (config_folder() / group).glob("*.yaml"):
         lines = re.findall(r"^# ([^@ ].*)", path.read_text(encoding="utf-8"), flags=re.MULTILINE)

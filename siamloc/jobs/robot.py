@@ -27,8 +27,8 @@ class Robot(Job):
 
     Attributes:
         images: files, folders, videos, and cameras such as camera:0.
-        folder: of the run whose bundle is used.
-        bundle: another bundle.
+        folder: folder of the run whose bundle is used.
+        bundle: folder of a bundle, instead of a run's.
         top: number of map frames to list for each image.
         track: follow the robot from image to image; each folder, video and camera is a drive.
         threads: number of onnxruntime threads; onnxruntime chooses if None.
@@ -46,7 +46,7 @@ class Robot(Job):
     hierarchical: bool | None = None
 
     def localizer(self) -> Localizer:
-        """Return the localizer, after making sure that images are given.
+        """Open the bundle and return its localizer; refuse a job without images.
 
         Raises:
             ConfigError: neither a bundle nor a run is given, or no images.
@@ -90,7 +90,7 @@ class Localize(Robot):
 
     @property
     def target(self) -> Path | None:
-        """The file of the locations."""
+        """The file that the locations are written to."""
         if self.out is not None or self.format != "table":
             return self.out
         inside = self.folder if self.bundle is None else None

@@ -54,7 +54,7 @@ class DataJob(Job):
         return Preprocessing.checked(self.data.image_size, self.unwrap)
 
     def open_roles(self, *names: str, known: VisualMap | None = None) -> tuple[PanoramaLibrary, dict[str, FrameTable]]:
-        """Return the panoramas that these roles of the protocol need, and the readable frames of each role.
+        """Open the panoramas for some roles of the protocol; also return the readable frames of each role.
 
         Args:
             names: roles to fill.
@@ -82,13 +82,13 @@ class RunJob(DataJob):
     """Base of the jobs that describe images for a run.
 
     Attributes:
-        folder: of the run.
+        folder: folder of the run.
         model: the architecture of the network, to make sure that the run's network has it.
-        checkpoint: of the network: best on the validation sequence, or last; best falls back to last.
-        device: where networks describe.
+        checkpoint: checkpoint of the network: best on the validation sequence, or last; best falls back to last.
+        device: device on which networks compute.
         descriptor: a network or an analytic descriptor.
         heading: the descriptor that estimates headings for a network that cannot.
-        distance: how descriptors are compared; the descriptor's own if None.
+        distance: how descriptors are compared; the descriptor's default if None.
         build: how the frames of the map are grouped into nodes.
         seed: seed of all random draws.
     """
@@ -133,23 +133,23 @@ class RunJob(DataJob):
 
     @cached_property
     def titles(self) -> dict[str, str]:
-        """The titles of the descriptor and the build, for folders and tables."""
+        """The titles of the descriptor and of the build, by group, for the names of folders and rows of tables."""
         return {"descriptor": self.descriptor.title, "build": self.build.title}
 
     @cached_property
     def here(self) -> Run:
-        """The run that the job works on; analytic descriptors need none and have their own folder."""
+        """The run that the job works on; for analytic descriptors without a run, the job's own folder."""
         if self.folder is not None:
             return Run(Path(self.folder))
         return Run(Path("runs") / (self.data.name or "data") / self.descriptor.title)
 
     @property
     def way(self) -> dict[str, Any]:
-        """How frames are grouped into nodes, as arguments of `siamloc.maps.group`."""
+        """How frames are grouped into nodes, as arguments for `siamloc.maps.group`."""
         return {"way": self.build.name, "seed": self.seed, **self.build.parameters}
 
     def make_descriptor(self, chosen: DescriptorChoice | None = None) -> Descriptor:
-        """Make a descriptor, a network's on the job's device; the job's own if None."""
+        """Make a descriptor, by default the job's; a network computes on the job's device."""
         chosen = chosen or self.descriptor
         if chosen.name in DESCRIPTORS:
             return descriptor(chosen.name, **chosen.parameters, circular=self.data.circular)
@@ -164,7 +164,7 @@ class RunJob(DataJob):
         return models.as_descriptor(network, self.device)
 
     def make_heading(self, say: Say) -> Descriptor | None:
-        """Make the descriptor that estimates headings; None if there is none, or the job's descriptor gives them."""
+        """Make the descriptor that estimates headings; None without one, or if the job's descriptor estimates them."""
         name = self.heading.name
         if name == "none":
             return None

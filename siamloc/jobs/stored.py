@@ -50,7 +50,7 @@ def with_settings_of_the_run(
 
     Args:
         values: with `run`, and `descriptor` where the job has one.
-        given: what wins over the run.
+        given: the keys that win over the settings of the run.
         known: keys of the job.
         resumed: whether to take the settings of the training as well.
         replaces_map: whether a new map is made: frames and headings of the existing one are then not taken.
@@ -93,7 +93,7 @@ def with_settings_of_the_run(
 
 
 def map_file(run: Run, label: str) -> Path:
-    """Return the path of a descriptor's map in a run."""
+    """Return the path of the map of a descriptor, by the descriptor's title, in a run."""
     return run.map if label == "network" else run.evaluation(label) / "map.npz"
 
 
@@ -113,13 +113,14 @@ def map_places(run: Run, titles: Mapping[str, str]) -> list[Path]:
 
 
 def map_known(run: Run, titles: Mapping[str, str]) -> Path:
-    """Return the map that a job searches: its own, or one shared across distances and headings; it need not exist."""
+    """Return the path of the map that a job searches: its own, or that of another distance or heading, even if
+    there is none yet."""
     places = map_places(run, titles)
     return next((path for path in places if path.is_file()), places[-1])
 
 
 def only_map(run: Run) -> dict[Path, VisualMap]:
-    """Read the only map in a folder without a trained network, by its file; none if there are others."""
+    """Return the only map in a folder without a trained network, by its file; empty if there are several."""
     made = list(run.folder.glob("evaluation/*/map.npz"))
     if run.record.is_file() or len(made) != 1:
         return {}

@@ -24,7 +24,7 @@ class Sweep:
     Attributes:
         values: the settings that differ between the jobs, by key, such as {"model/branch": "vgg11", "seed": 1}.
         words: the same settings as texts, for the names of folders.
-        number: of the job; None outside sweeps.
+        number: number of the job in the sweep; None outside sweeps.
     """
 
     values: Mapping[str, Any] = field(default_factory=dict)
@@ -34,7 +34,7 @@ class Sweep:
     @classmethod
     @contextmanager
     def running(cls, sweep: Sweep) -> Iterator[None]:
-        """Let the jobs inside the `with` block belong to a sweep."""
+        """Mark the jobs that run inside the `with` block as jobs of a sweep."""
         token = _RUNNING.set(sweep)
         try:
             yield
@@ -74,8 +74,8 @@ def own_folder(folder: Path, titles: Mapping[str, str], wanted: Choice) -> Path:
     title is not that of another choice.
 
     Args:
-        folder: shared by the jobs.
-        titles: of the job's descriptor and build, by group.
+        folder: folder that the jobs share.
+        titles: titles of the job's descriptor and build, by group.
         wanted: which swept keys change the contents of the folder.
     """
     words = _RUNNING.get().words

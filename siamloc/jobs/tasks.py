@@ -20,11 +20,11 @@ _COMPARED = ("thumbnail", "untrained")
 
 @dataclass(frozen=True, kw_only=True)
 class Task(Settings):
-    """Base of the tasks.
+    """Base of the tasks of `siamloc evaluate`.
 
     Attributes:
-        names: of the tasks that are measured.
-        plots: also draw pictures.
+        names: names of the tasks that are measured.
+        plots: whether to draw plots as well.
     """
 
     WHERE = "task"
@@ -42,7 +42,7 @@ class Task(Settings):
         return super().of(values) if cls is not Task else kind_of(values).of(values)  # type: ignore[misc, return-value]
 
     def of_call(self, kind: type[Kind]) -> Kind:
-        """Return the settings that a call of `siamloc.evaluation` takes, without the keys that choose its arguments."""
+        """Return only the settings that a call of `siamloc.evaluation` takes, not those that choose its arguments."""
         values, known = self.plain(), fields_of(kind)
         if "coarse" in known:
             values["coarse"] = {key: values["coarse"][key] for key in fields_of(CoarseRanking)}
@@ -51,7 +51,7 @@ class Task(Settings):
 
 @dataclass(frozen=True)
 class LocalizationTask(Localization, Task):
-    """Poses and rooms of the queries.
+    """Measure the poses and rooms of the queries.
 
     Attributes:
         baselines: descriptors by name, to measure on the same frames.
@@ -62,21 +62,21 @@ class LocalizationTask(Localization, Task):
 
 @dataclass(frozen=True)
 class AbsoluteTask(LocalizationTask):
-    """Poses of the queries alone."""
+    """Measure only the poses of the queries."""
 
     names: tuple[str, ...] = ("absolute",)  # type: ignore[assignment]
 
 
 @dataclass(frozen=True)
 class RoomTask(LocalizationTask):
-    """Rooms of the queries alone."""
+    """Measure only the rooms of the queries."""
 
     names: tuple[str, ...] = ("room_retrieval",)  # type: ignore[assignment]
 
 
 @dataclass(frozen=True)
 class CoarseTask(CoarseRanking):
-    """How the nodes of task=hierarchical are made and ranked.
+    """How task=hierarchical makes and ranks the nodes.
 
     Attributes:
         descriptor: builds and ranks the nodes: a descriptor's name or a run folder; the fine descriptor if None.
@@ -87,7 +87,7 @@ class CoarseTask(CoarseRanking):
 
 @dataclass(frozen=True)
 class HierarchicalTask(Hierarchical, Task):
-    """Two layers: the nodes of build=... first, then the map frames inside the nearest ones."""
+    """Locate queries in two layers: the nodes of build=... first, then the map frames inside the nearest nodes."""
 
     names: tuple[str, ...] = ("hierarchical",)
     coarse: CoarseTask = field(default_factory=CoarseTask)
@@ -95,17 +95,17 @@ class HierarchicalTask(Hierarchical, Task):
 
 @dataclass(frozen=True)
 class MappingTask(MapMeasures, Task):
-    """The quality of a coarse layer: silhouettes, rooms, loop closures, time and bytes."""
+    """Measure the quality of a coarse layer: silhouettes, rooms, loop closures, time and bytes."""
 
     names: tuple[str, ...] = ("mapping",)
 
 
 @dataclass(frozen=True)
 class CompactTask(Compact, Task):
-    """Localization in maps of fewer and fewer nodes, next to plain sampling ([C] 5.2-5.4).
+    """Measure localization in maps of fewer and fewer nodes, next to plain sampling ([C] 5.2-5.4).
 
     Attributes:
-        clusters: descriptor for grouping frames, by name; None for the one that locates.
+        clusters: name of the descriptor for grouping frames; None for the descriptor that locates.
     """
 
     names: tuple[str, ...] = ("compact",)
@@ -114,7 +114,7 @@ class CompactTask(Compact, Task):
 
 @dataclass(frozen=True)
 class RobustnessTask(Task):
-    """How errors grow when the query images are disturbed; the map stays clean ([T] 3.4.2).
+    """Measure how errors grow when the query images are disturbed; the map stays clean ([T] 3.4.2).
 
     Attributes:
         robustness: how the images are disturbed.
@@ -128,7 +128,7 @@ class RobustnessTask(Task):
 
 @dataclass(frozen=True)
 class BuildingsTask(Task):
-    """Which of several buildings a query is in ([C] 5.3.3, which uses distance=cosine).
+    """Choose which of several buildings a query is in ([C] 5.3.3, which uses distance=cosine).
 
     Attributes:
         maps: run folders with a map of one building each, or map files; if None, protocol.map split by building.
@@ -152,7 +152,7 @@ TASKS: dict[str, type[Task]] = {
 
 
 def kind_of(values: Mapping[str, Any]) -> type[Task]:
-    """Return the class of a task from its `names`.
+    """Return the class of the task with the given `names`.
 
     Raises:
         ConfigError: an unknown task, or tasks that cannot be measured together.
