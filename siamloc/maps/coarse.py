@@ -160,7 +160,7 @@ _CLASSES = ("class_weight", "class_bias")
 
 
 def naming(known: VisualMap, layer: CoarseLayer) -> RoomClassifier | None:
-    """Return the map's classifier, limited to the nodes of a layer; None unless it knows the names of all nodes."""
+    """Return the map's room classifier, limited to the nodes of a layer; None unless it knows all of their names."""
     rooms = getattr(known.describes, "rooms", None)
     if not isinstance(rooms, RoomClassifier) or not set(layer.names.tolist()) <= set(rooms.names.tolist()):
         return None

@@ -28,7 +28,7 @@ _AGREEMENT, _UNTOLD = 0.02, 1e6  # smallest agreement used, and the deviation of
 
 
 def ratio_score(found: Retrieval, map_xy: NDArray[np.float64], radius: float) -> NDArray[np.float64]:
-    """Return the ratio of two descriptor distances (n,), in [0, 1]: to the best match, and to the best match elsewhere.
+    """Return the distance to the best match over the distance to the best match elsewhere (n,), in [0, 1].
 
     A match is elsewhere if it lies beyond the radius from the best match. Near 1, another place looks just as much like
     the query. If all neighbours lie within the radius, the largest descriptor distance among them replaces the missing
@@ -71,7 +71,7 @@ class ErrorModel(Learned):
             whatever the expected error, see `with_foreign`; None if it was not learned.
         foreign_weight: weight of the best match's descriptor distance in the strangeness; 0 with refined poses.
         map_digest: digest of the map it was learned on; "" if unknown.
-        refine: the poses whose errors are expected: "none" for those of the nearest map frames, or a method of
+        refine: the poses whose errors are predicted: "none" for those of the nearest map frames, or a method of
             `siamloc.maps.Refinement`.
     """
 
@@ -201,7 +201,7 @@ class ErrorModel(Learned):
         return expected, (expected > self.lost_above) | self.foreign(found, map_xy, poses)
 
     def foreign(self, found: Retrieval, map_xy: ArrayLike, poses: RefinedPoses | None = None) -> NDArray[np.bool_]:
-        """Return which queries (n,) show nothing that is on the map; no query if no threshold was learned for it.
+        """Return which queries (n,) show nothing that is on the map; none if no threshold was learned.
 
         Arguments and errors as for `judged`.
         """

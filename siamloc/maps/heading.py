@@ -24,9 +24,9 @@ that one band, which divides every height, is enough for it."""
 
 
 def halved(by: Descriptor, orientation: NDArray[Any]) -> NDArray[np.float16]:
-    """Return orientation parts (n, K, F) by a descriptor in half precision, complex ones as (n, K, F, 2).
+    """Return orientation parts (n, K, F) that a descriptor made in half precision, complex ones as (n, K, F, 2).
 
-    Those of each frame are scaled by a power of two that brings the largest value to 2^13 ... 2^14: a heading is the
+    Each frame's parts are scaled by a power of two that brings the largest value to 2^13 ... 2^14: a heading is the
     turn with the largest correlation, and no scale changes that.
 
     Raises:
@@ -47,12 +47,12 @@ def heading_descriptor(identity: Mapping[str, Any]) -> Descriptor:
 
 
 def is_analytic(identity: Mapping[str, Any]) -> bool:
-    """Whether an identity is that of an analytic descriptor, which can be created from it."""
+    """Whether an identity belongs to an analytic descriptor, which can be made from it alone."""
     return identity.get("name") in list(DESCRIPTORS)  # a name from a file may be anything, also a list
 
 
 def descriptor_of(identity: Mapping[str, Any]) -> ImageDescriptor:
-    """Return the analytic descriptor that an identity, its name and parameters, stands for.
+    """Return the analytic descriptor with this identity, that is, with these name and parameters.
 
     Raises:
         AnalyticError: a descriptor or a parameter that this version does not know.
@@ -88,6 +88,6 @@ class NetworkHeading(BetweenColumns):
 
 
 def described(by: Descriptor, heading: Descriptor | None, batch: ArrayLike) -> Description:
-    """Describe images with one descriptor, and with the orientation parts of a second one if there is one."""
+    """Describe images with one descriptor, with the orientation parts of a second descriptor if one is given."""
     found = by.describe(batch)
     return found if heading is None else Description(found.position, heading.describe(batch).orientation)

@@ -64,7 +64,7 @@ class LayerSearch(Settings):
         candidates: number of nodes searched for each query; all of them if there are fewer.
         neighbours: number of map frames that vote.
         ratio: candidates whose representative is more than `ratio` times as far as the nearest one are not searched:
-            most queries then search one node, those between two nodes both; None searches all candidates.
+            most queries are then searched in one node, queries between two nodes in both; None searches all.
         along: number of frames before and after the nearest one, in its drive, that are searched as well if they lie
             in another node: for queries at the border of a node. The frames of each drive must then be in order.
     """

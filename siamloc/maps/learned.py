@@ -18,7 +18,7 @@ Kind = TypeVar("Kind", bound="Learned")
 
 
 class Learned(Settings):
-    """Base of dataclasses of plain values with a field `map_digest`; values are checked as those of settings are.
+    """Base of dataclasses of plain values learned on a map, with a field `map_digest`; types are checked.
 
     Attributes:
         FORMAT: name of the format in the file.

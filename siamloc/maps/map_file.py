@@ -55,7 +55,7 @@ def write_map(path: str | Path, known: Any, precision: Precision) -> None:
 
 
 def read_map(path: str | Path, kind: Callable[..., Map]) -> Map:
-    """Read what `write_map` wrote.
+    """Read a map that `write_map` wrote.
 
     Args:
         path: the file.

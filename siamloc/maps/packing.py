@@ -46,7 +46,7 @@ def packed(name: str, values: NDArray, precision: Precision) -> dict[str, NDArra
 
 
 def shares_values(one: NDArray[Any], other: NDArray[Any]) -> bool:
-    """Whether two arrays are the same memory in the same order, possibly in different shapes."""
+    """Whether two arrays share the same memory in the same order, possibly in different shapes."""
     return (
         one.ctypes.data == other.ctypes.data
         and (one.dtype, one.size) == (other.dtype, other.size)
@@ -62,7 +62,7 @@ def all_finite(values: NDArray[Any]) -> bool:
 
 
 def unpacked(values: NDArray, scale: NDArray) -> NDArray:
-    """Return the array that `packed` was given, at its stored precision, as float32 or complex64.
+    """Return a packed array as float32 or complex64, at the precision with which it was stored.
 
     Raises:
         ValueError: arrays that do not match each other.

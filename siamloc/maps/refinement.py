@@ -42,12 +42,12 @@ in rad; information (n, 3, 3): the inverse of the scale matrix of a t-distributi
 
 @dataclass(frozen=True, eq=False)
 class RefinedPoses(Rows):
-    """Poses of n queries.
+    """Poses of n queries, finer than the map's spacing.
 
     Attributes:
         xy: (n, 2), in the unit of the positions; the map frame's own position if nothing could be compared.
         theta: (n,) in rad, in (-pi, pi]; NaN if nothing could be compared.
-        information: (n, 2, 2) of x and y, inverse of the scale matrix of a t-distribution with 4 degrees of freedom;
+        information: (n, 2, 2) inverse of the scale matrix of x and y in a t-distribution with 4 degrees of freedom;
             zeros if nothing could be compared. Errors of the answers for a query are correlated: see `widening`.
         agreement: (n,) share of the answers that agree on the pose, from 0 to 1.
         frame: (n,) the map frame whose answer has the largest weight.

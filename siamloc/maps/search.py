@@ -37,7 +37,7 @@ _LARGEST = 1e15  # of a scaled query; beyond, float32 products overflow
 
 @dataclass(frozen=True)
 class Retrieval(Rows):
-    """Result of a search, the nearest reference first.
+    """Result of a search for n queries, the nearest reference first.
 
     Attributes:
         indices: rows of the references (n, k).
@@ -232,7 +232,7 @@ def _nearest(
 
 
 def slices(count: int, step: int) -> Iterator[slice]:
-    """Yield slices of up to `step` rows, at least one, that cover `count` rows in order."""
+    """Yield consecutive slices of up to `step` rows (`step` at least 1) that cover `count` rows."""
     step = max(step, 1)
     return (slice(start, min(start + step, count)) for start in range(0, count, step))
 

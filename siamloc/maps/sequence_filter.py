@@ -56,7 +56,7 @@ class SequenceFilter:
 
     Args:
         motion: motion model of a robot in this map (m frames).
-        temperature: of the softmax, in units of the descriptor distance; see `temperature_of_map`.
+        temperature: temperature of the softmax, in units of the descriptor distance; see `temperature_of_map`.
         kidnapping: probability that the robot could be anywhere, in (0, 1).
 
     Attributes:
@@ -244,7 +244,7 @@ class TunedFilter:
     """Settings of a sequence filter, with their validation error.
 
     Attributes:
-        temperature: of the softmax, in units of the descriptor distance.
+        temperature: temperature of the softmax, in units of the descriptor distance.
         kidnapping: probability that the robot could be anywhere.
         error: mean error on the validation sequence.
     """
@@ -261,7 +261,7 @@ def learn_temperature(distances: ArrayLike, true: ArrayLike) -> float:
 
     Args:
         distances: (n, m) from queries to the map; infinite where a frame is left out.
-        true: (n,) the geometrically nearest map frame of each, at a finite distance.
+        true: (n,) the geometrically nearest map frame of each query, at a finite distance.
     """
     apart, rows = np.asarray(distances, dtype=np.float64), np.asarray(true)
     apart = apart - apart.min(axis=1, keepdims=True)
@@ -314,7 +314,7 @@ def tune_filter(
     softer: Sequence[float] = (1, 2, 3, 4),
     kidnapping: Sequence[float] = (1e-3, 1e-5, 1e-7),
 ) -> list[TunedFilter]:
-    """Try settings on a validation sequence; return them with the smallest mean error first.
+    """Try settings of the filter on a validation sequence; return the tried settings, smallest mean error first.
 
     The temperature that suits single queries treats each of them as independent. But consecutive queries see nearly the
     same, so mistakes persist, and a higher (softer) temperature keeps the filter from trusting a mistake more the
@@ -323,8 +323,8 @@ def tune_filter(
     Args:
         motion: motion model of a robot in the map (m frames).
         distances: (n, m) from the validation queries to the map.
-        true_xy: (n, 2) their true positions.
-        sequence: (n,) their sequences.
+        true_xy: (n, 2) true positions of the queries.
+        sequence: (n,) sequences of the queries.
         temperature: the temperature that suits single queries.
         softer: factors of the temperature to try, positive.
         kidnapping: probabilities to try, in (0, 1).

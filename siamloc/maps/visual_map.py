@@ -30,7 +30,7 @@ from siamloc.maps.search import Retrieval, VectorIndex
 
 @dataclass(frozen=True, eq=False, repr=False)
 class VisualMap:
-    """Descriptors (n, D) and the frames they describe; immutable. Built by `siamloc.maps.build`.
+    """The frames that a robot knows and their descriptors (n, D); immutable. Built by `siamloc.maps.build`.
 
     Attributes:
         descriptors: (n, D) float32, read-only.
@@ -132,7 +132,7 @@ class VisualMap:
 
     @cached_property
     def heading_by(self) -> Descriptor:
-        """The descriptor that compares the orientation parts: that of the map, its network's stand-in, or a second one.
+        """The descriptor that compares the orientation parts: the map's own, its network's stand-in, or a second one.
 
         Raises:
             AnalyticError: a descriptor or a parameter that this version does not know.
@@ -141,7 +141,7 @@ class VisualMap:
 
     @property
     def heading_descriptor(self) -> Descriptor | None:
-        """The second descriptor, which gives the headings; None if the map's own descriptor does, or nothing."""
+        """The second descriptor, whose orientation parts give the headings; None without one."""
         return None if self.heading is None or self.heading_by_network else self.heading_by
 
     @property
@@ -182,7 +182,7 @@ class VisualMap:
 
     @cached_property
     def digest(self) -> str:
-        """A hash of the descriptors, the way they are compared, the frames and the identity, not of the headings."""
+        """A hash of the descriptors, their distance, the frames and the identity; orientation parts do not count."""
         digest = hashlib.sha256(json.dumps([self.identity, self.distance], sort_keys=True).encode())
         digest.update("\0".join([*self.frames.path.tolist(), *self.frames.place.tolist()]).encode())
         for array in (self.descriptors, self.frames.xy):
@@ -216,7 +216,7 @@ class VisualMap:
         return replace(self, descriptors=descriptors, frames=frames, orientation=parts, made=made)
 
     def placed(self) -> VisualMap:
-        """Return the map of the frames that have a position: the map itself if all have one.
+        """Return the map with only the frames that have a position: the map itself if all have one.
 
         Raises:
             DataError: no frame has a position.
@@ -227,7 +227,7 @@ class VisualMap:
         return self if placed.all() else self.take(placed)
 
     def turning(self, rows: NDArray[np.int64]) -> Description:
-        """Return some rows (p,) as the description that headings are estimated from."""
+        """Return the description of some rows (p,) with the orientation parts that headings are estimated from."""
         if self.heading is None or self.orientation is None:
             return self.description.take(rows)
         parts = self.orientation[rows].astype(np.float32)
