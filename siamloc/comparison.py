@@ -70,7 +70,7 @@ class Comparison:
         return Table("comparison", (*columns, Column(self.measured[-1])), tuple(rows))
 
     def table(self) -> str:
-        """Return the rows as text."""
+        """Return the rows as a text table."""
         return self.summary().text()
 
     @typed
@@ -85,7 +85,7 @@ class Comparison:
 
     @typed
     def plot(self, against: str | None = None) -> Figure:
-        """Plot the figure against a setting, with a line for each combination of the others.
+        """Plot the measure `by` against a setting, with a line for each combination of the other settings.
 
         Args:
             against: one of `differing`. If None, the first numeric one other than the seed, or else the first.
@@ -120,7 +120,7 @@ def flat(settings: Mapping[str, Any], without: Sequence[str] = (), prefix: str =
     Args:
         settings: plain values, nested.
         without: keys to leave out.
-        prefix: of all keys.
+        prefix: text in front of all keys.
 
     Example:
         >>> flat({"training": {"seed": 1}, "model": {"branch": "vgg16"}}, ["model.branch"])

@@ -19,7 +19,7 @@ _EXTRAS = {"embreex": "simulate", "hydra_plugins": "sweeps", "aiohttp": "live"}
 
 
 def lacking(error: ModuleNotFoundError) -> str | None:
-    """Return a sentence naming the extra that installs a missing package; None for our own modules."""
+    """Return a sentence that names the extra with the package that an import misses; None for our own modules."""
     package = (error.name or "").partition(".")[0]
     if package in _OURS:
         return None
@@ -36,7 +36,7 @@ def installing(extra: str) -> str:
 
 
 def leave_out(problems: Sequence[str], total: int, what: str, on_error: str) -> None:
-    """Report what had to be left out: one warning line, or an error if `on_error` is "raise".
+    """Report files or frames that are left out: one warning line, or an error if `on_error` is "raise".
 
     Args:
         problems: one text for each thing left out.
@@ -58,7 +58,7 @@ def leave_out(problems: Sequence[str], total: int, what: str, on_error: str) -> 
 
 
 def check_known(values: Iterable[str], names: Iterable[str], where: str) -> None:
-    """Refuse a key that is not among the names of a group.
+    """Refuse a mapping with a key that is not among the valid names.
 
     Raises:
         ConfigError: an unknown key, with the nearest valid one.

@@ -13,7 +13,7 @@ _SOON = 0.02
 
 
 def stop_once(number: int, frame: FrameType | None) -> None:
-    """Raise KeyboardInterrupt; from then on another interrupt makes the system end the process, without a message.
+    """Handle Ctrl-C: raise KeyboardInterrupt, and let the system end the process at the next Ctrl-C.
 
     Half-written files are then removed by the next command that writes them.
     """
@@ -22,7 +22,7 @@ def stop_once(number: int, frame: FrameType | None) -> None:
 
 
 def hear_again() -> None:
-    """Raise an interrupt again if it came where Python ignores it and continues, such as in a destructor."""
+    """Raise KeyboardInterrupt again if it came where Python ignores it, such as in a destructor."""
     usual = sys.unraisablehook
 
     def press() -> None:

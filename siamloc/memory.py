@@ -22,7 +22,7 @@ _USUAL = {_M_MMAP_MAX: 65_536, _M_MMAP_THRESHOLD: 2**25, _M_TRIM_THRESHOLD: 2**2
 
 @contextmanager
 def kept_memory() -> Iterator[None]:
-    """Keep freed memory in the process until the block ends, for the steps of a training.
+    """Keep freed memory in the process until the `with` block ends, for the steps of a training.
 
     glibc gives each block above 32 MB back to the system as soon as it is freed. A network on a CPU asks for the same
     large blocks at every step, and the system clears them page by page each time, which can take as long as the
@@ -42,7 +42,7 @@ def kept_memory() -> Iterator[None]:
 
 @contextmanager
 def returned_memory() -> Iterator[None]:
-    """Give large blocks back to the system as soon as they are freed, until the block ends, for the start of a robot.
+    """Return large freed blocks to the system at once until the `with` block ends, for the start of a robot.
 
     glibc keeps freed blocks up to the size of the largest one freed before, at most 32 MB, since such a size often
     comes again. The weights of a network are read, reordered and freed once, and never again: keeping their memory

@@ -11,7 +11,7 @@ from statistics import median
 
 @dataclass
 class Stopwatch:
-    """Measure the time that each step takes, in seconds and images per batch.
+    """Measure the time per image that each step, such as "search", takes, batch by batch.
 
     Example:
         >>> clock = Stopwatch()
@@ -25,7 +25,7 @@ class Stopwatch:
 
     @contextmanager
     def of(self, step: str, images: int) -> Iterator[None]:
-        """Count the time of the block for this step and number of images."""
+        """Measure the time of a `with` block as the step's time for this number of images."""
         start = time.perf_counter()
         yield
         if images:
