@@ -1,4 +1,4 @@
-from .claims import holds as holds
+from .claims import examine as examine
 from .page import write_report as write_report
 from .reproduction import Reproduction as Reproduction
 from .running import reproduce as reproduce

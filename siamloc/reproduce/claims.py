@@ -14,12 +14,16 @@ There are three kinds of checks:
 `where` filters the records; `match` applies the check to every group with equal values of these settings. A setting
 may be given as a value, a list of values, bounds (`above`, `below`, `at_least`, `at_most`), or `not` with a value or a
 list.
+
+Numbers do not decide an order or a trend if they are equal, or if they differ by less than the spread of one of them
+(`Record.spread`): another seed could then give another verdict. Claims that numbers are about alike (`goes: flat`, a
+`factor` below 1) and thresholds are compared as they are.
 """
 
 from __future__ import annotations
 
 import operator
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from itertools import pairwise
@@ -29,7 +33,7 @@ from typing import Any
 from foundation.calls import typed
 from foundation.settings import Settings, Text
 from siamloc.errors import ConfigError, hint
-from siamloc.reproduce.published import Record, Source, contents, grouped, named, published
+from siamloc.reproduce.published import Record, Source, contents, grouped, measures, named, published
 
 _BOUNDS: dict[str, Callable[[Any, Any], bool]] = {
     "above": operator.gt,
@@ -63,7 +67,23 @@ class Claim(Settings):
 
     def printed(self) -> bool | None:
         """Return whether the document's own numbers support the claim; None if they were not printed."""
-        return holds(self.check, [record for entry in self.entries for record in published(entry).records()])
+        return examine(self.check, [record for entry in self.entries for record in published(entry).records()]).holds
+
+
+@dataclass(frozen=True)
+class Finding:
+    """Whether numbers pass a check.
+
+    Attributes:
+        holds: None if they do not decide.
+        why: why they do not decide; "" if they do.
+    """
+
+    holds: bool | None
+    why: str = ""
+
+
+_NOTHING = Finding(None, "the numbers that it compares are missing")
 
 
 def claim(id: str) -> Claim:
@@ -80,18 +100,27 @@ def claims() -> tuple[Claim, ...]:
     return tuple(_claims().values())
 
 
-@typed
-def holds(check: Mapping[str, Any], records: Sequence[Record]) -> bool | None:
-    """Return whether published or measured numbers pass a check.
+def spread_of(kind: str, one: Record) -> float:
+    """Return the standard deviation over seeds of a number that was measured with one seed, as `claims.yaml` states it.
 
-    Returns:
-        None if the records lack what the check compares.
+    Args:
+        kind: the kind of experiment.
+        one: the number.
+    """
+    stated = float(contents("claims")["spreads"].get(kind, {}).get(one.measure, 0))
+    relative = measures().get(one.measure, {}).get("unit", "1") not in ("1", "share")
+    return stated * abs(one.value) if relative else stated
+
+
+@typed
+def examine(check: Mapping[str, Any], records: Sequence[Record]) -> Finding:
+    """Check published or measured numbers.
 
     Raises:
         ConfigError: an unknown kind of check or key.
 
     Example:
-        >>> holds({"kind": "threshold", "measure": "error", "below": 0.5}, [Record("error", 0.4, {})])
+        >>> examine({"kind": "threshold", "measure": "error", "below": 0.5}, [Record("error", 0.4, {})]).holds
         True
     """
     kind = str(check.get("kind"))
@@ -101,50 +130,79 @@ def holds(check: Mapping[str, Any], records: Sequence[Record]) -> bool | None:
     for key in set(check) - keys:
         raise ConfigError(f"a check of kind {kind} has no key {key!r}; {hint(key, sorted(keys))}")
     found = [one for one in records if one.measure == check["measure"] and _fits(one, check.get("where", {}))]
-    results = [passes(check, group) for group in grouped(check.get("match", ()), found).values()]
-    decided = [result for result in results if result is not None]
-    return all(decided) if decided else None
+    return combined([passes(check, group) for group in grouped(check.get("match", ()), found).values()])
 
 
-def _order(check: Mapping[str, Any], records: Sequence[Record]) -> bool | None:
+def combined(findings: Iterable[Finding]) -> Finding:
+    """Combine findings about one claim: it holds if it does wherever there is something to compare."""
+    compared = [one for one in findings if one != _NOTHING]
+    failed = [one for wanted in (False, None) for one in compared if one.holds is wanted]
+    return [*failed, *compared, _NOTHING][0]
+
+
+def _order(check: Mapping[str, Any], records: Sequence[Record]) -> Finding:
     more = _side(records, check["more"], check["less"])
     less = _side(records, check["less"], check["more"])
     if not more or not less:
-        return None
-    pick = check.get("pick")
-    high, low = (PICKS[pick](more), PICKS[pick](less)) if pick in PICKS else (min(more), max(less))
-    return high >= check["factor"] * low if "factor" in check else high > low
+        return _NOTHING
+    pick, factor = check.get("pick"), check.get("factor", 1)
+    (high, above), (low, below) = (
+        _picked(pick if pick in PICKS else each, side) for each, side in (("min", more), ("max", less))
+    )
+    if factor < 1:
+        return Finding(high >= factor * low)
+    return _apart([factor * low, high], max(above, factor * below)) or Finding(high >= factor * low)
 
 
-def _side(records: Sequence[Record], wanted: Any, opposite: Any) -> list[float]:
-    """Return the values of one side; the side "others" has all records that do not fit the opposite one."""
+def _side(records: Sequence[Record], wanted: Any, opposite: Any) -> list[Record]:
+    """Return the records of one side; the side "others" has all that do not fit the opposite one."""
     if wanted == "others":
-        return [one.value for one in records if not _fits(one, opposite)]
-    return [one.value for one in records if _fits(one, wanted)]
+        return [one for one in records if not _fits(one, opposite)]
+    return [one for one in records if _fits(one, wanted)]
 
 
-def _trend(check: Mapping[str, Any], records: Sequence[Record]) -> bool | None:
-    along, pick, within = check["along"], PICKS[check.get("pick", "mean")], check.get("within", 0)
+def _trend(check: Mapping[str, Any], records: Sequence[Record]) -> Finding:
+    along, within = check["along"], check.get("within", 0)
     places = grouped([along], [one for one in records if along in one.settings])
     if len(places) < 2:
-        return None
-    picked = [pick([one.value for one in part]) for part in places.values()]
+        return _NOTHING
+    values, spreads = zip(*(_picked(check.get("pick", "mean"), part) for part in places.values()), strict=True)
     if check["goes"] == "flat":
-        return max(picked) <= (1 + within) * min(picked)
-    sign = 1 if check["goes"] == "up" else -1
-    return all(sign * (after - before) >= -within * abs(before) for before, after in pairwise(picked))
+        return Finding(max(values) <= (1 + within) * min(values))
+    sign, spread = 1 if check["goes"] == "up" else -1, max(spreads)
+    worst = min(sign * (after - before) + within * abs(before) for before, after in pairwise(values))
+    if -spread < worst < 0:
+        return Finding(None, f"a step the other way, {-worst:.2g}, is smaller than the spread over seeds, {spread:.2g}")
+    return _apart(values, spread) or Finding(worst >= 0)
 
 
-def _threshold(check: Mapping[str, Any], records: Sequence[Record]) -> bool | None:
+def _threshold(check: Mapping[str, Any], records: Sequence[Record]) -> Finding:
     values = [one.value for one in records]
     if not values:
-        return None
+        return _NOTHING
     picked = [PICKS[check["pick"]](values)] if check.get("pick") in PICKS else values
-    return all(_BOUNDS[name](value, check[name]) for name in _BOUNDS if name in check for value in picked)
+    return Finding(all(_BOUNDS[name](value, check[name]) for name in _BOUNDS if name in check for value in picked))
+
+
+def _picked(pick: str, records: Sequence[Record]) -> tuple[float, float]:
+    """Return the value that represents some records, and its spread."""
+    if pick == "mean":
+        return fmean(one.value for one in records), fmean(one.spread for one in records)
+    one = (min if pick == "min" else max)(records, key=lambda one: one.value)
+    return one.value, one.spread
+
+
+def _apart(values: Sequence[float], spread: float) -> Finding | None:
+    """Return why values do not decide; None if they lie far enough apart."""
+    low, high = min(values), max(values)
+    if low == high:
+        return Finding(None, f"all compared values are {low:.4g}")
+    less = f"{low:.4g} and {high:.4g} differ by less than the spread over seeds, {spread:.2g}"
+    return Finding(None, less) if high - low < spread else None
 
 
 # Each kind of check, with the keys that only it has.
-_KINDS: dict[str, tuple[Callable[[Mapping[str, Any], Sequence[Record]], bool | None], set[str]]] = {
+_KINDS: dict[str, tuple[Callable[[Mapping[str, Any], Sequence[Record]], Finding], set[str]]] = {
     "order": (_order, {"more", "less", "factor"}),
     "trend": (_trend, {"along", "goes", "within"}),
     "threshold": (_threshold, set(_BOUNDS)),

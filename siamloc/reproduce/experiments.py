@@ -144,6 +144,7 @@ def disturbed(job: Job, data: Data) -> Measured:
     """
     options, frames = job.options, data.role(job.roles["query"])
     known = data.described(options["descriptor"], job.roles["map"], options.get("map_noise", 0.0))
+    seed = options.get("seed", 0)
     size = {}
     if options["descriptor"]["name"] != "pretrained":
         position, _ = descriptor(**options["descriptor"]).sizes(*data.image_size)
@@ -151,7 +152,9 @@ def disturbed(job: Job, data: Data) -> Measured:
     levels: dict[str, Any] = {name: tuple(options.get(name, ())) for name in ("noise", "occlusion")}
     levels |= {name: options[name] for name in ("bars", "bar_colour") if name in options}
     for place, settings in _compared(known, job):
-        result = evaluation.robustness(place, data.images, frames, every=1, turn=(), name="measured", **levels)
+        result = evaluation.robustness(
+            place, data.images, frames, every=1, turn=(), name="measured", seed=seed, **levels
+        )
         for name, curve in result.measures["methods"]["measured"].items():
             for one in curve:
                 level = {name: one["level"]} if one["level"] else {"noise": 0, "occlusion": 0}
@@ -164,7 +167,7 @@ def disturbed(job: Job, data: Data) -> Measured:
 def mapping(job: Job, data: Data) -> Measured:
     """Group a drive into nodes ([T] 4.5-4.6, [I] 6): silhouette, number of nodes, frames in no node, time."""
     known = _grouping_map(job, data)
-    yield from _grouped(known, job.options["build"], job.settings)
+    yield from _grouped(known, {"seed": job.options.get("seed", 0), **job.options["build"]}, job.settings)
     yield from _records(job.settings, frames=len(known))
 
 
@@ -219,7 +222,13 @@ def compact(job: Job, data: Data) -> Measured:
     own = data.described(options["descriptor"], job.roles["map"])
     clusters = data.described(options["clusters"], job.roles["map"]) if "clusters" in options else None
     nodes, protocol = tuple(n for n in options["nodes"] if n <= len(own)), "same_run" if job.same_run else "cross_run"
-    asked: dict[str, Any] = {"nodes": nodes, "protocol": protocol, "ways": tuple(options["ways"]), "clusters": clusters}
+    asked: dict[str, Any] = {
+        "seed": options.get("seed", 0),
+        "nodes": nodes,
+        "protocol": protocol,
+        "ways": tuple(options["ways"]),
+        "clusters": clusters,
+    }
     for place, settings in _compared(own, job):
         result = evaluation.compact(place, data.images, frames, **asked)
         for one in result.measures["curves"]:
@@ -296,8 +305,8 @@ def _learned(job: Job, data: Data, **training_options: Any) -> Iterator[VisualMa
     from siamloc import models, training
 
     options, folder = job.options, data.work / content_key(job.plain())
-    weights = options.get("weights")
-    network = models.build(options["branch"], options["head"], image_size=data.image_size, weights=weights, seed=0)
+    weights, seed = options.get("weights"), options.get("seed", 0)
+    network = models.build(options["branch"], options["head"], image_size=data.image_size, weights=weights, seed=seed)
     training.fit(
         network,
         data.images,
@@ -305,6 +314,7 @@ def _learned(job: Job, data: Data, **training_options: Any) -> Iterator[VisualMa
         run=folder,
         augmentation=options.get("augment"),
         resume=(folder / "run.json").is_file(),  # continues an interrupted run
+        seed=seed,
         epochs=options["epochs"],
         optimizer=options["optimizer"],
         **training_options,

@@ -5,11 +5,13 @@ from __future__ import annotations
 import datetime
 from collections import Counter
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 from foundation.calls import typed
 from foundation.files import write_text
-from siamloc.reproduce.reproduction import Reproduction
+from siamloc.reproduce.claims import combined
+from siamloc.reproduce.reproduction import CONTRADICTED, VERDICTS, Reproduction, Verdict
 from siamloc.reproduce.study_book import data_named
 from siamloc.results import versions
 
@@ -19,9 +21,11 @@ and `siamloc reproduce --list` lists all. Published numbers and claims come from
 **[C]** Cebollada et al. 2019, **[T]** Román's thesis of 2023. They were measured on other images, partly with other
 protocols, on other machines; each part says what replaces what here. A claim is a sentence of a text with a check that
 numbers can be tested against: it *holds*, *does not hold*, or is *not decidable* if the study, the data or the scale
-lack what it compares. If the printed numbers themselves decide it, their verdict is shown next to ours. The notes of a
-part say what is known about why a claim does not hold here; if they say nothing, we know of no reason. Neither the
-building nor a check is tuned to a claim.
+lack what it compares, if all compared numbers are equal, or if they differ by less than the spread over seeds. Claims
+that the document's own numbers contradict come first and are counted apart, whatever ours say. The notes of a part say
+what is known about why a claim does not hold here; if they say nothing, we know of no reason. Neither the building nor
+a check is tuned to a claim. Numbers measured with one seed are taken to have the spread that several seeds had in
+`benchmarks/results/spreads.json`.
 """
 
 
@@ -47,7 +51,9 @@ def write_report(results: Sequence[Reproduction], path: str | Path, missing: Map
 def report(results: Sequence[Reproduction], missing: Mapping[str, str] | None = None) -> str:
     """Return the page of several reproductions."""
     first = results[0]
-    counted = Counter({verdict.claim.id: verdict.ours for one in results for verdict in one.verdicts}.values())
+    verdicts, rows = [one for each in results for one in each.verdicts], [row for one in results for row in one.rows]
+    counted = Counter(_over_studies(verdicts))
+    contradicted, ours = counted.pop(CONTRADICTED, 0), sum(row.ours is not None for row in rows)
     minutes = sum({name: seconds for one in results for name, seconds in one.seconds.items()}.values()) / 60
     machines = " and ".join(dict.fromkeys(name for one in results for name in one.machines)) or "an unknown machine"
     made = ", ".join(f"{name} {version}" for name, version in versions().items())
@@ -58,21 +64,32 @@ def report(results: Sequence[Reproduction], missing: Mapping[str, str] | None = 
         f"Scale `{first.scale}`; measured in {minutes:.0f} minutes on {machines}; {made}; "
         f"{datetime.datetime.now(datetime.timezone.utc):%d %B %Y}.",
         "",
-        f"Of {counted.total()} claims {counted[True]} hold, {counted[False]} do not, and {counted[None]} cannot "
-        "be decided here.",
+        f"Of {counted.total() + contradicted} claims the documents' own numbers contradict {contradicted}. Of the "
+        f"other {counted.total()}, {counted[VERDICTS[True]]} hold here, {counted[VERDICTS[False]]} do not, and "
+        f"{counted[VERDICTS[None]]} cannot be decided. Of {len(rows)} published numbers {ours} have one of ours next "
+        "to them.",
         "",
-        "| | | claims that hold | that do not | not decidable | published numbers next to ours |",
-        "|---|---|---|---|---|---|",
+        "| | | claims contradicted by their own document | that hold | that do not | not decidable "
+        "| published numbers next to ours |",
+        "|---|---|---|---|---|---|---|",
     ]
     for one in results:
-        verdicts, rows = Counter(verdict.ours for verdict in one.verdicts), one.rows
+        counted, rows = Counter(verdict.counted for verdict in one.verdicts), one.rows
         beside = f"{sum(row.ours is not None for row in rows)} of {len(rows)}" if rows else ""
-        cells = [str(verdicts[key] or "") for key in (True, False, None)]
+        cells = [str(counted[key] or "") for key in (CONTRADICTED, *VERDICTS.values())]
         lines.append(f"| [{one.study.id}](#{one.study.id}) | {one.study.title} | {' | '.join(cells)} | {beside} |")
     for id, reason in (missing or {}).items():
-        lines.append(f"| {id} | not measured: {reason} | | | | |")
+        lines.append(f"| {id} | not measured: {reason} | | | | | |")
     for one in results:
         lines += ["", f'<a id="{one.study.id}"></a>', "", one.table()]
         if one.study.figure:
             lines.append(f"![{one.study.title}]({one.study.id}.png)")
     return "\n".join(lines) + "\n"
+
+
+def _over_studies(verdicts: Sequence[Verdict]) -> list[str]:
+    """Return how each claim is counted, over all studies that check it."""
+    each: dict[str, list[Verdict]] = {}
+    for one in verdicts:
+        each.setdefault(one.claim.id, []).append(one)
+    return [replace(part[0], finding=combined([one.finding for one in part])).counted for part in each.values()]

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cache
 from pathlib import Path
+from statistics import fmean, stdev
 from typing import Any, TypeVar
 
 import yaml
@@ -80,12 +81,14 @@ class Record:
         value: number in the measure's own unit: m, s, deg, shares instead of percent.
         settings: what the number depends on, in siamloc's names.
         relation: "=", or "~", "<", ">" if the number is only approximate, or an upper or lower bound.
+        spread: standard deviation over seeds, in the unit of the value; 0 if unknown.
     """
 
     measure: str
     value: float
     settings: Mapping[str, Any]
     relation: str = "="
+    spread: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -165,6 +168,21 @@ def grouped(names: Sequence[str], records: Sequence[Record]) -> dict[tuple[Any, 
         return [_rank(value, _ORDER.get(name, ()), seen[name]) for name, value in zip(names, key, strict=True)]
 
     return {key: groups[key] for key in sorted(groups, key=rank)}
+
+
+def over_seeds(records: Sequence[Record]) -> list[Record]:
+    """Replace records that differ in their `seed` alone by their mean, with the standard deviation as its spread."""
+    groups: dict[str, list[Record]] = {}
+    for number, one in enumerate(records):
+        others = {name: value for name, value in one.settings.items() if name != "seed"}
+        key = repr((one.measure, others)) if "seed" in one.settings else str(number)
+        groups.setdefault(key, []).append(replace(one, settings=others))
+    return [
+        replace(part[0], value=fmean(one.value for one in part), spread=stdev(one.value for one in part))
+        if len(part) > 1
+        else part[0]
+        for part in groups.values()
+    ]
 
 
 @cache

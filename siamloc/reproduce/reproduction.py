@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,7 +12,7 @@ from foundation.calls import typed
 from foundation.files import csv_text, write_text
 from siamloc.errors import ConfigError
 from siamloc.report.draw.look import save
-from siamloc.reproduce.claims import Claim, claim, holds
+from siamloc.reproduce.claims import Claim, Finding, claim, examine
 from siamloc.reproduce.drawing import drawn, names_of, said, shown, titled, unit
 from siamloc.reproduce.published import Record, grouped, measures, published
 from siamloc.reproduce.study_book import Study, data_named
@@ -19,7 +20,8 @@ from siamloc.reproduce.study_book import Study, data_named
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-VERDICTS = {True: "holds", False: "does not hold", None: "not decidable at this scale"}
+VERDICTS = {True: "holds", False: "does not hold", None: "not decidable"}
+CONTRADICTED = "contradicted by the document's own numbers"
 
 _METHODS = ("descriptor", "method", "version", "distance")
 _FEW = 8
@@ -66,13 +68,23 @@ class Verdict:
 
     Attributes:
         claim: the claim.
-        ours: whether our numbers support it; None if they do not decide.
+        finding: whether our numbers support it, or why they do not decide.
         printed: whether the document's own numbers support it; None if they were not printed.
     """
 
     claim: Claim
-    ours: bool | None
+    finding: Finding
     printed: bool | None
+
+    @property
+    def ours(self) -> bool | None:
+        """Whether our numbers support the claim; None if they do not decide."""
+        return self.finding.holds
+
+    @property
+    def counted(self) -> str:
+        """How the claim is counted: by our numbers, unless the document's own contradict it."""
+        return CONTRADICTED if self.printed is False else VERDICTS[self.ours]
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,8 +114,8 @@ class Reproduction:
 
     def summary(self) -> str:
         """Return one line with what was measured and whether the claims hold."""
-        verdicts = [VERDICTS[one.ours] for one in self.verdicts]
-        said = ", ".join(f"{verdicts.count(word)} {word}" for word in VERDICTS.values() if word in verdicts)
+        verdicts = Counter(one.counted for one in self.verdicts)
+        said = ", ".join(f"{number} {word}" for word, number in verdicts.items())
         return f"{self.study.id}, {len(self.records)} numbers{'; claims: ' + said if said else ''}"
 
     @property
@@ -116,9 +128,10 @@ class Reproduction:
 
     @property
     def verdicts(self) -> list[Verdict]:
-        """The claims, each checked against our numbers."""
+        """The claims, each checked against our numbers; first those that the document's own numbers contradict."""
         asked = [claim(id) for id in self.study.claims]
-        return [Verdict(one, holds(one.check, self.records), one.printed()) for one in asked]
+        found = [Verdict(one, examine(one.check, self.records), one.printed()) for one in asked]
+        return sorted(found, key=lambda one: one.printed is not False)
 
     def table(self) -> str:
         """Return published and measured numbers as a Markdown table; only our own if nothing was printed."""
@@ -131,7 +144,7 @@ class Reproduction:
             lines += ["", *self._best_table()]
         if self.study.claims:
             verdicts = [_verdict_row(one) for one in self.verdicts]
-            lines += ["", *_markdown(["claim", "printed numbers", "ours"], verdicts)]
+            lines += ["", *_markdown(["claim", "the document's own numbers", "ours"], verdicts)]
         if self.study.notes:
             lines += ["", *(f"- {note}" for note in self.study.notes)]
         return "\n".join(lines) + "\n"
@@ -293,9 +306,10 @@ def _markdown(heads: Sequence[str], rows: Iterable[Sequence[str]]) -> list[str]:
 
 
 def _verdict_row(one: Verdict) -> list[str]:
-    printed = "" if one.printed is None else VERDICTS[one.printed]
+    printed = {True: "support it", False: "**contradict it**", None: ""}[one.printed]
     reading = f" *({one.claim.reading})*" if one.claim.reading else ""
-    return [f"{one.claim.sentence}{reading}", printed, VERDICTS[one.ours]]
+    why = f": {one.finding.why}" if one.finding.why else ""
+    return [f"{one.claim.sentence}{reading}", printed, f"{VERDICTS[one.ours]}{why}"]
 
 
 def _shown(value: Any) -> str:

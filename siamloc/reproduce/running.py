@@ -7,6 +7,7 @@ import platform
 import sys
 import time
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -14,7 +15,8 @@ from foundation.calls import typed
 from foundation.files import content_key, plain, read_json, storage_errors, write_json
 from siamloc.errors import ConfigError, DataError, FormatError
 from siamloc.progress import track
-from siamloc.reproduce.published import Record
+from siamloc.reproduce.claims import spread_of
+from siamloc.reproduce.published import Record, over_seeds
 from siamloc.reproduce.reproduction import Reproduction
 from siamloc.reproduce.study_book import DataName, Job, Scale, Study, data_named, experiment, study
 
@@ -67,10 +69,11 @@ def reproduce(
     seconds, machines = dict.fromkeys(chosen.experiments, 0.0), []
     for job in track(jobs, len(jobs), f"measuring {chosen.id}") if progress else jobs:
         kept = _done(job, _open(job, data, root, Path(out), opened), Path(out), measure)
-        records[experiment(job.experiment).beside] += [Record(**one) for one in kept["records"]]
+        made = [Record(**one) for one in kept["records"]]
+        records[experiment(job.experiment).beside] += [replace(one, spread=spread_of(job.kind, one)) for one in made]
         seconds[job.experiment] += kept["seconds"]
         machines.append(kept["machine"])
-    ours, beside = map(tuple, records.values())
+    ours, beside = (tuple(over_seeds(found)) for found in records.values())
     return Reproduction(chosen, data, scale, ours, beside, seconds, tuple(dict.fromkeys(filter(None, machines))))
 
 

@@ -1,12 +1,15 @@
+import json
+from collections import defaultdict
 from pathlib import Path
+from statistics import fmean, stdev
 
 import pytest
 import yaml
 
 import siamloc.reproduce
 from siamloc.errors import ConfigError
-from siamloc.reproduce.claims import claim, claims, holds
-from siamloc.reproduce.published import Record, measures, published
+from siamloc.reproduce.claims import claim, claims, combined, examine, spread_of
+from siamloc.reproduce.published import Record, contents, measures, over_seeds, published
 
 FOLDER = Path(siamloc.reproduce.__file__).parent
 SETTINGS = yaml.safe_load((FOLDER / "published.yaml").read_text(encoding="utf-8"))["settings"]
@@ -47,7 +50,7 @@ def test_a_claim_names_what_there_is(one):
     sides = [check[name] for name in ("where", "more", "less") if isinstance(check.get(name), dict)]
     named = {name for side in sides for name in side} | set(check.get("match", ()))
     assert named | ({check["along"]} if "along" in check else set()) <= set(SETTINGS)
-    holds(check, [])
+    examine(check, [])
 
 
 def test_which_claims_the_documents_own_numbers_bear_out():
@@ -61,10 +64,10 @@ def test_an_unknown_claim_kind_or_key_is_refused():
     with pytest.raises(ConfigError, match="no claim 't_more_epoch'; did you mean 't_more_epochs'"):
         claim("t_more_epoch")
     with pytest.raises(ConfigError, match="unknown kind of check 'ordre'; did you mean 'order'"):
-        holds({"kind": "ordre", "measure": "error"}, RECORDS)
+        examine({"kind": "ordre", "measure": "error"}, RECORDS)
     for key, valid in (("allong", "along"), ("mach", "match")):
         with pytest.raises(ConfigError, match=f"of kind trend has no key '{key}'; did you mean '{valid}'"):
-            holds({"kind": "trend", "measure": "error", key: "place"}, RECORDS)
+            examine({"kind": "trend", "measure": "error", key: "place"}, RECORDS)
 
 
 A, B = {"descriptor": "a"}, {"descriptor": "b"}
@@ -104,4 +107,81 @@ ORDER, TREND, THRESHOLD = ({"kind": kind, "measure": "error"} for kind in ("orde
     ],
 )
 def test_checks(check, expected):
-    assert holds(check, RECORDS) is expected
+    assert examine(check, RECORDS).holds is expected
+
+
+def spread(values, spread):
+    """Return records at the places 0, 1, ... with some values and one spread."""
+    return [Record("error", value, {"place": place}, spread=spread) for place, value in enumerate(values)]
+
+
+UP = TREND | {"along": "place", "goes": "up"}
+LAST = ORDER | {"more": {"place": 2}, "less": {"place": [0, 1]}}
+
+
+@pytest.mark.parametrize(
+    ("check", "records", "expected", "why"),
+    [
+        (UP, spread([41, 41, 41], 0), None, "all compared values are 41"),
+        (UP, spread([1.0, 1.1, 1.2], 0.3), None, "1 and 1.2 differ by less than the spread over seeds, 0.3"),
+        (UP, spread([1.0, 1.1, 1.4], 0.3), True, ""),  # small steps that add up
+        (
+            UP,
+            spread([1.0, 2.0, 1.9], 0.3),
+            None,
+            "a step the other way, 0.1, is smaller than the spread over seeds, 0.3",
+        ),
+        (UP, spread([1.0, 2.0, 1.9], 0.05), False, ""),
+        (UP, spread([2.0, 1.0, 3.0], 0.3), False, ""),
+        (UP | {"goes": "flat", "within": 0.5}, spread([1.0, 1.0, 1.2], 0.3), True, ""),
+        (LAST, spread([2.214, 1.0, 2.212], 0.1), None, "2.212 and 2.214 differ by less than the spread"),
+        (LAST, spread([0.866, 0.8, 0.866], 0), None, "all compared values are 0.866"),
+        (LAST, spread([1.0, 1.0, 1.2], 0.1), True, ""),
+        (LAST, spread([1.3, 1.0, 1.2], 0.05), False, ""),
+        (LAST | {"factor": 2}, spread([1.0, 1.0, 2.1], 0.1), None, "2 and 2.1 differ by less than the spread"),
+        (LAST | {"factor": 0.97}, spread([1.0, 1.0, 0.98], 0.1), True, ""),  # about alike
+        (LAST | {"pick": "mean"}, spread([1.0, 2.0, 1.6], 0.2), None, "1.5 and 1.6 differ by less than the spread"),
+    ],
+)
+def test_numbers_that_are_equal_or_differ_by_less_than_their_spread_decide_nothing(check, records, expected, why):
+    found = examine(check, records)
+    assert found.holds is expected
+    assert found.why.startswith(why) if why else not found.why
+
+
+def test_one_group_that_decides_nothing_leaves_a_claim_open_and_one_that_fails_refutes_it():
+    holding, failing, open_, nothing = (
+        examine(LAST, spread([0, 1, value], 0.1)[: None if value else 1]) for value in (3, 0.5, 1.05, 0)
+    )
+    assert [one.holds for one in (holding, failing, open_, nothing)] == [True, False, None, None]
+    assert combined([holding, nothing]) == holding
+    assert combined([holding, open_]) == open_
+    assert combined([open_, holding, failing]) == failing
+    assert combined([]) == nothing
+
+
+def test_records_of_several_seeds_become_their_mean_with_a_spread():
+    records = [Record("error", value, {"seed": seed, "head": "a"}) for seed, value in enumerate([1.0, 1.2, 1.4])]
+    alone = Record("error", 3.0, {"head": "a"}, spread=0.5)
+    mean, kept = over_seeds([*records, alone])
+    assert (mean.value, mean.settings) == (pytest.approx(1.2), {"head": "a"})
+    assert mean.spread == pytest.approx(0.2)
+    assert kept == alone
+
+
+def test_stated_spreads_are_those_that_were_measured():
+    results = FOLDER.parents[1] / "benchmarks/results"
+    rows = json.loads((results / "spreads.json").read_text(encoding="utf-8"))["rows"].values()
+    measured = defaultdict(dict)
+    for row in rows:
+        for measure, value in row["spread"].items():
+            measured[row["kind"]][measure] = max(value, measured[row["kind"]].get(measure, 0))
+    trained = json.loads((results / "augmentation_training.json").read_text(encoding="utf-8"))["rows"].values()
+    errors = [[one[lighting] for one in seeds] for seeds in trained for lighting in ("cloudy", "night", "sunny")]
+    measured["trained"]["error"] = pytest.approx(fmean(stdev(each) / fmean(each) for each in errors), abs=5e-5)
+    measured |= {"matched": measured["mapping"], "named_rooms": measured["trained"]}
+    stated = contents("claims")["spreads"]
+    assert stated == measured
+    assert spread_of("retrieval", Record("error", -2.0, {})) == 2 * stated["retrieval"]["error"]
+    assert spread_of("retrieval", Record("hit_rate", 0.5, {})) == stated["retrieval"]["hit_rate"]
+    assert spread_of("retrieval", Record("seconds", 0.5, {})) == 0

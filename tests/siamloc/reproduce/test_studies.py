@@ -15,7 +15,9 @@ from siamloc.reproduce import listing, reproduce, studies, study, write_report
 from siamloc.reproduce.claims import claim, claims
 from siamloc.reproduce.drawing import shown
 from siamloc.reproduce.experiments import KINDS, Data
-from siamloc.reproduce.published import published
+from siamloc.reproduce.page import report
+from siamloc.reproduce.published import Record, published
+from siamloc.reproduce.reproduction import CONTRADICTED, Reproduction
 from siamloc.reproduce.study_book import experiment, seconds_of, without_measurement
 from tests.drawn import write_cold
 
@@ -221,6 +223,20 @@ def test_as_many_nodes_by_both_methods(smoke):
     found = smoke("table_4_3")
     named = {(row.settings["descriptor"], row.settings.get("method")) for row in found.rows if row.ours}
     assert named == {(name, way) for name in ("hog", "gist") for way in (None, "incremental", "spectral")}
+
+
+def test_claims_that_their_document_contradicts_come_first_and_are_counted_apart():
+    settings = {"method": "incremental", "version": 1, "data": "freiburg", "descriptor": "hog"}
+    records = tuple(Record("silhouette", 0.1 * omega, {**settings, "omega": omega}) for omega in (1.7, 1.85, 2.3))
+    chosen = study("table_4_2")
+    made = Reproduction(chosen, "freiburg_sim", "short", records, (), dict.fromkeys(chosen.experiments, 1.0))
+    assert [one.counted for one in made.verdicts] == [CONTRADICTED, "does not hold", "not decidable"]
+    claimed = made.table().partition("| claim |")[2].splitlines()[2:5]
+    assert ["**contradict it**" in line for line in claimed] == [True, False, False]
+    assert claimed[2].endswith("| not decidable: the numbers that it compares are missing |")
+    page = report([made, made])  # a claim of several studies counts once
+    assert "Of 3 claims the documents' own numbers contradict 1. Of the other 2, 0 hold here, 1 do not, and 1 " in page
+    assert "Of 24 published numbers 2 have one of ours next to them." in page
 
 
 def test_another_building_that_is_missing_is_named(smoke, root, tmp_path):
