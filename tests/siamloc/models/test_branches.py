@@ -95,11 +95,6 @@ def test_input_is_normalized_with_imagenets_numbers_channel_by_channel():
     torch.testing.assert_close(branch(panorama), branch.features(by_hand))
 
 
-@pytest.fixture
-def panorama():
-    return torch.rand(2, 3, 20, 33, generator=torch.Generator().manual_seed(0))
-
-
 def surroundings_by_loops(image, circular, colours=True):
     """Return what `by_surroundings` should, pixel by pixel, for one image (3, H, W)."""
     _, height, width = image.shape
@@ -125,9 +120,11 @@ def surroundings_by_loops(image, circular, colours=True):
 
 @pytest.mark.parametrize("colours", [True, False])
 @pytest.mark.parametrize("circular", [True, False])
-def test_surroundings_as_defined(panorama, circular, colours):
-    found = by_surroundings(panorama.double(), circular, colours=colours)
-    for image, one in zip(panorama.double().numpy(), found.numpy(), strict=True):
+@pytest.mark.parametrize("size", [(20, 33), (32, 4)], ids=["wide", "narrower than its surroundings"])
+def test_surroundings_as_defined(size, circular, colours):
+    panoramas = torch.rand(2, 3, *size, generator=torch.Generator().manual_seed(0)).double()
+    found = by_surroundings(panoramas, circular, colours=colours)
+    for image, one in zip(panoramas.numpy(), found.numpy(), strict=True):
         np.testing.assert_allclose(one, surroundings_by_loops(image, circular, colours), atol=1e-9)
 
 
@@ -135,10 +132,3 @@ def test_a_black_image_stays_finite():
     black = torch.zeros(1, 3, 16, 16)
     assert not by_image(black).any()
     assert not by_surroundings(black, circular=True).any()
-
-
-@pytest.mark.parametrize("circular", [True, False])
-def test_a_panorama_narrower_than_its_surroundings(circular):
-    narrow = torch.rand(1, 3, 32, 4, generator=torch.Generator().manual_seed(2)).double()
-    found = by_surroundings(narrow, circular)[0].numpy()
-    np.testing.assert_allclose(found, surroundings_by_loops(narrow[0].numpy(), circular), atol=1e-9)

@@ -9,7 +9,7 @@ import torch
 from siamloc.errors import ConfigError
 from siamloc.models import build
 from siamloc.models.network import Network
-from siamloc.models.orientation import Canonical, shifts
+from siamloc.models.orientation import Canonical
 
 SIZE = (32, 128)
 
@@ -45,20 +45,6 @@ def test_descriptors_stay_when_the_robot_turns(head: str, columns: int):
     # Sums over turned features round otherwise; without the canonical direction the change is of another order.
     torch.testing.assert_close(there, here, rtol=0, atol=1e-6)
     assert columns % 16 == 0 or moved > 1e-4
-
-
-@pytest.mark.parametrize("columns", [8, 9])
-def test_shifts_are_those_of_the_harmonics(columns: int):
-    generator = np.random.default_rng(3)
-    position = np.arange(columns)
-    signal, expected = np.full(columns, 0.7), np.full((2, columns), 0.7)
-    steps = torch.tensor([0.25, 3.5])
-    for harmonic in range(1, (columns + 1) // 2):
-        size, phase = generator.uniform(0.5, 1.0), generator.uniform(0, 6)
-        signal = signal + size * np.cos(2 * np.pi * harmonic * position / columns + phase)
-        moved = position - steps.numpy()[:, None]
-        expected += size * np.cos(2 * np.pi * harmonic * moved / columns + phase)
-    np.testing.assert_allclose(signal @ shifts(columns, steps).numpy(), expected, atol=1e-12)
 
 
 @pytest.mark.parametrize(

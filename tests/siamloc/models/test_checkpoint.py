@@ -98,24 +98,6 @@ def test_a_run_gives_its_best_checkpoint_or_the_last(trained, tmp_path):
         load(tmp_path)
 
 
-def test_a_module_of_ones_own_is_filled(trained, tmp_path):
-    _, path = trained
-    own, empty = (torch.nn.Sequential(torch.nn.Flatten(), torch.nn.LazyLinear(2)) for _ in range(2))
-    for one in (own, empty):
-        one(torch.zeros(1, 3, *SIZE))
-    content = {"format": 2, "model": {"class": "Sequential"}, "loss": {"class": "loss"}}
-    state = {f"network.{name}": tensor for name, tensor in own.state_dict().items()}
-    file = altered(path, tmp_path / "own.ckpt", siamloc=content, state_dict=state)
-    assert as_descriptor(load(file, network=empty)).identity == as_descriptor(own).identity
-    assert as_descriptor(empty).margin is None
-    with pytest.raises(ConfigError, match=r"module of your own, Sequential, which .*load\(run, network=\.\.\.\)"):
-        load(file)
-    with pytest.raises(ConfigError, match="untrained"):
-        load(file, which="untrained")
-    with pytest.raises(FormatError, match="another architecture than Sequential: missing"):
-        load(file, network=build("simple1", "fc500_500_5", SIZE))
-
-
 class Attack:
     def __reduce__(self):
         return (Path.touch, (Path("attack"),))
@@ -123,17 +105,11 @@ class Attack:
 
 @pytest.mark.parametrize("damage", ["missing", "cut", "empty", "text", "attack"])
 def test_damaged_files_are_refused_in_one_sentence(trained, tmp_path, monkeypatch, damage):
-    _, path = trained
     monkeypatch.chdir(tmp_path)
-    file = tmp_path / "model.ckpt"
-    if damage == "cut":
-        file.write_bytes(path.read_bytes()[:-1000])
-    elif damage == "empty":
-        file.touch()
-    elif damage == "text":
-        file.write_text("a checkpoint, they said")
-    elif damage == "attack":
-        file.write_bytes(pickle.dumps({"state_dict": Attack(), "siamloc": {}}))
+    file, attack = tmp_path / "model.ckpt", pickle.dumps({"state_dict": Attack(), "siamloc": {}})
+    damaged = {"cut": trained[1].read_bytes()[:-1000], "empty": b"", "text": b"a checkpoint", "attack": attack}
+    if damage in damaged:
+        file.write_bytes(damaged[damage])
     with pytest.raises(FormatError, match=r"model\.ckpt (does not exist|cannot be read)") as info:
         load(file)
     assert "\n" not in str(info.value)
