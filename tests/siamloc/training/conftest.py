@@ -5,6 +5,7 @@ from __future__ import annotations
 import cv2
 import numpy as np
 import pytest
+import torch
 
 import siamloc
 from siamloc.data.frames import FrameTable
@@ -17,6 +18,19 @@ SETTINGS = {"pairs": {"places": 4, "images": 2, "epoch_batches": 6}, "optimizer"
 def network(seed=0):
     """A small network for batches of places."""
     return siamloc.models.build("simple1", "fourier", SIZE, outputs=16, circular=True, normalize="image", seed=seed)
+
+
+class Small(torch.nn.Module):
+    """A custom network with dropout, for pairs or for places."""
+
+    def __init__(self, outputs=8):
+        super().__init__()
+        torch.manual_seed(0)
+        pool, flat, drop = torch.nn.AdaptiveAvgPool2d((4, 8)), torch.nn.Flatten(), torch.nn.Dropout()
+        self.layers = torch.nn.Sequential(pool, flat, drop, torch.nn.Linear(96, outputs))
+
+    def forward(self, panorama):
+        return torch.nn.functional.normalize(self.layers(panorama))
 
 
 @pytest.fixture(scope="module")

@@ -125,7 +125,7 @@ def test_validation_pairs_share_label_and_scale(library):
 
 
 def trained_on(library, where="cpu", rank=0, world_size=1, epoch=0, batch_size=4):
-    """Return the first images of an epoch's augmented batches, in the order of the pairs."""
+    """Return the first and second images (2, N, 3, H, W) of an epoch's augmented pairs, in their order."""
     augmentation = BatchAugmentation(augment.policy("thesis"), where, seed=0)
     data = PairDataModule(library, library.frames, pairs=ROOM, batch_size=batch_size, augmentation=augmentation)
     fit_loop = SimpleNamespace(epoch_progress=SimpleNamespace(current=SimpleNamespace(processed=epoch)))
@@ -133,18 +133,18 @@ def trained_on(library, where="cpu", rank=0, world_size=1, epoch=0, batch_size=4
     data.trainer = SimpleNamespace(fit_loop=fit_loop, global_rank=rank, world_size=world_size, strategy=strategy)
     batches = [data.on_after_batch_transfer(batch, 0) for batch in data.train_dataloader()]
     assert all("change" not in batch for batch in batches)
-    return torch.cat([batch["first"] for batch in batches]), torch.cat([batch["second"] for batch in batches])
+    return torch.stack([torch.cat([batch[side] for batch in batches]) for side in ("first", "second")])
 
 
 def test_augmentation_follows_from_seed_epoch_and_pair_alone(library):
-    first, second = trained_on(library)
-    again = trained_on(library, batch_size=3)
-    assert torch.equal(first, again[0])
-    assert torch.equal(second, again[1])
-    later = trained_on(library, epoch=1)
-    assert not torch.equal(first, later[0])
-    shares = [trained_on(library, rank=rank, world_size=2)[0] for rank in range(2)]
-    assert torch.equal(torch.stack(shares, dim=1).flatten(0, 1), first[:10])
+    expected = trained_on(library)
+    assert torch.equal(trained_on(library, batch_size=3), expected)
+    assert torch.equal(trained_on(library, "gpu"), expected), "after the transfer"
+    assert not torch.equal(trained_on(library, epoch=1)[0], expected[0])
+    shares = [trained_on(library, rank=rank, world_size=2) for rank in range(2)]
+    assert torch.equal(torch.stack(shares, dim=2).flatten(1, 2), expected[:, :10])
+    with pytest.raises(ConfigError, match="cpu or gpu"):
+        BatchAugmentation(augment.policy("thesis"), "tpu")
 
 
 def test_augmentation_changes_training_images_only(library):
@@ -157,12 +157,3 @@ def test_augmentation_changes_training_images_only(library):
     )
     assert not torch.equal(changed[0]["images"], as_it_was[0]["images"])
     assert torch.equal(changed[1]["images"], as_it_was[1]["images"])
-
-
-def test_augmentation_after_the_transfer_is_the_same(library):
-    first, second = trained_on(library, "gpu")
-    expected = trained_on(library, "cpu")
-    assert torch.equal(first, expected[0])
-    assert torch.equal(second, expected[1])
-    with pytest.raises(ConfigError, match="cpu or gpu"):
-        BatchAugmentation(augment.policy("thesis"), "tpu")

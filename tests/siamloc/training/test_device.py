@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from pathlib import Path
-from types import SimpleNamespace
 
 import pytest
 import torch
@@ -13,7 +12,7 @@ from siamloc.data.library import PanoramaLibrary
 from siamloc.errors import ConfigError
 from siamloc.models.places import PlaceModule
 from siamloc.training import batches, trainer
-from siamloc.training.trainer import _Seeds, check_trainer, on_gpu
+from siamloc.training.trainer import check_trainer
 
 PAIRS = {"batch_size": 4, "monitor": "loss", "pairs": {"label": "room", "epoch_pairs": 10}}
 PLACES = {"pairs": {"places": 4, "images": 2, "radius": 1.0, "epoch_batches": 2}}
@@ -112,13 +111,6 @@ def test_a_network_that_cannot_be_compiled_is_one_sentence_or_a_note(fit, monkey
     assert "note: training without torch.compile, which fails here" in capfd.readouterr().err
 
 
-def test_what_a_gpu_is(monkeypatch):
-    monkeypatch.setattr(torch.cuda, "is_available", lambda: True)
-    assert on_gpu(None)
-    assert on_gpu({"accelerator": "gpu"})
-    assert not on_gpu({"accelerator": "cpu"})
-
-
 @pytest.mark.parametrize("fast", [True, False])
 def test_the_fastest_precision_of_a_cpu_follows_from_its_instructions(monkeypatch, fast):
     trainer = {"accelerator": "cpu", "precision": "auto"}
@@ -174,18 +166,6 @@ def test_a_gpu_that_is_missing_is_one_sentence(fit, tmp_path, name):
     with pytest.raises(ConfigError, match=f"^trainer.accelerator={name} needs a GPU, and torch finds none here: use a"):
         fit("run", trainer={"accelerator": name}, **PAIRS)
     assert not (tmp_path / "run").exists()
-
-
-@pytest.mark.parametrize("device", ["cpu", "cuda"])
-def test_a_training_seeds_the_generators_of_its_device_and_no_others(monkeypatch, device):
-    seeded = []
-    monkeypatch.setattr(torch.cuda, "manual_seed", seeded.append)
-    monkeypatch.setattr(torch.cuda, "manual_seed_all", None)
-    strategy = SimpleNamespace(root_device=torch.device(device))
-    training = SimpleNamespace(current_epoch=1, global_rank=0, strategy=strategy)
-    with torch.random.fork_rng(devices=[]):
-        _Seeds(0).on_train_batch_start(training, None, None, 2)
-        assert seeded == ([torch.initial_seed()] if device == "cuda" else [])
 
 
 @pytest.mark.gpu

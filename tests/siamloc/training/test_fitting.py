@@ -21,12 +21,13 @@ from foundation import files
 from foundation.files import read_json, write_json
 from siamloc.data import FrameTable, PanoramaLibrary, Protocol, read
 from siamloc.errors import ConfigError, DataError, FormatError
-from siamloc.models import as_descriptor, build, load
+from siamloc.models import SoftContrastiveLoss, as_descriptor, build, load
 from siamloc.runs import Run
 from siamloc.training import PairSettings, Training, fit
 from siamloc.training.checks import monitored
 from siamloc.training.run_folder import check_folder
 from tests.drawn import write_manifest
+from tests.siamloc.training.conftest import Small
 
 SIZE = (32, 128)
 
@@ -125,16 +126,6 @@ def test_the_best_weights_are_kept_not_the_last(train, frames):
 def test_pairs_are_judged_by_another_drive_only(frames, day, changed, expected):
     validation = frames.select(sequence="night1").with_columns(**changed)
     assert monitored(Training(), day, validation, nn.Identity()) == expected
-
-
-def test_a_network_that_compares_is_judged_by_its_poses_where_headings_tell_them(frames, day):
-    network = build("panoresnet", "magnitudes", (32, 128), circular=True, relative=True)
-    night = frames.select(sequence="night1")
-    turned, bare = day.with_columns(theta=np.zeros(len(day))), day.with_columns(theta=np.full(len(day), np.nan))
-    assert monitored(Training(), turned, night, network) == "refined"
-    assert monitored(Training(), bare, night, network) == "error"
-    with pytest.raises(ConfigError, match="training frames with positions and headings"):
-        monitored(Training(monitor="refined"), bare, night, network)
 
 
 def test_a_run_goes_on_with_what_its_checkpoint_was_chosen_by(train, frames):
@@ -313,18 +304,6 @@ def test_a_file_in_the_way_is_not_replaced(train, tmp_path):
         train("file")
 
 
-class Small(nn.Module):
-    """A custom network with dropout."""
-
-    def __init__(self):
-        super().__init__()
-        torch.manual_seed(0)
-        self.layers = nn.Sequential(nn.AdaptiveAvgPool2d((4, 8)), nn.Flatten(), nn.Dropout(), nn.Linear(96, 3))
-
-    def forward(self, panorama):
-        return self.layers(panorama)
-
-
 class Squared(nn.Module):
     """A custom loss with a learned weight."""
 
@@ -347,21 +326,20 @@ def test_a_network_and_a_loss_of_ones_own_are_trained_resumed_and_loaded(train):
     assert run.settings["loss"] == {"class": "Squared"}
     assert "train/accuracy" not in run.curves()
     assert as_descriptor(load(run, network=Small())).identity == as_descriptor(network).identity
-    with pytest.raises(ConfigError, match="a module of your own, Small"):
-        load(run)
+    for which, says in (
+        ("best", r"a module of your own, Small, which .*load\(run, network=\.\.\.\)"),
+        ("untrained", "untrained"),
+    ):
+        with pytest.raises(ConfigError, match=says):
+            load(run, which=which)
     with pytest.raises(ConfigError, match=r"loss\.class=Squared and cannot be resumed with loss\.class=Contrastive"):
         train("part", network=Small(), epochs=4, resume=True)
 
 
 def test_a_network_of_ones_own_goes_on_with_its_width(train):
-    class Wide(Small):
-        def __init__(self, width):
-            super().__init__()
-            self.layers[3] = nn.Linear(96, width)
-
-    run = train(network=Wide(3), epochs=1)
-    with pytest.raises(FormatError, match=r"last\.ckpt are of another architecture than .*Wide: of another shape: 2"):
-        train(network=Wide(5), epochs=2, resume=True)
+    run = train(network=Small(3), epochs=1)
+    with pytest.raises(FormatError, match=r"last\.ckpt are of another architecture than .*Small: of another shape: 2"):
+        train(network=Small(5), epochs=2, resume=True)
     assert len(curve(run)) == 1
 
 
@@ -414,6 +392,7 @@ def test_frames_without_a_room_are_left_out_of_pairs_where_others_have_one(train
     ("wrong", "error", "says"),
     [
         ({"loss": "contrastive"}, ConfigError, "loss must be"),
+        ({"loss": SoftContrastiveLoss()}, ConfigError, "a loss of batches of places takes"),
         ({"network": "alexnet"}, ConfigError, "network must be a Module"),
         ({"epochs": 0}, ConfigError, "epochs must be a whole number from 1 to 10 million, got 0"),
         ({"batch_size": 1.5}, ConfigError, "batch_size must be a whole number from 1"),
@@ -463,15 +442,6 @@ def test_further_arguments_reach_the_trainer(train, caplog):
     train(trainer=options, epochs=2)
     assert count.steps == 2
     assert "SiameseModule.optimizer_step" in caplog.text
-
-
-def test_runs_show_themselves(train, tmp_path):
-    run = train(epochs=2)
-    assert repr(run).startswith(f"Run('{run.folder}': simple1 + fc500_500_5, 2 epochs, train/loss ")
-    assert run.curves()["epoch"].tolist() == [0, 1]
-    assert repr(Run(tmp_path / "none")).endswith("nothing trained yet)")
-    with pytest.raises(ConfigError, match="no epoch has been finished"):
-        Run(tmp_path / "none").curves()
 
 
 FIT = textwrap.dedent(
