@@ -100,4 +100,5 @@ def test_equalize_is_torchvisions():
 def test_a_wide_box_wraps_more_than_once():
     effect, batch = augment.effect("blur", size=35), panoramas(1, 40, 12)
     wanted = boxed(35)(batch[0].numpy().astype(float), {"strength": 1})
+    np.testing.assert_allclose(effect(batch / 255, generator())[0].numpy() * 255, wanted, atol=2e-2)
     assert np.abs(effect(batch, generator())[0].numpy() - wanted).max() <= 0.51
