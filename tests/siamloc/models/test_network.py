@@ -7,7 +7,7 @@ import torch
 from torch import nn
 
 from siamloc.errors import ConfigError, DataError
-from siamloc.models import build
+from siamloc.models import HEADS, build
 
 SIZE = (32, 64)
 
