@@ -63,7 +63,8 @@ class Experiment(Settings):
         kind: what is measured.
         protocol: name of the protocol, which selects the frames.
         over: what is varied, by its name in the documents: the option that it `sets`, with dots, such as
-            "descriptor.rows", and the values that the option is set `to`, by scale if they differ.
+            "descriptor.rows", and the values that the option is set `to`, by scale if they differ. Numbers that differ
+            in their `seed` alone become their mean, with a spread.
         options: what stays the same.
         settings: settings that all its records have in common.
         dense: as in `Job`.

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import json
+from dataclasses import replace
 from functools import partial
 
 import pytest
@@ -14,7 +15,7 @@ from siamloc.errors import ConfigError, DataError, StorageError
 from siamloc.reproduce import listing, reproduce, studies, study, write_report
 from siamloc.reproduce.claims import claim, claims
 from siamloc.reproduce.drawing import shown
-from siamloc.reproduce.experiments import KINDS, Data
+from siamloc.reproduce.experiments import KINDS, Data, measured
 from siamloc.reproduce.page import report
 from siamloc.reproduce.published import Record, published
 from siamloc.reproduce.reproduction import CONTRADICTED, Reproduction
@@ -223,6 +224,19 @@ def test_as_many_nodes_by_both_methods(smoke):
     found = smoke("table_4_3")
     named = {(row.settings["descriptor"], row.settings.get("method")) for row in found.rows if row.ours}
     assert named == {(name, way) for name in ("hog", "gist") for way in (None, "incremental", "spectral")}
+
+
+def test_another_seed_draws_other_noise(root, tmp_path):
+    data, job = Data("mini", root, (128, 512), tmp_path), experiment("heading_hog").jobs("smoke")[0]
+    first, again, other = (
+        [
+            one.value
+            for one in measured(replace(job, options={**job.options, "seed": seed}), data)
+            if "noise" in one.settings
+        ]
+        for seed in (0, 0, 1)
+    )
+    assert first == again != other
 
 
 def test_claims_that_their_document_contradicts_come_first_and_are_counted_apart():
