@@ -42,3 +42,9 @@ def test_every_link_of_the_readme_leads_somewhere():
     links = re.findall(r"\]\(([^)#]+)", README.read_text(encoding="utf-8"))
     missing = [link for link in links if not link.startswith("http") and not (ROOT / link).exists()]
     assert not missing
+
+
+def test_the_readme_gives_the_score_of_the_claims_as_the_report_does():
+    report = (ROOT / "docs/results/reproduced/report.md").read_text(encoding="utf-8")
+    (score,) = re.findall(r"^Of \d+ claims .*$", report, flags=re.MULTILINE)
+    assert score in " ".join(README.read_text(encoding="utf-8").split())
