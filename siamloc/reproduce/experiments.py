@@ -52,7 +52,7 @@ class Data:
     def __post_init__(self) -> None:
         about = data_named(self.name)
         if not self.root.is_dir():
-            raise DataError(f"{about['title']} is expected in {self.root}, which does not exist: {about['how']}")
+            raise DataError(f"{about['title']} needs the folder {self.root}, which does not exist: {about['how']}")
         size = list(self.image_size)
         self._settings = DataSettings.of(
             {"kind": "cold", "name": self.name, "root": str(self.root), "image_size": size}

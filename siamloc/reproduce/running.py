@@ -64,7 +64,7 @@ def reproduce(
     measured = Path(out) / "measured"
     with storage_errors(measured):
         measured.mkdir(parents=True, exist_ok=True)  # fails here, not after the first job
-    jobs, opened = chosen.jobs(scale), dict[tuple[bool, tuple[int, int]], "Data"]()
+    jobs, opened = chosen.jobs(scale, data), dict[tuple[bool, str, tuple[int, int]], "Data"]()
     records: dict[bool, list[Record]] = {False: [], True: []}
     seconds, machines = dict.fromkeys(chosen.experiments, 0.0), []
     for job in track(jobs, len(jobs), f"measuring {chosen.id}") if progress else jobs:
@@ -93,15 +93,14 @@ def _open(job: Job, name: str, root: str | Path | None, out: Path, opened: dict[
     """Return the data set of a job, from those that are open if it is among them."""
     from siamloc.reproduce.experiments import Data, image_size
 
-    key, about = (job.dense, image_size(job)), data_named(name)
+    key, about = (job.dense, job.at, image_size(job)), data_named(name)
     if key not in opened:
         folder = root if root is not None else about["root"]
         if folder is None:
             raise ConfigError(f"say where {about['title']} is: root=FOLDER; {about['how']}")
-        folder = Path(folder)
-        if job.dense and about.get("dense"):
-            folder = folder.parent / "dense" / folder.name
-        opened[key] = Data(name, folder, key[1], out / "training")
+        place = about["at"].get(job.at, "{}").format(Path(folder).name)
+        place = Path("dense", place) if job.dense and about.get("dense") else place
+        opened[key] = Data(name, Path(folder).parent / place, key[2], out / "training")
     return opened[key]
 
 

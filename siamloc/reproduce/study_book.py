@@ -12,6 +12,7 @@ from dataclasses import asdict, dataclass, field
 from difflib import get_close_matches
 from functools import cache
 from itertools import product
+from pathlib import Path
 from typing import Any, Literal, get_args
 
 from foundation.calls import typed
@@ -39,6 +40,7 @@ class Job:
         settings: settings that distinguish the records, in siamloc's names.
         dense: whether it needs frames every 5 cm if the data are simulated.
         same_run: whether the queries come from the map's own drive.
+        at: name of the place whose frames it needs, a key of the data set's `at`; the data set itself if empty.
     """
 
     experiment: str
@@ -48,10 +50,11 @@ class Job:
     settings: Mapping[str, Any]
     dense: bool = False
     same_run: bool = False
+    at: str = ""
 
     def plain(self) -> dict[str, Any]:
-        """Return everything that determines the job's records, as plain values."""
-        return {name: value for name, value in asdict(self).items() if name != "experiment"}
+        """Return everything that determines the job's records except its frames, as plain values."""
+        return {name: value for name, value in asdict(self).items() if name not in ("experiment", "at")}
 
 
 @dataclass(frozen=True)
@@ -67,6 +70,7 @@ class Experiment(Settings):
             in their `seed` alone become their mean, with a spread.
         options: what stays the same.
         settings: settings that all its records have in common.
+        elsewhere: options that differ in other places, by their names, which the records have as their `data`.
         dense: as in `Job`.
         beside: whether it is our own, shown next to the published ones: claims do not refer to it.
     """
@@ -77,6 +81,7 @@ class Experiment(Settings):
     over: dict[str, Any] = field(default_factory=dict)
     options: dict[str, Any] = field(default_factory=dict)
     settings: dict[str, Any] = field(default_factory=dict)
+    elsewhere: dict[str, Any] = field(default_factory=dict)
     dense: bool = False
     beside: bool = False
 
@@ -88,20 +93,22 @@ class Experiment(Settings):
         ends = {name: min if axis(name).get("largest") == "min" else max for name in numeric}
         largest = {name: ends[name](values) for name, values in numeric.items()}
         made = []
-        for combination in product(*axes.values()):
+        places = {"": {}, **self.elsewhere}
+        for (at, own), combination in product(places.items(), product(*axes.values())):
             chosen = dict(zip(axes, combination, strict=True))
-            options: dict[str, Any] = _resolved(self.options, scale)
+            options: dict[str, Any] = _resolved({**self.options, **own}, scale)
             for name, value in chosen.items():
                 *path, last = self.over[name]["sets"].split(".")
                 place = options
                 for part in path:
                     place = place.setdefault(part, {})
                 place[last] = value
-            settings = {**self.settings, **chosen}
+            settings = {**self.settings, **({"data": at} if at else {}), **chosen}
             if largest and largest.items() <= chosen.items():
                 settings["size"] = "largest"
             roles, same_run = _resolved(protocol["roles"], scale), bool(protocol.get("same_run"))
-            made.append(Job(self.id, self.kind, roles, options, settings, self.dense, same_run))
+            where = self.dense, same_run, at or protocol.get("at", "")
+            made.append(Job(self.id, self.kind, roles, options, settings, *where))
         return made
 
 
@@ -139,9 +146,10 @@ class Study(Settings):
     figure: tuple[dict[str, Any], ...] = ()
     notes: tuple[Text, ...] = ()
 
-    def jobs(self, scale: str) -> list[Job]:
-        """Return the jobs of all experiments, each once."""
-        return [job for name in self.experiments for job in experiment(name).jobs(scale)]
+    def jobs(self, scale: str, data: str) -> list[Job]:
+        """Return the jobs of all experiments for whose place a data set has frames, each once."""
+        places = {"", *data_named(data)["at"]}
+        return [job for name in self.experiments for job in experiment(name).jobs(scale) if job.at in places]
 
     def protocol(self, scale: str = "full") -> Mapping[str, str]:
         """Return a description in words of the frames used as map and queries."""
@@ -238,8 +246,10 @@ def listing(data: DataName = "freiburg_sim", scale: Scale = "short") -> str:
 
 
 def _needs(one: Study, data: str, scale: str) -> str:
-    jobs, about = one.jobs(scale), data_named(data)
+    jobs, about = one.jobs(scale, data), data_named(data)
     runs = sorted({run for job in jobs for role in job.roles.values() for run in role["runs"]})
+    own = Path(about["root"] or "").name
+    places = {about["at"][job.at].format(own) for job in jobs if about["at"].get(job.at, "{}") != "{}"}
     trained = sum(job.kind in ("trained", "named_rooms") for job in jobs)
     seconds = sum(seconds_of(job, scale) for job in jobs)
     lasting = "seconds" if seconds < 30 else "a minute" if seconds < 90 else f"{seconds / 60:.0f} minutes"
@@ -248,6 +258,7 @@ def _needs(one: Study, data: str, scale: str) -> str:
         f"[{one.source.document}] {one.source.place or 'section ' + one.source.section}": True,
         f"drives {' '.join(runs)}": True,
         "frames every 5 cm": bool(about.get("dense")) and any(job.dense for job in jobs),
+        f"folder {' '.join(sorted(places))}": bool(places),
         f"the same drive of {about['other']['folder']}": any(job.kind == "buildings" for job in jobs),
         f"{trained} training{'s' if trained > 1 else ''}": trained,
         "hours each on a graphics card" if trained and scale == "full" else lasting: True,
