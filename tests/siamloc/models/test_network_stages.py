@@ -13,16 +13,11 @@ SIZE = (64, 128)
 COUNTS = {"simple": 2, "alexnet": 4, "densenet121": 6, "vgg": 6, "panoresnet": 5}
 
 
-def shapes_only(branch, circular=False):
-    """A network without values, as large ones take long to draw."""
-    with torch.device("meta"):
-        return Network(branch, "flat", SIZE, circular=circular)
-
-
 @pytest.mark.parametrize("circular", [False, True])
 @pytest.mark.parametrize("branch", BRANCHES)
 def test_every_branch_has_a_stage_for_each_resolution_and_the_head(branch, circular):
-    network = shapes_only(branch, circular)
+    with torch.device("meta"):  # without values, as large ones take long to draw
+        network = Network(branch, "flat", SIZE, circular=circular)
     found = stages(network)
     assert len(found) == next(count for start, count in COUNTS.items() if branch.startswith(start))
     assert [name for names in found for name in names] == [name for name, _ in network.named_parameters()]
