@@ -108,10 +108,3 @@ def test_options_without_a_meaning_are_one_sentence(folder):
     ):
         with pytest.raises(ConfigError, match=says):
             Localizer(folder, **options)
-
-
-def test_threads_and_providers_do_not_change_the_answer(folder):
-    one, other = Localizer(folder, threads=2, providers=("CPUExecutionProvider",)), Localizer(folder)
-    for picture in drive(1, 6)[0]:
-        a, b = one.locate(picture), other.locate(picture)
-        assert (a.x, a.y, a.room, a.candidates) == (b.x, b.y, b.room, b.candidates)

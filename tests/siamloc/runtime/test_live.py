@@ -8,8 +8,6 @@ import shutil
 import socket
 import subprocess
 import sys
-import threading
-import time
 from dataclasses import replace
 
 import cv2
@@ -234,19 +232,6 @@ def test_without_the_framework_the_extra_is_named(world):
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert done.returncode == 2
     assert "pip install '.[live]'" in done.stderr
-
-
-def test_nothing_of_it_runs_on(world):
-    before = threading.active_count()
-    page = served(world, fps=1)
-    page.close()  # never started
-    with served(world, fps=1):
-        pass
-    for _ in range(50):
-        if threading.active_count() <= before:
-            break
-        time.sleep(0.1)
-    assert threading.active_count() <= before
 
 
 def test_a_lost_robot_is_nowhere(world, monkeypatch):
