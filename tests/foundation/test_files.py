@@ -54,6 +54,11 @@ def test_refusals_of_the_disk_are_one_sentence(tmp_path, code, says):
     assert list(tmp_path.iterdir()) == []
 
 
+def test_other_system_errors_pass_through(tmp_path):
+    with pytest.raises(TimeoutError), atomic_path(tmp_path / "file"):
+        raise TimeoutError
+
+
 def test_json_makes_numpy_plain_and_refuses_nothing(tmp_path):
     value = {"a": np.float32(1.5), "b": np.arange(2), "c": float("nan"), 3: (1, None), "p": tmp_path}
     write_json(tmp_path / "v.json", value)
