@@ -16,7 +16,7 @@ from siamloc.models.registry import LOSSES, MetricCalibrated, SoftContrastive
 
 
 class SoftContrastiveLoss(ScheduledLoss):
-    """Make each image similar to its neighbours in the building, the more so the nearer they are.
+    """Make descriptors of images the more similar, the nearer the images were taken in the building.
 
     The mean over the images i of the cross-entropy, over all other images j, between the softmax of the similarities
     and a kernel of the distances in the building, for example a Gaussian:
@@ -56,7 +56,7 @@ class SoftContrastiveLoss(ScheduledLoss):
 
         Args:
             descriptors: (N, D), of unit length.
-            origins: of the N images; images without a position have no neighbours.
+            origins: origins of the N images; images without a position have no neighbours.
 
         Raises:
             DataError: other shapes.
@@ -77,7 +77,7 @@ class SoftContrastiveLoss(ScheduledLoss):
             return (cost * counts).sum() / counts.sum().clamp(min=1)
 
     def lacks(self, origins: Origins) -> str | None:
-        """Name what a batch lacks for this loss: two different frames that should be similar, however little."""
+        """Return what a batch lacks for this loss, in words: two different frames that should be similar."""
         near, mates, _ = self._wanted(origins, origins.frame[:, None] == origins.frame[None])
         if bool((near + mates > 0).any()):
             return None
@@ -111,7 +111,7 @@ def _shares(weights: Tensor) -> Tensor:
 
 
 class MetricCalibratedLoss(ScheduledLoss):
-    """Make the distance of two descriptors grow with that of the two images, up to a cap.
+    """Make the distance of two descriptors grow with the distance of the images' positions, up to a cap.
 
     The mean over all pairs of images, from one building or two, of (|d_i - d_j| - sqrt(2) min(x_ij / cap, 1))^2. At the
     cap two descriptors of unit length are orthogonal. After training, the distance of descriptors measures metres.
@@ -149,7 +149,7 @@ class MetricCalibratedLoss(ScheduledLoss):
             return cost.sum() / known.sum().clamp(min=1)
 
     def lacks(self, origins: Origins) -> str | None:
-        """Name what a batch lacks for this loss: two different frames nearer each other than the cap."""
+        """Return what a batch lacks for this loss, in words: two different frames nearer each other than the cap."""
         cap = self.bounds("cap")[1]
         return None if bool(origins.apart().min() < cap) else f"two frames less than loss.cap={cap:g} apart"
 

@@ -72,12 +72,12 @@ class Branch(nn.Module):
         return self.features(self.normalized(panorama))
 
     def both(self, panorama: Tensor, level: int) -> tuple[Tensor, Tensor]:
-        """Return the output of the first `level` layers and the output of all layers, the features, in one pass."""
+        """Return two outputs of one pass: of the first `level` layers, and of all layers (the features)."""
         first = self.features[:level](self.normalized(panorama))
         return first, self.features[level:](first)
 
     def normalized(self, panorama: Tensor) -> Tensor:
-        """Return panoramas (B, 3, H, W) in [0, 1], normalized for the first layer."""
+        """Return panoramas (B, 3, H, W) in [0, 1] normalized for the first layer, as `normalize` says."""
         if self.normalize == "channels":
             return (panorama - self.mean) / self.std
         if self.normalize == "image":
@@ -139,7 +139,7 @@ def smallest_size(name: str, circular: bool = False) -> tuple[int, int]:
 
 @lru_cache(maxsize=32)
 def layers_by_stage(name: str, circular: bool) -> list[int]:
-    """Count the layers of a branch at each resolution; a layer without weights counts with the weights before it."""
+    """Count the layers of a branch at each resolution; a layer without weights counts with the layer before it."""
     counts: list[int] = [0]
     before: list[int] | None = None
     shapes = layer_shapes(name, (256, 256), circular)
@@ -197,7 +197,8 @@ def _shape_or_none(name: str, rows: int, columns: int, circular: bool) -> tuple[
 
 
 def residual_features(widths: Sequence[int]) -> nn.Sequential:
-    """Make the layers: a stem, then four stages of residual blocks. Rows and columns shrink to a sixteenth.
+    """Make the layers of a residual branch: a stem, then four stages of residual blocks. Rows and columns shrink
+    to a sixteenth.
 
     Args:
         widths: channels of the four stages.
@@ -256,7 +257,7 @@ def by_image(panorama: Tensor) -> Tensor:
 
 
 def by_surroundings(panorama: Tensor, circular: bool, *, colours: bool = True) -> Tensor:
-    """Give the surroundings of each pixel zero mean and unit contrast: removes even light that varies over the image.
+    """Give the surroundings of each pixel zero mean and unit contrast, which removes even uneven light.
 
         (I - m) / (s + s0),   s^2 = mean over the surroundings and the colours of (I - m)^2,
 

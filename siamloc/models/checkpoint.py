@@ -130,7 +130,7 @@ def save_weights(network: Network, path: str | Path) -> Path:
 
 
 def without_layer(network: Network) -> Network:
-    """Replace the head `fourier` with `magnitudes`, which has no layer fitted to the training buildings.
+    """Return a network with the head `magnitudes` instead of `fourier`, whose layer fits its training buildings.
 
     Other networks stay as they are.
 

@@ -21,10 +21,10 @@ class CircularConv2d(nn.Conv2d):
 
 
 class CircularMaxPool2d(nn.MaxPool2d):
-    """A maximum over windows whose columns wrap around."""
+    """Max pooling whose columns wrap around."""
 
     def forward(self, input: Tensor) -> Tensor:
-        """Pool features (B, C, H, W)."""
+        """Return the pooled features of features (B, C, H, W)."""
         kernel, stride, padding = (_pair(value) for value in (self.kernel_size, self.stride, self.padding))
         input = _wrapped(input, kernel[1], stride[1], padding[1])
         return F.max_pool2d(input, kernel, stride, (padding[0], 0), ceil_mode=self.ceil_mode)

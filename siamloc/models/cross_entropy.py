@@ -57,9 +57,9 @@ class CrossEntropyLoss(nn.Module):
         """Make a new class layer, with weights drawn from the seed alone; `siamloc.training.fit` calls this.
 
         Args:
-            rooms: names; the rooms of a batch are indices into them.
+            rooms: names of the rooms; the rooms of a batch are indices into them.
             width: numbers in a descriptor.
-            seed: of the weights.
+            seed: seed of the weights.
 
         Raises:
             DataError: fewer than two rooms.
@@ -86,7 +86,7 @@ class CrossEntropyLoss(nn.Module):
             return (cost * known).sum() / known.sum().clamp(min=1)
 
     def scores(self, descriptors: Tensor) -> Tensor:
-        """Return the scores (N, r) of descriptors (N, D); their softmax gives the probabilities.
+        """Return the scores (N, r) of r rooms for descriptors (N, D); their softmax gives the probabilities.
 
         Raises:
             ConfigError: there is no class layer yet.

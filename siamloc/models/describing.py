@@ -84,7 +84,7 @@ class NetworkDescriptor(BetweenColumns):
 
     @property
     def identity(self) -> dict[str, Any]:
-        """Everything that determines the descriptors: the network's names and a hash of its weights.
+        """What determines the descriptors: the network's names and settings, and a hash of its weights.
 
         Reads every weight, which takes about a second for the largest networks: keep the result.
         """
@@ -141,7 +141,7 @@ class NetworkDescriptor(BetweenColumns):
     def pairwise(
         self, queries: Description, references: Description, distance: str | None = None
     ) -> NDArray[np.float64]:
-        """Return the distances (n, m) between position parts; a map keeps the orientation parts elsewhere."""
+        """Return the distances (n, m) between the position parts of queries and references."""
         if (queries.orientation is None) != (references.orientation is None):
             queries, references = (Description(one.position, None, one.identity) for one in (queries, references))
         return super().pairwise(queries, references, distance)
@@ -187,7 +187,7 @@ def network_of(module: nn.Module) -> nn.Module:
 
 
 def orienting(module: nn.Module) -> Network | None:
-    """Return the network of a module if it finds headings by itself, else None.
+    """Return the `Network` of a module if it gives headings by itself, else None.
 
     A subclass of `Network` does not count, since it may describe images in other ways than by branch and head.
     """
@@ -196,7 +196,7 @@ def orienting(module: nn.Module) -> Network | None:
 
 
 def comparing(module: nn.Module) -> RelativePose | None:
-    """Return the part of a module's network that compares images; None if it has none."""
+    """Return the part of a module's network that compares two images; None if it has no such part."""
     network = orienting(module)
     return None if network is None else network.relative
 
@@ -222,7 +222,7 @@ def margin_of(loss: object) -> float | None:
 
 @contextmanager
 def evaluating(module: nn.Module) -> Iterator[None]:
-    """Evaluate a module without gradients, in full precision; afterwards the mode of every part is restored."""
+    """Run a module without gradients in full precision inside a `with` block, and restore its modes afterwards."""
     modes = [(part, part.training) for part in module.modules()]
     module.eval()
     try:
@@ -260,7 +260,7 @@ def checked_descriptors(descriptors: Any, images: int) -> Tensor:
 
 
 def shown(value: Any) -> str:
-    """Describe the output of a network or a loss for an error message."""
+    """Return a description of the output of a network or a loss, for an error message."""
     return f"shape {tuple(value.shape)}" if isinstance(value, Tensor) else type(value).__name__
 
 

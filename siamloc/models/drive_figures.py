@@ -25,8 +25,8 @@ class DriveFigures:
     """Gather the descriptors of map frames and queries, and compute the errors of the queries.
 
     Args:
-        radius: of the recall: a query counts if the map frame with the nearest descriptor is at most this far away, in
-            the unit of the positions.
+        radius: radius of the recall, in the unit of the positions: a query counts if the map frame with the nearest
+            descriptor is within it.
 
     Example:
         >>> figures = DriveFigures(radius=0.5)
@@ -43,7 +43,7 @@ class DriveFigures:
         self._parts: list[dict[str, Tensor]] = []
 
     def add(self, batch: Mapping[str, Tensor], descriptors: Tensor, orientation: Tensor | None = None) -> None:
-        """Add map frames and queries.
+        """Add a batch of described map frames and queries.
 
         Args:
             batch: `known` (B,) bool, True for map frames; `xy` (B, 2), NaN if unknown; `building` (B,); `room` (B,),
@@ -53,7 +53,7 @@ class DriveFigures:
                 unknown.
 
         Raises:
-            DataError: a batch without one of these.
+            DataError: a batch without one of these keys.
         """
         columns = _COLUMNS if orientation is None else (*_COLUMNS, "theta")
         required(batch, columns, "map frames and queries")

@@ -34,12 +34,12 @@ class Head(nn.Module):
 
 
 class FullyConnected(Head):
-    """Two or three fully connected layers with a ReLU between them ([T] table 5.2).
+    """A head of two or three fully connected layers with a ReLU between them ([T] table 5.2).
 
     Nothing follows the last layer, as in the published code of the thesis; see `SoftmaxHead` for the text's softmax.
 
     Args:
-        name: of the head.
+        name: name of the head.
         shape: (C, h, w) of the features.
         widths: neurons of the layers; the last number is D.
     """
@@ -73,7 +73,7 @@ class UnitHead(Head):
     """Base of the heads that end in one layer and give descriptors of unit length.
 
     Args:
-        name: of the head.
+        name: name of the head.
         inputs: number of inputs of the layer.
         outputs: length D of a descriptor.
     """
@@ -84,7 +84,7 @@ class UnitHead(Head):
         self.layer = nn.Linear(inputs, outputs)
 
     def unit(self, values: Tensor) -> Tensor:
-        """Return the descriptors (B, D) of the values (B, inputs)."""
+        """Return descriptors (B, D) of unit length: the layer applied to values (B, inputs), and normalized."""
         return F.normalize(self.layer(values))
 
 
@@ -92,7 +92,7 @@ class Flat(UnitHead):
     """One fully connected layer over all features, scaled to unit length: what is seen where, relative to the robot.
 
     Args:
-        name: of the head.
+        name: name of the head.
         shape: (C, h, w) of the features.
         outputs: length D of a descriptor.
     """
@@ -112,7 +112,7 @@ class GeneralizedMean(UnitHead):
     maximum. The head discards where in the panorama something is.
 
     Args:
-        name: of the head.
+        name: name of the head.
         shape: (C, h, w) of the features.
         outputs: length D of a descriptor.
     """
@@ -141,7 +141,7 @@ class Bands(GeneralizedMean):
     For cameras that stay level and turn, even if the columns of an image do not wrap around.
 
     Args:
-        name: of the head.
+        name: name of the head.
         shape: (C, h, w) of the features.
         outputs: length D of a descriptor.
     """
@@ -155,7 +155,7 @@ class Spectrum(nn.Module):
     Turning a signal changes only the phases of its Fourier series.
 
     Args:
-        columns: w of the features.
+        columns: number of columns w of the features.
     """
 
     cosine: Tensor
@@ -192,7 +192,7 @@ class Fourier(UnitHead):
     `siamloc.models.orientation`.
 
     Args:
-        name: of the head.
+        name: name of the head.
         shape: (C, h, w) of the features.
         outputs: length D of a descriptor.
     """
@@ -219,7 +219,7 @@ class Magnitudes(Head):
     ([Charikar 2002]).
 
     Args:
-        name: of the head.
+        name: name of the head.
         shape: (C, h, w) of the features, which have C * h * (w // 2) magnitudes.
         outputs: length D of a descriptor, at most the number of magnitudes.
 
@@ -248,7 +248,7 @@ class Magnitudes(Head):
         self.register_buffer("signs", torch.empty(padded), persistent=False)
 
     def reset(self) -> None:
-        """Fill in which magnitudes are summed and their signs, the same on every machine."""
+        """Fill in the buffers: which magnitudes are summed, and with which signs, the same on every machine."""
         with torch.no_grad():
             self.order.copy_(torch.from_numpy(_random_bits(len(self.order), seed=1).argsort()))
             self.signs.copy_(random_signs(1, len(self.signs))[0])

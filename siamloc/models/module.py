@@ -41,7 +41,7 @@ class NetworkModule(LightningModule):
         loss: a module, whose parameters are trained as well, or a function; that of the class if None. If it has a
             method `progress`, this is called before each step with the share of the training that is done.
         optimizer: how the weights are updated.
-        recall_radius: of the recall on a validation drive, see `DriveFigures`.
+        recall_radius: radius of the recall on a validation drive, see `DriveFigures`.
 
     Raises:
         ConfigError: a network that is not a module or lacks the stages to freeze, or a loss that is not callable.
@@ -73,12 +73,12 @@ class NetworkModule(LightningModule):
 
     @property
     def trained_network(self) -> nn.Module:
-        """The network alone, which is used and exported in place of the module."""
+        """The network alone, without the loss: it is what is used and exported after the training."""
         return self.network
 
     @property
     def comparing_network(self) -> Network | None:
-        """The network, if it learns to compare images; see `siamloc.models.relative`."""
+        """The network if it learns to compare two images, else None; see `siamloc.models.relative`."""
         return orienting(self.network) if comparing(self.network) is not None else None
 
     @property
@@ -101,7 +101,7 @@ class NetworkModule(LightningModule):
             self.log("loss_step", loss.detach(), on_step=True, on_epoch=False, prog_bar=shown, batch_size=1)
 
     def setup(self, stage: str) -> None:
-        """Freeze the first stages while the network is trained."""
+        """Freeze the first stages of the network until the training ends."""
         if stage == "fit" and self.optimizer.frozen_stages:
             self._frozen = FrozenStages(self.network, self.optimizer.frozen_stages)
 
@@ -111,14 +111,14 @@ class NetworkModule(LightningModule):
             self._frozen.rest()
 
     def on_train_batch_start(self, batch: Any, batch_idx: int) -> None:
-        """Tell a loss that changes during training the progress: 0 in the first step, 1 in the last."""
+        """Pass the share of the training that is done, 0 to 1, to a loss that changes during training."""
         progress = getattr(self.loss, "progress", None)
         if callable(progress):
             steps = self.trainer.estimated_stepping_batches
             progress(min(self.trainer.global_step / max(steps - 1, 1), 1.0))
 
     def teardown(self, stage: str) -> None:
-        """Restore the frozen stages."""
+        """Restore the gradients and modes of the frozen stages."""
         frozen, self._frozen = self._frozen, None
         if frozen is not None:
             frozen.thaw()
@@ -156,11 +156,11 @@ class NetworkModule(LightningModule):
         return {"model": model, "loss": loss, **rooms, "optimizer": self.optimizer.plain()}
 
     def on_save_checkpoint(self, checkpoint: dict[str, Any]) -> None:
-        """Add to the weights what `siamloc.models.load` needs."""
+        """Add the content that `siamloc.models.load` needs to a checkpoint."""
         checkpoint[CONTENT_KEY] = {"format": FORMAT_VERSION, **self.content()}
 
     def log_epoch(self, stage: str, values: Mapping[str, Any]) -> None:
-        """Log the figures of an epoch as `stage/name`.
+        """Log the figures of an epoch under names such as "train/loss".
 
         Raises:
             ConfigError: the loss is not finite.
@@ -182,7 +182,7 @@ class NetworkModule(LightningModule):
         self._drive.add(batch, checked_descriptors(found, len(images)), parts)
 
     def drive_figures(self) -> dict[str, Tensor]:
-        """Locate the queries of the validation drive in the map and return the figures; empty without queries.
+        """Search the queries of the validation drive in the map and return the figures; empty without queries.
 
         Raises:
             ConfigError: the descriptors are not finite.
@@ -194,18 +194,18 @@ class NetworkModule(LightningModule):
             raise self.diverged(f"{error} after epoch {self.current_epoch + 1}") from error
 
     def epoch_sums(self) -> dict[str, Tensor]:
-        """Return what the figures of the current epoch are computed from, for a checkpoint within the epoch.
+        """Return the sums behind the figures of the current epoch, for a checkpoint within the epoch.
 
-        Here that is the figures of each step (steps,), by name.
+        In this class these are the figures of each step (steps,), by name.
         """
         return {name: torch.stack(each) for name, each in self._figures.items()}
 
     def load_epoch_sums(self, sums: Mapping[str, Tensor]) -> None:
-        """Continue an epoch with what `epoch_sums` returned for a checkpoint."""
+        """Continue an epoch with the sums that `epoch_sums` returned for a checkpoint."""
         self._figures = {name: list(each) for name, each in sums.items()}
 
     def diverged(self, sign: str) -> ConfigError:
-        """Return the error for a training that diverged; `sign` is the text that says how this was noticed."""
+        """Return the error for a training that diverged; `sign` says what showed it, such as a loss of NaN."""
         rate = self.optimizer.learning_rate
         advice = f"train again with a smaller optimizer.learning_rate than {rate:g}"
         return ConfigError(f"the training diverged: {sign}; {advice}")

@@ -70,7 +70,7 @@ class NearAndFarLoss(ScheduledLoss):
             return self.loss(found, indices_tuple=picked).to(descriptors.device, non_blocking=True)
 
     def lacks(self, origins: Origins) -> str | None:
-        """Name what a batch lacks for this loss: two frames near each other, or two far from each other."""
+        """Return what a batch lacks for this loss, in words: two frames near each other, or far from each other."""
         near, far = self.bounds("near")[1], self.bounds("far")[0]
         if not bool(origins.apart().min() <= near):
             return f"two frames up to loss.near={near:g} apart"

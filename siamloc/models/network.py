@@ -66,7 +66,7 @@ def build(
             of a torchvision network with this branch; "siamloc" for the network that ships with siamloc, see
             `siamloc.models.pretrained`; or a run, its folder or a checkpoint. For a run, the best checkpoint is
             used: all of it if head and image size agree, otherwise only the branch, as a printed note says.
-        seed: of the random weights.
+        seed: seed of the random weights.
         outputs: length D of a descriptor, for the heads "flat", "gem", "bands" and "fourier", 256 if None; and for
             "magnitudes", 2048 if None, or fewer if small images have fewer magnitudes.
         circular: let convolutions and pools wrap around the azimuth, for panoramas, whose columns are a full turn.
@@ -178,7 +178,7 @@ class Network(nn.Module):
 
     @property
     def stages(self) -> list[list[nn.Module]]:
-        """The parts with weights: the layers of the branch by resolution, then the head if it has weights."""
+        """The parts with weights, stage by stage: the layers of the branch by resolution, then the head."""
         layers = iter(self.branch.features)
         counts = layers_by_stage(self.branch.name, self.branch.circular)
         above: list[nn.Module] = [part for part in (self.head, self.orientation, self.relative) if part is not None]

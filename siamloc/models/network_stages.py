@@ -40,7 +40,7 @@ def stages(network: nn.Module) -> list[list[str]]:
 
 
 def comparing_weights(network: nn.Module) -> list[nn.Parameter]:
-    """List the weights that learn displacements, see `siamloc.models.relative`; empty for other networks."""
+    """Return the names of the weights that learn to estimate displacements; empty for other networks."""
     if not isinstance(getattr(network, "relative", None), nn.Module):
         return []
     return [weight for part in ("orientation", "relative") for weight in network.get_submodule(part).parameters()]
@@ -60,11 +60,11 @@ class FrozenStages:
         self._parts.requires_grad_(False)
 
     def rest(self) -> None:
-        """Switch the frozen stages to evaluation mode: batch normalization keeps its statistics, and dropout is off."""
+        """Switch the frozen stages to evaluation mode: no updates of batch normalization, no dropout."""
         self._parts.eval()
 
     def thaw(self) -> None:
-        """Restore the gradients and the modes that the frozen stages had."""
+        """Restore gradients and modes of the frozen stages."""
         for weight, trained in self._weights:
             weight.requires_grad_(trained)
         for part, training in self._modes:

@@ -64,7 +64,7 @@ class Orientation(nn.Module):
         self.register_buffer("back", back, persistent=False)
 
     def reset(self) -> None:
-        """Fill in the signs, and the matrices that turn back."""
+        """Fill in the random signs, and the matrices that undo the turn to the canonical direction."""
         columns, canonical = self.columns
         with torch.no_grad():
             if self.back is not None and canonical is not None:
@@ -77,7 +77,7 @@ class Orientation(nn.Module):
         """Return the orientation parts (B, columns, 64) of features (B, C, h, w).
 
         Args:
-            features: of the layer.
+            features: features of the branch after `level` layers.
             turned: number of columns (B,) by which the panoramas were turned first, see `Canonical`.
         """
         if self.grid is not None:
@@ -95,7 +95,7 @@ class Orientation(nn.Module):
 
 
 class Canonical(nn.Module):
-    """Turn each panorama by less than the width of a feature column, to the crest of a wave of that length.
+    """Turn each panorama to a direction that its own content determines, by less than a feature column's width.
 
     Features computed with strides along the azimuth shift when the robot turns by one of their columns; in between they
     change. Summing all pixels in columns that are one such stride apart gives a signal of one period. Turning the robot
@@ -123,7 +123,7 @@ class Canonical(nn.Module):
         self.register_buffer("waves", torch.empty(period, period, dtype=torch.int64), persistent=False)
 
     def reset(self) -> None:
-        """Fill in the waves: one period of a cosine, shifted by each number of columns, in whole numbers."""
+        """Fill in the waves: a period of a cosine at each shift by whole columns, in whole numbers."""
         column = torch.arange(self.period)
         angle = ((column[:, None] - column) % self.period).double() * (2 * torch.pi / self.period)
         with torch.no_grad():

@@ -54,7 +54,8 @@ class ScheduledLoss(nn.Module):
     """Base of losses over batches. Parameters with a start, such as `sigma` with `sigma_start`, change while training.
 
     A loss for descriptors of unit length has the attribute `unit_length = True`: other descriptors are refused. If it
-    has a method `lacks(origins) -> str | None`, a training whose batches all lack something is refused, too.
+    has a method `lacks(origins) -> str | None`, a training in which every batch lacks
+        something is refused, too.
     """
 
     def __init__(self, settings: Settings) -> None:
@@ -75,7 +76,7 @@ class ScheduledLoss(nn.Module):
 
 
 def required(batch: Mapping[str, Tensor], keys: Sequence[str], what: str) -> None:
-    """Raise DataError unless a batch has all of these keys; `what` is in it, in words."""
+    """Raise DataError unless a batch has all of these keys."""
     if missing := [key for key in keys if key not in batch]:
         raise DataError(f"a batch of {what} needs {', '.join(keys)}; missing: {', '.join(missing)}")
 

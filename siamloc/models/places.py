@@ -43,7 +43,7 @@ class PlaceModule(NetworkModule):
         network: (B, 3, H, W) floating point in [0, 1] -> (B, D): what `siamloc.models.build` makes, or any module.
         loss: (descriptors (N, D), `Origins`) -> scalar, a module or a function; a `SoftContrastiveLoss` if None.
         optimizer: how the weights are updated.
-        recall_radius: of `val/recall`, in the unit of the positions.
+        recall_radius: radius of `val/recall`, in the unit of the positions.
 
     Raises:
         ConfigError: a network that is not a module, or a loss that is not callable.
@@ -52,7 +52,7 @@ class PlaceModule(NetworkModule):
     default_loss = SoftContrastiveLoss
 
     def training_step(self, batch: Mapping[str, Tensor], batch_index: int) -> Tensor:
-        """Compute the loss of a batch."""
+        """Return the loss of a batch of places."""
         origins = _origins(batch)
         found, orientation = self._described(batch)
         descriptors = checked_descriptors(found, len(batch["images"]))
@@ -109,7 +109,7 @@ class PlaceModule(NetworkModule):
             self.log_epoch("train", {name: each.nanmean() for name, each in figures.items()})
 
     def validation_step(self, batch: Mapping[str, Tensor], batch_index: int) -> None:
-        """Describe a batch of map frames and queries."""
+        """Describe a batch of map frames and queries of the validation drive."""
         self.describe_drive(batch)
 
     def on_validation_epoch_end(self) -> None:

@@ -108,7 +108,7 @@ class Optimizer(Settings):
     Attributes:
         name: "sgd", "adam" or "adamw".
         learning_rate: step size.
-        momentum: of "sgd"; for the other two the decay of the first moment (beta 1).
+        momentum: momentum of "sgd"; decay of the first moment (beta 1) of "adam" and "adamw".
         weight_decay: share of a weight that each step removes, times the learning rate.
         schedule: "constant"; or "one_cycle": the learning rate rises to `learning_rate` and falls to almost 0, each
             along half a cosine, over the whole training ([Smith 2018]).
@@ -143,7 +143,7 @@ class SoftContrastive(Settings):
     """All pairs of a batch: the nearer two images were taken, the more alike (`SoftContrastiveLoss`).
 
     Attributes:
-        temperature: of the softmax over the similarities of descriptors of unit length.
+        temperature: temperature of the softmax over the similarities of descriptors of unit length.
         kernel: how similar two images should be at a distance x: "gaussian", exp(-x^2 / 2 sigma^2), or "exponential",
             exp(-x / sigma), which distinguishes the nearest from the second nearest and still tells apart those beyond.
         sigma: width of the kernel, in the unit of the positions.
@@ -184,7 +184,7 @@ Closeness = Literal["cosine", "euclidean", "squared"]
 
 @dataclass(frozen=True)
 class NearAndFar(Settings):
-    """Which images of a batch belong together, and which do not; those in between are ignored.
+    """Which images of a batch are positives and negatives of each other; pairs in between are ignored.
 
     Attributes:
         near: images up to this far apart are positives of each other, in the unit of the positions.
@@ -259,7 +259,7 @@ class MultiSimilarity(NearAndFar):
     Attributes:
         alpha: weight of the positives.
         beta: weight of the negatives.
-        base: similarity, or distance, that separates the two.
+        base: similarity, or distance, that separates positives from negatives.
         distance: how descriptors of unit length are compared: "cosine", the similarity from 1 to -1; "euclidean",
             from 0 to 2; or "squared", its square.
     """
@@ -272,7 +272,7 @@ class MultiSimilarity(NearAndFar):
 
 @dataclass(frozen=True)
 class CrossEntropy(Settings):
-    """The room, named by a layer on the descriptor (`CrossEntropyLoss`), best with pairs=frames.
+    """Name the room of an image by a layer on its descriptor (`CrossEntropyLoss`), best with pairs=frames.
 
     Attributes:
         temperature: divisor of the room scores. For heads of unit length a small one, such as 0.1, makes clear answers
@@ -324,7 +324,7 @@ def head_widths(name: str, outputs: int | None = None) -> tuple[int, ...]:
 
     Args:
         name: a name in `HEADS`.
-        outputs: length of a descriptor, for heads of one layer; the head's own if None.
+        outputs: length of a descriptor, for heads of one layer; the head's default if None.
 
     Raises:
         ConfigError: an unknown name, a number that is not positive, or outputs for a head with a fixed number.

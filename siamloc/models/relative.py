@@ -27,7 +27,7 @@ _ALIGNED = 2.0  # columns: a query whose turn is off by more cannot be compared
 
 
 class Relative(NamedTuple):
-    """The result of comparing pairs of images.
+    """Estimated poses of B query images relative to B map frames.
 
     Attributes:
         pose: (B, 3) displacement ahead and to the left, seen from the map frame's robot, in the unit of the positions,
@@ -54,8 +54,8 @@ class RelativePose(nn.Module):
     panorama turns the answer, whatever was learned.
 
     Args:
-        columns: K of the orientation parts.
-        values: F of the orientation parts.
+        columns: number of columns K of the orientation parts.
+        values: numbers per column F of the orientation parts.
 
     Example:
         >>> from siamloc.models import build
@@ -108,7 +108,7 @@ class RelativePose(nn.Module):
                 layer.weight *= 0.1
 
     def forward(self, query: Tensor, known: Tensor, steps: Tensor | None = None) -> Relative:
-        """Compare queries with map frames.
+        """Estimate the poses of queries relative to map frames.
 
         Args:
             query: orientation parts (B, K, F).
@@ -151,7 +151,7 @@ class RelativePose(nn.Module):
 
 
 def compared(origins: Origins, descriptors: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """Choose pairs of a batch to learn from.
+    """Choose pairs of a batch's images from which to learn displacements.
 
     Each image is compared with some of the nearest images, near and farther ones, with the most similar image of
     another place, and with the most similar image out of reach: such images are what a search returns by mistake. The
@@ -159,7 +159,7 @@ def compared(origins: Origins, descriptors: Tensor) -> tuple[Tensor, Tensor, Ten
     kind, the pair does not count.
 
     Args:
-        origins: of the images (N); pairs of those without a heading or a position do not count.
+        origins: origins of the images (N); pairs of those without a heading or a position do not count.
         descriptors: (N, D).
 
     Returns:
@@ -195,9 +195,9 @@ def relative_loss(
     their correlation. The error is NaN if no two images can be compared.
 
     Args:
-        relative: the module that compares.
-        orientation: parts of the images (N, K, F).
-        origins: of the images (N), with their headings.
+        relative: the module that compares orientation parts.
+        orientation: orientation parts of the images (N, K, F).
+        origins: origins of the images (N), with headings.
         descriptors: (N, D), to find similar images.
         compare: computes what `relative` does, such as a compiled form of it; `relative` itself if None.
     """

@@ -13,7 +13,7 @@ from siamloc.errors import DataError
 
 @dataclass(frozen=True, eq=False)
 class NamedRooms:
-    """The rooms that images show.
+    """The rooms that a classifier names for n images.
 
     Attributes:
         room: (n,) the most probable room of each image.
@@ -28,7 +28,7 @@ class NamedRooms:
 
 @dataclass(frozen=True, eq=False)
 class RoomClassifier:
-    """One fully connected layer from a descriptor to the scores of rooms, and a softmax. Immutable.
+    """Name rooms from descriptors with one fully connected layer and a softmax. Immutable.
 
     Attributes:
         names: (r,) the rooms, named as in `FrameTable.place`; each once.
@@ -80,7 +80,7 @@ class RoomClassifier:
         return found @ self.weight.T.astype(np.float64) + self.bias
 
     def named(self, descriptors: ArrayLike) -> NamedRooms:
-        """Name the rooms of descriptors (n, D).
+        """Return the rooms that descriptors (n, D) show, with probabilities.
 
         Raises:
             DataError: descriptors of another length.

@@ -45,7 +45,7 @@ class SiameseModule(NetworkModule):
         loss: (d0 (B, D), d1 (B, D), y (B,)) -> scalar, the mean over the pairs: a module, whose parameters are
             trained as well, or a function. A `ContrastiveLoss` of margin 2 if None.
         optimizer: how the weights are updated.
-        recall_radius: of `val/recall`, in the unit of the positions.
+        recall_radius: radius of `val/recall`, in the unit of the positions.
 
     Raises:
         ConfigError: a network that is not a module or was built with relative=True, or a loss that is not callable.
@@ -79,7 +79,7 @@ class SiameseModule(NetworkModule):
         self.val_statistics = PairStatistics(margin_of(self.loss))
 
     def training_step(self, batch: Mapping[str, Tensor], batch_index: int) -> Tensor:
-        """Compute the loss of a batch of pairs."""
+        """Return the loss of a batch of pairs."""
         loss = self._step(batch, "train", self.train_statistics)
         self.log_step(loss)
         return loss
@@ -143,7 +143,7 @@ class PairStatistics(Metric):
     Figures without any pairs are left out, so that no NaN reaches a logger.
 
     Args:
-        margin: of the loss; None for a loss without one: then there are neither accuracies nor `active`.
+        margin: margin of the loss; None for a loss without a margin, which gives neither accuracies nor `active`.
     """
 
     full_state_update = False
@@ -168,8 +168,8 @@ class PairStatistics(Metric):
         """Add a batch of B pairs to the sums.
 
         Args:
-            descriptors: (2 B, D).
-            distance: (B,).
+            descriptors: (2 B, D), of the first images, then of the second images.
+            distance: (B,) distance of the two descriptors of each pair.
             loss: mean over the batch, a scalar.
             same: (B,) bool, True where both images show the same room.
             label: (B,), dissimilarity in [0, 1].
@@ -199,7 +199,7 @@ class PairStatistics(Metric):
         self._update_count = max(self._update_count, 1)  # `compute` warns if there was no update
 
     def compute(self) -> dict[str, Tensor]:
-        """Compute the scalars that are based on at least one pair."""
+        """Return the statistics by name, without those that no pair contributes to."""
         count, total = self.count, self.count.sum()
         if total == 0:
             return {}

@@ -42,8 +42,8 @@ class Weights:
     Attributes:
         state: names and tensors.
         origin: where the weights come from, in words.
-        mean: of the red, green and blue channels of the training images, in [0, 1]; None if unknown.
-        std: standard deviations, likewise.
+        mean: means of red, green and blue in the training images, in [0, 1]; None if unknown.
+        std: standard deviations of red, green and blue; None if unknown.
         model: for weights of a training, the network as described in the settings of its run.
     """
 
@@ -58,7 +58,7 @@ def read_checkpoint(path: str | Path, mmap: bool = False) -> dict[str, Any]:
     """Read a checkpoint of a training: a dictionary with `state_dict` and, under "siamloc", what was trained.
 
     Args:
-        path: of the file that Lightning wrote.
+        path: path of the file that Lightning wrote.
         mmap: leave the weights on the disk until they are used.
 
     Raises:
@@ -68,7 +68,7 @@ def read_checkpoint(path: str | Path, mmap: bool = False) -> dict[str, Any]:
 
 
 def network_state(content: Mapping[str, Any]) -> dict[str, Tensor]:
-    """Return the weights of the network in a checkpoint, by their names in the network."""
+    """Return the network's weights in a checkpoint, by their names in the network."""
     states = content["state_dict"].items()
     return {name.removeprefix("network."): tensor for name, tensor in states if name.startswith("network.")}
 
@@ -99,7 +99,7 @@ def write_weights(path: str | Path, state: Mapping[str, Tensor], model: Mapping[
     The file also holds the settings to rebuild the network, and a hash of both. Equal weights give equal files.
 
     Args:
-        path: of the file, ending in .safetensors.
+        path: path of the file, ending in .safetensors.
         state: names and tensors.
         model: arguments of `siamloc.models.build` for the network, as plain values.
 
@@ -140,7 +140,7 @@ def load_whole(module: nn.Module, state: Mapping[str, Tensor], what: str, error:
 
 
 def mismatch(module: nn.Module, state: Mapping[str, Tensor]) -> str | None:
-    """Describe how a state dict differs from what the module needs; None if it fits."""
+    """Return how a state dict differs from the weights that a module needs; None if it fits."""
     own = module.state_dict()
     missing = [key for key in own if key not in state]
     surplus = [key for key in state if key not in own]
