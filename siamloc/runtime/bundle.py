@@ -63,7 +63,7 @@ class Bundle:
     Attributes:
         path: its folder.
         about: the content of `bundle.json`: `preprocessing`, `identity` (of the network or analytic descriptor),
-            `parity` (how far the exported descriptors are from the original's), `precision`, `heading` and `errors`
+            `parity` (how far the exported descriptors are from the originals), `precision`, `heading` and `errors`
             (where they come from, None without), `refinement` (how poses are made finer than the map, None if they are
             not), `search` (how a coarse layer is searched first, None without one), `precisions` (size, speed and
             accuracy in each precision, if one was chosen), `figures` (of its evaluation, None without), `sha256` by

@@ -20,7 +20,7 @@ CPU = "CPUExecutionProvider"
 
 
 class Describer:
-    """Describes panoramas and compares their orientation parts, as the original of a bundle does; thread-safe.
+    """Describes panoramas and compares orientation parts, as the descriptor of a bundle did; thread-safe.
 
     Args:
         bundle: the bundle.
@@ -79,7 +79,7 @@ class Describer:
     def compare(
         self, queries: NDArray[np.float32], known: NDArray[np.float32]
     ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-        """Estimate where images were taken relative to others, in the form that `siamloc.maps.Refinement` expects."""
+        """Estimate where n images were taken relative to n map frames, in the form that `Refinement` expects."""
         assert self._relative is not None
         pose, information, match = self._relative.run(None, {"query": queries, "known": known})
         return pose.astype(np.float64), information.astype(np.float64), match.astype(np.float64)
@@ -89,7 +89,7 @@ def session_of(path: str | Path, threads: int | None = None, providers: Sequence
     """Open an ONNX file with onnxruntime.
 
     Args:
-        path: of the file.
+        path: path of the file.
         threads: number of threads; onnxruntime's own choice if None.
         providers: execution providers in order of preference.
 

@@ -50,10 +50,10 @@ class Candidate:
 
     Attributes:
         image: the map frame's file, as named in the map.
-        x: position, in the unit of the map; NaN if the map does not hold it.
-        y: likewise.
-        room: room, or "".
-        distance: descriptor distance.
+        x: position, in the unit of the map; NaN if unknown.
+        y: position, as x.
+        room: room of the map frame, or "".
+        distance: descriptor distance from the image.
         row: row in the map, -1 if unknown; `Bundle.thumbnail` returns its thumbnail if the bundle holds any.
     """
 
@@ -72,7 +72,7 @@ class Location:
     Attributes:
         x: position, in the unit of the map: finer than the map if the bundle refines it, else that of the nearest map
             frame; NaN if the map does not hold it.
-        y: likewise.
+        y: position, as x.
         theta: heading in rad in (-pi, pi], counter-clockwise; NaN if the bundle gives no headings, or if that of the
             nearest map frame is unknown.
         room: room of the nearest map frame, or "".

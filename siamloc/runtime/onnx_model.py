@@ -48,7 +48,7 @@ def export_onnx(network: nn.Module, path: str | Path, image_size: Sequence[int])
 
     Args:
         network: (B, 3, H, W) -> (B, D), such as one made by `siamloc.models.build`; its weights must be float32.
-        path: of the file; its folder is created if needed.
+        path: path of the file; its folder is created if needed.
         image_size: (H, W) in pixels.
 
     Returns:
@@ -81,7 +81,7 @@ def parity(network: nn.Module, path: str | Path) -> dict[str, Any]:
 
     Args:
         network: in any mode; it is compared in evaluation mode and keeps its mode.
-        path: of the ONNX file.
+        path: path of the ONNX file.
 
     Returns:
         `max_abs_difference`, `max_abs_value`, `max_relative_difference` (the first over the second, or the
@@ -117,7 +117,7 @@ def export_relative(network: nn.Module, path: str | Path) -> dict[str, Any]:
 
     Args:
         network: built with relative=True; its weights must be float32.
-        path: of the file; its folder is created if needed.
+        path: path of the file; its folder is created if needed.
 
     Returns:
         What `relative_parity` returns.
@@ -140,7 +140,7 @@ def relative_parity(network: nn.Module, path: str | Path) -> dict[str, Any]:
 
     Args:
         network: the network that was exported.
-        path: of the ONNX file.
+        path: path of the ONNX file.
 
     Returns:
         `max_relative_difference` (each output's relative to its largest value), `tolerance`, `batches`, `seed`,
@@ -175,7 +175,7 @@ def quantize(path: Path, panoramas: NDArray[np.uint8]) -> None:
     """Make the convolutions and fully connected layers of an ONNX file compute with 8-bit integers, in place.
 
     Args:
-        path: of the file.
+        path: path of the file.
         panoramas: (n, 3, H, W) from which the value ranges are taken.
     """
     from onnxruntime.quantization import CalibrationDataReader, QuantFormat, QuantType, quantize_static
@@ -293,7 +293,7 @@ def _conditions(tolerance: float) -> dict[str, Any]:
 
 
 def on_cpu(network: nn.Module) -> nn.Module:
-    """Return a network on the CPU: itself, or a copy.
+    """Return a network on the CPU: the network itself, or a copy if it is elsewhere.
 
     Raises:
         ConfigError: weights that are not float32.

@@ -48,8 +48,8 @@ class Measured:
         ms: median time per image, from the panorama on.
         change: median distance between its descriptors and the original's, relative to their norm.
         error: mean localization error, in units of x and y; an image without a position counts with the map's size.
-        images: number of images it was measured with.
-        located: number of those that got a position.
+        images: number of images measured.
+        located: number of images that got a position.
     """
 
     precision: Precision
@@ -102,8 +102,8 @@ def measured(bundle: Path, original: Descriptor, panoramas: NDArray[np.uint8], x
     """Measure the size, speed and accuracy of a bundle.
 
     Args:
-        bundle: its folder.
-        original: the descriptor of its map.
+        bundle: folder of the bundle.
+        original: the descriptor that was exported.
         panoramas: (n, 3, H, W) of the images to locate.
         xy: (n, 2) positions where they were taken.
     """
@@ -127,7 +127,7 @@ def measured(bundle: Path, original: Descriptor, panoramas: NDArray[np.uint8], x
 
 
 def spread(images: PanoramaLibrary, frames: FrameTable, count: int = _ASKED) -> tuple[NDArray[np.uint8], FrameTable]:
-    """Return the panoramas of at most `count` evenly spread frames, and the frames.
+    """Return the panoramas of at most `count` evenly spread frames, and these frames.
 
     Raises:
         DataError: none of their images can be read.

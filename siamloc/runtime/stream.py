@@ -34,12 +34,12 @@ COLUMNS = (
 
 @dataclass(frozen=True)
 class Located:
-    """What locating one image gave: its location, or why the image could not be read.
+    """The outcome of locating one image: its location, or why the image could not be read.
 
     Attributes:
-        image: its file; for a video or a camera, followed by the number of the frame, such as "drive.mp4#12".
-        location: where it was taken; None if the image could not be read.
-        fault: why it could not be read; "" otherwise.
+        image: name of the file; for a video or a camera, with the number of the frame, such as "drive.mp4#12".
+        location: where the image was taken; None if it could not be read.
+        fault: why the image could not be read; "" otherwise.
         pose: the pose in its file name, as in COLD's names; None if the name holds none.
     """
 
@@ -50,7 +50,7 @@ class Located:
 
     @property
     def off_by(self) -> float:
-        """Distance between the location and the pose in the name; NaN where either is unknown."""
+        """Distance between the location and the pose in the file name, in the map's unit; NaN if either is unknown."""
         if self.location is None or self.pose is None:
             return math.nan
         return math.hypot(self.location.x - self.pose.x, self.location.y - self.pose.y)
@@ -135,7 +135,7 @@ def pictures(
 
 
 def named(images: str | Path | Sequence[str | Path]) -> list[tuple[str, list[Path] | None]]:
-    """Return the image files in each file or folder that is named; None for a video or a camera.
+    """Return the image files in each named file or folder; None in place of a video or a camera.
 
     Raises:
         ConfigError: no names.
@@ -210,10 +210,10 @@ def _quiet() -> Iterator[None]:
 
 @typed
 def written(path: str | Path, located: Iterable[Located]) -> Generator[Located, None, None]:
-    """Pass locations on and write each to a file, which appears once the last has been passed on.
+    """Write locations to a file while passing them on; the file appears after the last location.
 
-    A caller that stops early, is interrupted, or whose images end in an error after the first, still gets the file,
-    with all locations up to there.
+    The file is also written, with all locations up to there, if the caller stops early, is interrupted, or an image
+    after the first raises an error.
 
     Args:
         path: a table with `COLUMNS`, name.csv, or one line of JSON per location, name.jsonl.
@@ -244,12 +244,12 @@ def written(path: str | Path, located: Iterable[Located]) -> Generator[Located, 
 
 
 def csv_line(one: Located) -> str:
-    """Format a location as a line of a table."""
+    """Return a location as a line of CSV."""
     return csv_text([one.row().values()])
 
 
 def json_line(one: Located) -> str:
-    """Format a location as a line of JSON."""
+    """Return a location as a line of JSON."""
     return json.dumps(one.as_dict(), ensure_ascii=False, allow_nan=False) + "\n"
 
 

@@ -41,9 +41,9 @@ def save_thumbnails(path: str | Path, images: PanoramaLibrary, frames: FrameTabl
     """Write the thumbnails of frames to one npz file, atomically.
 
     Args:
-        path: of the file.
+        path: path of the file.
         images: panoramas of the frames.
-        frames: n frames; those that cannot be read get none.
+        frames: n frames; unreadable ones get no thumbnail.
 
     Raises:
         DataError: a frame is not among the images.
