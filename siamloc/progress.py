@@ -22,7 +22,7 @@ def track(
 
     Args:
         items: what to work through.
-        total: how many there are.
+        total: number of items.
         what: the work in words, such as "decoding images".
         every_seconds: time between plain lines when standard error is not a terminal.
         size: how many of the total an item counts for, such as `len` for batches; 1 if None.

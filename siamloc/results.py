@@ -50,9 +50,9 @@ _PARSERS: dict[str, tuple[Any, Callable[[str], Any]]] = {
 
 
 def finest(columns: Columns) -> tuple[Columns, str | None]:
-    """Return a table of queries with its finest estimates and errors, and their name.
+    """Return a table of queries with the finest estimates and errors as its own, and the estimate's name.
 
-    The finest are poses by comparison, or tracked between map frames. Without either, the table itself and None.
+    The finest are tracked poses, then poses by comparison with map frames; without either, the table and None.
     """
     for name in FINEST:
         if f"{name}_error" in columns:
@@ -183,7 +183,7 @@ def rows_by_label(labels: NDArray) -> dict[str, NDArray[np.int64]]:
 def by_label(
     columns: Mapping[str, NDArray], measure: Callable[[NDArray[np.int64]], Any], *names: str
 ) -> dict[str, Any]:
-    """Return a measure of all rows of a table, and of the rows with each label.
+    """Return a measure over all rows of a table, and over the rows with each label.
 
     Args:
         columns: columns of equal length.
@@ -210,7 +210,7 @@ def versions() -> dict[str, str]:
 
 
 def tables_of(folder: str | Path) -> set[str]:
-    """Return the files of the tables that a result names; none if there is no result."""
+    """Return the paths of the tables that a result folder's `results.json` names; empty if there is no result."""
     try:
         tables = read_results(folder).get("tables", {})
     except FormatError:

@@ -36,7 +36,7 @@ class Run:
     removed: everything else in the folder stays.
 
     Args:
-        folder: of the run; it need not exist yet.
+        folder: folder of the run; it need not exist yet.
 
     Raises:
         ConfigError: an empty name, which would be the current folder.
@@ -76,12 +76,12 @@ class Run:
 
     @property
     def weights(self) -> Path:
-        """File with only the weights, which pretraining writes."""
+        """File with the weights alone, which pretraining writes."""
         return self.folder / "weights.safetensors"
 
     @property
     def bundle(self) -> Path:
-        """Folder with what the robot needs."""
+        """Folder of the bundle that the robot needs."""
         return self.folder / "bundle"
 
     @property
@@ -131,7 +131,7 @@ class Run:
         return dict(self.load_record()["settings"])
 
     def curves(self) -> dict[str, NDArray[np.float64]]:
-        """Read the training curves: an array over the epochs for each name, such as "train/loss"; NaN for a gap.
+        """Return the training curves: an array over the epochs by name, such as "train/loss"; NaN for a gap.
 
         Raises:
             ConfigError: no epoch has finished.
@@ -168,8 +168,8 @@ class Run:
 
         Args:
             settings: what the run is trained with, as plain values.
-            names: of the files that the training will write, relative to the folder; recorded before they exist, so
-                that nothing of a killed training is left behind.
+            names: names of the files that the training will write, relative to the folder; recorded before they exist,
+                so that nothing of a killed training is left behind.
         """
         write_json(
             self.record,
@@ -201,12 +201,12 @@ class Run:
         return record
 
     def record_written(self, names: Iterable[str | Path]) -> None:
-        """Note which files siamloc wrote into the run, so that `clear` may remove them.
+        """Record which files siamloc wrote into the run, so that `clear` may remove them.
 
         If the folder has no record, nothing is noted, and nothing is ever removed.
 
         Args:
-            names: of files, relative to the folder or inside it.
+            names: names of files, relative to the folder or inside it.
 
         Raises:
             ConfigError: a name outside the folder, or a folder.
@@ -220,7 +220,7 @@ class Run:
                 write_json(self.record, {**record, "written": sorted(written)})
 
     def clear(self) -> None:
-        """Remove the files that siamloc noted as its own; the record and all other files stay.
+        """Remove the files that are recorded as siamloc's own; the record and all other files stay.
 
         Raises:
             ConfigError, FormatError: as `load_record`.
@@ -243,7 +243,7 @@ class Run:
             self.folder.rmdir()
 
     def foreign(self, names: Iterable[str]) -> list[str]:
-        """List the names of files that siamloc did not write into this run, among the given names."""
+        """Return those of the given names of existing files that siamloc did not write into this run."""
         written = set(self.load_record()["written"]) if self.record.is_file() else set()
         return [name for name in names if (self.folder / name).exists() and name not in written]
 
@@ -288,7 +288,7 @@ _KINDS = {
 
 @typed
 def newest_run(folder: Path = DEFAULT_FOLDER, *, trained: bool = True) -> Run:
-    """Find the run under a folder that was trained last, or with `trained=False` trained or evaluated last.
+    """Return the run under a folder that was trained last, or with `trained=False` trained or evaluated last.
 
     Raises:
         ConfigError: there is none.
@@ -302,7 +302,7 @@ def newest_run(folder: Path = DEFAULT_FOLDER, *, trained: bool = True) -> Run:
 
 
 def suggested_run(otherwise: str) -> str:
-    """Suggest the newest run, for the end of an error message; if there is none, return the other suggestion."""
+    """Return the newest run as a suggestion for the end of an error message; without runs, another suggestion."""
     try:
         return f"give run=FOLDER, such as run={newest_run().folder}, the newest one"
     except ConfigError:
@@ -336,7 +336,7 @@ def run_with(evaluation: str | Path) -> Run | None:
 
 
 def higher_is_better(figure: str) -> bool:
-    """Whether a higher value of a training figure is better; for all others, a lower value is.
+    """Whether a higher value of a training figure, such as "val/recall", is better; otherwise a lower value is.
 
     Example:
         >>> higher_is_better("val/room"), higher_is_better("val/error")

@@ -12,7 +12,7 @@ from siamloc.training.recipes import RECIPES, Recipe
 
 @dataclass(frozen=True)
 class ViewSettings(Settings):
-    """The buildings for pretraining.
+    """Which random buildings are rendered for pretraining, and how many are in use at a time.
 
     Attributes:
         batches: number of batches after which a new building replaces the oldest building in memory.
@@ -22,8 +22,8 @@ class ViewSettings(Settings):
         lights: number of lightings of each drive.
         poses: maximum number of poses of each drive.
         spacing: metres between poses.
-        cameras: used in the buildings: any, panoramas only, or the built_in one only.
-        exposure: drawn, or metered for the best exposure and white balance, without noise.
+        cameras: cameras in the buildings: any, panoramas only, or only the built_in camera.
+        exposure: drawn at random, or metered for the best exposure and white balance, without noise.
         processes: number of rendering processes; 0 renders in the training process.
     """
 

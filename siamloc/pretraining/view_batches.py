@@ -36,7 +36,7 @@ class Renderer:
     """Render buildings, several at once.
 
     Args:
-        processes: number of rendering processes; 0 renders in this one, when a building is requested.
+        processes: number of rendering processes; 0 renders in this process, when a building is requested.
     """
 
     def __init__(self, processes: int) -> None:
@@ -45,7 +45,7 @@ class Renderer:
         self._coming: dict[Wanted, Future[Views]] = {}
 
     def begin(self, wanted: Wanted) -> None:
-        """Start rendering a building, unless that was done already.
+        """Start rendering a building in a process, unless it has been started.
 
         Raises:
             DataError: a rendering process has died.
@@ -109,10 +109,10 @@ class BuildingStream:
     """Random buildings in order, rendered before they are needed.
 
     Attributes:
-        renderer: renders them.
+        renderer: renders the buildings.
         image_size: rows and columns of the images.
-        settings: of the buildings.
-        seed: of the training.
+        settings: settings of the buildings.
+        seed: seed of the training.
         rank: number of this process among those that train together; each has its own buildings.
         world_size: number of those processes.
     """
@@ -128,7 +128,7 @@ class BuildingStream:
         self._here: dict[int, tuple[Views, FrameTable]] = {}
 
     def held(self, newest: int) -> list[tuple[Views, FrameTable]]:
-        """Return the buildings in memory up to the newest; wait for buildings that are not rendered yet.
+        """Return the images and frames of the buildings in memory up to building `newest`; wait for their rendering.
 
         Raises:
             DataError: a rendering process has died.
@@ -169,14 +169,14 @@ def frames_of(views: Views, name: str) -> FrameTable:
 
 @dataclass(eq=False)
 class ViewBatches(Dataset[dict[str, Any]]):
-    """The batches of every epoch: item (epoch, i) is a whole batch, as in `PlaceBatches`.
+    """The training batches of every epoch: item (epoch, i) is a whole batch, as in `PlaceBatches`.
 
-    Its contents depend only on the seed and its number, not on how fast buildings are rendered.
+    A batch depends only on the seed and its number, not on how fast buildings are rendered.
 
     Attributes:
-        stream: of buildings, for this process.
+        stream: buildings for this process.
         places: how batches are drawn.
-        augmentation: of the images, if any.
+        augmentation: augmentation of the images; None for none.
     """
 
     stream: BuildingStream
@@ -187,7 +187,7 @@ class ViewBatches(Dataset[dict[str, Any]]):
         return self.places.epoch_batches or 0
 
     def drawn(self, epoch: int, batch: int) -> tuple[list[Views], FrameTable, NDArray[np.int64]]:
-        """Return the buildings of a batch, the frames of all their images, and the rows of the frames in the batch."""
+        """Return the buildings of a batch, the frames of all their images, and the rows of the batch's frames."""
         stream, number = self.stream, epoch * len(self) + batch
         held = stream.held(number // stream.settings.batches)
         rng = np.random.default_rng([stream.seed, number, stream.rank, 0xB1D6])
@@ -246,8 +246,8 @@ class ViewDataModule(EpochDataModule):
         image_size: rows and columns of the images.
         views: settings of the buildings.
         places: how batches are drawn; `epoch_batches` is required.
-        augmentation: of the images; none if None.
-        seed: of buildings and batches.
+        augmentation: augmentation of the images; None for none.
+        seed: seed of the buildings and batches.
     """
 
     def __init__(
