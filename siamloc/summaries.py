@@ -34,7 +34,7 @@ def tables_of(
 
 
 def own_tables(name: str, parts: Measures) -> dict[str, list[Table]]:
-    """Return the tables of what is measured for one method only, by kind, such as "mapping"."""
+    """Return the tables of measures that other methods do not have, by kind, such as "mapping"."""
     unit = next((part["unit"] for part in parts.values() if "unit" in part), "")
     return {
         kind: tables({"name": name, "unit": unit, **parts[kind]}) for kind, tables in _OF_ONE.items() if kind in parts
@@ -42,7 +42,7 @@ def own_tables(name: str, parts: Measures) -> dict[str, list[Table]]:
 
 
 def methods_of(name: str, parts: Measures, baselines: Mapping[str, Measures]) -> dict[str, Measures]:
-    """Return the measures of a method, of its further estimates and of its baselines by name, its own first.
+    """Return the measures by name: of a method, of its further estimates, and of its baselines.
 
     Errors are under "absolute", also those of hierarchical localization.
     """
@@ -55,7 +55,7 @@ def methods_of(name: str, parts: Measures, baselines: Mapping[str, Measures]) ->
 
 
 def groups_of(part: Measures, by: str = "lighting") -> dict[str, Measures]:
-    """Return the measures by lighting or by room, and last those of all queries, unless there is one label only."""
+    """Return the measures by lighting or by room, and of all queries last if there are several labels."""
     groups = {label: part[by][label] for label in sorted(part.get(by, {}))}
     return groups if len(groups) == 1 else {**groups, ALL: part["overall"]}
 
@@ -233,7 +233,7 @@ def robustness(found: Measures) -> list[Table]:
 
 
 def cost(costs: Mapping[str, Measures]) -> list[Table]:
-    """Return the table of the time a query takes and of the memory a map frame takes: a row for each method."""
+    """Return the table of a query's time and a map frame's memory: a row for each method."""
     steps = ("describe", "rank", "search", "heading")
     times = _as("short", {step: f"{step}_ms" for step in steps}, "ms")
     columns = [*times, *_as("count", {"numbers": "numbers", "bytes": "bytes"})]
@@ -253,7 +253,7 @@ _OF_ONE: dict[str, Callable[[Measures], list[Table]]] = {
 
 
 def middle_recall(group: Measures | None) -> Measures | None:
-    """Return the recall@1 within the middle one of the radii, the headline figure; None if there is none."""
+    """Return the recall@1 within the middle of the radii, the headline figure; None if there is none."""
     first = [recall for recall in (group or {}).get("recall", []) if recall["k"] == 1]
     return first[len(first) // 2] if first else None
 
@@ -276,7 +276,7 @@ def measured(
 
     Args:
         name: name of the table.
-        labels: headings of the labels.
+        labels: headings of the columns that label the rows.
         columns: columns, each with the path of its values in the measures of a row; two paths for the form "share".
         rows: the labels and the measures of each row.
         title: title of the table.

@@ -21,11 +21,11 @@ class Column:
     """A column of a table.
 
     Attributes:
-        name: its heading.
-        unit: the unit of its values, shown with the heading; "" for none.
+        name: heading of the column.
+        unit: unit of the values, shown with the heading; "" for none.
         form: how its values are shown: a number with that many decimals; "count", a whole number; "percent", a share in
             percent; "share", two counts (hits, all) as their ratio; "short", a number with four digits; or "text".
-        part: the name of another column whose values are a part of these, which the report draws as a bar.
+        part: name of another column whose values are a part of this column's, drawn as a bar in the report.
     """
 
     name: str

@@ -104,8 +104,8 @@ def pair_curves(measures: Mapping[str, Any]) -> Picture:
 def robustness_curves(measures: Mapping[str, Any]) -> Picture:
     """Draw panels for each disturbance: mean and median error, the share within the radius, and heading errors.
 
-    Headings are computed against the retrieved frame and, dashed, against the geometrically nearest one; they have a
-    panel if any are known.
+    Heading errors are those of the retrieved frame and, dashed, of the geometrically nearest frame; they have a panel
+    if any are known.
 
     Args:
         measures: `measures.robustness` of `results.json`.
@@ -183,13 +183,13 @@ def swept_curves(
     *,
     highest: bool = False,
 ) -> Picture:
-    """Draw a measure of a sweep against a setting, with a line for each combination of the others and the best marked.
+    """Draw a measure of a sweep against a setting, with a line for each combination of the other settings.
 
     Args:
         rows: for each training or evaluation, its settings and the measure; NaN if unknown.
         settings: names of the settings that differ.
         by: name of the measure.
-        against: the setting on the x axis; if None, the first numeric one other than a seed, or else the first.
+        against: the setting on the x axis; if None, the first numeric setting other than a seed, or else the first.
         highest: whether the highest value is the best.
 
     Raises:

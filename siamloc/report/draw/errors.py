@@ -53,8 +53,8 @@ def error_curve(columns: Mapping[str, NDArray], unit: str = "m", name: str = "me
     """Draw cumulative error curves: by lighting, then against the baselines under each lighting.
 
     Args:
-        columns: of `queries.csv`: error, floor, lighting, and `baseline_<name>` columns.
-        unit: of the errors.
+        columns: columns of `queries.csv`: error, floor, lighting, and `baseline_<name>` columns.
+        unit: unit of the errors.
         name: name of what was measured, for the legend.
 
     Example:
@@ -81,9 +81,9 @@ def estimate_curve(columns: Mapping[str, NDArray], estimate: str, unit: str = "m
     """Draw another estimate of the same queries against the single-frame one, one panel per lighting.
 
     Args:
-        columns: of `queries.csv`: error, floor, lighting, `<estimate>_error`.
+        columns: columns of `queries.csv`: error, floor, lighting, `<estimate>_error`.
         estimate: name of the estimate, such as "filtered".
-        unit: of the errors.
+        unit: unit of the errors.
     """
     error, other, floor = columns["error"], columns[f"{estimate}_error"], columns["floor"]
     groups = rows_by_label(columns["lighting"]) or {_ALL: np.arange(len(error))}
@@ -101,7 +101,7 @@ def compared_curves(tables: Mapping[str, Mapping[str, NDArray]], unit: str = "m"
 
     Args:
         tables: columns of `queries.csv` by the name of the evaluation: error, floor, lighting.
-        unit: of all errors.
+        unit: unit of all errors.
     """
     lightings = {title: rows_by_label(columns["lighting"]) for title, columns in tables.items()}
     labels = list(dict.fromkeys(label for rows in lightings.values() for label in rows))
@@ -127,7 +127,7 @@ def calibration_curve(measures: Mapping[str, Any], unit: str = "m") -> Picture:
 
     Args:
         measures: `measures.calibration` of `results.json`.
-        unit: of the errors.
+        unit: unit of the errors.
     """
     colours = dict(zip(measures["lighting"], lighting_colours(measures["lighting"]), strict=True))
     groups = measures["lighting"] if len(colours) == 1 else {**measures["lighting"], _ALL: measures["overall"]}

@@ -32,9 +32,9 @@ def floor_plan(columns: Table, map_columns: Table, unit: str = "m") -> Picture:
     Frames that lie on a line (a corridor without metric poses) are drawn along that line instead.
 
     Args:
-        columns: of `queries.csv`: x, y, est_x, est_y, error, floor, lighting.
-        map_columns: of `map.csv`: x, y, room.
-        unit: of x and y.
+        columns: columns of `queries.csv`: x, y, est_x, est_y, error, floor, lighting.
+        map_columns: columns of `map.csv`: x, y, room.
+        unit: unit of x and y.
     """
     groups = rows_by_label(columns["lighting"]) or {"": np.arange(len(columns["error"]))}
     axis = along(columns, map_columns)
@@ -44,7 +44,7 @@ def floor_plan(columns: Table, map_columns: Table, unit: str = "m") -> Picture:
 
 
 def along(*tables: Table) -> str | None:
-    """Return the axis, "x" or "y", along which all positions lie at the resolution of a plot; None for a plan."""
+    """Return the axis, "x" or "y", along which positions lie on a line at the resolution of a plot; None otherwise."""
     extent = {axis: float(np.ptp(np.concatenate([table[axis] for table in tables]))) for axis in ("x", "y")}
     longer = "x" if extent["x"] >= extent["y"] else "y"
     return longer if min(extent.values()) <= _FLATTEST * extent[longer] else None

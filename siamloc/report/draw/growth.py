@@ -36,13 +36,13 @@ _FLASH = 3  # number of pictures for which a change of the map is announced
 
 @dataclass(frozen=True, eq=False)
 class Story:
-    """The log of an incremental map, and the final map.
+    """How an incremental map grew: the events of its log, and the final map.
 
     Attributes:
         plan: the final map.
         events: one per line of the log, without the header.
         ids: the mapper's name of each node of the plan (k,).
-        colours: colour of every node that ever existed, by the mapper's name; those that remain have the plan's.
+        colours: colour of every node that ever existed, by the mapper's name; nodes of the plan have its colours.
     """
 
     plan: NodePlan
@@ -52,7 +52,7 @@ class Story:
 
     @property
     def numbers(self) -> dict[int, int]:
-        """The plan's number of each remaining node, by the mapper's name."""
+        """The number in the plan of each node that remains, by the mapper's name."""
         return {name: number for number, name in enumerate(self.ids)}
 
     def labels(self, events: int) -> NDArray[np.int64]:
@@ -64,8 +64,8 @@ def read_story(log: str | Path, plan: NodePlan) -> Story:
     """Read the log of an incremental map.
 
     Args:
-        log: `events.jsonl` of its layer.
-        plan: plan from its evaluation.
+        log: `events.jsonl` in the folder of the layer.
+        plan: plan of the layer, from an evaluation.
 
     Raises:
         FormatError: a log that is missing or incomplete, or of another map than the plan.

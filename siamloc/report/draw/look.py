@@ -55,13 +55,13 @@ _STYLE: dict[str, Any] = {
 
 
 class Picture(Figure):
-    """A figure that notebooks show automatically, without pyplot or a display."""
+    """A matplotlib figure that notebooks show automatically, without pyplot or a display."""
 
     def _repr_png_(self) -> bytes:
         return self.rendered("png", dpi=150)
 
     def rendered(self, kind: str, **options: Any) -> bytes:
-        """Return the figure as file contents, such as "png" or "svg"; reproducible."""
+        """Return the figure as bytes of a file of a kind such as "png" or "svg"; equal figures give equal bytes."""
         buffer = io.BytesIO()
         with style():
             self.savefig(buffer, format=kind, metadata={"Date": None} if kind == "svg" else None, **options)
@@ -136,7 +136,7 @@ def shared_legend(
 
 
 def lighting_colours(labels: Sequence[str] | Mapping[str, Any]) -> list[str]:
-    """Return a colour for each label; a lighting has the same one in every plot.
+    """Return a colour for each label; a lighting has the same colour in every plot.
 
     Example:
         >>> lighting_colours(["cloudy", "dusk", "night"])
@@ -147,14 +147,14 @@ def lighting_colours(labels: Sequence[str] | Mapping[str, Any]) -> list[str]:
 
 
 def method_look(rank: int) -> dict[str, Any]:
-    """Return the line style of a method: the measured one stands out, the others differ in colour and dash."""
+    """Return the line style of the method of a rank: rank 0 stands out, the others differ in colour and dash."""
     if rank == 0:
         return {"color": INK, "linewidth": 2.0, "zorder": 4}
     return {"color": SERIES[(rank + 2) % 8], "linestyle": DASHES[rank % len(DASHES)], "zorder": 3}
 
 
 def series_look(rank: int) -> dict[str, Any]:
-    """Return the colour, marks and dash of one of several lines of equal importance."""
+    """Return the colour, marks and dash of the line of a rank, among lines of equal importance."""
     dash = DASHES[rank // len(SERIES) % len(DASHES)]
     return {"color": SERIES[rank % 8], "marker": MARKS[rank % 8], "markersize": 4, "linestyle": dash}
 
@@ -208,5 +208,5 @@ def scale_errors(
 
 
 def column(entries: Sequence[Mapping[str, Any]], name: str) -> NDArray[np.float64]:
-    """Return a measure of several entries (n,), NaN if unknown."""
+    """Return the measure of a name in several entries (n,); NaN if unknown."""
     return np.array([entry[name] for entry in entries], dtype=np.float64)

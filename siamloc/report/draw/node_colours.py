@@ -58,11 +58,11 @@ def node_colours(
 def neighbouring(xy: ArrayLike, labels: ArrayLike, edges: Iterable[Sequence[int]] = ()) -> set[tuple[int, int]]:
     """Return the pairs of nodes that appear next to each other on the plan, the smaller one first.
 
-    They are connected by an edge, or some of their frames are close to each other on the plan.
+    Such nodes are connected by an edge, or some of their frames are close to each other on the plan.
 
     Args:
         xy: positions of frames (n, 2).
-        labels: (n,) node of each, negative for none.
+        labels: (n,) node of each frame, negative for none.
         edges: pairs of nodes.
     """
     from scipy.spatial import cKDTree
@@ -84,12 +84,13 @@ def neighbouring(xy: ArrayLike, labels: ArrayLike, edges: Iterable[Sequence[int]
 
 @cache
 def contrast(one: str, other: str) -> float:
-    """Return the CIELAB distance of two colours, the smallest of normal, protanopic and deuteranopic vision."""
+    """Return the CIELAB distance of two colours "#RRGGBB", as the least sensitive of three kinds of sight sees it:
+    normal, protanopic and deuteranopic."""
     return min(float(np.linalg.norm(_lab(one, sight) - _lab(other, sight))) for sight in range(len(_SIGHTS)))
 
 
 def ink(colour: str) -> str:
-    """Return black or white, whichever is more readable on a colour."""
+    """Return the more readable of "black" and "white" on a colour "#RRGGBB"."""
     return "black" if _lab(colour, 0)[0] > 58 else "white"
 
 

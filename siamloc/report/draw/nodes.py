@@ -28,14 +28,14 @@ _SMALL = 0.55  # size of a dot without a name
 
 @dataclass(frozen=True, eq=False)
 class NodePlan:
-    """Data for a plot of nodes.
+    """Data for a plot of a map's nodes on the floor plan.
 
     Attributes:
         xy: positions of the frames (n, 2).
         node: (n,) node of each frame, -1 for none.
         places: mean position of each node (k, 2).
         edges: (e, 2) pairs of nodes that the robot moved between.
-        closures: (c, 2) frames that close a loop, and the earlier frames that they close it with.
+        closures: (c, 2) a frame that closes a loop, and the earlier frame with which it closes the loop.
         radius: radius within which a closure counts as right.
         colours: colours of the nodes 0 ... k - 1.
         unit: unit of the positions.
@@ -54,7 +54,7 @@ class NodePlan:
 
     @property
     def right(self) -> NDArray[np.bool_]:
-        """Which closures join frames within the radius (c,)."""
+        """Whether each closure joins frames within the radius (c,)."""
         ends = self.xy[self.closures]
         return np.linalg.norm(ends[:, 0] - ends[:, 1], axis=1) <= self.radius
 
@@ -144,7 +144,7 @@ def frame_colours(colours: Sequence[str], node: NDArray[np.int64]) -> NDArray[np
 def plan_size(
     xy: NDArray[np.float64], width: float = _WIDTH, heights: tuple[float, float] = _HEIGHTS
 ) -> tuple[float, float]:
-    """Return width and height in inches of a plan with equal scales and at most the given size."""
+    """Return width and height in inches, at most the given ones, of a plan with equal scales."""
     extent = 1.1 * np.maximum(np.ptp(xy, axis=0), 1e-9)
     scale = min(width / extent[0], heights[1] / extent[1])
     return max(scale * extent[0], 3.5), max(scale * extent[1], heights[0])
@@ -156,7 +156,7 @@ def points_per_unit(xy: NDArray[np.float64], width: float) -> float:
 
 
 def dress(axes: Axes, plan: NodePlan) -> None:
-    """Set the limits, equal scales, labels and grid of a plan."""
+    """Set the limits, equal scales, labels and grid of a plan's axes."""
     low, high = plan.xy.min(axis=0), plan.xy.max(axis=0)
     margin = 0.05 * max(float((high - low).max()), 1e-9)
     axes.set(xlim=(low[0] - margin, high[0] + margin), ylim=(low[1] - margin, high[1] + margin))
@@ -243,7 +243,7 @@ def _legend(plan: NodePlan) -> list[Any]:
 
 
 def counted(number: int, word: str) -> str:
-    """Return "1 node", "2 nodes"."""
+    """Return a number with its noun: "1 node", "2 nodes"."""
     return f"{number} {word}{'s' if number != 1 else ''}"
 
 

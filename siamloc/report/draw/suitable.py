@@ -40,7 +40,7 @@ def pictures(measures: Mapping[str, Any], tables: Mapping[str, Columns], name: s
     Returns:
         Those of "floor_plan", "error_curve", "filtered_curve", "interpolated_curve", "refined_curve", "tracked_curve",
         "refined_plan", "tracked_plan", "calibration", "node_errors", "confusion", "confusion_by_lighting", "pairs",
-        "robustness", "compact" and "nodes" that there are numbers for, each with a function without arguments that
+        "robustness", "compact" and "nodes" for which there are numbers, each with a function without arguments that
         returns a matplotlib figure.
 
     Raises:

@@ -24,7 +24,7 @@ _SINGLE = "single frame"
 
 
 def comparison(parts: list[Part]) -> Markup | None:
-    """Return the tables and curves of what several evaluations measured; None if nothing was measured twice."""
+    """Return the tables and curves that compare several evaluations; None if no two measured the same."""
     scored = [part for part in parts if part.evaluation.measured]
     robust = {
         part.named(part.evaluation.name): part.evaluation for part in parts if part.evaluation.kind == "robustness"

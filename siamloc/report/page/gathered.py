@@ -24,7 +24,7 @@ _TABLES = ("queries", "map", "rooms", "frames", "nodes")
 
 @dataclass(frozen=True, eq=False)
 class Evaluation:
-    """The results of one descriptor.
+    """The results of one descriptor, as read from its result folder.
 
     Attributes:
         name: name of the results, used for their row in the tables.
@@ -51,7 +51,7 @@ class Evaluation:
 
     @property
     def title(self) -> str:
-        """The name, and what was measured if that differs."""
+        """The name, with the kind of task unless it is localization, for headings."""
         if self.kind == "localization":
             return self.name
         build, coarse = ((self.results.get(key) or {}).get("name") for key in ("layer", "coarse_descriptor"))
@@ -65,7 +65,7 @@ class Evaluation:
 
     @property
     def methods(self) -> dict[str, Any]:
-        """The measures of the descriptor, of its further estimates and of its baselines by name, its own first."""
+        """The measures by name: of the descriptor, of its further estimates and of its baselines."""
         return dict(methods_of(self.name, self.results["measures"], self.results.get("baselines", {})))
 
     @cached_property
@@ -81,7 +81,7 @@ class Evaluation:
 
     @property
     def finest(self) -> tuple[dict[str, Any] | None, str | None]:
-        """The measures of the finest estimates of the queries, and their name; of `absolute` and None without any."""
+        """The measures of the finest estimates, and the estimates' name; `absolute` and None if there are none."""
         measures = self.results["measures"]
         name = next((name for name in FINEST if measures.get(f"absolute_{name}")), None)
         return (self.absolute, None) if name is None else (measures[f"absolute_{name}"], name)
@@ -93,7 +93,7 @@ class Evaluation:
 
     @property
     def located(self) -> int:
-        """Number of queries that were located without a known pose to compare with."""
+        """Number of queries that were located although their true pose is unknown."""
         return int(self.results.get("tables", {}).get("located", {}).get("rows", 0))
 
     @property
@@ -115,7 +115,7 @@ class RunFiles:
         title: a name that is unique in the report.
         evaluations: at least one.
         curves: columns of `metrics.csv`; None if nothing was trained.
-        settings: what the run was trained with; None if nothing was trained.
+        settings: settings of the training; None if nothing was trained.
     """
 
     title: str

@@ -27,7 +27,7 @@ _LONG_NUMBER = re.compile(r"-?\d+\.\d{2,}")
 
 
 def inline(figure: Picture, name: str, title: str) -> Markup:
-    """Return a figure of the page.
+    """Return a figure as SVG for the page, with its title.
 
     Args:
         figure: the figure; equal figures give equal text.

@@ -86,13 +86,13 @@ def plural(value: int, what: str, many: str | None = None) -> str:
 
 
 def key_values(pairs: Iterable[tuple[str, Content]]) -> Markup:
-    """Return a table of two columns."""
+    """Return a table of two columns: keys and values."""
     rows = (tag("tr", tag("th", key, scope="row"), tag("td", value)) for key, value in pairs)
     return tag("table.pairs", tag("tbody", *rows))
 
 
 def grid(table: Table) -> Markup:
-    """Return a table with its notes; it scrolls by itself if the page is too narrow for it.
+    """Return a table as HTML, with its notes; it scrolls by itself if the page is too narrow for it.
 
     Rows with the same first label are grouped, and the rows of all queries are marked. A column with a `part` gets bars
     that show this part and the rest, and its smallest value among several methods is bold.

@@ -26,12 +26,12 @@ class Part:
     """An evaluation prepared for the page.
 
     Attributes:
-        run: the run it belongs to.
-        evaluation: its results.
+        run: the run of the evaluation.
+        evaluation: the results.
         alone: whether the page is about this run only.
         number: number of the part, from 0.
         plan: data of the floor plan, if any.
-        decoder: reads and keeps its images.
+        decoder: reads and keeps the images of the plan.
     """
 
     run: RunFiles
@@ -54,16 +54,16 @@ class Part:
 
     @property
     def anchor(self) -> str:
-        """Its name in links on the page."""
+        """The part's id in links on the page."""
         return f"part-{self.number}"
 
     @property
     def title(self) -> str:
-        """What was measured, with its run unless that is the only one or has the same name."""
+        """The title of the evaluation, with the run unless it is the only run or has the same name."""
         return self.named(self.evaluation.title)
 
     def named(self, name: str) -> str:
-        """Return a name of the evaluation, with its run unless that is the only one or has the evaluation's name."""
+        """Return a name with the run's title, unless the run is the only one or has the evaluation's name."""
         return name if self.alone or self.run.title == self.evaluation.name else f"{self.run.title} · {name}"
 
 

@@ -35,7 +35,7 @@ class Decoder:
     Attributes:
         missing: what is wrong with each file that could not be read.
         large: larger images as data URIs, by path.
-        place: number of each file's small image, counted through all sheets; -1 for a file that could not be read.
+        place: index of each file's small image on the sheets, by path; -1 for a file that could not be read.
     """
 
     def __init__(self, settings: Mapping[str, Any]) -> None:
@@ -50,7 +50,7 @@ class Decoder:
 
     @property
     def parameters(self) -> dict[str, Any]:
-        """All that determines the pixels: decoders with equal parameters give equal images."""
+        """Everything that determines the images' pixels: decoders with equal parameters give equal images."""
         return self._preprocessing.parameters()
 
     def read(self, path: str, pixels: int) -> Picture | None:
@@ -79,7 +79,7 @@ class Decoder:
         return max(16, round(rows * scale / 16) * 16), max(16, round(columns * scale / 16) * 16)
 
     def fill_sheets(self, paths: Sequence[str], most: int) -> None:
-        """Put small images of the first `most` of some different files on sheets of 8 by 8."""
+        """Put small images of the first `most` different files among `paths` on sheets of 8 by 8."""
         pixels, quality = _SMALL
         tiles: list[Picture] = []
         for path in track(paths[:most], min(most, len(paths)), "reading pictures"):
@@ -91,7 +91,7 @@ class Decoder:
         self._sheets = [_encoded_sheet(tiles[i : i + TILES_PER_SHEET], quality) for i in starts]
 
     def plain(self) -> dict[str, Any]:
-        """Return the sheets as the page's script needs them."""
+        """Return the sheets as plain values for the page's script."""
         rows, columns = self.fitted(_SMALL[0])
         return {"rows": rows, "columns": columns, "across": _SHEET_COLUMNS, "images": self._sheets}
 

@@ -30,7 +30,7 @@ class Plan:
     Attributes:
         queries: columns of `queries.csv`, only the rows that are shown.
         known: columns of `map.csv`.
-        rows: numbers of these rows in the whole table (n,).
+        rows: indices in the whole table of the rows that are shown (n,).
         total: number of rows in the whole table.
         nearest: the map frame nearest to each query's true position (n,): the right answer.
         unit: unit of the positions.
@@ -48,12 +48,12 @@ class Plan:
 
     @property
     def along(self) -> str | None:
-        """The axis that all frames lie along, "x" or "y"; None if they spread over a plan."""
+        """The axis, "x" or "y", along which all frames lie; None if they spread over a plan."""
         return along(self.queries, self.known)
 
     @property
     def worst(self) -> NDArray[np.int64]:
-        """The queries with the largest errors, the largest first."""
+        """Rows of the queries with the largest errors, the largest first."""
         return np.argsort(-self.queries["error"], kind="stable")[:WORST]
 
     @property
@@ -76,11 +76,11 @@ class Plan:
         return str(self.queries["path"][row]), str(known[self.queries["match"][row]]), str(known[self.nearest[row]])
 
     def plain(self, place: Mapping[str, int], sheets: int) -> dict[str, Any]:
-        """Return everything as plain values.
+        """Return the plan as plain values, for the page's script.
 
         Args:
-            place: number of each file's image; files without one are not shown.
-            sheets: the set of sheets that the numbers belong to.
+            place: index of each file's image, by path; files without an image are not shown.
+            sheets: number of the set of sheets that holds these images.
         """
         queries, known = self.queries, self.known
         digits = _digits(queries, known)
@@ -141,7 +141,7 @@ def make_plan(evaluation: Evaluation, most: int) -> Plan | None:
 
 
 def spread(n: int) -> NDArray[np.int64]:
-    """Return 0 ... n-1 in an order of which every prefix is evenly spread over the whole."""
+    """Return 0 ... n-1 in an order whose every beginning is evenly spread over all n."""
     if n == 0:
         return np.empty(0, dtype=np.int64)
     bits = max(1, int(n - 1).bit_length())

@@ -26,7 +26,7 @@ _PICTURES = ("query", "match", "nearest map frame")
 
 
 def key_figures(evaluation: Evaluation) -> Markup | None:
-    """Return the headline numbers; None if none of them was measured."""
+    """Return the headline numbers of an evaluation; None if none of them was measured."""
     measures, unit = evaluation.results["measures"], evaluation.unit
     absolute, found = evaluation.absolute, evaluation.rooms
     tiles: list[tuple[str, str]] = []
@@ -58,7 +58,7 @@ def key_figures(evaluation: Evaluation) -> Markup | None:
 
 
 def unscored(evaluation: Evaluation) -> Markup | None:
-    """Return a note with the number of queries that were located and have no true pose to compare with.
+    """Return a note with the number of queries that were located although their true pose is unknown.
 
     Returns:
         None if every located query has a true pose.
@@ -74,7 +74,7 @@ def unscored(evaluation: Evaluation) -> Markup | None:
 
 
 def summary(part: Part) -> Markup | None:
-    """Return the tables of errors and rooms, and notes on what is missing; None if neither was measured."""
+    """Return the section with tables of errors and rooms, and notes on what is missing; None without both."""
     evaluation = part.evaluation
     if not evaluation.measured:
         return None
@@ -102,7 +102,7 @@ def summary(part: Part) -> Markup | None:
 
 
 def floor_plan(part: Part) -> Markup | None:
-    """Return the frame of the interactive plan, filled by the page's script; None if nothing was localized."""
+    """Return the section of the interactive plan, which the page's script fills; None if nothing was localized."""
     evaluation, plan = part.evaluation, part.plan
     if plan is None:
         return None
@@ -133,13 +133,13 @@ def floor_plan(part: Part) -> Markup | None:
 
 
 def cumulative(part: Part) -> Markup | None:
-    """Return the cumulative error curves; None if nothing was localized."""
+    """Return the section with the cumulative error curves; None if nothing was localized."""
     figure = part.figure("error_curve", "cumulative errors")
     return None if figure is None else section("Cumulative errors", figure, name="curves")
 
 
 def worst(part: Part) -> Markup | None:
-    """Return the queries with the largest errors as picture triples, with placeholders for missing pictures."""
+    """Return the section of the queries with the largest errors: query, match and right answer as pictures."""
     if part.plan is None:
         return None
     rows = part.plan.worst.tolist()
@@ -148,7 +148,7 @@ def worst(part: Part) -> Markup | None:
 
 
 def training(run: RunFiles, number_: int) -> Markup | None:
-    """Return the training curves; None if nothing was trained."""
+    """Return the section with the training curves of a run; None if nothing was trained."""
     if run.curves is None:
         return None
     figure = inline(training_curves(run.curves), f"training-{number_}", f"training curves of {run.title}")
@@ -157,7 +157,7 @@ def training(run: RunFiles, number_: int) -> Markup | None:
 
 
 def configuration(run: RunFiles) -> Markup:
-    """Return configuration and versions, collapsed."""
+    """Return the section with configuration and versions, collapsed."""
     parts: list[Markup] = []
     if run.settings is not None:
         parts.append(tag("details", tag("summary", "Trained with"), tag("pre", _yaml(run.settings))))

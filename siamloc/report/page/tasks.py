@@ -23,7 +23,7 @@ _ESTIMATES = {
 
 
 def further_estimate(part: Part, name: str) -> Markup | None:
-    """Return the curve of another estimate of the same queries, and how it is made; None if there is none.
+    """Return the section on another estimate of the same queries: its curve and how it is made; None without it.
 
     Args:
         part: part of the page.
@@ -43,7 +43,7 @@ def further_estimate(part: Part, name: str) -> Markup | None:
 
 
 def expected_errors(part: Part) -> Markup | None:
-    """Return how accurate the expected errors are, as a calibration curve; None if there are none."""
+    """Return the section on how accurate expected errors are, with the calibration curve; None without them."""
     if (found := part.evaluation.results["measures"].get("calibration")) is None:
         return None
     sequences = ((part.evaluation.results.get("estimates") or {}).get("error_model") or {}).get("sequences", [])
@@ -59,7 +59,7 @@ def expected_errors(part: Part) -> Markup | None:
 
 
 def hierarchical(part: Part) -> Markup | None:
-    """Return the table by lighting and the plot of the errors; None for another task."""
+    """Return the section on hierarchical localization: errors by lighting, and their plot; None for another task."""
     results = part.evaluation.results
     if (found := results["measures"].get("hierarchical")) is None:
         return None
@@ -83,7 +83,7 @@ def hierarchical(part: Part) -> Markup | None:
 
 
 def mapping(part: Part) -> Markup | None:
-    """Return the measures of a compact map and its plan; None for another task."""
+    """Return the section on a compact map: its measures and its plan; None for another task."""
     if not (grids := _grids(part, "mapping")):
         return None
     figure = part.figure("nodes", "the nodes on the floor plan")
@@ -91,7 +91,7 @@ def mapping(part: Part) -> Markup | None:
 
 
 def compact(part: Part) -> Markup | None:
-    """Return curves, and a table row for each compact map; None for another task."""
+    """Return the section on compact maps: curves, and a table row for each map; None for another task."""
     if not (grids := _grids(part, "compact")):
         return None
     text = (
@@ -103,7 +103,7 @@ def compact(part: Part) -> Markup | None:
 
 
 def robustness(part: Part) -> Markup | None:
-    """Return curves and a table for each disturbance; None for another task."""
+    """Return the section on robustness: curves and a table for each disturbance; None for another task."""
     if (found := part.evaluation.results["measures"].get("robustness")) is None:
         return None
     return robustness_section("Robustness", found, part.figure("robustness", "errors of disturbed queries"))
@@ -127,7 +127,7 @@ def robustness_section(title: str, found: Mapping[str, Any], figure: Markup | No
 
 
 def confusion(part: Part) -> Markup | None:
-    """Return the confusion matrices of rooms, of all queries and by lighting; None if rooms were not retrieved."""
+    """Return the section with the confusion matrices of rooms, overall and by lighting; None without rooms."""
     if (rooms := part.evaluation.rooms) is None:
         return None
     counts = rooms["confusion"]["counts"]
@@ -140,7 +140,7 @@ def confusion(part: Part) -> Markup | None:
 
 
 def buildings(part: Part) -> Markup | None:
-    """Return how often the right building was chosen; None if there was no choice."""
+    """Return the section on how often the right building was chosen; None if there was no choice."""
     if not (grids := _grids(part, "buildings")):
         return None
     text = "A query is assigned to the building whose map holds the most similar image."
@@ -149,7 +149,7 @@ def buildings(part: Part) -> Markup | None:
 
 
 def pairs(part: Part) -> Markup | None:
-    """Return how well pairs of one room are distinguished from pairs of two; None if pairs were not judged."""
+    """Return the section on how well pairs of one room and of two are told apart; None if pairs were not judged."""
     if (found := part.evaluation.results["measures"].get("room_pairs")) is None:
         return None
     text = (

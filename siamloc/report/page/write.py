@@ -40,8 +40,8 @@ _SECTIONS: dict[str, Callable[[Part], Markup | None]] = {
 def write_report(folders: str | Path | Sequence[str | Path], out: str | Path) -> Path:
     """Write one self-contained HTML page about runs, and return its path.
 
-    The numbers come from the result files only; the images are read from the files named there. If there are many,
-    some are left out, which the page notes.
+    The numbers come from the result files only; the images are read from the files named there. If there are many
+    images, some are left out, which the page notes.
 
     Args:
         folders: folders of one run, of several runs, or of single evaluations. Several are compared first, then shown
