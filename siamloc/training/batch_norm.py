@@ -20,7 +20,7 @@ class OneBatch(LayerSync):
     Layers change their class during training, and keep their place, their weights and all references to them.
 
     Args:
-        gpu: use torch's own layer, which is fast and only supports GPUs.
+        gpu: whether to use torch's own layer, which is fast and only supports GPUs.
     """
 
     def __init__(self, gpu: bool) -> None:

@@ -54,7 +54,7 @@ class BatchAugmentation(Settings):
     def draw(
         self, stream: Sequence[int], images: int, image_shape: tuple[int, ...], mine: slice = slice(None)
     ) -> dict[str, Tensor]:
-        """Draw the parameters for some of the images that are drawn together; `stream` separates them from others."""
+        """Draw the parameters of the images `mine` among all `images` of a draw; `stream` makes draws independent."""
         whole = torch.empty((images, *image_shape), dtype=torch.uint8, device="meta")  # for its shape only
         words = np.random.SeedSequence([self.seed, *stream]).generate_state(1, np.uint64)
         drawn = self.effect.draw(torch.Generator().manual_seed(int(words[0] >> np.uint64(1))), whole)
@@ -63,11 +63,11 @@ class BatchAugmentation(Settings):
     def add(
         self, item: dict[str, Any], batch: tuple[int, int], image_shape: tuple[int, ...], rank: int, world_size: int
     ) -> None:
-        """Augment the images of a batch of places, or add what augments them on the device.
+        """Augment the images of a batch of places, or add the parameters with which the device augments them.
 
         Args:
             item: the batch, where `frame` has an entry for each image.
-            batch: its epoch and its number.
+            batch: epoch, and number of the batch.
             image_shape: (3, H, W).
             rank: number of this process among those that draw a batch together.
             world_size: number of those processes.
@@ -80,7 +80,7 @@ class BatchAugmentation(Settings):
         self.apply(item, params, image_shape)
 
     def apply(self, item: dict[str, Any], params: dict[str, Tensor], image_shape: tuple[int, ...]) -> None:
-        """Augment the images of a batch with drawn parameters, or add what augments them on the device."""
+        """Augment a batch with drawn parameters, or add the parameters with which the device augments it."""
         if self.where == "gpu":
             item["change"] = self.effect.program(params, *image_shape[1:])
         else:
@@ -93,7 +93,7 @@ class Resident:
     Args:
         library: decoded panoramas.
         rows: the required rows of the library, in any order; repeats are allowed.
-        device: whose memory; each process has its own copy.
+        device: device that holds the images; each process has its own copy.
 
     Attributes:
         images: (N, 3, H, W) uint8.
@@ -134,8 +134,9 @@ class Panoramas:
 
     Args:
         library: decoded panoramas.
-        frames: some of its frames.
-        numbers: of the library's rows on the device, `Resident.numbers`; None if images are gathered from the library.
+        frames: some of the library's frames.
+        numbers: index on the device of each row of the library, `Resident.numbers`; None to gather images from the
+            library.
     """
 
     def __init__(self, library: PanoramaLibrary, frames: FrameTable, numbers: NDArray[np.int64] | None = None) -> None:
@@ -151,11 +152,11 @@ class Panoramas:
 
 
 class DriveBatches(Dataset[dict[str, Any]]):
-    """Map frames, then queries, in batches; every process has all of them.
+    """Batches of the map frames, then the queries, of a validation drive; every process has all of them.
 
     Args:
-        columns: of the frames, by the names that they have in a batch: `known` (n,), True for map frames, `xy` (n, 2)
-            and the other fields of `siamloc.models.Origins`.
+        columns: columns of the frames, by their names in a batch: `known` (n,), True for map frames, `xy` (n, 2) and
+            the other fields of `siamloc.models.Origins`.
         panoramas: the images of the frames; None if they are among the columns.
     """
 
@@ -179,8 +180,8 @@ class EpochSampler(DistributedSampler):  # type: ignore[type-arg]
     trainer does not replace it: the batches are already those of this process.
 
     Args:
-        batches: of an epoch.
-        epoch: the first one; None for validation, which has the pairs of epoch 0 in every epoch.
+        batches: number of batches in an epoch.
+        epoch: the first epoch; None for validation, which has the pairs of epoch 0 in every epoch.
         start: an epoch and its first batch; all other epochs start with batch 0.
     """
 
@@ -209,7 +210,7 @@ class EpochDataModule(LightningDataModule):
     Args:
         library: decoded panoramas of all frames; None if images come from elsewhere.
         workers: processes that gather batches; 0 gathers in the training process, which is fastest on a CPU.
-        augmentation: of the training images; none if None.
+        augmentation: augmentation of the training images; none if None.
     """
 
     _first_epoch = 0
@@ -223,7 +224,7 @@ class EpochDataModule(LightningDataModule):
         self._resident: Resident | None = None
 
     def next_epoch(self) -> int:
-        """Return the epoch whose batches come next."""
+        """Return the number of the epoch whose batches come next."""
         if self.trainer is None:
             return 0
         return max(self._first_epoch, self.trainer.fit_loop.epoch_progress.current.processed)  # type: ignore[attr-defined]
@@ -241,24 +242,24 @@ class EpochDataModule(LightningDataModule):
         self._first_epoch, self._first_batch = int(state_dict["epoch"]), int(state_dict.get("batch", 0))
 
     def share(self) -> tuple[int, int]:
-        """Return the number of this process among those that train together, and the number of those."""
+        """Return the rank of this process among those that train together, and their number."""
         return (0, 1) if self.trainer is None else (self.trainer.global_rank, self.trainer.world_size)
 
     def check_processes(self, processes: int) -> None:
-        """Raise ConfigError unless there is enough to learn from for this number of processes."""
+        """Raise ConfigError unless there are enough pairs or places for this number of processes."""
 
     def notes(self) -> list[str]:
-        """Return notes on what the frames lack for the requested batches, a sentence each."""
+        """Return a sentence about each property that the frames lack for the requested batches."""
         return []
 
     def needed(self) -> list[FrameTable]:
-        """Return the frames of the library in all batches."""
+        """Return the tables of the library's frames that occur in the batches."""
         return []
 
     def numbers(self, augmentation: BatchAugmentation | None) -> NDArray[np.int64] | None:
-        """Return the indices of the library's rows on the device of the trainer; None if images are gathered here.
+        """Return the index on the trainer's device of each row of the library; None if images stay in the library.
 
-        The first call transfers them.
+        The first call transfers the images.
         """
         changed_here = augmentation is not None and augmentation.where == "cpu"
         if self.trainer is None or self.library is None or changed_here:
@@ -284,7 +285,7 @@ class EpochDataModule(LightningDataModule):
         return {**rest, "change": batch["change"]} if "change" in batch else rest
 
     def on_after_batch_transfer(self, batch: dict[str, Any], dataloader_idx: int) -> dict[str, Any]:
-        """Gather and augment the images, if that is done on the device."""
+        """Gather and augment the images of a batch on the device, if that is where they are."""
         if "rows" in batch:
             assert self._resident is not None
             batch["images"] = self._resident.images.index_select(0, batch.pop("rows"))

@@ -90,13 +90,13 @@ def checkpoint_callbacks(folder: Path, monitor: str | None) -> list[Callback]:
 
 
 class MovingAverage(WeightAveraging):
-    """Keep a moving average of the weights, on the device where they are trained.
+    """Average the weights over the steps of a training, on the device where they are trained.
 
     After each step a <- a + (1 - decay) (w - a), in this form because it leaves anything constant exactly as it is:
     frozen stages, and constants among the buffers.
 
     Args:
-        decay: of the average a, from step to step.
+        decay: weight of the average a in the next average, from 0 to 1.
     """
 
     def __init__(self, decay: float) -> None:
@@ -104,7 +104,7 @@ class MovingAverage(WeightAveraging):
         self._decay = decay
 
     def setup(self, trainer: Trainer, pl_module: LightningModule, stage: str) -> None:
-        """Choose the device before the weights are moved there."""
+        """Set the device of the average to the device of the trainer."""
         self._device = trainer.strategy.root_device
         super().setup(trainer, pl_module, stage)
 
@@ -138,9 +138,9 @@ class Curves(Checkpoint):
     class is a checkpoint callback because those run last: after the module has logged its epoch.
 
     Args:
-        run: of the training.
+        run: run of the training.
         monitor: the figure by which the best epoch is chosen; None if nothing is validated.
-        pace: of the training.
+        pace: speed of the training, for the printed lines.
         patience: number of epochs without a better figure after which the training stops; never if None.
     """
 
@@ -151,13 +151,13 @@ class Curves(Checkpoint):
         self._events_before = set(run.tensorboard.glob("events.*"))
 
     def on_train_start(self, trainer: Trainer, pl_module: LightningModule) -> None:
-        """Note when and at which epoch the training begins, and the file opened by the TensorBoard logger."""
+        """Record the start time, the first epoch, and the file that the TensorBoard logger opened."""
         self._start = (time.monotonic(), trainer.current_epoch)
         trainer.should_stop |= self._stale()
         self._record_events(trainer)
 
     def on_exception(self, trainer: Trainer, pl_module: LightningModule, exception: BaseException) -> None:
-        """Note the file of the TensorBoard logger, too, if the training ends before its first step."""
+        """Record the file of the TensorBoard logger if the training ends before its first step."""
         self._record_events(trainer)
 
     def _record_events(self, trainer: Trainer) -> None:
@@ -165,7 +165,7 @@ class Curves(Checkpoint):
             self._run.record_written(set(self._run.tensorboard.glob("events.*")) - self._events_before)
 
     def on_train_epoch_end(self, trainer: Trainer, pl_module: LightningModule) -> None:
-        """Record the figures of the epoch."""
+        """Write the figures of the epoch as a row of the file."""
         if trainer.sanity_checking:
             return
         values = {key: float(value) for key, value in trainer.callback_metrics.items() if "/" in key}

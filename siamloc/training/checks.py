@@ -79,7 +79,7 @@ def usable(
 
 
 def check_loss(loss: Loss | BatchLoss | None, arguments: int) -> None:
-    """Make sure that a loss takes this number of arguments."""
+    """Check that a loss takes this number of arguments."""
     if loss is None or not callable(loss):
         return
     try:
@@ -95,7 +95,7 @@ def check_loss(loss: Loss | BatchLoss | None, arguments: int) -> None:
 
 
 def check_rooms(loss: Loss | BatchLoss | None, train: FrameTable, validated: FrameTable | None) -> None:
-    """Make sure that the frames have the rooms that the loss needs, and that the validation uses those."""
+    """Check that the frames have the rooms that the loss needs, and that validation frames share rooms with them."""
     if getattr(loss, "room", 0) and len(rooms_of(train)) < _ROOMS:
         raise DataError(
             f"this loss learns from rooms, and the training frames have {len(rooms_of(train))}: give the labels of "
@@ -112,7 +112,7 @@ def check_rooms(loss: Loss | BatchLoss | None, train: FrameTable, validated: Fra
 
 
 def check_batches(data: EpochDataModule, loss: object, processes: int = 1) -> None:
-    """Make sure that there is enough data for the processes, and that batches of places suit the loss.
+    """Check that there is enough data for the processes, and that batches of places suit the loss.
 
     Some batches are drawn and given to the loss's method `lacks`, if it has one.
 
@@ -140,7 +140,7 @@ def check_batches(data: EpochDataModule, loss: object, processes: int = 1) -> No
 
 
 def check_headings(network: nn.Module, train: FrameTable, settings: Training) -> None:
-    """Make sure that a network that compares images can learn to do so from the frames.
+    """Check that a network that compares images can learn to do so from the frames.
 
     Raises:
         ConfigError: pairs, or places by their order, which are not suitable.
@@ -165,7 +165,7 @@ def check_headings(network: nn.Module, train: FrameTable, settings: Training) ->
 
 
 def check_network(network: nn.Module, image: NDArray[np.uint8], circular: bool, *, unit: bool) -> int:
-    """Describe one image (1, 3, H, W), to detect a network of another size before anything is written.
+    """Describe one image (1, 3, H, W), to find out whether the network fits before anything is written.
 
     Returns:
         The length of a descriptor.
@@ -201,7 +201,7 @@ def check_network(network: nn.Module, image: NDArray[np.uint8], circular: bool, 
 def monitored(
     settings: Training, train: FrameTable, validated: FrameTable | None, network: nn.Module, loss: object = None
 ) -> Monitor | None:
-    """Return the figure that chooses the checkpoint, as in `Training.monitor`; None if nothing is validated.
+    """Return the validation figure that chooses the checkpoint, see `Training.monitor`; None without validation.
 
     Raises:
         DataError: frames without the positions or rooms needed for any validation.

@@ -24,7 +24,7 @@ def compare(runs: str | Path | Iterable[str | Path | Run], by: str | None = None
 
     Args:
         runs: a folder with runs in it, such as the folder of a sweep; or the folders of runs.
-        by: the figure of the curves to rank by, such as "val/error"; if None, the figure that chooses the checkpoints.
+        by: the figure of the curves to rank by, such as "val/error"; if None, the figure that chose the checkpoints.
             Higher is better for recall, accuracies, rooms, spreads and distances of two rooms; lower for all others.
 
     Raises:

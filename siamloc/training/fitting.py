@@ -191,17 +191,17 @@ def learn(
     """Train a module, from scratch or from the last checkpoint of its run; afterwards it holds the best weights.
 
     Args:
-        module: with the network.
-        data: its batches.
-        run: for checkpoints and curves.
-        about: what the record says of data, protocol, augmentation and frames, as plain values.
-        settings: of the training.
+        module: the training module with the network.
+        data: batches for the module.
+        run: run for checkpoints and curves.
+        about: data, protocol, augmentation and frames as plain values, for the run's record.
+        settings: settings of the training.
         trainer: further arguments of `lightning.Trainer`.
         monitor: validation figure by which the checkpoint is chosen; None if nothing is validated.
         what: description of the training data.
         resume: continue from the last checkpoint.
         overwrite: replace an existing run.
-        notes: for the user, printed once everything is checked.
+        notes: notes for the user, printed once everything is checked.
     """
     network, first = module.network, process_rank() == 0
     last = run.checkpoints / "last.ckpt"
@@ -258,7 +258,7 @@ def _notes(settings: Training, train: FrameTable, validated: FrameTable | None, 
 
 
 def process_rank() -> int:
-    """Return the number of this process among those that train together; 0 if there is only one."""
+    """Return the rank of this process among those that train together; 0 if it is the only process."""
     for name in ("RANK", "SLURM_PROCID", "LOCAL_RANK"):
         if os.environ.get(name, "").isdigit():
             return int(os.environ[name])
@@ -304,7 +304,7 @@ def augmentation_of(
 def effect_of(
     given: augment.Effect | Mapping[str, Any] | str | None, circular: bool
 ) -> tuple[augment.Effect | None, dict[str, Any]]:
-    """Make the effect of an augmentation, None if there is none; also return its description in plain values."""
+    """Make the effect of an augmentation, None for none; also return its description in plain values."""
     if isinstance(given, augment.Policy):
         effects = [f"{step.probability:g} {step.effect!r}" for step in given.slots]
         return given if given.slots else None, {"name": given.name, "effects": effects}

@@ -15,7 +15,7 @@ from lightning.pytorch import Callback, LightningModule, Trainer  # noqa: E402
 
 
 class FiniteGuard(Callback):
-    """Stop before weights are updated with non-finite values; the previous checkpoint stays as it was.
+    """Stop a training before its weights are updated with values that are not finite.
 
     On a GPU the figures of a step are read during the next one, so that no step waits for them: by then the weights in
     memory have taken the bad step, but those of the checkpoints have not.
@@ -30,7 +30,7 @@ class FiniteGuard(Callback):
         self._pending: list[tuple[int, int, Tensor, torch.cuda.Event | None]] = []
 
     def on_before_backward(self, trainer: Trainer, pl_module: LightningModule, loss: Tensor) -> None:
-        """Record the loss, without the scaling that training in half precision applies for the gradient."""
+        """Record the loss of a step, without the scaling of half precision."""
         scaler = getattr(trainer.precision_plugin, "scaler", None)
         self._loss = loss.detach() if scaler is None else loss.detach() / scaler.get_scale()
 
@@ -55,7 +55,7 @@ class FiniteGuard(Callback):
         self.settle(trainer, pl_module, later=0 if arrived is None else 1)
 
     def settle(self, trainer: Trainer, pl_module: LightningModule, later: int = 0) -> None:
-        """Check all steps except the latest `later` ones.
+        """Check the losses and gradients of all steps except the latest `later` steps.
 
         Raises:
             ConfigError: the loss or the gradient of a step is not finite.

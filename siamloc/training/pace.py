@@ -17,15 +17,15 @@ from lightning.pytorch import Callback, LightningModule, Trainer  # noqa: E402
 
 
 def images_in(batch: Mapping[str, Any]) -> int:
-    """Count the images in all parts of a batch."""
+    """Count the images in a batch, in all of its parts."""
     return sum(len(part) for part in batch.values() if isinstance(part, Tensor) and part.ndim == 4)
 
 
 class Pace(Callback):
     """Measure the speed of a training, without the first steps of each epoch, which include start-up.
 
-    On a GPU, its own times are measured: marks are put between its tasks, and read at the end of the epoch, so that no
-    step waits for them.
+    On a GPU, events between the GPU's tasks measure the times, and are read at the end of the epoch, so that no step
+    waits for them.
     """
 
     _FIRST = 2
@@ -38,35 +38,35 @@ class Pace(Callback):
 
     @property
     def images_per_second(self) -> float:
-        """Images trained on per second by all processes, without validation; NaN before the third step."""
+        """Images per second that all processes train on, without validation; NaN until the third step ends."""
         self.on_train_epoch_end()
         return self._images / self._seconds if self._seconds else math.nan
 
     @property
     def waiting(self) -> float:
-        """Share of the time spent waiting for batches to be gathered and augmented; NaN before the third step."""
+        """Share of the time spent waiting for batches to be gathered and augmented; NaN until the third step ends."""
         self.on_train_epoch_end()
         return self._waited / self._seconds if self._seconds else math.nan
 
     def on_train_epoch_start(self, trainer: Trainer, pl_module: LightningModule) -> None:
-        """Leave out the time between epochs."""
+        """Forget the end of the last step, so that the time between epochs does not count."""
         self._ended = None
 
     def on_train_batch_start(self, trainer: Trainer, pl_module: LightningModule, batch: Any, batch_idx: int) -> None:
-        """Note when the batch has arrived."""
+        """Record the time at which the batch has arrived."""
         self._begun = mark(pl_module)
 
     def on_train_batch_end(
         self, trainer: Trainer, pl_module: LightningModule, outputs: Any, batch: Any, batch_idx: int
     ) -> None:
-        """Count the step."""
+        """Record the time at which the step ends, and the number of its images."""
         now = mark(pl_module)
         if self._ended is not None and batch_idx >= self._FIRST:
             self._steps.append((self._ended, self._begun, now, images_in(batch) * trainer.world_size))
         self._ended = now
 
     def on_train_epoch_end(self, *_: Any) -> None:
-        """Read the marks."""
+        """Add the recorded steps of the epoch to the sums of images and seconds."""
         for before, begun, ended, images in self._steps:
             self._images += images
             self._seconds += seconds_between(before, ended)
@@ -79,7 +79,7 @@ Mark = float | torch.cuda.Event
 
 
 def mark(module: LightningModule) -> Mark:
-    """Return the current moment; on a GPU, a mark after all its queued tasks."""
+    """Return the current moment: a time in seconds, or on a GPU an event after all its queued tasks."""
     if module.device.type != "cuda":
         return time.monotonic()
     event = torch.cuda.Event(enable_timing=True)

@@ -24,16 +24,16 @@ _DRAWN_AT_ONCE = 1024  # pairs, whatever the size of a batch and the number of p
 
 @dataclass(eq=False)
 class PairBatches(Dataset[dict[str, Any]]):
-    """The batches of every epoch: item (epoch, i) is a whole batch.
+    """The batches of pairs of every epoch: item (epoch, i) is a whole batch.
 
     Each item is a dictionary: `images` (2 B, 3, H, W) uint8, the first images of the pairs and then the second ones,
     or `rows` (2 B,) as in `Panoramas.of`; `label` (B,) float32 and `same` (B,) bool.
 
     Attributes:
-        panoramas: of the sampler's frames.
+        panoramas: panoramas of the sampler's frames.
         sampler: draws the pairs.
         batch_size: pairs in a batch; the last batch may be smaller.
-        augmentation: of the images, if any.
+        augmentation: augmentation of the images; None for none.
         rank: number of this process among those that train together.
         world_size: number of those processes. All get the same number of pairs, and no two the same pair.
     """
@@ -93,8 +93,8 @@ class PairDataModule(EpochDataModule):
         batch_size: pairs in a batch.
         drive: map frames and queries that are described after the validation pairs, such as `validation_drive` makes.
         workers: processes that gather batches; 0 gathers in the training process, which is fastest on a CPU.
-        augmentation: of the training images; none if None.
-        seed: of the pairs.
+        augmentation: augmentation of the training images; none if None.
+        seed: seed of the pairs.
 
     Raises:
         ConfigError: a batch size below 1.

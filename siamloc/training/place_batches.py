@@ -23,15 +23,15 @@ _VALIDATED_WITH = 500  # map frames, and queries, at most
 
 @dataclass(eq=False)
 class PlaceBatches(Dataset[dict[str, Any]]):
-    """The batches of every epoch: item (epoch, i) is a whole batch.
+    """The batches of places of every epoch: item (epoch, i) is a whole batch.
 
     Each item is a dictionary: `images` (N, 3, H, W) uint8, or `rows` (N,) as in `Panoramas.of`; `xy` (N, 2) float32;
     `building`, `room` and `frame` (N,), whole numbers; and `theta` (N,) float32.
 
     Attributes:
-        panoramas: of the sampler's frames.
+        panoramas: panoramas of the sampler's frames.
         sampler: draws the frames.
-        augmentation: of the images, if any.
+        augmentation: augmentation of the images; None for none.
         rank: number of this process among those that train together.
         world_size: number of those processes.
     """
@@ -66,7 +66,7 @@ def validation_drive(
         library: decoded panoramas of all frames.
         known: map frames.
         queries: frames to search in the map.
-        numbers: of the library's rows on the device, as for `Panoramas`.
+        numbers: index on the device of each row of the library, as for `Panoramas`.
     """
     drive = [_evenly(known), _evenly(queries)]
     columns = origins_of(*drive, rooms=rooms_of(known))
@@ -87,8 +87,8 @@ class PlaceDataModule(EpochDataModule):
             are used, evenly spaced.
         places: how batches are drawn; the defaults of `PlaceSettings` if None.
         workers: processes that gather batches; 0 gathers in the training process, which is fastest on a CPU.
-        augmentation: of the training images; none if None.
-        seed: of the batches.
+        augmentation: augmentation of the training images; none if None.
+        seed: seed of the batches.
     """
 
     library: PanoramaLibrary
@@ -110,7 +110,7 @@ class PlaceDataModule(EpochDataModule):
         self._validation = validation
 
     def check_processes(self, processes: int) -> None:
-        """Raise ConfigError unless there are as many places as these processes draw together."""
+        """Raise ConfigError unless the frames have as many places as these processes draw together."""
         self.sampler.check_processes(processes)
 
     def notes(self) -> list[str]:

@@ -75,7 +75,7 @@ class Recipe:
         return fit(network, images, frames, run=run, validation=validation, **self.options(changes))
 
     def options(self, changes: Mapping[str, Any]) -> dict[str, Any]:
-        """Return the training arguments of the recipe, with some changes; see `fit`."""
+        """Return the training arguments of the recipe, some of them replaced by `changes`; see `fit`."""
         from siamloc.models.batch_losses import make_loss
 
         options = {"augmentation": dict(self.augmentation), "trainer": dict(self.trainer), **self.training}

@@ -45,7 +45,7 @@ EPOCH_SUMS = "epoch_sums"
 
 
 def check_folder(run: Run, resume: bool, overwrite: bool) -> None:
-    """Refuse to overwrite a run unless requested, and anything else in any case."""
+    """Refuse a folder with a run, unless it is to be resumed or overwritten, and a folder with other files."""
     if resume and overwrite:
         raise ConfigError("resume=true continues a run, overwrite=true removes it: choose one")
     if run.record.is_file():
@@ -113,7 +113,7 @@ def check_same_training(run: Run, now: Mapping[str, Any], epochs: int) -> None:
 
 
 def monitor_before(run: Run, settings: Training) -> Monitor:
-    """Return the figure that chooses the checkpoint of a run; "auto" if undecided, or if the kind of pairs differs."""
+    """Return the figure that chose the checkpoints of a run; "auto" if the run used another kind of batches."""
     before = Training.of(run.settings["training"])
     return before.monitor if type(before.pairs) is type(settings.pairs) else "auto"
 
@@ -134,7 +134,7 @@ def _check_same_steps(run: Run, before: Mapping[str, Any], now: Mapping[str, Any
 
 
 def progress(run: Run) -> tuple[int, int]:
-    """Return the number of finished epochs in the last checkpoint, and the steps of the epoch after them."""
+    """Return the number of finished epochs in the last checkpoint, and of finished steps in the epoch after them."""
     last = run.checkpoints / "last.ckpt"
     if not last.is_file():
         return 0, 0
@@ -145,7 +145,7 @@ def progress(run: Run) -> tuple[int, int]:
 
 
 def open_run(run: Run, used: Mapping[str, Any], *, resume: bool, validated: bool) -> None:
-    """Prepare the folder: remove the files of an earlier training, and write the record of settings."""
+    """Prepare the folder of a training: remove the files of an earlier training, and write the record."""
     written = run.load_record()["written"] if resume else []
     if not resume and run.record.is_file():
         run.clear()
@@ -153,7 +153,7 @@ def open_run(run: Run, used: Mapping[str, Any], *, resume: bool, validated: bool
 
 
 def names_written(*, validated: bool) -> list[str]:
-    """Return the files that a training writes, except TensorBoard's, whose names are not known in advance."""
+    """Return the names of a training's files, except TensorBoard's, whose names are not known in advance."""
     best = ["checkpoints/best.ckpt"] if validated else []
     return ["metrics.csv", "checkpoints/last.ckpt", *best, "tensorboard/hparams.yaml"]
 
@@ -182,11 +182,11 @@ def note_frames(images: PanoramaLibrary, frames: FrameTable) -> dict[str, Any]:
 
 
 def differing_frames(before: Mapping[str, Any] | None, now: Mapping[str, Any] | None, role: str) -> str | None:
-    """Describe how frames differ from those of an earlier note; None if they are the same.
+    """Return how frames differ from those of an earlier training, in words; None if they are the same.
 
     Args:
         before: earlier result of `note_frames`; None if there were no frames of this role.
-        now: current result of it.
+        now: current result of `note_frames`; None if there are none.
         role: "training" or "validation".
 
     Example:

@@ -25,7 +25,7 @@ class Learning(Settings):
     Attributes:
         epochs: number of epochs, each of `pairs.epoch_pairs` pairs, or `pairs.epoch_batches` batches of places.
         batch_size: pairs per step; batches of places have `pairs.places * pairs.images` images.
-        seed: of the pairs and their augmentation; that of the initial weights is set in `siamloc.models.build`.
+        seed: seed of the pairs and their augmentation; `siamloc.models.build` has its own for the initial weights.
         pairs: which pairs of frames with which labels (`PairSettings`), or which batches of places, where all pairs in
             a batch are used (`PlaceSettings`).
         optimizer: how the weights are updated.
@@ -34,7 +34,7 @@ class Learning(Settings):
         monitor: validation figure by which the checkpoint is chosen: "error", the mean localization error; "recall",
             the share of queries found within `recall_radius`; "room", the share whose room is found; "accuracy", the
             share whose room `CrossEntropyLoss` names correctly, the choice of "auto" with that loss; "refined", the
-            mean error of poses by comparison, for a network with relative=True; "loss", that of pairs, as published.
+            mean error of poses by comparison, for a network with relative=True; "loss", the pairs' loss, as published.
             "auto" is the refined error for a network with relative=True, and the error for other networks, if training
             and validation frames have positions (and, with pairs, come from different drives); otherwise the loss with
             pairs, and the rooms with batches of places.
@@ -79,9 +79,9 @@ class Training(Learning):
 
     Attributes:
         workers: processes that gather batches; 0 gathers in the training process, which is fastest on a CPU.
-        margin: of the contrastive loss; a custom loss has its own.
+        margin: margin of the contrastive loss; a custom loss has its own.
         augment_where: "cpu": images are augmented where batches are gathered; "gpu": after transfer to the device;
-            "auto": the latter on a GPU. The random draws are the same, the images equal up to rounding.
+            "auto": "gpu" if training runs on a GPU. The random draws are the same, the images equal up to rounding.
 
     Example:
         >>> Training(epochs=2, optimizer={"name": "adam"}).optimizer.name

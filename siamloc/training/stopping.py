@@ -38,12 +38,12 @@ class StepCheckpoints(Checkpoint):
     At the end of an epoch nothing is written here, since the checkpoint of the epoch follows.
 
     Args:
-        path: of the checkpoint.
+        path: path of the checkpoint.
         every: number of optimizer steps between checkpoints; only when the training is asked to stop if None.
         guard: checks the latest steps before anything is written.
 
     Attributes:
-        asked: whether the training is asked to stop at the end of a step.
+        asked: whether the training shall stop at the end of the step.
     """
 
     def __init__(self, path: Path, every: int | None, guard: FiniteGuard) -> None:
@@ -54,7 +54,7 @@ class StepCheckpoints(Checkpoint):
         self._sums: dict[str, Tensor] = {}
 
     def on_train_start(self, trainer: Trainer, pl_module: LightningModule) -> None:
-        """Continue with the sums of the epoch."""
+        """Restore the sums of the epoch that a checkpoint within the epoch holds."""
         self._step = trainer.global_step
         if self._sums and isinstance(pl_module, NetworkModule):
             pl_module.load_epoch_sums({name: value.to(pl_module.device) for name, value in self._sums.items()})
@@ -88,7 +88,7 @@ class StepCheckpoints(Checkpoint):
             raise KeyboardInterrupt
 
     def on_validation_batch_end(self, trainer: Trainer, *_: Any) -> None:
-        """Let a validation finish, and then the checkpoint of the epoch."""
+        """Take SIGTERM as a request to stop after the validation and the checkpoint of the epoch."""
         self._heed_sigterm(trainer)
 
     def _heed_sigterm(self, trainer: Trainer) -> None:
@@ -119,7 +119,7 @@ class StepCheckpoints(Checkpoint):
         checkpoint[EPOCH_SUMS] = sums
 
     def on_load_checkpoint(self, trainer: Trainer, pl_module: LightningModule, checkpoint: dict[str, Any]) -> None:
-        """Restore the sums of this process.
+        """Restore this process's sums of the epoch from a checkpoint.
 
         Raises:
             ConfigError: this number of processes cannot continue in the middle of this epoch.
@@ -137,7 +137,7 @@ class StepCheckpoints(Checkpoint):
 
 @contextmanager
 def first_interrupt_asks(checkpoints: StepCheckpoints) -> Iterator[None]:
-    """Let the first Ctrl-C stop the training after its step, with a checkpoint, and a second one at once."""
+    """Stop the training after its step, with a checkpoint, at the first Ctrl-C, and at once at the second."""
     before = signal.getsignal(signal.SIGINT)
     if threading.current_thread() is not threading.main_thread() or before not in _USUAL:
         yield

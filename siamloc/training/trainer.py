@@ -79,7 +79,7 @@ def run_trainer(run: Run, settings: Training, further: Mapping[str, Any] | None,
 
 
 def steps_of(trainer: Trainer) -> dict[str, Any]:
-    """Return what the number of steps per epoch depends on, apart from the number of batches."""
+    """Return the trainer's settings, besides the number of batches, that determine the steps per epoch."""
     return {"processes": trainer.world_size, **{key: getattr(trainer, key) for key in OF_STEPS}}
 
 
@@ -151,11 +151,11 @@ def precision_of(options: Mapping[str, Any] | None) -> str:
 
 @contextmanager
 def computing(module: NetworkModule, settings: Training, further: Mapping[str, Any] | None) -> Iterator[None]:
-    """Compute the steps of a training in training mode, compiled if the settings say so.
+    """Run the steps of a training inside a `with` block: in training mode, compiled if the settings say so.
 
     A network in evaluation mode is put into training mode; if only some parts are in evaluation, they stay so.
 
-    With the trainer's precision "auto", a network of `build` stores the channels of a pixel together, which makes
+    With the trainer's precision "auto", a network from `build` stores the channels of a pixel together, which makes
     convolutions faster. Custom modules stay as they are, since they may rely on their layout.
 
     Raises:
