@@ -94,4 +94,4 @@ def test_an_effect(follow, monkeypatch):
         for dtype in test_every_effect.DTYPES:
             test("fade", dtype)
     test_every_effect.test_replay_from_plain_values_is_exact("fade", test_every_effect.DTYPES[0])
-    test_every_effect.test_8_bit_and_float_follow_one_formula("fade")
+    test_every_effect.test_8_bit_and_float_follow_one_formula_for_every_camera("fade", True)
