@@ -7,6 +7,7 @@ import io
 import json
 from dataclasses import replace
 from functools import partial
+from pathlib import Path
 
 import pytest
 
@@ -22,6 +23,7 @@ from siamloc.reproduce.reproduction import CONTRADICTED, Reproduction
 from siamloc.reproduce.study_book import experiment, seconds_of, without_measurement
 from tests.drawn import write_cold
 
+ROOT = Path(__file__).parents[3]
 RUNS = {"cloudy1": 0, "cloudy2": 1, "cloudy3": 2, "night1": 5, "night2": 3, "sunny1": 6, "sunny2": 4}
 FRAMES = 36  # in each of three rooms
 NOT_ASKED = {"t_sun_needs_sunny_frames"}  # compares trainings of sizes that a scale below full does not keep
@@ -226,6 +228,16 @@ def test_as_many_nodes_by_both_methods(smoke):
     found = smoke("table_4_3")
     named = {(row.settings["descriptor"], row.settings.get("method")) for row in found.rows if row.ours}
     assert named == {(name, way) for name in ("hog", "gist") for way in (None, "incremental", "spectral")}
+
+
+@pytest.mark.parametrize("id", [f"table_5_{number}" for number in range(15, 20)])
+def test_errors_beside_those_of_cold_have_maps_as_dense_in_metres(id):
+    assert {job.roles["map"]["spacing"] for job in study(id).jobs("short")} == {0.15}
+    rows = json.loads((ROOT / "benchmarks/results/floors.json").read_text(encoding="utf-8"))["rows"]
+    cold, ours = rows["COLD freiburg_seq2, map night1"]["maps"]["1 in 5"], rows["freiburg_like"]["maps"]["15 cm apart"]
+    assert ours["apart_m"] == pytest.approx(cold["apart_m"], abs=0.03)
+    for name in ("cloudy", "sunny"):  # floors of different drives in the same light differ by up to 2 cm
+        assert ours["floor_m"][f"{name}2"] == pytest.approx(cold["floor_m"][f"{name}1"], abs=0.025)
 
 
 def test_another_seed_draws_other_noise(root, tmp_path):
