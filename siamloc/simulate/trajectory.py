@@ -71,7 +71,7 @@ def drive(building: Building, path: str, spacing: float, rng: Rng, start: float)
         DataError: cutting the path's corners leads into a wall or an item.
     """
     if path not in building.paths:
-        raise ConfigError(f"building {building.name!r} has no path {path!r}; {hint(path, building.paths)}")
+        raise ConfigError(f"building {building.name!r} has no path {path!r}; {hint(path, [*building.paths, *GRIDS])}")
     even = rounded(building.paths[path].points)
     _check_rounded(building, building.paths[path], even)
     line = _shifted(building, even, rng)
@@ -131,7 +131,7 @@ def grid(
         )
     points = points[((np.arange(wanted) + rng.uniform()) * len(points) / wanted).astype(int)]
     turned = np.arange(headings) * 2 * np.pi / headings + (path == "halfway") * rng.uniform(0, 2 * np.pi, (wanted, 1))
-    heading = (turned + np.zeros((wanted, 1)) + np.pi) % (2 * np.pi) - np.pi
+    heading = (turned + np.pi) % (2 * np.pi) - np.pi
     poses = np.round(np.column_stack([np.repeat(points, headings, axis=0), heading.ravel()]), 6)
     still = np.zeros(len(poses))
     return _named(building, poses, np.round(start + _PAUSE * np.arange(len(poses)), 6), still, still)

@@ -166,7 +166,7 @@ def test_preview_writes_two_pictures(tmp_path: Path) -> None:
         ({"runs": ["cloudy1", "cloudy1"]}, "listed twice"),
         ({"runs": ["cloudy1", "cloudy01"]}, "listed twice"),
         ({"runs": ["rainy1"]}, "a lighting and a number such as cloudy1, got 'rainy1'"),
-        ({"path": 3}, "building 'mini' has no path '3'; valid: path1, path2"),
+        ({"path": 3}, "building 'mini' has no path '3'; valid: path1, path2, grid, halfway"),
         ({"hours": [9, 12]}, "hours needs one hour for each of 1 runs, got 2"),
         ({"spacing": float("nan")}, "spacing must be a number of metres from 0.005, got nan"),
     ],
