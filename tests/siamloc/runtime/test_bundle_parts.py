@@ -33,14 +33,20 @@ PARTS = {
 
 
 @pytest.fixture(scope="module")
-def world(tmp_path_factory):
+def images(tmp_path_factory):
     """Images of two drives, read at 32 x 64 pixels."""
-    images = siamloc.data.example()
-    frames = images.frames
-    folder = tmp_path_factory.mktemp("images")
-    images = siamloc.data.PanoramaLibrary(frames, folder, image_size=(32, 64))
-    monday, tuesday = (frames.select(sequence=day) for day in ("monday", "tuesday"))
-    return images, monday, tuesday
+    frames = siamloc.data.example().frames
+    return siamloc.data.PanoramaLibrary(frames, tmp_path_factory.mktemp("images"), image_size=(32, 64))
+
+
+@pytest.fixture(scope="module")
+def monday(images):
+    return images.frames.select(sequence="monday")
+
+
+@pytest.fixture(scope="module")
+def tuesday(images):
+    return images.frames.select(sequence="tuesday")
 
 
 def described(name):
@@ -53,8 +59,7 @@ def network():
 
 
 @pytest.fixture(scope="module")
-def known(world, network):
-    images, monday, _ = world
+def known(images, monday, network):
     return maps.build(network, images, monday, progress=False)
 
 
@@ -73,8 +78,7 @@ def bundle(made, tmp_path):
 
 
 @pytest.mark.parametrize("name", analytic.DESCRIPTORS)
-def test_every_analytic_descriptor_locates_as_its_map_does(world, tmp_path, name):
-    images, monday, tuesday = world
+def test_every_analytic_descriptor_locates_as_its_map_does(images, monday, tuesday, tmp_path, name):
     known = maps.build(described(name), images, monday, progress=False)
     bundle = runtime.export(described(name), known, tmp_path / "bundle")
     localizer = runtime.Localizer(bundle.path)
@@ -91,17 +95,15 @@ def test_every_analytic_descriptor_locates_as_its_map_does(world, tmp_path, name
     assert "model.onnx" not in bundle.files
 
 
-def test_a_descriptor_of_ones_own_is_not_exported(world, tmp_path):
+def test_a_descriptor_of_ones_own_is_not_exported(images, monday, tmp_path):
     class Own(Thumbnail):
         name = "own"
 
-    images, monday, _ = world
     with pytest.raises(ConfigError, match="only networks and analytic descriptors can be exported, not own"):
         runtime.export(Own(), maps.build(Own(), images, monday, progress=False), tmp_path / "bundle")
 
 
-def test_parameters_that_did_not_make_the_map_are_refused_before_they_take_memory(world, tmp_path):
-    images, monday, _ = world
+def test_parameters_that_did_not_make_the_map_are_refused_before_they_take_memory(images, monday, tmp_path):
     known = maps.build(described("hog"), images, monday, progress=False)
     bundle = runtime.export(described("hog"), known, tmp_path / "bundle").path
     for hostile, says in (
@@ -117,8 +119,9 @@ def test_parameters_that_did_not_make_the_map_are_refused_before_they_take_memor
 
 @pytest.mark.parametrize("by", ["representatives", "vote"])
 @pytest.mark.parametrize("coarse", [None, "hog"])
-def test_a_coarse_layer_is_searched_first_as_the_evaluation_does(world, network, known, tmp_path, by, coarse):
-    images, monday, tuesday = world
+def test_a_coarse_layer_is_searched_first_as_the_evaluation_does(
+    images, monday, tuesday, network, known, tmp_path, by, coarse
+):
     ranks = None if coarse is None else maps.build(described(coarse), images, monday, progress=False)
     layer = maps.group(known if ranks is None else ranks, "sample", nodes=3)
     search = LayerSearch(by=by, candidates=1, neighbours=3)
@@ -137,16 +140,14 @@ def test_a_coarse_layer_is_searched_first_as_the_evaluation_does(world, network,
     assert [whole.locate(path).candidates[0].row for path in tuesday.path.tolist()] == everywhere.indices[:, 0].tolist()
 
 
-def test_where_nodes_hold_too_few_frames_the_whole_map_is_searched(world, network, known, tmp_path):
-    _, _, tuesday = world
+def test_where_nodes_hold_too_few_frames_the_whole_map_is_searched(tuesday, network, known, tmp_path):
     layer = maps.group(known, "sample", nodes=len(known))
     bundle = runtime.export(network, known, tmp_path / "b", layer=layer, search=LayerSearch(candidates=1))
     both = [runtime.Localizer(bundle.path, top=3, hierarchical=h).locate(tuesday.path[0]) for h in (None, False)]
     assert both[0].candidates == both[1].candidates
 
 
-def test_layers_that_do_not_belong_are_refused(world, network, known, bundle, tmp_path):
-    images, _, tuesday = world
+def test_layers_that_do_not_belong_are_refused(images, tuesday, network, known, bundle, tmp_path):
     layer, other = (
         maps.group(one, "sample", nodes=2) for one in (known, maps.build(network, images, tuesday, progress=False))
     )
@@ -160,8 +161,7 @@ def test_layers_that_do_not_belong_are_refused(world, network, known, bundle, tm
         runtime.Localizer(altered(bundle, search={"by": "guess"}))
 
 
-def test_pictures_of_the_map_come_along_and_damaged_ones_are_refused(world, network, known, made, tmp_path):
-    images, monday, _ = world
+def test_pictures_of_the_map_come_along_and_damaged_ones_are_refused(images, monday, network, known, made, tmp_path):
     assert (made.thumbnail(0), made.about["figures"]) == (None, {"mean": 0.2})
     bundle = runtime.export(network, known, tmp_path / "b", images=images, thumbnails=True)
     for row, panorama in enumerate(next(images.batches(monday))):
@@ -181,8 +181,9 @@ def test_pictures_of_the_map_come_along_and_damaged_ones_are_refused(world, netw
 @pytest.mark.parametrize(
     ("branch", "head", "circular"), [("vgg11", "fc500_500_5", False), ("panoresnet", "fourier", True)]
 )
-def test_fewer_digits_are_shorter_and_locate_alike(world, tmp_path, precision, size, change, branch, head, circular):
-    images, monday, tuesday = world
+def test_fewer_digits_are_shorter_and_locate_alike(
+    images, monday, tuesday, tmp_path, precision, size, change, branch, head, circular
+):
     net = as_descriptor(build(branch, head, (32, 64), circular=circular))
     known = maps.build(net, images, monday, progress=False)
     whole = runtime.export(net, known, tmp_path / "whole")
@@ -202,15 +203,13 @@ def test_fewer_digits_are_shorter_and_locate_alike(world, tmp_path, precision, s
         assert [one.distance for one in candidates] == nearest.distances[0].tolist()
 
 
-def test_int8_gives_the_same_file_again(world, network, known, tmp_path):
-    images, _, _ = world
+def test_int8_gives_the_same_file_again(images, network, known, tmp_path):
     for name in ("one", "two"):
         runtime.export(network, known, tmp_path / name, precision="int8", images=images)
     assert file_hash(tmp_path / "one" / "model.onnx") == file_hash(tmp_path / "two" / "model.onnx")
 
 
-def test_auto_takes_the_smallest_that_loses_little(world, network, known, tmp_path):
-    images, _, tuesday = world
+def test_auto_takes_the_smallest_that_loses_little(images, tuesday, network, known, tmp_path):
     bundle = runtime.export(network, known, tmp_path / "b", precision="auto", images=images, validation=tuesday)
     rows = [Measured(**row) for row in bundle.about["precisions"]]
     assert [row.precision for row in rows] == ["float32", "float16", "int8"]
@@ -282,8 +281,7 @@ def test_the_smallest_is_chosen_among_those_that_lose_little():
         smallest([replace(full, located=0)])
 
 
-def test_what_cannot_be_made_is_one_sentence(world, network, known, tmp_path):
-    images, _, _ = world
+def test_what_cannot_be_made_is_one_sentence(images, network, known, tmp_path):
     other = siamloc.data.PanoramaLibrary(images.frames, tmp_path / "cache", image_size=(32, 128))
     panoramas = "needs the panoramas of the map's frames: give images="
     for given, options, says in (
@@ -314,30 +312,7 @@ def test_rows_keep_their_digits(precision, tmp_path):
     np.testing.assert_allclose(back, spectra, rtol=0, atol=float(np.abs(spectra).max()) * 1e-3)
 
 
-def test_values_and_scales_that_do_not_fit_are_refused():
-    values, scale = np.ones((3, 2), dtype=np.float16), np.ones(3, dtype=np.float32)
-    for wrong in (scale[:2], scale[:, None], scale.astype(np.float64)):
-        with pytest.raises(ValueError, match="scale"):
-            unpacked(values, wrong)
-    with pytest.raises(ValueError, match="values float32"):
-        unpacked(values.astype(np.float32), scale)
-
-
-def test_a_shortened_map_is_read_back(world, tmp_path):
-    images, monday, _ = world
-    for name in ("hog", "radon_poc", "fs"):
-        known = maps.build(described(name), images, monday, progress=False)
-        for precision in ("float16", "int8"):
-            known.save(tmp_path / "map.npz", precision)
-            read = VisualMap.load(tmp_path / "map.npz")
-            assert read.descriptors.dtype == np.float32
-            np.testing.assert_allclose(read.descriptors, known.descriptors, atol=np.abs(known.descriptors).max() / 200)
-            assert read.orientation.dtype == known.orientation.dtype
-            assert read.description.orientation.shape == known.orientation.shape
-
-
-def test_several_images_at_once_give_the_same_answers(world, network, known, tmp_path):
-    images, _, tuesday = world
+def test_several_images_at_once_give_the_same_answers(images, tuesday, network, known, tmp_path):
     errors = evaluation.error_model(known, images, tuesday, lost_above=1.0)
     localizer = runtime.Localizer(runtime.export(network, known, tmp_path / "b", errors=errors).path)
     paths = tuesday.path.tolist()
