@@ -31,6 +31,8 @@ from siamloc.runtime import Bundle, Localizer, export, locate_all
 from siamloc.runtime.onnx_model import export_relative, relative_parity
 from tests.siamloc.runtime.conftest import SIZE, altered, batch, drive, mapped, rewritten
 
+PICTURES, FRAMES = drive(2)
+
 
 @pytest.fixture(scope="module")
 def network():
@@ -74,17 +76,16 @@ def plain(network, known, tmp_path_factory):
 @pytest.fixture(scope="module")
 def seen(known):
     """The descriptions of the pictures of a third drive."""
-    return known.describe(batch(drive(2)[0]))
+    return known.describe(batch(PICTURES))
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("method", ["relative", "interpolate"])
 def test_the_robot_refines_as_the_evaluation_does(known, seen, bundle, between, method):
     relative = method == "relative"
-    pictures, _ = drive(2)
     expected = refinement(known, method, widening=2.0).poses(known, seen, match(known, seen, 3))
     localizer = Localizer(bundle if relative else between, top=1)
-    found = [localizer.locate(picture) for picture in pictures]
+    found = [localizer.locate(picture) for picture in PICTURES]
     np.testing.assert_allclose([[one.x, one.y] for one in found], expected.xy, atol=1e-3)
     np.testing.assert_allclose([math.cos(one.theta) for one in found], np.cos(expected.theta), atol=1e-3)
     np.testing.assert_allclose([one.agreement for one in found], expected.agreement, atol=1e-3)
@@ -98,24 +99,23 @@ def test_the_robot_refines_as_the_evaluation_does(known, seen, bundle, between, 
 
 
 def test_the_robot_is_followed_as_the_filter_of_the_evaluation_does(known, seen, bundle):
-    pictures, _ = drive(2)
     localizer = Localizer(bundle)
-    alone = [localizer.locate(picture) for picture in pictures]
+    alone = [localizer.locate(picture) for picture in PICTURES]
     tracker = localizer.tracker(step=0.3)
-    found = [localizer.locate(picture, tracker) for picture in pictures]
+    found = [localizer.locate(picture, tracker) for picture in PICTURES]
     poses = refinement(known, "relative", widening=2.0).poses(known, seen, match(known, seen, 3))
     expected = PoseFilter(0.3).run(poses, np.full(len(poses), "drive"))
     np.testing.assert_allclose([[one.x, one.y] for one in found], expected.xy, atol=1e-2)
     assert [one.x for one in alone] != [one.x for one in found]
     np.testing.assert_array_equal([one.error_m for one in alone], [one.error_m for one in found])
-    again = [localizer.locate(picture, localizer.tracker(step=0.3)) for picture in pictures]
+    again = [localizer.locate(picture, localizer.tracker(step=0.3)) for picture in PICTURES]
     assert [one.x for one in again] == pytest.approx([one.x for one in alone]), "the first image of a drive is alone"
     assert localizer.tracker().length == pytest.approx(spacing_of(known.frames))
 
 
 def test_a_picture_without_contrast_ends_no_drive(bundle):
-    pictures, localizer = drive(2)[0], Localizer(bundle)
-    session, black = localizer._describer._session, np.zeros_like(pictures[0])
+    localizer = Localizer(bundle)
+    session, black = localizer._describer._session, np.zeros_like(PICTURES[0])
 
     class OnThisMachine:  # whether it happens depends on how onnxruntime adds up
         def run(self, names, given):
@@ -124,15 +124,15 @@ def test_a_picture_without_contrast_ends_no_drive(bundle):
 
     localizer._describer._session = OnThisMachine()
     tracker = localizer.tracker(step=0.3)
-    found = [localizer.locate(one, tracker) for one in (*pictures[:3], black, *pictures[3:])]
+    found = [localizer.locate(one, tracker) for one in (*PICTURES[:3], black, *PICTURES[3:])]
     assert np.isfinite([[one.x, one.y, one.theta] for one in found]).all()
-    seen = [localizer.locate(one, tracker) for tracker in [localizer.tracker(step=0.3)] for one in pictures]
+    seen = [localizer.locate(one, tracker) for tracker in [localizer.tracker(step=0.3)] for one in PICTURES]
     np.testing.assert_allclose([one.x for one in found[4:]], [one.x for one in seen[3:]], atol=0.5)
 
 
 def test_each_folder_is_a_drive(known, bundle, between, tmp_path):
-    pictures, localizer = drive(2)[0], Localizer(bundle)
-    for name, some in (("a", pictures[:3]), ("b", pictures[3:6])):
+    localizer = Localizer(bundle)
+    for name, some in (("a", PICTURES[:3]), ("b", PICTURES[3:6])):
         (tmp_path / name).mkdir()
         for number, picture in enumerate(some):
             cv2.imwrite(str(tmp_path / name / f"{number}.png"), picture[..., ::-1])
@@ -144,15 +144,15 @@ def test_each_folder_is_a_drive(known, bundle, between, tmp_path):
 
 
 def test_poses_that_are_map_frames_are_followed_as_by_the_sequence_filter(known, seen, plain):
-    pictures, localizer = drive(2)[0], Localizer(plain)
+    localizer = Localizer(plain)
     tracker = localizer.tracker(step=0.3)
-    found = [localizer.locate(picture, tracker) for picture in pictures]
+    found = [localizer.locate(picture, tracker) for picture in PICTURES]
     robot = SequenceFilter(MotionModel.learn(known.frames, step=0.3), temperature_of_map(known))
-    expected = robot.run(frame_distances(known, seen), np.full(len(pictures), "drive"))
+    expected = robot.run(frame_distances(known, seen), np.full(len(PICTURES), "drive"))
     np.testing.assert_allclose([[one.x, one.y] for one in found], known.frames.xy[expected.frame])
     np.testing.assert_allclose([one.covariance[0][0] for one in found], expected.spread**2 / 2, rtol=1e-3, atol=1e-6)
     tracker.reset()
-    assert localizer.locate(pictures[0], tracker).x == found[0].x
+    assert localizer.locate(PICTURES[0], tracker).x == found[0].x
 
 
 def test_a_map_without_positions_follows_nobody(known, plain, tmp_path):
@@ -178,10 +178,9 @@ def test_a_map_without_some_positions_is_refined_by_the_others(network, known, s
     placed = partly.placed()
     folder = tmp_path / "bundle"
     export(network, partly, folder, refinement=refinement(placed, "relative"))
-    pictures, _ = drive(2)
     nearest = match(partly, seen, 1).indices[:, 0]
     expected = refinement(placed, "relative").poses(placed, seen, match(placed, seen, 3))
-    found = [Localizer(folder).locate(picture) for picture in pictures]
+    found = [Localizer(folder).locate(picture) for picture in PICTURES]
     for one, row, xy in zip(found, nearest, expected.xy, strict=True):
         if partly.frames.has_position[row]:
             np.testing.assert_allclose([one.x, one.y], xy, atol=1e-3)
@@ -190,10 +189,9 @@ def test_a_map_without_some_positions_is_refined_by_the_others(network, known, s
 
 
 def test_expected_errors_are_those_of_the_refined_poses(network, known, seen, tmp_path):
-    pictures, frames = drive(2)
     poses = refinement(known, "relative").poses(known, seen, match(known, seen, 3))
     errors = replace(
-        ErrorModel.fit_poses(poses, np.hypot(*(poses.xy - frames.xy).T)), lost_above=1.0, map_digest=known.digest
+        ErrorModel.fit_poses(poses, np.hypot(*(poses.xy - FRAMES.xy).T)), lost_above=1.0, map_digest=known.digest
     )
     with pytest.raises(ConfigError, match="give errors and refinement of the same evaluation"):
         export(network, known, tmp_path / "bundle", errors=errors)
@@ -204,7 +202,7 @@ def test_expected_errors_are_those_of_the_refined_poses(network, known, seen, tm
         errors.predict(match(known, seen, 3), known.frames.xy)
     export(network, known, tmp_path / "bundle", errors=errors, refinement=refinement(known, "relative", widening=3.0))
     localizer = Localizer(tmp_path / "bundle")
-    found = [localizer.locate(picture) for picture in pictures]
+    found = [localizer.locate(picture) for picture in PICTURES]
     nearest = match(known, seen, 3)
     expected = errors.predict(nearest, known.frames.xy, poses)
     np.testing.assert_allclose([one.error_m for one in found], expected, rtol=1e-2)
