@@ -88,11 +88,6 @@ def test_bars_stand_elsewhere_in_each_image_and_everywhere_in_the_end():
     assert covered[(covered[:, 0] & covered[:, -1])].any()  # a bar across the seam
 
 
-def test_one_black_bar_is_the_default():
-    covered = (occlude(IMAGES, 0.2, generator()) == 0).all(axis=1)
-    assert (covered & ~np.roll(covered, 1, axis=1)).sum(axis=1).tolist() == [1] * 4
-
-
 @pytest.mark.parametrize(
     ("bars", "place", "starts"),
     [(1, 0, [0]), (1, 0.5, [24]), (1, 1, [48]), (2, 0.5, [12, 42]), (3, 0, [0, 20, 40]), (3, 1, [16, 36, 56])],

@@ -1,5 +1,4 @@
 import numpy as np
-import pytest
 
 from analytic import descriptor
 
@@ -8,34 +7,10 @@ IMAGES = RNG.integers(1, 100, (4, 3, 16, 48), dtype=np.uint8)
 SMALL = {"rows": 4, "hues": 6, "saturations": 4, "values": 4, "window": 6, "step": 2}
 
 
-def plain(red, green, blue):
-    return np.broadcast_to(np.array([red, green, blue], dtype=np.float64)[:, None, None], (3, 16, 48))
-
-
 def shares(found):
     """Position parts as shares of pixels (B, rows, bins): colours, and values by their full weight."""
     squared = found.position.reshape(len(found), SMALL["rows"], -1).astype(np.float64) ** 2
     return squared[:, :, :24], 4 * squared[:, :, 24:]
-
-
-@pytest.mark.parametrize(
-    ("colour", "hue", "saturation", "value"),
-    [
-        ((1, 0, 0), 0, 3, 3),
-        ((1, 1, 0), 1, 3, 3),
-        ((0, 0.5, 0), 2, 3, 2),
-        ((0, 0.5, 0.5), 3, 3, 2),
-        ((0.2, 0.2, 0.4), 4, 2, 1),
-        ((0.8, 0.6, 0.8), 5, 1, 3),
-        ((1, 0.9, 0.95), 5, 0, 3),
-        ((0.3, 0.3, 0.3), 0, 0, 1),
-        ((0, 0, 0), 0, 0, 0),
-    ],
-)
-def test_a_colour_falls_into_its_bins(colour, hue, saturation, value):
-    colours, values = shares(descriptor("hsv", **SMALL).describe(plain(*colour)))
-    assert colours.argmax(axis=2).tolist() == [[hue * 4 + saturation] * 4]
-    assert values.argmax(axis=2).tolist() == [[value] * 4]
 
 
 def test_the_brightness_of_the_light_changes_values_alone():

@@ -3,7 +3,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from analytic.mapper.closure import Similarity, image_level, node_level, prominences
+from analytic.mapper.closure import Similarity, image_level, prominences
 from analytic.mapper.node import Mode, Node
 from analytic.mapper.parameters import Parameters
 from tests.analytic.mapper.world import World, corridor_drive, rows
@@ -58,47 +58,3 @@ def test_the_mean_similarity_of_a_node_is_that_of_its_best_mode():
     for node, mean in found.items():
         parts = [values[(nodes == node) & (modes == mode)] for mode in np.unique(modes[nodes == node])]
         assert mean == max(part.mean() for part in parts)
-
-
-def some_nodes(world):
-    frames = rows(world.at(corridor_drive(200, seed=4), noise=0.2))
-    modes = [Mode.of(RULES, range(s, s + 20), frames[s : s + 20]) for s in range(0, 160, 20)]
-    many = Mode.of(RULES, range(100), frames[:100])
-    nodes = [Node(3 * i, (mode,)) for i, mode in enumerate(modes[:5])]
-    return [*nodes, Node(40, (modes[5], modes[6])), Node(41, (modes[7], many))], frames
-
-
-@pytest.mark.parametrize("two_sided", [True, False])
-def test_a_node_s_distance_does_not_depend_on_the_nodes_beside_it(two_sided):
-    nodes, frames = some_nodes(World(size=64, steps=0, reach=4.0, seed=7))
-    points = np.concatenate([frame.position for frame in frames[::9]]).astype(np.float64)
-    for point in points:
-        whole = node_level(point, nodes, two_sided)
-        ratios = []
-        for row, node in enumerate(nodes):
-            alone = [node_level(point, [Node(node.id, (mode,))], two_sided) for mode in node.modes]
-            best = int(np.argmin([one.ratios[0] for one in alone]))
-            assert whole.modes[row] == best
-            assert whole.scores()[str(node.id)] == alone[best].scores()[str(node.id)]
-            assert (row in whole.closing(1.85)) == (len(alone[best].closing(1.85)) == 1)
-            distance, mean, std = whole.scores()[str(node.id)]
-            deviation = abs(distance - mean) if two_sided else max(distance - mean, 0)
-            ratios.append(deviation / std)
-            assert (row in whole.closing(1.85)) == (deviation <= 1.85 * std)
-        assert whole.best(slice(None)) == int(np.argmin(ratios))
-
-
-@pytest.mark.parametrize("size", [8, 64])
-@pytest.mark.parametrize("two_sided", [True, False])
-def test_nodes_that_cannot_close_are_left_out_and_nothing_else_changes(size, two_sided):
-    nodes, frames = some_nodes(World(size=size, steps=0, reach=4.0, seed=5))
-    spared = 0
-    for frame in frames[::5]:
-        point = frame.position[0].astype(np.float64)
-        whole, few = node_level(point, nodes, two_sided), node_level(point, nodes, two_sided, 1.5)
-        closing = whole.closing(1.5)
-        assert few.nodes[few.closing(1.5)].tolist() == whole.nodes[closing].tolist()
-        assert few.distances[few.closing(1.5)].tolist() == whole.distances[closing].tolist()
-        assert 1 <= len(few.nodes) <= len(nodes)
-        spared += len(nodes) - len(few.nodes)
-    assert spared > 50

@@ -234,15 +234,6 @@ def test_a_copy_goes_on_as_the_map_does_and_leaves_it_alone(version, copied):
     assert other.events == mapper.events
 
 
-def test_a_robot_that_stands_still_stays_in_its_node():
-    frame = WORLD.at([[1, 1, 0]], noise=0)
-    for version in (1, 2):
-        mapper = IncrementalMapper(WORLD, version)
-        feed(mapper, [frame] * 60)
-        assert len(mapper.nodes) == 1
-        assert all(np.isfinite(mapper.nodes[0].modes[0].centre))
-
-
 @pytest.mark.parametrize("size", [6, 96])
 def test_a_robot_that_stops_stays_in_its_node_though_the_held_out_frames_are_all_equal(size):
     """Their distances then have no spread, and rounding alone must not distinguish the next equal frame from them."""
