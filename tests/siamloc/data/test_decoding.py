@@ -70,16 +70,3 @@ def test_a_camera_that_does_not_fit(tmp_path):
     cv2.imwrite(str(tmp_path / "a.png"), np.zeros((1, 1, 3), np.uint8))
     with pytest.raises(UnreadableImageError, match="has shape"):
         Preprocessing.checked((16, 32), PolarRing()).panorama(tmp_path / "a.png")
-
-
-@pytest.mark.parametrize(
-    ("size", "camera", "message"),
-    [
-        ((16, 32, 3), None, r"image_size must be \[rows, columns\], each from 1 to 16,384 pixels"),
-        ((16, 1), None, "panorama.width must be a whole number from 2, got 1"),
-        ((16, 32), object(), "must be a dataclass"),
-    ],
-)
-def test_impossible_preprocessing(size, camera, message):
-    with pytest.raises(ConfigError, match=message):
-        Preprocessing.checked(size, camera)

@@ -107,14 +107,6 @@ def frames(tmp_path):
     return data.read("manifest", manifest=manifest)
 
 
-def test_what_was_expanded_is_read_back(frames, tmp_path):
-    done = data.expand(frames, tmp_path / "out", depth=3, image_size=(16, 64))
-    again = data.read(**done.source)
-    assert (len(again), done.written, done.kept) == (12, 12, 0)
-    assert set(again.room) == set(frames.room)
-    assert f"siamloc train data=manifest data.manifest={tmp_path / 'out' / 'manifest.csv'}" in done.summary()
-
-
 def test_a_single_list_of_cold_is_expanded(tmp_path):
     drive = tmp_path / "in" / "seq1_night2"
     picture, name = drive / "omni_cam" / "t1.0_x0.0_y0.0_a0.5.jpeg", "t1.000000_x0.000000_y0.000000_a0.500000.jpeg"

@@ -1,14 +1,13 @@
 from __future__ import annotations
 
 import math
-from pathlib import Path
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from siamloc.data.frames import FrameTable, concatenate, image_files
+from siamloc.data.frames import FrameTable, concatenate
 from siamloc.errors import ConfigError, DataError
 
 
@@ -28,15 +27,8 @@ def numbers(frames: FrameTable) -> list[int]:
     return [int(path.split(".")[0]) for path in frames.path.tolist()]
 
 
-def test_the_arrays_are_read_only_copies_and_those_left_out_are_filled():
-    x = np.zeros(2)
-    frames = FrameTable(path=["a", "b"], x=x)
-    x[:] = 7
-    assert frames.x.tolist() == [0, 0]
-    with pytest.raises(ValueError, match="read-only"):
-        frames.x[0] = 1
-    with pytest.raises(AttributeError):
-        frames.x = x
+def test_columns_that_are_left_out_are_filled():
+    frames = FrameTable(path=["a", "b"], x=np.zeros(2))
     assert np.isnan([frames.y, frames.theta, frames.time]).all()
     assert [column.tolist() for column in (frames.room, frames.lighting, frames.building)] == [["", ""]] * 3
     assert not frames.has_position.any()
@@ -118,12 +110,6 @@ def test_steps_and_spacings_are_positive():
         FrameTable(path=["a", "b"]).spaced(1.0)
 
 
-def test_rows_by_keeps_the_order_of_appearance():
-    frames = FrameTable(path=list("abcd"), room=["z", "a", "z", "m"])
-    assert {room: rows.tolist() for room, rows in frames.rows_by("room").items()} == {"z": [0, 2], "a": [1], "m": [3]}
-    assert list(frames.rows_by("room")) == ["z", "a", "m"]
-
-
 def test_unit_and_source_are_kept_and_do_not_count_for_equality():
     source = {"kind": "manifest", "manifest": "/robot.csv"}
     frames = table().with_columns(unit="px", source=source)
@@ -139,25 +125,7 @@ def test_unit_and_source_are_kept_and_do_not_count_for_equality():
         concatenate([frames, table()])
 
 
-def test_a_large_table_shows_itself_in_one_line():
-    n = 5000
-    paths, sequence = ([f"{name}{i % 40}" for i in range(n)] for name in ("image", "drive"))
-    x = np.where(np.arange(n) < 10, 0.0, np.nan)
-    frames = FrameTable(path=paths, x=x, y=np.zeros(n), sequence=sequence, room=["<office>"] * n)
-    text = repr(frames)
-    assert "\n" not in text
-    assert text.startswith("FrameTable(5000 frames; sequences: drive0 125, drive1 125, ")
-    assert text.endswith("and 28 more; rooms: <office>; lightings: none; positions: 10 of 5000, in m)")
-
-
 def test_frames_are_known_by_sequence_and_absolute_path_and_rooms_by_building(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     assert FrameTable(path=["a/../b.jpg"], sequence=["one"]).identities() == [("one", str(tmp_path / "b.jpg"))]
     assert table().place.tolist() == ["one/a", "one/b", "one/", "a", "b", ""]
-
-
-def test_image_files_are_those_with_an_images_suffix(tmp_path: Path):
-    for name in ("b.JPG", "a.jpeg", "c.png", "notes.txt"):
-        (tmp_path / name).touch()
-    (tmp_path / "folder.png").mkdir()
-    assert [path.name for path in image_files(tmp_path)] == ["a.jpeg", "b.JPG", "c.png"]

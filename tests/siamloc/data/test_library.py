@@ -95,15 +95,6 @@ def test_unreadable_images_are_left_out_and_named(frames, tmp_path, caplog):
         library.rows(frames.take([1, 3]))
 
 
-@pytest.mark.parametrize("rows", [[6, 0, 0, 7], [], np.array([5, 2], np.int32)])
-def test_batches_agree_with_picking_one_by_one(frames, tmp_path, rows):
-    batch = open_library(frames, tmp_path).batch(rows)
-    assert (batch.shape, batch.dtype) == ((len(rows), 3, *SIZE), np.uint8)
-    assert batch.flags.writeable
-    assert batch.flags.c_contiguous
-    np.testing.assert_array_equal(batch, expected(*rows))
-
-
 @pytest.mark.parametrize("rows", [[0, 8], [-1], [0.5], 3])
 def test_rows_outside_the_library(frames, tmp_path, rows):
     says = f"rows must be whole numbers (B,), of the library's 0 ... 7, got {rows}"

@@ -156,13 +156,6 @@ def test_queries_of_the_maps_own_run_are_honest_when_near_frames_are_out(table, 
         Protocol(apart_metres=0)
 
 
-def test_a_protocol_shows_what_is_set_alone():
-    given = Protocol.of({"train": {"sequences": "a"}, "query": {"sequences": ["b"], "every": 5}, "leave_one_out": True})
-    assert repr(given) == "Protocol(cross_run; train: sequences a; query: sequences b, every 5; leave_one_out)"
-    assert repr(Protocol()) == "Protocol(cross_run)"
-    assert Protocol.of(given.plain()) == given
-
-
 def test_a_role_begins_later_or_takes_the_rest():
     frames = FrameTable(
         path=[f"{i}.png" for i in range(14)], sequence=["a"] * 7 + ["b"] * 7, x=np.arange(14), y=[0] * 14
