@@ -19,13 +19,13 @@ _MARGIN = 1e-6  # far above the rounding of the distances
 
 @dataclass(frozen=True)
 class NodeLevel:
-    """The comparison of a point with several nodes, each by the mode that it fits best, in the order of the nodes.
+    """The comparison of a point with n nodes, each represented by the mode that the point fits best.
 
     Attributes:
         nodes: (n,) ids of the nodes.
         modes: (n,) the mode of each node.
         distances: (n,) squared Mahalanobis distances to the mean of that mode (eq. 3).
-        means: (n,) mean distance of the mode's held-out frames.
+        means: (n,) mean of these distances over the mode's held-out frames.
         stds: (n,) standard deviation of these distances.
         deviations: (n,) |distance - mean|, or how much the distance exceeds the mean if only that counts; 0 within
             rounding.
@@ -41,15 +41,15 @@ class NodeLevel:
     ratios: Floats
 
     def closing(self, x: float) -> Integers:
-        """Return the rows of the nodes that close: |distance - mean| <= |x std| (eq. 4, and eq. 11 with y)."""
+        """Return the rows of the nodes that close the loop: |distance - mean| <= |x std| (eq. 4, and eq. 11 with y)."""
         return np.flatnonzero(self.deviations <= x * self.stds)
 
     def best(self, rows: Integers | slice) -> int:
-        """Return the row, among some, of the node that would close with the smallest x; ties go to the first."""
+        """Return that row among some whose node would close with the smallest x; ties go to the first row."""
         return int(np.arange(len(self.nodes))[rows][np.argmin(self.ratios[rows])])
 
     def scores(self) -> dict[str, list[float]]:
-        """Return distance, mean and std for each id."""
+        """Return distance, mean and std of each node, by id."""
         values = np.column_stack([self.distances, self.means, self.stds]).tolist()
         return dict(zip(map(str, self.nodes.tolist()), values, strict=True))
 
@@ -66,10 +66,10 @@ def node_level(point: Floats, nodes: Sequence[Node], two_sided: bool, most: floa
     map. The Mahalanobis distance of some numbers of a descriptor, which takes little time, is at most that of all.
 
     Args:
-        point: (D,).
-        nodes: at least one.
+        point: (D,) position descriptor of a frame.
+        nodes: the nodes to compare with, at least one.
         two_sided: whether a distance below the usual one is a deviation, too.
-        most: the largest x with which nodes are to close.
+        most: the largest x of eq. 4 for which nodes close; infinite for no limit.
     """
     places = [(node.id, index, mode) for node in nodes for index, mode in enumerate(node.modes)]
     means, stds = np.array([mode.usual for *_, mode in places]).T
@@ -107,13 +107,13 @@ class Similarity:
     modes: Integers
 
     def best(self, node: int | None = None) -> int:
-        """Return the row of the most similar frame, of one node or of all (eq. 7); ties go to the oldest frame."""
+        """Return the row of the most similar frame, of a node or of all nodes (eq. 7); ties go to the oldest frame."""
         values = self.values if node is None else np.where(self.nodes == node, self.values, -1.0)
         rows = np.flatnonzero(values == values.max())
         return int(rows[self.frames[rows].argmin()])
 
     def means(self) -> dict[int, float]:
-        """Return the mean similarity of each node ([T] 4.6): that of its best mode."""
+        """Return the mean similarity of each node, by id ([T] 4.6): that of its most similar mode."""
         means: dict[int, float] = {}
         for node in np.unique(self.nodes).tolist():
             own = self.nodes == node
@@ -132,14 +132,14 @@ def image_level(
     """Compute the similarity of a frame to frames of nodes: of the positions (eq. 5) times of the orientations (eq. 6).
 
     Each of the two is the inverse distance, normalized to a sum of 1; orientations are aligned first. A frame at
-    distance 0 counts as one at a millionth of the largest distance. Without orientation parts, position alone counts.
+    distance 0 counts as a frame at a millionth of the largest distance. Without orientation parts, only positions count.
 
     Args:
         descriptor: the descriptor that measures distances.
         query: one frame.
         nodes: the candidates.
         distance: name of the distance between position descriptors; None is the descriptor's own.
-        leave_out: a frame that is not compared: the query itself.
+        leave_out: number of a frame that is not compared: the query itself.
     """
     galleries = [
         (node.id, mode, node.modes[mode].gallery)

@@ -40,13 +40,13 @@ class Reason(str, Enum):
 
 @dataclass(frozen=True)
 class Change:
-    """A change of the map beyond the frame that was added.
+    """A change of the map apart from the frame that was added.
 
     Attributes:
         reason: NEW_NODE, NODE_PARKED, PARKED_FORGOTTEN, NODES_MERGED or REASSIGNED.
-        node: the node that was created, parked, forgotten or kept, or that frames moved to; None if they lost theirs.
-        frames: the frames concerned.
-        scores: what was measured, and the limit.
+        node: the node that was created, parked, forgotten or kept, or that frames moved to; None if frames lost it.
+        frames: numbers of the frames that the change affects.
+        scores: measured numbers and the limit, by name.
     """
 
     reason: Reason
@@ -57,14 +57,14 @@ class Change:
 
 @dataclass(frozen=True)
 class Decision:
-    """Where one frame belongs, and why.
+    """The node of one frame, and why the frame belongs there.
 
     Attributes:
         node: the node of the frame, or None.
-        reason: why it belongs there.
-        scores: what was measured, and the limits: plain numbers, by name.
+        reason: why the frame belongs there.
+        scores: measured numbers and limits, by name.
         frame: number of the frame in the map, from 0.
-        changes: what else changed, in order.
+        changes: further changes of the map, in order.
     """
 
     node: int | None
@@ -76,15 +76,15 @@ class Decision:
 
 @dataclass(frozen=True)
 class Location:
-    """Where a query is in the map.
+    """Where a query is in the map, as `locate` returns it.
 
     Attributes:
-        node: the coarse answer.
-        frame: the most similar frame in that node.
-        pose: the pose that was given with that frame.
+        node: id of the node, the coarse answer.
+        frame: number of the most similar frame in that node.
+        pose: the pose that was added with that frame.
         heading: how far the robot has turned left since that frame, rad in (-pi, pi]; None without orientation.
-        closes: whether the node passed the node-level condition; otherwise it merely comes closest.
-        scores: as in a decision.
+        closes: whether the node passed the node-level condition; otherwise it is the closest node.
+        scores: measured numbers and limits, by name.
     """
 
     node: int
@@ -96,12 +96,12 @@ class Location:
 
 
 def header(rules: Mapping[str, Any], identity: Mapping[str, Any]) -> str:
-    """Return the first line of a log."""
+    """Return the first line of a log, with version, parameters and descriptor."""
     return json.dumps({"format": FORMAT, "version": VERSION, "parameters": rules, "descriptor": identity}, default=str)
 
 
 def line_of(decision: Decision, poses: list[Any]) -> str:
-    """Return the line of a decision, with numbers rounded to six digits.
+    """Return the line of a decision in a log, with numbers rounded to six digits.
 
     Args:
         decision: on one frame, or on several that were added at once; then its `frame` is the last.

@@ -49,7 +49,7 @@ def edges(labels: Integers) -> dict[tuple[int, int], int]:
     """Count how often a frame of one node follows a frame of another, by pair of ids.
 
     Args:
-        labels: (n,) node of each frame in capture order, -1 for none; frames without one are skipped.
+        labels: (n,) node of each frame in capture order, -1 for none; frames in no node are skipped.
     """
     assigned = labels[labels >= 0]
     pairs = zip(assigned[:-1].tolist(), assigned[1:].tolist(), strict=True)
@@ -57,11 +57,11 @@ def edges(labels: Integers) -> dict[tuple[int, int], int]:
 
 
 def loops(labels: Integers, matches: Integers) -> list[tuple[int, int]]:
-    """Find the loop closures (frame, matched frame): both of one node, with a frame of another one between them.
+    """Find loop closures, pairs (frame, matched frame) of one node with a frame of another node between them.
 
     Args:
         labels: (n,) as in `edges`.
-        matches: (n,) most similar earlier frame of each, -1 for none.
+        matches: (n,) most similar earlier frame of each frame, -1 for none.
     """
     assigned = labels >= 0
     last = np.maximum.accumulate(np.where(assigned, np.arange(len(labels)), -1))

@@ -25,10 +25,10 @@ class State:
 
     Attributes:
         rules: the parameters of the map.
-        nodes: by id. Their order has no meaning.
+        nodes: nodes by id, in no particular order.
         parked: candidates of version 1, the oldest first.
         labels: (n,) node of each frame, -1 for none.
-        matches: (n,) the frame that each was most similar to when it was added, -1 for none.
+        matches: (n,) the frame most similar to each frame when that was added, -1 for none.
         recent: the last frames and their descriptions.
         pending: the consecutive frames without a node up to the last one.
         next_id: id of the next node.
@@ -52,7 +52,7 @@ class State:
         return replace(self, nodes=dict(self.nodes), labels=self.labels.copy(), changes=())
 
     def ordered(self) -> list[Node]:
-        """Return the nodes from the oldest id to the newest."""
+        """Return the nodes by id, the smallest and oldest first."""
         return [self.nodes[key] for key in sorted(self.nodes)]
 
     def append(self, description: Description, label: int, match: int) -> int:
@@ -64,18 +64,18 @@ class State:
         return frame
 
     def descriptions(self, frames: Sequence[int]) -> list[Description]:
-        """Return the descriptions of recent frames."""
+        """Return the descriptions of some recent frames, by number."""
         known = dict(self.recent)
         return [known[frame] for frame in frames]
 
     def form(self, frames: Sequence[int]) -> Node:
-        """Return a node of recent frames, with the next id, that is not yet part of the map."""
+        """Make a node of recent frames, with the next id, without adding the node to the map."""
         node = Node(self.next_id, (Mode.of(self.rules, frames, self.descriptions(frames)),))
         self.next_id += 1
         return node
 
     def leave(self, frames: Sequence[int]) -> list[int]:
-        """Take frames from their nodes and return them.
+        """Remove frames from their nodes and return the frames that were removed.
 
         A frame stays if its node would be left with too few frames or, where exemplars are bounded, with none to
         compare images with.
@@ -98,7 +98,7 @@ class State:
 
 
 def grow_version_1(state: State) -> Node | None:
-    """Form a node from enough consecutive frames without one; park it if it is too similar to the map ([I] 4.5).
+    """Form a node from enough consecutive frames without a node; park it if it is too similar to the map ([I] 4.5).
 
     The first node is formed as soon as there are enough frames ([I] 6).
     """
@@ -142,7 +142,7 @@ def join_parked(state: State, frame: int, description: Description) -> tuple[int
 
 
 def grow_version_2(state: State) -> Node | None:
-    """Form a node if too many of the last frames have none, or if they changed node too often ([T] 4.6)."""
+    """Form a node if too many of the last frames have no node, or changed their node too often ([T] 4.6)."""
     rules, labels = state.rules, state.labels
 
     def unassigned(window: int) -> list[int]:
@@ -186,7 +186,7 @@ def _create(state: State, node: Node, **scores: Any) -> Node:
 
 
 def distinctness(centre: Floats, nodes: Sequence[Node]) -> tuple[dict[str, float], bool]:
-    """Compare the mean distance of a representative (D,) to those of nodes with the mean among these ([I] 4.5).
+    """Compare how far a representative (D,) is from the nodes with how far the nodes are from each other ([I] 4.5).
 
     Two nodes are as far apart as the nearest of the representatives of their modes; a single node has mean 0.
 
@@ -206,7 +206,7 @@ def distinctness(centre: Floats, nodes: Sequence[Node]) -> tuple[dict[str, float
 
 
 def reconsider(state: State, descriptor: Descriptor, created: int) -> None:
-    """Evaluate the frames of a new node and the window before it again, and move those more similar to another node.
+    """Evaluate a new node's frames and the window before it again; move frames that are more similar to another node.
 
     The mean similarity decides, and in a tie a frame stays where it is. A frame of the new node may go to any node
     whose node-level and centroid conditions it passes. A frame of the window stays in its node or moves to the new one;
@@ -244,7 +244,7 @@ def reconsider(state: State, descriptor: Descriptor, created: int) -> None:
 
 
 def join(state: State, frame: int, description: Description, goal: int, mode: int | None = None) -> None:
-    """Put a frame into a node: into the mode given, or the one that it fits best."""
+    """Add a frame to a node: to a given mode, or to the mode that the frame fits best."""
     node = state.nodes[goal]
     if mode is None:
         mode = int(node_level(point_of(description), [node], state.rules.two_sided).modes[0])
@@ -272,7 +272,7 @@ def merge_alike(state: State, node: int) -> None:
 
 
 def merge(state: State, changed: Node, own: int, found: NodeLevel, row: int) -> int:
-    """Merge the mode `own` of a node with the node and mode of a row of its comparison; return the id that is kept."""
+    """Merge a node's mode `own` with the compared node and mode in a row of `found`; return the id that stays."""
     other, mode = state.nodes[int(found.nodes[row])], int(found.modes[row])
     (first, index), (second, gone) = sorted([(other, mode), (changed, own)], key=lambda place: place[0].id)
     kept = first.with_mode(index, first.modes[index].merge(second.modes[gone]))

@@ -80,7 +80,7 @@ class IncrementalMapper:
 
     @property
     def poses(self) -> tuple[Any, ...]:
-        """The identifier or pose given with each frame."""
+        """The identifier or pose that was added with each frame."""
         return tuple(self._poses[: len(self)])
 
     @property
@@ -154,7 +154,7 @@ class IncrementalMapper:
         return decision
 
     def locate(self, description: Description) -> Location:
-        """Find one image in the map: its node and the most similar frame in it. The map does not change.
+        """Find the node and the most similar frame of one image. The map does not change.
 
         Nodes that pass the node-level condition compete; if none passes, the one that comes closest to passing wins.
 
@@ -167,7 +167,7 @@ class IncrementalMapper:
             return locate(self._state, self.descriptor, self._checked(description, 1), self._poses)
 
     def save(self, path: str | Path) -> None:
-        """Save the map in one file: arrays without pickles, written under a temporary name and renamed.
+        """Save the map in a file of arrays without pickles, atomically.
 
         Raises:
             StorageError: a path that cannot be written.

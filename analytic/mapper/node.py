@@ -92,7 +92,7 @@ class Mahalanobis:
 
 
 def every_few(size: int) -> slice:
-    """Return which of `size` numbers of a descriptor are used in the lower bound of a distance."""
+    """Return the indices of every few of `size` numbers of a descriptor, for the lower bound of a distance."""
     return slice(None, None, -(-size // _FEW))
 
 
@@ -135,8 +135,8 @@ class Gallery:
     The spectrum of each frame is computed once, on its own, so that its values depend on no other frame.
 
     Attributes:
-        frames: (n,) numbers of the frames, in the order in which they were added.
-        shown: their descriptions.
+        frames: (n,) numbers of the frames, in the order in which they joined.
+        shown: descriptions of the frames.
     """
 
     frames: Integers
@@ -144,7 +144,7 @@ class Gallery:
 
     @staticmethod
     def of(frames: Sequence[int] | Integers, descriptions: Sequence[Description]) -> Gallery:
-        """Return the gallery of frames, given their descriptions."""
+        """Return the gallery of frames with these numbers and descriptions."""
         shown = Description.concatenate(descriptions)
         if shown.orientation is not None:
             shown.kept("spectrum", lambda _: np.concatenate([part.spectrum for part in descriptions], axis=1))
@@ -165,7 +165,7 @@ class Gallery:
         return Gallery.of(np.append(self.frames, other.frames), [self.shown, other.shown])
 
     def spread(self, other: Gallery, limit: int | None) -> Gallery:
-        """Add one frame to a gallery of at most `limit` frames.
+        """Add the single frame of another gallery to a gallery of at most `limit` frames.
 
         A full gallery takes the frame only if it is further from all others than the closest two are from each other;
         the later of those two then goes. The frames that stay cover the node as evenly as a single pass over the frames
@@ -188,7 +188,7 @@ class Gallery:
 
     @cached_property
     def closest(self) -> tuple[float, int]:
-        """The least distance between two frames, and the row of the later one of them."""
+        """The smallest distance between position parts of two frames, and the row of the later of the two frames."""
         from scipy.spatial.distance import cdist
 
         points = self.shown.position.astype(np.float64)
@@ -200,7 +200,7 @@ class Gallery:
 
 @dataclass(frozen=True)
 class Mode:
-    """One appearance of a node. Immutable: methods that change it return another mode.
+    """One appearance of a node's place, such as under one light. Immutable: methods that change it return another mode.
 
     Attributes:
         rules: the parameters of the map.
@@ -225,7 +225,7 @@ class Mode:
 
     @staticmethod
     def of(rules: Parameters, frames: Sequence[int], descriptions: Sequence[Description]) -> Mode:
-        """Return the mode of frames and their descriptions, one frame each, that join in that order."""
+        """Return the mode of frames with these numbers and descriptions, which join in that order."""
         gallery = Gallery.of(frames[:1], descriptions[:1])
         for frame, description in zip(frames[1:], descriptions[1:], strict=True):
             gallery = gallery.spread(Gallery.of([frame], [description]), rules.exemplars)
@@ -236,7 +236,7 @@ class Mode:
     def from_points(
         rules: Parameters, frames: Integers, held: NDArray[np.bool_], points: Floats, gallery: Gallery
     ) -> Mode:
-        """Return the mode of frames whose statistics are computed from their position descriptors; see `Mode`."""
+        """Return the mode of frames, with statistics computed from their position descriptors; see `Mode`."""
         model = points[~held]
         mean = model.mean(axis=0)
         return Mode(rules, frames, held, points, points.mean(axis=0), mean, _scatter(model, mean), gallery)
@@ -263,7 +263,7 @@ class Mode:
         return Mode(self.rules, np.append(self.frames, frame), flags, points, centre, mean, scatter, gallery)
 
     def remove(self, frames: Sequence[int]) -> Mode:
-        """Return the mode without some of its frames; some must be left."""
+        """Return the mode without some of its frames; at least one frame must stay."""
         left = ~np.isin(self.frames, frames)
         if left.all():
             return self
@@ -281,7 +281,7 @@ class Mode:
 
     @cached_property
     def metric(self) -> Mahalanobis:
-        """The distances of eq. 3."""
+        """The squared Mahalanobis distances of eq. 3, prepared for the mode."""
         return Mahalanobis.of(self.mean, self.points[~self.held], self.scatter, self.rules.shrinkage)
 
     @cached_property
@@ -298,7 +298,7 @@ class Mode:
         return float(distances.sum() / max(len(rows), 1)), float(distances.std(ddof=1)) if len(rows) > 1 else 0.0
 
     def shift(self, x: Floats) -> float:
-        """Return the left side of eq. 9: how far the representative would move with one more frame (D,)."""
+        """Return the left side of eq. 9 (D,): how far the representative would move with another frame."""
         return float(np.linalg.norm(x - self.centre)) / (len(self) + 1)
 
     @cached_property
@@ -324,11 +324,11 @@ def _scatter(frames: Floats, mean: Floats) -> Floats | None:
 
 @dataclass(frozen=True)
 class Node:
-    """A place in the map.
+    """A place in the map, with one mode for each of its appearances.
 
     Attributes:
         id: number that is never used twice.
-        modes: at least one.
+        modes: the node's modes, at least one.
     """
 
     id: int
@@ -339,7 +339,7 @@ class Node:
 
     @property
     def frames(self) -> list[int]:
-        """The numbers of its frames, in capture order."""
+        """The numbers of the node's frames, in capture order."""
         return sorted(np.concatenate([mode.frames for mode in self.modes]).tolist())
 
     def with_mode(self, index: int, mode: Mode) -> Node:

@@ -35,16 +35,16 @@ class Parameters(Settings):
         held_out: share of a node's frames that form the Gaussian of eq. 4 instead of its mean and covariance.
         first_node: frames that form the first node.
         new_node: consecutive frames without a node that form the next one; version 1.
-        parked_nodes: the most candidates that may wait; beyond that, the oldest is forgotten; version 1.
+        parked_nodes: the largest number of candidates that wait; of more, the oldest is forgotten; version 1.
         checked_unassigned: frames without a node, of the last `checked_window`, that call for a new one; version 2.
         checked_window: see `checked_unassigned`.
         forced_unassigned: frames without a node, of the last `forced_window`, that force a new one; version 2.
         forced_window: see `forced_unassigned`.
         node_changes: changes of node in the last `changes_window` frames that call for a new one; version 2.
         changes_window: see `node_changes`.
-        window: frames before a new node that are evaluated again with its own; version 2.
+        window: frames before a new node that are evaluated again with the node's frames; version 2.
         smallest_node: the fewest frames that a node keeps when others leave it, and that a mode needs.
-        exemplars: frames of each mode that are kept for comparing images, and of those held out; None keeps all.
+        exemplars: largest number of frames of a mode kept for comparing images, and of held-out frames; None keeps all.
 
     Raises:
         AnalyticError: a value out of its range.
@@ -107,16 +107,16 @@ class Parameters(Settings):
             )
 
     def x(self, nodes: int) -> float:
-        """Return the x of eq. 4 for a map of that many nodes ([I] 6.2); the smaller, the stricter."""
+        """Return the x of eq. 4 for a map with this number of nodes ([I] 6.2); a smaller x is stricter."""
         return max(self.omega, self.x_start - self.x_slope * nodes)
 
     def holds_out(self, held: int, frames: int) -> bool:
-        """Decide whether the next frame of a node is held out, so that the share is kept."""
+        """Decide whether a node's next frame is held out, so that the share `held_out` is kept."""
         return held < floor(self.held_out * (frames + 1) + CLOSE)
 
     @property
     def memory(self) -> int:
-        """The number of last frames that may still be needed to form a node or to be evaluated again."""
+        """Number of last frames to remember, as they may form a node or be evaluated again."""
         return max(self.first_node, self.new_node, self.checked_window, self.forced_window, self.changes_window) + (
             self.window
         )

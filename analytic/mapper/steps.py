@@ -22,14 +22,14 @@ from analytic.mapper.node import Mode, Node
 
 @dataclass
 class Placement:
-    """Where a frame belongs, and what was measured to find out.
+    """The node where a frame belongs, and what was measured to find it.
 
     Attributes:
-        reason: why it belongs to `node`, or to none.
+        reason: why the frame belongs to `node`, or to none.
         node: id of the node, or -1.
-        mode: index of the mode in the node.
-        match: the most similar frame, or -1.
-        scores: what was measured.
+        mode: index of the frame's mode in the node.
+        match: number of the most similar frame, or -1.
+        scores: measured numbers and limits, by name.
     """
 
     reason: Reason
@@ -105,7 +105,7 @@ def place(state: State, descriptor: Descriptor, description: Description) -> Pla
 
 
 def locate(state: State, descriptor: Descriptor, description: Description, poses: list[Any]) -> Location:
-    """Find a frame in a state with at least one node; of the nodes, those that close compete, or else the nearest."""
+    """Find a frame in a state with at least one node: nodes that close a loop compete, or else the nearest wins."""
     rules = state.rules
     found = node_level(point_of(description), state.ordered(), rules.two_sided)
     closing, scores = _closing(state, found)
@@ -141,7 +141,7 @@ def most_similar(similarity: Similarity, version: int) -> tuple[int, int, dict[s
 
 
 def maintain(state: State, node: int, descriptions: list[Description]) -> Decision:
-    """Give a node another mode: frames of another appearance of its place. Its other modes stay as they are."""
+    """Add a mode to a node: frames that show another appearance of its place. The other modes stay as they are."""
     frames = [state.append(description, node, NONE) for description in descriptions]
     modes = (*state.nodes[node].modes, Mode.of(state.rules, frames, descriptions))
     state.nodes[node] = Node(node, modes)
