@@ -70,7 +70,7 @@ def load_building(name_or_path: str | FilePath, seed: int = 0) -> Building:
 
 
 def draw_building(seed: int) -> Entry:
-    """Return the content of a building file for a seed: offices along a corridor or around a core, a flat, or a hall.
+    """Draw the content of a building file from a seed: offices along a corridor or around a core, a flat, or a hall.
 
     `path1` visits every second room, `path2` all of them.
 

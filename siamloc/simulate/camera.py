@@ -26,12 +26,12 @@ _VIGNETTE = 0.42
 
 @dataclass(frozen=True)
 class Pixels:
-    """The pixels inside the mirror's image, or of a panorama.
+    """The pixels of a camera's image, and where each of them looks.
 
     Attributes:
         rows: row of each pixel (n,).
         columns: column of each pixel (n,).
-        directions: unit vectors in the robot's frame for each entry of OFFSETS (4, n, 3), float32.
+        directions: unit viewing directions in the robot's frame (4, n, 3), float32, for each of the OFFSETS in a pixel.
         spread: angle in rad that a pixel covers (n,).
         vignette: share of the light that arrives, from 0 to 1 (n,).
     """
@@ -53,15 +53,15 @@ class PanoramaCamera:
 
     @property
     def shape(self) -> tuple[int, int]:
-        """Rows and columns."""
+        """Rows and columns of the image."""
         return self.view.height, self.view.width
 
     def pixels(self) -> Pixels:
-        """Return all pixels."""
+        """Return all pixels of the image."""
         return _panorama_pixels(self.view)
 
     def displacement(self, moves: Array, points: Array) -> tuple[Array, Array]:
-        """Return how far in columns and rows points (n, 3) of the robot's frame move with `moves` (n, 3)."""
+        """Return how many columns and rows points (n, 3) in m shift in the image if they move by `moves` (n, 3)."""
         moved = points + moves
         azimuth = np.arctan2(points[:, 1], points[:, 0]) - np.arctan2(moved[:, 1], moved[:, 0])
         azimuth = (azimuth + np.pi) % (2 * np.pi) - np.pi
@@ -82,15 +82,15 @@ class OmnidirectionalCamera:
 
     @property
     def shape(self) -> tuple[int, int]:
-        """Rows and columns."""
+        """Rows and columns of the image."""
         return 480, 640
 
     def pixels(self) -> Pixels:
-        """Return the pixels of the ring."""
+        """Return the pixels of the ring that the mirror fills."""
         return _mirror_pixels(self.mirror)
 
     def displacement(self, moves: Array, points: Array) -> tuple[Array, Array]:
-        """Return how far in columns and rows points (n, 3) of the robot's frame move with `moves` (n, 3)."""
+        """Return how many columns and rows points (n, 3) in m shift in the image if they move by `moves` (n, 3)."""
         change = np.nan_to_num(self.mirror.project(points + moves) - self.mirror.project(points))
         return change[:, 0], change[:, 1]
 
@@ -155,7 +155,7 @@ class ViewCamera:
             frame, through points that far from the middles of the pixels.
         spread: angle in rad between the columns at each pixel (rows * columns,), float32.
         wraps: whether the left edge continues at the right one.
-        shown: False where the lens leaves the image dark (rows, columns); None if it does so nowhere.
+        shown: False where the lens leaves the image dark (rows, columns); None if it is dark nowhere.
     """
 
     rows: int
@@ -287,7 +287,7 @@ _BANK = 1 << 21
 
 @dataclass(frozen=True)
 class Exposure:
-    """Camera settings for every frame of a run.
+    """Camera settings for each of the n frames of a run.
 
     Attributes:
         gain: pixel value per radiosity (n,).

@@ -14,13 +14,13 @@ _NARROWEST = 0.95
 
 @dataclass(frozen=True)
 class Cell:
-    """A rectangle of a floor plan.
+    """A room or corridor on a floor plan: a rectangle.
 
     Attributes:
         name: unique name within the plan.
-        use: key of `furnishing.USES`.
-        x: extent in metres.
-        y: extent in metres.
+        use: what the room is used for: a key of `furnishing.USES`.
+        x: start and end along x in metres.
+        y: start and end along y in metres.
     """
 
     name: str
@@ -34,7 +34,7 @@ class Cell:
         return (self.x[1] - self.x[0]) * (self.y[1] - self.y[0])
 
     def outside(self, side: str, others: list[Cell]) -> list[Interval]:
-        """Return the parts of one of the cell's walls that have no other cell behind them."""
+        """Return the stretches (start, end) of one of the cell's walls behind which there is no other cell."""
         wall = SIDES[side]
         parts = [wall.span(self)]
         for other in others:
@@ -69,7 +69,7 @@ class Plan:
     doors: list[tuple[str, str, str]] = field(default_factory=list)
 
     def add(self, use: str, x: Interval, y: Interval) -> Cell:
-        """Add a cell, rounded to centimetres."""
+        """Add a cell with its extents in metres, rounded to centimetres."""
         cell = Cell(f"{use}_{len(self.cells)}", use, (round(x[0], 2), round(x[1], 2)), (round(y[0], 2), round(y[1], 2)))
         self.cells.append(cell)
         return cell

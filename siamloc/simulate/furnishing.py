@@ -87,15 +87,15 @@ USES: dict[str, Use] = {
 
 
 class Room:
-    """A cell that is being furnished: what stands in it, and where there is still space.
+    """A cell that is being furnished: its items, and where there is still space.
 
     Attributes:
-        cell: the cell.
+        cell: the cell of the floor plan.
         height: height of the ceiling in metres.
-        windows: its windows, in the form of a building file.
-        x: extent between the walls in metres.
-        y: extent between the walls in metres.
-        items: the items so far, in the form of a building file.
+        windows: windows of the room, in the form of a building file.
+        x: start and end between the walls along x in metres.
+        y: start and end between the walls along y in metres.
+        items: the items added so far, in the form of a building file.
     """
 
     def __init__(self, cell: Cell, plan: Plan, doors: list[Entry], windows: list[Entry]) -> None:
@@ -119,7 +119,7 @@ class Room:
             self._hung[window["wall"]].append(((at - half - 0.08, at + half + 0.08), rise))
 
     def span(self, side: str) -> Interval:
-        """Return the start and end of a wall."""
+        """Return the start and end of a wall in metres, along its own axis."""
         return SIDES[side].span(self)
 
     def _against(self, side: str, along: Interval, deep: float) -> Rectangle:
@@ -134,7 +134,7 @@ class Room:
         return True
 
     def stand(self, side: str, at: float, size: Size, entry: Entry) -> bool:
-        """Put an item against a wall, if there is room for it, and return whether it was put there."""
+        """Stand an item against a wall if there is space; return whether there was."""
         w, d, h = size
         ends = (at - w / 2, at + w / 2)
         box = self._against(side, ends, d)
@@ -150,7 +150,7 @@ class Room:
         return self._add(entry, size, against=side, at=round(at, 2))
 
     def place(self, x: float, y: float, facing: float, size: Size, entry: Entry) -> bool:
-        """Put an item anywhere, if there is room for it, and return whether it was put there."""
+        """Stand an item anywhere in the room if there is space; return whether there was."""
         w, d, h = size
         turn = np.radians(facing - 90)
         half_x = abs(np.cos(turn)) * w / 2 + abs(np.sin(turn)) * d / 2
@@ -189,7 +189,7 @@ def furnish(room: Room, style: Rng, rng: Rng, density: float) -> list[Entry]:
     Args:
         room: the room with its doors and windows.
         style: draws what all of its furniture has in common.
-        rng: draws the rest.
+        rng: draws the items and their places.
         density: amount of furniture; 1 is the usual amount.
     """
     use = USES[room.cell.use]

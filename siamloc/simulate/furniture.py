@@ -35,7 +35,7 @@ CLOTHES: tuple[Colour, ...] = (
 
 @dataclass(frozen=True)
 class Kind:
-    """Properties that all items of a kind have in common.
+    """What all items of a kind have in common, such as chairs.
 
     Attributes:
         build: adds an item with a width, depth and height in metres to a mesh; the generator draws its details.
@@ -64,7 +64,7 @@ def colour_of(item: Item, rng: Rng, palette: tuple[Colour, ...]) -> Colour:
 
 
 def wood_of(item: Item, usual: str = "beech") -> str:
-    """Return the texture that the file gives the item's woodwork, else the usual one."""
+    """Return the texture of the item's wood: that of the building file, else the usual one."""
     return str(item.options.get("wood", usual))
 
 
@@ -81,12 +81,12 @@ def front(b: MeshBuilder, item: Item, z: Point, texture: str, tint: Point = WHIT
 
 
 def sides(item: Item, thick: float) -> tuple[float, float]:
-    """Return where boxes of a thickness begin in x, for the left and the right end of an item."""
+    """Return the x at which boxes of the given thickness start, at the left and the right end of an item."""
     return -item.size[0] / 2, item.size[0] / 2 - thick
 
 
 def middles(width: float, count: int) -> list[float]:
-    """Return the middles of equal parts of an item in x."""
+    """Return the x of the middles of `count` equal parts of an item, in metres."""
     return [width * ((i + 0.5) / count - 0.5) for i in range(count)]
 
 

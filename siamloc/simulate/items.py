@@ -129,7 +129,7 @@ def urinals(b: MeshBuilder, item: Item, _: Rng, w: float, d: float, h: float) ->
 
 
 def stairs_up(b: MeshBuilder, item: Item, _: Rng, w: float, d: float, h: float) -> None:
-    """A flight of stairs that rises from its front to its back."""
+    """A flight of stairs that rises from the front to the back of its footprint."""
     steps = max(2, round(h / 0.17))
     for i in range(steps):
         y, z = d / 2 - i * d / steps, (i + 1) * h / steps
@@ -257,7 +257,7 @@ def board(picture: str, count: int = 0, rim: Point = (0.2, 0.2, 0.2)) -> Build:
 
 
 def hung(build: Build, width: float, height: float, z: float, depth: float = 0.03, **more: Any) -> Kind:
-    """Return a kind of item that hangs on a wall, out of a robot's way."""
+    """Return the kind of an item that hangs on a wall, out of a robot's way."""
     return Kind(build, (width, depth, height), z, blocks=False, **more)
 
 

@@ -16,12 +16,12 @@ Rng = np.random.Generator
 
 
 def single(values: Any) -> Array:
-    """Return an array in single precision."""
+    """Return values as a float32 array."""
     return np.asarray(values, dtype=np.float32)
 
 
 def seeded(*keys: int | str) -> np.random.Generator:
-    """Return a generator that depends on all the keys and on nothing else.
+    """Return a random generator that depends only on the given keys.
 
     >>> seeded(0, "mini", "lamps").random() == seeded(0, "mini", "lamps").random()
     True
@@ -37,7 +37,7 @@ OUTER_WALL = 0.30
 
 
 class Rectangle(NamedTuple):
-    """A rectangle on the floor plan: its extents in metres along x and y."""
+    """A rectangle on the floor plan: start and end in metres along x and along y."""
 
     x: Interval
     y: Interval
@@ -62,19 +62,19 @@ class Side(NamedTuple):
 
     @property
     def inwards(self) -> int:
-        """Sign of the direction into the room: -1 if the wall is at the upper end, else 1."""
+        """Sign of the direction from the wall into the room, along the axis across: -1 at the upper end, else 1."""
         return 1 - 2 * self.end
 
     def span(self, room: Any) -> Interval:
-        """Return where the wall begins and ends along its axis."""
+        """Return the start and end of the wall in metres, along its axis."""
         return getattr(room, self.along)  # type: ignore[no-any-return]
 
     def level(self, room: Any) -> float:
-        """Return the wall's coordinate on the other axis."""
+        """Return the wall's coordinate in metres on the axis across."""
         return getattr(room, self.across)[self.end]  # type: ignore[no-any-return]
 
     def plan(self, along: Any, across: Any) -> tuple[Any, Any]:
-        """Return the values for x and y of two values along and across the wall; or the reverse."""
+        """Order two values, along and across the wall, as x and y; or x and y as along and across."""
         return (along, across) if self.along == "x" else (across, along)
 
 
@@ -87,7 +87,7 @@ SIDES = {
 
 
 def shared_wall(a: Any, b: Any) -> tuple[str, float, Interval] | None:
-    """Return the wall between two rooms: the axis it runs along, its other coordinate and its ends; None without one.
+    """Return the wall between two rooms: the axis along it, its coordinate across and its ends; None without one.
 
     The rooms are objects with the extents `x` and `y`.
     """
@@ -153,7 +153,7 @@ class Opening:
         along: "x" if the wall runs along x, else "y".
         level: other coordinate of the wall's middle in metres.
         centre: middle of the opening along the wall in metres.
-        width: metres.
+        width: width in metres.
         bottom: lower edge in metres above the floor.
         top: upper edge in metres above the floor.
         rooms: names of the rooms on both sides; the second is "" for the outside.
@@ -176,16 +176,16 @@ class Opening:
 
     @property
     def passable(self) -> bool:
-        """Whether a robot may drive through."""
+        """Whether a robot may drive through the opening."""
         return self.kind in ("leaf", "glass", "open")
 
     @property
     def interval(self) -> Interval:
-        """Start and end of the opening along the wall."""
+        """Start and end of the opening along the wall in metres."""
         return self.centre - self.width / 2, self.centre + self.width / 2
 
     def doorway(self, shorter: float = 0.0, deeper: float = 0.0) -> Rectangle:
-        """Return the floor of the opening, as deep as the wall.
+        """Return the floor rectangle of the opening, as deep as the wall is thick.
 
         Args:
             shorter: metres by which the rectangle is shorter at each end along the wall.
@@ -239,7 +239,7 @@ class Room:
         return (self.x[0] + self.x[1]) / 2, (self.y[0] + self.y[1]) / 2
 
     def inner(self, margin: float = 0.0) -> Rectangle:
-        """Return the x and y extents between the inner faces, reduced by a margin."""
+        """Return the extents along x and y in metres between the wall faces, reduced by a margin at each end."""
         inset = HALF_WALL + margin
         return Rectangle((self.x[0] + inset, self.x[1] - inset), (self.y[0] + inset, self.y[1] - inset))
 
@@ -292,7 +292,7 @@ class Building:
         return f"Building({self.name!r}, seed={self.seed}: rooms {rooms}; {len(self.items)} items; paths {paths})"
 
     def where(self, line: int) -> str:
-        """Return the building's file, and the line if it is not 0, for the beginning of a message."""
+        """Return the building's file and, unless it is 0, the line, for the beginning of an error message."""
         return f"{self.source}, line {line}" if line else self.source
 
     def room_index(self, name: str) -> int:
@@ -308,7 +308,7 @@ class Building:
         ]
 
     def neighbours(self, room: str) -> list[str]:
-        """Return the rooms that light can reach directly from a room, starting with the room itself."""
+        """Return the rooms that light from a room can reach directly, beginning with the room."""
         found = [room]
         for opening in self.openings:
             if room in opening.rooms:
@@ -322,7 +322,7 @@ class Building:
 
     @property
     def bounds(self) -> tuple[Interval, Interval]:
-        """Extents in x and y over all rooms."""
+        """Start and end in metres along x and along y over all rooms."""
         xs = [value for room in self.rooms.values() for value in room.x]
         ys = [value for room in self.rooms.values() for value in room.y]
         return (min(xs), max(xs)), (min(ys), max(ys))

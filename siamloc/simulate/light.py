@@ -27,10 +27,10 @@ class Detail:
     """Level of detail at which light is computed.
 
     Attributes:
-        fine: metres between the nodes that receive light directly; edges shorter than `fine_single` get one node.
-        fine_single: metres.
-        coarse: metres between the nodes that gather reflected light; edges shorter than `coarse_single` get one node.
-        coarse_single: metres.
+        fine: metres between the nodes that receive light directly.
+        fine_single: length in metres below which an edge gets one node.
+        coarse: metres between the nodes that gather reflected light.
+        coarse_single: length in metres below which an edge gets one node.
         rays: number of rays cast from each gathering node.
         bounces: how often light is reflected.
         sky: number of rows of the image of the world outside.
@@ -51,7 +51,7 @@ FULL, ROUGH = Detail(), Detail(0.2, 0.2, 0.5, 0.6, 32, 3, 192)
 
 @dataclass(frozen=True)
 class BakedLight:
-    """The light of one run.
+    """How much light arrives at each surface of a building in one run.
 
     Attributes:
         grid: the grid of nodes that the values belong to.
@@ -307,13 +307,13 @@ class LightGrid:
         return cls(corner, count, shape, quad, place, pixel)
 
     def position(self, quad: Array, s: Array, t: Array) -> tuple[Array, Array]:
-        """Return the columns and rows in the image that correspond to positions on quads."""
+        """Return the columns and rows in the image of light values for positions s, t on quads."""
         steps = (self.count - 1).astype(np.float32)[quad]
         corner = self.corner[quad]
         return corner[:, 0] + s * steps[:, 0], corner[:, 1] + t * steps[:, 1]
 
     def image(self, values: Array) -> Array:
-        """Return the image (rows, columns[, channels]) of values (N[, channels])."""
+        """Return the image (rows, columns[, channels]) with the values of the N nodes (N[, channels])."""
         image = np.zeros((self.shape[0] * self.shape[1], *values.shape[1:]), dtype=np.float32)
         image[self.pixel] = values
         return image.reshape(*self.shape, *values.shape[1:])

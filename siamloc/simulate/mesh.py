@@ -33,8 +33,8 @@ class QuadMesh:
     """Q quadrilaterals with their textures, colours and emission.
 
     Attributes:
-        corners: metres (Q, 4, 3), counter-clockwise seen from the visible side; the first is the texture's lower left
-            corner.
+        corners: corners in metres (Q, 4, 3), counter-clockwise seen from the visible side; the first is the lower
+            left corner of the texture.
         texture: index of the texture (Q,).
         repeat: how often the texture repeats along the first and the last edge (Q, 2).
         phase: position of the first corner in the texture (Q, 2).
@@ -71,7 +71,7 @@ class QuadMesh:
 
 @dataclass
 class MeshBuilder:
-    """Collects quads in local coordinates: x to the right, y forwards, z up.
+    """Collect quads in local coordinates: x to the right, y forwards, z up.
 
     Attributes:
         textures: index and tile size in metres by texture name; a size of None stretches the texture over the quad.
@@ -110,7 +110,7 @@ class MeshBuilder:
     ) -> None:
         """Add a planar convex quad; the corners run counter-clockwise from the texture's lower left corner.
 
-        It can emit light of its own, or the share `lamp` of the light of its room's lamps while they are lit.
+        The quad can emit light itself, or the share `lamp` of the light of its room's lamps while they are lit.
         """
         corners = np.array([a, b, c, d], dtype=np.float64)
         index, tile = self.textures[texture]
@@ -133,7 +133,7 @@ class MeshBuilder:
         Args:
             low: corner with the smallest coordinates.
             high: corner with the largest coordinates.
-            texture: of all faces.
+            texture: texture of all faces.
             tint: colour of the faces with that texture.
             skip: names of the faces to leave out, such as "back bottom".
             faces: other textures, by the name of the face.
@@ -168,7 +168,7 @@ class MeshBuilder:
             self.quad(high[0], high[i], high[i + 1], high[min(i + 2, sides)], texture, tint, lamp=lamp)
 
     def build(self) -> QuadMesh:
-        """Return everything added so far."""
+        """Return the mesh of all quads added so far."""
         kinds = (np.int32, np.float64, np.float64, np.float32, np.float32, np.int32, np.float64)
         columns = zip(*self._rows, strict=True)
         return QuadMesh(np.stack(self._corners), *map(np.array, columns, kinds))
@@ -198,7 +198,7 @@ class Caster:
         triangles(self._scene, np.ascontiguousarray(halves.reshape(-1, 3, 3), dtype=np.float32))
 
     def first_hit(self, origins: Array, directions: Array) -> tuple[Array, Array, Array, Array]:
-        """Return the quad hit (n,), -1 for none, the position s, t on it (n,) and the distance (n,)."""
+        """Return the quad that rays hit (n,), -1 for none, the position s, t on it (n,) and the distance (n,), metres."""
         hit = self._scene.run(origins, directions, output=True)
         triangle = hit["primID"]
         second = (triangle & 1).astype(bool)
@@ -207,6 +207,6 @@ class Caster:
         return np.where(triangle < 0, -1, triangle >> 1), s, t, hit["tfar"]
 
     def blocked(self, origins: Array, directions: Array, distances: Array | None = None) -> Array:
-        """Return True where anything is in the way within the distance (n,)."""
+        """Return True (n,) for rays that hit something within a distance (n,), m."""
         until = {} if distances is None else {"dists": distances}
         return self._scene.run(origins, directions, query="OCCLUDED", **until) == 0

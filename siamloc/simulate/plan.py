@@ -31,7 +31,7 @@ def obstacles(building: Building, items: Iterable[Item] | None = None) -> tuple[
 
     Args:
         building: gives the walls and openings.
-        items: what stands in the rooms in a run; the building's own items if None.
+        items: items in the rooms in a run; the items of the building file if None.
     """
     segments: list[Array] = []
     names: list[str] = []

@@ -29,7 +29,7 @@ _BRIGHT = np.array(
 
 
 def print_textures(rng: Rng) -> dict[str, Texture]:
-    """Return the pictures of one building; where there are several of a kind, the name ends with a number."""
+    """Return the textures of posters, screens, signs and so on of one building; a number ends names of several."""
     several: dict[str, tuple[int, Callable[[int], Array]]] = {
         "poster": (POSTERS, lambda i: _poster(rng, i)),
         "books": (BOOK_ROWS, lambda i: _books(rng, empty=0.06 + 0.05 * (i % 4))),

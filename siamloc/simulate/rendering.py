@@ -72,7 +72,7 @@ def meter(scene: Scene, track: Track) -> Exposure:
 
 
 def frames(scene: Scene, track: Track, camera: Camera, exposure: Exposure, rows: Iterable[int]) -> Iterator[Array]:
-    """Yield the images (rows, columns, 3) uint8 of some frames; each depends only on its own row."""
+    """Yield the images (rows, columns, 3) uint8 of the frames in `rows`; each depends only on its own frame."""
     pixels = camera.pixels()
     quiet = 0.75 if camera.wraps else 1.0
     for row in rows:

@@ -90,7 +90,7 @@ class Walker:
 
     Attributes:
         line: positions of the two ends of the line in metres (2, 2).
-        times: when the person starts at the first end and arrives at the second, in seconds.
+        times: times of the start at the first end and of the arrival at the second, in seconds.
         look: index of the clothes and height, modulo `scene.LOOKS`.
     """
 
@@ -99,7 +99,7 @@ class Walker:
     look: int
 
     def place(self, time: float) -> tuple[float, float, float] | None:
-        """Return the person's x, y and walking direction in degrees at a time; None before and after the walk."""
+        """Return the person's x, y in metres and direction in degrees at a time in seconds; None off the walk."""
         begin, end = self.times
         if not begin <= time <= end:
             return None
@@ -110,11 +110,11 @@ class Walker:
 
 @dataclass(frozen=True)
 class Light:
-    """The light sources of one drive.
+    """The lamps and the sun and sky of one drive.
 
     Attributes:
         lighting: "cloudy", "night" or "sunny".
-        hour: solar time.
+        hour: solar time in hours.
         declination: declination of the sun in degrees.
         lamps_on: radiosity of the lit lamps by room name; rooms whose lamps are off are absent.
         number: seeds the clouds and their brightness.
@@ -134,10 +134,10 @@ class RunState:
     """Everything in which one run differs from others.
 
     Attributes:
-        track: the drive.
-        items: all items in their places, people who stand included.
-        fixtures: doors and blinds.
-        walkers: people who walk.
+        track: poses of the drive.
+        items: all items in their places, with standing people.
+        fixtures: state of doors and blinds.
+        walkers: people who walk during the drive.
         light: the light sources.
     """
 

@@ -24,7 +24,7 @@ LOOKS = 6
 
 @dataclass(frozen=True)
 class Surfaces:
-    """A quad mesh with everything needed to shade a hit, in single precision."""
+    """A mesh of quads with everything needed to shade a point that a ray hits, in single precision."""
 
     mesh: QuadMesh
     repeat: Array
@@ -36,7 +36,7 @@ class Surfaces:
 
     @classmethod
     def of(cls, mesh: QuadMesh, atlas: TextureAtlas) -> Surfaces:
-        """Prepare a mesh; `texels` is the number of texels per metre in the largest copy of the texture (Q,)."""
+        """Prepare a mesh for shading; `texels` is the texels per metre in the largest copy of each texture (Q,)."""
         stretched = 256 / np.sqrt(np.maximum(mesh.size[:, 0] * mesh.size[:, 1], 1e-8))
         texel = atlas.texel[mesh.texture]
         texels = np.where(np.isnan(texel), stretched, 1 / np.where(np.isnan(texel), 1, texel))
@@ -49,7 +49,7 @@ class Surfaces:
         return replace(self, emission=emission.astype(np.float32), glows=emission.max(axis=1) > 0)
 
     def colour(self, atlas: TextureAtlas, quad: Array, s: Array, t: Array, footprint: Array, smooth: bool) -> Array:
-        """Return the texture's linear colour (n, 3) without tint; `footprint` is the pixel's size in metres (n,)."""
+        """Return textures' linear colours (n, 3) at hits, without tint; `footprint` is a pixel's size (n,), metres."""
         s, t = np.clip(s, 0, 0.99999), np.clip(t, 0, 0.99999)
         u = self.phase[quad, 0] + s * self.repeat[quad, 0]
         v = self.phase[quad, 1] + t * self.repeat[quad, 1]
@@ -62,10 +62,10 @@ class Hits:
     """What n rays hit, independent of the light.
 
     Attributes:
-        origins: metres (n, 3).
+        origins: starting points in metres (n, 3).
         directions: unit vectors (n, 3).
         quad: index of the quad hit (n,); -1 for none.
-        distance: metres (n,); 1 for rays that hit nothing.
+        distance: distance in metres (n,); 1 for rays that hit nothing.
         missed: indices of the rays that hit nothing.
         colour: linear colour of the texture (n, 3).
         albedo: that colour multiplied by the tint (n, 3).
@@ -86,11 +86,11 @@ class Hits:
 
 @dataclass(frozen=True)
 class Scene:
-    """Everything that rendering needs.
+    """A building in the state of one run, with everything that rendering needs.
 
     Attributes:
         building: the floor plan.
-        run: the drive.
+        run: lighting, number and path of the drive.
         state: everything drawn for the drive.
         atlas: all textures.
         surfaces: all quads.
@@ -136,7 +136,7 @@ class Scene:
         number of quads if the sun shines on that point: there is no edge between pixels with equal numbers.
 
         Args:
-            origins: metres (n, 3), float32.
+            origins: starting points in metres (n, 3), float32.
             directions: unit vectors (n, 3), float32.
             spread: angle in rad that a pixel covers (n,).
         """
@@ -195,7 +195,7 @@ class Scene:
         return rows[seen]
 
     def light_at(self, x: float, y: float) -> Array:
-        """Return the light (3,) that the floor receives at a point, without the sun."""
+        """Return the light (3,) that the floor receives at x, y in metres, without the sun."""
         origin = np.array([[x, y, 0.3]], dtype=np.float32)
         quad, s, t, _ = self.caster.first_hit(origin, np.array([[0, 0, -1]], dtype=np.float32))
         return sample(self.light.light, *self.light.grid.position(quad, s, t))[0]
@@ -229,7 +229,7 @@ def build_scene(building: Building, run: Run, detail: Detail = FULL, light: Ligh
 
 @typed
 def relit(scene: Scene, light: Light) -> Scene:
-    """Return a scene in which only the light differs; quick, since it is known what each surface can see."""
+    """Return a scene in which only the light differs; quick, since the visibility of surfaces is kept."""
     building, transport, mesh = scene.building, scene.transport, scene.surfaces.mesh
     rng, clouds = (seeded(building.seed, building.name, key, light.lighting, light.number) for key in ("light", "sky"))
     view = seeded(building.seed, building.name, "view")

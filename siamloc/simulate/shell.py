@@ -30,7 +30,7 @@ class Fixtures:
 
 @dataclass(frozen=True)
 class Style:
-    """Linear colours of a building's woodwork; the doors take the leaves in turn."""
+    """Colours of a building's woodwork, linear; the doors' leaves use the colours in turn."""
 
     frame: Colour
     leaves: tuple[tuple[str, Colour], ...]

@@ -36,7 +36,7 @@ class Sky:
         return sample(self.image, np.clip(column, 0, None), row)
 
     def softened(self) -> Sky:
-        """Return the same sky without detail, to light rooms without speckles."""
+        """Return the sky without detail, which lights rooms without speckles."""
         small = cv2.resize(self.image, (64, 16), interpolation=cv2.INTER_AREA)
         wrapped = np.concatenate([small[:, -2:], small, small[:, :2]], axis=1)
         return Sky(cv2.GaussianBlur(wrapped, (0, 0), 1.0)[:, 2:-2], self.sun, self.sun_radiosity)

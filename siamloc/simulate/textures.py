@@ -28,7 +28,7 @@ class Texture:
 
 
 def eight_bit(image: Array) -> Array:
-    """Return an image with values in [0, 1] as uint8."""
+    """Convert an image with values in [0, 1] to uint8, 0 to 255."""
     return np.clip(image * 255 + 0.5, 0, 255).astype(np.uint8)
 
 
@@ -46,7 +46,7 @@ def noise(rng: Rng, cells: int, octaves: int = 3) -> Array:
 
 
 def base_textures(rng: Rng) -> dict[str, Texture]:
-    """Return the surfaces of every building: plain ones, woods, floors, tiles."""
+    """Return the textures that every building has: plain ones, woods, floors, tiles."""
 
     def carpet(colour: Colour) -> Array:
         return _tinted(colour, 0.05 * noise(rng, 128, 1) + 0.035 * noise(rng, 16, 3))
@@ -77,7 +77,7 @@ def base_textures(rng: Rng) -> dict[str, Texture]:
 
 
 def pattern_textures(rng: Rng) -> dict[str, Texture]:
-    """Return further surfaces with drawn colours: bricks, wallpaper, panelling, stone, planks."""
+    """Return further textures with drawn colours: bricks, wallpaper, panelling, stone, planks."""
     return _square({
         "brick": (_bricks(rng), 1.6),
         "stripes": (_stripes(rng), float(rng.uniform(0.5, 1.6))),
@@ -95,7 +95,7 @@ def _square(drawn: dict[str, tuple[Array, float]]) -> dict[str, Texture]:
 
 
 def recoloured(textures: dict[str, Texture], rng: Rng) -> dict[str, Texture]:
-    """Return surfaces in other colours: the channels of all that are not nearly white are scaled by drawn factors."""
+    """Return textures in other colours: the channels of all that are not nearly white are scaled by drawn factors."""
     changed = {}
     for name, texture in textures.items():
         shade, tint = rng.uniform(0.6, 1.15), rng.uniform(0.75, 1.25, 3)
@@ -295,12 +295,12 @@ class TextureAtlas:
                 self._corner[level, index] = (x + _PAD - 0.5, y + _PAD - 0.5)
 
     def lookup(self, texture: Array, u: Array, v: Array, level: Array) -> Array:
-        """Return linear colours (n, 3).
+        """Return the linear colours (n, 3) of textures at n positions.
 
         Args:
-            texture: indices (n,).
-            u: position to the right (n,); integer parts are dropped.
-            v: position upwards (n,); integer parts are dropped.
+            texture: indices of the textures (n,).
+            u: position to the right, in widths of the texture (n,); integer parts are dropped.
+            v: position upwards, in heights of the texture (n,); integer parts are dropped.
             level: requested size, as the binary logarithm of the reduction (n,); may lie between two copies.
         """
         u = u - np.floor(u)
@@ -314,7 +314,7 @@ class TextureAtlas:
         return np.power(mixed * np.float32(1 / 255), np.float32(2.2))
 
     def nearest(self, texture: Array, u: Array, v: Array, level: Array) -> Array:
-        """Return linear colours (n, 3) of single texels from the copy of the nearest size; see `lookup`."""
+        """Return the linear colours (n, 3) of the nearest texels, in the copy of the nearest size; see `lookup`."""
         level = np.clip(np.rint(level), 0, LEVELS - 1).astype(np.int32)
         corner = self._corner[level, texture]
         size = np.ldexp(np.float32(SIZE), -level)

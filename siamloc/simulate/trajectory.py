@@ -30,13 +30,13 @@ _MAX_TURN = np.radians(20)
 
 @dataclass(frozen=True)
 class Track:
-    """One drive.
+    """The n frames of one drive: poses, times, speeds, names and rooms.
 
     Attributes:
         poses: x, y in metres and heading in rad (n, 3).
-        time: seconds (n,).
-        speed: metres per second (n,).
-        turn_rate: rad per second, counter-clockwise (n,).
+        time: times in seconds (n,).
+        speed: speeds in metres per second (n,).
+        turn_rate: turn rates in rad per second, counter-clockwise (n,).
         names: image names (n,).
         codes: room codes (n,).
     """
@@ -52,7 +52,7 @@ class Track:
         return len(self.poses)
 
     def head(self, count: int | None) -> Track:
-        """Return the first frames."""
+        """Return the drive with its first `count` frames."""
         return Track(*(values[:count] for values in vars(self).values()))
 
 
@@ -138,7 +138,7 @@ def grid(
 
 
 def listed(building: Building, file: FilePath) -> Track:
-    """Return the poses of a `places.lst`; the image names stay as they are, the rooms come from the floor plan.
+    """Return the drive with the poses of a `places.lst`; image names stay as they are, rooms follow from the plan.
 
     Raises:
         DataError: a list that cannot be read or names other images than JPEG, or a pose in a wall or an item.

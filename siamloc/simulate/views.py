@@ -40,8 +40,8 @@ class Views:
 
     Attributes:
         images: (N, 3, H, W) uint8, RGB.
-        xy: metres (N, 2).
-        heading: rad (N,).
+        xy: positions in metres (N, 2).
+        heading: headings in rad (N,).
         room: index of the room (N,).
         light: index of the light (N,); each drive has its own lights, and items move between the drives.
         lighting: "cloudy", "night" or "sunny", for each light.
