@@ -47,14 +47,14 @@ PICKS: dict[str, Callable[[Sequence[float]], float]] = {"min": min, "max": max, 
 
 @dataclass(frozen=True)
 class Claim(Settings):
-    """A sentence of a document, with the check that represents it.
+    """A sentence of a document about its numbers, with the check that represents the sentence.
 
     Attributes:
         id: id of the claim.
-        source: where the sentence stands.
+        source: place of the sentence in the document.
         sentence: the claim in our words.
-        check: what numbers must fulfil, see above.
-        entries: ids of the published numbers it refers to; empty if those are in a figure.
+        check: what numbers must fulfil, see the module's docstring.
+        entries: ids of the published numbers in the sentence; empty if these are in a figure.
         reading: how the check interprets vague words of the sentence.
     """
 
@@ -72,11 +72,11 @@ class Claim(Settings):
 
 @dataclass(frozen=True)
 class Finding:
-    """Whether numbers pass a check.
+    """The result of checking a claim against numbers.
 
     Attributes:
-        holds: None if they do not decide.
-        why: why they do not decide; "" if they do.
+        holds: whether the numbers support the claim; None if they do not decide.
+        why: why the numbers do not decide; "" if they do.
     """
 
     holds: bool | None
@@ -114,7 +114,7 @@ def spread_of(kind: str, one: Record) -> float:
 
 @typed
 def examine(check: Mapping[str, Any], records: Sequence[Record]) -> Finding:
-    """Check published or measured numbers.
+    """Check a claim against published or measured numbers.
 
     Raises:
         ConfigError: an unknown kind of check or key.
@@ -134,7 +134,7 @@ def examine(check: Mapping[str, Any], records: Sequence[Record]) -> Finding:
 
 
 def combined(findings: Iterable[Finding]) -> Finding:
-    """Combine findings about one claim: it holds if it does wherever there is something to compare."""
+    """Combine findings about one claim: it holds if it holds wherever there are numbers to compare."""
     compared = [one for one in findings if one != _NOTHING]
     failed = [one for wanted in (False, None) for one in compared if one.holds is wanted]
     return [*failed, *compared, _NOTHING][0]

@@ -25,8 +25,8 @@ def drawn(figures: Sequence[Figure], records: Sequence[Record]) -> Picture:
     """Draw each panel of a study's figure.
 
     Args:
-        figures: what to draw: `measure`, `x`, `series` or `y`, `panels`, `where` (null for a setting that a record must
-            lack), `title`.
+        figures: settings of each panel: `measure`, `x`, `series` or `y`, `panels`, `where` (null for a setting that a
+        record must lack), `title`.
         records: measured numbers.
 
     Raises:
@@ -57,13 +57,13 @@ def drawn(figures: Sequence[Figure], records: Sequence[Record]) -> Picture:
 
 
 def names_of(figure: Figure, key: str) -> list[str]:
-    """Return the settings named by a panel's `series` or `panels`: none, one or several."""
+    """Return the names of the settings in a panel's `series` or `panels`: none, one or several."""
     named = figure.get(key, "descriptor" if key == "series" and "y" not in figure else [])
     return [named] if isinstance(named, str) else list(named)
 
 
 def shown(figure: Figure, records: Sequence[Record]) -> list[Record]:
-    """Return the records of a figure: those of its measure that have all the settings it is drawn over."""
+    """Return the records of a panel's measure that have all the settings of the panel's axes and lines."""
     lines = [figure["y"]] if "y" in figure else names_of(figure, "series")
     needed = {figure["x"], *names_of(figure, "panels"), *lines}
     where = figure.get("where", {}).items()
@@ -77,7 +77,7 @@ def shown(figure: Figure, records: Sequence[Record]) -> list[Record]:
 
 
 def titled(names: Sequence[str], values: Sequence[Any]) -> str:
-    """Return the label of some settings and their values, as in "k1 8, homomorphic filter"."""
+    """Return a label of settings with their values, such as "k1 8, homomorphic filter"."""
     return ", ".join(_title(name, value) for name, value in zip(names, values, strict=True) if value is not None)
 
 
@@ -101,7 +101,7 @@ def unit(measure: str) -> str:
 
 
 def said(measure: str) -> str:
-    """Return the label of a measure; "seconds" becomes "time"."""
+    """Return the label of a measure for an axis, such as "time" for "seconds"."""
     return " ".join("time" if word == "seconds" else word for word in measure.split("_"))
 
 

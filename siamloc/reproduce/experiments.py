@@ -34,7 +34,7 @@ _REMEMBERED = 4
 
 @dataclass
 class Data:
-    """A data set, opened on demand.
+    """A data set for experiments, opened on demand.
 
     Attributes:
         name: a name in `study_book.yaml`.
@@ -60,26 +60,26 @@ class Data:
 
     @cached_property
     def frames(self) -> FrameTable:
-        """All frames."""
+        """All frames of the data set."""
         return self._settings.read()
 
     @cached_property
     def images(self) -> PanoramaLibrary:
-        """Their panoramas."""
+        """The panoramas of all frames."""
         return self._settings.library(self.frames, data_named(self.name)["unwrap"])
 
     @cached_property
     def other(self) -> Data:
-        """Another building, in a folder next to it."""
+        """The data set of another building, in a folder next to this one."""
         about = data_named(self.name)["other"]
         return Data(about["name"], self.root.parent / about["folder"], self.image_size, self.work)
 
     def described(self, options: Mapping[str, Any], role: Mapping[str, Any], noise: float = 0.0) -> VisualMap:
-        """Return the map of a role's frames by a descriptor; the last few are cached.
+        """Return the map of the frames of a role by a descriptor; the last few maps are cached.
 
         Args:
             options: the descriptor's name and parameters.
-            role: the frames.
+            role: role whose frames form the map.
             noise: variance of noise in the map's images, for an analytic descriptor.
         """
         key = content_key([options, role, noise])
@@ -116,7 +116,7 @@ Measured = Iterator[Record]
 
 
 def retrieval(job: Job, data: Data) -> Measured:
-    """Find the nearest map frame with each distance ([T] 3.5.1-3.5.2): hit rate, error, time and size."""
+    """Measure the search for the nearest map frame by distance ([T] 3.5.1-3.5.2): hit rate, error, time, size."""
     frames, clock = data.role(job.roles["query"]), Stopwatch()
     own = data.described(job.options["descriptor"], job.roles["map"])
     list(maps.describe(own, data.images, frames.take([0])))  # keeps one-time setup out of the query times
@@ -137,10 +137,9 @@ def retrieval(job: Job, data: Data) -> Measured:
 
 
 def disturbed(job: Job, data: Data) -> Measured:
-    """Disturb the queries ([T] 3.5.2-3.5.4): errors of the position, and of the heading at the nearest frame.
+    """Measure errors for disturbed queries ([T] 3.5.2-3.5.4), of positions and of headings at the nearest map frame.
 
-    [T] 3.5.2 draws them over the size of the descriptor, which the records have as "information": its position part, as
-    a share of the number of pixels.
+    [T] 3.5.2 plots them over "information": numbers in the position part as a share of the number of pixels.
     """
     options, frames = job.options, data.role(job.roles["query"])
     known = data.described(options["descriptor"], job.roles["map"], options.get("map_noise", 0.0))
@@ -265,7 +264,7 @@ def buildings(job: Job, data: Data) -> Measured:
 
 
 def rooms(job: Job, data: Data) -> Measured:
-    """Measure the size of rooms ([T] table 5.5)."""
+    """Measure the number of frames and the extent of each room ([T] table 5.5)."""
     for room, (frames, largest) in room_sizes(data.role(job.roles["map"])).items():
         yield from _records({**job.settings, "room": room.rpartition("/")[2]}, room_diameter=largest, frames=frames)
 
@@ -358,7 +357,7 @@ KINDS: dict[str, Callable[[Job, Data], Measured]] = {
 
 
 def measured(job: Job, data: Data) -> list[Record]:
-    """Return the records of a job.
+    """Run a job and return its records.
 
     Raises:
         SiamlocError: the data lack what the job needs.

@@ -36,7 +36,7 @@ def write_report(results: Sequence[Reproduction], path: str | Path, missing: Map
     Args:
         results: reproductions on one data set and scale.
         path: path of the page, name.md.
-        missing: reasons why others could not be measured, by id.
+        missing: reasons why other studies could not be measured, by id.
 
     Raises:
         StorageError: the disk is full or cannot be written to.
@@ -49,7 +49,7 @@ def write_report(results: Sequence[Reproduction], path: str | Path, missing: Map
 
 
 def report(results: Sequence[Reproduction], missing: Mapping[str, str] | None = None) -> str:
-    """Return the page of several reproductions."""
+    """Return the Markdown page of several reproductions."""
     first = results[0]
     verdicts, rows = [one for each in results for one in each.verdicts], [row for one in results for row in one.rows]
     counted = Counter(_over_studies(verdicts))

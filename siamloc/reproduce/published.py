@@ -26,13 +26,13 @@ _ORDER: Mapping[str, Sequence[Any]] = {
 
 @dataclass(frozen=True)
 class Source(Settings):
-    """Where something was published, by section instead of page.
+    """Where a number or claim was published, by section instead of page.
 
     Attributes:
-        document: "T", "I" or "C", the documents listed in `published.yaml`; "none" if it is not one of them.
+        document: "T", "I" or "C", the documents listed in `published.yaml`; "none" for other sources.
         section: number of the section.
-        table: number of the table, if it is one.
-        figures: numbers of the figures, if there are any.
+        table: number of the table, if any.
+        figures: numbers of the figures, if any.
     """
 
     document: Text
@@ -42,7 +42,7 @@ class Source(Settings):
 
     @property
     def place(self) -> str:
-        """The table or figures in words, "" if it is neither."""
+        """The table or figures in words; "" for a section."""
         if self.table:
             return f"table {self.table}"
         several = self.figures is not None and bool(re.search("-| and ", self.figures))
@@ -56,11 +56,11 @@ class Column(Settings):
     Attributes:
         name: name of the column.
         unit: unit as printed: one of `units` in `published.yaml`.
-        measure: what the numbers measure; None for a setting.
+        measure: name of the measure of the numbers; None for a setting.
         decimals: number of decimals that were printed.
         at: settings shared by all numbers of the column, such as the lighting.
         key: the setting's key in siamloc's configuration, if any.
-        names: names in siamloc by printed label.
+        names: siamloc's names of the setting's values, by printed label.
     """
 
     name: Text
@@ -79,7 +79,7 @@ class Record:
     Attributes:
         measure: name of the measure.
         value: number in the measure's own unit: m, s, deg, shares instead of percent.
-        settings: what the number depends on, in siamloc's names.
+        settings: settings that the number depends on, in siamloc's names.
         relation: "=", or "~", "<", ">" if the number is only approximate, or an upper or lower bound.
         spread: standard deviation over seeds, in the unit of the value; 0 if unknown.
     """
@@ -97,7 +97,7 @@ class Published(Settings):
 
     Attributes:
         id: id such as "table_5_7".
-        title: what it shows.
+        title: what the table shows.
         source: where it was published.
         data: the images that were used.
         protocol: `train`, `map` and `query` in a few words.
@@ -118,7 +118,7 @@ class Published(Settings):
     settings: dict[str, Any] = field(default_factory=dict)
 
     def records(self) -> tuple[Record, ...]:
-        """Return each number as a record of its own, in siamloc's names and units, to be joined with measured ones."""
+        """Return each number as a record in siamloc's names and units, to compare with measured records."""
         return tuple(record for row in self.rows for record in self._of_row(row))
 
     def _of_row(self, row: Mapping[str, Any]) -> Iterator[Record]:
@@ -153,7 +153,7 @@ def measures() -> Mapping[str, Mapping[str, str]]:
 
 
 def as_printed(cell: float | str, column: Column) -> str:
-    """Return a number with as many decimals as were printed."""
+    """Return a number as text with as many decimals as the column has in print."""
     return cell if isinstance(cell, str) else f"{cell:.{column.decimals}f}"
 
 
@@ -193,7 +193,7 @@ def contents(name: str) -> dict[str, Any]:
 
 
 def named(known: Mapping[str, Entry], id: str, what: str) -> Entry:
-    """Return an entry by its id.
+    """Return an entry of a list by its id.
 
     Raises:
         ConfigError: an unknown id; the message names similar ones.

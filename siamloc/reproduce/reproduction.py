@@ -34,11 +34,11 @@ _HIDDEN = {
 
 @dataclass(frozen=True)
 class Row:
-    """A published number next to ours.
+    """A published number next to the number that was measured here.
 
     Attributes:
-        published: as published; None if only we have one.
-        ours: as measured; None if the study has none.
+        published: the published record; None if there is only a measured one.
+        ours: the measured record; None if the study has none.
     """
 
     published: Record | None
@@ -46,17 +46,17 @@ class Row:
 
     @property
     def measure(self) -> str:
-        """The measure of both."""
+        """The measure of both numbers."""
         return next(one.measure for one in (self.published, self.ours) if one is not None)
 
     @property
     def settings(self) -> Mapping[str, Any]:
-        """The settings of both."""
+        """The settings of both numbers."""
         return {**_settings(self.ours), **_settings(self.published)}
 
     @property
     def difference(self) -> float | None:
-        """Ours minus the published one, in the measure's unit; None if one is missing, or only a bound is known."""
+        """The measured minus the published number, in the measure's unit; None if one is missing or only a bound."""
         if self.published is None or self.ours is None or self.published.relation in "<>":
             return None
         return self.ours.value - self.published.value
@@ -64,7 +64,7 @@ class Row:
 
 @dataclass(frozen=True)
 class Verdict:
-    """Whether a claim holds.
+    """Whether a claim of a document holds for measured numbers.
 
     Attributes:
         claim: the claim.
@@ -83,7 +83,7 @@ class Verdict:
 
     @property
     def counted(self) -> str:
-        """How the claim is counted: by our numbers, unless the document's own contradict it."""
+        """How the claim counts in totals: by our numbers, unless the document's own numbers contradict it."""
         return CONTRADICTED if self.printed is False else VERDICTS[self.ours]
 
 
@@ -92,13 +92,13 @@ class Reproduction:
     """The measured numbers of a study.
 
     Attributes:
-        study: the study.
+        study: the study that was measured.
         data: name of the data set.
         scale: "smoke", "short" or "full".
         records: measured numbers.
         beside: measured numbers of our own experiments, on the same frames.
         seconds: measuring time by experiment, including earlier measurements.
-        machines: machines they were measured on, as far as known.
+        machines: machines on which the numbers were measured, as far as known.
     """
 
     study: Study
@@ -120,7 +120,7 @@ class Reproduction:
 
     @property
     def rows(self) -> list[Row]:
-        """The published numbers, each next to ours if the study measures it."""
+        """The published numbers, each next to the measured number if the study has one."""
         printed = [one for entry in self.study.entries for one in published(entry).records()]
         asked = [one for one in printed if self.study.where.items() <= one.settings.items()]
         best = _best(self.records, self.study)
@@ -150,7 +150,7 @@ class Reproduction:
         return "\n".join(lines) + "\n"
 
     def as_csv(self) -> str:
-        """Return every number as a row: published ones with ours, then all other measured ones."""
+        """Return every number as a row of CSV: published numbers with measured ones, then other measured numbers."""
         rows = self.rows
         joined = {id(row.ours) for row in rows}
         rows += [Row(None, one) for one in (*self.records, *self.beside) if id(one) not in joined]
@@ -167,7 +167,7 @@ class Reproduction:
         return csv_text(lines)
 
     def plot(self) -> Figure:
-        """Return the figure in the form of the published one.
+        """Return a figure of the measured numbers in the form of the published figure.
 
         Raises:
             ConfigError: the study has no figure.

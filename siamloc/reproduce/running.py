@@ -38,7 +38,7 @@ def reproduce(
     measure: bool = True,
     progress: bool = True,
 ) -> Reproduction:
-    """Measure what a study requires; earlier measurements on the same data are read from `out`.
+    """Measure the numbers of a study; earlier measurements on the same data are read from `out`.
 
     Args:
         id: id of the study, such as "figure_3_11", or your own `Study`.

@@ -33,12 +33,12 @@ class Job:
     """One measurement: plain values that determine its records.
 
     Attributes:
-        experiment: the experiment it belongs to.
-        kind: a name in `siamloc.reproduce.experiments.KINDS`.
+        experiment: the experiment that the job is a part of.
+        kind: kind of the experiment, a name in `siamloc.reproduce.experiments.KINDS`.
         roles: frames of the map, the queries and so on, as arguments of `siamloc.data.Role`, with `runs` for sequences.
         options: further options of the kind.
         settings: settings that distinguish the records, in siamloc's names.
-        dense: whether it needs frames every 5 cm if the data are simulated.
+        dense: whether the job needs frames every 5 cm if the data are simulated.
         same_run: whether the queries come from the map's own drive.
         at: name of the place whose frames it needs, a key of the data set's `at`; the data set itself if empty.
     """
@@ -63,16 +63,16 @@ class Experiment(Settings):
 
     Attributes:
         id: name of the experiment.
-        kind: what is measured.
+        kind: kind of the experiment, a name in `siamloc.reproduce.experiments.KINDS`.
         protocol: name of the protocol, which selects the frames.
         over: what is varied, by its name in the documents: the option that it `sets`, with dots, such as
             "descriptor.rows", and the values that the option is set `to`, by scale if they differ. Numbers that differ
             in their `seed` alone become their mean, with a spread.
-        options: what stays the same.
+        options: options that stay the same.
         settings: settings that all its records have in common.
         elsewhere: options that differ in other places, by their names, which the records have as their `data`.
         dense: as in `Job`.
-        beside: whether it is our own, shown next to the published ones: claims do not refer to it.
+        beside: whether the experiment is our own addition, shown next to the published ones; no claim refers to it.
     """
 
     id: Text
@@ -117,18 +117,18 @@ class Study(Settings):
     """How a published table or figure is measured again.
 
     Attributes:
-        id: such as "table_5_7" or "figure_3_11".
-        title: what it shows.
-        source: where it was published.
+        id: id of the table or figure, such as "table_5_7" or "figure_3_11".
+        title: what the table or figure shows.
+        source: where the table or figure was published.
         experiments: ids of the required experiments.
         entries: ids of the published numbers shown next to ours.
-        claims: ids of the claims the text makes about it.
+        claims: ids of the document's claims about the table or figure.
         join: settings by which published and measured numbers are matched; all common ones if None.
         best: of several records with the same `join`, the one with the largest value of this measure is used.
-        also: measures of ours that the table shows although nothing was printed of them.
-        where: settings that select the published numbers it measures; all if empty.
+        also: measures that the table shows although none of their values was printed.
+        where: settings that select the published numbers that are measured again; all if empty.
         covers: ids of further figures and tables whose numbers are included.
-        figure: how it is drawn: `measure`, `x`, `series` and `panels`, or nothing.
+        figure: `measure`, `x`, `series` and `panels` of each panel of the figure; empty for none.
         notes: what a reader must know about differences from the published experiment.
     """
 
@@ -160,7 +160,7 @@ class Study(Settings):
 
 @typed
 def study(id: str) -> Study:
-    """Return a study by its id, or by that of a figure that it covers.
+    """Return a study by its id, or by the id of a figure that the study covers.
 
     Raises:
         ConfigError: an unknown id (the message names similar ones), or one with nothing to measure (with the reason).
@@ -183,7 +183,7 @@ def study(id: str) -> Study:
 
 
 def without_measurement() -> Mapping[str, str]:
-    """Return the ids of tables and figures without a measurement to repeat, each with what it shows."""
+    """Return the ids of tables and figures that contain no measurement, each with what it shows."""
     return dict(contents("study_book")["nothing"])
 
 
@@ -208,7 +208,7 @@ def seconds_of(job: Job, scale: str) -> float:
 
 
 def axis(name: str) -> Mapping[str, Any]:
-    """Return how a setting is labelled in figures: `says`, `short`, `unit`, `factor`; and its `largest` end."""
+    """Return the labels of a setting in figures: `says`, `short`, `unit`, `factor`, and the axis's `largest` value."""
     found: Mapping[str, Any] = contents("study_book")["axes"].get(name, {})
     return found
 
