@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from foundation.calls import typed
 from foundation.settings import Count, Positive
-from siamloc.data.frames import FrameTable
+from siamloc.data.frames import FrameTable, concatenate
 from siamloc.errors import ConfigError, DataError
 from siamloc.maps.coarse import CoarseLayer
 from siamloc.maps.describing import build
@@ -90,7 +90,8 @@ def update(
     Raises:
         ConfigError: more frames to be contradicted than a window has, or an image size or descriptor other than the
             map's.
-        DataError: a frame without a position, nodes over another map, or an incremental map without its mapper.
+        DataError: a frame without a position, positions in two units, nodes over another map, or an incremental map
+            without its mapper.
         AnalyticError: a mapper that is read-only.
 
     Example:
@@ -106,9 +107,9 @@ def update(
 
     if contradicted > window:
         raise ConfigError(f"contradicted={contradicted} frames cannot be among the last window={window}: lower it")
-    for what, frames in (("the map", known.frames), ("the drive", drive)):
-        if lacking := int((~frames.has_position).sum()):
-            raise DataError(f"{lacking} of {len(frames)} frames of {what} have no position, which an update needs")
+    both = concatenate([known.frames, drive])  # refuses positions in two units
+    if lacking := int((~both.has_position).sum()):
+        raise DataError(f"{lacking} of the {len(both)} frames of map and drive have no position: leave them out")
     labels, mapper = np.zeros(len(known), dtype=np.int64), None
     if built is not None:
         built.check_map(known)

@@ -1,6 +1,7 @@
 """A map is updated where a drive shows that it is out of date, and only there."""
 
 import csv
+from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -124,8 +125,10 @@ def test_what_cannot_be_updated_is_refused(known, drives, tmp_path):
     _, images, drive = drives
     with pytest.raises(ConfigError, match="contradicted=21 frames cannot be among the last window=20"):
         update(known, images, drive["same"], contradicted=21)
-    with pytest.raises(DataError, match="120 of 120 frames of the drive have no position"):
+    with pytest.raises(DataError, match="120 of the 240 frames of map and drive have no position"):
         update(known, images, drive["same"].with_columns(x=np.full(FRAMES, np.nan)))
+    with pytest.raises(DataError, match="positions count in m and px"):
+        update(known, images, replace(drive["same"], unit="px"))
     built = group(known, "incremental", folder=tmp_path / "layer", progress=False)
     with pytest.raises(DataError, match="an incremental map is updated with its mapper"):
         update(known, images, drive["same"], built=Built.load(tmp_path / "layer"))
