@@ -10,7 +10,7 @@ import pytest
 from analytic.descriptors.base import Description
 from analytic.mapper import IncrementalMapper, Reason
 from analytic.mapper import mapper as mapper_module
-from tests.analytic.mapper.world import FRAMES, WORLD, World, cold_drive, corridor_drive, rows
+from tests.analytic.mapper.world import FRAMES, WIDE, WIDE_FRAMES, WORLD, World, cold_drive, corridor_drive, rows
 from tests.oracles.mapper import SlowMapper
 
 
@@ -40,10 +40,6 @@ def compare(mapper, slow, frames):
     for node in mapper.nodes:
         assert node.frames == np.flatnonzero(mapper.labels() == node.id).tolist()
     return seen
-
-
-WIDE = World(size=96, steps=0, reach=6.0, seed=2)  # more numbers than frames in a node, as images have
-WIDE_FRAMES = rows(WIDE.at(corridor_drive(300, seed=5, rooms=6), noise=0.2, seed=3))
 
 
 @pytest.mark.parametrize(

@@ -8,10 +8,7 @@ from analytic import AnalyticError
 from analytic.mapper import IncrementalMapper, replay
 from foundation.arrays import read_arrays, write_arrays
 from foundation.errors import FormatError
-from tests.analytic.mapper.world import FRAMES, POSES, WORLD, World, corridor_drive, mapped, rows
-
-WIDE = World(size=96, steps=8, reach=6.0, seed=2)
-WIDE_FRAMES = rows(WIDE.at(corridor_drive(300, seed=5, rooms=6), noise=0.2, seed=3))
+from tests.analytic.mapper.world import FRAMES, POSES, WIDE, WIDE_FRAMES, WORLD, World, mapped
 
 
 @pytest.mark.parametrize("version", [1, 2])

@@ -93,6 +93,8 @@ def rows(description):
 WORLD = World(size=8, reach=5.0, seed=1)
 POSES = corridor_drive(260, seed=1)
 FRAMES = rows(WORLD.at(POSES, noise=0.2, seed=1))
+WIDE = World(size=96, steps=8, reach=6.0, seed=2)  # more numbers than frames in a node, as images have
+WIDE_FRAMES = rows(WIDE.at(corridor_drive(300, seed=5, rooms=6), noise=0.2, seed=3))
 
 
 def mapped(frames=None, **parameters):

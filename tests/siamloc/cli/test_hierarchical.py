@@ -118,15 +118,6 @@ def test_estimates_beside_the_single_frame_one(evaluate, tmp_path, capsys):
     assert (about["filter"]["tuned"], about["filter"]["kidnapping"]) == (None, 1e-3)
 
 
-def test_an_aligned_descriptor_has_the_same_estimates(evaluate, tmp_path):
-    options = ["task.filter=true", "task.refine=interpolate", "task.neighbours=2", "task.error_model=true"]
-    evaluate("briefgist", "descriptor.rows=8", *ABSOLUTE, *options)
-    measured = measures(tmp_path / "evaluation/briefgist")
-    further = {"absolute_filtered", "absolute_tracked", "absolute_interpolated"}
-    assert {"absolute", *further, "calibration"} == set(measured)
-    assert measured["absolute_interpolated"]["overall"]["heading_error"]["count"] == 48
-
-
 def test_rooms_that_the_map_lacks_are_named(evaluate, capsys):
     for task in ([*HIERARCHICAL, "build=rooms"], ["task=room_retrieval", *QUICK]):
         evaluate("hog", *task, "protocol.map.rooms=[kitchen,office]")

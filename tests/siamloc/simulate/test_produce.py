@@ -15,7 +15,7 @@ import pytest
 from siamloc.cli import main
 from siamloc.data.cold import read_cold
 from siamloc.errors import ConfigError, DataError
-from siamloc.simulate import SimulateConfig, Summary, produce, simulate
+from siamloc.simulate import Summary, produce, simulate
 from siamloc.simulate.buildings import building_folder
 
 SMALL = {"building": "mini", "runs": ["cloudy1"], "frames": 6, "camera": "panorama", "workers": 1}
@@ -91,10 +91,6 @@ def test_images_of_somebody_else_are_never_replaced(tmp_path: Path) -> None:
     with pytest.raises(DataError, match="holds images that simulate did not render"):
         small(out=tmp_path, overwrite=True)
     assert image.read_bytes() == b"mine"
-
-
-def test_python_takes_all_settings_at_once(written: Path) -> None:
-    assert simulate(settings=SimulateConfig(out=written, **{**SMALL, "frames": 2})).rendered == 0
 
 
 def test_the_present_folder_is_an_output_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
