@@ -91,14 +91,6 @@ def test_a_store_holds_the_panoramas_of_the_images(paths, tmp_path, workers):
     np.testing.assert_array_equal(np.load(store.folder / "panoramas.npy"), store.panoramas)
 
 
-def test_a_second_time_nothing_is_decoded(paths, tmp_path, monkeypatch):
-    first = build(paths, tmp_path)
-    monkeypatch.setattr("siamloc.data.decoding.Preprocessing.panorama", None)
-    again = build(paths, tmp_path)
-    assert again.folder == first.folder
-    np.testing.assert_array_equal(again.panoramas, first.panoramas)
-
-
 def test_the_strict_stop_at_an_unreadable_image_and_everybody_where_none_is_readable(paths, tmp_path):
     Path(paths[3]).write_bytes(b"no image")
     for _ in range(2):

@@ -77,15 +77,6 @@ def test_measures_equal_the_metrics() -> None:
     }
 
 
-def test_the_answer_does_not_depend_on_the_other_queries() -> None:
-    result, known, queries = evaluated()
-    rows = np.array([70, 3, 3])
-    part = evaluate_absolute(known, scenes.describe(queries, seed=2)[rows], queries.take(rows), RADII, KS)
-    for name, column in part.columns.items():
-        if name != "query":
-            np.testing.assert_array_equal(column, result.columns[name][rows], err_msg=name)
-
-
 def on_a_path(name: str, n: int, **columns: object) -> FrameTable:
     """A drive around a square of 8 m, one frame every 32 / n m."""
     along = np.arange(n) / n * 4
