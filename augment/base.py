@@ -62,8 +62,8 @@ class Effect(ABC):
 
     Attributes:
         name: the name used in configurations.
-        ranges: what its parameters are drawn from.
-        options: its other settings.
+        ranges: ranges that the parameters are drawn from, by name.
+        options: settings of the effect apart from ranges.
         circular: whether the columns wrap around.
         effects: the single effects in their order.
         stages: for each step of `program`, the indices of its effects in `effects`.

@@ -84,10 +84,10 @@ def spread(uniform: Tensor, ranges: Mapping[str, Range]) -> dict[str, Tensor]:
 
     Args:
         uniform: (B, number of ranges), float32.
-        ranges: by name.
+        ranges: ranges by the name of the parameter.
 
     Returns:
-        By name (B,): float32, or int64 for ranges of whole numbers.
+        Values by name (B,): float32, or int64 for ranges of whole numbers.
     """
     if not ranges:
         return {}

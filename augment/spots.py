@@ -33,7 +33,7 @@ class Spot(Layer):
 
     Args:
         tone: "light", "dark", or "any" for either with equal chance.
-        radius: in pixels of a frame of 128 rows; it scales with the height of the frame. 15 ... 40 as published.
+        radius: radius in pixels of a frame of 128 rows; it scales with the height of the frame. 15 ... 40 as published.
         intensity: c, in levels of 0 ... 255. 100 ... 160 as published.
         rim: the levels left at the rim. 5 as published.
         aspect: width over height, at a constant area.

@@ -41,8 +41,8 @@ class Augment(v2.Transform):
         seed: seed of the draws.
 
     Attributes:
-        effect: as given.
-        seed: as given.
+        effect: the effect or policy.
+        seed: seed of the draws.
         calls: number of draws so far; set it to continue where an earlier run stopped.
 
     Raises:

@@ -21,8 +21,8 @@ def in_order(work: Callable[[Item], Result], items: Iterable[Item], threads: int
     """Yield what a function returns for each item, in order; only a few results wait in memory.
 
     Args:
-        work: called from several threads.
-        items: its arguments.
+        work: function of one item, called from several threads.
+        items: arguments of the calls, one each.
         threads: number of threads, at least 1.
 
     Example:

@@ -88,7 +88,7 @@ class Comparison:
         """Plot the measure `by` against a setting, with a line for each combination of the other settings.
 
         Args:
-            against: one of `differing`. If None, the first numeric one other than the seed, or else the first.
+            against: a setting in `differing`. If None, the first numeric one other than the seed, or else the first.
 
         Raises:
             ConfigError: a setting that is not in `differing`.

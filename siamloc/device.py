@@ -14,7 +14,7 @@ def chosen_device(device: str | torch.device) -> str:
     """Return the name of a torch device, after checking that torch can compute there.
 
     Args:
-        device: such as "cpu", "cuda" or "cuda:1"; "auto" is the GPU if torch finds one, else the CPU.
+        device: name such as "cpu", "cuda" or "cuda:1"; "auto" is the GPU if torch finds one, else the CPU.
 
     Raises:
         ConfigError: another name, or a device that this machine does not have.

@@ -60,7 +60,7 @@ class Table:
 
     Attributes:
         name: what the table is about, in one word.
-        columns: its columns. The first ones with the form "text" label the rows.
+        columns: columns of the table. The first ones with the form "text" label the rows.
         rows: a value for each column; None or NaN if it is unknown.
         title: a heading.
         notes: sentences that belong to the table.

@@ -21,8 +21,8 @@ class NodeGraph:
 
     Attributes:
         nodes: for each id, the number of its frames and modes and, if its frames have coordinates, their mean x and y.
-        edges: for each pair of ids, the smaller first, how often the robot went between them.
-        loops: (frame, matched frame) wherever the robot returned to a place from another one.
+        edges: how often the robot went between two nodes, by pair of ids, the smaller id first.
+        loops: pairs (frame, matched frame) where the robot returned to a place from another place.
 
     Examples:
         >>> labels = np.array([0, 0, 1, -1, 0])
@@ -46,7 +46,7 @@ class NodeGraph:
 
 
 def edges(labels: Integers) -> dict[tuple[int, int], int]:
-    """Count how often a frame of one node follows a frame of another, by pair of ids.
+    """Count how often a frame of one node follows a frame of another node, by pair of ids.
 
     Args:
         labels: (n,) node of each frame in capture order, -1 for none; frames in no node are skipped.

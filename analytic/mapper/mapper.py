@@ -37,7 +37,7 @@ class IncrementalMapper:
         others: the thresholds of `analytic.mapper.Parameters`: omega=1.85, y=1.5, gamma=5, ...
 
     Attributes:
-        descriptor: as given.
+        descriptor: descriptor of the map.
         parameters: all thresholds.
         extendable: whether frames may be added; False for a map that was loaded for queries.
 
@@ -179,7 +179,7 @@ class IncrementalMapper:
         """Load a map for queries only, or to extend it as if the run had never stopped.
 
         Args:
-            path: as given to `save`.
+            path: file that `save` wrote.
             descriptor: descriptor of the map; may be left out if its name is in `analytic.DESCRIPTORS`.
             extend: whether frames may be added.
 

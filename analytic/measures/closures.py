@@ -53,9 +53,9 @@ def closure_scores(closures: ArrayLike, positions: ArrayLike, radius: float, gap
 
     Args:
         closures: rows of `positions`, in pairs (m, 2); m may be 0.
-        positions: of the frames in the order of capture (n, 2).
-        radius: not negative.
-        gap: at least 1.
+        positions: positions of the frames in the order of capture (n, 2).
+        radius: largest distance of a right closure, in the positions' unit, not negative.
+        gap: frames that a closure must span, at least 1.
 
     Raises:
         AnalyticError: wrong shapes, positions that are not finite, frames that do not exist, a closure of a frame with

@@ -101,7 +101,7 @@ def pose_measures(
     """Return all measures of localization, pooled over queries, from the columns of `queries.csv`.
 
     Args:
-        columns: of `queries.csv`.
+        columns: columns of `queries.csv`.
         about: `unit` of x and y, `map_frames`, and the `radii` and `ks` of the recall; other keys are ignored.
         further: returns more measures of a group, from the rows of its queries.
 

@@ -226,7 +226,7 @@ def node_measures(columns: Mapping[str, NDArray], about: Mapping[str, Any]) -> d
     """Return all measures of hierarchical localization, pooled over queries, from the columns of `queries.csv`.
 
     Args:
-        columns: of `queries.csv`.
+        columns: columns of `queries.csv`.
         about: as for `siamloc.evaluation.absolute.pose_measures`.
 
     Returns:

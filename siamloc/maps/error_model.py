@@ -224,7 +224,7 @@ class ErrorModel(Learned):
         Args:
             right: search results of validation queries that were located well.
             map_xy: (m, 2) positions of the map's frames.
-            poses: their refined poses, for a model that was learned from refined poses.
+            poses: refined poses of these queries, for a model that was learned from refined poses.
             elsewhere: search results of validation queries among the map frames far from where they were taken; not
                 needed with refined poses.
 

@@ -92,7 +92,7 @@ class HierarchicalSearch:
 
     Attributes:
         known: the map.
-        layer: its nodes.
+        layer: nodes of the map.
         coarse: the map that ranks the nodes.
 
     Raises:

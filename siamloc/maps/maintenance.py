@@ -29,10 +29,10 @@ class Update:
 
     Attributes:
         known: the map with the frames that were added; the map as it was if none were.
-        built: the nodes over its frames; None if none were given.
+        built: the nodes over the frames of `known`; None if no nodes were given.
         drive: the n readable frames of the drive, in their order.
         known_place: (n,) whether a frame was taken in a place of the map: within the radius of a map frame.
-        contradicted: (n,) whether a frame taken in a known place was located in another one.
+        contradicted: (n,) whether a frame taken in a known place was located in another place.
         added: (n,) whether a frame was added to the map.
     """
 
@@ -82,9 +82,9 @@ def update(
         drive: frames with positions in the map's coordinates, in capture order.
         built: nodes over the map's frames. Nodes of an incremental map need their mapper, as `siamloc.maps.group`
             returns it, able to grow.
-        radius: in the unit of the positions.
-        contradicted: see above; at most `window`.
-        window: see above.
+        radius: distance within which frames show the same place, in the unit of the positions.
+        contradicted: number of contradicting frames in a window that call for an update; at most `window`.
+        window: number of last frames taken in a place that are considered.
         progress: whether to show the progress of describing the drive.
 
     Raises:

@@ -26,7 +26,7 @@ def write_map(path: str | Path, known: Any, precision: Precision) -> None:
     Args:
         path: the file to write.
         known: the map; its orientation parts are not written again if they share their memory with the descriptors.
-        precision: of descriptors; orientation parts have at least float16.
+        precision: precision of descriptors; orientation parts have at least float16.
 
     Raises:
         StorageError: the disk is full or cannot be written to.

@@ -113,7 +113,7 @@ def save_weights(network: Network, path: str | Path) -> Path:
 
     Args:
         network: from `siamloc.models.build`.
-        path: of the file, ending in .safetensors.
+        path: path of the file, ending in .safetensors.
 
     Returns:
         The path.

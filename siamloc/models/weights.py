@@ -44,7 +44,7 @@ class Weights:
         origin: where the weights come from, in words.
         mean: means of red, green and blue in the training images, in [0, 1]; None if unknown.
         std: standard deviations of red, green and blue; None if unknown.
-        model: for weights of a training, the network as described in the settings of its run.
+        model: description of the network in the settings of its run; None unless the weights are of a training.
     """
 
     state: Mapping[str, Tensor]

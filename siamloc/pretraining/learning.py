@@ -56,12 +56,12 @@ def pretrain(
         run: folder of the run, a new or empty one.
         views: the buildings; the defaults of `ViewSettings` if None.
         loss: (descriptors (N, D), `Origins`) -> scalar; that of `RECIPE` if None.
-        augmentation: of the images, as for `siamloc.training.fit`; that of `RECIPE` if None.
+        augmentation: augmentation of the images, as for `siamloc.training.fit`; that of `RECIPE` if None.
         trainer: further arguments of `lightning.Trainer`.
         resume: continue from the last checkpoint of the run.
         overwrite: replace a run.
         settings: all fields of `siamloc.training.Training` together; those of `RECIPE` if None.
-        changes: or single fields of them; `pairs` and `optimizer` are changed key by key.
+        changes: single fields of the settings to replace; `pairs` and `optimizer` are changed key by key.
 
     Returns:
         The run; the network then holds the same weights as `siamloc.models.load(run)`, the best by the validation.

@@ -26,7 +26,7 @@ def drawn(figures: Sequence[Figure], records: Sequence[Record]) -> Picture:
 
     Args:
         figures: settings of each panel: `measure`, `x`, `series` or `y`, `panels`, `where` (null for a setting that a
-        record must lack), `title`.
+            record must lack), `title`.
         records: measured numbers.
 
     Raises:

@@ -101,7 +101,7 @@ class Published(Settings):
         source: where it was published.
         data: the images that were used.
         protocol: `train`, `map` and `query` in a few words.
-        columns: its columns.
+        columns: columns of the table.
         rows: cells by column, with the labels as printed (in English); a cell that was not printed is missing or None.
         notes: doubtful points: misprints, and contradictions between text and table.
         settings: settings that all rows have in common, in siamloc's names.

@@ -121,7 +121,7 @@ def analytic_descriptor(
     """Return an analytic descriptor, after checking that it made the map.
 
     Args:
-        identity: its name and parameters.
+        identity: name and parameters of the descriptor.
         bundle: the bundle whose panoramas it describes.
         width: length of the map's descriptors; not checked if None.
         orientation: (n, K, F, ...) the map's orientation parts; not checked if None.

@@ -65,8 +65,8 @@ def export(
         described_by: the network or descriptor: a module (B, 3, H, W) -> (B, D), `siamloc.models.as_descriptor` of one,
             or an analytic descriptor, which the robot computes with numpy and OpenCV; for the descriptor of the map its
             name is enough, as for `siamloc.maps.build`.
-        known: its map; None for a network alone, which only describes images. If the map has a heading part, the robot
-            gets headings.
+        known: the descriptor's map; None for a network alone, which only describes images. If the map has heading
+            parts, the robot gets headings.
         folder: where to write the bundle.
         errors: the model of the expected error, learned on this map; None for none.
         refinement: how poses are made finer than the map, learned on this map, such as `Result.refinement`; None for

@@ -83,8 +83,8 @@ class Location:
             threshold.
         candidates: the map frames that resemble the image most, nearest first.
         ms: total time for preparing, describing, searching and all estimates, in milliseconds.
-        covariance: of x and y, in their squared unit, as ((xx, xy), (xy, yy)); None if unknown. If `lost` is true, it
-            is meaningless: it is the covariance of a pose in the map.
+        covariance: covariance ((xx, xy), (xy, yy)) of x and y, in their squared unit; None if unknown. If `lost` is
+            true, it is meaningless: it is the covariance of a pose in the map.
         agreement: share of the examined map frames that agree on a refined pose, from 0 to 1; NaN if the pose is not
             refined.
     """

@@ -268,10 +268,10 @@ class Building:
         seed: seed of its pictures, colours and small differences.
         source: file that it was read from, for messages.
         north: direction of north in degrees counter-clockwise from +x.
-        rooms: by name.
+        rooms: rooms by name.
         openings: doors, windows and panes.
         items: everything in the rooms.
-        paths: by name.
+        paths: paths by name.
         part: COLD's part letter, "a" or "b".
         materials: "standard", or "drawn": the colours of its floors, walls and woods also follow from the seed.
     """

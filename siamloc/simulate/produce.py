@@ -160,7 +160,7 @@ def simulate(*, settings: SimulateConfig) -> Summary:
     With several workers, processes are spawned: call this under `if __name__ == "__main__":` in a script.
 
     Args:
-        settings: by default those of the standard benchmark.
+        settings: what to render; the settings of the standard benchmark by default.
 
     Raises:
         ConfigError: a setting that does not exist, or an invalid value.

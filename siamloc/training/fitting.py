@@ -95,8 +95,8 @@ def fit(
         validation: frames for choosing the checkpoint, different from `frames`.
         loss: for pairs, (d0 (B, D), d1 (B, D), y (B,)) -> scalar, the mean over the pairs, `ContrastiveLoss(margin)` if
             None; for batches of places, (descriptors (N, D), `Origins`) -> scalar, `SoftContrastiveLoss()` if None.
-        augmentation: of the training images: an effect or a policy of `augment`, a policy's name, or plain values as in
-            a policy file; none if None.
+        augmentation: how training images are augmented: an effect or a policy of `augment`, a policy's name, or plain
+            values as in a policy file; none if None.
         trainer: further arguments of `lightning.Trainer`, such as {"accelerator": "gpu"}. Callbacks and plugins are
             added to those of the training. {"precision": "auto"} is the fastest precision of the device: bfloat16 for
             most of the network if it has instructions for that.

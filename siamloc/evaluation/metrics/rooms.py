@@ -69,10 +69,10 @@ def pair_accuracy(distances: ArrayLike, same: ArrayLike, margin: float = 2.0, th
     """Return the shares of pairs judged correctly; "same" is a dissimilarity below the threshold ([T] 5.3.3).
 
     Args:
-        distances: between the two descriptors of each pair (n,).
+        distances: distances between the two descriptors of each pair (n,).
         same: True for pairs from one room (n,).
         margin: the contrastive loss's margin, positive.
-        threshold: in (0, 1].
+        threshold: dissimilarity below which a pair is judged to be from one room; in (0, 1].
 
     Raises:
         ConfigError: a margin or threshold out of range.
@@ -97,7 +97,7 @@ def pair_threshold_curve(
     """Return the shares of `pair_accuracy` at every threshold, and the area under the curve, which needs no threshold.
 
     Args:
-        distances: between the two descriptors of each pair (n,).
+        distances: distances between the two descriptors of each pair (n,).
         same: True for pairs from one room (n,).
         margin: the contrastive loss's margin, positive.
         thresholds: (t,) in [0, 1], 0 calling every pair different; 0, 0.01 ... 1 if None.
@@ -131,7 +131,7 @@ def fitted_margin(distances: ArrayLike, same: ArrayLike) -> float:
     good, it is the middle of the widest one.
 
     Args:
-        distances: between the two descriptors of each pair (n,).
+        distances: distances between the two descriptors of each pair (n,).
         same: True for pairs from one room (n,).
 
     Raises:

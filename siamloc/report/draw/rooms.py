@@ -25,9 +25,9 @@ def confusion(
 
     Args:
         labels: names of the L rooms, or of the other classes.
-        counts: by title (L, L), row = true room, column = room of the match.
+        counts: matrices (L, L) by title, row = true room, column = room of the match.
         missing: rooms that the map lacks; they are marked.
-        what: kind of the classes.
+        what: kind of the classes, such as "room".
 
     Example:
         >>> figure = confusion(["kitchen", "office"], {"night": [[3, 1], [0, 4]]})

@@ -28,7 +28,7 @@ def training_curves(columns: Mapping[str, NDArray[np.float64]]) -> Picture:
     """Draw one panel per logged metric, training and validation together; loss and accuracy come first.
 
     Args:
-        columns: of `metrics.csv`: epoch, and names such as "train/loss" and "val/loss"; NaN values leave gaps.
+        columns: columns of `metrics.csv`: epoch, and names such as "train/loss" and "val/loss"; NaN values leave gaps.
 
     Example:
         >>> figure = training_curves({"epoch": np.arange(2.0), "train/loss": np.array([0.9, 0.5])})
