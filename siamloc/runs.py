@@ -311,7 +311,7 @@ def suggested_run(otherwise: str) -> str:
 
 @typed
 def runs_in(folder: str | Path) -> list[Run]:
-    """Return the runs of a sweep: those directly inside a folder; none if the folder is a run itself.
+    """Return the runs of a sweep: the runs directly inside a folder; none if the folder is a run itself.
 
     Example:
         >>> runs_in("nowhere")

@@ -34,7 +34,7 @@ def sample(n: int, n_clusters: int) -> Integers:
 
 
 def sample_rows(n: int, n_clusters: int) -> Integers:
-    """Pick the frames that plain sampling keeps: the middle one of each run of `sample` (n_clusters,).
+    """Pick the frames that plain sampling keeps: the middle frame of each run of `sample` (n_clusters,).
 
     If two are in the middle, the first is kept. Arguments and errors as for `sample`.
 

@@ -319,7 +319,7 @@ def check_divides(made: Any, key: str, pixels: int, side: str) -> None:
 
 
 def divisors_near(number: int, wanted: int) -> str:
-    """Return the divisors of a number closest to one that does not divide it, as text for an error message.
+    """Return the divisors of a number nearest to a wanted number, as text for an error message.
 
     Example:
         >>> divisors_near(128, 12)

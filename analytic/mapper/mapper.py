@@ -156,7 +156,7 @@ class IncrementalMapper:
     def locate(self, description: Description) -> Location:
         """Find the node and the most similar frame of one image. The map does not change.
 
-        Nodes that pass the node-level condition compete; if none passes, the one that comes closest to passing wins.
+        Nodes that pass the node-level condition compete; if none passes, the node that comes closest to passing wins.
 
         Raises:
             AnalyticError: a map without nodes, and what `add` raises for descriptions.

@@ -154,7 +154,7 @@ def _made(kind: type[Job], config: DictConfig, words: list[str]) -> Job:
 
 
 def together(kind: type[Job]) -> list[type[Job]]:
-    """Return the jobs for which an experiment sets keys, if this is one of them, or else this job alone."""
+    """Return the jobs that an experiment sets keys for, if this job is one of them; otherwise only this job."""
     return [job_of(name) for name in ("prepare", "train", "map", "evaluate", "export")] if kind.SHARED else [kind]
 
 

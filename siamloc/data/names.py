@@ -51,7 +51,7 @@ def format_name(pose: NamedPose, suffix: str = ".jpeg") -> str:
 
 
 def lighting_in(text: str) -> str:
-    """Return the one lighting (cloudy, night, sunny) that a text names, in any case, or the empty string."""
+    """Return the lighting (cloudy, night or sunny) that a text names, in any case, if it names only one; else ""."""
     named = [lighting for lighting in LIGHTINGS if lighting in text.lower()]
     return named[0] if len(named) == 1 else ""
 

@@ -198,7 +198,7 @@ class Result:
         return "\n\n".join(filter(None, [*(table.text() for table in self.summaries()), "\n".join(lines)]))
 
     def plot(self, name: str | None = None) -> Figure:
-        """Return a picture of the result: the first one available, or the one with this name, such as "error_curve".
+        """Return a picture of the result: the first picture available, or the picture of a name such as "error_curve".
 
         Raises:
             DataError: there is no such picture; the message lists the available ones.
@@ -260,7 +260,7 @@ class Result:
     @classmethod
     @typed
     def load(cls, folder: str | Path) -> Result:
-        """Read a result that `save` wrote; the tables of its baselines are among its own, such as `queries_hog`.
+        """Read a result that `save` wrote; tables of its baselines are among `tables`, such as `queries_hog`.
 
         Raises:
             FormatError: a file is missing, truncated, altered, or of a newer version.

@@ -113,14 +113,14 @@ def map_places(run: Run, titles: Mapping[str, str]) -> list[Path]:
 
 
 def map_known(run: Run, titles: Mapping[str, str]) -> Path:
-    """Return the path of the map that a job searches: its own, or that of another distance or heading, even if
-    there is none yet."""
+    """Return the path of the map that a job searches, which need not exist: its own map, or a map made with another
+    distance or heading."""
     places = map_places(run, titles)
     return next((path for path in places if path.is_file()), places[-1])
 
 
 def only_map(run: Run) -> dict[Path, VisualMap]:
-    """Return the only map in a folder without a trained network, by its file; empty if there are several."""
+    """Return the map of a folder with one map and no trained network, by the path of its file; otherwise nothing."""
     made = list(run.folder.glob("evaluation/*/map.npz"))
     if run.record.is_file() or len(made) != 1:
         return {}

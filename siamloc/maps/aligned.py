@@ -62,7 +62,7 @@ class AlignedIndex:
         return Retrieval(order if within is None else within[order], np.take_along_axis(apart, order, axis=1))
 
     def distances(self, queries: Description, within: NDArray[np.int64] | None = None) -> NDArray[np.float64]:
-        """Return the distances (n, m) of n queries to all m map frames, or to those of the rows `within`.
+        """Return the distances (n, m) of n queries to all m map frames, or only to the map frames in rows `within`.
 
         Raises:
             AnalyticError: descriptions that cannot be compared.

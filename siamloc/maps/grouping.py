@@ -100,7 +100,7 @@ class Built:
 
     Attributes:
         layer: nodes over the frames of the map.
-        seconds: time for each frame (n,) if frames were added one by one, else for all of them (1,).
+        seconds: time for each frame (n,) if frames were added one by one, else for all frames together (1,).
         map_digest: digest of the map it was built over.
         reasons: names of `analytic.Reason` for each frame (n): why the incremental mapper put it where it did at the
             time; empty for the other methods.

@@ -39,7 +39,7 @@ def rank_by_representatives(
 
     Args:
         queries: (n, D), described as the representatives were.
-        representatives: (k, D), those of a `CoarseLayer`, or the same prepared for search.
+        representatives: (k, D) representatives of a `CoarseLayer`, or an index of them prepared for search.
         candidates: number of nodes to keep; all of them if there are fewer.
         distance: the distance of the map that the coarse layer was built from.
         ratio: nodes more than `ratio` times as far as the nearest one are not candidates; see `HierarchicalSearch`.

@@ -150,7 +150,7 @@ class MotionModel:
         xy: (m, 2) positions of the map's frames.
         source: (e,) start frame; the pairs include every frame with itself.
         target: (e,) end frame.
-        weight: (e,) probability; those of a source add up to 1.
+        weight: (e,) probability of the move; the moves from one source add up to 1.
         step: distance the robot moves between two queries.
         spacing: median distance between consecutive frames of the map.
     """

@@ -200,7 +200,7 @@ class VisualMap:
         return replace(self, descriptors=descriptors, frames=self.frames.take(key), orientation=orientation)
 
     def merge(self, other: VisualMap) -> VisualMap:
-        """Return the map with the frames of another map after its own.
+        """Return the map of the frames of this map, followed by the frames of another map.
 
         Raises:
             ConfigError: the other map was described differently.
@@ -314,7 +314,7 @@ class VisualMap:
             )
 
     def check_images(self, preprocessing: Mapping[str, Any]) -> None:
-        """Check that the panoramas of queries are made in the same way as those of the map.
+        """Check that panoramas of queries are made in the same way as panoramas of the map.
 
         Args:
             preprocessing: `images.preprocessing.parameters()` of a library.

@@ -174,7 +174,7 @@ def as_descriptor(network: nn.Module | Descriptor, device: str | torch.device | 
 
 
 def identity_of(network: nn.Module) -> dict[str, Any]:
-    """Return plain values that determine a network's descriptors: its own `identity`, or its class and weights."""
+    """Return plain values that determine a network's descriptors: its attribute `identity`, or class and weights."""
     own = getattr(network, "identity", None)
     if isinstance(own, dict):
         return own

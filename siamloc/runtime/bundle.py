@@ -148,7 +148,7 @@ class Bundle:
     @classmethod
     @typed
     def open(cls, path: str | Path) -> Bundle:
-        """Open a bundle and check that its files are the ones it was written with.
+        """Open a bundle and check that its files are unchanged since it was written.
 
         Nothing in it is executed, and nothing is written to disk.
 

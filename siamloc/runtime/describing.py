@@ -25,7 +25,7 @@ class Describer:
     Args:
         bundle: the bundle.
         known: the bundle's map.
-        threads: number of onnxruntime threads; its own choice if None.
+        threads: number of onnxruntime threads; onnxruntime chooses if None.
         providers: onnxruntime's execution providers in order of preference.
 
     Attributes:

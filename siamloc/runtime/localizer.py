@@ -126,7 +126,7 @@ class Localizer:
         bundle_path: the bundle's folder.
         top: how many candidates a location lists.
         hierarchical: whether to search the coarse layer first; if None, only if the bundle has one.
-        threads: number of onnxruntime threads; its own choice if None.
+        threads: number of onnxruntime threads; onnxruntime chooses if None.
         providers: onnxruntime's execution providers in order of preference, such as ("CUDAExecutionProvider",
             "CPUExecutionProvider").
 

@@ -87,7 +87,7 @@ def locate_all(
     track: bool = False,
     seen: Callable[[NDArray[np.uint8]], None] | None = None,
 ) -> Generator[Located, None, None]:
-    """Locate images one after the other, each as soon as it arrives; nothing of them is kept.
+    """Locate images one after the other, each as soon as it arrives; the images are not kept.
 
     Args:
         localizer: locates them.

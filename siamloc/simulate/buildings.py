@@ -48,7 +48,7 @@ def load_building(name_or_path: str | FilePath, seed: int = 0) -> Building:
 
     Args:
         name_or_path: a built-in name, "random" for a building drawn from the seed, or a YAML file.
-        seed: seed of its pictures, colours and small differences; for "random", of the whole building.
+        seed: seed of the building's pictures, colours and small differences; for "random", of the whole building.
 
     >>> load_building("mini")
     Building('mini', seed=0: rooms CR-A, 1PO-A, 2PO1-A, KT-A; 37 items; paths path1, path2)

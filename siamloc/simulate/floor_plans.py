@@ -60,7 +60,7 @@ class Plan:
 
     Attributes:
         height: height of the ceilings in metres.
-        cells: the cells; the robot starts in the first one.
+        cells: the cells; the robot starts in the first cell.
         doors: names of two cells and the kind of the door between them: "leaf", "glass" or "open".
     """
 

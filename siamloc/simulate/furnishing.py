@@ -119,7 +119,7 @@ class Room:
             self._hung[window["wall"]].append(((at - half - 0.08, at + half + 0.08), rise))
 
     def span(self, side: str) -> Interval:
-        """Return the start and end of a wall in metres, along its own axis."""
+        """Return the start and end of a wall in metres, along the axis of the wall."""
         return SIDES[side].span(self)
 
     def _against(self, side: str, along: Interval, deep: float) -> Rectangle:

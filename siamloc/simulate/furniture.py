@@ -64,7 +64,7 @@ def colour_of(item: Item, rng: Rng, palette: tuple[Colour, ...]) -> Colour:
 
 
 def wood_of(item: Item, usual: str = "beech") -> str:
-    """Return the texture of the item's wood: that of the building file, else the usual one."""
+    """Return the texture of the item's wood: the texture in the building file, else the usual texture."""
     return str(item.options.get("wood", usual))
 
 

@@ -106,7 +106,7 @@ class SimulateConfig(Settings):
             raise ConfigError(f"a run is listed twice: {', '.join(self.runs)}")
 
     def drives(self) -> list[Run]:
-        """Return the runs to render; for a list of poses, the one in its name, unless other runs are given."""
+        """Return the runs to render; for a list of poses, the run in the list's name, unless runs are given."""
         if self.trajectory is not None and self.runs == STANDARD_RUNS:
             lighting = lighting_in(Path(self.trajectory).name) or "cloudy"
             return [Run.parse(f"{lighting}1", self.path, self.spacing, trajectory=self.trajectory)]

@@ -43,7 +43,7 @@ class Sky:
 
 
 def sun_direction(hour: float, north: float, declination: float) -> Array:
-    """Return the unit vector towards the sun.
+    """Return the unit vector towards the sun (3,) in the building's frame, z up.
 
     Args:
         hour: solar time in hours.

@@ -88,7 +88,7 @@ class PairDataModule(EpochDataModule):
     Args:
         library: decoded panoramas of all frames.
         train: training frames, among those of the library.
-        validation: validation frames, or None; as many pairs of them are drawn, the same in every epoch.
+        validation: validation frames, or None; pairs of them are drawn by the same settings, once for all epochs.
         pairs: which pairs to draw, for both; the defaults of `PairSettings` if None.
         batch_size: pairs in a batch.
         drive: map frames and queries that are described after the validation pairs, such as `validation_drive` makes.

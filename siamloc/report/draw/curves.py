@@ -79,7 +79,7 @@ def compact_curves(measures: Mapping[str, Any]) -> Picture:
 
 @style()
 def pair_curves(measures: Mapping[str, Any]) -> Picture:
-    """Draw the share of pairs judged correctly against the threshold: all pairs, and those of each lighting.
+    """Draw the share of pairs judged correctly against the threshold: for all pairs, and for each lighting.
 
     Args:
         measures: `measures.room_pairs` of `results.json`.

@@ -98,7 +98,7 @@ def _ids(final: NDArray[np.int64], plan: NodePlan, log: Path) -> tuple[int, ...]
 
 
 def animate(story: Story, path: str | Path) -> Path:
-    """Write the growing map as a GIF of about PICTURES pictures, the last one held, and return its path.
+    """Write the growing map as a GIF of about PICTURES pictures, with a pause on the last, and return its path.
 
     Raises:
         StorageError: the disk is full or cannot be written to.

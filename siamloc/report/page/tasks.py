@@ -149,7 +149,7 @@ def buildings(part: Part) -> Markup | None:
 
 
 def pairs(part: Part) -> Markup | None:
-    """Return the section on how well pairs of one room and of two are told apart; None if pairs were not judged."""
+    """Return the section on how well pairs of one room and of two are distinguished; None without judged pairs."""
     if (found := part.evaluation.results["measures"].get("room_pairs")) is None:
         return None
     text = (
