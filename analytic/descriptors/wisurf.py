@@ -35,8 +35,8 @@ class WiSurf(AlignedDescriptor):
         dx(i, j) = m(i - a ... i + a, j + 1 ... j + a) - m(i - a ... i + a, j - a ... j - 1),
         dy(i, j) = m(i + 1 ... i + a, j - a ... j + a) - m(i - a ... i - 1, j - a ... j + a).
 
-    SURF's wavelet, at the scale at which SURF's window has h pixels, has h / 10 pixels; ours has 2 a + 1, without
-    the middle pixel. Boxes reach into the bands above and below. Beyond the first and the last row of the image, that row
+    SURF's wavelet, at the scale at which SURF's window has h pixels, has h / 10 pixels; ours has 2 a + 1, without the
+    middle pixel. Boxes reach into the bands above and below. Beyond the first and the last row of the image, that row
     is repeated; columns wrap around. The sums over boxes are those of an integral image, but are combined from sums of
     neighbours: the total of an image costs them no precision, a flat wall has the response 0, and a turn moves the
     responses without changing them.
