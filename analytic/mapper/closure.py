@@ -132,7 +132,7 @@ def image_level(
     """Compute the similarity of a frame to frames of nodes: of the positions (eq. 5) times of the orientations (eq. 6).
 
     Each of the two is the inverse distance, normalized to a sum of 1; orientations are aligned first. A frame at
-    distance 0 counts as a frame at a millionth of the largest distance. Without orientation parts, only positions count.
+    distance 0 counts as a frame at a millionth of the largest one. Without orientation parts, only positions count.
 
     Args:
         descriptor: the descriptor that measures distances.

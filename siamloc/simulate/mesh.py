@@ -198,7 +198,7 @@ class Caster:
         triangles(self._scene, np.ascontiguousarray(halves.reshape(-1, 3, 3), dtype=np.float32))
 
     def first_hit(self, origins: Array, directions: Array) -> tuple[Array, Array, Array, Array]:
-        """Return the quad that rays hit (n,), -1 for none, the position s, t on it (n,) and the distance (n,), metres."""
+        """Return the quad that rays hit (n,), -1 for none, the position s, t on it (n,) and the distance (n,) in m."""
         hit = self._scene.run(origins, directions, output=True)
         triangle = hit["primID"]
         second = (triangle & 1).astype(bool)
