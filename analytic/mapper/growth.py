@@ -244,7 +244,7 @@ def reconsider(state: State, descriptor: Descriptor, created: int) -> None:
 
 
 def join(state: State, frame: int, description: Description, goal: int, mode: int | None = None) -> None:
-    """Add a frame to a node: to a given mode, or to the mode that the frame fits best."""
+    """Add a frame to the node with id `goal`: to a given mode, or to the mode that the frame fits best."""
     node = state.nodes[goal]
     if mode is None:
         mode = int(node_level(point_of(description), [node], state.rules.two_sided).modes[0])

@@ -171,7 +171,7 @@ def evaluate_hierarchical(
 ) -> Result:
     """Compare the results of a hierarchical search with the queries' true poses.
 
-    The table "queries" is the one of `evaluate_absolute` with further columns: `node` of the estimate and `true_node`,
+    The table "queries" is that of `evaluate_absolute`, with further columns: `node` of the estimate and `true_node`,
     the node of the geometrically nearest map frame (-1 for none); `nodes_tried`, numbers in one string, the best first;
     `coarse_correct`, whether the true node was tried (frames in no node are always searched, so a query whose true
     frame is in no node counts as correct); `frames_compared` and `comparisons`, which also counts the comparisons with

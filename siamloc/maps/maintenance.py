@@ -73,8 +73,8 @@ def update(
     evidence, because a person in view is enough to mislocate it.
 
     A place is a node of `built`, or the whole map without one. In an incremental map, the mapper locates the frames,
-    and those added become another mode of their node (`IncrementalMapper.maintain`); nodes with fewer frames than a
-    mode needs are left as they are.
+    and the added frames become another mode of their node (`IncrementalMapper.maintain`); nodes with fewer frames
+    than a mode needs are left as they are.
 
     Args:
         known: a map whose frames all have positions; it is not changed.

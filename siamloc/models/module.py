@@ -83,7 +83,7 @@ class NetworkModule(LightningModule):
 
     @property
     def identity(self) -> dict[str, Any]:
-        """The identity of the network: see `NetworkDescriptor`."""
+        """What determines the network's descriptors; see `NetworkDescriptor.identity`."""
         return identity_of(self.network)
 
     def forward(self, panorama: Tensor) -> Tensor:

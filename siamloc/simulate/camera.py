@@ -151,8 +151,8 @@ class ViewCamera:
     Attributes:
         rows: number of rows of its images.
         columns: number of columns of its images.
-        directions: (fraction of a column, of a row) -> unit viewing directions (rows, columns, 3) in the robot's
-            frame, through points that far from the middles of the pixels.
+        directions: (across, down) -> unit viewing directions (rows, columns, 3) in the robot's frame, through points
+            that lie these shares of a pixel from its middle.
         spread: angle in rad between the columns at each pixel (rows * columns,), float32.
         wraps: whether the left edge continues at the right one.
         shown: False where the lens leaves the image dark (rows, columns); None if it is dark nowhere.
