@@ -181,8 +181,8 @@ def bank(
     """Return the transfer functions of some orientations in [0, pi / 2], cut out around the centre of each.
 
     Returns:
-        Their values (filters, rows, columns), and the row and column of each cut-out in the frequency plane of a
-        periodic image (height, width) with its zero in the middle, as fftshift returns it.
+        The values of the cut-outs (filters, rows, columns), and the row and column where each begins in the
+        frequency plane of a periodic image (height, width) with frequency zero in the middle, as fftshift returns it.
     """
     sides = (height, width)
     cut = [min(side, floor(2 * frequency * side) + 1) for side in sides]

@@ -208,10 +208,10 @@ def distinctness(centre: Floats, nodes: Sequence[Node]) -> tuple[dict[str, float
 def reconsider(state: State, descriptor: Descriptor, created: int) -> None:
     """Evaluate a new node's frames and the window before it again; move frames that are more similar to another node.
 
-    The mean similarity decides, and in a tie a frame stays where it is. A frame of the new node may go to any node
-    whose node-level and centroid conditions it passes. A frame of the window stays in its node or moves to the new one;
-    without a node, it goes to the most similar of all, so that no gaps are left before a new node. All frames are
-    evaluated before any moves.
+    The mean similarity to the frames of a node decides, and in a tie a frame stays where it is. A frame of the new node
+    may go to any node whose node-level and centroid conditions it passes. A frame of the window stays in its node or
+    moves to the new node; a frame in no node goes to the most similar node of all, so that no gaps are left before a
+    new node. All frames are evaluated before any moves.
     """
     rules, x = state.rules, state.rules.x(len(state.nodes))
     first = min(state.nodes[created].frames)

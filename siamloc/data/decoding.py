@@ -73,7 +73,7 @@ class Preprocessing:
 
     @classmethod
     def of(cls, parameters: Mapping[str, Any]) -> Preprocessing:
-        """Rebuild the preprocessing from its `parameters`.
+        """Make a preprocessing again from what `parameters` returned.
 
         Raises:
             ConfigError: a custom camera, which cannot be rebuilt from plain values, or missing values.

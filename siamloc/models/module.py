@@ -172,7 +172,7 @@ class NetworkModule(LightningModule):
         self.log_dict({f"{stage}/{name}": value for name, value in values.items()}, sync_dist=True)
 
     def describe_drive(self, batch: Mapping[str, Tensor]) -> None:
-        """Describe a batch of map frames and queries of the validation drive.
+        """Describe a batch of map frames and queries of the validation drive, and keep the descriptors.
 
         Raises:
             DataError: a batch that does not say which frames belong to the map.

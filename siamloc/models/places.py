@@ -109,7 +109,7 @@ class PlaceModule(NetworkModule):
             self.log_epoch("train", {name: each.nanmean() for name, each in figures.items()})
 
     def validation_step(self, batch: Mapping[str, Tensor], batch_index: int) -> None:
-        """Describe a batch of map frames and queries of the validation drive."""
+        """Describe a batch of map frames and queries of the validation drive, and keep the descriptors."""
         self.describe_drive(batch)
 
     def on_validation_epoch_end(self) -> None:

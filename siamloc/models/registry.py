@@ -275,8 +275,8 @@ class CrossEntropy(Settings):
     """Name the room of an image by a layer on its descriptor (`CrossEntropyLoss`), best with pairs=frames.
 
     Attributes:
-        temperature: divisor of the room scores. For heads of unit length a small one, such as 0.1, makes clear answers
-            possible.
+        temperature: divisor of the room scores. With heads of unit length, small values such as 0.1 make clear
+            answers possible.
     """
 
     WHERE = "loss"

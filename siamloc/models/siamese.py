@@ -189,11 +189,11 @@ class PairStatistics(Metric):
         self.squares = self.squares + values.square().sum(0)
 
     def sums(self) -> dict[str, Tensor]:
-        """Return all sums since the last reset."""
+        """Return all sums over pairs since the last reset, by name."""
         return {name: value.clone() for name, value in self.metric_state.items()}  # type: ignore[union-attr]
 
     def load_sums(self, sums: Mapping[str, Tensor]) -> None:
-        """Continue with the sums that `sums` returned."""
+        """Continue with sums over earlier pairs, as `sums` returned them."""
         for name, value in sums.items():
             setattr(self, name, value.clone())
         self._update_count = max(self._update_count, 1)  # `compute` warns if there was no update

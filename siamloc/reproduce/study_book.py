@@ -40,7 +40,7 @@ class Job:
         settings: settings that distinguish the records, in siamloc's names.
         dense: whether the job needs frames every 5 cm if the data are simulated.
         same_run: whether the queries come from the map's own drive.
-        at: name of the place whose frames it needs, a key of the data set's `at`; the data set itself if empty.
+        at: name of the place whose frames the job needs, a key of the data set's `at`; the data set itself if empty.
     """
 
     experiment: str
@@ -70,7 +70,7 @@ class Experiment(Settings):
             in their `seed` alone become their mean, with a spread.
         options: options that stay the same.
         settings: settings that all its records have in common.
-        elsewhere: options that differ in other places, by their names, which the records have as their `data`.
+        elsewhere: options that differ in other places, by the name of the place, which is the `data` of the records.
         dense: as in `Job`.
         beside: whether the experiment is our own addition, shown next to the published ones; no claim refers to it.
     """

@@ -61,7 +61,7 @@ class Bundle:
     """An opened bundle; `siamloc.runtime.export` writes one.
 
     Attributes:
-        path: its folder.
+        path: folder of the bundle.
         about: the content of `bundle.json`: `preprocessing`, `identity` (of the network or analytic descriptor),
             `parity` (how far the exported descriptors are from the originals), `precision`, `heading` and `errors`
             (where they come from, None without), `refinement` (how poses are made finer than the map, None if they are
@@ -153,7 +153,7 @@ class Bundle:
         Nothing in it is executed, and nothing is written to disk.
 
         Args:
-            path: the bundle's folder.
+            path: folder of the bundle.
 
         Raises:
             FormatError: not a bundle, or one of another version, with missing or altered files, or with links.
