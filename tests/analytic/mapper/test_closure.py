@@ -3,7 +3,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from analytic.mapper.closure import Similarity, image_level, prominences
+from analytic.mapper.closure import Similarity, image_level, node_level, prominences
 from analytic.mapper.node import Mode, Node
 from analytic.mapper.parameters import Parameters
 from tests.analytic.mapper.world import World, corridor_drive, rows
@@ -58,3 +58,16 @@ def test_the_mean_similarity_of_a_node_is_that_of_its_best_mode():
     for node, mean in found.items():
         parts = [values[(nodes == node) & (modes == mode)] for mode in np.unique(modes[nodes == node])]
         assert mean == max(part.mean() for part in parts)
+
+
+@pytest.mark.parametrize("two_sided", [True, False])
+def test_nodes_that_cannot_close_are_left_out_and_nothing_else_changes(two_sided):
+    frames = rows(World(size=8, steps=0, reach=4.0, seed=5).at(corridor_drive(200, seed=4), noise=0.2))
+    nodes = [Node(s, (Mode.of(RULES, range(s, s + 20), frames[s : s + 20]),)) for s in range(0, 160, 20)]
+    spared = 0
+    for frame in frames[::5]:
+        point = frame.position[0].astype(np.float64)
+        whole, few = (node_level(point, nodes, two_sided, *most) for most in ((), (1.5,)))
+        assert few.nodes[few.closing(1.5)].tolist() == whole.nodes[whole.closing(1.5)].tolist()
+        spared += len(nodes) - len(few.nodes)
+    assert spared > 50

@@ -2,6 +2,8 @@ import numpy as np
 import pytest
 
 from analytic.mapper import IncrementalMapper, Reason
+from analytic.mapper.closure import node_level
+from analytic.mapper.growth import distinctness, merge
 from tests.analytic.mapper.world import World, rows
 
 WORLD = World(size=16, reach=4.0, seed=2)
@@ -65,9 +67,6 @@ def test_merging_keeps_the_modes_of_both():
     mapper = two_places()
     near, far = (node.id for node in mapper.nodes)
     mapper.maintain(far, seen_by_night(12.0, 30, 52))
-    from analytic.mapper.closure import node_level
-    from analytic.mapper.growth import merge
-
     state = mapper._state.copy()
     found = node_level(state.nodes[far].modes[0].centre, [state.nodes[near]], True)
     assert merge(state, state.nodes[far], 0, found, 0) == near
@@ -75,6 +74,16 @@ def test_merging_keeps_the_modes_of_both():
     assert [len(mode) for mode in merged.modes] == [len(mapper.nodes[0]) + len(mapper.nodes[1].modes[0]), 30]
     assert merged.frames == np.flatnonzero(state.labels == near).tolist()
     assert len(mapper.nodes) == 2
+
+
+def test_nodes_are_as_far_apart_as_their_nearest_modes():
+    mapper, point = two_places(), np.zeros(16)
+    mapper.maintain(mapper.nodes[1].id, seen_by_night(12.0, 30, 52))
+    near, far = ([mode.centre for mode in node.modes] for node in mapper.nodes)
+    away = [min(np.linalg.norm(point - centre) for centre in centres) for centres in (near, far)]
+    among = min(np.linalg.norm(one - other) for one in near for other in far)
+    measured, _ = distinctness(point, mapper.nodes)
+    assert list(measured.values()) == pytest.approx([np.mean(away), among])
 
 
 def test_locating_gives_frame_pose_and_heading():
