@@ -4,7 +4,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from analytic import AnalyticError
-from analytic.disturb import NOISE_LEVELS, OCCLUSION_LEVELS, noise, occlude
+from analytic.disturb import NOISE_LEVELS, noise, occlude
 from analytic.images import luma, unit, with_channels
 
 
@@ -13,11 +13,6 @@ def generator(seed=0):
 
 
 IMAGES = generator(8).integers(1, 256, (4, 16, 60), dtype=np.uint8)
-
-
-def test_the_levels_are_those_of_the_thesis():
-    assert NOISE_LEVELS == (0, 0.0025, 0.005, 0.01, 0.02, 0.05)
-    assert OCCLUSION_LEVELS == (0, 0.05, 0.1, 0.2, 0.4)
 
 
 @pytest.mark.parametrize("variance", NOISE_LEVELS[1:4])

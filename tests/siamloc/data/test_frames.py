@@ -46,15 +46,6 @@ def test_equality_counts_nan_as_equal_and_rows_make_the_table_again():
     assert math.isnan(row["theta"])
 
 
-def test_take_by_positions_mask_and_slice():
-    frames = table()
-    assert numbers(frames.take([4, 0, 4])) == [4, 0, 4]
-    assert numbers(frames.take(frames.room == "b")) == [1, 4]
-    assert numbers(frames.take(slice(1, None, 2))) == [1, 3, 5]
-    assert len(frames.take([])) == 0
-    assert numbers(frames.take(slice(2, 4)).take([1])) == [3]
-
-
 def test_select_by_labels_and_patterns():
     frames = table()
     assert numbers(frames.select(room="a")) == [0, 3]

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 
 from analytic import Description, Descriptor
-from siamloc.data import FrameTable, PanoramaLibrary
+from siamloc.data import FrameTable, PanoramaLibrary, concatenate
 
 SIZE = (8, 32)
 
@@ -61,6 +61,4 @@ def drive(folder: Path, name: str, n: int, seed: int, **columns: Any) -> FrameTa
 
 def library(folder: Path, *tables: FrameTable) -> PanoramaLibrary:
     """Return the panoramas of some tables."""
-    from siamloc.data import concatenate
-
     return PanoramaLibrary(concatenate(tables), folder / "cache", image_size=SIZE)
