@@ -158,9 +158,9 @@ def mapping_measures(columns: Mapping[str, NDArray], radius: float, gap: int) ->
         },
         "closures": asdict(closed),
         "ms_per_frame": {
-            "mean": float(ms.mean()),
-            "median": float(np.median(ms)),
-            "p95": float(np.percentile(ms, 95)),
+            "mean": float(np.nanmean(ms)),
+            "median": float(np.nanmedian(ms)),
+            "p95": float(np.nanpercentile(ms, 95)),
         },
     }
     if "reason" in columns:

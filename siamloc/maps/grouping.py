@@ -100,7 +100,8 @@ class Built:
 
     Attributes:
         layer: nodes over the frames of the map.
-        seconds: time for each frame (n,) if frames were added one by one, else for all frames together (1,).
+        seconds: time for each frame (n,) if frames were added one by one, else for all frames together (1,); NaN
+            for frames that `siamloc.maps.update` added.
         map_digest: digest of the map it was built over.
         reasons: names of `analytic.Reason` for each frame (n): why the incremental mapper put it where it did at the
             time; empty for the other methods.
@@ -154,7 +155,7 @@ class Built:
         lost = int((self.layer.labels < 0).sum())
         none = f", {lost} frames in none" if lost else ""
         where, frames = "" if folder is None else f"layer: {folder}, ", len(self.layer.labels)
-        text = f"{where}{len(self.layer)} nodes over {frames} frames{none}, built in {self.seconds.sum():.1f} s"
+        text = f"{where}{len(self.layer)} nodes over {frames} frames{none}, built in {np.nansum(self.seconds):.1f} s"
         if self.reasons and len(self.layer) == 1:
             text += (
                 "; one node: the thresholds count frames that lie a few centimetres apart, so take more frames into "

@@ -10,22 +10,24 @@ import pytest
 from analytic.errors import AnalyticError
 from siamloc.data import FrameTable, PanoramaLibrary
 from siamloc.errors import ConfigError, DataError
+from siamloc.evaluation import mapping
 from siamloc.maps import Built, VisualMap, build, group, match, update
 from tests.siamloc.cli.commands import done, refused
 
 FRAMES, STEP, ROWS, COLUMNS = 120, 4, 16, 64
 CHANGED = slice(40, 80)  # frames that show nothing but new paint
-DRIVES = {"old": 0, "same": 0, "changed": 1, "later": 1}
+DRIVES = {"old": 0, "same": 0, "changed": 1, "later": 1, "new": 2}
 
 
 @pytest.fixture(scope="module")
 def drives(tmp_path_factory):
-    """Four drives along one corridor, a third of which has other paint in the last two."""
+    """Drives along one corridor, a third of which has other paint in two of them, and all of it in the last."""
     folder, rng = tmp_path_factory.mktemp("corridor"), np.random.default_rng(3)
     paint = rng.uniform(40, 215, (2, ROWS, COLUMNS + FRAMES * STEP, 3)).astype(np.float32)
     outside = np.ones(paint.shape[2], dtype=bool)
     outside[CHANGED.start * STEP : (CHANGED.stop - 1) * STEP + COLUMNS] = False
     paint[1][:, outside] = paint[0][:, outside]
+    paint = np.concatenate([paint, paint[:1, ::-1, ::-1]])
     table = []
     for name, which in DRIVES.items():
         walls = cv2.GaussianBlur(paint[which], (0, 0), 2)
@@ -90,6 +92,8 @@ def test_frames_beyond_the_map_are_not_its_matter(known, drives):
     assert not found.known_place[CHANGED].any()
     assert not found.added.any()
     assert not found.contradicted[~found.known_place].any()
+    beyond = update(part, drives[1], drives[2]["changed"].take(np.arange(50, 70)), progress=False)
+    assert beyond.summary().endswith("to judge the map, at least window=20 are needed")
 
 
 def test_few_contradictions_are_no_evidence(known, drives):
@@ -109,9 +113,26 @@ def test_nodes_of_an_incremental_map_learn_another_appearance(known, drives):
     mapper, layer = found.built.mapper, found.built.layer
     assert sum(len(node.modes) for node in mapper.nodes) > sum(modes)
     assert len(mapper) == len(found.known) == len(found.built.seconds) == len(found.built.reasons)
+    before = mapping(known, built).measures["ms_per_frame"]
+    assert mapping(found.known, found.built).measures["ms_per_frame"] == before, "of the frames placed one by one"
     ids = np.array([*layer.made["ids"], -1])
     np.testing.assert_array_equal(mapper.labels(), ids[layer.labels])
     np.testing.assert_array_equal([pose[0] for pose in mapper.poses], found.known.frames.x)
+
+
+def test_short_nodes_are_out_of_date_as_well(known, drives):
+    found = update(known, drives[1], drives[2]["new"], built=group(known, "sample", nodes=10), progress=False)
+    assert found.contradicted.sum() > 90
+    assert found.added.sum() > 100
+    assert (np.bincount(found.built.layer.labels) > 12).all(), "each node of 12 frames got more"
+
+
+def test_too_few_frames_for_a_mode_are_reported(known, drives):
+    built = group(known, "incremental", progress=False)
+    second = int(np.argmax(built.layer.labels == 1))
+    found = update(known, drives[1], drives[2]["new"].take(np.arange(second + 2)), built=built, progress=False)
+    np.testing.assert_array_equal(np.flatnonzero(found.outdated & ~found.added), [second, second + 1])
+    assert found.summary().endswith("; 2 left out, fewer in their node than smallest_node")
 
 
 def test_rooms_keep_their_names(known, drives):
