@@ -99,22 +99,22 @@ class SimulateConfig(Settings):
         super().__post_init__()
         if not self.runs:
             raise ConfigError("simulate needs at least one run, such as runs=[cloudy1]")
-        if self.hours and len(self.hours) != len(self.runs):
-            raise ConfigError(f"hours needs one hour for each of {len(self.runs)} runs, got {len(self.hours)}")
         names = [run.name for run in self.drives()]
         if len(set(names)) < len(names):
             raise ConfigError(f"a run is listed twice: {', '.join(self.runs)}")
 
     def drives(self) -> list[Run]:
         """Return the runs to render; for a list of poses, the run in the list's name, unless runs are given."""
-        if self.trajectory is not None and self.runs == STANDARD_RUNS:
-            lighting = lighting_in(Path(self.trajectory).name) or "cloudy"
-            return [Run.parse(f"{lighting}1", self.path, self.spacing, trajectory=self.trajectory)]
-        hours = self.hours or (None,) * len(self.runs)
+        names = self.runs
+        if self.trajectory is not None and names == STANDARD_RUNS:
+            names = (f"{lighting_in(Path(self.trajectory).name) or 'cloudy'}1",)
+        if self.hours and len(self.hours) != len(names):
+            raise ConfigError(f"hours needs one hour for each run ({', '.join(names)}), got {len(self.hours)}")
+        hours = self.hours or (None,) * len(names)
         still = {"headings": self.headings, "positions": self.positions}
         return [
             Run.parse(name, self.path, self.spacing, trajectory=self.trajectory, hour=hour, **still)
-            for name, hour in zip(self.runs, hours, strict=True)
+            for name, hour in zip(names, hours, strict=True)
         ]
 
 

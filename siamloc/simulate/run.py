@@ -43,7 +43,7 @@ class Run(Settings):
         positions: number of positions of a grid; all that are free if None.
 
     Raises:
-        ConfigError: headings or positions without a grid, or an invalid value.
+        ConfigError: headings or positions without a grid, a grid with a list of poses, or an invalid value.
     """
 
     lighting: Literal["cloudy", "night", "sunny"] = "cloudy"
@@ -59,6 +59,8 @@ class Run(Settings):
         super().__post_init__()
         if self.path not in GRIDS and (self.headings, self.positions) != (1, None):
             raise ConfigError(f"headings and positions go with path={' or path='.join(GRIDS)}, got path={self.path}")
+        if self.path in GRIDS and self.trajectory is not None:
+            raise ConfigError(f"a trajectory gives the poses itself: leave out path={self.path}, or the trajectory")
 
     @property
     def name(self) -> str:

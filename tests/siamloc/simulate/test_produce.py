@@ -12,11 +12,13 @@ import cv2
 import numpy as np
 import pytest
 
+from foundation.files import read_json
 from siamloc.cli import main
 from siamloc.data.cold import read_cold
 from siamloc.errors import ConfigError, DataError
 from siamloc.simulate import Summary, produce, simulate
 from siamloc.simulate.buildings import building_folder
+from siamloc.simulate.produce import STANDARD_RUNS
 
 SMALL = {"building": "mini", "runs": ["cloudy1"], "frames": 6, "camera": "panorama", "workers": 1}
 
@@ -128,9 +130,10 @@ def test_another_simulation_is_not_mixed_in(written: Path, tmp_path: Path) -> No
 
 def test_omnidirectional_pictures_and_lists(tmp_path: Path) -> None:
     names = ["t5.000000_x1.000000_y1.100000_a0.000000.jpeg", "t5.200000_x1.100000_y1.100000_a0.000000.jpeg"]
-    poses = tmp_path / "own.places.lst"
+    poses = tmp_path / "night.places.lst"
     poses.write_text("".join(f"{name} CR-A\n" for name in names))
-    summary = simulate(building="mini", runs=["night1"], out=tmp_path, workers=1, trajectory=poses)
+    summary = simulate(building="mini", out=tmp_path, workers=1, trajectory=poses, hours=[23])
+    assert read_json(summary.folder / "part_a" / "seq2_night1" / "camera.json")["hour"] == 23
     images = summary.folder / "part_a" / "seq2_night1" / "omni_cam"
     assert sorted(path.name for path in images.iterdir()) == names
     image = cv2.imread(str(images / names[0]))
@@ -163,7 +166,9 @@ def test_preview_writes_two_pictures(tmp_path: Path) -> None:
         ({"runs": ["cloudy1", "cloudy01"]}, "listed twice"),
         ({"runs": ["rainy1"]}, "a lighting and a number such as cloudy1, got 'rainy1'"),
         ({"path": 3}, "building 'mini' has no path '3'; valid: path1, path2, grid, halfway"),
-        ({"hours": [9, 12]}, "hours needs one hour for each of 1 runs, got 2"),
+        ({"hours": [9, 12]}, r"hours needs one hour for each run \(cloudy1\), got 2"),
+        ({"trajectory": "night.lst", "runs": STANDARD_RUNS, "hours": [9] * 8}, r"each run \(night1\), got 8"),
+        ({"trajectory": "night.lst", "path": "grid", "headings": 4}, "leave out path=grid, or the trajectory"),
         ({"spacing": float("nan")}, "spacing must be a number of metres from 0.005, got nan"),
     ],
 )
