@@ -104,8 +104,8 @@ def grid(
 
     Args:
         building: the building with its obstacles; open doors are obstacles too.
-        path: "grid", whose first heading is that of the x axis; or "halfway", for the middle of the grid's squares,
-            with a drawn first heading at each position.
+        path: "grid", whose first heading is that of the x axis; or "halfway", for the middle of the grid's squares
+            that have a free corner, with a drawn first heading at each position.
         spacing: metres between the points of the grid.
         rng: draws the positions and headings.
         start: time of the first frame in seconds.
@@ -118,11 +118,15 @@ def grid(
     first = 0.5 * spacing * (1 + GRIDS.index(path))
     axes = [np.arange(low + first, high, spacing) for low, high in building.bounds]
     points = np.stack(np.meshgrid(*axes), axis=-1).reshape(-1, 2)
-    points = points[~blocked_points(building, points)]
-    doors = [opening for opening in building.openings if opening.kind in ("leaf", "glass")]
-    leaves = [leaf_segment(building, door, angle)[None] for door in doors for angle in (86, 98)]
-    points = points[clearance(points, np.concatenate([obstacles(building)[0], *leaves])) >= BODY]
+    points = points[_standable(building, points)]
+    if path == "halfway":
+        corners = points[:, None] + 0.5 * spacing * np.array([(-1, -1), (-1, 1), (1, -1), (1, 1)])
+        points = points[_standable(building, corners.reshape(-1, 2)).reshape(-1, 4).any(axis=1)]
     points = points[np.argsort(room_at(building, points), kind="stable")]
+    if not len(points):
+        raise DataError(
+            f"building {building.name!r} has no free position on a grid of {spacing} m: use a smaller spacing"
+        )
     wanted = len(points) if positions is None else positions
     if not 0 < wanted <= len(points):
         raise DataError(
@@ -135,6 +139,14 @@ def grid(
     poses = np.round(np.column_stack([np.repeat(points, headings, axis=0), heading.ravel()]), 6)
     still = np.zeros(len(poses))
     return _named(building, poses, np.round(start + _PAUSE * np.arange(len(poses)), 6), still, still)
+
+
+def _standable(building: Building, points: Array) -> Array:
+    """Return True for points (n, 2) where the robot keeps clear of walls, furniture and open doors."""
+    doors = [opening for opening in building.openings if opening.kind in ("leaf", "glass")]
+    leaves = [leaf_segment(building, door, angle)[None] for door in doors for angle in (86, 98)]
+    clear = clearance(points, np.concatenate([obstacles(building)[0], *leaves])) >= BODY
+    return clear & ~blocked_points(building, points)
 
 
 def listed(building: Building, file: FilePath) -> Track:

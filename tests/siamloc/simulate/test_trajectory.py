@@ -79,9 +79,9 @@ def test_a_grid_covers_the_free_floor_and_queries_stand_halfway(mini: Building) 
     np.testing.assert_allclose(gap.min(axis=1), 0.4, atol=1e-6)
     assert not state.track.poses[:, 2].any()
     between = [draw_run(mini, Run("cloudy", n, "halfway", 0.4, headings=16, positions=9)).track for n in (2, 3)]
+    every = draw_run(mini, Run("cloudy", 2, "halfway", 0.4)).track.poses[:, None, :2]
+    np.testing.assert_allclose(np.linalg.norm(every - points, axis=2).min(axis=1), 0.2 * np.sqrt(2), atol=1e-6)
     for track in between:
-        far = np.linalg.norm(track.poses[:, None, :2] - points, axis=2).min(axis=1)
-        assert far.min() == pytest.approx(0.2 * np.sqrt(2), abs=1e-6)
         turns = np.diff(np.sort(track.poses[:, 2].reshape(9, 16), axis=1), axis=1)
         np.testing.assert_allclose(turns, np.pi / 8, atol=1e-5)
         assert len(np.unique(track.poses[:, :2], axis=0)) == 9
@@ -132,6 +132,8 @@ def test_bad_paths(mini: Building) -> None:
         Run("cloudy", headings=16)
     with pytest.raises(DataError, match=r"has \d+ free positions on a grid of 0.4 m: ask for 1 to \d+, got 999"):
         draw_run(mini, Run("cloudy", 1, "grid", 0.4, positions=999))
+    with pytest.raises(DataError, match="has no free position on a grid of 99 m: use a smaller spacing"):
+        draw_run(mini, Run("cloudy", 1, "halfway", 99))
     for wrong in ("cloudy", "rainy1", "cloudy0"):
         with pytest.raises(ConfigError, match=r"got '(cloudy|rainy1)'|number must be a whole number from 1"):
             Run.parse(wrong)
