@@ -24,7 +24,7 @@ class Simulate(SimulateConfig, Job):
         path=grid                   no route: a grid of positions over the free floor, spacing metres apart
         path=halfway                the middles of the grid's squares: queries for such a map
         positions=11 headings=16    with these two: number of positions in each run, of frames at each of them
-        hours=[9,15.5]              solar time of each run, which also dims a cloudy sky
+        hours=[9,15.5]              solar time of each run, 7 to 17 but for nights; also dims a cloudy sky
         camera=omnidirectional      640 x 480; or panorama: 512 x 128, already unwrapped
         workers=2 seed=0
         preview=true                only a contact sheet and a floor plan

@@ -108,10 +108,10 @@ def floor_plan(building: Building, runs: list[Run]) -> Any:
     for run in runs:
         line = draw_run(building, run).track.poses[:, :2].T
         style = {"marker": ".", "linestyle": "none"} if run.path in GRIDS else {"linewidth": 0.9}
-        axis.plot(*line, color=_COLOURS[run.lighting], alpha=0.8, **style)
-    for lighting in dict.fromkeys(run.lighting for run in runs):
-        axis.plot([], [], color=_COLOURS[lighting], label=f"{lighting} runs")
-    axis.legend(loc="lower right", fontsize=9)
+        axis.plot(*line, color=_COLOURS[run.lighting], alpha=0.8, label=f"{run.lighting} runs", **style)
+    handles, labels = axis.get_legend_handles_labels()
+    shown = dict(zip(labels, handles, strict=True))
+    axis.legend(shown.values(), shown, loc="lower right", fontsize=9)
     title = f"{building.name}, seed {building.seed}"
     axis.set(aspect="equal", xlabel="x in m", ylabel="y in m", title=title)
     return figure

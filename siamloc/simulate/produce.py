@@ -57,7 +57,8 @@ class SimulateConfig(Settings):
             middles of its squares.
         runs: lightings with numbers, such as ("cloudy1", "night2").
         spacing: metres between frames, or between the positions of the grid.
-        hours: solar time of each run, which also dims a cloudy sky; drawn around a usual one if empty.
+        hours: solar time of each run, which also dims a cloudy sky, 7 to 17 but for nights; drawn around a usual one if
+            empty.
         headings: frames at each position of a grid, evenly turned.
         positions: number of positions of a grid in each run, spread over the rooms; all that are free if None.
         camera: "omnidirectional" (640 x 480 JPEG) or "panorama" (512 x 128 JPEG).

@@ -21,6 +21,8 @@ from siamloc.simulate.trajectory import GRIDS, Track, drive, grid, listed
 
 Hour = Annotated[float, Rule("an hour from 0 to 24", lambda value: 0 <= value <= 24)]
 
+#: Hours between which the sun is up on every day that a run may have.
+DAY = (7, 17)
 _START = {"cloudy": 11.0, "night": 22.0, "sunny": 10.0}
 _EPOCH = 1152860400.0
 _KEEP_OFF = 0.42
@@ -38,12 +40,13 @@ class Run(Settings):
             squares.
         spacing: metres between frames, or between the positions of the grid.
         trajectory: a `places.lst` whose poses are used instead of the path.
-        hour: solar time, which also dims a cloudy sky; drawn around a usual one if None.
+        hour: solar time, which also dims a cloudy sky, 7 to 17 unless it is a night; drawn around a usual one if None.
         headings: frames at each position of a grid, evenly turned.
         positions: number of positions of a grid; all that are free if None.
 
     Raises:
-        ConfigError: headings or positions without a grid, a grid with a list of poses, or an invalid value.
+        ConfigError: headings or positions without a grid, a grid with a list of poses, an hour by day at which the sun
+            may be down, or an invalid value.
     """
 
     lighting: Literal["cloudy", "night", "sunny"] = "cloudy"
@@ -61,6 +64,11 @@ class Run(Settings):
             raise ConfigError(f"headings and positions go with path={' or path='.join(GRIDS)}, got path={self.path}")
         if self.path in GRIDS and self.trajectory is not None:
             raise ConfigError(f"a trajectory gives the poses itself: leave out path={self.path}, or the trajectory")
+        if self.lighting != "night" and self.hour is not None and not DAY[0] <= self.hour <= DAY[1]:
+            raise ConfigError(
+                f"at hour {self.hour:g}, the sun may be down: choose one from {DAY[0]} to {DAY[1]} for a "
+                f"{self.lighting} run, or a night run"
+            )
 
     @property
     def name(self) -> str:

@@ -16,8 +16,9 @@ from foundation.files import read_json
 from siamloc.cli import main
 from siamloc.data.cold import read_cold
 from siamloc.errors import ConfigError, DataError
-from siamloc.simulate import Summary, produce, simulate
+from siamloc.simulate import Run, Summary, load_building, produce, simulate
 from siamloc.simulate.buildings import building_folder
+from siamloc.simulate.preview import floor_plan
 from siamloc.simulate.produce import STANDARD_RUNS
 
 SMALL = {"building": "mini", "runs": ["cloudy1"], "frames": 6, "camera": "panorama", "workers": 1}
@@ -157,6 +158,15 @@ def test_preview_writes_two_pictures(tmp_path: Path) -> None:
     assert min(cv2.imread(str(path)).std() for path in summary.files) > 20
 
 
+@pytest.mark.parametrize(("path", "marker"), [("grid", "."), ("path2", "None")])
+def test_the_legend_of_a_plan_shows_a_grid_as_dots(path: str, marker: str) -> None:
+    figure = floor_plan(
+        load_building("mini"), [Run.parse(name, path, 0.8) for name in ("cloudy1", "cloudy2", "night1")]
+    )
+    handles = figure.axes[0].get_legend().legend_handles
+    assert [str(handle.get_marker()) for handle in handles] == [marker] * 2
+
+
 @pytest.mark.parametrize(
     ("change", "message"),
     [
@@ -169,6 +179,10 @@ def test_preview_writes_two_pictures(tmp_path: Path) -> None:
         ({"hours": [9, 12]}, r"hours needs one hour for each run \(cloudy1\), got 2"),
         ({"trajectory": "night.lst", "runs": STANDARD_RUNS, "hours": [9] * 8}, r"each run \(night1\), got 8"),
         ({"trajectory": "night.lst", "path": "grid", "headings": 4}, "leave out path=grid, or the trajectory"),
+        (
+            {"runs": ["sunny1"], "hours": [22]},
+            "at hour 22, the sun may be down: choose one from 7 to 17 for a sunny run",
+        ),
         ({"spacing": float("nan")}, "spacing must be a number of metres from 0.005, got nan"),
     ],
 )

@@ -13,9 +13,9 @@ from siamloc.errors import ConfigError, DataError
 from siamloc.simulate import Run
 from siamloc.simulate.layout import Building, Path
 from siamloc.simulate.plan import blocked_points, clearance, crossings, obstacles
-from siamloc.simulate.run import draw_run
+from siamloc.simulate.run import DAY, draw_run
 from siamloc.simulate.shell import leaf_segment
-from siamloc.simulate.sky import make_sky
+from siamloc.simulate.sky import make_sky, sun_direction
 from siamloc.simulate.trajectory import drive, listed
 
 
@@ -94,6 +94,7 @@ def test_hours_dim_a_cloudy_sky_and_leave_the_rest(mini: Building) -> None:
     assert noon.items == late.items == drawn.items
     assert (noon.light.hour, noon.light.overcast, drawn.light.overcast) == (12, 1.0, 1.0)
     assert 0.1 < late.light.overcast < 0.4
+    assert min(sun_direction(hour, 0, day)[2] for hour in DAY for day in (-10, 0)) > 0.02, "the sun is up by day"
     outside = [make_sky("cloudy", *map(np.random.default_rng, (0, 1)), 12, 0, 0, 16, level) for level in (1.0, 0.5)]
     np.testing.assert_allclose(outside[1].image, 0.5 * outside[0].image, rtol=1e-5)
 
