@@ -63,7 +63,13 @@ def unit(images: NDArray[Any]) -> NDArray[np.float32]:
 
 
 def luma(images: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Return the BT.601 luma (B, 1, H, W) of images (B, C, H, W)."""
+    """Return the BT.601 luma (B, 1, H, W) of images (B, C, H, W): 0.299 R + 0.587 G + 0.114 B.
+
+    The values keep their range, such as [0, 1].
+
+    Args:
+        images: RGB in this order (C = 3), or grey (C = 1), which is returned unchanged.
+    """
     if images.shape[1] == 1:
         return images
     red, green, blue = (images[:, channel] * np.float32(share) for channel, share in enumerate(LUMA))

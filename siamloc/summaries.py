@@ -34,7 +34,12 @@ def tables_of(
 
 
 def own_tables(name: str, parts: Measures) -> dict[str, list[Table]]:
-    """Return the tables of measures that other methods do not have, by kind, such as "mapping"."""
+    """Return the tables of measures that other methods do not have, by kind, such as "mapping".
+
+    Args:
+        name: name of the method.
+        parts: measures of the method by kind, as in `Result.parts`.
+    """
     unit = next((part["unit"] for part in parts.values() if "unit" in part), "")
     return {
         kind: tables({"name": name, "unit": unit, **parts[kind]}) for kind, tables in _OF_ONE.items() if kind in parts
@@ -55,13 +60,29 @@ def methods_of(name: str, parts: Measures, baselines: Mapping[str, Measures]) ->
 
 
 def groups_of(part: Measures, by: str = "lighting") -> dict[str, Measures]:
-    """Return the measures by lighting or by room, and of all queries last if there are several labels."""
+    """Return the measures by lighting or by room, and those of all queries last if there are several labels.
+
+    Args:
+        part: measures of one kind in `results.json`, such as those under "absolute".
+        by: "lighting" or "room".
+    """
     groups = {label: part[by][label] for label in sorted(part.get(by, {}))}
     return groups if len(groups) == 1 else {**groups, ALL: part["overall"]}
 
 
 def errors(methods: Mapping[str, Measures], by: str = "lighting") -> list[Table]:
-    """Return the table of errors and recalls: a row for each method and each lighting (or room)."""
+    """Return the table of localization errors: a row for each method and each lighting (or room).
+
+    Its columns are mean, median and 95th percentile of the position errors; "floor", the mean distance to the
+    geometrically nearest map frame; "excess", the mean error beyond it; all of these in the unit of the positions;
+    "hit rate", the share of queries whose error does not exceed the distance to that frame; "recall@1" for each radius,
+    the share of all queries whose retrieved frame lies within the radius; "heading", the mean heading error in degrees;
+    and the number of queries. Columns without numbers are left out, and the list is empty without measured errors.
+
+    Args:
+        methods: measures by the name of the method, as `methods_of` returns them; those under "absolute" count.
+        by: "lighting" or "room".
+    """
     first = next((one["absolute"] for one in methods.values() if "absolute" in one), None)
     if first is None:
         return []
@@ -96,7 +117,12 @@ def errors(methods: Mapping[str, Measures], by: str = "lighting") -> list[Table]
 
 
 def rooms(methods: Mapping[str, Measures], by: str = "lighting") -> list[Table]:
-    """Return the table of how often methods find the room: a row for each method and each lighting (or room)."""
+    """Return the table of how often methods find the room: a row for each method and each lighting (or room).
+
+    Args:
+        methods: measures by the name of the method, as `methods_of` returns them; those under "room_retrieval" count.
+        by: "lighting" or "room".
+    """
     shares = {
         "room retrieved": "accuracy",
         "room in top 5": "top.5",

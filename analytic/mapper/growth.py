@@ -56,7 +56,13 @@ class State:
         return [self.nodes[key] for key in sorted(self.nodes)]
 
     def append(self, description: Description, label: int, match: int) -> int:
-        """Add a frame and return its number."""
+        """Add the next frame and return its number, counted from 0.
+
+        Args:
+            description: description of the frame.
+            label: id of the frame's node, -1 for none.
+            match: number of the earlier frame that is most similar to this frame, -1 for none.
+        """
         frame = len(self.labels)
         self.labels = np.append(self.labels, label)
         self.matches = np.append(self.matches, match)

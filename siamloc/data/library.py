@@ -122,7 +122,12 @@ class PanoramaLibrary:
         }
 
     def rows(self, frames: FrameTable) -> NDArray[np.int64]:
-        """Return the library's row of each frame (n,): of the frame with the same sequence and path.
+        """Return the row of each frame's panorama in the library (n,), as `batch` takes it.
+
+        A frame's panorama is the panorama of the library's frame with the same sequence and path.
+
+        Args:
+            frames: n frames among those of the library, in any order.
 
         Raises:
             DataError: a frame without a panorama in the library.

@@ -82,7 +82,15 @@ def confusions(columns: Mapping[str, NDArray], what: str, labels: Sequence[str])
 
 
 def heading_errors(estimated: ArrayLike, frames: FrameTable) -> NDArray[np.float64]:
-    """Return the errors of headings (n,) in degrees; NaN if the estimated or the true heading is unknown."""
+    """Return the absolute errors of estimated headings (n,), in degrees, from 0 to 180.
+
+    Args:
+        estimated: estimated headings (n,) in rad, NaN where unknown.
+        frames: the n queries, whose `theta` holds the true headings in rad, NaN where unknown.
+
+    Returns:
+        NaN where the estimated or the true heading is unknown.
+    """
     theta = np.asarray(estimated, dtype=np.float64)
     known, error = np.isfinite(theta) & np.isfinite(frames.theta), np.full(len(frames), np.nan)
     error[known] = np.degrees(heading_error(theta[known], frames.theta[known]))

@@ -32,11 +32,14 @@ _STANDING = 0.01  # step of a filter in a map whose frames are all in the same p
 
 @dataclass(frozen=True)
 class FilterSettings(Settings):
-    """Settings of the sequence filter.
+    """Settings of the sequence filter, which tracks the robot through the queries of a sequence.
+
+    The filter is a discrete Bayes filter over the map frames; see `siamloc.maps.sequence_filter`.
 
     Attributes:
-        temperature: temperature of the softmax of the descriptor distances; learned from the map if None.
-        kidnapping: probability that the robot could be anywhere.
+        temperature: T in exp(-d / T), the likelihood of a map frame at the descriptor distance d, in the unit of d; the
+            smaller, the more a query's nearest frames count. Learned from the map if None.
+        kidnapping: probability, from one query to the next, that the robot was carried to any place in the map.
     """
 
     WHERE = "task.filter_settings"

@@ -25,19 +25,33 @@ _KEYS = ("images", "xy", "building", "room", "frame")
 class PlaceModule(NetworkModule):
     """Train a network on all pairs of a batch.
 
-    A batch is a dictionary with `images` (N, 3, H, W), uint8 or floating point in [0, 1], and the fields of `Origins`:
-    `xy`, `building`, `room`, `frame`. A network built with relative=True also learns displacements, and then the batch
-    needs `theta`, too. It learns them from the same features, without changing those. A validation batch also has
-    `known` (N,) bool: True for map frames, in which the others are searched.
+    A batch is a dictionary with `images` (N, 3, H, W), uint8 or floating point in [0, 1], and these fields of
+    `Origins`: `xy` (N, 2), positions in a unit such as metres; and `building`, `room` and `frame` (N,), whole numbers.
+    A network built with relative=True also learns the displacement and turn between two images, from the same
+    features and without changing them; then the batch also has `theta` (N,), headings in rad. A validation batch also
+    has `known` (N,) bool: True for map frames, False for the queries that are searched among them.
 
-    Logged at the end of an epoch: `train/loss` and `train/spread`, the mean distance of descriptors from their mean,
-    near 0 if the network gives every image the same descriptor; with losses that report it, such as `TripletLoss`,
-    `train/active`, the share of triplets with a non-zero loss, or of pairs with a gradient; if displacements are
-    learned, `train/relative`, the mean error of those within reach. For the validation: `val/error`, the mean distance
-    from the map frame with the nearest descriptor; `val/median`; `val/recall`, the share within a radius of it;
-    `val/room`, the share with the same room as that frame; and `val/refined`, the mean error of the pose by comparison
-    with that frame. With a `CrossEntropyLoss`, `train/accuracy` and `val/accuracy` are the shares of images whose room
-    is named correctly.
+    Logged at the end of a training epoch:
+
+    - `train/loss`;
+    - `train/spread`, the mean distance of descriptors from their mean, near 0 if the network gives every image the same
+      descriptor;
+    - `train/active`, with losses that report it, such as `TripletLoss`: the share of triplets with a non-zero loss, or
+      of pairs with a gradient;
+    - `train/relative`, with relative=True: the mean error of the estimated displacements between two images at most
+      `siamloc.models.relative.REACH` = 5 apart, in the unit of the positions.
+
+    Logged after the validation, where the match of a query is the map frame with the nearest descriptor:
+
+    - `val/error` and `val/median`, mean and median of the distances between queries and their matches, in the unit of
+      the positions; a match in another building counts as 100;
+    - `val/recall`, the share of queries at most `recall_radius` from their match;
+    - `val/room`, the share of queries in the same room as their match;
+    - `val/refined`, with relative=True: the mean error of the queries' positions if the estimated displacement from the
+      match is added to the match's position.
+
+    With a `CrossEntropyLoss`, `train/accuracy` and `val/accuracy` are the shares of images whose room is named
+    correctly.
 
     Args:
         network: (B, 3, H, W) floating point in [0, 1] -> (B, D): what `siamloc.models.build` makes, or any module.

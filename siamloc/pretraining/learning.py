@@ -66,8 +66,8 @@ def pretrain(
     Returns:
         The run; the network then holds the same weights as `siamloc.models.load(run)`, the best by the validation.
         `run.weights` is a file with them for `siamloc.models.load` and `build(weights=...)`. For a network with the
-        head `fourier` this file has the head `magnitudes` instead, without the layer, which only fits the training
-        buildings.
+        head `fourier` this file holds the network with the head `magnitudes` instead: the same Fourier magnitudes,
+        without the final layer of `fourier`, which fits the training buildings only.
 
     Raises:
         ConfigError: settings that are invalid or contradict each other, a folder that holds a run or other files, a run

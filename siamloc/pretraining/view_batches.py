@@ -169,14 +169,16 @@ def frames_of(views: Views, name: str) -> FrameTable:
 
 @dataclass(eq=False)
 class ViewBatches(Dataset[dict[str, Any]]):
-    """The training batches of every epoch: item (epoch, i) is a whole batch, as in `PlaceBatches`.
+    """The training batches of every epoch, of views: rendered images of places in random buildings.
 
-    A batch depends only on the seed and its number, not on how fast buildings are rendered.
+    Item (epoch, i) is the i-th batch of an epoch, both counted from 0: a dictionary with the keys of an item of
+    `siamloc.training.place_batches.PlaceBatches`. It depends only on the seed, the epoch and i, not on how fast
+    buildings are rendered.
 
     Attributes:
-        stream: buildings for this process.
-        places: how batches are drawn.
-        augmentation: augmentation of the images; None for none.
+        stream: renders the buildings of this process.
+        places: how many places and images a batch has, and how places are drawn; `epoch_batches` is required.
+        augmentation: changes the rendered images, such as their contrast; None leaves them as they are.
     """
 
     stream: BuildingStream

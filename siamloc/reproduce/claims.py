@@ -116,6 +116,14 @@ def spread_of(kind: str, one: Record) -> float:
 def examine(check: Mapping[str, Any], records: Sequence[Record]) -> Finding:
     """Check a claim against published or measured numbers.
 
+    Args:
+        check: the claim as plain values: `kind` is "order", "trend" or "threshold"; the module's docstring lists the
+            further keys of each kind.
+        records: the numbers; those of other measures than `check["measure"]` do not count.
+
+    Returns:
+        Whether the numbers support the claim; undecided if they are missing or too close to each other.
+
     Raises:
         ConfigError: an unknown kind of check or key.
 

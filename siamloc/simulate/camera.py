@@ -177,7 +177,7 @@ def draw_camera(
     Args:
         rng: draws the kind of camera and its lens.
         image_size: rows and columns.
-        cameras: which kinds of cameras may be drawn.
+        cameras: "any", "panoramas", or only the "built_in" panorama camera.
     """
     rows, columns = image_size
     kind = rng.random() * _SHARE[cameras]

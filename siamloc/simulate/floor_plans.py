@@ -34,7 +34,12 @@ class Cell:
         return (self.x[1] - self.x[0]) * (self.y[1] - self.y[0])
 
     def outside(self, side: str, others: list[Cell]) -> list[Interval]:
-        """Return the stretches (start, end) of one of the cell's walls behind which there is no other cell."""
+        """Return the stretches (start, end) in metres of a wall of the cell behind which there is no other cell.
+
+        Args:
+            side: the wall, a key of `layout.SIDES`: "west", "east", "south" or "north".
+            others: the cells of the floor plan.
+        """
         wall = SIDES[side]
         parts = [wall.span(self)]
         for other in others:
@@ -69,13 +74,19 @@ class Plan:
     doors: list[tuple[str, str, str]] = field(default_factory=list)
 
     def add(self, use: str, x: Interval, y: Interval) -> Cell:
-        """Add a cell with its extents in metres, rounded to centimetres."""
+        """Add a cell and return it.
+
+        Args:
+            use: what the room is used for: a key of `furnishing.USES`.
+            x: start and end along x in metres, which are rounded to centimetres.
+            y: start and end along y in metres, which are rounded to centimetres.
+        """
         cell = Cell(f"{use}_{len(self.cells)}", use, (round(x[0], 2), round(x[1], 2)), (round(y[0], 2), round(y[1], 2)))
         self.cells.append(cell)
         return cell
 
     def join(self, a: Cell, b: Cell, kind: str) -> None:
-        """Join two cells with a door, if they share enough of a wall for one."""
+        """Join two cells with a door of the kind "leaf", "glass" or "open", if they share enough of a wall for one."""
         if _room_for_a_door(a, b):
             self.doors.append((a.name, b.name, kind))
 

@@ -119,7 +119,7 @@ class Room:
             self._hung[window["wall"]].append(((at - half - 0.08, at + half + 0.08), rise))
 
     def span(self, side: str) -> Interval:
-        """Return the start and end of a wall in metres, along the axis of the wall."""
+        """Return the start and end of a wall in metres, along the axis of the wall; `side` is a key of `SIDES`."""
         return SIDES[side].span(self)
 
     def _against(self, side: str, along: Interval, deep: float) -> Rectangle:
@@ -134,7 +134,14 @@ class Room:
         return True
 
     def stand(self, side: str, at: float, size: Size, entry: Entry) -> bool:
-        """Stand an item against a wall if there is space; return whether there was."""
+        """Stand an item against a wall if there is space; return whether there was.
+
+        Args:
+            side: the wall, a key of `SIDES`.
+            at: middle of the item along the wall in metres.
+            size: width, depth and height of the item in metres.
+            entry: the item's kind and options in the form of a building file, such as {"kind": "desk"}.
+        """
         w, d, h = size
         ends = (at - w / 2, at + w / 2)
         box = self._against(side, ends, d)
@@ -150,7 +157,15 @@ class Room:
         return self._add(entry, size, against=side, at=round(at, 2))
 
     def place(self, x: float, y: float, facing: float, size: Size, entry: Entry) -> bool:
-        """Stand an item anywhere in the room if there is space; return whether there was."""
+        """Stand an item anywhere in the room if there is space; return whether there was.
+
+        Args:
+            x: middle of the item in metres.
+            y: middle of the item in metres.
+            facing: direction in degrees, counter-clockwise from +x, that its front faces.
+            size: width, depth and height of the item in metres.
+            entry: as for `stand`.
+        """
         w, d, h = size
         turn = np.radians(facing - 90)
         half_x = abs(np.cos(turn)) * w / 2 + abs(np.sin(turn)) * d / 2
@@ -166,7 +181,17 @@ class Room:
         return self._add(entry, size, at=[round(float(x), 2), round(float(y), 2)], facing=round(float(facing), 1))
 
     def hang(self, side: str, at: float, size: Size, z: float, entry: Entry) -> bool:
-        """Hang an item on a wall, if doors, windows, furniture and what already hangs there leave room for it."""
+        """Hang an item on a wall if there is space; return whether there was.
+
+        Doors, windows, tall furniture and what already hangs on the wall take space.
+
+        Args:
+            side: the wall, a key of `SIDES`.
+            at: middle of the item along the wall in metres.
+            size: width, depth and height of the item in metres.
+            z: height of its lower edge above the floor in metres.
+            entry: as for `stand`.
+        """
         w, _, h = size
         low, high = self.span(side)
         across = (at - w / 2 - 0.04, at + w / 2 + 0.04)

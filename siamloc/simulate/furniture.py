@@ -38,13 +38,14 @@ class Kind:
     """What all items of a kind have in common, such as chairs.
 
     Attributes:
-        build: adds an item with a width, depth and height in metres to a mesh; the generator draws its details.
+        build: (mesh builder, item, generator, width, depth, height) -> None: adds an item of this size in metres to
+            the mesh; the generator draws its details.
         size: usual width, depth and height in metres.
         z: usual height of the base above the floor in metres.
         blocks: whether a robot has to drive around it.
         moves: how far it moves from run to run, in metres.
         turns: how far it turns from run to run, in degrees.
-        options: further keys that the building file may give.
+        options: further keys that the building file may give, such as "colour" or "wood".
     """
 
     build: Build
@@ -69,13 +70,19 @@ def wood_of(item: Item, usual: str = "beech") -> str:
 
 
 def fill(b: MeshBuilder, item: Item, z: Point, texture: str, tint: Point = WHITE, skip: str = "", **faces: str) -> None:
-    """Add a box over the whole width and depth of an item, between two heights; see `MeshBuilder.box`."""
+    """Add a box over the whole width and depth of an item, between the heights `z` in metres.
+
+    The further arguments, such as `skip` and `faces`, are those of `MeshBuilder.box`.
+    """
     w, d, _ = item.size
     b.box((-w / 2, -d / 2, z[0]), (w / 2, d / 2, z[1]), texture, tint, skip, **faces)
 
 
 def front(b: MeshBuilder, item: Item, z: Point, texture: str, tint: Point = WHITE, **more: Any) -> None:
-    """Add a panel over the whole front of an item, between two heights; see `MeshBuilder.panel`."""
+    """Add a panel over the whole front of an item, between the heights `z` in metres.
+
+    The further arguments, such as `emission` and `phase`, are those of `MeshBuilder.quad`.
+    """
     w, d, _ = item.size
     b.panel((-w / 2, w / 2), z, d / 2, texture, tint, **more)
 

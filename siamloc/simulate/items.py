@@ -238,7 +238,21 @@ def coats(b: MeshBuilder, item: Item, rng: Rng, w: float, d: float, h: float) ->
 
 
 def block(texture: str, tint: Point = WHITE, skip: str = "", **faces: str) -> Build:
-    """Return the builder of a plain box, with pictures on some of its faces."""
+    """Return the `Kind.build` of items that are a plain box, with pictures on some of the box's faces.
+
+    The box takes the whole width, depth and height of an item. Its faces are called "front", "back", "left", "right",
+    "top" and "bottom".
+
+    Args:
+        texture: texture of the faces, a name in `base_textures`.
+        tint: linear colour that multiplies this texture.
+        skip: faces to leave out since nobody sees them, separated by spaces, such as "back bottom".
+        faces: textures of single faces by the face's name, which are not tinted; a name in `base_textures` or
+            `print_textures`.
+
+    Example:
+        >>> shelf = Kind(block("beech", WHITE, "bottom", front="pigeonholes"), size=(1.2, 0.35, 1.5))
+    """
 
     def build(b: MeshBuilder, item: Item, _: Rng, _w: float, _d: float, h: float) -> None:
         fill(b, item, (0, h), texture, tint, skip, **faces)
@@ -247,7 +261,13 @@ def block(texture: str, tint: Point = WHITE, skip: str = "", **faces: str) -> Bu
 
 
 def board(picture: str, count: int = 0, rim: Point = (0.2, 0.2, 0.2)) -> Build:
-    """Return the builder of a flat box with a picture, or with one of several, on its front."""
+    """Return the `Kind.build` of items that are a flat box with a picture on the front.
+
+    Args:
+        picture: texture of the front, a name in `print_textures`; without its number if there are several pictures.
+        count: how many numbered pictures there are, one of which is drawn for each item; 0 for a single picture.
+        rim: linear colour of the other faces.
+    """
 
     def build(b: MeshBuilder, item: Item, rng: Rng, _w: float, _d: float, h: float) -> None:
         drawn = f"{picture}{rng.integers(count)}" if count else picture
@@ -257,7 +277,16 @@ def board(picture: str, count: int = 0, rim: Point = (0.2, 0.2, 0.2)) -> Build:
 
 
 def hung(build: Build, width: float, height: float, z: float, depth: float = 0.03, **more: Any) -> Kind:
-    """Return the kind of an item that hangs on a wall, out of a robot's way."""
+    """Return the kind of items that hang on a wall, out of a robot's way.
+
+    Args:
+        build: adds an item to a mesh, as in `Kind`.
+        width: usual width in metres.
+        height: usual height in metres.
+        z: usual height of the lower edge above the floor in metres.
+        depth: usual depth in metres.
+        more: further attributes of `Kind`, such as `options`.
+    """
     return Kind(build, (width, depth, height), z, blocks=False, **more)
 
 

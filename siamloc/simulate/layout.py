@@ -296,11 +296,11 @@ class Building:
         return f"{self.source}, line {line}" if line else self.source
 
     def room_index(self, name: str) -> int:
-        """Return a room's position in the building's order."""
+        """Return the index of a room, by its name, in the order of the building's rooms."""
         return list(self.rooms).index(name)
 
     def openings_in(self, room: Room, side: str) -> list[tuple[int, Opening]]:
-        """Return the openings in one wall of a room, each with its position in `openings`."""
+        """Return the openings in one wall of a room, each with its index in `openings`; `side` is a key of `SIDES`."""
         return [
             (index, opening)
             for index, opening in enumerate(self.openings)

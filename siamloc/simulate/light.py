@@ -82,7 +82,7 @@ class LightTransport:
         building: rooms and windows.
         mesh: all surfaces of the building.
         caster: casts rays against that mesh.
-        detail: level of detail.
+        detail: how finely light is sampled: spacing of the nodes, rays and reflections; `FULL`, or the faster `ROUGH`.
     """
 
     def __init__(self, building: Building, mesh: QuadMesh, caster: Caster, detail: Detail = FULL) -> None:

@@ -75,6 +75,7 @@ class MeshBuilder:
 
     Attributes:
         textures: index and tile size in metres by texture name; a size of None stretches the texture over the quad.
+        room: index of the room that the next quads belong to.
     """
 
     textures: dict[str, tuple[int, tuple[float, float] | None]]
@@ -133,10 +134,11 @@ class MeshBuilder:
         Args:
             low: corner with the smallest coordinates.
             high: corner with the largest coordinates.
-            texture: texture of all faces.
-            tint: colour of the faces with that texture.
-            skip: names of the faces to leave out, such as "back bottom".
-            faces: other textures, by the name of the face.
+            texture: name of the texture of all faces.
+            tint: linear colour that multiplies that texture.
+            skip: faces to leave out, separated by spaces, such as "back bottom"; the six faces are "front" (+y),
+                "back", "right" (+x), "left", "top" (+z) and "bottom".
+            faces: textures of single faces by the face's name; these faces are not tinted.
         """
         start, extent = np.asarray(low, dtype=np.float64), np.asarray(high, dtype=np.float64) - np.asarray(low)
         for name, unit in _CORNERS.items():
@@ -156,7 +158,19 @@ class MeshBuilder:
         stretch: float = 1.0,
         lamp: float = 0.0,
     ) -> None:
-        """Add an upright prism or frustum with a lid; `stretch` scales its depth (y) for flat bodies."""
+        """Add an upright prism or frustum with a lid and without a bottom.
+
+        Args:
+            x: position of its axis in metres.
+            y: position of its axis in metres.
+            z: heights of its bottom and its lid in metres.
+            radius: radius in metres, or radii at the bottom and at the lid.
+            texture: name of the texture.
+            tint: linear colour that multiplies the texture.
+            sides: number of sides.
+            stretch: factor on its depth (y), below 1 for flat bodies.
+            lamp: share of the light of the room's lamps that it emits, as for `quad`.
+        """
         below, above = radius if isinstance(radius, tuple) else (radius, radius)
         angle = np.arange(sides + 1) * (2 * np.pi / sides)
         ring = np.stack([np.cos(angle), stretch * np.sin(angle)], axis=1)

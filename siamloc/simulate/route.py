@@ -122,8 +122,8 @@ def visits(space: FreeSpace, x: Interval, y: Interval, seen: Array, rng: Rng) ->
 
     Args:
         space: free space of the building.
-        x: extent of the room.
-        y: extent of the room.
+        x: start and end of the room along x in metres.
+        y: start and end of the room along y in metres.
         seen: whether each cell can be reached (n,).
         rng: draws among equally good spots.
     """

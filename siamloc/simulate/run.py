@@ -41,7 +41,7 @@ class Run(Settings):
         spacing: metres between frames, or between the positions of the grid.
         trajectory: a `places.lst` whose poses are used instead of the path.
         hour: solar time, which also dims a cloudy sky, 7 to 17 unless it is a night; drawn around a usual one if None.
-        headings: frames at each position of a grid, evenly turned.
+        headings: frames at each position of a grid, at headings 360 degrees / `headings` apart.
         positions: number of positions of a grid; all that are free if None.
 
     Raises:

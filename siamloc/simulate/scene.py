@@ -203,7 +203,13 @@ class Scene:
 
 @typed
 def build_scene(building: Building, run: Run, detail: Detail = FULL, light: Light | None = None) -> Scene:
-    """Put a building into the state of one run and bake its light, or the given light, at a level of detail.
+    """Put a building into the state of one run and bake its light.
+
+    Args:
+        building: the floor plan with its items.
+        run: lighting, number and path of the drive.
+        detail: how finely light is computed: `light.FULL`, or the faster `light.ROUGH`.
+        light: light to bake instead of the light of the run; None for that of the run.
 
     >>> from siamloc.simulate import load_building
     >>> build_scene(load_building("mini"), Run("night", 1, spacing=1.0))

@@ -30,7 +30,13 @@ class Fixtures:
 
 @dataclass(frozen=True)
 class Style:
-    """Colours of a building's woodwork, linear; the doors' leaves use the colours in turn."""
+    """Linear colours of a building's woodwork.
+
+    Attributes:
+        frame: colour of the door frames.
+        leaves: texture and colour of the doors' leaves, which the doors use in turn.
+        skirting: colour of the skirting boards.
+    """
 
     frame: Colour
     leaves: tuple[tuple[str, Colour], ...]
@@ -50,7 +56,12 @@ class Lamp:
 
 
 def draw_style(rng: Rng, materials: str = "standard") -> Style:
-    """Draw the woodwork of a building, in one of a few colours or, for drawn materials, in any colour."""
+    """Draw the woodwork of a building.
+
+    Args:
+        rng: draws the colours.
+        materials: as in `Building`: "standard" draws the frames from a few colours, "drawn" gives them any colour.
+    """
     frames = ((0.10, 0.13, 0.20), (0.30, 0.08, 0.07), (0.08, 0.20, 0.14), (0.22, 0.22, 0.24), (0.75, 0.74, 0.70))
     leaves = ("beech", "wood", "walnut", "plain")
     frame = frames[rng.integers(len(frames))]
@@ -66,7 +77,14 @@ def draw_style(rng: Rng, materials: str = "standard") -> Style:
 
 
 def add_shell(builder: MeshBuilder, building: Building, fixtures: Fixtures, style: Style) -> list[Lamp]:
-    """Add a building's walls, floors, ceilings, doors, windows and lamps; return all lamps, with radiosity 1."""
+    """Add a building's walls, floors, ceilings, doors, windows and lamps; return all lamps, with radiosity 1.
+
+    Args:
+        builder: the mesh to add to.
+        building: the floor plan.
+        fixtures: how far doors are open and blinds are down.
+        style: colours of door frames, door leaves and skirting boards.
+    """
     lamps: list[Lamp] = []
     for index, room in enumerate(building.rooms.values()):
         builder.room = index
@@ -80,7 +98,7 @@ def add_shell(builder: MeshBuilder, building: Building, fixtures: Fixtures, styl
 
 
 def leaf_segment(building: Building, opening: Opening, angle: float) -> Array:
-    """Return the two ends (2, 2) of an open door's leaf on the floor plan."""
+    """Return the two ends (2, 2) in metres of a door's leaf on the floor plan, opened by an angle in degrees."""
     room = building.rooms[opening.into]
     low, high = opening.interval
     hinge, tip = (low, high) if opening.hinge == "low" else (high, low)

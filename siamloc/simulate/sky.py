@@ -60,7 +60,12 @@ def sun_direction(hour: float, north: float, declination: float) -> Array:
 
 
 def overcast(hour: float, declination: float) -> float:
-    """Return the brightness of an overcast sky, relative to noon: 0.3 + 21 sin(elevation) klx (Krochmann 1974)."""
+    """Return the brightness of an overcast sky, relative to noon: 0.3 + 21 sin(elevation) klx (Krochmann 1974).
+
+    Args:
+        hour: solar time in hours.
+        declination: declination of the sun in degrees.
+    """
     now, noon = (0.3 + 21 * max(0.0, float(sun_direction(at, 0, declination)[2])) for at in (hour, 12.0))
     return now / noon
 
@@ -81,11 +86,11 @@ def make_sky(
         lighting: "cloudy", "night" or "sunny".
         rng: draws clouds and brightness, different in every run.
         view: draws trees and houses, the same in every run of a building.
-        hour: solar time.
-        north: direction of north in degrees.
+        hour: solar time in hours.
+        north: direction of north in degrees counter-clockwise from +x.
         declination: declination of the sun in degrees.
         rows: number of rows of the image; it has four times as many columns.
-        brightness: factor of an overcast sky.
+        brightness: factor on the brightness of a cloudy sky, as `overcast` returns it.
     """
     columns = 4 * rows
     elevation = (0.5 - (np.arange(rows) + 0.5) / rows) * np.pi

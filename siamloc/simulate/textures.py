@@ -46,7 +46,18 @@ def noise(rng: Rng, cells: int, octaves: int = 3) -> Array:
 
 
 def base_textures(rng: Rng) -> dict[str, Texture]:
-    """Return the textures that every building has: plain ones, woods, floors, tiles."""
+    """Return the textures that every building has, by name: plain ones, woods, floors, tiles.
+
+    Names that a building file may give a floor, wall or ceiling are listed in `SURFACES`; others, such as "plain",
+    "plastic", "metal" and "fabric", are for items only.
+
+    Args:
+        rng: draws grain, speckles and the like.
+
+    Example:
+        >>> base_textures(np.random.default_rng(0))["carpet"].tile
+        (1.5, 1.5)
+    """
 
     def carpet(colour: Colour) -> Array:
         return _tinted(colour, 0.05 * noise(rng, 128, 1) + 0.035 * noise(rng, 16, 3))
@@ -77,7 +88,7 @@ def base_textures(rng: Rng) -> dict[str, Texture]:
 
 
 def pattern_textures(rng: Rng) -> dict[str, Texture]:
-    """Return further textures with drawn colours: bricks, wallpaper, panelling, stone, planks."""
+    """Return further textures with drawn colours, by name: bricks, wallpaper, panelling, stone, planks."""
     return _square({
         "brick": (_bricks(rng), 1.6),
         "stripes": (_stripes(rng), float(rng.uniform(0.5, 1.6))),

@@ -79,7 +79,14 @@ class Decoder:
         return max(16, round(rows * scale / 16) * 16), max(16, round(columns * scale / 16) * 16)
 
     def fill_sheets(self, paths: Sequence[str], most: int) -> None:
-        """Put small images of the first `most` different files among `paths` on sheets of 8 by 8."""
+        """Read small images of files and put them on sheets of 8 by 8, which `plain` returns.
+
+        `place` then holds the index of each file's image, counted over all sheets row by row.
+
+        Args:
+            paths: paths of image files, each once, the most important file first.
+            most: largest number of files that are read; the rest of `paths` is left out.
+        """
         pixels, quality = _SMALL
         tiles: list[Picture] = []
         for path in track(paths[:most], min(most, len(paths)), "reading pictures"):
