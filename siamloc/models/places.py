@@ -56,7 +56,7 @@ class PlaceModule(NetworkModule):
     Args:
         network: (B, 3, H, W) floating point in [0, 1] -> (B, D): what `siamloc.models.build` makes, or any module.
         loss: (descriptors (N, D), `Origins`) -> scalar, a module or a function; a `SoftContrastiveLoss` if None.
-        optimizer: how the weights are updated.
+        optimizer: algorithm, learning rate and schedule with which the weights are updated.
         recall_radius: radius of `val/recall`, in the unit of the positions.
 
     Raises:

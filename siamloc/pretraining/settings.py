@@ -22,8 +22,9 @@ class ViewSettings(Settings):
         lights: number of lightings of each drive.
         poses: maximum number of poses of each drive.
         spacing: metres between poses.
-        cameras: cameras in the buildings: any, panoramas only, or only the built_in camera.
-        exposure: drawn at random, or metered for the best exposure and white balance, without noise.
+        cameras: cameras in the buildings: "any", "panoramas" for panorama cameras only, or "built_in" for only the
+            built-in panorama camera.
+        exposure: "drawn" at random, or "metered" for the best exposure and white balance, without noise.
         processes: number of rendering processes; 0 renders in the training process.
     """
 

@@ -47,6 +47,9 @@ class Renderer:
     def begin(self, wanted: Wanted) -> None:
         """Start rendering a building in a process, unless it has been started.
 
+        Args:
+            wanted: positional arguments of `siamloc.simulate.views.draw_views`, beginning with the building's seed.
+
         Raises:
             DataError: a rendering process has died.
         """
@@ -61,6 +64,9 @@ class Renderer:
 
     def views(self, wanted: Wanted) -> Views:
         """Return the images of a building; waits if they are not ready.
+
+        Args:
+            wanted: as for `begin`.
 
         Raises:
             DataError: a rendering process has died.
@@ -100,7 +106,12 @@ class Renderer:
 
 
 def building_seed(seed: int, number: int) -> int:
-    """Return the seed of the n-th building of a training with the given seed, for `draw_views`."""
+    """Return the seed, for `draw_views`, of a building of a training.
+
+    Args:
+        seed: seed of the training.
+        number: number of the building over all processes, from 0.
+    """
     return (seed * _STEP + number) % _SEEDS
 
 
@@ -111,8 +122,8 @@ class BuildingStream:
     Attributes:
         renderer: renders the buildings.
         image_size: rows and columns of the images.
-        settings: settings of the buildings.
-        seed: seed of the training.
+        settings: how many drives, lights and poses each building has, and how many buildings are in memory.
+        seed: seed of the training, from which the seed of each building follows.
         rank: number of this process among those that train together; each has its own buildings.
         world_size: number of those processes.
     """
@@ -154,7 +165,12 @@ class BuildingStream:
 
 
 def frames_of(views: Views, name: str) -> FrameTable:
-    """List the images of a building as frames; each light counts as its own lighting."""
+    """List the images of a building as frames; each light counts as its own lighting.
+
+    Args:
+        views: the images.
+        name: name of the building, which distinguishes its frames from those of other buildings.
+    """
     count = len(views)
     return FrameTable(
         path=np.array([f"{name}, picture {number}" for number in range(count)]),
@@ -246,9 +262,9 @@ class ViewDataModule(EpochDataModule):
 
     Args:
         image_size: rows and columns of the images.
-        views: settings of the buildings.
-        places: how batches are drawn; `epoch_batches` is required.
-        augmentation: augmentation of the images; None for none.
+        views: which buildings are rendered, and how many are in use at a time.
+        places: how many places and images a batch has, and how places are drawn; `epoch_batches` is required.
+        augmentation: changes the rendered images, such as their contrast; None leaves them as they are.
         seed: seed of the buildings and batches.
     """
 

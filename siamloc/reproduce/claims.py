@@ -51,7 +51,7 @@ class Claim(Settings):
 
     Attributes:
         id: id of the claim.
-        source: place of the sentence in the document.
+        source: document, section, table and figures that the sentence is about.
         sentence: the claim in our words.
         check: what numbers must fulfil, see the module's docstring.
         entries: ids of the published numbers in the sentence; empty if these are in a figure.
@@ -75,8 +75,9 @@ class Finding:
     """The result of checking a claim against numbers.
 
     Attributes:
-        holds: whether the numbers support the claim; None if they do not decide.
-        why: why the numbers do not decide; "" if they do.
+        holds: whether the numbers support the claim; None if they do not decide, since numbers are missing, equal, or
+            differ by less than the spread over seeds.
+        why: the reason, in words, why the numbers do not decide; "" if they do.
     """
 
     holds: bool | None
@@ -104,8 +105,11 @@ def spread_of(kind: str, one: Record) -> float:
     """Return the standard deviation over seeds of a number that was measured with one seed, as `claims.yaml` states it.
 
     Args:
-        kind: the kind of experiment.
-        one: the number.
+        kind: the kind of experiment, a key of `siamloc.reproduce.experiments.KINDS`, such as "retrieval".
+        one: the number, with the name of its measure.
+
+    Returns:
+        The deviation in the unit of the number's value; 0 if `claims.yaml` states none.
     """
     stated = float(contents("claims")["spreads"].get(kind, {}).get(one.measure, 0))
     relative = measures().get(one.measure, {}).get("unit", "1") not in ("1", "share")

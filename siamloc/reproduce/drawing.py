@@ -57,7 +57,12 @@ def drawn(figures: Sequence[Figure], records: Sequence[Record]) -> Picture:
 
 
 def names_of(figure: Figure, key: str) -> list[str]:
-    """Return the names of the settings in a panel's `series` or `panels`: none, one or several."""
+    """Return the names of the settings that distinguish the lines or the panels of a figure: none, one or several.
+
+    Args:
+        figure: settings of a panel, as for `drawn`.
+        key: "series" for the lines, "panels" for the panels.
+    """
     named = figure.get(key, "descriptor" if key == "series" and "y" not in figure else [])
     return [named] if isinstance(named, str) else list(named)
 

@@ -187,13 +187,18 @@ def over_seeds(records: Sequence[Record]) -> list[Record]:
 
 @cache
 def contents(name: str) -> dict[str, Any]:
-    """Return the contents of a YAML file of this package, such as "published"; read once."""
+    """Return the contents of a YAML file of this package: "published", "claims" or "study_book"; read once."""
     found: dict[str, Any] = yaml.safe_load(Path(__file__).with_name(f"{name}.yaml").read_text(encoding="utf-8"))
     return found
 
 
 def named(known: Mapping[str, Entry], id: str, what: str) -> Entry:
     """Return an entry of a list by its id.
+
+    Args:
+        known: the entries by id.
+        id: id of the entry.
+        what: noun for an entry in the error message, such as "claim".
 
     Raises:
         ConfigError: an unknown id; the message names similar ones.

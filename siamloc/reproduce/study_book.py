@@ -208,13 +208,21 @@ def seconds_of(job: Job, scale: str) -> float:
 
 
 def axis(name: str) -> Mapping[str, Any]:
-    """Return the labels of a setting in figures: `says`, `short`, `unit`, `factor`, and the axis's `largest` value."""
+    """Return the labels of a setting in figures: `says`, `short`, `unit`, `factor`, and the axis's `largest` value.
+
+    Args:
+        name: name of the setting in siamloc, as in `Record.settings`; a setting without labels gives an empty mapping.
+    """
     found: Mapping[str, Any] = contents("study_book")["axes"].get(name, {})
     return found
 
 
 def data_named(name: str) -> Mapping[str, Any]:
-    """Return how to read a data set: `root`, `title`, and its sequences by run name."""
+    """Return how to read a data set: `root`, `title`, and its sequences by run name.
+
+    Args:
+        name: "cold", "freiburg_sim" or "mini".
+    """
     found: Mapping[str, Any] = contents("study_book")["data"][name]
     return found
 

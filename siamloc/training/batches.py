@@ -39,7 +39,7 @@ class BatchAugmentation(Settings):
     Attributes:
         effect: an effect or a policy of `augment`.
         where: "cpu", where batches are gathered, or "gpu", after the batch was transferred to the device.
-        seed: any whole number that is not negative.
+        seed: seed of the random parameters, a whole number that is not negative.
 
     Raises:
         ConfigError: a value of the wrong kind.
@@ -67,7 +67,7 @@ class BatchAugmentation(Settings):
 
         Args:
             item: the batch, where `frame` has an entry for each image.
-            batch: epoch, and number of the batch.
+            batch: number of the epoch, and number of the batch in the epoch, both from 0.
             image_shape: (3, H, W).
             rank: number of this process among those that draw a batch together.
             world_size: number of those processes.

@@ -79,7 +79,12 @@ class _MovableCheckpoint(ModelCheckpoint):
 
 
 def checkpoint_callbacks(folder: Path, monitor: str | None) -> list[Callback]:
-    """Make the callbacks that write `last.ckpt` after every epoch, and `best.ckpt` by the best logged figure."""
+    """Make the callbacks that write `last.ckpt` after every epoch, and `best.ckpt` by the best logged figure.
+
+    Args:
+        folder: folder of the checkpoints.
+        monitor: name of the logged figure that chooses the best epoch, such as "val/error"; None writes no `best.ckpt`.
+    """
     common: dict[str, Any] = {"dirpath": folder, "save_top_k": 1, "enable_version_counter": False}
     last = _MovableCheckpoint(filename="last", save_on_train_epoch_end=True, **common)
     if monitor is None:
@@ -139,7 +144,8 @@ class Curves(Checkpoint):
 
     Args:
         run: run of the training.
-        monitor: the figure by which the best epoch is chosen; None if nothing is validated.
+        monitor: name of the logged figure that chooses the best epoch, such as "val/error"; None if nothing is
+            validated.
         pace: speed of the training, for the printed lines.
         patience: number of epochs without a better figure after which the training stops; never if None.
     """

@@ -198,7 +198,7 @@ def learn(
         settings: settings of the training.
         trainer: further arguments of `lightning.Trainer`.
         monitor: validation figure by which the checkpoint is chosen; None if nothing is validated.
-        what: description of the training data.
+        what: description of the training data, for a printed line, such as "412 frames".
         resume: continue from the last checkpoint.
         overwrite: replace an existing run.
         notes: notes for the user, printed once everything is checked.

@@ -30,8 +30,8 @@ class PairBatches(Dataset[dict[str, Any]]):
     or `rows` (2 B,) as in `Panoramas.of`; `label` (B,) float32 and `same` (B,) bool.
 
     Attributes:
-        panoramas: panoramas of the sampler's frames.
-        sampler: draws the pairs.
+        panoramas: gives the images of the sampler's frames, or their numbers on the device.
+        sampler: draws the pairs of frames of each epoch, with their labels.
         batch_size: pairs in a batch; the last batch may be smaller.
         augmentation: augmentation of the images; None for none.
         rank: number of this process among those that train together.
@@ -94,7 +94,7 @@ class PairDataModule(EpochDataModule):
         drive: map frames and queries that are described after the validation pairs, such as `validation_drive` makes.
         workers: processes that gather batches; 0 gathers in the training process, which is fastest on a CPU.
         augmentation: augmentation of the training images; none if None.
-        seed: seed of the pairs.
+        seed: seed of the draws of pairs, in training and validation.
 
     Raises:
         ConfigError: a batch size below 1.

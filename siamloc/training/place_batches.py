@@ -26,11 +26,11 @@ class PlaceBatches(Dataset[dict[str, Any]]):
     """The batches of places of every epoch: item (epoch, i) is a whole batch.
 
     Each item is a dictionary: `images` (N, 3, H, W) uint8, or `rows` (N,) as in `Panoramas.of`; `xy` (N, 2) float32;
-    `building`, `room` and `frame` (N,), whole numbers; and `theta` (N,) float32.
+    `building`, `room` and `frame` (N,), whole numbers; and `theta` (N,) float32, in rad.
 
     Attributes:
-        panoramas: panoramas of the sampler's frames.
-        sampler: draws the frames.
+        panoramas: gives the images of the sampler's frames, or their numbers on the device.
+        sampler: draws the places of each batch, and the frames of each place.
         augmentation: augmentation of the images; None for none.
         rank: number of this process among those that train together.
         world_size: number of those processes.
@@ -85,7 +85,8 @@ class PlaceDataModule(EpochDataModule):
         train: training frames, among those of the library.
         validation: frames that are searched among the training frames after every epoch, or None. At most 500 of both
             are used, evenly spaced.
-        places: how batches are drawn; the defaults of `PlaceSettings` if None.
+        places: how many places and images a batch has, and how places are drawn; the defaults of `PlaceSettings` if
+            None.
         workers: processes that gather batches; 0 gathers in the training process, which is fastest on a CPU.
         augmentation: augmentation of the training images; none if None.
         seed: seed of the batches.

@@ -25,7 +25,7 @@ class Recipe:
         image_size: rows and columns of the panoramas.
         model: arguments of `siamloc.models.build`.
         loss: name and parameters of a loss over batches of places; None for the contrastive loss of pairs.
-        augmentation: as for `siamloc.training.fit`.
+        augmentation: augmentation of the training images: a policy's name, or plain values as in a policy file.
         training: fields of `siamloc.training.Training`.
         trainer: arguments of Lightning's trainer.
         summary: what the recipe is for, in one line.

@@ -28,7 +28,7 @@ class Learning(Settings):
         seed: seed of the pairs and their augmentation; `siamloc.models.build` has its own for the initial weights.
         pairs: which pairs of frames with which labels (`PairSettings`), or which batches of places, where all pairs in
             a batch are used (`PlaceSettings`).
-        optimizer: how the weights are updated.
+        optimizer: algorithm, learning rate and schedule with which the weights are updated.
         clip: length to which the gradient is clipped; no clipping if None.
         average: decay of the moving average of the weights, which is then the result; no average if None.
         monitor: validation figure by which the checkpoint is chosen: "error", the mean localization error; "recall",

@@ -45,6 +45,13 @@ OF_STEPS = ("accumulate_grad_batches", "limit_train_batches", "max_steps")
 def run_trainer(run: Run, settings: Training, further: Mapping[str, Any] | None, monitor: str | None) -> Trainer:
     """Make the trainer of a run: checkpoints, curves and TensorBoard files go to the run's folder.
 
+    Args:
+        run: the run.
+        settings: number of epochs, clipping, moving average, patience and checkpoints within epochs.
+        further: further arguments of `lightning.Trainer`.
+        monitor: name of the logged figure that chooses the best epoch, such as "val/error"; None if nothing is
+            validated.
+
     Raises:
         ConfigError: arguments that Lightning refuses, or that siamloc sets itself.
     """

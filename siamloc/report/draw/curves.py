@@ -187,8 +187,8 @@ def swept_curves(
 
     Args:
         rows: for each training or evaluation, its settings and the measure; NaN if unknown.
-        settings: names of the settings that differ.
-        by: name of the measure.
+        settings: names of the settings that differ, keys of `rows`.
+        by: name of the measure, a key of `rows`, such as "error".
         against: the setting on the x axis; if None, the first numeric setting other than a seed, or else the first.
         highest: whether the highest value is the best.
 

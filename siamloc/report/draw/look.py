@@ -130,7 +130,13 @@ def shared_legend(
     columns: int,
     place: Literal["outside upper center", "outside lower center"] = "outside lower center",
 ) -> None:
-    """Add one legend for all panels: the lines of the first panel, above or below all of them."""
+    """Add one legend with the lines of the first panel for all panels.
+
+    Args:
+        figure: figure with at least one panel.
+        columns: number of columns of the legend.
+        place: "outside upper center", above all panels, or "outside lower center", below all of them.
+    """
     handles, labels = figure.axes[0].get_legend_handles_labels()
     figure.legend(handles, labels, loc=place, ncols=columns)
 

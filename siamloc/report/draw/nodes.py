@@ -188,7 +188,7 @@ def add_graph(
     """Draw nodes as dots with their names, and the ways between nodes as lines.
 
     Args:
-        axes: where to draw.
+        axes: matplotlib axes of the plan, to which the graph is added.
         places: positions of the nodes (k, 2).
         edges: pairs of nodes (e, 2).
         colours: colour of each node (k,).

@@ -41,7 +41,7 @@ def differences(evaluations: Mapping[str, Evaluation]) -> list[str]:
     order of the frames and the descriptor do not matter.
 
     Args:
-        evaluations: evaluations by title.
+        evaluations: results of two or more evaluations, by the title that the sentences use.
     """
     (first, one), *others = evaluations.items()
     found = []

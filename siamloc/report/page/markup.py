@@ -68,7 +68,7 @@ def fragment(file: str, /, **values: Content) -> Markup:
 
 
 def section(title: str, *children: Content, name: str) -> Markup:
-    """Return a section of the page with its heading."""
+    """Return a section of the page with its heading; `name` is the class of the element, for the style sheet."""
     return tag("section", tag("h3", title), *children, class_=name)
 
 
@@ -81,7 +81,13 @@ def script_data(identifier: str, value: Any) -> Markup:
 
 
 def plural(value: int, what: str, many: str | None = None) -> str:
-    """Return a count with its noun: "1 query", "1,887 queries"."""
+    """Return a count with its noun: "1 query", "1,887 queries".
+
+    Args:
+        value: the count.
+        what: the noun in the singular.
+        many: the noun in the plural; `what` with an "s" if None.
+    """
     return f"{count(value)} {what if value == 1 else many or what + 's'}"
 
 

@@ -42,7 +42,12 @@ class Part:
     decoder: Decoder
 
     def figure(self, key: str, title: str) -> Markup | None:
-        """Return a figure by its name in `draw.pictures`; None if there are no numbers for it."""
+        """Return a figure as SVG for the page; None if there are no numbers for it.
+
+        Args:
+            key: name of the figure, listed in `siamloc.report.draw.suitable.pictures`, such as "floor_plan".
+            title: beginning of the description for screen readers; the part's title follows.
+        """
         draw = self._figures.get(key)
         return None if draw is None else inline(draw(), f"{key}-{self.number}", f"{title}, {self.title}")
 
