@@ -114,7 +114,7 @@ def aligned_distances(name: str, queries: Description, references: Description, 
         name: a name in `analytic.DISTANCES`.
         queries: n descriptions.
         references: m descriptions.
-        turns: the turns that `best_turns` found for them.
+        turns: the best turn of each pair, from `best_turns`.
 
     Example:
         >>> import analytic
@@ -160,8 +160,8 @@ def directly(
 
     Args:
         apart: (n, m) the distances of all other pairs.
-        close: (n, m) which pairs are close.
-        step: (n, m) turn of each pair.
+        close: (n, m) True for pairs whose entry in `apart` is too imprecise.
+        step: (n, m) turn of each pair, in steps.
         turned: returns, for the index of a query, the function that turns it back by a number of steps.
         references: (m, ...) values to compare with.
         measure: distance of a turned query and a reference.

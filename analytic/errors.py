@@ -23,6 +23,11 @@ class AnalyticError(ConfigError):
 def known(name: object, valid: Iterable[str], what: str) -> str:
     """Check that a name, such as the name of a descriptor, is among the valid ones, and return it.
 
+    Args:
+        name: the name.
+        valid: the valid names.
+        what: noun for a valid name in the error message, such as "descriptor".
+
     Raises:
         AnalyticError: the name is not valid, or not a string.
 

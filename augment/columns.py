@@ -111,7 +111,7 @@ class Occlude(Effect):
 
 
 def wrapped(angle: Tensor) -> Tensor:
-    """Wrap angles to (-pi, pi]."""
+    """Wrap angles in rad to (-pi, pi]."""
     return pi - (pi - angle) % (2 * pi)
 
 

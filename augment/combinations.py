@@ -52,8 +52,8 @@ class Variant:
         The parameters of a frame depend only on the seed, the variant and the frame's number.
 
         Args:
-            seed: seed of the expansion, 0 or more.
-            frames: numbers of the frames.
+            seed: seed of the expansion, a whole number, 0 or more.
+            frames: numbers of the frames in the expanded data set, from 0.
             size: rows and columns of the images.
         """
         count = len(self.policy.spans(*size))

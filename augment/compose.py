@@ -113,7 +113,7 @@ class Policy(Effect):
         return {**spans, "heading": Range(0, 0)}
 
     def complete(self, params: Params, count: int, height: int, width: int) -> Params:
-        """Decide which effects each frame gets, and add up the headings of their rotations."""
+        """Decide which effects each frame gets, and add up the headings of their rotations, in rad in (-pi, pi]."""
         taken = self._decide(params, count)
         done: Params = {}
         heading = torch.zeros(count)

@@ -131,9 +131,9 @@ def headings(frames: int, depth: int, seed: int, size: tuple[int, int], circular
     For layouts that carry the heading in the file name: it is known before any image is made.
 
     Args:
-        frames: number of frames.
-        depth: number of variants of each frame.
-        seed: seed of the expansion.
+        frames: number of source images.
+        depth: number of variants of each source image.
+        seed: seed that `expand` gets, from which the rotations follow.
         size: rows and columns of the images.
         circular: whether columns wrap around; if not, all are 0.
 

@@ -39,7 +39,7 @@ class Relight(Layer):
 
         s_k = stops (slope e + sum_n cos(n a + phase_n) (1 + tilt_n e) / n) + warmth (1, 0, -1)_k cos(a),  n = 1 ... 4
 
-    where a is the azimuth from `column` and e runs from 1 in the first row to -1 in the last. Away from the
+    where a is the azimuth in rad from `column` and e runs from 1 in the first row to -1 in the last. Away from the
     edges of shadows, a room seen from one point under other lamps or another sky changes in about this way.
 
     Args:

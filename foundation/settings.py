@@ -144,6 +144,12 @@ def defaults_of(kind: type[Settings]) -> dict[str, Any]:
 def checked(value: Any, kind: Any, key: str, error: type[Exception] = ConfigError) -> Any:
     """Return a value in the form of its annotation: lists become tuples, numpy numbers and arrays plain values.
 
+    Args:
+        value: the value.
+        kind: annotation that the value must fit, such as `Positive` or `tuple[int, int]`.
+        key: name of the value in the error message.
+        error: class of the error.
+
     Raises:
         ConfigError: naming the key, what it should be, and what it is; or another `error`.
     """

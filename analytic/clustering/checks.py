@@ -18,6 +18,10 @@ _BLOCK_BYTES = 32 << 20
 def vectors(values: ArrayLike, what: str = "descriptors") -> Floats:
     """Check vectors and return them as float64 (n, D), n and D at least 1.
 
+    Args:
+        values: vectors of shape (n, D).
+        what: noun for the vectors in the error message.
+
     Raises:
         AnalyticError: a wrong shape, no rows, or values that are not finite.
     """

@@ -85,7 +85,7 @@ class Descriptor(ABC):
         return between_units(queries.units(centred), references.units(centred))
 
     def align(self, queries: Description, references: Description) -> Alignment:
-        """Return the relative heading and the aligned distance of every query to every reference (n, m).
+        """Return the relative heading in rad and the aligned distance (n, m) of each query to each reference.
 
         The turn is the one with the largest circular correlation of the orientation parts, which is also the one
         with the smallest Euclidean distance between them, since turning does not change their lengths.
@@ -121,7 +121,7 @@ class Descriptor(ABC):
     def localize(self, queries: Description, references: Description, distance: str | None = None) -> Match:
         """Return the nearest reference by the position descriptor, and the heading relative to it ([T] 3.3).
 
-        Headings are NaN if the descriptions have no orientation part.
+        Headings are in rad, counter-clockwise, in (-pi, pi]; they are NaN if the descriptions have no orientation part.
 
         Raises:
             AnalyticError: no references, or descriptions that cannot be compared.
@@ -309,7 +309,14 @@ def check_cells(made: Any, height: int, width: int, rows: str = "rows") -> None:
 
 
 def check_divides(made: Any, key: str, pixels: int, side: str) -> None:
-    """Raise AnalyticError unless a parameter of a descriptor divides the height or the width of an image."""
+    """Raise AnalyticError unless a parameter of a descriptor divides the height or the width of an image.
+
+    Args:
+        made: the descriptor.
+        key: name of the parameter, such as "rows".
+        pixels: the height or the width of the image.
+        side: "height" or "width", for the message.
+    """
     value = getattr(made, key)
     if pixels % value:
         raise AnalyticError(

@@ -37,7 +37,7 @@ class BetweenColumns(Descriptor):
     """
 
     def align(self, queries: Description, references: Description) -> Alignment:
-        """Return the relative heading and aligned distance (n, m) of each query to each reference; see the class."""
+        """Return the relative heading in rad and the aligned distance (n, m) of each query to each reference."""
         self.check(queries, references)
         columns = self._steps(queries, references)
         turns = _turns(columns)

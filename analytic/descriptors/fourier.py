@@ -97,7 +97,7 @@ class FourierSignature(ImageDescriptor):
         return (self.rows, self.columns), (self.orientation_rows, self.orientation_columns)
 
     def align(self, queries: Description, references: Description) -> Alignment:
-        """Return the relative heading and aligned distance (n, m) of each query to each reference; see the class."""
+        """Return the relative heading in rad and the aligned distance (n, m) of each query to each reference."""
         self.check(queries, references)
         self._steps(queries, references)  # checks that both have an orientation part
         step, distance = (self._correlated if self.heading == "correlation" else self._multiplied)(queries, references)

@@ -161,8 +161,8 @@ def choose(orientations: int, orientation_filters: int) -> tuple[tuple[float, ..
     reflected rows, up to the sign of its phase: one transform of the 2 H rows gives two orientations.
 
     Returns:
-        The angles in [0, pi / 2] to compute, the others being reflections of these; the indices of the angles that the
-        orientation part needs; for each filter of the position part the index of its angle, and 1 if it is the
+        The angles to compute, in rad in [0, pi / 2], the others being reflections of these; the indices of the angles
+        that the orientation part needs; for each filter of the position part the index of its angle, and 1 if it is the
         reflected one; and the same for the orientation part, among the angles that it needs.
     """
     counts = orientations, orientation_filters

@@ -59,12 +59,19 @@ _SPACING = 0.5  # pixels between the points of a line
 
 
 def steps(step: float) -> int:
-    """Return the number of orientations in a full turn, 360 / step."""
+    """Return the number of orientations in a full turn, 360 / step, for a step in degrees."""
     return round(360 / step)
 
 
 def check_square(name: str, source: str, height: int, width: int) -> None:
-    """Raise AnalyticError for an omnidirectional image that is not square."""
+    """Raise AnalyticError for an omnidirectional image that is not square.
+
+    Args:
+        name: name of the descriptor, for the message.
+        source: "panorama", which may have any size, or "omnidirectional".
+        height: rows of the image.
+        width: columns of the image.
+    """
     if source == "omnidirectional" and height != width:
         raise AnalyticError(
             f"{name} with source='omnidirectional' takes square images with the mirror's centre in the middle, got "

@@ -136,8 +136,8 @@ def image_level(
 
     Args:
         descriptor: the descriptor that measures distances.
-        query: one frame.
-        nodes: the candidates.
+        query: description of one frame.
+        nodes: the nodes with whose frames the query is compared.
         distance: name of the distance between position descriptors; None is the descriptor's own.
         leave_out: number of a frame that is not compared: the query itself.
     """
@@ -189,7 +189,7 @@ def prominences_of(similarity: Similarity, labels: Integers, candidates: Collect
     The curve falls to zero wherever frames of other nodes, or without a node, lie in between.
 
     Args:
-        similarity: to the frames of the candidates.
+        similarity: similarity of a query to the n frames of the candidate nodes.
         labels: (N,) node of every frame of the map, -1 for none.
         candidates: ids of the candidate nodes.
     """

@@ -105,7 +105,7 @@ def line_of(decision: Decision, poses: list[Any]) -> str:
 
     Args:
         decision: on one frame, or on several that were added at once; then its `frame` is the last.
-        poses: poses of those frames.
+        poses: the identifiers or poses with which the frames were added, one for each frame.
     """
     event = {
         "frames": list(range(decision.frame - len(poses) + 1, decision.frame + 1)),

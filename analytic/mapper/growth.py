@@ -24,14 +24,14 @@ class State:
     """A map between two frames. A frame is added to a copy, which replaces the map if everything succeeds.
 
     Attributes:
-        rules: the parameters of the map.
+        rules: the thresholds that decide how the map grows.
         nodes: nodes by id, in no particular order.
         parked: candidates of version 1, the oldest first.
         labels: (n,) node of each frame, -1 for none.
         matches: (n,) the frame most similar to each frame when that was added, -1 for none.
         recent: the last frames and their descriptions.
         pending: the consecutive frames without a node up to the last one.
-        next_id: id of the next node.
+        next_id: id that the next node will get; ids are never used twice.
         changes: changes made while a frame was added.
         calls: number of successful calls of `add` and `maintain`.
     """

@@ -105,7 +105,7 @@ def ledoit_wolf(product: Floats, squares: Floats, size: int) -> float:
     Args:
         product: Y^T Y (D, D) or Y Y^T (n, n), which have the same trace and the same norm.
         squares: (n,) the |y|^2.
-        size: D.
+        size: D, the number of values of a position descriptor.
     """
     count = len(squares)
     spread = float(np.einsum("ij,ij->", product, product)) / count**2
@@ -136,7 +136,7 @@ class Gallery:
 
     Attributes:
         frames: (n,) numbers of the frames, in the order in which they joined.
-        shown: descriptions of the frames.
+        shown: descriptions of the frames, in the same order.
     """
 
     frames: Integers

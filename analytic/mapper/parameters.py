@@ -24,7 +24,7 @@ class Parameters(Settings):
         y: width of the merging condition, eq. 11; the larger, the more merging.
         gamma: how many times the mean prominence the best image must reach, eq. 8; version 1 only.
         x_start: x is max(omega, x_start - x_slope * nodes).
-        x_slope: see `x_start`.
+        x_slope: decrease of x, eq. 4, with each node; see `x_start`.
         two_sided: eq. 4 and 11 as published, |distance - mean| <= x * std; False drops the lower side, so that a frame
             nearer to a node than its own frames also closes.
         merge: "changed" checks for merging whenever the contents of a node change ([T] 4.5.2), "created" only for a
@@ -33,15 +33,15 @@ class Parameters(Settings):
         orientation: whether the aligned orientation parts are compared too, where the descriptor has them.
         shrinkage: "ledoit_wolf", or a fixed share of the identity in (0, 1].
         held_out: share of a node's frames that form the Gaussian of eq. 4 instead of its mean and covariance.
-        first_node: frames that form the first node.
+        first_node: number of consecutive frames that form the first node.
         new_node: consecutive frames without a node that form the next one; version 1.
         parked_nodes: the largest number of candidates that wait; of more, the oldest is forgotten; version 1.
         checked_unassigned: frames without a node, of the last `checked_window`, that call for a new one; version 2.
-        checked_window: see `checked_unassigned`.
+        checked_window: number of last frames in which `checked_unassigned` counts.
         forced_unassigned: frames without a node, of the last `forced_window`, that force a new one; version 2.
-        forced_window: see `forced_unassigned`.
+        forced_window: number of last frames in which `forced_unassigned` counts.
         node_changes: changes of node in the last `changes_window` frames that call for a new one; version 2.
-        changes_window: see `node_changes`.
+        changes_window: number of last frames in which `node_changes` counts.
         window: frames before a new node that are evaluated again with the node's frames; version 2.
         smallest_node: the fewest frames that a node keeps when others leave it, and that a mode needs.
         exemplars: largest number of frames of a mode kept for comparing images, and of held-out frames; None keeps all.

@@ -55,8 +55,8 @@ def silhouette(
 ) -> float:
     """Measure how compact clusters are by the average silhouette of positions or of descriptors, in [-1, 1].
 
-    Higher is more compact. See `silhouettes` for both modes, the arguments and the errors. With "nearest" every frame
-    weighs the same ([C] eq. 8, 10); with "pooled" every cluster does ([I] eq. 12).
+    Higher is more compact. See `silhouettes` for the arguments, their values and the errors. With mode="nearest" every
+    frame weighs the same ([C] eq. 8, 10); with "pooled" every cluster does ([I] eq. 12).
 
     Examples:
         >>> points = [[0.0, 0.0], [0.0, 1.0], [9.0, 0.0], [9.0, 1.0]]

@@ -105,7 +105,10 @@ def _spacing(frames: FrameTable) -> str:
 
 
 def wrong_headings(frames: FrameTable) -> Iterator[str]:
-    """Return a sentence for each fault of the headings: their range, or a disagreement with the robot's movement."""
+    """Return a sentence for each fault of the headings: degrees instead of rad, or clockwise, or x and y exchanged.
+
+    Headings are compared with the directions in which the robot moves between frames.
+    """
     theta = frames.theta[np.isfinite(frames.theta)]
     beyond, largest = int((np.abs(theta) > _TURN + 0.01).sum()), np.abs(theta).max(initial=0)
     heading, travel = _moving(frames)

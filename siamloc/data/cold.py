@@ -158,7 +158,10 @@ def _read_sequence(source: _Source, on_error: str) -> tuple[list[dict[str, Any]]
 
 
 def read_list(path: Path) -> list[dict[str, Any]]:
-    """Read a list with `<image name> <room code>` on each line: image, room, time, x, y and theta of each frame.
+    """Read a list with `<image name> <room code>` on each line.
+
+    Returns:
+        `image`, `room`, `time` in seconds, `x` and `y` in metres, and `theta` in rad of each frame.
 
     Raises:
         DataError: the list cannot be read or is empty, or a line is malformed or repeats an image.

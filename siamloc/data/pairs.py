@@ -74,8 +74,8 @@ class PairSampler:
 
     Args:
         frames: the frames to pair (N).
-        settings: which pairs; the defaults of `PairSettings` if None.
-        seed: seed of all draws.
+        settings: label, number and share of same-room pairs; the defaults of `PairSettings` if None.
+        seed: seed from which the pairs of all epochs follow.
 
     Attributes:
         label: "room" or "distance".

@@ -54,8 +54,9 @@ class PlaceSampler:
 
     Args:
         frames: the frames to draw from (N), all with positions unless places are drawn by sequence.
-        settings: which images; the defaults of `PlaceSettings` if None.
-        seed: seed of all draws.
+        settings: how many places and images a batch has, and how near to each other the images of a place are; the
+            defaults of `PlaceSettings` if None.
+        seed: seed from which the batches of all epochs follow.
 
     Raises:
         ConfigError: a batch of fewer than two places, or more than there are frames.
@@ -127,7 +128,7 @@ class PlaceSampler:
         ]
 
     def check_processes(self, processes: int) -> None:
-        """Raise ConfigError unless there are enough frames for the places that so many processes draw together."""
+        """Raise ConfigError unless there are frames for the places of a batch: `places` for each of `processes`."""
         places = self.settings.places * processes
         if places > len(self.frames):
             raise ConfigError(
@@ -137,6 +138,12 @@ class PlaceSampler:
 
     def batch(self, epoch: int, number: int, rank: int = 0, world_size: int = 1) -> NDArray[np.int64]:
         """Return the rows of the frames in one process's batch (places * images,), place after place.
+
+        Args:
+            epoch: number of the epoch, from 0.
+            number: number of the batch in the epoch, from 0.
+            rank: number of this process among those that train together.
+            world_size: number of those processes.
 
         Raises:
             ConfigError: there are more places than frames.

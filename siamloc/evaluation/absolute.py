@@ -146,6 +146,11 @@ def pose_measures(
 def estimate_measures(columns: Mapping[str, NDArray], name: str, about: Mapping[str, Any]) -> dict[str, Any]:
     """Return the measures of a further estimate of each query, from the columns of `queries.csv`.
 
+    Args:
+        columns: columns of `queries.csv`, with those of the estimate, such as `filtered_error`.
+        name: name of the estimate, a key of `siamloc.results.FURTHER`, such as "filtered".
+        about: unit, map_frames, radii and ks of the evaluation, which the measures repeat.
+
     Returns:
         The measures of `pose_measures`, but with the recall only for the estimate itself (k = 1). The excess is
         relative to the nearest map frame, and negative if an estimate between frames is nearer. `inside` is the share

@@ -43,7 +43,7 @@ def buildings(
         queries: frames with a building; those without are left out.
         layers: coarse layer for the map of each building, by the building's name; map frames are compared if None.
         protocol: which map frames a query may be compared with; see `localization`.
-        name: name of the results.
+        name: names the result folder and the rows in comparisons; the name of the descriptor if None.
 
     Raises:
         ConfigError: fewer than two buildings, maps with different descriptors or distances, a building without its

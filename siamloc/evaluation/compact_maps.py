@@ -84,7 +84,7 @@ def compact(
         clusters: a map of the same frames with the descriptors to be clustered ([C] 5.3: nodes by gist, representatives
             by another descriptor); `known` if None.
         protocol: which map frames a query may be compared with; see `localization`.
-        name: name of the results.
+        name: names the result folder and the rows in comparisons; the name of the descriptor if None.
         seed: seed of the clusterings.
         settings: all settings in one object, instead of one keyword each.
 

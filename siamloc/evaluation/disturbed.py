@@ -48,7 +48,7 @@ class Robustness(Settings):
         radius: the share of queries located within this radius is measured, in the unit of the positions.
         noise: noise variances for images in [0, 1]; the levels of the thesis if None, no noise if ().
         occlusion: shares of the columns behind bars; the levels of the thesis if None, no bars if ().
-        bars: number of bars.
+        bars: number of upright bars that together hide that share of the columns.
         bar_colour: "black", "grey", or "mean", the mean colour of each image.
         bar_place: where bars stand, from 0, left, to 1, right, each in its own part of the image; drawn if None. See
             `analytic.disturb.occlude`.
@@ -140,7 +140,7 @@ def robustness(
         queries: frames to locate.
         protocol: which map frames a query may be compared with; see `localization`.
         baselines: descriptors measured on the same frames; see `localization`.
-        name: name of the results.
+        name: names the result folder and the rows in comparisons; the name of the descriptor if None.
         seed: seed of the noise, the bars and the places of effects.
         settings: all settings in one object, instead of one keyword each.
 
@@ -226,7 +226,7 @@ class Disturbance:
 
         Args:
             images: (B, 3, H, W) uint8, RGB.
-            level: one of the levels.
+            level: strength of the disturbance, one of its levels.
             rows: indices of the queries (B,), which determine the draws together with the seed.
             seed: seed of all draws.
         """

@@ -55,7 +55,7 @@ class Estimates(Settings):
     Attributes:
         filter: track the robot through each sequence; keeps the distances of all queries to all map frames. With
             `refine`, poses between map frames are tracked as well.
-        filter_settings: settings of that filter.
+        filter_settings: temperature and probability of kidnapping of that filter.
         filter_tune: choose temperature and kidnapping on the validation frames.
         refine: a pose finer than the map: "interpolate" takes one between the nearest map frames, "relative" compares
             the query with each of them, with a network built with relative=True; "none" leaves it out. The ellipses of
@@ -91,7 +91,7 @@ class Learned:
     Attributes:
         validation: the validation frames, searched in the map; None if nothing is learned from them.
         refinement: the method for poses finer than the map, with the learned width of the ellipses; None for none.
-        errors: the error model; None for none.
+        errors: the model that predicts the error of each query; None if it was not requested.
         about: the data from which the refinement and the error model were learned, as plain values.
     """
 
@@ -304,8 +304,8 @@ def tracked(step: float, kidnapping: float, queries: FrameTable, poses: RefinedP
     Args:
         step: distance the robot moves between two queries, learned from the map; the median step of the query poses if
             that is larger.
-        kidnapping: as for `PoseFilter`.
-        queries: n queries.
+        kidnapping: probability, from one query to the next, that the robot was carried elsewhere, as for `PoseFilter`.
+        queries: the n queries, whose sequences are filtered one by one.
         poses: refined poses of the queries (n).
     """
     gone = [np.hypot(*np.diff(poses.xy[rows], axis=0).T) for rows in queries.rows_by("sequence").values()]

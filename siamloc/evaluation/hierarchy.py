@@ -109,7 +109,7 @@ def hierarchical(
         layer: nodes over the frames of the map, or of `coarse_map` if given, from `siamloc.maps.group`.
         coarse_map: a map of the same frames with another descriptor, which ranks the nodes; the map itself if None.
         protocol: which map frames a query may be compared with; see `localization`.
-        name: name of the results.
+        name: names the result folder and the rows in comparisons; the name of the descriptor if None.
         settings: all settings in one object, instead of one keyword each.
 
     Raises:

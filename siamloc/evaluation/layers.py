@@ -62,7 +62,7 @@ def mapping(
     Args:
         known: the map, its frames in capture order.
         built: nodes over its frames, from `siamloc.maps.group`.
-        name: name of the results.
+        name: names the result folder and the rows in comparisons; the name of the descriptor if None.
         settings: all settings in one object, instead of one keyword each.
 
     Raises:
@@ -173,6 +173,11 @@ def closures(known: VisualMap, labels: NDArray[np.int64], gap: int) -> NDArray[n
     """Return the frame with which each frame closes a loop (n,), -1 for none.
 
     A frame closes a loop with the most similar frame of its node that is at least `gap` frames earlier.
+
+    Args:
+        known: a map of n frames in capture order.
+        labels: (n,) node of each frame, -1 for none.
+        gap: least number of frames between the two frames of a loop.
     """
     found = np.full(len(known), -1, dtype=np.int64)
     for node in range(int(labels.max()) + 1):
@@ -192,7 +197,14 @@ def silhouette(
     mode: Literal["nearest", "pooled"] = "nearest",
     unassigned: Literal["left_out", "cluster"] = "left_out",
 ) -> float:
-    """Return the average silhouette, in [-1, 1], of nodes in positions or descriptors (n, D); NaN below two nodes."""
+    """Return the average silhouette, in [-1, 1], of nodes in positions or descriptors (n, D); NaN below two nodes.
+
+    Args:
+        values: positions or descriptors of the frames (n, D).
+        labels: (n,) node of each frame, -1 for none.
+        mode: "nearest" or "pooled", see `analytic.measures.silhouettes`.
+        unassigned: "left_out" leaves out frames without a node; "cluster" makes them one more cluster.
+    """
     from analytic import measures
 
     if len(set(labels[labels >= 0].tolist())) < 2:

@@ -129,7 +129,7 @@ def localization(
         validation: frames from which the filter's settings and expected errors are learned.
         protocol: "cross_run": no query comes from a drive in the map; "same_run"; or a `Protocol`.
         baselines: descriptors measured on the same frames: names such as "hog", or a mapping of names to descriptors.
-        name: name of the results; the name of the descriptor if None.
+        name: names the result folder and the rows in comparisons; the name of the descriptor if None.
         seed: seed of the judged pairs.
         settings: all settings in one object, instead of one keyword each.
 

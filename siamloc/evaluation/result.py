@@ -291,7 +291,13 @@ class Result:
         )
 
     def with_part(self, name: str, measures: Mapping[str, Any], queries: Columns) -> Result:
-        """Return the result with the measures of another part, such as "room_retrieval", and a new table "queries"."""
+        """Return the result with the measures of another part and a new table "queries".
+
+        Args:
+            name: name of the part, a key of `parts`, such as "room_retrieval".
+            measures: the measures of the part.
+            queries: columns of the table that replaces "queries".
+        """
         return replace(self, parts={**self.parts, name: measures}, tables={**self.tables, "queries": queries})
 
     def joined(self, other: Result) -> Result:

@@ -43,7 +43,7 @@ class Found(Rows):
 
     Attributes:
         retrieval: the nearest map frames.
-        heading: headings from the nearest map frame (n,), NaN if unknown.
+        heading: headings in rad (n,), from the nearest map frame's heading and the turn since then; NaN if unknown.
         distances: distances to all map frames (n, m), infinite where excluded; None unless requested.
         refined: poses finer than the map; None unless requested.
     """
@@ -108,7 +108,7 @@ class Session:
             fields as a mapping, or its kind, "cross_run" or "same_run".
         baselines: descriptors to measure on the same frames: one or several, as names or objects, or a mapping of names
             to descriptors.
-        name: name of the results; the name of the descriptor if None.
+        name: names the result folder and the rows in comparisons; the name of the descriptor if None.
         seed: seed of all random draws.
 
     Raises:
@@ -168,6 +168,12 @@ class Session:
         """Yield the descriptions of frames: all at once, or batch by batch if the descriptor compares after turning.
 
         Descriptions by such descriptors are large, so only one batch at a time is in memory.
+
+        Args:
+            by: the map or the descriptor that describes the frames.
+            frames: frames among those of the session's images.
+            what: noun for the frames in the progress line, such as "queries".
+            clock: takes the time of describing; None takes none.
         """
         parts = maps.describe(by, self.images, frames, progress=f"describing {what}", clock=clock)
         return parts if by.aligned else [Description.concatenate(list(parts))]
@@ -180,7 +186,15 @@ class Session:
         what: str,
         clock: Stopwatch | None = None,
     ) -> NDArray[np.float32] | None:
-        """Describe frames and run several searches on them; return the position parts, None if too large to keep."""
+        """Describe frames and run several searches on them; return the position parts, None if too large to keep.
+
+        Args:
+            by: the map or the descriptor that describes the frames.
+            frames: frames among those of the session's images.
+            searches: the searches by name; each takes the frames in its `rows`.
+            what: noun for the frames in the progress line, such as "queries".
+            clock: takes the times of describing and searching; None takes none.
+        """
         start, vectors, clock = 0, [], clock or Stopwatch()
         for part in self.parts_of(by, frames, what, clock):
             for search in searches.values():
@@ -212,7 +226,7 @@ class Session:
         Args:
             has: which frames have the property.
             what: what is missing, and of which frames, such as "queries have no position".
-            key: key in `skipped`.
+            key: key of the sentence in `skipped`, such as "validation".
             remedy: what to do if all frames lack it.
 
         Raises:

@@ -170,7 +170,7 @@ class Augment(Settings):
 
 @dataclass(frozen=True)
 class Loader(Settings):
-    """How images are loaded.
+    """How many processes gather the images of training batches.
 
     Attributes:
         workers: processes that gather batches; 0 gathers in the training process.
@@ -186,7 +186,7 @@ class Branch(Settings):
     """The branch of a network.
 
     Attributes:
-        name: name of the branch.
+        name: a name in `siamloc.models.registry.BRANCHES`, such as "panoresnet".
         weights: imagenet or siamloc, or the path of a run or of a file of weights; random if None.
     """
 
@@ -201,7 +201,7 @@ class Head(Settings):
     """The head of a network.
 
     Attributes:
-        name: name of the head.
+        name: a name in `siamloc.models.registry.HEADS`, such as "magnitudes".
         outputs: length of a descriptor, for heads of one layer; the head's default if None.
     """
 

@@ -33,9 +33,10 @@ class DataJob(Job):
     """Base of the jobs that read data.
 
     Attributes:
-        data: which frames to read.
-        unwrap: how omnidirectional images become panoramas: `kind` and the parameters of the camera.
-        protocol: which frames have which role.
+        data: the frames to read: the kind of data, its folder or list, and the image size.
+        unwrap: how omnidirectional images become panoramas: `kind`, "none", "polar" or "hyperbolic", and the parameters
+            of the camera.
+        protocol: which frames have which role, such as map, queries or training, by sequence, lighting or room.
     """
 
     GROUPS: ClassVar = {"unwrap": "none", "protocol": "by_sequence", "data": "manifest"}

@@ -93,7 +93,12 @@ def with_settings_of_the_run(
 
 
 def map_file(run: Run, label: str) -> Path:
-    """Return the path of the map of a descriptor, by the descriptor's title, in a run."""
+    """Return the path of a descriptor's map in a run.
+
+    Args:
+        run: the run.
+        label: title of the descriptor: "network" for the network of the run, or a name such as "hog".
+    """
     return run.map if label == "network" else run.evaluation(label) / "map.npz"
 
 

@@ -168,7 +168,12 @@ def naming(known: VisualMap, layer: CoarseLayer) -> RoomClassifier | None:
 
 
 def connections(labels: NDArray[np.int64], sequence: NDArray[np.str_]) -> NDArray[np.int64]:
-    """Return the pairs of nodes (e, 2) between which the robot moved; frames in no node are skipped."""
+    """Return the pairs of nodes (e, 2) between which the robot moved, the smaller node first; each pair once.
+
+    Args:
+        labels: (n,) node of each frame in capture order, negative for frames in no node, which are skipped.
+        sequence: (n,) name of each frame's sequence; moves between sequences do not count.
+    """
     pairs: set[tuple[int, int]] = set()
     for name in dict.fromkeys(sequence.tolist()):
         passed = labels[(sequence == name) & (labels >= 0)]

@@ -88,6 +88,12 @@ class NetworkHeading(BetweenColumns):
 
 
 def described(by: Descriptor, heading: Descriptor | None, batch: ArrayLike) -> Description:
-    """Describe images with one descriptor, with the orientation parts of a second descriptor if one is given."""
+    """Describe images with one descriptor, with the orientation parts of a second descriptor if one is given.
+
+    Args:
+        by: gives the position parts, and the orientation parts without a second descriptor.
+        heading: the second descriptor, None if there is none.
+        batch: images (B, 3, H, W) as both descriptors take them.
+    """
     found = by.describe(batch)
     return found if heading is None else Description(found.position, heading.describe(batch).orientation)

@@ -49,8 +49,8 @@ class DriveFigures:
             batch: `known` (B,) bool, True for map frames; `xy` (B, 2), NaN if unknown; `building` (B,); `room` (B,),
                 negative if unknown.
             descriptors: (B, D).
-            orientation: parts (B, K, F) of a network that compares images; then the batch also has `theta` (B,), NaN if
-                unknown.
+            orientation: parts (B, K, F) of a network that compares images; then the batch also has `theta` (B,), the
+                headings in rad, NaN if unknown.
 
         Raises:
             DataError: a batch without one of these keys.

@@ -39,7 +39,7 @@ class FullyConnected(Head):
     Nothing follows the last layer, as in the published code of the thesis; see `SoftmaxHead` for the text's softmax.
 
     Args:
-        name: name of the head.
+        name: the head's name in `siamloc.models.registry.HEADS`.
         shape: (C, h, w) of the features.
         widths: neurons of the layers; the last number is D.
     """
@@ -73,7 +73,7 @@ class UnitHead(Head):
     """Base of the heads that end in one layer and give descriptors of unit length.
 
     Args:
-        name: name of the head.
+        name: the head's name in `siamloc.models.registry.HEADS`.
         inputs: number of inputs of the layer.
         outputs: length D of a descriptor.
     """
@@ -92,7 +92,7 @@ class Flat(UnitHead):
     """One fully connected layer over all features, scaled to unit length: what is seen where, relative to the robot.
 
     Args:
-        name: name of the head.
+        name: the head's name in `siamloc.models.registry.HEADS`.
         shape: (C, h, w) of the features.
         outputs: length D of a descriptor.
     """
@@ -112,7 +112,7 @@ class GeneralizedMean(UnitHead):
     maximum. The head discards where in the panorama something is.
 
     Args:
-        name: name of the head.
+        name: the head's name in `siamloc.models.registry.HEADS`.
         shape: (C, h, w) of the features.
         outputs: length D of a descriptor.
     """
@@ -141,7 +141,7 @@ class Bands(GeneralizedMean):
     For cameras that stay level and turn, even if the columns of an image do not wrap around.
 
     Args:
-        name: name of the head.
+        name: the head's name in `siamloc.models.registry.HEADS`.
         shape: (C, h, w) of the features.
         outputs: length D of a descriptor.
     """
@@ -192,7 +192,7 @@ class Fourier(UnitHead):
     `siamloc.models.orientation`.
 
     Args:
-        name: name of the head.
+        name: the head's name in `siamloc.models.registry.HEADS`.
         shape: (C, h, w) of the features.
         outputs: length D of a descriptor.
     """
@@ -219,7 +219,7 @@ class Magnitudes(Head):
     ([Charikar 2002]).
 
     Args:
-        name: name of the head.
+        name: the head's name in `siamloc.models.registry.HEADS`.
         shape: (C, h, w) of the features, which have C * h * (w // 2) magnitudes.
         outputs: length D of a descriptor, at most the number of magnitudes.
 

@@ -76,7 +76,7 @@ class ScheduledLoss(nn.Module):
 
 
 def required(batch: Mapping[str, Tensor], keys: Sequence[str], what: str) -> None:
-    """Raise DataError unless a batch has all of these keys."""
+    """Raise DataError unless a batch has all of these keys; `what` names its contents, such as "places"."""
     if missing := [key for key in keys if key not in batch]:
         raise DataError(f"a batch of {what} needs {', '.join(keys)}; missing: {', '.join(missing)}")
 

@@ -198,7 +198,7 @@ def panorama(view: PanoramaView, bend: float = 1.0) -> ViewCamera:
     """Make a panorama camera.
 
     Args:
-        view: size and elevations of the panoramas.
+        view: size in pixels and elevations in degrees of the panoramas.
         bend: 1 if rows are evenly spaced in the tangent of the elevation; otherwise the exponent of the share of the
             way from the upper edge to the lower one, as for mirrors of other shapes.
     """

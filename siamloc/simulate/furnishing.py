@@ -26,7 +26,7 @@ class Use:
 
     Attributes:
         code: room code, with a placeholder for the number.
-        floors: suitable floors.
+        floors: suitable floors, names in `textures.SURFACES`.
         walls: items that stand along its walls; more likely the more often they are listed.
         middle: items that stand away from the walls.
         hung: items that hang on its walls, in addition to pictures.

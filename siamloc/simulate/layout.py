@@ -211,9 +211,9 @@ class Room:
         x: extent in metres, from the middle of one wall to the middle of the other.
         y: extent in metres.
         height: height of the ceiling in metres.
-        floor: texture of the floor.
-        walls: texture of the walls.
-        ceiling: texture of the ceiling.
+        floor: texture of the floor, a name in `textures.SURFACES`.
+        walls: texture of the walls, a name in `textures.SURFACES`.
+        ceiling: texture of the ceiling, a name in `textures.SURFACES`.
         paint: linear colour that multiplies the walls' texture.
         wainscot: texture and height in metres of the lower part of the walls, or None.
         lamps: kind ("panel", "tube", "round") and counts along x and y.

@@ -88,7 +88,7 @@ def frames(scene: Scene, track: Track, camera: Camera, exposure: Exposure, rows:
 
 
 def turned(directions: Array, theta: float) -> Array:
-    """Rotate directions (..., 3) from the frame of a robot with heading `theta` to the building's."""
+    """Rotate directions (..., 3) from the frame of a robot with heading `theta`, in rad, to the building's frame."""
     cosine, sine = np.cos(theta), np.sin(theta)
     return directions @ np.array([[cosine, sine, 0], [-sine, cosine, 0], [0, 0, 1]], dtype=directions.dtype)
 

@@ -148,7 +148,7 @@ class RunState:
         items: all items in their places, with standing people.
         fixtures: state of doors and blinds.
         walkers: people who walk during the drive.
-        light: the light sources.
+        light: the state of lamps, sun and sky.
     """
 
     track: Track

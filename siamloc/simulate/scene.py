@@ -92,13 +92,13 @@ class Scene:
         building: the floor plan.
         run: lighting, number and path of the drive.
         state: everything drawn for the drive.
-        atlas: all textures.
-        surfaces: all quads.
+        atlas: the images of all textures, for lookups by index.
+        surfaces: all quads of the building, with texture, tint and emission.
         caster: casts rays against the surfaces.
         transport: how light spreads in the building.
         lamps: all lamps, with radiosity 1.
-        light: the baked light.
-        sky: the world outside.
+        light: how much light arrives at each quad, computed by `transport`.
+        sky: what is seen outside the windows, and where the sun stands.
     """
 
     building: Building
@@ -150,9 +150,9 @@ class Scene:
         """Return what rays hit, independent of the light.
 
         Args:
-            origins: as for `trace`.
-            directions: as for `trace`.
-            spread: as for `trace`.
+            origins: starting points in metres (n, 3), float32.
+            directions: unit vectors (n, 3), float32.
+            spread: angle in rad that a pixel covers (n,).
             smooth: whether textures are interpolated; otherwise the nearest texel counts, which is faster.
         """
         quad, s, t, distance = self.caster.first_hit(origins, directions)

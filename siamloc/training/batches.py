@@ -210,7 +210,7 @@ class EpochDataModule(LightningDataModule):
     Args:
         library: decoded panoramas of all frames; None if images come from elsewhere.
         workers: processes that gather batches; 0 gathers in the training process, which is fastest on a CPU.
-        augmentation: augmentation of the training images; none if None.
+        augmentation: changes the training images, such as their contrast; None leaves them as they are.
     """
 
     _first_epoch = 0

@@ -33,7 +33,7 @@ class PairBatches(Dataset[dict[str, Any]]):
         panoramas: gives the images of the sampler's frames, or their numbers on the device.
         sampler: draws the pairs of frames of each epoch, with their labels.
         batch_size: pairs in a batch; the last batch may be smaller.
-        augmentation: augmentation of the images; None for none.
+        augmentation: changes the training images, such as their contrast; None leaves them as they are.
         rank: number of this process among those that train together.
         world_size: number of those processes. All get the same number of pairs, and no two the same pair.
     """
@@ -93,7 +93,7 @@ class PairDataModule(EpochDataModule):
         batch_size: pairs in a batch.
         drive: map frames and queries that are described after the validation pairs, such as `validation_drive` makes.
         workers: processes that gather batches; 0 gathers in the training process, which is fastest on a CPU.
-        augmentation: augmentation of the training images; none if None.
+        augmentation: changes the training images, such as their contrast; None leaves them as they are.
         seed: seed of the draws of pairs, in training and validation.
 
     Raises:

@@ -31,7 +31,7 @@ class PlaceBatches(Dataset[dict[str, Any]]):
     Attributes:
         panoramas: gives the images of the sampler's frames, or their numbers on the device.
         sampler: draws the places of each batch, and the frames of each place.
-        augmentation: augmentation of the images; None for none.
+        augmentation: changes the training images, such as their contrast; None leaves them as they are.
         rank: number of this process among those that train together.
         world_size: number of those processes.
     """
@@ -88,7 +88,7 @@ class PlaceDataModule(EpochDataModule):
         places: how many places and images a batch has, and how places are drawn; the defaults of `PlaceSettings` if
             None.
         workers: processes that gather batches; 0 gathers in the training process, which is fastest on a CPU.
-        augmentation: augmentation of the training images; none if None.
+        augmentation: changes the training images, such as their contrast; None leaves them as they are.
         seed: seed of the batches.
     """
 

@@ -26,8 +26,8 @@ def further_estimate(part: Part, name: str) -> Markup | None:
     """Return the section on another estimate of the same queries: its curve and how it is made; None without it.
 
     Args:
-        part: part of the page.
-        name: one of `siamloc.results.FURTHER`.
+        part: the evaluation that the section is about.
+        name: a key of `siamloc.results.FURTHER`: "filtered", "interpolated", "refined" or "tracked".
     """
     results = part.evaluation.results
     if f"absolute_{name}" not in results["measures"]:
