@@ -302,9 +302,14 @@ def _explained(error: Exception, words: list[str], kind: type[Job]) -> Exception
     from hydra.errors import HydraException
     from omegaconf.errors import OmegaConfBaseException
 
+    text = " ".join(str(error).split())
+    index = re.search(r"invalid literal for int\(\) .*'(\w+)'", text) if type(error) is ValueError else None
+    if index and (keys := [key for key in map(_key, words) if f".{index[1]}" in key]):  # a key inside a list
+        return ConfigError(f"unknown configuration key {keys[0]!r}: {_nearest_key(keys[0], kind, words)}")
     if not isinstance(error, (HydraException, OmegaConfBaseException)):
         return error
-    text = " ".join(str(error).split())
+    if found := re.match(r"Error merging override ([^=]+)=", text):
+        return ConfigError(f"{found[1]} is a group of keys: set them one by one, such as {found[1]}.KEY=VALUE")
     if found := re.search(r"Could not override '([^']+)'", text):
         key = found[1].lstrip("+~").partition("@")[0]
         if inside := [group for group in kind.GROUPS if group.startswith(f"{key}/")]:

@@ -2,18 +2,44 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
 
 from analytic.mapper import IncrementalMapper
+from foundation.settings import defaults_of
 from siamloc import maps
 from siamloc.data import Protocol, Role
+from siamloc.errors import ConfigError
 from siamloc.jobs.choices import OF_A_RUN
-from siamloc.jobs.job import Say, quiet
+from siamloc.jobs.job import Given, Say, quiet
 from siamloc.jobs.options import choices, option
 from siamloc.jobs.run_job import RunJob, files_in
-from siamloc.jobs.stored import map_places
+from siamloc.jobs.stored import map_places, titles_of
 from siamloc.jobs.sweep import of_layer, own_folder, swept
 from siamloc.maps import Built, VisualMap
+from siamloc.maps.maintenance import Evidence
+from siamloc.runs import Run
+
+
+@dataclass(frozen=True)
+class Drives(Evidence):
+    """The drives that maintain a map, and how much evidence calls for an update.
+
+    Attributes:
+        sequences: names or shell patterns of the drives; a map is made instead of maintained if there are none.
+
+    Raises:
+        ConfigError: other settings without sequences, or a value of the wrong type or out of range.
+    """
+
+    sequences: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if not self.sequences and self.plain() != defaults_of(Drives):
+            raise ConfigError("the settings of update need drives: add update.sequences=[NAME]")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -32,8 +58,10 @@ class MapFrames(RunJob):
         build=incremental|spectral|som|sample|rooms
                                         also group the frames into nodes, and write that coarse layer
         build.nodes=40 build.y=1.5      its parameters; `siamloc map build=... --cfg job` lists them
-        update=[tuesday]                maintain the map instead: find where it is out of date on drives whose positions
-                                        are known, and add their frames there; with build=incremental, its nodes too
+        update.sequences=[tuesday]      maintain the map instead: find where it is out of date on drives whose positions
+                                        are known, and add their frames there; with build=NAME, to its nodes too
+        update.contradicted=15          out of date: 15 of update.window=20 frames in a row are located more than
+                                        update.radius=1 away
         -m descriptor.bins=8,16         a sweep: each map in its own folder, evaluation/hog/descriptor.bins-8, where an
                                         evaluation of the same sweep finds it
 
@@ -43,11 +71,23 @@ class MapFrames(RunJob):
 
     REPLACES_MAP = True
 
-    update: tuple[str, ...] = ()
+    update: Drives
+
+    @classmethod
+    def completed(cls, values: dict[str, Any], given: Given) -> dict[str, Any]:
+        """Return values together with the settings of the run, which has to hold a map that can be updated."""
+        values = super().completed(values, given)
+        if isinstance(values["update"], Mapping) and values["update"].get("sequences"):
+            titles = titles_of(values)
+            label = titles["descriptor"]
+            folder = values["run"] or Path("runs") / (values["data"].get("name") or "data") / label
+            if not (path := map_places(Run(Path(folder)), titles)[0]).is_file():
+                raise ConfigError(f"no map yet in {path}: `siamloc map run={folder} descriptor={label}` makes one")
+        return values
 
     def run(self, say: Say = quiet) -> VisualMap:
         """Describe the map frames of the run, and group them into nodes if requested."""
-        if self.update:
+        if self.update.sequences:
             return self._maintained(say)
         run, label = self.here, self.descriptor.title
         described, heading = self.make_descriptor(), self.make_heading(say)  # before any image is decoded
@@ -78,16 +118,29 @@ class MapFrames(RunJob):
         path, built = map_places(self.here, self.titles)[0], None
         known = VisualMap.load(path, self.make_descriptor())
         folder = own_folder(self.here.layer(self.descriptor.title, self.build.title), self.titles, of_layer)
+        stored = {one.parent: Built.load(one.parent) for one in self.here.folder.glob("layers/**/layer.npz")}
+        over = {one: layer for one, layer in stored.items() if layer.map_digest == known.digest}
         if self.build.name != "none":
-            built = Built.load(folder)
+            if (built := over.pop(folder, None)) is None:
+                command = f"siamloc map descriptor={self.descriptor.title} build={self.build.title}"
+                raise ConfigError(f"{folder} has no nodes over the map {path}: `{command}` makes map and nodes")
             if (folder / "mapper.npz").is_file():
                 mapper = IncrementalMapper.load(folder / "mapper.npz", known.descriptor, extend=True)
                 built = replace(built, mapper=mapper)
-        drives = replace(self, protocol=Protocol(map=Role(sequences=self.update)))
+        if over:
+            other = min(over)
+            name = other.relative_to(self.here.folder / "layers").parts[0].removeprefix(f"{self.descriptor.title}-")
+            raise ConfigError(
+                f"{other} holds nodes over this map, which would not fit the map after an update: update them as well, "
+                f"with `siamloc map build={name} update.sequences=[...]`, or remove the folder"
+            )
+        drives = replace(self, protocol=Protocol(map=Role(sequences=self.update.sequences)))
         images, roles = drives.open_roles("map", known=known)
-        found = maps.update(known, images, roles["map"], built=built)
+        found = maps.update(known, images, roles["map"], built=built, settings=self.update)
         say(found.summary())
         if found.added.any():
+            # Removed first and written last: an interruption leaves no nodes next to a map that they do not fit.
+            (folder / "layer.npz").unlink(missing_ok=True)
             found.known.save(path)
             if found.built is not None:
                 found.built.save(folder)

@@ -92,6 +92,11 @@ def with_settings_of_the_run(
     return result
 
 
+def titles_of(values: Mapping[str, Any]) -> dict[str, str]:
+    """Return the titles of the descriptor and of the build in the values of a job, by group."""
+    return {group: str(values[group].get("label") or values[group]["name"]) for group in ("descriptor", "build")}
+
+
 def map_file(run: Run, label: str) -> Path:
     """Return the path of a descriptor's map in a run.
 
@@ -193,7 +198,7 @@ def _kept(
 
 def _map_made(run: Run, values: Mapping[str, Any], loaded: Mapping[Path, VisualMap]) -> dict[str, Any] | None:
     """Return the settings with which the map of the descriptor was made, by section; None without a map."""
-    titles = {group: str(values[group].get("label") or values[group]["name"]) for group in ("descriptor", "build")}
+    titles = titles_of(values)
     places = (map_known(run, titles), map_file(run, titles["descriptor"]))
     path = next((one for one in places if one.is_file()), None)
     if path is None:

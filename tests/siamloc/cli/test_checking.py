@@ -53,6 +53,7 @@ def test_damaged_files_are_told_in_a_sentence():
         ("train model/branch=vg16", "unknown option model/branch=vg16: did you mean 'vgg16'"),
         ("train run=a(1)", "in quotes"),
         ("train epoch=3", "did you mean 'epochs'"),
+        ("simulate hours.a=5", "unknown configuration key 'hours.a': did you mean 'hours'"),
         ("evaluate descriptor.bens=5", "did you mean 'descriptor.bins'"),
         ("evaluate heading=wisurf", "unknown option heading=wisurf"),
         ("evaluate task.baselines=[hug]", "did you mean 'hog'"),

@@ -2,12 +2,14 @@
 
 import csv
 from dataclasses import replace
+from unittest.mock import patch
 
 import cv2
 import numpy as np
 import pytest
 
 from analytic.errors import AnalyticError
+from siamloc.cli import main
 from siamloc.data import FrameTable, PanoramaLibrary
 from siamloc.errors import ConfigError, DataError
 from siamloc.evaluation import mapping
@@ -163,16 +165,23 @@ def test_what_cannot_be_updated_is_refused(known, drives, tmp_path):
 def test_the_command_maintains_the_saved_map_and_its_nodes(drives, tmp_path, capsys):
     words = ["data=manifest", f"data.manifest={drives[0] / 'manifest.csv'}", f"data.image_size=[{ROWS},{COLUMNS}]"]
     common = ["descriptor=hog", f"run={tmp_path / 'run'}", "build=incremental"]
-    saved = tmp_path / "run/evaluation/hog/map.npz"
-    assert "does not exist" in refused(capsys, "map", *words, *common, "update=[changed]")
+    saved, layer = tmp_path / "run/evaluation/hog/map.npz", tmp_path / "run/layers/hog-incremental/layer.npz"
+    asked = refused(capsys, "map", *common, "update.sequences=[changed]")
+    assert f"no map yet in {saved}: `siamloc map run={tmp_path / 'run'} descriptor=hog` makes one" in asked
     done("map", *words, *common, "protocol.map.sequences=[old]")
     before = len(VisualMap.load(saved))
-    assert "no frame has sequence" in refused(capsys, "map", *common, "update=[nowhere]")
+    assert "no frame has sequence" in refused(capsys, "map", *common, "update.sequences=[nowhere]")
+    assert "add update.sequences=[NAME]" in refused(capsys, "map", *common, "update.radius=2")
+    assert "update is a group of keys" in refused(capsys, "map", *common, "update=[changed]")
+    asked = refused(capsys, "map", *common[:2], "update.sequences=[changed]")
+    assert "with `siamloc map build=incremental update.sequences=[...]`, or remove the folder" in asked
     capsys.readouterr()
-    done("map", *common, "update=[same]")
+    done("map", *common, "update.sequences=[same]")
     assert "the map is up to date" in capsys.readouterr().out
+    done("map", *common, "update.sequences=[changed]", "update.radius=30")
+    assert "the map is up to date" in capsys.readouterr().out, "the corridor is 24 m long"
     assert len(VisualMap.load(saved)) == before
-    done("map", *common, "update=[changed]")
+    done("map", *common, "update.sequences=[changed]")
     assert "added, where the map is out of date" in capsys.readouterr().out
     known = VisualMap.load(saved)
     assert len(known) > before
@@ -180,3 +189,9 @@ def test_the_command_maintains_the_saved_map_and_its_nodes(drives, tmp_path, cap
     assert len(VisualMap.load(saved)) == len(known)
     asked = ["evaluate", *common, "task=absolute", "protocol.query.sequences=[changed]"]
     assert "changed" in refused(capsys, *asked)
+    with patch.object(Built, "save", side_effect=KeyboardInterrupt):
+        assert main(["map", *common, "update.sequences=[new]"]) == 130
+    assert len(VisualMap.load(saved)) > len(known)
+    assert not layer.exists(), "nodes of the map before the interruption"
+    asked = refused(capsys, "map", *common, "update.sequences=[new]")
+    assert "`siamloc map descriptor=hog build=incremental` makes map and nodes" in asked
