@@ -81,7 +81,7 @@ class MapFrames(RunJob):
             titles = titles_of(values)
             label = titles["descriptor"]
             folder = values["run"] or Path("runs") / (values["data"].get("name") or "data") / label
-            if not (path := map_places(Run(Path(folder)), titles)[0]).is_file():
+            if not (path := map_places(Run(Path(str(folder))), titles)[0]).is_file():
                 raise ConfigError(f"no map yet in {path}: `siamloc map run={folder} descriptor={label}` makes one")
         return values
 
@@ -115,21 +115,21 @@ class MapFrames(RunJob):
 
     def _maintained(self, say: Say) -> VisualMap:
         """Maintain the saved map, and the saved nodes over it if a build is named."""
-        path, built = map_places(self.here, self.titles)[0], None
+        path, built, label = map_places(self.here, self.titles)[0], None, self.descriptor.title
         known = VisualMap.load(path, self.make_descriptor())
-        folder = own_folder(self.here.layer(self.descriptor.title, self.build.title), self.titles, of_layer)
+        folder = own_folder(self.here.layer(label, self.build.title), self.titles, of_layer)
         stored = {one.parent: Built.load(one.parent) for one in self.here.folder.glob("layers/**/layer.npz")}
         over = {one: layer for one, layer in stored.items() if layer.map_digest == known.digest}
         if self.build.name != "none":
             if (built := over.pop(folder, None)) is None:
-                command = f"siamloc map descriptor={self.descriptor.title} build={self.build.title}"
+                command = f"siamloc map run={self.here.folder} descriptor={label} build={self.build.title}"
                 raise ConfigError(f"{folder} has no nodes over the map {path}: `{command}` makes map and nodes")
             if (folder / "mapper.npz").is_file():
                 mapper = IncrementalMapper.load(folder / "mapper.npz", known.descriptor, extend=True)
                 built = replace(built, mapper=mapper)
         if over:
             other = min(over)
-            name = other.relative_to(self.here.folder / "layers").parts[0].removeprefix(f"{self.descriptor.title}-")
+            name = other.relative_to(self.here.folder / "layers").parts[0].removeprefix(f"{label}-")
             raise ConfigError(
                 f"{other} holds nodes over this map, which would not fit the map after an update: update them as well, "
                 f"with `siamloc map build={name} update.sequences=[...]`, or remove the folder"

@@ -44,9 +44,7 @@ class Evidence(Settings):
     def __post_init__(self) -> None:
         super().__post_init__()
         if self.contradicted > self.window:
-            raise ConfigError(
-                f"contradicted={self.contradicted} frames cannot be among the last window={self.window}: lower it"
-            )
+            raise ConfigError(f"contradicted={self.contradicted} frames cannot be among window={self.window}: lower it")
 
 
 class EvidenceFields(TypedDict, total=False):
