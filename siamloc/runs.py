@@ -101,7 +101,12 @@ class Run:
 
     @typed
     def layer(self, descriptor: str, build: str) -> Path:
-        """Return the folder of a coarse layer: `layer.npz`, and for an incremental map `mapper.npz` and its log."""
+        """Return the folder of a coarse layer: `layer.npz`, and for an incremental map `mapper.npz` and its log.
+
+        Args:
+            descriptor: title of the descriptor whose map is grouped, such as "network" or "hog".
+            build: title of the way in which frames are grouped, such as "spectral".
+        """
         return self.folder / "layers" / f"{descriptor}-{build}"
 
     @typed

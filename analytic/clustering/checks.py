@@ -88,7 +88,10 @@ def to_unit_range(rows: Floats) -> tuple[Floats, float]:
 
 
 def row_slices(rows: int, columns: int) -> Iterator[slice]:
-    """Yield slices of rows such that a block of float64 stays within 32 MiB or is a single row."""
+    """Yield slices of `rows` rows such that a block of float64 with `columns` columns takes at most 32 MiB.
+
+    A slice has one row at least, however large the row is.
+    """
     step = max(1, _BLOCK_BYTES // (8 * max(1, columns)))
     for start in range(0, rows, step):
         yield slice(start, min(rows, start + step))

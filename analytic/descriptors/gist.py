@@ -178,7 +178,13 @@ def choose(orientations: int, orientation_filters: int) -> tuple[tuple[float, ..
 def bank(
     height: int, width: int, frequency: float, angles: tuple[float, ...]
 ) -> tuple[NDArray[np.float32], list[tuple[int, int]]]:
-    """Return the transfer functions of some orientations in [0, pi / 2], cut out around the centre of each.
+    """Return the transfer functions of some orientations, cut out around the centre of each.
+
+    Args:
+        height: rows of the periodic image.
+        width: columns of the periodic image.
+        frequency: centre frequency of the filters in cycles per pixel.
+        angles: orientations of the filters in rad, in [0, pi / 2].
 
     Returns:
         The values of the cut-outs (filters, rows, columns), and the row and column where each begins in the
@@ -201,7 +207,14 @@ def bank(
 
 @lru_cache(maxsize=8)
 def windows(width: int, window: int, step: int, circular: bool) -> NDArray[np.float32]:
-    """Return the matrix (W, W / step) that turns the values of W columns into the means of windows."""
+    """Return the matrix (W, W / step) that turns the values of W columns into the means of windows.
+
+    Args:
+        width: W, the number of columns.
+        window: width of a window in columns.
+        step: columns between the first columns of two windows.
+        circular: whether windows wrap around; otherwise they end at the last column.
+    """
     column, first = np.arange(width)[:, None], np.arange(0, width, step)[None]
     inside: NDArray[np.bool_] = (column - first) % width < window
     if not circular:

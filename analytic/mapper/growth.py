@@ -99,7 +99,14 @@ class State:
         return sorted(left)
 
     def note(self, reason: Reason, node: int | None, frames: Sequence[int], **scores: float | bool | str) -> None:
-        """Record a change for the decision and the log."""
+        """Record a change of the map for the decision and the log.
+
+        Args:
+            reason: why the map changes.
+            node: id of the node that changes; None if the change concerns no node.
+            frames: numbers of the frames concerned.
+            scores: measured numbers and limits that led to the change, by name.
+        """
         self.changes = (*self.changes, Change(reason, node, tuple(int(frame) for frame in frames), scores))
 
 

@@ -210,6 +210,10 @@ class Session:
     def lacking(self, has: NDArray[np.bool_], what: str) -> str:
         """Return a text with the number of frames that lack a property, such as a position; empty if all have it.
 
+        Args:
+            has: (n,) True for frames that have the property.
+            what: the frames and what they lack, such as "queries have no position", which follows the numbers.
+
         Raises:
             DataError: some frames lack the property, others have it, and the images' `on_error` is "raise".
         """

@@ -113,8 +113,10 @@ class Compare(Job):
 def evaluates(folders: str | Sequence[str], by: str | None) -> bool:
     """Whether to compare the evaluations in folders instead of the trainings.
 
-    Figures of trainings have a slash in their names, such as "val/error". If no figure is requested, several trainings
-    are compared rather than their evaluations.
+    Args:
+        folders: folder of a sweep, or folders of runs or evaluations.
+        by: name of the figure or measure to rank by. Figures of trainings have a slash in their names, such as
+            "val/error". If None, several trainings are compared rather than their evaluations.
 
     Raises:
         ConfigError: missing folders, or folders with neither.

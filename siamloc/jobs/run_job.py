@@ -86,7 +86,7 @@ class RunJob(DataJob):
         folder: folder of the run.
         model: the architecture of the network, to make sure that the run's network has it.
         checkpoint: checkpoint of the network: best on the validation sequence, or last; best falls back to last.
-        device: device on which networks compute.
+        device: device on which networks compute: "auto", "cpu", or a GPU such as "cuda:0".
         descriptor: a network or an analytic descriptor.
         heading: the descriptor that estimates headings for a network that cannot.
         distance: how descriptors are compared; the descriptor's default if None.

@@ -21,9 +21,10 @@ class Learned(Settings):
     """Base of dataclasses of plain values learned on a map, with a field `map_digest`; types are checked.
 
     Attributes:
-        FORMAT: name of the format in the file.
-        VERSION: version of the format.
+        FORMAT: name by which a stored file is recognized, such as "siamloc-error-model".
+        VERSION: version of the stored fields; files of other versions are refused.
         NOUN: name of the class in messages, such as "error model".
+        map_digest: digest of the map's frames with positions, on which the values were learned.
     """
 
     FORMAT: ClassVar[str]

@@ -89,6 +89,11 @@ class Branch(nn.Module):
 def feature_shape(name: str, image_size: tuple[int, int], circular: bool = False) -> tuple[int, int, int]:
     """Return channels, rows and columns of the features at an image size (H, W); only shapes are computed.
 
+    Args:
+        name: a name in `BRANCHES`.
+        image_size: rows and columns of the images.
+        circular: whether convolutions and pools wrap around the azimuth.
+
     Raises:
         ConfigError: an unknown branch, or an image too small for it.
     """
@@ -117,7 +122,7 @@ def finer_features(name: str, image_size: tuple[int, int]) -> tuple[int, tuple[i
 
 @lru_cache(maxsize=256)
 def layer_shapes(name: str, image_size: tuple[int, int], circular: bool) -> list[tuple[int, int, int]]:
-    """Return channels, rows and columns after each layer of a branch."""
+    """Return channels, rows and columns after each layer of a branch; arguments as for `feature_shape`."""
     found, features = [], torch.empty(1, 3, *image_size, device="meta")
     with torch.no_grad():
         for layer in _weightless(name, circular):
@@ -221,8 +226,8 @@ class ResidualBlock(nn.Module):
     """Two 3 x 3 convolutions, added to the input.
 
     Args:
-        inputs: number of input channels.
-        outputs: number of output channels.
+        inputs: channels of the input.
+        outputs: channels of the output.
         stride: factor by which rows and columns shrink.
     """
 

@@ -65,7 +65,7 @@ class ScheduledLoss(nn.Module):
         self._courses = {name: (start, getattr(settings, name)) for name, start in names.items()}
 
     def bounds(self, name: str) -> tuple[float, float]:
-        """Return the smallest and the largest value of a parameter during training."""
+        """Return the smallest and the largest value of a parameter during training, by its name, such as "sigma"."""
         course = self._courses.get(name, (getattr(self, name),))
         return min(course), max(course)
 

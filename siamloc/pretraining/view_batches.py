@@ -205,7 +205,12 @@ class ViewBatches(Dataset[dict[str, Any]]):
         return self.places.epoch_batches or 0
 
     def drawn(self, epoch: int, batch: int) -> tuple[list[Views], FrameTable, NDArray[np.int64]]:
-        """Return the buildings of a batch, the frames of all their images, and the rows of the batch's frames."""
+        """Return the buildings of a batch, the frames of all their images, and the rows of the batch's frames.
+
+        Args:
+            epoch: number of the epoch, from 0.
+            batch: number of the batch in the epoch, from 0.
+        """
         stream, number = self.stream, epoch * len(self) + batch
         held = stream.held(number // stream.settings.batches)
         rng = np.random.default_rng([stream.seed, number, stream.rank, 0xB1D6])

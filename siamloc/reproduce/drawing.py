@@ -82,7 +82,7 @@ def shown(figure: Figure, records: Sequence[Record]) -> list[Record]:
 
 
 def titled(names: Sequence[str], values: Sequence[Any]) -> str:
-    """Return a label of settings with their values, such as "k1 8, homomorphic filter"."""
+    """Return a label of settings with their values, such as "k1 8, homomorphic filter"; values of None are left out."""
     return ", ".join(_title(name, value) for name, value in zip(names, values, strict=True) if value is not None)
 
 

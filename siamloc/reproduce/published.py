@@ -77,7 +77,7 @@ class Record:
     """One number with everything it depends on; published and measured ones have the same form.
 
     Attributes:
-        measure: name of the measure.
+        measure: name of the measure, a key of `measures()`, such as "error".
         value: number in the measure's own unit: m, s, deg, shares instead of percent.
         settings: settings that the number depends on, in siamloc's names.
         relation: "=", or "~", "<", ">" if the number is only approximate, or an upper or lower bound.
@@ -153,12 +153,15 @@ def measures() -> Mapping[str, Mapping[str, str]]:
 
 
 def as_printed(cell: float | str, column: Column) -> str:
-    """Return a number as text with as many decimals as the column has in print."""
+    """Return a number as text with as many decimals as the column has in print; a text stays as it is."""
     return cell if isinstance(cell, str) else f"{cell:.{column.decimals}f}"
 
 
 def grouped(names: Sequence[str], records: Sequence[Record]) -> dict[tuple[Any, ...], list[Record]]:
-    """Return records grouped by their values of some settings, in drawing order."""
+    """Return records grouped by their values of the settings `names`, in the order of a figure's lines and axes.
+
+    A group's key holds a value for each setting, None if its records lack the setting.
+    """
     groups: dict[tuple[Any, ...], list[Record]] = {}
     for one in records:
         groups.setdefault(tuple(one.settings.get(name) for name in names), []).append(one)

@@ -67,7 +67,7 @@ class Verdict:
     """Whether a claim of a document holds for measured numbers.
 
     Attributes:
-        claim: the claim.
+        claim: the sentence of the document, with its check.
         finding: whether our numbers support it, or why they do not decide.
         printed: whether the document's own numbers support it; None if they were not printed.
     """

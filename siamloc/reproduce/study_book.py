@@ -62,16 +62,16 @@ class Experiment(Settings):
     """A measurement with some settings varied.
 
     Attributes:
-        id: name of the experiment.
+        id: name of the experiment, unique in `study_book.yaml`.
         kind: kind of the experiment, a name in `siamloc.reproduce.experiments.KINDS`.
-        protocol: name of the protocol, which selects the frames.
+        protocol: a key of `protocols` in `study_book.yaml`, which selects the frames of the map and the queries.
         over: what is varied, by its name in the documents: the option that it `sets`, with dots, such as
             "descriptor.rows", and the values that the option is set `to`, by scale if they differ. Numbers that differ
             in their `seed` alone become their mean, with a spread.
         options: options that stay the same.
         settings: settings that all its records have in common.
         elsewhere: options that differ in other places, by the name of the place, which is the `data` of the records.
-        dense: as in `Job`.
+        dense: whether the jobs need frames every 5 cm if the data are simulated.
         beside: whether the experiment is our own addition, shown next to the published ones; no claim refers to it.
     """
 
@@ -86,7 +86,7 @@ class Experiment(Settings):
     beside: bool = False
 
     def jobs(self, scale: str) -> list[Job]:
-        """Return one job per combination of the varied settings."""
+        """Return one job per combination of the varied settings; `scale` is "smoke", "short" or "full"."""
         protocol = contents("study_book")["protocols"][self.protocol]
         axes = {name: _resolved(axis["to"], scale) for name, axis in self.over.items()}
         numeric = {name: values for name, values in axes.items() if all(type(one) in (int, float) for one in values)}
@@ -147,12 +147,17 @@ class Study(Settings):
     notes: tuple[Text, ...] = ()
 
     def jobs(self, scale: str, data: str) -> list[Job]:
-        """Return the jobs of all experiments for whose place a data set has frames, each once."""
+        """Return the jobs of all experiments for whose place a data set has frames, each once.
+
+        Args:
+            scale: "smoke", "short" or "full".
+            data: "cold", "freiburg_sim" or "mini".
+        """
         places = {"", *data_named(data)["at"]}
         return [job for name in self.experiments for job in experiment(name).jobs(scale) if job.at in places]
 
     def protocol(self, scale: str = "full") -> Mapping[str, str]:
-        """Return a description in words of the frames used as map and queries."""
+        """Return a description in words of the frames used as map and queries at a scale, by role."""
         protocol = experiment(self.experiments[0]).protocol
         says: dict[str, str] = _resolved(contents("study_book")["protocols"][protocol]["says"], scale)
         return says

@@ -88,12 +88,12 @@ def front(b: MeshBuilder, item: Item, z: Point, texture: str, tint: Point = WHIT
 
 
 def sides(item: Item, thick: float) -> tuple[float, float]:
-    """Return the x at which boxes of the given thickness start, at the left and the right end of an item."""
+    """Return the x, in metres, at which boxes of a thickness in metres start at the left and right end of an item."""
     return -item.size[0] / 2, item.size[0] / 2 - thick
 
 
 def middles(width: float, count: int) -> list[float]:
-    """Return the x of the middles of `count` equal parts of an item, in metres."""
+    """Return the x of the middles of `count` equal parts of an item with this width, all in metres."""
     return [width * ((i + 0.5) / count - 0.5) for i in range(count)]
 
 
@@ -135,7 +135,17 @@ def desk(b: MeshBuilder, item: Item, rng: Rng, w: float, d: float, h: float) -> 
 
 
 def screen(b: MeshBuilder, rng: Rng, x: Point, z: Point, y: float, lit: float, light: Colour) -> None:
-    """Add the face of a screen, which shines with the probability `lit`."""
+    """Add the face of a screen, which faces +y and shines with the probability `lit`.
+
+    Args:
+        b: the mesh to add to.
+        rng: draws whether the screen is on, and its picture.
+        x: left and right edge in metres.
+        z: lower and upper edge in metres.
+        y: depth at which the face lies, in metres.
+        lit: probability that the screen is on.
+        light: radiosity of the red, green and blue light that white pixels emit.
+    """
     if rng.random() < lit:
         b.panel(x, z, y, f"screen{rng.integers(SCREENS)}", (0.3, 0.3, 0.3), emission=light)
     else:
@@ -151,7 +161,7 @@ def _monitor(b: MeshBuilder, rng: Rng) -> None:
 
 
 def clutter(b: MeshBuilder, x: float, y: float, z: float, rng: Rng) -> None:
-    """Add a sheet of paper, a stack of books, a cup or a lamp on a table top."""
+    """Add a sheet of paper, a stack of books, a cup or a lamp on a table top, at x, y and the height z in metres."""
     kind = int(rng.integers(5))
     with b.at(x, y, z, float(rng.uniform(-40, 40))):
         if kind <= 1:

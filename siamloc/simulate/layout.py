@@ -100,7 +100,13 @@ def shared_wall(a: Any, b: Any) -> tuple[str, float, Interval] | None:
 
 
 def side_at(room: Any, along: str, level: float) -> str:
-    """Return the name of a room's side, given the axis along its wall and the wall's coordinate on the other axis."""
+    """Return the name of a room's side, a key of `SIDES`.
+
+    Args:
+        room: the room, or anything else that has the extents `x` and `y`.
+        along: axis along the wall, "x" or "y".
+        level: coordinate of the wall on the other axis in metres.
+    """
     return next(name for name, side in SIDES.items() if side.along == along and abs(side.level(room) - level) < 1e-6)
 
 
@@ -197,7 +203,12 @@ class Opening:
         return Rectangle(span, across) if self.along == "x" else Rectangle(across, span)
 
     def point(self, along: float, off: float) -> tuple[float, float]:
-        """Return the plan position at a coordinate along the wall and a signed distance from the wall's middle."""
+        """Return the position x, y on the floor plan of a point at the wall, in metres.
+
+        Args:
+            along: coordinate of the point along the wall in metres.
+            off: distance from the wall's middle in metres, positive towards larger coordinates.
+        """
         return (along, self.level + off) if self.along == "x" else (self.level + off, along)
 
 

@@ -122,6 +122,10 @@ class _Item(Options):
 def read_building_file(path: FilePath, seed: int) -> Building:
     """Read and check a building file.
 
+    Args:
+        path: the YAML file.
+        seed: seed of the building's pictures, colours and small differences.
+
     Raises:
         DataError: not YAML, or an impossible building; the message names the room and the line.
     """
@@ -136,6 +140,11 @@ def read_building_file(path: FilePath, seed: int) -> Building:
 
 def parse_building(content: Any, seed: int, source: str) -> Building:
     """Return the building that a parsed file describes; its paths still have to be checked with `plan.check_paths`.
+
+    Args:
+        content: the content of the file as plain values.
+        seed: seed of the building's pictures, colours and small differences.
+        source: name of the file, for messages.
 
     Raises:
         DataError: an entry that is missing, unknown, or geometrically impossible.

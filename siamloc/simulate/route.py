@@ -83,16 +83,19 @@ class FreeSpace:
         return coo_array(joined, shape=(count, count)).tocsr()
 
     def inside(self, x: Interval, y: Interval) -> Array:
-        """Return the indices of the cells whose middles lie inside a rectangle."""
+        """Return the indices of the cells whose middles lie inside a rectangle, from its extents in metres."""
         inside = (self.points > (x[0], y[0])) & (self.points < (x[1], y[1]))
         return np.flatnonzero(inside.all(axis=1))
 
     def reachable(self, start: int) -> Array:
-        """Return True for the cells (n,) that a robot can reach."""
+        """Return True for the cells (n,) that a robot can reach from the cell with the index `start`."""
         return np.isfinite(dijkstra(self._graph, directed=False, indices=start))
 
     def way(self, stops: list[int]) -> Array:
         """Return the points (n, 2) in metres of a way through some cells in turn, smooth where there is room.
+
+        Args:
+            stops: indices of the cells, in the order in which the way passes them.
 
         Raises:
             DataError: a cell cannot be reached from the one before.

@@ -78,7 +78,13 @@ class Run(Settings):
 
     @classmethod
     def parse(cls, name: str, path: str = "path2", spacing: float = 0.15, **options: Any) -> Run:
-        """Return the run with a name such as "cloudy1"; the options are the other attributes.
+        """Return the run with a name such as "cloudy1".
+
+        Args:
+            name: a lighting, "cloudy", "night" or "sunny", followed by a number.
+            path: name of one of the building's paths, "grid" or "halfway", as in `Run`.
+            spacing: metres between frames, or between the positions of the grid.
+            options: the other attributes of `Run`, such as `hour`.
 
         >>> Run.parse("night2").name
         'seq2_night2'
@@ -180,7 +186,10 @@ def draw_run(building: Building, run: Run) -> RunState:
 def draw_light(building: Building, lighting: str, rng: Rng) -> Light:
     """Draw the light of any hour of any day, and which lamps are lit: it varies more than in the runs of a data set.
 
-    In sunny light, the sun is above the horizon.
+    Args:
+        building: its rooms, windows and direction of north.
+        lighting: "cloudy", "night" or "sunny"; in sunny light, the sun is above the horizon.
+        rng: draws hour, season and lamps.
     """
     hour, declination = float(rng.uniform(8.0, 18.0)), float(rng.uniform(-23.0, 23.0))
     while lighting == "sunny" and sun_direction(hour, building.north, declination)[2] < 0.08:

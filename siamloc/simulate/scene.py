@@ -49,7 +49,16 @@ class Surfaces:
         return replace(self, emission=emission.astype(np.float32), glows=emission.max(axis=1) > 0)
 
     def colour(self, atlas: TextureAtlas, quad: Array, s: Array, t: Array, footprint: Array, smooth: bool) -> Array:
-        """Return textures' linear colours (n, 3) at hits, without tint; `footprint` is a pixel's size (n,), metres."""
+        """Return textures' linear colours (n, 3) at the points that rays hit, without tint.
+
+        Args:
+            atlas: the textures.
+            quad: index of the quad hit (n,).
+            s: position along the first edge of the quad, from 0 to 1 (n,).
+            t: position along its last edge, from 0 to 1 (n,).
+            footprint: size of a pixel at the point in metres (n,).
+            smooth: whether textures are interpolated; otherwise the nearest texel counts.
+        """
         s, t = np.clip(s, 0, 0.99999), np.clip(t, 0, 0.99999)
         u = self.phase[quad, 0] + s * self.repeat[quad, 0]
         v = self.phase[quad, 1] + t * self.repeat[quad, 1]

@@ -128,7 +128,7 @@ def draw_views(
 
 
 def camera_of(seed: int, image_size: Sequence[int]) -> ViewCamera:
-    """Return the camera that takes the images of `draw_views` for a seed."""
+    """Return the camera that takes the images of `draw_views` for a seed, with images of (rows, columns)."""
     return draw_camera(seeded(seed, "views"), image_size)[0]
 
 

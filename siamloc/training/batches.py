@@ -54,7 +54,14 @@ class BatchAugmentation(Settings):
     def draw(
         self, stream: Sequence[int], images: int, image_shape: tuple[int, ...], mine: slice = slice(None)
     ) -> dict[str, Tensor]:
-        """Draw the parameters of the images `mine` among all `images` of a draw; `stream` makes draws independent."""
+        """Draw parameters for some of the images that are drawn together.
+
+        Args:
+            stream: whole numbers, such as epoch and batch, that make draws independent of each other.
+            images: number of images that are drawn together, by all processes.
+            image_shape: (3, H, W).
+            mine: the images, among these, whose parameters are returned; all by default.
+        """
         whole = torch.empty((images, *image_shape), dtype=torch.uint8, device="meta")  # for its shape only
         words = np.random.SeedSequence([self.seed, *stream]).generate_state(1, np.uint64)
         drawn = self.effect.draw(torch.Generator().manual_seed(int(words[0] >> np.uint64(1))), whole)
@@ -80,7 +87,13 @@ class BatchAugmentation(Settings):
         self.apply(item, params, image_shape)
 
     def apply(self, item: dict[str, Any], params: dict[str, Tensor], image_shape: tuple[int, ...]) -> None:
-        """Augment a batch with drawn parameters, or add the parameters with which the device augments it."""
+        """Augment a batch with drawn parameters, or add the parameters with which the device augments it.
+
+        Args:
+            item: the batch, whose `images` are replaced, or which gets the key `change` if `where` is "gpu".
+            params: the parameters that `draw` returned for the images of the batch.
+            image_shape: (3, H, W).
+        """
         if self.where == "gpu":
             item["change"] = self.effect.program(params, *image_shape[1:])
         else:

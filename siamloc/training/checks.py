@@ -79,7 +79,15 @@ def usable(
 
 
 def check_loss(loss: Loss | BatchLoss | None, arguments: int) -> None:
-    """Check that a loss takes this number of arguments."""
+    """Check that a loss takes this number of arguments.
+
+    Args:
+        loss: the loss; None stands for the default loss, which fits.
+        arguments: 3 for a loss of pairs, (d0, d1, y), and 2 for a loss of batches of places, (descriptors, origins).
+
+    Raises:
+        ConfigError: the loss takes other arguments.
+    """
     if loss is None or not callable(loss):
         return
     try:
@@ -95,7 +103,16 @@ def check_loss(loss: Loss | BatchLoss | None, arguments: int) -> None:
 
 
 def check_rooms(loss: Loss | BatchLoss | None, train: FrameTable, validated: FrameTable | None) -> None:
-    """Check that the frames have the rooms that the loss needs, and that validation frames share rooms with them."""
+    """Check that the frames have the rooms that the loss needs, and that validation frames share rooms with them.
+
+    Args:
+        loss: the loss; only losses that use rooms need any.
+        train: training frames.
+        validated: validation frames, or None.
+
+    Raises:
+        DataError: too few rooms, or validation frames that are all in other rooms, for `CrossEntropyLoss`.
+    """
     if getattr(loss, "room", 0) and len(rooms_of(train)) < _ROOMS:
         raise DataError(
             f"this loss learns from rooms, and the training frames have {len(rooms_of(train))}: give the labels of "

@@ -295,7 +295,14 @@ def augmentation_of(
     settings: Training,
     trainer: Mapping[str, Any] | None,
 ) -> tuple[BatchAugmentation | None, dict[str, Any]]:
-    """Make the augmentation of the training images; also return its description in plain values."""
+    """Make the augmentation of the training images; also return its description in plain values.
+
+    Args:
+        given: the `augmentation` of `fit`.
+        circular: whether the columns of images wrap around.
+        settings: gives the seed, and where images are augmented.
+        trainer: arguments of `lightning.Trainer`, which tell "auto" whether there is a GPU.
+    """
     effect, described = effect_of(given, circular)
     where = settings.augment_where if settings.augment_where != "auto" else "gpu" if on_gpu(trainer) else "cpu"
     return None if effect is None else BatchAugmentation(effect, where, settings.seed), described
@@ -304,7 +311,12 @@ def augmentation_of(
 def effect_of(
     given: augment.Effect | Mapping[str, Any] | str | None, circular: bool
 ) -> tuple[augment.Effect | None, dict[str, Any]]:
-    """Make the effect of an augmentation, None for none; also return its description in plain values."""
+    """Make the effect of an augmentation, None for none; also return its description in plain values.
+
+    Args:
+        given: an effect or a policy of `augment`, a policy's name, or plain values as in a policy file; None for none.
+        circular: whether the columns of images wrap around, unless plain values say otherwise.
+    """
     if isinstance(given, augment.Policy):
         effects = [f"{step.probability:g} {step.effect!r}" for step in given.slots]
         return given if given.slots else None, {"name": given.name, "effects": effects}

@@ -45,7 +45,16 @@ EPOCH_SUMS = "epoch_sums"
 
 
 def check_folder(run: Run, resume: bool, overwrite: bool) -> None:
-    """Refuse a folder with a run, unless it is to be resumed or overwritten, and a folder with other files."""
+    """Refuse a folder with a run, unless it is to be resumed or overwritten, and a folder with other files.
+
+    Args:
+        run: the run.
+        resume: the run is to be continued, and must exist.
+        overwrite: the run is to be replaced.
+
+    Raises:
+        ConfigError: the folder cannot be used in this way.
+    """
     if resume and overwrite:
         raise ConfigError("resume=true continues a run, overwrite=true removes it: choose one")
     if run.record.is_file():
@@ -76,7 +85,16 @@ def _others(run: Run) -> list[str]:
 
 
 def check_same_training(run: Run, now: Mapping[str, Any], epochs: int) -> None:
-    """Make sure that a run is resumed with its original settings; only the number of epochs may grow."""
+    """Make sure that a run is resumed with its original settings; only the number of epochs may grow.
+
+    Args:
+        run: the run to resume.
+        now: its requested settings, as plain values in the form of the run's record.
+        epochs: its requested number of epochs.
+
+    Raises:
+        ConfigError: settings differ.
+    """
     before, now = ({**used, "protocol": Protocol.of(used["protocol"]).plain()} for used in (run.settings, now))
     if before["training"]["monitor"] == "auto":
         before["training"]["monitor"] = now["training"]["monitor"]
@@ -145,7 +163,14 @@ def progress(run: Run) -> tuple[int, int]:
 
 
 def open_run(run: Run, used: Mapping[str, Any], *, resume: bool, validated: bool) -> None:
-    """Prepare the folder of a training: remove the files of an earlier training, and write the record."""
+    """Prepare the folder of a training: remove the files of an earlier training, and write the record.
+
+    Args:
+        run: the run.
+        used: all settings of the training, as plain values for the record.
+        resume: whether the training continues; its files then stay.
+        validated: whether there are validation frames, and so a best checkpoint.
+    """
     written = run.load_record()["written"] if resume else []
     if not resume and run.record.is_file():
         run.clear()

@@ -199,6 +199,10 @@ def compiled(module: NetworkModule, wanted: Literal["auto"] | bool) -> Iterator[
     batch; a smaller last batch takes the network as it is. Names of weights, checkpoints and hooks stay as they are.
     With "auto", a network that cannot be compiled is used as it is, and a note is printed.
 
+    Args:
+        module: the training module with the network.
+        wanted: True compiles, False does not; "auto" compiles if that works.
+
     Raises:
         ConfigError: the network cannot be compiled, which shows in the first step.
     """
