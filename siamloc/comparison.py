@@ -102,6 +102,10 @@ class Comparison:
     def save_picture(self, path: str | Path, against: str | None = None) -> Path:
         """Write the plot as PNG and return its path.
 
+        Args:
+            path: the file to write.
+            against: the setting on the x axis, as for `plot`.
+
         Raises:
             ConfigError, DataError: as `plot`.
             StorageError: the disk refuses.

@@ -60,6 +60,11 @@ def leave_out(problems: Sequence[str], total: int, what: str, on_error: str) -> 
 def check_known(values: Iterable[str], names: Iterable[str], where: str) -> None:
     """Refuse a mapping with a key that is not among the valid names.
 
+    Args:
+        values: the keys of the mapping.
+        names: the valid names.
+        where: the mapping's own key, which precedes the names in the message, such as "task.filter_settings".
+
     Raises:
         ConfigError: an unknown key, with the nearest valid one.
     """

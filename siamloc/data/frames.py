@@ -227,7 +227,10 @@ class FrameTable:
 
     @classmethod
     def from_rows(cls, rows: Sequence[Mapping[str, Any]]) -> FrameTable:
-        """Build a table from dictionaries; missing keys become NaN or the empty string."""
+        """Build a table from a dictionary for each frame, such as {"path": "1.jpg", "x": 0.5}.
+
+        The keys are names of columns; missing keys become NaN or the empty string.
+        """
         return cls(**{name: [row.get(name, _UNKNOWN[name]) for row in rows] for name in _COLUMNS})  # type: ignore[arg-type]
 
 

@@ -46,7 +46,7 @@ def parse_name(name: str) -> NamedPose | None:
 
 
 def format_name(pose: NamedPose, suffix: str = ".jpeg") -> str:
-    """Return the COLD file name of a pose, with six decimals as the database writes them."""
+    """Return the COLD file name of a pose, with six decimals as the database writes them, and the suffix at the end."""
     return f"t{pose.time:.6f}_x{pose.x:.6f}_y{pose.y:.6f}_a{pose.theta:.6f}{suffix}"
 
 

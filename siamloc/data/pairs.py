@@ -126,8 +126,8 @@ class PairSampler:
     def epoch(self, epoch: int, rank: int = 0, world_size: int = 1) -> Pairs:
         """Draw the pairs of an epoch, or the share of one process among `world_size`.
 
-        Process r gets the pairs r, r + world_size, r + 2 world_size, ...: no pair goes to two processes, and together
-        the processes get the whole epoch.
+        Process r, its `rank`, gets the pairs r, r + world_size, r + 2 world_size, ...: no pair goes to two processes,
+        and together the processes get the whole epoch.
         """
         uniform = np.random.Generator(np.random.Philox(key=[self.seed, epoch])).random((self.epoch_pairs, 4))
         same = np.zeros(self.epoch_pairs, dtype=bool)

@@ -38,7 +38,7 @@ def column_azimuth(width: int) -> Array:
 
 @typed
 def azimuth_column(azimuth: Array | float, width: int) -> Array:
-    """Return the fractional column [-0.5, W - 0.5) at which a direction appears; the inverse of `column_azimuth`."""
+    """Return the fractional column [-0.5, W - 0.5) at which an azimuth in rad appears; inverse of `column_azimuth`."""
     column = width / 2 - 0.5 - np.asarray(azimuth, dtype=np.float64) * width / (2 * np.pi)
     return (column + 0.5) % width - 0.5
 
@@ -85,7 +85,12 @@ class OmnidirectionalCamera(Protocol, Hashable):
     """Anything that knows where each pixel of a panorama lies in the omnidirectional image."""
 
     def sampling(self, view: PanoramaView, image_size: tuple[int, int]) -> tuple[Array, Array]:
-        """Return the columns (H, W) and rows (H, W) of a panorama's pixels in an image of size (rows, columns)."""
+        """Return where the pixels of a panorama lie in an image: columns (H, W) and rows (H, W).
+
+        Args:
+            view: rows H, columns W and elevations of the panorama.
+            image_size: rows and columns of the omnidirectional image.
+        """
         ...
 
 

@@ -154,6 +154,11 @@ class PlaceSampler:
     def whole_batch(self, epoch: int, number: int, world_size: int = 1) -> NDArray[np.int64]:
         """Return the rows of the frames in the batch of all processes (places * images * world_size,).
 
+        Args:
+            epoch: number of the epoch, from 0.
+            number: number of the batch in the epoch, from 0.
+            world_size: number of processes that train together.
+
         Raises:
             ConfigError: there are more places than frames.
         """

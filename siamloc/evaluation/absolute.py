@@ -77,7 +77,12 @@ def with_baseline(result: Result, name: str, baseline: Result) -> Result:
 
 
 def neighbours(ks: Sequence[int], map_frames: int) -> int:
-    """Return how many nearest map frames of each query a search must return to compute the recalls."""
+    """Return how many nearest map frames of each query a search must return to compute the recalls.
+
+    Args:
+        ks: the K of recall@K.
+        map_frames: number of frames in the map; recall@1% is computed as well.
+    """
     return min(max(*ks, one_percent(map_frames)), map_frames)
 
 

@@ -45,7 +45,7 @@ def lost_measures(called: ArrayLike, error: ArrayLike, lost_above: float) -> dic
     Args:
         called: which queries were called lost (n,).
         error: true errors (n,).
-        lost_above: the threshold.
+        lost_above: error above which a query is truly lost, in the unit of the errors.
 
     Returns:
         lost_above; the numbers of queries `called` lost, truly `lost` and `both`; `precision`, both / called; `recall`,
@@ -67,7 +67,9 @@ def lost_measures(called: ArrayLike, error: ArrayLike, lost_above: float) -> dic
 def calibration_measures(columns: Mapping[str, NDArray], lost_above: float) -> dict[str, Any]:
     """Return how well column `error_m` of `queries.csv` predicts column `error`: overall, by lighting and by room.
 
-    The column `lost` holds which queries were called lost.
+    Args:
+        columns: columns of `queries.csv`; `lost` holds which queries were called lost.
+        lost_above: error above which a query is truly lost, in the unit of the positions.
 
     Returns:
         The groups "overall", "lighting" (by label) and "room" (by label). A group holds `queries`; `predicted` and

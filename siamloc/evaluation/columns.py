@@ -35,7 +35,12 @@ def query_columns(frames: FrameTable, rooms: NDArray[np.str_]) -> Columns:
 
 
 def right_share(columns: Mapping[str, NDArray], rows: NDArray[np.int64]) -> dict[str, Any]:
-    """Return `accuracy` and the counts `correct` and `queries` of some rows (at least one)."""
+    """Return `accuracy` and the counts `correct` and `queries` of some rows of a table.
+
+    Args:
+        columns: columns of the table, with `correct`, True for rows whose answer is right.
+        rows: indices of the rows, at least one.
+    """
     correct = int(columns["correct"][rows].sum())
     return {"accuracy": correct / len(rows), "correct": correct, "queries": len(rows)}
 

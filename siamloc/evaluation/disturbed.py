@@ -73,6 +73,9 @@ class Robustness(Settings):
     def disturbances(self, circular: bool) -> list[Disturbance]:
         """Return the disturbances that the settings request.
 
+        Args:
+            circular: whether the columns of the images wrap around.
+
         Raises:
             ConfigError: no disturbance, or the same one twice.
         """
@@ -228,7 +231,7 @@ class Disturbance:
             images: (B, 3, H, W) uint8, RGB.
             level: strength of the disturbance, one of its levels.
             rows: indices of the queries (B,), which determine the draws together with the seed.
-            seed: seed of all draws.
+            seed: seed of the noise, the bars and the places of effects.
         """
         from analytic import disturb
 
@@ -280,8 +283,8 @@ def locate_disturbed(
         locate: describes images and finds their nearest map frames.
         images: (B, 3, H, W) uint8, RGB.
         rows: indices of the queries (B,).
-        disturbances: the disturbances to apply.
-        seed: seed of all draws.
+        disturbances: the disturbances, each of which is applied at all of its levels.
+        seed: seed of the noise, the bars and the places of effects.
     """
     clean: Answer | None = None
     found: dict[tuple[str, float], Answer] = {}

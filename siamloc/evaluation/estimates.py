@@ -253,6 +253,12 @@ def filtered(
 ) -> tuple[Columns, dict[str, Any], NDArray[np.float64]]:
     """Track the robot through the queries of each sequence.
 
+    Args:
+        settings: gives the temperature and the probability of kidnapping, or asks to choose them.
+        search: a search with distances that has been run for the queries.
+        queries: the n queries.
+        validation: the frames on which temperature and kidnapping are chosen with `filter_tune`; else None.
+
     Returns:
         The columns, the filter's parameters, and positions (n, 2) between map frames.
     """

@@ -120,6 +120,11 @@ def mapping(
 def mapping_measures(columns: Mapping[str, NDArray], radius: float, gap: int) -> dict[str, Any]:
     """Return the measures of a coarse layer that can be computed from the columns of `frames.csv`.
 
+    Args:
+        columns: columns of `frames.csv`.
+        radius: largest distance between two frames that rightly close a loop, in the unit of the positions.
+        gap: least number of frames between the two frames of a loop.
+
     Returns:
         frames, nodes, unassigned (frames in no node, and their share); `silhouette` of the capture points, "nearest"
         ([C] 8-11), "every_frame" (the same, with the frames in no node as one more node) and "pooled" ([I] 12-13), NaN

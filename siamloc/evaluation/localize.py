@@ -130,7 +130,7 @@ def localization(
         protocol: "cross_run": no query comes from a drive in the map; "same_run"; or a `Protocol`.
         baselines: descriptors measured on the same frames: names such as "hog", or a mapping of names to descriptors.
         name: names the result folder and the rows in comparisons; the name of the descriptor if None.
-        seed: seed of the judged pairs.
+        seed: seed of the draw of the pairs of queries that are judged.
         settings: all settings in one object, instead of one keyword each.
 
     Returns:

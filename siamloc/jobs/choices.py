@@ -115,7 +115,10 @@ def _only(where: str, *texts: str) -> Check:
 
 
 def parameters_of(name: str) -> dict[str, Any]:
-    """Return the parameters of an analytic descriptor; whether its columns wrap around follows from the data."""
+    """Return the parameters, with defaults, of an analytic descriptor, a name in `analytic.DESCRIPTORS`.
+
+    `circular` is left out: whether columns wrap around follows from the data.
+    """
     from analytic.descriptors.registry import parameters
 
     return {key: value for key, value in parameters(name).items() if key != "circular"}

@@ -200,6 +200,10 @@ def choices(group: str) -> dict[str, str]:
 def option(group: str, name: str) -> Option:
     """Return an option, from its registry or from its file and the options that the file starts from.
 
+    Args:
+        group: group of options, a folder of `conf/`, such as "model/branch".
+        name: name of the option, such as "vgg16".
+
     Raises:
         ConfigError: an unknown option.
     """

@@ -111,6 +111,10 @@ def map_places(run: Run, titles: Mapping[str, str]) -> list[Path]:
     """Return the path of a job's map, and of the map that jobs with other distances or headings share with it.
 
     The path is `map_file`, or inside the job's own folder if a sweep makes different maps.
+
+    Args:
+        run: the run.
+        titles: the job's titles by key, with "descriptor", and those of the swept settings.
     """
     label = titles["descriptor"]
     shared = run.evaluation(label)

@@ -91,9 +91,9 @@ class HierarchicalSearch:
         settings: how the nodes are ranked and searched.
 
     Attributes:
-        known: the map.
-        layer: nodes of the map.
-        coarse: the map that ranks the nodes.
+        known: the map in which frames are searched.
+        layer: the nodes of that map.
+        coarse: the map whose descriptor ranks the nodes; `known` if no other map was given.
 
     Raises:
         ConfigError: a setting out of range, a ratio without representatives, representatives of descriptors that are

@@ -134,7 +134,12 @@ def layer_shapes(name: str, image_size: tuple[int, int], circular: bool) -> list
 
 @lru_cache(maxsize=64)
 def smallest_size(name: str, circular: bool = False) -> tuple[int, int]:
-    """Return the smallest image (H, W) that the branch can take; each side alone may be that small."""
+    """Return the smallest image (H, W) that a branch can take; each side alone may be that small.
+
+    Args:
+        name: a name in `BRANCHES`.
+        circular: whether convolutions and pools wrap around the azimuth.
+    """
     if branch_spec(name).kind == "simple":
         return SIMPLE_GRID
     sides = range(257)

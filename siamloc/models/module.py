@@ -162,6 +162,10 @@ class NetworkModule(LightningModule):
     def log_epoch(self, stage: str, values: Mapping[str, Any]) -> None:
         """Log the figures of an epoch under names such as "train/loss".
 
+        Args:
+            stage: "train" or "val", the first part of the names.
+            values: the figures by the second part of their names.
+
         Raises:
             ConfigError: the loss is not finite.
         """

@@ -68,7 +68,7 @@ def read_checkpoint(path: str | Path, mmap: bool = False) -> dict[str, Any]:
 
 
 def network_state(content: Mapping[str, Any]) -> dict[str, Tensor]:
-    """Return the network's weights in a checkpoint, by their names in the network."""
+    """Return the network's weights in the content of a checkpoint, by their names in the network."""
     states = content["state_dict"].items()
     return {name.removeprefix("network."): tensor for name, tensor in states if name.startswith("network.")}
 

@@ -64,8 +64,8 @@ def validation_drive(
 
     Args:
         library: decoded panoramas of all frames.
-        known: map frames.
-        queries: frames to search in the map.
+        known: the map frames, among those of the library.
+        queries: frames, among those of the library, that are searched among the map frames.
         numbers: index on the device of each row of the library, as for `Panoramas`.
     """
     drive = [_evenly(known), _evenly(queries)]
@@ -89,7 +89,7 @@ class PlaceDataModule(EpochDataModule):
             None.
         workers: processes that gather batches; 0 gathers in the training process, which is fastest on a CPU.
         augmentation: changes the training images, such as their contrast; None leaves them as they are.
-        seed: seed of the batches.
+        seed: seed from which the batches of all epochs follow.
     """
 
     library: PanoramaLibrary

@@ -11,6 +11,10 @@ from siamloc.errors import DataError
 def column_of(values: ArrayLike, what: str) -> NDArray[np.float64]:
     """Check the values of a measure, one for each query, and return them as float64 (n,).
 
+    Args:
+        values: the values (n,).
+        what: noun for the values in the error message, such as "errors".
+
     Raises:
         DataError: another shape, or a value that is not finite.
     """
@@ -24,6 +28,10 @@ def column_of(values: ArrayLike, what: str) -> NDArray[np.float64]:
 
 def positions_of(xy: ArrayLike, what: str) -> NDArray[np.float64]:
     """Check positions and return them as float64 (n, 2).
+
+    Args:
+        xy: the positions (n, 2).
+        what: whose positions they are, for the error message, such as "query".
 
     Raises:
         DataError: another shape, or a position that is not finite.

@@ -39,7 +39,7 @@ class Story:
     """How an incremental map grew: the events of its log, and the final map.
 
     Attributes:
-        plan: the final map.
+        plan: nodes and frames of the final map.
         events: one per line of the log, without the header.
         ids: the mapper's name of each node of the plan (k,).
         colours: colour of every node that ever existed, by the mapper's name; nodes of the plan have its colours.

@@ -26,11 +26,11 @@ class Part:
     """An evaluation prepared for the page.
 
     Attributes:
-        run: the run of the evaluation.
-        evaluation: the results.
+        run: the run that was evaluated, with its title in the report.
+        evaluation: measures and tables of the evaluation.
         alone: whether the page is about this run only.
         number: number of the part, from 0.
-        plan: data of the floor plan, if any.
+        plan: data of the floor plan; None if nothing was localized.
         decoder: reads and keeps the images of the plan.
     """
 
