@@ -43,8 +43,8 @@ class Expanded:
 
     Attributes:
         folder: folder of the data set.
-        kind: kind of data for `siamloc.data.read`.
-        frames: number of frames expanded.
+        kind: "cold", "folder" or "manifest", the first argument of `siamloc.data.read`.
+        frames: number of source frames whose images could be read.
         depth: number of images per frame.
         written: number of images written by this call.
         kept: number of images that were already there.

@@ -44,7 +44,7 @@ class PanoramaLibrary:
         rejected: images that were left out, each as {"path": ..., "reason": ...}.
         image_size: rows and columns (H, W).
         circular: whether the columns wrap around.
-        preprocessing: how an image becomes a panorama.
+        preprocessing: reads an image and makes a panorama of it, with image size and camera.
 
     Raises:
         ConfigError: a size, camera, number of workers or policy that makes no sense, or an `unwrap` that does not fit

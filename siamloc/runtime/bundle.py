@@ -68,7 +68,7 @@ class Bundle:
             not), `search` (how a coarse layer is searched first, None without one), `precisions` (size, speed and
             accuracy in each precision, if one was chosen), `figures` (of its evaluation, None without), `sha256` by
             file.
-        preprocessing: how an image becomes a panorama.
+        preprocessing: reads an image and makes a panorama of it, with image size and camera.
     """
 
     path: Path

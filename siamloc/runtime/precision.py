@@ -43,7 +43,7 @@ class Measured:
     """Size, speed and accuracy of a bundle in one precision.
 
     Attributes:
-        precision: precision of network and map.
+        precision: "float32", "float16" or "int8", the precision of network and map.
         bytes: size of the whole bundle.
         ms: median time per image, from the panorama on.
         change: median distance between its descriptors and the original's, relative to their norm.

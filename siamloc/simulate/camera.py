@@ -149,8 +149,8 @@ class ViewCamera:
     """A camera that takes training images.
 
     Attributes:
-        rows: number of rows of its images.
-        columns: number of columns of its images.
+        rows: height of its images in pixels.
+        columns: width of its images in pixels.
         directions: (across, down) -> unit viewing directions (rows, columns, 3) in the robot's frame, through points
             that lie these shares of a pixel from its middle.
         spread: angle in rad between the columns at each pixel (rows * columns,), float32.
@@ -319,7 +319,12 @@ def expose(brightness: Array, colour: Array, time: Array, offset: float) -> Expo
 
 
 def metered(values: Array, steps: int = 24) -> float:
-    """Return the gain at which the mean of the clipped pixels is mid grey; more steps make it more exact."""
+    """Return the gain at which the mean of the clipped pixels is mid grey.
+
+    Args:
+        values: radiosities of the pixels, of any shape.
+        steps: number of bisections of the range of gains; more make the gain more exact.
+    """
     low, high = np.log(1e-3), np.log(1e2)
     for _ in range(steps):
         middle = (low + high) / 2

@@ -121,8 +121,8 @@ class Item:
         facing: direction in degrees, counter-clockwise from +x, that its front faces.
         size: width, depth and height in metres.
         z: height of its base above the floor in metres.
-        room: name of the room.
-        options: further options of its builder.
+        room: name of the room that the item is in.
+        options: values of the keys that `items.KINDS` lists as options of the kind, such as "colour".
         line: line of the building file, 0 if there is none.
     """
 

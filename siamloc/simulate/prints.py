@@ -29,7 +29,13 @@ _BRIGHT = np.array(
 
 
 def print_textures(rng: Rng) -> dict[str, Texture]:
-    """Return the textures of posters, screens, signs and so on of one building; a number ends names of several."""
+    """Return the textures of posters, screens, signs and so on of one building, by name.
+
+    Textures of which a building has several are numbered from 0, such as "poster0", "poster1", "screen0" and "sign0".
+
+    Args:
+        rng: draws the pictures.
+    """
     several: dict[str, tuple[int, Callable[[int], Array]]] = {
         "poster": (POSTERS, lambda i: _poster(rng, i)),
         "books": (BOOK_ROWS, lambda i: _books(rng, empty=0.06 + 0.05 * (i % 4))),

@@ -24,7 +24,17 @@ LOOKS = 6
 
 @dataclass(frozen=True)
 class Surfaces:
-    """A mesh of quads with everything needed to shade a point that a ray hits, in single precision."""
+    """A mesh of quads with everything needed to shade a point that a ray hits, in single precision.
+
+    Attributes:
+        mesh: the Q quads.
+        repeat: how often the texture repeats along the first and the last edge (Q, 2).
+        phase: position of the first corner in the texture (Q, 2).
+        normals: unit normals on the visible side (Q, 3).
+        texels: texels per metre in the largest copy of the quad's texture (Q,).
+        emission: radiosity that the quad emits where its texture is white, with the lamps as they are lit (Q, 3).
+        glows: whether the quad emits any light (Q,).
+    """
 
     mesh: QuadMesh
     repeat: Array
@@ -36,7 +46,7 @@ class Surfaces:
 
     @classmethod
     def of(cls, mesh: QuadMesh, atlas: TextureAtlas) -> Surfaces:
-        """Prepare a mesh for shading; `texels` is the texels per metre in the largest copy of each texture (Q,)."""
+        """Prepare a mesh for shading with the textures of an atlas; no lamps are lit."""
         stretched = 256 / np.sqrt(np.maximum(mesh.size[:, 0] * mesh.size[:, 1], 1e-8))
         texel = atlas.texel[mesh.texture]
         texels = np.where(np.isnan(texel), stretched, 1 / np.where(np.isnan(texel), 1, texel))

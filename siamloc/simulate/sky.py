@@ -18,7 +18,7 @@ class Sky:
     """The world outside, infinitely far away.
 
     Attributes:
-        image: radiosity by elevation (+90 to -90 degrees) and azimuth (0 to 2 pi), (rows, columns, 3).
+        image: radiosity by elevation (+90 to -90 degrees) and azimuth (0 to 360 degrees), (rows, columns, 3).
         sun: unit vector towards the sun (3,), or None if it does not shine.
         sun_radiosity: radiosity of a surface that faces the sun (3,).
     """
