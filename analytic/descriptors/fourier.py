@@ -89,7 +89,7 @@ class FourierSignature(ImageDescriptor):
     whitened: bool = True
 
     def resolution(self, width: int) -> float:
-        """Return the angle of one column, or of one of the `turns` if there are fewer of these, rad."""
+        """Return the step in rad between headings: one column of the image, or 2 pi / `turns` if that is larger."""
         return 2 * pi / min(width, self.turns)
 
     def sizes(self, height: int, width: int) -> tuple[tuple[int, ...], tuple[int, ...]]:

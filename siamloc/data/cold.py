@@ -40,7 +40,7 @@ def read_cold(
 
     Args:
         root: the database, a building, a part, or one sequence.
-        places: a single list, instead of `root`.
+        places: one file `places.lst` of poses, instead of the folder `root`.
         camera: "omni_cam" or "std_cam".
         on_error: "skip" or "raise", for images that are listed but missing and for sequences without this camera.
 

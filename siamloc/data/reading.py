@@ -79,7 +79,7 @@ class DataSettings(Settings):
         name: name of the data in results and runs.
         manifest: CSV table, for kind "manifest".
         root: folder, for kind "cold" or "folder".
-        places: a single list, for kind "cold", instead of `root`.
+        places: one file `places.lst` of poses, for kind "cold", instead of `root`.
         camera: "omni_cam" or "std_cam", for kind "cold".
         unit: unit of x and y; only used in texts.
         image_size: rows and columns of a panorama.

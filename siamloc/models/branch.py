@@ -134,7 +134,7 @@ def layer_shapes(name: str, image_size: tuple[int, int], circular: bool) -> list
 
 @lru_cache(maxsize=64)
 def smallest_size(name: str, circular: bool = False) -> tuple[int, int]:
-    """Return the smallest image (H, W) that a branch can take; each side alone may be that small.
+    """Return the smallest height and width in pixels that a branch takes, each found with the other side large.
 
     Args:
         name: a name in `BRANCHES`.

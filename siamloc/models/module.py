@@ -198,9 +198,9 @@ class NetworkModule(LightningModule):
             raise self.diverged(f"{error} after epoch {self.current_epoch + 1}") from error
 
     def epoch_sums(self) -> dict[str, Tensor]:
-        """Return the sums behind the figures of the current epoch, for a checkpoint within the epoch.
+        """Return what the training figures of the current epoch are computed from, for a checkpoint within the epoch.
 
-        In this class these are the figures of each step (steps,), by name.
+        In this class: the value of each figure at every step so far (steps,), by the figure's name.
         """
         return {name: torch.stack(each) for name, each in self._figures.items()}
 

@@ -100,7 +100,7 @@ class SiameseModule(NetworkModule):
         self._log_epoch("val", self.val_statistics, self.drive_figures())
 
     def epoch_sums(self) -> dict[str, Tensor]:
-        """Return the sums behind the statistics of the current epoch, for a checkpoint."""
+        """Return the sums behind the pair statistics of the current epoch, for a checkpoint within the epoch."""
         return self.train_statistics.sums()
 
     def load_epoch_sums(self, sums: Mapping[str, Tensor]) -> None:

@@ -97,10 +97,13 @@ def estimate_curve(columns: Mapping[str, NDArray], estimate: str, unit: str = "m
 
 @style()
 def compared_curves(tables: Mapping[str, Mapping[str, NDArray]], unit: str = "m") -> Picture:
-    """Draw several evaluations in one panel for all queries, and one panel per lighting if there are several.
+    """Draw the cumulative share of queries over their error, one curve for each evaluation.
+
+    There is a panel for all queries, and one for each lighting if there are several.
 
     Args:
-        tables: columns of `queries.csv` by the name of the evaluation: error, floor, lighting.
+        tables: columns of `queries.csv` by the name of the evaluation, each (queries,): error, floor (the error of the
+            nearest map frame) and lighting.
         unit: unit of all errors.
     """
     lightings = {title: rows_by_label(columns["lighting"]) for title, columns in tables.items()}
