@@ -53,8 +53,8 @@ def candidates(line: str) -> list[str]:
 
     >>> candidates("siamloc ev")
     ['evaluate ']
-    >>> candidates("siamloc train model/head=fc500")
-    ['model/head=fc500_100_10', 'model/head=fc500_500_5']
+    >>> candidates("siamloc train model/head=fc1")
+    ['model/head=fc1000_1000_10', 'model/head=fc1000_1000_10_softmax']
     """
     words = [*line.split()[1:], *([""] if line.endswith(" ") else [])]
     for count in (1, 2):
