@@ -209,7 +209,9 @@ class VisualMap:
         self.check_describer(other.identity)
         if self.heading != other.heading or (self.orientation is None) != (other.orientation is None):
             raise DataError("a map with headings and one without, or with headings found otherwise, cannot be merged")
-        parts = None if self.orientation is None else np.concatenate([self.orientation, other.orientation])  # type: ignore[list-item]
+        parts = None
+        if self.orientation is not None and other.orientation is not None:
+            parts = np.concatenate([self.orientation, other.orientation])
         descriptors = np.concatenate([self.descriptors, other.descriptors])
         frames = concatenate([self.frames, other.frames])
         made = {**self.made, "sequences": list(frames.rows_by("sequence")), "frames": len(frames)}
