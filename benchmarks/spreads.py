@@ -3,10 +3,9 @@
 Some jobs of the scale `short` are repeated: every repetition has another seed for weights, pairs, noise and clusters,
 and takes other frames of the query drives. The standard deviations are averaged over the numbers of a measure, relative
 to each number if the measure has a unit such as metres. `siamloc/reproduce/claims.yaml` states them. For the errors of
-trained networks see `augmentation_training`.
+trained networks see `augmentation_training`. The grid and the dense drives of the building are rendered as
+docs/results/published.md says.
 
-    siamloc simulate camera=panorama out=data
-    siamloc simulate camera=panorama runs=[cloudy3] spacing=0.05 out=data/dense
     python -m benchmarks.spreads --data data/freiburg_like --work runs/spreads
 """
 
@@ -20,8 +19,9 @@ from statistics import fmean
 from typing import Any
 
 from benchmarks.report import Report, parser
-from siamloc.reproduce.experiments import Data, image_size, measured
+from siamloc.reproduce.experiments import Data, measured
 from siamloc.reproduce.published import Record, measures, over_seeds
+from siamloc.reproduce.running import open_data
 from siamloc.reproduce.study_book import Job, experiment
 
 REPEATED = {
@@ -32,7 +32,7 @@ REPEATED = {
     "compact_hog": 5,
     "shares_vgg16": 3,
 }
-"""How often the last job of each experiment is measured."""
+"""How often the last job of each experiment in the building itself is measured."""
 SPREAD = ("hit_rate", "error", "heading_error", "accuracy", "silhouette", "inertia")
 """Measures for which claims compare numbers, without times."""
 
@@ -45,9 +45,8 @@ def main() -> None:
     arguments.add_argument("--only", nargs="*", default=list(REPEATED), choices=REPEATED, help="some experiments")
     options = arguments.parse_args()
     for name in options.only:
-        job = experiment(name).jobs("short")[-1]
-        folder = options.data.parent / "dense" / options.data.name if job.dense else options.data
-        data = Data("freiburg_sim", folder, image_size(job), options.work)
+        job = [one for one in experiment(name).jobs("short") if one.at in ("", "grid")][-1]
+        data = open_data(job, "freiburg_sim", options.data, options.work, {})
         spreads = spreads_of([one for seed in range(REPEATED[name]) for one in repeated(job, data, seed)])
         row = {"kind": job.kind, "seeds": REPEATED[name], "spread": spreads}
         print(name, row, flush=True)

@@ -68,7 +68,7 @@ def reproduce(
     records: dict[bool, list[Record]] = {False: [], True: []}
     seconds, machines = dict.fromkeys(chosen.experiments, 0.0), []
     for job in track(jobs, len(jobs), f"measuring {chosen.id}") if progress else jobs:
-        kept = _done(job, _open(job, data, root, Path(out), opened), Path(out), measure)
+        kept = _done(job, open_data(job, data, root, Path(out), opened), Path(out), measure)
         made = [Record(**one) for one in kept["records"]]
         records[experiment(job.experiment).beside] += [replace(one, spread=spread_of(job.kind, one)) for one in made]
         seconds[job.experiment] += kept["seconds"]
@@ -89,8 +89,20 @@ def machine() -> str:
     return said
 
 
-def _open(job: Job, name: str, root: str | Path | None, out: Path, opened: dict[Any, Data]) -> Data:
-    """Return the data set of a job, from those that are open if it is among them."""
+def open_data(job: Job, name: str, root: str | Path | None, out: Path, opened: dict[Any, Data]) -> Data:
+    """Return the data set of a job, from those that are open if it is among them.
+
+    Args:
+        job: the job, which needs frames of one place at one image size.
+        name: a name in `study_book.yaml`.
+        root: folder of the data set, beside which those of other places lie; the usual one if None.
+        out: folder in whose "training" folder unfinished trainings are kept.
+        opened: data sets that are open; one that is opened is added.
+
+    Raises:
+        ConfigError: no root for a data set without a usual one.
+        DataError: a folder that does not exist.
+    """
     from siamloc.reproduce.experiments import Data, image_size
 
     key, about = (job.dense, job.at, image_size(job)), data_named(name)
