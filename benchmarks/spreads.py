@@ -1,10 +1,12 @@
-"""Measure how much a reproduced number varies between seeds, for the kinds of experiments that depend on one.
+"""Measure how much the difference of two reproduced numbers varies between seeds, by kind of experiment.
 
-Some jobs of the scale `short` are repeated: every repetition has another seed for weights, pairs, noise and clusters,
-and takes other frames of the query drives. The standard deviations are averaged over the numbers of a measure, relative
-to each number if the measure has a unit such as metres. `siamloc/reproduce/claims.yaml` states them. For the errors of
-trained networks see `augmentation_training`. The grid and the dense drives of the building are rendered as
-docs/results/published.md says.
+The jobs of some experiments at the scale `short` are repeated: every repetition has another seed for weights, pairs,
+noise and clusters, and takes other frames of the query drives, or, where a drive is mapped without queries, every third
+frame of it, starting with another one. A claim compares numbers that were measured with the same seed and the same
+frames, so that what they have in common cancels: for each two numbers of an experiment, the standard deviation over
+seeds of their difference is computed, relative to their mean if the measure has a unit such as metres, and averaged.
+`siamloc/reproduce/claims.yaml` states these spreads; for the errors of trained networks it uses
+`augmentation_training`. The grid and the dense drives of the building are rendered as docs/results/published.md says.
 
     python -m benchmarks.spreads --data data/freiburg_like --work runs/spreads
 """
@@ -12,15 +14,16 @@ docs/results/published.md says.
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
-from statistics import fmean
-from typing import Any
+
+import numpy as np
 
 from benchmarks.report import Report, parser
+from foundation.files import content_key
 from siamloc.reproduce.experiments import Data, measured
-from siamloc.reproduce.published import Record, measures, over_seeds
+from siamloc.reproduce.published import Record, measures
 from siamloc.reproduce.running import open_data
 from siamloc.reproduce.study_book import Job, experiment
 
@@ -28,13 +31,16 @@ REPEATED = {
     "hits_fs": 5,
     "hits_hog": 5,
     "disturbed_hog": 5,
-    "spectral_hog": 5,
+    "incremental_hog": 3,
+    "spectral_hog": 3,
+    "timed_hog": 3,
     "compact_hog": 5,
+    "chosen_hog": 5,
     "shares_vgg16": 3,
 }
-"""How often the last job of each experiment in the building itself is measured."""
-SPREAD = ("hit_rate", "error", "heading_error", "accuracy", "silhouette", "inertia")
-"""Measures for which claims compare numbers, without times."""
+"""How often the jobs of each experiment in the building itself are measured."""
+EXACT = ("frames", "descriptor_size", "floor", "information")
+"""Measures that depend on no seed."""
 
 
 def main() -> None:
@@ -45,34 +51,41 @@ def main() -> None:
     arguments.add_argument("--only", nargs="*", default=list(REPEATED), choices=REPEATED, help="some experiments")
     options = arguments.parse_args()
     for name in options.only:
-        job = [one for one in experiment(name).jobs("short") if one.at in ("", "grid")][-1]
-        data = open_data(job, "freiburg_sim", options.data, options.work, {})
-        spreads = spreads_of([one for seed in range(REPEATED[name]) for one in repeated(job, data, seed)])
-        row = {"kind": job.kind, "seeds": REPEATED[name], "spread": spreads}
+        jobs, seeds = [one for one in experiment(name).jobs("short") if one.at in ("", "grid")], REPEATED[name]
+        data = open_data(jobs[0], "freiburg_sim", options.data, options.work, {})
+        found = [one for seed in range(seeds) for job in jobs for one in repeated(job, data, seed)]
+        row = {"kind": jobs[0].kind, "seeds": seeds, "spread": spreads_of(found)}
         print(name, row, flush=True)
         report = Report("spreads", options.out)
         report.write({"rows": report.kept({name: row}, list(REPEATED))})
 
 
 def repeated(job: Job, data: Data, seed: int) -> Iterator[Record]:
-    """Measure a job with a seed and with the query frames of that offset."""
-    roles = {role: _moved(options, seed) if role == "query" else options for role, options in job.roles.items()}
+    """Measure a job with a seed and with frames that differ by the seed."""
+    moved, every = ("query", {}) if "query" in job.roles else ("map", {"every": 3})
+    role = {**job.roles[moved], **every}
+    roles = {**job.roles, moved: {**role, "offset": seed} if role.get("every", 1) > seed else role}
     for one in measured(replace(job, roles=roles, options={**job.options, "seed": seed}), data):
-        if one.measure in SPREAD:
+        if one.measure not in EXACT:
             yield replace(one, settings={**one.settings, "seed": seed})
 
 
-def _moved(role: Mapping[str, Any], seed: int) -> dict[str, Any]:
-    return {**role, "offset": seed} if role.get("every", 1) > seed else dict(role)
-
-
 def spreads_of(records: list[Record]) -> dict[str, float]:
-    """Average the standard deviations over seeds of each measure."""
-    each: dict[str, list[float]] = defaultdict(list)
-    for one in over_seeds(records):
-        relative = measures()[one.measure]["unit"] not in ("1", "share")
-        each[one.measure].append(one.spread / abs(one.value) if relative else one.spread)
-    return {measure: round(fmean(found), 4) for measure, found in each.items()}
+    """Average the standard deviations over seeds of the differences between any two numbers of a measure."""
+    each: dict[str, dict[str, dict[int, float]]] = defaultdict(lambda: defaultdict(dict))
+    for one in records:
+        settings = {name: value for name, value in one.settings.items() if name != "seed"}
+        each[one.measure][content_key(settings)][one.settings["seed"]] = one.value
+    spreads = {}
+    for measure, numbers in each.items():
+        seeds = set.intersection(*(set(found) for found in numbers.values()))
+        values = np.array([[found[seed] for seed in sorted(seeds)] for found in numbers.values()])
+        first, second = np.triu_indices(len(values), 1)
+        spread = (values[first] - values[second]).std(axis=1, ddof=1)
+        if measures()[measure]["unit"] not in ("1", "share"):
+            spread /= (abs(values[first]) + abs(values[second])).mean(axis=1) / 2
+        spreads[measure] = round(float(spread.mean()), 4)
+    return spreads
 
 
 if __name__ == "__main__":

@@ -127,8 +127,8 @@ def mapping_measures(columns: Mapping[str, NDArray], radius: float, gap: int) ->
 
     Returns:
         frames, nodes, unassigned (frames in no node, and their share); `silhouette` of the capture points, "nearest"
-        ([C] 8-11), "every_frame" (the same, with the frames in no node as one more node) and "pooled" ([I] 12-13), NaN
-        with fewer than two nodes; `inertia` ([C] 7); silhouette and inertia are computed over the frames that have a
+        ([C] 8-11), "with_unassigned" (the same, with the frames in no node as one more node), "by_node" (that, averaged
+        over nodes instead of frames) and "pooled" ([I] 12-13), NaN with fewer than two nodes; `inertia` ([C] 7); silhouette and inertia are computed over the frames that have a
         position, NaN if there are none; `purity` per room and overall, with the number of frames; `closures` with
         precision, recall, F1 and their denominators, NaN unless all frames have a position; `ms_per_frame` as mean,
         median and p95; `reasons` with their counts, if any.
@@ -152,7 +152,8 @@ def mapping_measures(columns: Mapping[str, NDArray], radius: float, gap: int) ->
         "unassigned": {"frames": unassigned, "share": unassigned / len(labels)},
         "silhouette": {
             "nearest": silhouette(xy[placed], labels[placed]),
-            "every_frame": silhouette(xy[placed], labels[placed], unassigned="cluster"),
+            "with_unassigned": silhouette(xy[placed], labels[placed], unassigned="cluster"),
+            "by_node": silhouette(xy[placed], labels[placed], unassigned="cluster", over="nodes"),
             "pooled": silhouette(xy[placed], labels[placed], "pooled"),
         },
         "inertia": float(np.nansum(inertias)) if np.isfinite(inertias).any() else math.nan,
@@ -201,6 +202,7 @@ def silhouette(
     labels: NDArray[np.int64],
     mode: Literal["nearest", "pooled"] = "nearest",
     unassigned: Literal["left_out", "cluster"] = "left_out",
+    over: Literal["nodes"] | None = None,
 ) -> float:
     """Return the average silhouette, in [-1, 1], of nodes in positions or descriptors (n, D); NaN below two nodes.
 
@@ -209,12 +211,14 @@ def silhouette(
         labels: (n,) node of each frame, -1 for none.
         mode: "nearest" or "pooled", see `analytic.measures.silhouettes`.
         unassigned: "left_out" leaves out frames without a node; "cluster" makes them one more cluster.
+        over: "nodes" averages over nodes; by default the mode decides: over frames for "nearest".
     """
     from analytic import measures
 
     if len(set(labels[labels >= 0].tolist())) < 2:
         return math.nan
-    return measures.silhouette(values, labels, mode, unassigned=unassigned)
+    found = measures.silhouettes(values, labels, mode, unassigned=unassigned)
+    return float(found.clusters.mean()) if over == "nodes" else found.mean
 
 
 def _nodes(layer: CoarseLayer, columns: Columns) -> Columns:

@@ -15,9 +15,9 @@ There are three kinds of checks:
 may be given as a value, a list of values, bounds (`above`, `below`, `at_least`, `at_most`), or `not` with a value or a
 list.
 
-Numbers do not decide an order or a trend if they are equal, or if they differ by less than the spread of one of them
-(`Record.spread`): another seed could then give another verdict. Claims that numbers are about alike (`goes: flat`, a
-`factor` below 1) and thresholds are compared as they are.
+Numbers do not decide an order or a trend if they are equal, or if they differ by less than such a difference varies
+between seeds (`Record.spread`): another seed could then give another verdict. Claims that numbers are about alike
+(`goes: flat`, a `factor` below 1) and thresholds are compared as they are.
 """
 
 from __future__ import annotations
@@ -102,14 +102,14 @@ def claims() -> tuple[Claim, ...]:
 
 
 def spread_of(kind: str, one: Record) -> float:
-    """Return the standard deviation over seeds of a number that was measured with one seed, as `claims.yaml` states it.
+    """Return how much the difference of such numbers varies between seeds, as `claims.yaml` states it.
 
     Args:
         kind: the kind of experiment, a key of `siamloc.reproduce.experiments.KINDS`, such as "retrieval".
         one: the number, with the name of its measure.
 
     Returns:
-        The deviation in the unit of the number's value; 0 if `claims.yaml` states none.
+        The standard deviation of the difference in the unit of the number's value; 0 if `claims.yaml` states none.
     """
     stated = float(contents("claims")["spreads"].get(kind, {}).get(one.measure, 0))
     relative = measures().get(one.measure, {}).get("unit", "1") not in ("1", "share")

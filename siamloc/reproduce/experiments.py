@@ -189,8 +189,8 @@ def _grouped(known: VisualMap, build: Mapping[str, Any], settings: Mapping[str, 
     built = maps.group(known, build["name"], progress=False, **_options_of(build))
     measures = evaluation.mapping(known, built).parts["mapping"]
     silhouette, unassigned = measures["silhouette"], measures["unassigned"]["share"]
-    compact = {"silhouette": silhouette["every_frame"], "silhouette_assigned": silhouette["nearest"]}
-    yield from _records(settings, **compact, silhouette_pooled=silhouette["pooled"])
+    yield from _records(settings, silhouette=silhouette["with_unassigned"], silhouette_by_node=silhouette["by_node"])
+    yield from _records(settings, silhouette_assigned=silhouette["nearest"], silhouette_pooled=silhouette["pooled"])
     seconds = built.seconds.sum()
     yield from _records(settings, nodes=measures["nodes"], unassigned=unassigned, clustering_seconds=seconds)
 

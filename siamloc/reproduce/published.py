@@ -81,7 +81,7 @@ class Record:
         value: number in the measure's own unit: m, s, deg, shares instead of percent.
         settings: settings that the number depends on, in siamloc's names.
         relation: "=", or "~", "<", ">" if the number is only approximate, or an upper or lower bound.
-        spread: standard deviation over seeds, in the unit of the value; 0 if unknown.
+        spread: standard deviation over seeds of the value or of its difference to others, in its unit; 0 if unknown.
     """
 
     measure: str
