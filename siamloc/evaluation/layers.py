@@ -128,10 +128,10 @@ def mapping_measures(columns: Mapping[str, NDArray], radius: float, gap: int) ->
     Returns:
         frames, nodes, unassigned (frames in no node, and their share); `silhouette` of the capture points, "nearest"
         ([C] 8-11), "with_unassigned" (the same, with the frames in no node as one more node), "by_node" (that, averaged
-        over nodes instead of frames) and "pooled" ([I] 12-13), NaN with fewer than two nodes; `inertia` ([C] 7); silhouette and inertia are computed over the frames that have a
-        position, NaN if there are none; `purity` per room and overall, with the number of frames; `closures` with
-        precision, recall, F1 and their denominators, NaN unless all frames have a position; `ms_per_frame` as mean,
-        median and p95; `reasons` with their counts, if any.
+        over nodes instead of frames) and "pooled" ([I] 12-13), NaN with fewer than two nodes; `inertia` ([C] 7);
+        silhouette and inertia are computed over the frames that have a position, NaN if there are none; `purity` per
+        room and overall, with the number of frames; `closures` with precision, recall, F1 and their denominators, NaN
+        unless all frames have a position; `ms_per_frame` as mean, median and p95; `reasons` with their counts, if any.
     """
     from analytic import measures
 

@@ -72,7 +72,8 @@ def test_every_number_follows_from_the_tables(tmp_path):
     assert json.dumps({key: measures[key] for key in again}) == json.dumps(again)
     assert again["reasons"] == {"ASSIGNED": 71, "NO_CANDIDATE_NODE": 9}
     assert result.tables["nodes"]["frames"].sum() == 71
-    silhouette, nodes = again["silhouette"], analytic.measures.silhouettes(known.frames.xy, labels, unassigned="cluster")
+    nodes = analytic.measures.silhouettes(known.frames.xy, labels, unassigned="cluster")
+    silhouette = again["silhouette"]
     assert silhouette["with_unassigned"] == nodes.mean < silhouette["nearest"]
     assert silhouette["by_node"] == nodes.clusters.mean()
 
