@@ -142,6 +142,15 @@ class _PairLoss(NearAndFarLoss):
 
     steepest = 1.0  # roughly the largest slope of the loss of an image in the similarity of a pair
 
+    def _picked(self, given: Tensor, origins: Origins) -> tuple[Tensor, tuple[Tensor, ...]]:
+        """Return what the base returns, but a single positive pair and a single negative pair twice each.
+
+        For one pair of each kind, which miners often leave of a small batch, the library gives a loss of 0. A repeated
+        pair counts once.
+        """
+        found, picked = super()._picked(given, origins)
+        return found, tuple(column.repeat(2) for column in picked) if len(picked[0]) == len(picked[-1]) == 1 else picked
+
     def active(self, descriptors: Tensor, origins: Origins) -> Tensor:
         """Return the share of pairs (an image, and one near it or far from it) that contribute to learning.
 
