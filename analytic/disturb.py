@@ -74,7 +74,7 @@ def occlude(
         batch: (B, H, W), (B, 3, H, W) or one image; uint8, or floating point in [0, 1].
         share: share of the columns to cover, in [0, 1]; [T] uses OCCLUSION_LEVELS.
         generator: source of the random numbers.
-        bars: number of bars; fewer if there are fewer columns to cover.
+        bars: number of bars, at most W; a share of fewer columns than bars is that many bars of one column.
         colour: "black", "grey" (0.5), or "mean", the mean colour of each image.
         place: where each bar stands in its own part of the image, which is divided into as many equal parts as there
             are bars: 0 is the left end, 0.5 the middle, 1 the right end. If None, places are drawn for each image, and
@@ -85,8 +85,8 @@ def occlude(
         The same number of images, of the same shape and type.
 
     Raises:
-        AnalyticError: a wrong shape or type, values out of range, a share or place outside [0, 1], no bars, or an
-            unknown colour.
+        AnalyticError: a wrong shape or type, values out of range, a share or place outside [0, 1], no bars or more than
+            the image has columns, an unknown colour, or a `circular` that is not a bool.
 
     Example:
         >>> hidden = occlude(np.ones((128, 512)), 0.25, np.random.default_rng(0))
@@ -94,9 +94,11 @@ def occlude(
         0.75
     """
     images = _images(batch, generator)
-    values, kinds = (share, bars, colour, place), (Share, Count, BarColour, Share | None)
-    for key, value, kind in zip(("share", "bars", "colour", "place"), values, kinds, strict=True):
+    values, kinds = (share, bars, colour, place, circular), (Share, Count, BarColour, Share | None, bool)
+    for key, value, kind in zip(("share", "bars", "colour", "place", "circular"), values, kinds, strict=True):
         checked(value, kind, key, AnalyticError)
+    if bars > images.shape[-1]:
+        raise AnalyticError(f"bars must be at most the number of columns, {images.shape[-1]}, got {bars}")
     hidden = images.copy()
     full = 255 if images.dtype == np.uint8 else 1
     for image in with_channels(hidden):
@@ -129,5 +131,6 @@ def _covered(
 
 def _images(batch: ArrayLike, generator: np.random.Generator) -> NDArray[Any]:
     checked(generator, np.random.Generator, "generator", AnalyticError)
-    unit(with_channels(batch))  # refuses values out of range
-    return np.asarray(batch)
+    planes = with_channels(batch)
+    unit(planes)  # refuses values out of range
+    return planes.reshape(np.shape(batch))

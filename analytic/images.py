@@ -18,7 +18,8 @@ def with_channels(images: ArrayLike) -> NDArray[Any]:
     Three planes (3, H, W) are one colour image, not three grey ones. A torch tensor is copied to main memory.
 
     Raises:
-        AnalyticError: any other shape, images of different sizes, or neither uint8 nor floating point.
+        AnalyticError: any other shape or no image, images of different sizes, neither uint8 nor floating point, or
+            what numpy cannot read.
 
     Example:
         >>> with_channels(np.zeros((128, 512))).shape, with_channels(np.zeros((3, 128, 512), dtype=np.uint8)).shape
@@ -28,6 +29,10 @@ def with_channels(images: ArrayLike) -> NDArray[Any]:
         array = np.asarray(images.detach().cpu() if hasattr(images, "detach") else images)
     except ValueError as error:
         raise AnalyticError("the images of a batch must have the same size: resize them first") from error
+    except (TypeError, RuntimeError) as error:  # such as torch's bfloat16
+        raise AnalyticError(f"numpy cannot read the images ({error}): give uint8 or float32") from error
+    if array.dtype != np.uint8 and array.dtype.kind != "f":
+        raise AnalyticError(f"images must be uint8 or floating point in [0, 1], got {array.dtype}")
     shape = array.shape
     if array.ndim == 2:
         array = array[None, None]
@@ -36,9 +41,9 @@ def with_channels(images: ArrayLike) -> NDArray[Any]:
             raise AnalyticError(f"a colour image must have its channels first, (3, H, W), got {shape}: transpose it")
         array = array[None] if shape[0] == 3 else array[:, None]
     if array.ndim != 4 or array.shape[1] not in (1, 3) or 0 in shape:
-        raise AnalyticError(f"images must have shape (H, W), (3, H, W), (B, H, W) or (B, 3, H, W), got {shape}")
-    if array.dtype != np.uint8 and array.dtype.kind != "f":
-        raise AnalyticError(f"images must be uint8 or floating point in [0, 1], got {array.dtype}")
+        raise AnalyticError(
+            f"images must have shape (H, W), (3, H, W), (B, H, W) or (B, 3, H, W), above 0, got {shape}"
+        )
     return array
 
 
@@ -54,9 +59,10 @@ def unit(images: NDArray[Any]) -> NDArray[np.float32]:
     """
     if images.dtype == np.uint8:
         return images * np.float32(1 / 255)
-    values = images.astype(np.float32)
-    low, high = float(values.min()), float(values.max())
-    if not (low >= 0 and high <= 1):
+    with np.errstate(over="ignore"):  # float64 may be too large
+        values = images.astype(np.float32)
+    if not (values.min() >= 0 and values.max() <= 1):
+        low, high = float(images.min()), float(images.max())
         bad = "not finite" if not np.isfinite(low + high) else f"between {low:g} and {high:g}"
         raise AnalyticError(f"floating-point images must have values in [0, 1], got values {bad}")
     return values

@@ -1,5 +1,6 @@
 import numpy as np
 import pytest
+import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -48,6 +49,9 @@ def test_shape_range_and_type_are_kept_and_the_input_too(shape, dtype):
         assert found.max() <= (255 if dtype == np.uint8 else 1)
         assert not np.array_equal(found, images)
     assert np.array_equal(images, kept)
+    if images.dtype != np.uint8:
+        learned = torch.from_numpy(images).requires_grad_()
+        assert np.array_equal(noise(learned, 0.05, generator()), noise(images, 0.05, generator()))
 
 
 @pytest.mark.parametrize("disturb", [noise, occlude])
@@ -111,12 +115,21 @@ def test_bars_have_the_colour_asked_for(dtype):
     ("call", "says"),
     [
         (lambda: noise(IMAGES, -0.1, generator()), "variance must be a number from 0, got -0.1"),
+        (lambda: noise(IMAGES, np.nan, generator()), "variance must be a number from 0, got nan"),
         (lambda: noise(IMAGES, 0.1, np.random), "generator must be a Generator"),
-        (lambda: noise(np.full((4, 4), 200.0), 0.1, generator()), "between 200 and 200"),
         (lambda: occlude(IMAGES, 1.1, generator()), "share must be a number from 0 to 1, got 1.1"),
         (lambda: occlude(IMAGES, 0.1, generator(), colour="red"), "colour must be black or grey or mean, got 'red'"),
         (lambda: occlude(IMAGES, 0.1, generator(), place=2), "place must be a number from 0 to 1, or null, got 2"),
+        (lambda: occlude(IMAGES, 0.1, generator(), place=np.nan), "place must be a number from 0 to 1, .*, got nan"),
         (lambda: occlude(IMAGES, 0.1, generator(), bars=0), "bars must be a whole number from 1 to 10 million, got 0"),
+        (lambda: occlude(IMAGES, 0.1, generator(), bars=2.0), "bars must be a whole number .*, got 2.0"),
+        (lambda: occlude(IMAGES, 0.1, generator(), bars=61), "bars must be at most the number of columns, 60, got 61"),
+        (lambda: occlude(IMAGES, 0.1, generator(), circular="no"), "circular must be true or false, got 'no'"),
+        (lambda: noise(IMAGES[:0], 0.1, generator()), r"above 0, got \(0, 16, 60\)"),
+        (lambda: occlude(IMAGES.astype(int), 0.1, generator()), "uint8 or floating point in .*, got int64"),
+        (lambda: noise("a.png", 0.1, generator()), "uint8 or floating point in .*, got <U5"),
+        (lambda: occlude(np.full((4, 4), 1e300), 0.1, generator()), "between 1e[+]300 and 1e[+]300"),
+        (lambda: noise(torch.ones(4, 4).bfloat16(), 0.1, generator()), "numpy cannot read .*: give uint8 or float32"),
     ],
 )
 def test_mistakes_are_one_sentence(call, says):
