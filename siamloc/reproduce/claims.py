@@ -4,10 +4,12 @@ There are three kinds of checks:
 
 - `order`: `measure` is larger for the records of `more` than for those of `less`; `others` are all records that the
   opposite side leaves. `pick` selects the numbers compared on each side: `each` (the smallest of `more` with the
-  largest of `less`), `min`, `max` or `mean`. With `factor`, it must be larger by at least that factor.
+  largest of `less`), `min`, `max` or `mean`. With `factor`, the number of `more` must be at least that many times the
+  number of `less`. A factor below 1 lets it be smaller, but not by much: 0.97 stands for "at most 3 % smaller". So
+  what a document calls no worse is `more` for a hit rate, where larger is better, but `less` for an error or a time.
 - `trend`: `measure` goes `up` or `down` `along` a setting; records at the same place are represented by their mean, or
   as `pick` says. `within` is the share of a value by which a step may go the opposite way. A trend that goes `flat` has
-  no value more than that share above the smallest.
+  no value more than that share above the smallest. Neither this nor `factor` is for measures that may be negative.
 - `threshold`: `measure` is `above`, `below`, `at_least` or `at_most` a number, for `each` record, or for their `min`,
   `max` or `mean`.
 
@@ -16,8 +18,9 @@ may be given as a value, a list of values, bounds (`above`, `below`, `at_least`,
 list.
 
 Numbers do not decide an order or a trend if they are equal, or if they differ by less than such a difference varies
-between seeds (`Record.spread`): another seed could then give another verdict. Claims that numbers are about alike
-(`goes: flat`, a `factor` below 1) and thresholds are compared as they are.
+between seeds (`Record.spread`): another seed could then give another verdict. A claim that numbers are about alike
+(`goes: flat`, a `factor` below 1) holds if they are, equal ones too; otherwise it is undecided if they differ by less
+than that. Thresholds are compared as they are.
 """
 
 from __future__ import annotations
@@ -162,7 +165,7 @@ def _order(check: Mapping[str, Any], records: Sequence[Record]) -> Finding:
         _picked(pick if pick in PICKS else each, side) for each, side in (("min", more), ("max", less))
     )
     if factor < 1:
-        return Finding(high >= factor * low)
+        return _about(high >= factor * low, [low, high], max(above, below))
     return _apart([factor * low, high], max(above, factor * below)) or Finding(high >= factor * low)
 
 
@@ -179,9 +182,10 @@ def _trend(check: Mapping[str, Any], records: Sequence[Record]) -> Finding:
     if len(places) < 2:
         return _NOTHING
     values, spreads = zip(*(_picked(check.get("pick", "mean"), part) for part in places.values()), strict=True)
+    spread = max(spreads)
     if check["goes"] == "flat":
-        return Finding(max(values) <= (1 + within) * min(values))
-    sign, spread = 1 if check["goes"] == "up" else -1, max(spreads)
+        return _about(max(values) <= (1 + within) * min(values), values, spread)
+    sign = 1 if check["goes"] == "up" else -1
     worst = min(sign * (after - before) + within * abs(before) for before, after in pairwise(values))
     if -spread < worst < 0:
         return Finding(None, f"a step the other way, {-worst:.2g}, is smaller than the spread over seeds, {spread:.2g}")
@@ -211,6 +215,11 @@ def _apart(values: Sequence[float], spread: float) -> Finding | None:
         return Finding(None, f"all compared values are {low:.4g}")
     less = f"{low:.4g} and {high:.4g} differ by less than the spread over seeds, {spread:.2g}"
     return Finding(None, less) if high - low < spread else None
+
+
+def _about(alike: bool, values: Sequence[float], spread: float) -> Finding:
+    """Return whether values are alike; undecided if they are not, but differ by less than the spread over seeds."""
+    return Finding(True) if alike else _apart(values, spread) or Finding(False)
 
 
 # Each kind of check, with the keys that only it has.

@@ -51,6 +51,10 @@ def test_a_claim_names_what_there_is(one):
     named = {name for side in sides for name in side} | set(check.get("match", ()))
     assert named | ({check["along"]} if "along" in check else set()) <= set(SETTINGS)
     examine(check, [])
+    if check.get("factor", 1) < 1:
+        assert "at most" in one.reading
+    if "factor" in check or check.get("goes") == "flat":
+        assert measures()[check["measure"]]["unit"] != "1"  # never negative, as silhouettes may be
 
 
 def test_which_claims_the_documents_own_numbers_bear_out():
@@ -134,12 +138,15 @@ LAST = ORDER | {"more": {"place": 2}, "less": {"place": [0, 1]}}
         (UP, spread([1.0, 2.0, 1.9], 0.05), False, ""),
         (UP, spread([2.0, 1.0, 3.0], 0.3), False, ""),
         (UP | {"goes": "flat", "within": 0.5}, spread([1.0, 1.0, 1.2], 0.3), True, ""),
+        (UP | {"goes": "flat", "within": 0.1}, spread([1.0, 1.0, 1.2], 0.3), None, "1 and 1.2 differ by less"),
         (LAST, spread([2.214, 1.0, 2.212], 0.1), None, "2.212 and 2.214 differ by less than the spread"),
         (LAST, spread([0.866, 0.8, 0.866], 0), None, "all compared values are 0.866"),
         (LAST, spread([1.0, 1.0, 1.2], 0.1), True, ""),
         (LAST, spread([1.3, 1.0, 1.2], 0.05), False, ""),
         (LAST | {"factor": 2}, spread([1.0, 1.0, 2.1], 0.1), None, "2 and 2.1 differ by less than the spread"),
         (LAST | {"factor": 0.97}, spread([1.0, 1.0, 0.98], 0.1), True, ""),  # about alike
+        (LAST | {"factor": 0.97}, spread([1.0, 1.0, 0.96], 0.1), None, "0.96 and 1 differ by less than the spread"),
+        (LAST | {"factor": 0.97}, spread([1.0, 1.0, 0.96], 0.03), False, ""),
         (LAST | {"pick": "mean"}, spread([1.0, 2.0, 1.6], 0.2), None, "1.5 and 1.6 differ by less than the spread"),
     ],
 )
