@@ -58,7 +58,10 @@ class FullyConnected(Head):
 
 
 class SoftmaxHead(FullyConnected):
-    """Two or three fully connected layers, and a softmax after the last: [T] 5.3 read literally.
+    """Two or three fully connected layers, and a softmax after the last: our literal reading of [T] 5.3.
+
+    The text names "a softmax layer and a few fully connected layers" without saying where the softmax is, and the
+    published code has none. So this head can be chosen, but is no default, and no published table is measured with it.
 
     Descriptors are positive and sum to 1. They lie at most sqrt(2) apart, so that no two places ever reach the thesis's
     margin of 2.

@@ -76,7 +76,7 @@ class HeadSpec:
 
 
 _LAYERS = ((500, 500, 5), (500, 100, 10), (1000, 1000, 10), (4096, 4096, 1000))
-_SOFTMAX = "The same layers, then a softmax: the literal form of [T] 5.3."
+_SOFTMAX = "The same layers, then a softmax: our reading of the softmax layer in [T] 5.3."
 
 HEADS: dict[str, HeadSpec] = {
     spec.name: spec

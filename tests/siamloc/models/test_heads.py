@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 import torch
 
 from siamloc.errors import ConfigError
-from siamloc.models import BRANCHES, build
+from siamloc.models import BRANCHES, HEADS, build
 from siamloc.models.heads import make_head
 
 SIZE = (64, 256)
@@ -36,6 +38,9 @@ def test_the_literal_head_of_the_thesis_is_a_softmax_of_the_other():
         raised = plain(images()).exp()
     torch.testing.assert_close(found, raised / raised.sum(dim=1, keepdim=True))
     assert literal.outputs == 5
+    assert "our reading" in HEADS["fc500_500_5_softmax"].summary
+    chosen = [file.read_text(encoding="utf-8") for file in (Path(__file__).parents[3] / "conf").rglob("*.yaml")]
+    assert not any("_softmax" in text for text in chosen)
 
 
 def test_fourier_is_the_magnitude_of_the_transform_along_the_azimuth():
