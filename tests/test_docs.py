@@ -12,6 +12,7 @@ from siamloc.cli.help import COMMANDS
 
 ROOT = Path(__file__).parents[1]
 REFERENCE = sorted((ROOT / "docs/reference").glob("*.md"))
+PROSE = (".py", ".md", ".yaml", ".ipynb")
 PAGES = [ROOT / "README.md", *(page for page in sorted((ROOT / "docs").rglob("*.md")) if page not in REFERENCE)]
 
 
@@ -65,6 +66,15 @@ def test_names_and_commands_of_a_page_exist(page):
             )
     commands = set(re.findall(r"(?:^|`|\$\()siamloc ([a-z]+)", text, flags=re.MULTILINE))
     assert commands <= {name.partition(" ")[0] for name in COMMANDS} | {"completion"}
+
+
+def test_wi_surf_has_one_spelling():
+    folders = [
+        ROOT / name for name in ("analytic", "siamloc", "conf", "docs", "examples", "benchmarks", "tests/oracles")
+    ]
+    files = [ROOT / "README.md", *(file for folder in folders for file in folder.rglob("*") if file.suffix in PROSE)]
+    read = (file for file in files if "reproduced" not in file.parts)  # pages and records that a command writes
+    assert not [file for file in read if re.search("Wi-S|Wisurf|WiSURF", file.read_text(encoding="utf-8"))]
 
 
 def test_the_files_to_open_exist():

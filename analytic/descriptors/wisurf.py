@@ -1,4 +1,4 @@
-"""Wi-SURF: upright SURF descriptors of windows that cover the whole panorama ([T] 3.2.4, 3.3.4)."""
+"""WI-SURF: upright SURF descriptors of windows that cover the whole panorama ([T] 3.2.4, 3.3.4)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Wi-SURF: a mean over a box for each half of each wavelet, and each window of the image by itself."""
+"""WI-SURF: a mean over a box for each half of each wavelet, and each window of the image by itself."""
 
 from __future__ import annotations
 
