@@ -78,5 +78,8 @@ def luma(images: NDArray[np.float32]) -> NDArray[np.float32]:
     """
     if images.shape[1] == 1:
         return images
-    red, green, blue = (images[:, channel] * np.float32(share) for channel, share in enumerate(LUMA))
-    return np.asarray(red + green + blue, dtype=np.float32)[:, None]
+    grey = images[:, 0] * np.float32(LUMA[0])
+    part = np.empty_like(grey)  # few arrays: on some systems new memory takes longer than the sums
+    for channel in (1, 2):
+        grey += np.multiply(images[:, channel], np.float32(LUMA[channel]), out=part)
+    return grey[:, None]

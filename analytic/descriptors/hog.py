@@ -87,7 +87,8 @@ class Hog(ImageDescriptor):
         wide = np.pad(image, ((0, 0), (1, 1)), mode="wrap" if self.circular else "edge")
         tall = np.pad(image, ((1, 1), (0, 0)), mode="edge")
         across, down = wide[:, 2:] - wide[:, :-2], tall[2:] - tall[:-2]  # 2 Dx and 2 Dy
-        magnitude, angle = np.sqrt(across * across + down * down), np.arctan2(down, across)
+        magnitude = np.sqrt(across * across + down * down).astype(np.float64)  # as the sums need it
+        angle = np.arctan2(down, across)
         band = np.arange(height)[:, None] // (height // self.rows)
         position = _histograms(band, self.rows, angle, self.bins, magnitude)
         columns = _histograms(np.arange(width), width, angle, self.orientation_bins, magnitude)
@@ -112,7 +113,7 @@ def window_sums(columns: NDArray[np.float32], window: int, step: int, circular: 
     return (total[window : window + width : step] - total[:width:step]).astype(np.float32)
 
 
-def cell_sums(cell: Integers, cells: int, place: Integers, bins: int, weight: NDArray[np.float32]) -> Floats:
+def cell_sums(cell: Integers, cells: int, place: Integers, bins: int, weight: NDArray[np.floating]) -> Floats:
     """Return the sums (cells, bins) of the weights of the pixels in each cell and bin.
 
     Args:
@@ -127,7 +128,7 @@ def cell_sums(cell: Integers, cells: int, place: Integers, bins: int, weight: ND
 
 
 def _histograms(
-    cell: Integers, cells: int, angle: NDArray[np.float32], bins: int, magnitude: NDArray[np.float32]
+    cell: Integers, cells: int, angle: NDArray[np.float32], bins: int, magnitude: Floats
 ) -> NDArray[np.float32]:
     """Return half the sums of magnitudes by cell and bin of the direction (cells, bins).
 
