@@ -66,7 +66,7 @@ def repeated(job: Job, data: Data, seed: int) -> Iterator[Record]:
     role = {**job.roles[moved], **every}
     roles = {**job.roles, moved: {**role, "offset": seed} if role.get("every", 1) > seed else role}
     for one in measured(replace(job, roles=roles, options={**job.options, "seed": seed}), data):
-        if one.measure not in EXACT:
+        if one.measure in measures() and one.measure not in EXACT:
             yield replace(one, settings={**one.settings, "seed": seed})
 
 
