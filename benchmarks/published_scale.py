@@ -5,7 +5,8 @@ of them show the same room: batches of 256 pairs, 34 an epoch, half of them of o
 0.001 and a momentum of 0.9 ([T] 5.3.4, 5.4.1). Then 7,000 pairs of the training frames and 7,000 of three other drives
 are told apart, after the first five epochs, as in the table, and at the end. The loss by epoch, and the spread of the
 queries' descriptors in units of the loss's margin, show whether a network has learned anything at all: without it, the
-loss stays where it began and all descriptors lie in one place. AdamW has a learning rate of 0.0003.
+loss stays where it began and all descriptors lie in one place. AdamW has a learning rate of 0.0003. Where
+the processor has instructions for it, the arithmetic is in bfloat16.
 
 The runs stay in `--runs`. An interrupted call continues each exactly where it was.
 
@@ -73,6 +74,7 @@ def trained(building: Building, branch: str, optimizer: str, epochs: int, run: P
         pairs=PAIRS,
         optimizer=OPTIMIZERS[optimizer],
         margin=MARGIN,
+        trainer={"precision": "auto"},
     )
     seconds = time.monotonic() - start
     rate = {"pairs_per_second": (epochs - done) * PAIRS["epoch_pairs"] / seconds} if epochs > done else {}

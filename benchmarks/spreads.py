@@ -33,7 +33,6 @@ REPEATED = {
     "disturbed_hog": 5,
     "incremental_hog": 3,
     "spectral_hog": 3,
-    "timed_hog": 3,
     "compact_hog": 5,
     "chosen_hog": 5,
     "shares_vgg16": 3,
@@ -78,8 +77,7 @@ def spreads_of(records: list[Record]) -> dict[str, float]:
         each[one.measure][content_key(settings)][one.settings["seed"]] = one.value
     spreads = {}
     for measure, numbers in each.items():
-        seeds = set.intersection(*(set(found) for found in numbers.values()))
-        values = np.array([[found[seed] for seed in sorted(seeds)] for found in numbers.values()])
+        values = np.array([[value for _, value in sorted(found.items())] for found in numbers.values()])
         first, second = np.triu_indices(len(values), 1)
         spread = (values[first] - values[second]).std(axis=1, ddof=1)
         if measures()[measure]["unit"] not in ("1", "share"):

@@ -14,7 +14,7 @@ from typing import Any
 
 # Names and numbers of malloc.h.
 _M_TRIM_THRESHOLD, _M_MMAP_THRESHOLD, _M_MMAP_MAX = -1, -3, -4
-_KEEP = {_M_MMAP_MAX: 0, _M_TRIM_THRESHOLD: 2**31 - 1}  # no block is mapped on its own, and the heap does not shrink
+_KEEP = {_M_MMAP_MAX: 0, _M_TRIM_THRESHOLD: -1}  # no block is mapped on its own, and the heap never shrinks
 _GIVE_BACK = {_M_MMAP_THRESHOLD: 2**17, _M_TRIM_THRESHOLD: 2**17}  # bytes; the initial values of glibc
 _USUAL = {_M_MMAP_MAX: 65_536, _M_MMAP_THRESHOLD: 2**25, _M_TRIM_THRESHOLD: 2**26}
 """The defaults of glibc; the two thresholds are those that it reaches by itself as large blocks come and go."""
