@@ -191,7 +191,7 @@ def test_stated_spreads_are_those_that_were_measured():
         for lighting in ("cloudy", "night", "sunny")
     ]
     measured["trained"] |= spreads_of(errors)
-    measured |= {"matched": measured["mapping"], "named_rooms": measured["trained"]}
+    measured |= {"matched": measured["mapping"], "growing": measured["mapping"], "named_rooms": measured["trained"]}
     stated = contents("claims")["spreads"]
     assert stated == measured
     assert spread_of("retrieval", Record("error", -2.0, {})) == 2 * stated["retrieval"]["error"]
