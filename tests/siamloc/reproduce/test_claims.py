@@ -196,4 +196,4 @@ def test_stated_spreads_are_those_that_were_measured():
     assert stated == measured
     assert spread_of("retrieval", Record("error", -2.0, {})) == 2 * stated["retrieval"]["error"]
     assert spread_of("retrieval", Record("hit_rate", 0.5, {})) == stated["retrieval"]["hit_rate"]
-    assert spread_of("retrieval", Record("seconds", 0.5, {})) == 0
+    assert spread_of("retrieval", Record("floor", 0.5, {})) == 0
