@@ -65,7 +65,7 @@ def report(results: Sequence[Reproduction], missing: Mapping[str, str] | None = 
         "",
         f"Of {counted.total() + contradicted} claims the documents' own numbers contradict {contradicted}. Of the "
         f"other {counted.total()}, {counted[VERDICTS[True]]} hold here, {counted[VERDICTS[False]]} do not, and "
-        f"{counted[VERDICTS[None]]} cannot be decided. Of {len(rows)} published numbers {ours} have one of ours next "
+        f"{counted[VERDICTS[None]]} cannot be decided. Of {len(rows)} published numbers, {ours} have one of ours next "
         "to them.",
         "",
         "| | | claims contradicted by their own document | that hold | that do not | not decidable "
