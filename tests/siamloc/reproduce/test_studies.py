@@ -264,7 +264,7 @@ def test_claims_that_their_document_contradicts_come_first_and_are_counted_apart
     assert claimed[2].endswith("| not decidable: the numbers that it compares are missing |")
     page = report([made, made])  # a claim of several studies counts once
     assert "Of 3 claims the documents' own numbers contradict 1. Of the other 2, 0 hold here, 1 do not, and 1 " in page
-    assert "Of 24 published numbers 2 have one of ours next to them." in page
+    assert "Of 24 published numbers, 2 have one of ours next to them." in page
 
 
 def test_another_building_that_is_missing_is_named(smoke, root, tmp_path):
