@@ -37,22 +37,19 @@ def drawn(figures: Sequence[Figure], records: Sequence[Record]) -> Picture:
         raise DataError("there is nothing to draw: nothing was measured")
     across = min(4, len(parts))
     picture, every = panels(len(parts), 2.7, 2.6, across=4, margin=(max(1.0, 5.2 - 2.7 * across), 0.9))
-    handles: dict[str, Any] = {}
-    first = next((names_of(figure, "series") for figure, *_ in parts if "y" not in figure), [])
+    legends: dict[str, dict[str, Any]] = {}  # the same colours mean something else where other settings vary
+    several = len({figure["measure"] for figure in figures if "y" in figure}) > 1
     for axes, (figure, title, part, every_part) in zip(every, parts, strict=True):
-        axes.set_title(title)
+        axes.set_title(f"{said(figure['measure'])}, {title}" if "y" in figure and several else title)
         if "y" in figure:
             _field(axes, figure, part, every_part)
-            continue
-        lines = _lines(axes, figure, part, every_part)
-        if names_of(figure, "series") == first:
-            handles |= lines
-        else:  # here the same colours mean something else
-            axes.legend(lines.values(), lines.keys(), fontsize=6.5, loc="best")
-    if len(handles) > 1:
+        else:
+            legends.setdefault(repr(names_of(figure, "series")), {}).update(_lines(axes, figure, part, every_part))
+    for handles, where in zip(legends.values(), ("lower center", "upper center", "right lower"), strict=False):
         rows = -(-len(handles) // max(2, int(1.6 * across)))
-        columns = -(-len(handles) // rows)
-        picture.legend(handles.values(), handles.keys(), loc="outside lower center", ncols=columns)
+        columns = 1 if where == "right lower" else -(-len(handles) // rows)
+        if len(handles) > 1:
+            picture.legend(handles.values(), handles.keys(), loc=f"outside {where}", ncols=columns)
     return picture
 
 
