@@ -18,7 +18,7 @@ Rows = Sequence[Mapping[str, Any]]
 _MEASURES = {
     "nodes": ("number of nodes", "{:.0f}", "cividis"),
     "unassigned": ("frames in no node [%]", "{:.0f}", "Greys"),
-    "silhouette": ("average silhouette of points, pooled", "{:.2f}", "viridis"),
+    "silhouette": ("silhouette, frames in no node\ncounted as one more node", "{:.2f}", "viridis"),
 }
 _LINES = {
     "spectral": (SERIES[0], "-"),
@@ -34,7 +34,7 @@ def heat_maps(table: Rows, measures: Sequence[str] = ("nodes", "silhouette", "un
 
     Args:
         table: rows with version, y, omega and the measures; `unassigned` in percent. A measure may be missing (None).
-        measures: some of "nodes", "unassigned", "silhouette" (the pooled one); the highest silhouettes are framed.
+        measures: some of "nodes", "unassigned", "silhouette"; the highest silhouettes are framed.
     """
     versions, ys, omegas = (sorted({row[key] for row in table}) for key in ("version", "y", "omega"))
     figure = Picture(figsize=(0.62 * len(omegas) * len(measures) + 3.2, 0.42 * len(ys) * len(versions) + 1.6))
@@ -72,17 +72,20 @@ def heat_maps(table: Rows, measures: Sequence[str] = ("nodes", "silhouette", "un
 
 @style()
 def silhouette_against_clusters(table: Rows, maps: Rows = ()) -> Picture:
-    """Draw the silhouette of points against the number of clusters ([I] figures 11, 12): pooled, and to the nearest.
+    """Draw the silhouette of points against the number of clusters ([I] figures 11, 12), in three forms.
 
     Args:
-        table: rows with method ("spectral", "som", "sample"), nodes, silhouette (pooled) and nearest.
-        maps: incremental maps as single points: rows with version, nodes, silhouette, nearest, unassigned (percent).
+        table: rows with method ("spectral", "som", "sample"), nodes, and the three silhouettes: silhouette, nearest,
+            pooled.
+        maps: incremental maps as single points: rows with version, nodes, the silhouettes, unassigned (percent).
     """
-    figure = Picture(figsize=(9.6, 3.9))
-    panels = figure.subplots(1, 2, sharex=True)
+    figure = Picture(figsize=(11.4, 3.9))
+    panels = figure.subplots(1, 3, sharex=True)
+    panels[1].sharey(panels[0])
     names = (
-        ("silhouette", "pooled: against the frames of all other clusters"),
-        ("nearest", "to the nearest cluster"),
+        ("silhouette", "to the nearest other node,\nframes in no node as one more node"),
+        ("nearest", "to the nearest other node,\nwithout the frames in no node"),
+        ("pooled", "to all other nodes pooled,\nwithout the frames in no node"),
     )
     for axes, (measure, title) in zip(panels, names, strict=True):
         for method in dict.fromkeys(row["method"] for row in table):
@@ -98,7 +101,7 @@ def silhouette_against_clusters(table: Rows, maps: Rows = ()) -> Picture:
                 look["color"] = "white"
             axes.plot(row["nodes"], _value(row[measure]), linestyle="none", label=label, zorder=5, **look)
         axes.set_title(title)
-        axes.set_xlabel("number of clusters")
+        axes.set_xlabel("number of nodes")
         axes.grid(True)
     panels[0].set_ylabel("average silhouette of points")
     handles, labels = panels[0].get_legend_handles_labels()

@@ -238,11 +238,11 @@ def test_heat_maps() -> None:
 
 def test_silhouette_against_clusters() -> None:
     rows = [
-        {"method": method, "nodes": nodes, "silhouette": nodes / 100, "nearest": -nodes / 100}
+        {"method": method, "nodes": nodes, "silhouette": nodes / 100, "nearest": -nodes / 100, "pooled": 1}
         for method in ("spectral", "som")
         for nodes in (20, 5, 10)
     ]
-    point = {"version": 2, "nodes": 12, "silhouette": 0.5, "nearest": 0.1, "unassigned": 3.4}
+    point = {"version": 2, "nodes": 12, "silhouette": 0.5, "nearest": 0.1, "pooled": 1, "unassigned": 3.4}
     figure = sweeps.silhouette_against_clusters(rows, [point])
     lines = lines_of(figure)
     assert lines["spectral"] == [[5, 0.05], [10, 0.1], [20, 0.2]]
