@@ -130,7 +130,7 @@ def nodes_on_plan(plan: NodePlan) -> Picture:
         rows = [*range(0, k, max(1, k // 20)), *([] if known.all() else [-1])]
         axes.set_yticks(rows, ["none" if row < 0 else str(row) for row in rows])
         axes.set(xlabel=f"{line} [{plan.unit}]", ylabel="node")
-    axes.set_title(plan.title, loc="left")
+    axes.set_title(plan.title, loc="left", wrap=True)
     columns = len(handles) if len(handles) < 5 else 3
     figure.legend(handles=handles, loc="outside lower center", ncols=columns, columnspacing=1.6)
     return figure
@@ -248,9 +248,9 @@ def counted(number: int, word: str) -> str:
 
 
 def _title(measures: Mapping[str, Any], name: str) -> str:
-    silhouette = measures["silhouette"]["pooled"]
-    purity = measures["purity"]["overall"]
-    parts = [counted(measures["nodes"], "node")]
-    parts += [] if silhouette is None else [f"silhouette {silhouette:.2f} (pooled)"]
-    parts += [] if purity is None else [f"{100 * purity:.0f} % of frames in a node of their room"]
-    return f"{name}\n{', '.join(parts)}"
+    silhouette, purity = measures["silhouette"]["with_unassigned"], measures["purity"]["overall"]
+    lines = [name, counted(measures["nodes"], "node")]
+    lines[1] += "" if purity is None else f", {100 * purity:.0f} % of frames in a node of their room"
+    more = "; frames in no node count as one more" if measures["unassigned"]["frames"] else ""
+    scale = f"(1: compact and far apart, 0: touching){more}"
+    return "\n".join([*lines, *([] if silhouette is None else [f"silhouette {silhouette:.2f} {scale}"])])

@@ -88,9 +88,9 @@ def test_a_clustered_map_has_one_picture(tmp_path: Path) -> None:
 def test_the_plan_shows_what_was_measured(runs: dict) -> None:
     target, _ = runs[2]
     shown, measures = read_plan(target), json.loads((target / "results.json").read_text())["measures"]["mapping"]
-    figure = nodes_on_plan(shown)
-    text = text_of(figure)
-    lost = measures["unassigned"]["frames"]
+    text = text_of(figure := nodes_on_plan(shown))
+    lost, silhouette = measures["unassigned"]["frames"], measures["silhouette"]["with_unassigned"]
+    assert f"silhouette {silhouette:.2f} (1: compact and far apart, 0: touching); frames in no node" in text
     assert f"{measures['nodes']} nodes, {260 - lost} frames" in text
     assert f"{lost} frames in no node ({100 * lost / 260:.1f} %)" in text
     assert f"{measures['closures']['right']} loop closures within 1 m" in text
