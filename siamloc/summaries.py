@@ -175,11 +175,11 @@ def nodes(found: Measures) -> list[Table]:
 def mapping(found: Measures) -> list[Table]:
     """Return the measures of a coarse layer as a list, and the purity of each room."""
     closures = f"loop closures that are right, within {found['closures']['radius']:g} {found['unit']}"
-    points = "silhouette of points"
+    forms = {"": "with_unassigned", ", without frames in no node": "nearest", ", pooled": "pooled"}
     columns = [
         *_as("count", {"nodes": "nodes"}),
         *_as("share", {"frames in no node": ("unassigned.frames", "frames")}),
-        *_as(3, {f"{points}, to the nearest node": "silhouette.nearest", f"{points}, pooled": "silhouette.pooled"}),
+        *_as(3, {f"silhouette of points{name}": f"silhouette.{key}" for name, key in forms.items()}),
         *_as(3, {"silhouette of descriptors": "descriptor_silhouette"}),
         *_as(3, {"moment of inertia": "inertia"}, f"{found['unit']}²"),
         *_as("percent", {"purity by room": "purity.overall"}),

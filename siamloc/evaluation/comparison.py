@@ -15,7 +15,7 @@ from siamloc.errors import ConfigError, FormatError, hint
 from siamloc.results import FURTHER, read_results
 from siamloc.runs import run_with
 
-_CHOSEN_BY = ("error", "room", "mapping.silhouette.nearest", "buildings.overall.accuracy")
+_CHOSEN_BY = ("error", "room", "mapping.silhouette.with_unassigned", "buildings.overall.accuracy")
 _LOCALIZED = ("absolute", "hierarchical")
 # Parts of names of measures of which the highest is the best; of all others it is the lowest.
 _HIGHEST = (
