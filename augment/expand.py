@@ -152,14 +152,21 @@ def headings(frames: int, depth: int, seed: int, size: tuple[int, int], circular
 def replay(row: Row, picture: Tensor, circular: bool = True) -> Tensor:
     """Make an image (1, 3, H, W) of the expanded data set again from its source (1, 3, H, W) and its row in the table.
 
+    Raises:
+        AugmentError: a row that was altered.
+
     Example:
         >>> values = {"0.brighten.on": True, "0.brighten.amount": 40, "heading": 0.0}
         >>> row = {"variant": "7", "parameters": json.dumps(values)}
         >>> replay(row, torch.full((1, 3, 32, 128), 100, dtype=torch.uint8)).unique()
         tensor([140], dtype=torch.uint8)
     """
-    variant = variants(int(row["variant"]) + 1, circular)[-1]
-    return variant.policy.apply(picture, {key: [value] for key, value in json.loads(row["parameters"]).items()})
+    try:
+        variant = variants(int(row["variant"]) + 1, circular)[-1]
+        parameters = {key: [value] for key, value in dict(json.loads(row["parameters"])).items()}
+    except (KeyError, TypeError, ValueError) as error:
+        raise AugmentError(f"{row} is not a row that augment.expand wrote ({error!r}): expand again") from error
+    return variant.policy.apply(picture, parameters)
 
 
 def read_table(path: str | Path) -> list[Row]:

@@ -117,7 +117,7 @@ def read_results(folder: str | Path) -> dict[str, Any]:
         raise FormatError(f"{path} is not a siamloc result file: give the folder that `siamloc evaluate` wrote")
     check_version(schema.get("version"), _VERSION, f"the result {path}", "evaluate again")
     for key, depth in _GROUPS.items():
-        if not _is_nested(results.get(key, {}), depth):
+        if not _is_nested(results.get(key, None if key in _NEEDED else {}), depth):
             raise FormatError(f"{path} was altered in {key}: evaluate again")
     if not isinstance(results.get("name", ""), str):
         raise FormatError(f"{path} was altered in name: evaluate again")
@@ -127,8 +127,9 @@ def read_results(folder: str | Path) -> dict[str, Any]:
     return results
 
 
-_GROUPS = {"measures": 1, "baselines": 2, "cost": 2, "tables": 2, "denominators": 1, "skipped": 1, "config": 1}
+_GROUPS = {"measures": 2, "baselines": 2, "cost": 2, "tables": 2, "denominators": 1, "skipped": 1, "config": 1}
 """Keys of `results.json`, and the minimum number of levels of names under each."""
+_NEEDED = ("config", "measures", "denominators")
 
 
 def _is_nested(value: Any, depth: int) -> bool:

@@ -201,7 +201,10 @@ class Run:
         if not isinstance(record, dict) or record.get("format") != FORMAT:
             raise FormatError(f"{self.record} was not written by siamloc")
         check_version(record.get("version"), VERSION, str(self.record), "train again")
-        if (wrong := misfit(record, _KINDS)) is not None:
+        wrong = misfit(record, _KINDS) or misfit(
+            record["settings"], {name: _SECTIONS[name] for name in _SECTIONS if name in record["settings"]}, "settings."
+        )
+        if wrong is not None:
             raise FormatError(f"{self.record} is not whole, or was altered in {wrong}: train again")
         return record
 
@@ -282,9 +285,12 @@ def _remove(path: Path) -> None:
         path.unlink(missing_ok=True)
 
 
-_SECTIONS = ("data", "model", "training", "loss", "augment", "protocol", "trainer", "views")
+_SECTIONS: dict[str, Any] = {
+    **dict.fromkeys(("data", "model", "training", "protocol", "trainer", "views"), dict),
+    **dict.fromkeys(("loss", "augment"), dict | None),
+}
 _KINDS = {
-    "settings": dict.fromkeys(_SECTIONS, dict | None),
+    "settings": dict,
     "written": list[str],
     "created": str | None,
     "versions": dict | None,

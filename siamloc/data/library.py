@@ -17,7 +17,7 @@ from siamloc.data.decoding import Preprocessing
 from siamloc.data.frames import FrameTable
 from siamloc.data.panorama import OmnidirectionalCamera
 from siamloc.data.store import Store, open_store
-from siamloc.errors import ConfigError, DataError, Policy
+from siamloc.errors import ConfigError, DataError, FormatError, Policy
 
 CACHE = ".siamloc/panoramas"
 
@@ -192,13 +192,18 @@ class PanoramaLibrary:
 
 
 def _check_simulated(frames: FrameTable, preprocessing: Preprocessing) -> None:
-    """Raise ConfigError if `camera.json` next to simulated images asks for another kind of unwrapping."""
+    """Raise ConfigError if `camera.json` next to images asks for other unwrapping, FormatError if it is no mapping."""
     kind = preprocessing.unwrap_settings()["kind"]
     for folder in sorted({Path(path).absolute().parents[1] for path in frames.path.tolist()}):
         if not (folder / "camera.json").is_file():
             continue
-        images = read_json(folder / "camera.json").get("images")
-        fitting = {"panorama": ("none",), "omnidirectional": ("polar", "hyperbolic")}.get(images)
+        about = read_json(folder / "camera.json")
+        if not isinstance(about, dict) or not isinstance(images := about.get("images"), str | None):
+            raise FormatError(
+                f"{folder / 'camera.json'} must be a mapping as `siamloc simulate` writes it next to images, got "
+                f"{shortened(repr(about))}: simulate again, or rename the file if it is your own"
+            )
+        fitting = {"panorama": ("none",), "omnidirectional": ("polar", "hyperbolic")}.get(images or "")
         if fitting is not None and kind not in fitting:
             raise ConfigError(
                 f"{folder} holds simulated images of kind {images}, which unwrap={kind} does not fit: "

@@ -6,13 +6,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar, Literal
 
-from foundation.files import read_json
 from siamloc.jobs.choices import Folder
 from siamloc.jobs.job import Say, quiet
 from siamloc.jobs.run_job import RunJob, files_in
 from siamloc.jobs.stored import map_file
 from siamloc.jobs.tasks import Task
 from siamloc.maps import Built, ErrorModel, LayerSearch, Refinement, VisualMap
+from siamloc.results import read_results
 
 _RANKING = ("by", "neighbours", "ratio")
 
@@ -117,6 +117,7 @@ def _figures_in(path: Path) -> dict[str, Any] | None:
     """Return the date of an evaluation and its errors; None if there is no evaluation."""
     if not path.is_file():
         return None
-    found = read_json(path)
-    measures = {name: part.get("overall", {}).get("error") for name, part in found.get("measures", {}).items()}
-    return {"created": found.get("created"), "errors": {name: error for name, error in measures.items() if error}}
+    found = read_results(path.parent)
+    overall = {name: part.get("overall") for name, part in found["measures"].items()}
+    errors = {name: one["error"] for name, one in overall.items() if isinstance(one, dict) and one.get("error")}
+    return {"created": found.get("created"), "errors": errors}

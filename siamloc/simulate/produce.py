@@ -252,7 +252,8 @@ def _missing(config: SimulateConfig, building: Building, run: Run, drive: Track)
         if found == wanted:
             present = {file.name for file in pictures if (data := file.read_bytes()) and not cut_short(data)}
         elif not config.overwrite:
-            changed = sorted(key for key in wanted if found.get(key) != wanted[key]) if found else ["camera.json"]
+            there = found if isinstance(found, dict) else {}
+            changed = sorted(key for key in wanted if there.get(key) != wanted[key]) if there else ["camera.json"]
             raise DataError(
                 f"{sequence} holds images of another simulation (different: {', '.join(changed)}): choose another "
                 "out, or replace them with overwrite=true"

@@ -55,6 +55,8 @@ def test_writes_every_variant_and_a_table_that_repeats_it(images, tmp_path):
         assert row["label"] == labels[int(row["variant"])]
         assert row["source"] == str(images[int(row["frame"])])
         assert torch.equal(replay(row, load(row["source"])), load(out / row["image"]))
+        with pytest.raises(augment.AugmentError, match="is not a row that augment"):
+            replay({**row, "parameters": "[1]"}, load(row["source"]))
     assert torch.equal(load(out / "v000/1.png"), load(images[1]))
     assert (out / TABLE).read_text(encoding="utf-8").splitlines()[0] == ",".join(COLUMNS)
     assert json.loads(rows[1]["parameters"])["0.bulb.on"] is True

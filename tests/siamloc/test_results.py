@@ -15,7 +15,7 @@ from siamloc.results import read_results, read_rows, versions, write_results
 
 RESULTS = {
     "config": {"seed": 0, "margin": np.float64(2)},
-    "measures": {"error": float("nan")},
+    "measures": {"absolute": {"error": float("nan")}},
     "denominators": {"n": 2},
 }
 ROWS = {
@@ -34,7 +34,7 @@ def test_round_trip(tmp_path: Path) -> None:
     results = read_results(path.parent)
     assert results["schema"] == {"name": "siamloc-results", "version": 1}
     assert results["config"] == {"seed": 0, "margin": 2.0}
-    assert results["measures"] == {"error": None}
+    assert results["measures"] == {"absolute": {"error": None}}
     assert results["versions"]["siamloc"] == __version__
     assert results["created"].endswith("+00:00")
     rows = read_rows(path.parent)
@@ -99,6 +99,8 @@ def test_what_cannot_be_read(tmp_path: Path) -> None:
     for text, message in (
         (whole[:50], "incomplete or invalid JSON"),
         ("[1]", "not a siamloc result file"),
+        *((json.dumps({**json.loads(whole), "measures": other}), "altered in measures") for other in ([], 3, {"a": 1})),
+        (json.dumps({key: value for key, value in json.loads(whole).items() if key != "config"}), "altered in config"),
         (json.dumps({"schema": {"name": "other", "version": 1}}), "not a siamloc result file"),
         (
             whole.replace('"version": 1', '"version": 2'),

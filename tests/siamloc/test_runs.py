@@ -40,6 +40,7 @@ SECTIONS = ("data", "model", "training", "loss", "augment", "protocol", "trainer
         ("created", {}, "was altered in created"),
         ("versions", 3, "was altered in versions"),
         *(("settings", {name: 3}, rf"was altered in settings\.{name}") for name in SECTIONS),
+        *(("settings", {name: None}, rf"was altered in settings\.{name}") for name in ("data", "model", "training")),
     ],
 )
 def test_altered_records_are_refused(run, key, value, says):

@@ -100,7 +100,7 @@ def test_runs_that_are_missing_or_not_named(data, tmp_path, capsys, monkeypatch)
     assert "robot holds no trained network, only maps by hsv, thumbnail: choose the descriptor, such as desc" in said
 
 
-@pytest.mark.parametrize("content", [{"format": "siamloc-run", "version": 1, "settings": {}}, {"overrides": []}])
+@pytest.mark.parametrize("content", [{"format": "siamloc-run", "version": 1, "settings": {}}, {}, [1], 5, None])
 def test_records_of_other_versions_are_refused(tmp_path, capsys, content):
     (tmp_path / "run.json").write_text(json.dumps(content))
     for command in ("map", "evaluate", "export"):

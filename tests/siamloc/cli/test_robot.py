@@ -68,6 +68,8 @@ def test_lost_stands_in_the_line_and_the_table(run, flat, capsys):
     rows = table(run / "locations.csv")
     assert [", lost; nearest" in line for line in lines] == [row["lost"] == "True" for row in rows]
     assert any(row["lost"] == "True" for row in rows)
+    (run / "evaluation/network/results.json").write_text("[1]")
+    assert "results.json is not a siamloc result file" in refused(capsys, "export", f"run={run}")
 
 
 def test_a_map_without_positions_names_the_room(bare, flat, capsys):

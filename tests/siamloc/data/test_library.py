@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from siamloc.data import FrameTable, PanoramaLibrary, PolarRing
-from siamloc.errors import ConfigError, DataError
+from siamloc.errors import ConfigError, DataError, FormatError
 
 SIZE = (8, 16)
 
@@ -165,3 +165,7 @@ def test_simulated_images_are_not_unwrapped_by_mistake(frames, tmp_path, images,
     (tmp_path / "camera.json").write_text(json.dumps({"images": images}))
     with pytest.raises(ConfigError, match=f"simulated images of kind {images}, which .* does not fit: {advice}"):
         open_library(frames, tmp_path, unwrap=unwrap)
+    for other in ([], 5, None, "panorama", {"images": [images]}):
+        (tmp_path / "camera.json").write_text(json.dumps(other))
+        with pytest.raises(FormatError, match=r"camera.json must be a mapping .*: simulate again, or rename the file"):
+            open_library(frames, tmp_path, unwrap=unwrap)

@@ -126,6 +126,9 @@ def test_another_simulation_is_not_mixed_in(written: Path, tmp_path: Path) -> No
     small(out=tmp_path, frames=2)
     with pytest.raises(DataError, match=r"holds images of another simulation \(different: spacing\)"):
         small(out=tmp_path, spacing=0.3)
+    next(tmp_path.rglob("camera.json")).write_text("[1]")
+    with pytest.raises(DataError, match=r"holds images of another simulation \(different: camera.json\)"):
+        small(out=tmp_path, frames=2)
     assert small(out=tmp_path, spacing=0.3, frames=2, overwrite=True).rendered == 2
 
 
