@@ -18,7 +18,7 @@ from siamloc.cli.help import job_of
 from siamloc.cli.words import values_of
 from siamloc.errors import ConfigError, SiamlocError, check_known, hint
 from siamloc.jobs.job import Given, Job
-from siamloc.jobs.options import choices, config_folder, groups, options
+from siamloc.jobs.options import choices, config_folder, groups, option, options
 from siamloc.jobs.sweep import Sweep
 from siamloc.runs import runs_in
 
@@ -174,9 +174,9 @@ def _register(kind: type[Job]) -> None:
     defaults = [*({group: name} for group, name in chosen.items()), "_self_", *last]
     store.store(_NAME, OmegaConf.create({"defaults": defaults, **values}))
     for group, inside in options().items() if chosen else ():
-        for name, option in inside.items():
+        for name, entry in inside.items():
             package = "_global_" if group == "experiment" else None
-            store.store(name, OmegaConf.create(option.node()), group=group, package=package)
+            store.store(name, OmegaConf.create(entry.node()), group=group, package=package)
 
 
 def _path(kind: type[Job]) -> str | None:
@@ -302,6 +302,12 @@ def _explained(error: Exception, words: list[str], kind: type[Job]) -> Exception
     from hydra.errors import HydraException
     from omegaconf.errors import OmegaConfBaseException
 
+    for group, _, name in (word.partition("=") for word in words):
+        if group in groups() and name in choices(group):
+            try:
+                option(group, name)
+            except ConfigError as wrong:
+                return wrong
     text = " ".join(str(error).split())
     index = re.search(r"invalid literal for int\(\) .*'(\w+)'", text) if type(error) is ValueError else None
     if index and (keys := [key for key in map(_key, words) if f".{index[1]}" in key]):  # a key inside a list
@@ -318,8 +324,8 @@ def _explained(error: Exception, words: list[str], kind: type[Job]) -> Exception
         more = added if key.startswith("trainer.") else ""
         return ConfigError(f"unknown configuration key {key!r}: {_nearest_key(key, kind, words)}{more}")
     if found := re.search(r"(?:Could not find|In '[^']*': Could not find) '([^']+)'", text):
-        group, _, option = found[1].rpartition("/")
-        return ConfigError(f"unknown option {group}={option}: {hint(option, choices(group))}")
+        group, _, name = found[1].rpartition("/")
+        return ConfigError(f"unknown option {group}={name}: {hint(name, choices(group))}")
     return ConfigError(f"{text} (given: {' '.join(words)})")
 
 

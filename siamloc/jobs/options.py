@@ -14,7 +14,7 @@ from typing import Any
 
 import yaml
 
-from foundation.settings import defaults_of, merged
+from foundation.settings import complaint, defaults_of, merged
 from siamloc.errors import ConfigError, hint
 from siamloc.jobs.choices import parameters_of
 
@@ -205,14 +205,19 @@ def option(group: str, name: str) -> Option:
         name: name of the option, such as "vgg16".
 
     Raises:
-        ConfigError: an unknown option.
+        ConfigError: an unknown option, or a file that is not YAML or not a mapping.
     """
     if name in options().get(group, {}):
         return options()[group][name]
     path = config_folder() / group / f"{name}.yaml"
     if not path.is_file():
         raise ConfigError(f"unknown {group} {name!r}: {hint(name, choices(group))}")
-    own = yaml.safe_load(path.read_text(encoding="utf-8"))
+    try:
+        own = yaml.safe_load(path.read_text(encoding="utf-8"))
+    except (yaml.YAMLError, ValueError) as error:
+        raise ConfigError(f"{path} is not YAML: {' '.join(str(error).split())}") from error
+    if complaint(own, Mapping) or complaint(own.get("defaults", []), list[str | Mapping]):
+        raise ConfigError(f"{path} must be a mapping of keys to values, and its `defaults` a list of options")
     values: dict[str, Any] = {}
     chooses: dict[str, str] = {}
     for entry in own.pop("defaults", []):

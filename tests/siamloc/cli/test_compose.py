@@ -1,10 +1,12 @@
+import shutil
+
 import pytest
 
 from siamloc.cli.compose import composed
 from siamloc.data import Protocol
 from siamloc.errors import ConfigError
 from siamloc.jobs import Evaluate, MapFrames, Prepare, Pretrain, Preview, Report, Train
-from siamloc.jobs.options import choices, groups, option
+from siamloc.jobs.options import choices, config_folder, groups, option
 
 
 @pytest.mark.slow
@@ -23,6 +25,23 @@ def test_every_option_of_every_group_composes(override):
             composed("evaluate", words)
     else:
         assert isinstance(composed("evaluate" if measured else "train", words).protocol, Protocol)
+
+
+@pytest.mark.parametrize(
+    ("group", "content", "says"),
+    [
+        ("protocol", "a: b: c", r"protocol/own\.yaml is not YAML: mapping values are not allowed"),
+        *(("experiment", text, r"experiment/own\.yaml must be a mapping") for text in ("[1]", "", "defaults: {a: 1}")),
+        *(("augment", text, r"augment/own\.yaml must be a mapping") for text in ("[1]", "5", "defaults: [5]")),
+    ],
+)
+def test_a_broken_file_of_an_option_is_named(group, content, says, tmp_path, monkeypatch):
+    folder = shutil.copytree(config_folder(), tmp_path / "conf")
+    (folder / group / "own.yaml").write_text(content)
+    for home in ("siamloc.cli.compose", "siamloc.jobs.options"):
+        monkeypatch.setattr(f"{home}.config_folder", lambda: folder)
+    with pytest.raises(ConfigError, match=says):
+        composed("train", ["data.manifest=x", f"{group}=own"])
 
 
 @pytest.mark.parametrize(
