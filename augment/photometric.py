@@ -60,9 +60,7 @@ class Brighten(Tone):
     """
 
     name = "brighten"
-    RANGES: ClassVar[Mapping[str, Range]] = {
-        "amount": Range(35, 75, minimum=0, maximum=255, neutral=0, whole=True),
-    }
+    RANGES: ClassVar[Mapping[str, Range]] = {"amount": Range(35, 75, minimum=0, maximum=255, neutral=0, whole=True)}
     sign: ClassVar[int] = 1
 
     def coefficients(self, params: Numbers, height: int, width: int) -> Numbers:
@@ -122,9 +120,7 @@ class Gamma(Tone):
     """
 
     name = "gamma"
-    RANGES: ClassVar[Mapping[str, Range]] = {
-        "gamma": Range(0.5, 2.0, minimum=0.05, maximum=20, neutral=1, log=True),
-    }
+    RANGES: ClassVar[Mapping[str, Range]] = {"gamma": Range(0.5, 2.0, minimum=0.05, maximum=20, neutral=1, log=True)}
 
     def coefficients(self, params: Numbers, height: int, width: int) -> Numbers:
         """Return the exponent gamma of the tone curve."""

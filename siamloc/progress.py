@@ -12,11 +12,7 @@ Item = TypeVar("Item")
 
 
 def track(
-    items: Iterable[Item],
-    total: int,
-    what: str,
-    every_seconds: float = 10.0,
-    size: Callable[[Item], int] | None = None,
+    items: Iterable[Item], total: int, what: str, every_seconds: float = 10.0, size: Callable[[Item], int] | None = None
 ) -> Iterator[Item]:
     """Yield the items and show the progress, the rate and the time left on standard error.
 

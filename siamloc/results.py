@@ -62,9 +62,7 @@ def finest(columns: Columns) -> tuple[Columns, str | None]:
 
 
 def write_results(
-    folder: str | Path,
-    results: Mapping[str, Any],
-    tables: Mapping[str, Mapping[str, NDArray]] | None = None,
+    folder: str | Path, results: Mapping[str, Any], tables: Mapping[str, Mapping[str, NDArray]] | None = None
 ) -> Path:
     """Write `results.json` and its tables, such as `queries.csv`; return the path of the first.
 

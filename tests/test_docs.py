@@ -69,9 +69,7 @@ def test_names_and_commands_of_a_page_exist(page):
 
 
 def test_wi_surf_has_one_spelling():
-    folders = [
-        ROOT / name for name in ("analytic", "siamloc", "conf", "docs", "examples", "benchmarks", "tests/oracles")
-    ]
+    folders = [ROOT / name for name in ("analytic", "siamloc", "conf", "docs", "examples", "benchmarks")]
     files = [ROOT / "README.md", *(file for folder in folders for file in folder.rglob("*") if file.suffix in PROSE)]
     read = (file for file in files if "reproduced" not in file.parts)  # pages and records that a command writes
     assert not [file for file in read if re.search("Wi-S|Wisurf|WiSURF", file.read_text(encoding="utf-8"))]

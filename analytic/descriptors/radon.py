@@ -9,15 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analytic.descriptors.base import AlignedDescriptor, Cells, ImageDescriptor, divisors_near
-from analytic.descriptors.radon_transform import (
-    Even,
-    Source,
-    Step,
-    check_square,
-    harmonics,
-    orientations,
-    steps,
-)
+from analytic.descriptors.radon_transform import Even, Source, Step, check_square, harmonics, orientations, steps
 from analytic.errors import AnalyticError
 
 _LEAST = 1e-9  # of the largest magnitude: a coefficient below it is rounding error and is not scaled to length 1

@@ -8,15 +8,7 @@ from typing import Any
 from analytic.descriptors.base import Description, Descriptor
 from analytic.mapper.closure import NodeLevel, Similarity, image_level, node_level, point_of, prominences_of
 from analytic.mapper.decision import NONE, Decision, Location, Reason
-from analytic.mapper.growth import (
-    State,
-    grow_version_1,
-    grow_version_2,
-    join,
-    join_parked,
-    merge_alike,
-    reconsider,
-)
+from analytic.mapper.growth import State, grow_version_1, grow_version_2, join, join_parked, merge_alike, reconsider
 from analytic.mapper.node import Mode, Node
 
 

@@ -44,13 +44,7 @@ def check(frames: FrameTable, images: PanoramaLibrary | None = None) -> list[str
         >>> check(frames)[0]
         'theta looks like degrees: 7 of 8 headings lie beyond one turn, up to 315. Give radians (multiply by pi / 180).'
     """
-    return [
-        *wrong_headings(frames),
-        *_missing(frames),
-        *_drives(frames),
-        *_sizes(frames, images),
-        *_copies(frames),
-    ]
+    return [*wrong_headings(frames), *_missing(frames), *_drives(frames), *_sizes(frames, images), *_copies(frames)]
 
 
 @typed

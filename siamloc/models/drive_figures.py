@@ -63,9 +63,7 @@ class DriveFigures:
         self._parts.append({"descriptors": descriptors.float(), **held, **{name: batch[name] for name in columns}})
 
     def compute(
-        self,
-        relative: RelativePose | None = None,
-        naming: Callable[[Tensor, Tensor], Tensor] | None = None,
+        self, relative: RelativePose | None = None, naming: Callable[[Tensor, Tensor], Tensor] | None = None
     ) -> dict[str, Tensor]:
         """Search the queries in the map, compute the figures, and forget all frames.
 

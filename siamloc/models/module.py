@@ -13,15 +13,7 @@ from augment.torchvision_compat import ensure_torchvision
 from foundation.calls import typed
 from siamloc.errors import ConfigError, DataError
 from siamloc.models.cross_entropy import CrossEntropyLoss
-from siamloc.models.describing import (
-    as_float,
-    checked_descriptors,
-    comparing,
-    identity_of,
-    margin_of,
-    orienting,
-    shown,
-)
+from siamloc.models.describing import as_float, checked_descriptors, comparing, identity_of, margin_of, orienting, shown
 from siamloc.models.drive_figures import RECALL_RADIUS, DriveFigures
 from siamloc.models.network import Network
 from siamloc.models.network_stages import FrozenStages, stages

@@ -127,9 +127,7 @@ class RelativePose(nn.Module):
         turn = _wrap(pose[:, 2] / _TURN - steps * (2 * math.pi / self.columns))
         known_together = whole[:, 1].clamp(-_MOST, _MOST).exp()[:, None, None]
         return Relative(
-            torch.cat([pose[:, :2], turn[:, None]], dim=1),
-            information * known_together * self.scales,
-            whole[:, 0],
+            torch.cat([pose[:, :2], turn[:, None]], dim=1), information * known_together * self.scales, whole[:, 0]
         )
 
     def steps(self, query: Tensor, known: Tensor) -> Tensor:

@@ -243,8 +243,7 @@ def test_values_outside_of_what_makes_sense(name, key, value, message):
 
 
 @pytest.mark.parametrize(
-    ("name", "params"),
-    [("gamma", {"gamma": 20}), ("gamma", {"gamma": 0.05}), ("bulb", {"aspect": (0.05, 20)})],
+    ("name", "params"), [("gamma", {"gamma": 20}), ("gamma", {"gamma": 0.05}), ("bulb", {"aspect": (0.05, 20)})]
 )
 def test_what_is_drawn_at_the_ends_of_the_permitted_is_applied(name, params):
     effect, batch = augment.effect(name, **params), panoramas(200, 4, 8)

@@ -9,17 +9,7 @@ import pytest
 
 from foundation.calls import takes
 from foundation.errors import ConfigError
-from foundation.settings import (
-    Count,
-    Natural,
-    NotNegative,
-    Positive,
-    Probability,
-    Settings,
-    Share,
-    Size,
-    defaults_of,
-)
+from foundation.settings import Count, Natural, NotNegative, Positive, Probability, Settings, Share, Size, defaults_of
 
 
 @dataclass(frozen=True)

@@ -79,11 +79,7 @@ def exposure(picture, p):
 
 
 def white_balance(picture, p):
-    stops = [
-        p["temperature"] / 2 + p["tint"] / 3,
-        -2 * p["tint"] / 3,
-        -p["temperature"] / 2 + p["tint"] / 3,
-    ]
+    stops = [p["temperature"] / 2 + p["tint"] / 3, -2 * p["tint"] / 3, -p["temperature"] / 2 + p["tint"] / 3]
     return every_pixel(picture, lambda c, y, x, value: value * 2 ** stops[c])
 
 

@@ -60,10 +60,7 @@ class NodePlan:
 
 
 def node_plan(
-    measures: Mapping[str, Any],
-    frames: Mapping[str, NDArray],
-    nodes: Mapping[str, NDArray],
-    name: str = "compact map",
+    measures: Mapping[str, Any], frames: Mapping[str, NDArray], nodes: Mapping[str, NDArray], name: str = "compact map"
 ) -> NodePlan:
     """Return the data for the plan of a compact map.
 

@@ -10,10 +10,7 @@ from siamloc.jobs.options import choices, config_folder, groups, option
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    "override",
-    [f"{group}={option}" for group in groups() for option in choices(group)],
-)
+@pytest.mark.parametrize("override", [f"{group}={option}" for group in groups() for option in choices(group)])
 def test_every_option_of_every_group_composes(override):
     where = ["data.manifest=x"] if override == "data=manifest" else ["data.root=x"]
     data = [] if override.startswith("data=") else ["data=folder"]

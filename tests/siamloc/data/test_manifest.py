@@ -49,8 +49,7 @@ def test_all_columns(folder):
 def test_spreadsheet_habits(folder):
     """Byte-order mark, CRLF, quotes, blanks, other columns, blank lines, absolute names, an image in two sequences."""
     table = read(
-        folder,
-        b'\xef\xbb\xbfnote, Room ,X,"image"\r\nhello,"office ""1""",1.5,"c, d.jpg"\r\n,,,a.jpg\r\n\r\n , ,,\r\n',
+        folder, b'\xef\xbb\xbfnote, Room ,X,"image"\r\nhello,"office ""1""",1.5,"c, d.jpg"\r\n,,,a.jpg\r\n\r\n , ,,\r\n'
     )
     assert table.path.tolist() == [str(folder / "c, d.jpg"), str(folder / "a.jpg")]
     assert table.room.tolist() == ['office "1"', ""]

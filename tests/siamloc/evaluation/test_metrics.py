@@ -116,8 +116,7 @@ def test_the_threshold_curve_is_the_accuracy_at_every_threshold(seed: int, margi
     for i, threshold in enumerate(steps):
         accuracy = metrics.pair_accuracy(distances, same, margin, threshold)
         np.testing.assert_array_equal(
-            [curve.same[i], curve.different[i], curve.overall[i]],
-            [accuracy.same, accuracy.different, accuracy.overall],
+            [curve.same[i], curve.different[i], curve.overall[i]], [accuracy.same, accuracy.different, accuracy.overall]
         )
     ordered, couples = oracle.pair_auc(distances, same, margin)
     assert math.isnan(curve.auc) if couples == 0 else math.isclose(curve.auc, ordered / couples, rel_tol=1e-15)

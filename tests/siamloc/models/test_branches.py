@@ -9,14 +9,7 @@ from torch import nn
 
 from siamloc.errors import ConfigError
 from siamloc.models import BRANCHES, build
-from siamloc.models.branch import (
-    LEAST_CONTRAST,
-    SURROUNDINGS,
-    by_image,
-    by_surroundings,
-    feature_shape,
-    smallest_size,
-)
+from siamloc.models.branch import LEAST_CONTRAST, SURROUNDINGS, by_image, by_surroundings, feature_shape, smallest_size
 
 # Convolutions of [T] table 5.1; DenseNet-121 has two in each of its 58 layers, three transitions and the first.
 CONVOLUTIONS = {

@@ -19,12 +19,7 @@ def draw(pairs, dimensions, seed=0, dtype=torch.float64):
 
 
 @settings(deadline=None, max_examples=40)
-@given(
-    pairs=st.integers(1, 9),
-    dimensions=st.integers(1, 12),
-    margin=st.floats(0.1, 20),
-    seed=st.integers(0, 1000),
-)
+@given(pairs=st.integers(1, 9), dimensions=st.integers(1, 12), margin=st.floats(0.1, 20), seed=st.integers(0, 1000))
 def test_agrees_with_a_loop_over_pairs(pairs, dimensions, margin, seed):
     d0, d1, y = draw(pairs, dimensions, seed)
     expected = contrastive_loss(d0.tolist(), d1.tolist(), y.tolist(), margin)

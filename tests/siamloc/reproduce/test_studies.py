@@ -351,11 +351,7 @@ def test_what_stands_beside_ours_is_left_out_of_claims(smoke):
         ({"scale": "long"}, ConfigError, "scale must be smoke or short or full, got 'long'"),
         ({"data": "colt"}, ConfigError, "data must be cold or freiburg_sim or mini, got 'colt'"),
         ({"data": "cold"}, ConfigError, "say where COLD Freiburg, part A, path 2 is: root=FOLDER"),
-        (
-            {"data": "mini", "root": "nowhere"},
-            DataError,
-            "nowhere, which does not exist: render it with `siamloc demo`",
-        ),
+        ({"data": "mini", "root": "nowhere"}, DataError, "which does not exist: render it with `siamloc demo`"),
     ],
 )
 def test_what_is_missing_is_said_in_one_sentence(tmp_path, options, kind, says):

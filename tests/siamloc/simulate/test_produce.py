@@ -182,10 +182,7 @@ def test_the_legend_of_a_plan_shows_a_grid_as_dots(path: str, marker: str) -> No
         ({"hours": [9, 12]}, r"hours needs one hour for each run \(cloudy1\), got 2"),
         ({"trajectory": "night.lst", "runs": STANDARD_RUNS, "hours": [9] * 8}, r"each run \(night1\), got 8"),
         ({"trajectory": "night.lst", "path": "grid", "headings": 4}, "leave out path=grid, or the trajectory"),
-        (
-            {"runs": ["sunny1"], "hours": [22]},
-            "at hour 22, the sun may be down: choose one from 7 to 17 for a sunny run",
-        ),
+        ({"runs": ["sunny1"], "hours": [22]}, "at hour 22, the sun may be down: choose one from 7 to 17 for a sunny"),
         ({"spacing": float("nan")}, "spacing must be a number of metres from 0.005, got nan"),
     ],
 )

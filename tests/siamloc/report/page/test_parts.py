@@ -47,11 +47,7 @@ def test_each_kind_of_result_has_its_part(page: Element) -> None:
     articles = [article for article in page.all("article") if "data-evaluation" in article.attributes]
     names = [[section.attributes["class"] for section in article.all("section")] for article in articles]
     first = ["summary", "plan", "curves", "estimate filtered", "estimate interpolated", "expected", "worst", "rooms"]
-    assert names == [
-        [*first, "pair-curves"],
-        ["summary", "hierarchical", "plan", "curves", "worst"],
-        ["robustness"],
-    ]
+    assert names == [[*first, "pair-curves"], ["summary", "hierarchical", "plan", "curves", "worst"], ["robustness"]]
     titles = [article.one("h2").text for article in articles]
     assert titles == ["network", "network, hierarchical over spectral nodes of hog", "network, robustness"]
     compared = page.one("table", class_="comparison").one("tbody").all("tr")
