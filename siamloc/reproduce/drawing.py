@@ -16,6 +16,7 @@ from siamloc.reproduce.study_book import axis
 Figure = Mapping[str, Any]
 
 _TICKS = 6
+_LEGENDS: tuple[Any, ...] = ("outside lower center", "outside upper center", "outside right lower")
 _SHOWN = {"share": ("%", 100.0), "s": ("ms", 1000.0), "deg": ("°", 1.0)}
 """Units on the axes, by the unit of a measure, and the factor of its numbers."""
 
@@ -45,11 +46,11 @@ def drawn(figures: Sequence[Figure], records: Sequence[Record]) -> Picture:
             _field(axes, figure, part, every_part)
         else:
             legends.setdefault(repr(names_of(figure, "series")), {}).update(_lines(axes, figure, part, every_part))
-    for handles, where in zip(legends.values(), ("lower center", "upper center", "right lower"), strict=False):
+    for handles, where in zip(legends.values(), _LEGENDS, strict=False):
         rows = -(-len(handles) // max(2, int(1.6 * across)))
-        columns = 1 if where == "right lower" else -(-len(handles) // rows)
+        columns = 1 if "right" in where else -(-len(handles) // rows)
         if len(handles) > 1:
-            picture.legend(handles.values(), handles.keys(), loc=f"outside {where}", ncols=columns)
+            picture.legend(list(handles.values()), list(handles), loc=where, ncols=columns)
     return picture
 
 
