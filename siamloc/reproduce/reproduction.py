@@ -15,7 +15,7 @@ from siamloc.report.draw.look import save
 from siamloc.reproduce.claims import Claim, Finding, claim, examine
 from siamloc.reproduce.drawing import drawn, names_of, said, shown, titled, unit
 from siamloc.reproduce.published import Record, grouped, measures, published
-from siamloc.reproduce.study_book import Study, data_named
+from siamloc.reproduce.study_book import Study, data_named, experiment
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -135,10 +135,12 @@ class Reproduction:
 
     def table(self) -> str:
         """Return published and measured numbers as a Markdown table; only our own if nothing was printed."""
-        source, title = self.study.source, data_named(self.data)["title"]
+        source, about = self.study.source, data_named(self.data)
+        folders = [about["at"].get(job.at, "{}") for job in self.study.jobs(self.scale, self.data)]
+        where = " and ".join(dict.fromkeys(about["title"] if "{}" in folder else folder for folder in folders))
         place = ", ".join(filter(None, [f"[{source.document}] section {source.section}", source.place]))
         measured = f"Scale {self.scale}, {sum(self.seconds.values()):.0f} s."
-        lines = [f"### {self.study.title}", "", f"{place}. On {title}; {self._protocol()}. {measured}"]
+        lines = [f"### {self.study.title}", "", f"{place}. On {where}; {self._protocol()}. {measured}"]
         lines += self._comparison() if self.rows else []
         if self.study.figure:
             lines += ["", *self._best_table()]
@@ -197,7 +199,12 @@ class Reproduction:
         return [save(self.plot(), Path(folder) / f"{self.study.id}.png")] if self.study.figure else []
 
     def _protocol(self) -> str:
-        return "; ".join(f"{role}: {says}" for role, says in self.study.protocol(self.scale).items())
+        told: dict[str, list[str]] = {}
+        for one in map(experiment, self.study.experiments):
+            if not one.beside:
+                says = "; ".join(f"{role}: {words}" for role, words in one.protocol_in_words(self.scale).items())
+                told.setdefault(says, []).append(one.id)
+        return next(iter(told)) if len(told) == 1 else " / ".join(f"{', '.join(told[says])}: {says}" for says in told)
 
     def _comparison(self) -> list[str]:
         """Return the lines of the table with the published numbers next to ours."""

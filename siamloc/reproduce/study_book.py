@@ -111,6 +111,17 @@ class Experiment(Settings):
             made.append(Job(self.id, self.kind, roles, options, settings, *where))
         return made
 
+    def protocol_in_words(self, scale: str) -> Mapping[str, str]:
+        """Describe the frames of each role at a scale."""
+        protocol = _resolved(contents("study_book")["protocols"][self.protocol], scale)
+        words: dict[str, str] = dict(protocol["says"])
+        for role, says in words.items():
+            chosen = protocol["roles"].get(role, {})
+            share = max(chosen.get("every", 1), chosen.get("one_in", 1))
+            if share > 1 and "one frame" not in says:
+                words[role] = f"{says}, one frame in {share}"
+        return words
+
 
 @dataclass(frozen=True)
 class Study(Settings):
@@ -158,9 +169,7 @@ class Study(Settings):
 
     def protocol(self, scale: str = "full") -> Mapping[str, str]:
         """Return a description in words of the frames used as map and queries at a scale, by role."""
-        protocol = experiment(self.experiments[0]).protocol
-        says: dict[str, str] = _resolved(contents("study_book")["protocols"][protocol]["says"], scale)
-        return says
+        return experiment(self.experiments[0]).protocol_in_words(scale)
 
 
 @typed
