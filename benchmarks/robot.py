@@ -221,7 +221,7 @@ def second_table(data: Path) -> dict[str, Any]:
             if name in TRAINED:
                 by = recipe.build(branch=name, head="gem", circular=False)
                 recipe.fit(
-                    by, images, drives["cloudy3"], validation=drives["cloudy2"], run=folder / name, **TRAINED[name]
+                    by, images, drives["cloudy3"], validation=drives["cloudy1"], run=folder / name, **TRAINED[name]
                 )
             else:
                 by = siamloc.models.pretrained() if name == "pretrained" else analytic.descriptor(name)
