@@ -118,7 +118,7 @@ class Experiment(Settings):
         for role, says in words.items():
             chosen = protocol["roles"].get(role, {})
             share = max(chosen.get("every", 1), chosen.get("one_in", 1))
-            if share > 1 and "one frame" not in says:
+            if share > 1 and says != "none" and "one frame" not in says:
                 words[role] = f"{says}, one frame in {share}"
         return words
 
