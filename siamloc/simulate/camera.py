@@ -351,14 +351,19 @@ def develop(light: Array, gain: float, balance: Array, wraps: bool, rng: np.rand
     """
     value = light * (gain * balance).astype(np.float32)
     _glare(value, wraps)
+    add_noise(value, gain, rng, quiet)
+    grey = ((value[..., 0] + value[..., 1] + value[..., 2]) / np.float32(3))[..., None]
+    value = np.clip(grey + 1.12 * (value - grey), 0, 1)
+    return _curve()[(value * 4095).astype(np.int32)]
+
+
+def add_noise(value: Array, gain: float, rng: np.random.Generator, quiet: float) -> None:
+    """Add shot and read noise to an exposed image, in place; arguments as for `develop`."""
     shot = _SHOT * np.sqrt(gain)
     start = int(rng.integers(0, _BANK - value.size))
     grain = _noise_bank()[start : start + value.size].reshape(value.shape)
     spread = cv2.sqrt(np.maximum(value, 0) * np.float32(shot**2) + np.float32((_READ * gain) ** 2))
     value += grain * spread * np.float32(quiet)
-    grey = value.mean(axis=-1, keepdims=True)
-    value = np.clip(grey + 1.12 * (value - grey), 0, 1)
-    return _curve()[(value * 4095).astype(np.int32)]
 
 
 def _glare(value: Array, wraps: bool) -> None:
