@@ -170,24 +170,22 @@ def _features(name: str, circular: bool = False) -> nn.Sequential:
         layers: list[nn.Module] = []
         for inputs, outputs in zip((3, *spec.widths), spec.widths, strict=False):
             layers += [nn.Conv2d(inputs, outputs, kernel_size=3, padding=1), nn.ReLU(inplace=True)]
-        features = nn.Sequential(*layers, _GridPool(SIMPLE_GRID))
+        pool = nn.AdaptiveAvgPool2d(SIMPLE_GRID)
+        pool.register_forward_hook(_keep_layout)
+        features = nn.Sequential(*layers, pool)
     else:
         features = _torchvision_features(name)
     return cast(nn.Sequential, around(features)) if circular else features
 
 
-class _GridPool(nn.AdaptiveAvgPool2d):
-    """Average over the cells of a grid.
+def _keep_layout(_pool: nn.Module, inputs: tuple[Tensor], pooled: Tensor) -> None:
+    """Put the gradient of what was pooled into the memory layout of the features.
 
-    The gradient is put into the memory layout of the features: if it has another one, a CPU copies the gradients of all
-    layers before, which takes a quarter of a training step.
+    If it has another one, a CPU copies the gradients of all layers before, which takes a quarter of a training step.
     """
-
-    def forward(self, features: Tensor) -> Tensor:
-        pooled = super().forward(features)
-        if pooled.requires_grad and features.is_cpu and features.is_contiguous(memory_format=torch.channels_last):
-            pooled.register_hook(lambda gradient: gradient.contiguous(memory_format=torch.channels_last))
-        return pooled
+    (features,) = inputs
+    if pooled.requires_grad and features.is_cpu and features.is_contiguous(memory_format=torch.channels_last):
+        pooled.register_hook(lambda gradient: gradient.contiguous(memory_format=torch.channels_last))
 
 
 def _torchvision_features(name: str) -> nn.Sequential:
