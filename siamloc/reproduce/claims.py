@@ -79,7 +79,7 @@ class Finding:
 
     Attributes:
         holds: whether the numbers support the claim; None if they do not decide, since numbers are missing, equal, or
-            differ by less than the spread over seeds.
+            differ by less than the spread of such differences.
         why: the reason, in words, why the numbers do not decide; "" if they do.
     """
 
@@ -188,7 +188,7 @@ def _trend(check: Mapping[str, Any], records: Sequence[Record]) -> Finding:
     sign = 1 if check["goes"] == "up" else -1
     worst = min(sign * (after - before) + within * abs(before) for before, after in pairwise(values))
     if -spread < worst < 0:
-        return Finding(None, f"a step the other way, {-worst:.2g}, is smaller than the spread over seeds, {spread:.2g}")
+        return Finding(None, f"a step the other way, {-worst:.2g}, is smaller than the spread of such differences, {spread:.2g}")
     return _apart(values, spread) or Finding(worst >= 0)
 
 
@@ -213,12 +213,12 @@ def _apart(values: Sequence[float], spread: float) -> Finding | None:
     low, high = min(values), max(values)
     if low == high:
         return Finding(None, f"all compared values are {low:.4g}")
-    less = f"{low:.4g} and {high:.4g} differ by less than the spread over seeds, {spread:.2g}"
+    less = f"{low:.4g} and {high:.4g} differ by less than the spread of such differences, {spread:.2g}"
     return Finding(None, less) if high - low < spread else None
 
 
 def _about(alike: bool, values: Sequence[float], spread: float) -> Finding:
-    """Return whether values are alike; undecided if they are not, but differ by less than the spread over seeds."""
+    """Return whether values are alike; undecided if they are not, but differ by less than the spread of such differences."""
     return Finding(True) if alike else _apart(values, spread) or Finding(False)
 
 

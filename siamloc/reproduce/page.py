@@ -22,9 +22,10 @@ and `siamloc reproduce --list` lists all. Published numbers and claims come from
 protocols, on other machines; each part says what replaces what here. A claim is a sentence of a text with a check that
 numbers can be tested against: it *holds*, *does not hold*, or is *not decidable* if the study, the data or the scale
 lack what it compares, if all compared numbers are equal, or if they differ by less than such a difference varies
-between seeds, as measured in `benchmarks/results/spreads.json` and, for errors of trained networks,
-`augmentation_training.json`. Claims that the document's own numbers contradict come first and are counted apart,
-whatever ours say. The notes of a part say what is known about why a claim does not hold here; if they say nothing, we
+between seeds and choices of frames. This spread is the largest of the experiments of the same kind that were repeated,
+as `benchmarks/results/spreads.json` has it, for maps that of spectral clustering; for errors of trained networks it is
+that of `augmentation_training.json`. Claims that the document's own numbers contradict come first and are counted
+apart, whatever ours say. The notes of a part say what is known about why a claim does not hold here; if they say nothing, we
 know of no reason. Neither the building nor a check is tuned to a claim.
 """
 
