@@ -188,7 +188,8 @@ def _trend(check: Mapping[str, Any], records: Sequence[Record]) -> Finding:
     sign = 1 if check["goes"] == "up" else -1
     worst = min(sign * (after - before) + within * abs(before) for before, after in pairwise(values))
     if -spread < worst < 0:
-        return Finding(None, f"a step the other way, {-worst:.2g}, is smaller than the spread of such differences, {spread:.2g}")
+        step = f"a step the other way, {-worst:.2g}"
+        return Finding(None, f"{step}, is smaller than the spread of such differences, {spread:.2g}")
     return _apart(values, spread) or Finding(worst >= 0)
 
 
@@ -218,7 +219,7 @@ def _apart(values: Sequence[float], spread: float) -> Finding | None:
 
 
 def _about(alike: bool, values: Sequence[float], spread: float) -> Finding:
-    """Return whether values are alike; undecided if they are not, but differ by less than the spread of such differences."""
+    """Return whether values are alike; undecided if they are not, but differ by less than the spread."""
     return Finding(True) if alike else _apart(values, spread) or Finding(False)
 
 

@@ -129,7 +129,7 @@ LAST = ORDER | {"more": {"place": 2}, "less": {"place": [0, 1]}}
         (UP, spread([41, 41, 41], 0), None, "all compared values are 41"),
         (UP, spread([1.0, 1.1, 1.2], 0.3), None, "1 and 1.2 differ by less than the spread of such differences, 0.3"),
         (UP, spread([1.0, 1.1, 1.4], 0.3), True, ""),  # small steps that add up
-        (UP, spread([1.0, 2.0, 1.9], 0.3), None, "a step the other way, 0.1, is smaller than the spread of such differences"),
+        (UP, spread([1.0, 2.0, 1.9], 0.3), None, "a step the other way, 0.1, is smaller than the spread"),
         (UP, spread([1.0, 2.0, 1.9], 0.05), False, ""),
         (UP, spread([2.0, 1.0, 3.0], 0.3), False, ""),
         (UP | {"goes": "flat", "within": 0.5}, spread([1.0, 1.0, 1.2], 0.3), True, ""),
