@@ -1,0 +1,74 @@
+"""Visual overlap: the share of the visible surfaces that two panoramas have in common."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from siamloc.data.panorama import PanoramaView
+from siamloc.simulate.layout import Array, single
+from siamloc.simulate.mesh import Caster, QuadMesh
+
+_LOWEST, _HIGHEST = np.sin(np.radians([PanoramaView.bottom, PanoramaView.top]))
+_LEAST = 0.05  # a shadow ray that can contribute less than this share of a ray is not cast
+_FREE = np.float32(0.999)  # share of the way to a surface that must be free: the surface itself is no obstacle
+
+
+def visual_overlap(mesh: QuadMesh, caster: Caster, eyes: Array, rays: int = 32) -> Array:
+    """Estimate the visual overlap of every two of P panoramas, which have the elevations of `PanoramaView`.
+
+    Two panoramas show each piece of surface under two solid angles; the angle is 0 where the piece is hidden or too
+    high or too low. The overlap is the sum of the smaller angles over all pieces, divided by the sum of the larger
+    angles. It is 1 if both panoramas show the same surfaces at the same size, and 0 if they have no surface in common.
+    What is outside of the building, behind its windows, does not count.
+
+    Each eye casts rays that stand for equal solid angles. An eye at height h above the plane of a piece of surface, and
+    at distance r from the piece, sees it under the solid angle h / r^3 per area. So another eye, which sees the end of
+    the ray from height h' and distance r', sees the share min(1, (h' / r'^3) / (h / r^3)) of what the ray stands for.
+    The mean of both directions counts: with 32 rays, overlaps have a standard error of about 0.03.
+
+    Args:
+        mesh: all surfaces of the building.
+        caster: casts rays against that mesh.
+        eyes: where the panoramas are taken, x, y, z in metres (P, 3).
+        rays: number of rays from each point.
+
+    Returns:
+        (P, P) float32, from 0 to 1, symmetric, with 1 on the diagonal.
+
+    >>> from siamloc.simulate.mesh import MeshBuilder
+    >>> room = MeshBuilder({"paint": (0, None)})
+    >>> room.box((0, 0, 0), (6, 4, 2.5), "paint")
+    >>> mesh = room.build()
+    >>> print(visual_overlap(mesh, Caster(mesh), [[1, 1, 1], [1.5, 1, 1], [5, 3, 1]], rays=1000)[0].round(2))
+    [1.   0.62 0.13]
+    """
+    eyes, count = single(eyes), len(eyes)
+    sine = _LOWEST + (np.arange(rays) + 0.5) / rays * (_HIGHEST - _LOWEST)
+    azimuth = np.pi * (1 + 5**0.5) * np.arange(rays)  # a spiral by the golden angle is even over the sphere
+    level = np.sqrt(1 - sine**2)
+    spiral = single(np.column_stack([level * np.cos(azimuth), level * np.sin(azimuth), sine]))
+    quad, _, _, reach = caster.first_hit(np.repeat(eyes, rays, axis=0), np.tile(spiral, (count, 1)))
+    hit = np.flatnonzero(quad >= 0)
+    view, directions, reach = hit // rays, spiral[hit % rays], reach[hit]
+    points = eyes[view] + reach[:, None] * directions
+    normals = single(mesh.normals)[quad[hit]]
+    normals *= -np.sign(np.einsum("ij,ij->i", normals, directions))[:, None]  # towards the eye
+    plane = np.einsum("ij,ij->i", normals, points)
+    own = (np.einsum("ij,ij->i", normals, eyes[view]) - plane) / reach**3
+    shared = np.empty((count, count))
+    for number, eye in enumerate(eyes):
+        height = normals @ eye - plane
+        rows = np.flatnonzero(height > 0)
+        towards = points[rows] - eye
+        distance = np.sqrt(np.einsum("ij,ij->i", towards, towards))
+        share = np.minimum(height[rows] / distance**3 / own[rows], 1)
+        rise = towards[:, 2] / distance
+        keep = (share > _LEAST) & (rise > _LOWEST) & (rise < _HIGHEST)
+        rows, share = rows[keep], share[keep]
+        free = ~caster.blocked(np.tile(eye, (len(rows), 1)), towards[keep], np.full(len(rows), _FREE))
+        shared[:, number] = np.bincount(view[rows], share * free, minlength=count)
+    shared = (shared + shared.T) / 2
+    total = np.bincount(view, minlength=count)
+    overlap = single(shared / np.maximum(total[:, None] + total - shared, 1))
+    np.fill_diagonal(overlap, 1)
+    return overlap
