@@ -10,7 +10,7 @@ import torch
 from torch import Tensor, nn
 
 from foundation.calls import takes
-from siamloc.errors import ConfigError, hint
+from siamloc.errors import ConfigError, DataError, hint
 from siamloc.models.origins import Origins, ScheduledLoss, check_batch
 from siamloc.models.registry import LOSSES, MetricCalibrated, SoftContrastive
 
@@ -23,10 +23,11 @@ class SoftContrastiveLoss(ScheduledLoss):
 
         p_ij = exp(-|x_i - x_j|^2 / 2 sigma^2) / sum_k,    q_ij = exp(d_i . d_j / temperature) / sum_k.
 
-    This is InfoNCE with a target that fades with the distance instead of ending at a radius. With rooms, p_ij is the
-    weighted mean of this target, without the images of other rooms, and of a target that is equal for all images of the
-    room of i, and 0 for others. For this second target, q_ij is a softmax without the images whose room is unknown.
-    Images without a neighbour or another image of their room in the batch do not count.
+    This is InfoNCE with a target that fades with the distance instead of ending at a radius. The kernel "overlap" is a
+    power of the share of visible surfaces that two images have in common: walls separate, and open spaces connect. With
+    rooms, p_ij is the weighted mean of this target, without the images of other rooms, and of a target that is equal
+    for all images of the room of i, and 0 for others. For this second target, q_ij is a softmax without the images
+    whose room is unknown. Images without a neighbour or another image of their room in the batch do not count.
 
     Args:
         settings: see `siamloc.models.registry.SoftContrastive`.
@@ -59,7 +60,7 @@ class SoftContrastiveLoss(ScheduledLoss):
             origins: origins of the N images; images without a position have no neighbours.
 
         Raises:
-            DataError: other shapes.
+            DataError: other shapes, or no visual overlap where the kernel asks for it.
         """
         check_batch(descriptors, origins)
         with torch.autocast(device_type=descriptors.device.type, enabled=False):
@@ -92,8 +93,7 @@ class SoftContrastiveLoss(ScheduledLoss):
         """
         wanted = mates = torch.zeros(itself.shape, device=itself.device)
         if self.room < 1:
-            apart = origins.distances().float() / self.sigma
-            near = torch.exp(-apart if self.kernel == "exponential" else -apart.square() / 2)
+            near = self._kernel(origins)
             aside = itself | origins.other_room() if self.room > 0 else itself
             wanted = (1 - self.room) * _shares(near.nan_to_num(0).masked_fill(aside, 0))
         if self.room > 0:
@@ -102,6 +102,18 @@ class SoftContrastiveLoss(ScheduledLoss):
         share = torch.where(whole > _LEAST_WEIGHT, 1 / whole.clamp(min=_LEAST_WEIGHT), 0)
         unknown = (origins.room < 0)[None] & (mates.sum(dim=1) > 0)[:, None]
         return share * wanted, share * mates, unknown
+
+    def _kernel(self, origins: Origins) -> Tensor:
+        """Return how similar images should be (N, N), from 0 to 1; NaN where unknown."""
+        if self.kernel == "overlap":
+            if origins.overlap is None:
+                raise DataError(
+                    "loss.kernel=overlap needs the visual overlap of the images, which only those of pretraining have "
+                    "(siamloc pretrain): set loss.kernel to exponential or gaussian, which need positions"
+                )
+            return origins.overlap.float() ** (1 / self.sigma)
+        apart = origins.distances().float() / self.sigma
+        return torch.exp(-apart if self.kernel == "exponential" else -apart.square() / 2)
 
 
 def _shares(weights: Tensor) -> Tensor:

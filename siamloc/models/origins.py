@@ -23,6 +23,8 @@ class Origins:
         room: (N,) whole numbers, different across buildings; negative if unknown.
         frame: (N,) whole numbers: a frame that is drawn twice has the same number.
         theta: (N,) headings in rad, NaN if unknown; None if not needed.
+        overlap: (N, N) share of the surfaces that two images have in common, from 0 to 1: 0 between buildings, NaN
+            where unknown; None if it is unknown for all images.
     """
 
     xy: Tensor
@@ -30,6 +32,7 @@ class Origins:
     room: Tensor
     frame: Tensor
     theta: Tensor | None = None
+    overlap: Tensor | None = None
 
     def distances(self) -> Tensor:
         """Return the distances between images (N, N): infinite between buildings, NaN where a position is unknown."""

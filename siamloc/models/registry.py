@@ -145,8 +145,9 @@ class SoftContrastive(Settings):
     Attributes:
         temperature: temperature of the softmax over the similarities of descriptors of unit length.
         kernel: how similar two images should be at a distance x: "gaussian", exp(-x^2 / 2 sigma^2), or "exponential",
-            exp(-x / sigma), which distinguishes the nearest from the second nearest and still tells apart those beyond.
-        sigma: width of the kernel, in the unit of the positions.
+            exp(-x / sigma), which distinguishes the nearest from the second nearest and still tells apart those beyond;
+            or "overlap", v^(1 / sigma) for images with the share v of visible surfaces in common, only for pretraining.
+        sigma: width of the kernel, in the unit of the positions; for "overlap" without a unit.
         sigma_start: width at the beginning of a training; each step multiplies it by the same factor, so that it is
             `sigma` in the last step. The same width throughout if None.
         room: share of the target that is spread equally over all images of the same room. The rest follows the kernel,
@@ -157,7 +158,7 @@ class SoftContrastive(Settings):
     WHERE = "loss"
 
     temperature: Positive = 0.07
-    kernel: Literal["gaussian", "exponential"] = "gaussian"
+    kernel: Literal["gaussian", "exponential", "overlap"] = "gaussian"
     sigma: Positive = 0.4
     sigma_start: Positive | None = None
     room: Share = 0.0

@@ -4,7 +4,7 @@ import math
 
 
 def soft_contrastive_loss(
-    descriptors, places, buildings, temperature, sigma, kernel="gaussian", rooms=None, room_share=0.0
+    descriptors, places, buildings, temperature, sigma, kernel="gaussian", rooms=None, room_share=0.0, overlap=None
 ):
     """Mean over the images with a neighbour or a room mate of -sum_j p_ij log q_ij, as its docstring writes it."""
     count, costs = len(descriptors), []
@@ -14,6 +14,8 @@ def soft_contrastive_loss(
         for j in others:
             apart = math.dist(places[i], places[j]) if buildings[i] == buildings[j] else math.inf
             near[j] = math.exp(-apart / sigma) if kernel == "exponential" else math.exp(-(apart**2) / (2 * sigma**2))
+            if kernel == "overlap":
+                near[j] = overlap[i][j] ** (1 / sigma)
             walled = rooms is not None and room_share > 0 and rooms[i] >= 0 and rooms[j] >= 0 and rooms[i] != rooms[j]
             if math.isnan(near[j]) or walled:
                 near[j] = 0.0

@@ -11,7 +11,7 @@ import torch.nn.functional as F
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from siamloc.errors import ConfigError
+from siamloc.errors import ConfigError, DataError
 from siamloc.models.batch_losses import SoftContrastiveLoss, make_loss
 from siamloc.models.origins import Origins
 from siamloc.models.registry import LOSSES
@@ -21,11 +21,11 @@ from tests.oracles.soft_contrastive import soft_contrastive_loss
 OF_PLACES = [name for name in LOSSES if name != "cross_entropy"]  # which considers rooms only, image by image
 
 
-def origins(xy, building=None, room=None):
+def origins(xy, building=None, room=None, overlap=None):
     count = len(xy)
     building = torch.zeros(count, dtype=torch.int64) if building is None else torch.as_tensor(building)
     room = torch.zeros(count, dtype=torch.int64) if room is None else torch.as_tensor(room)
-    return Origins(torch.as_tensor(xy), building, room, torch.arange(count))
+    return Origins(torch.as_tensor(xy), building, room, torch.arange(count), overlap=overlap)
 
 
 def draw(images, dimensions, seed):
@@ -41,7 +41,7 @@ def draw(images, dimensions, seed):
     dimensions=st.integers(1, 8),
     temperature=st.floats(0.05, 2),
     sigma=st.floats(0.1, 3),
-    kernel=st.sampled_from(["gaussian", "exponential"]),
+    kernel=st.sampled_from(["gaussian", "exponential", "overlap"]),
     share=st.sampled_from([0.0, 0.3, 1.0]),
     seed=st.integers(0, 1000),
 )
@@ -50,12 +50,34 @@ def test_agrees_with_a_loop_over_pairs(images, dimensions, temperature, sigma, k
     room = torch.randint(-1, 3, (images,), generator=torch.Generator().manual_seed(seed))
     if share:
         xy[0] = math.nan  # at unknown positions
+    overlap = torch.rand(images, images, generator=torch.Generator().manual_seed(seed))
+    overlap[overlap < 0.2], overlap[overlap > 0.8] = 0.0, math.nan  # nothing in common, and unknown
     parameters = {"temperature": temperature, "sigma": sigma, "kernel": kernel}
-    loss = SoftContrastiveLoss(**parameters, room=share)(descriptors, origins(xy, building, room))
+    loss = SoftContrastiveLoss(**parameters, room=share)(descriptors, origins(xy, building, room, overlap))
     given = descriptors.tolist(), xy.tolist(), building.tolist()
-    expected = soft_contrastive_loss(*given, **parameters, rooms=room.tolist(), room_share=share)
+    more = {"rooms": room.tolist(), "room_share": share, "overlap": overlap.tolist()}
+    expected = soft_contrastive_loss(*given, **parameters, **more)
     # float32 against float64: similarities up to 1 / 0.05 are rounded at 1e-6 of their size.
     assert loss.item() == pytest.approx(expected, rel=1e-4, abs=1e-5)
+
+
+def test_the_overlap_takes_the_place_of_the_distance():
+    xy = torch.tensor([[0.0, 0], [0.1, 0], [3, 0]])
+    hall = torch.tensor([[1.0, 0, 0.5], [0, 1, 0], [0.5, 0, 1]])  # the second image is behind a wall
+    alike = torch.tensor([[1.0, 0], [0, 1], [1, 0]])  # the first and the third
+    by_overlap, by_distance = (SoftContrastiveLoss(kernel=kernel) for kernel in ("overlap", "exponential"))
+    swapped = alike[[0, 2, 1]]
+    assert by_overlap(alike, origins(xy, overlap=hall)) < 0.1 < by_overlap(swapped, origins(xy, overlap=hall))
+    assert by_distance(alike, origins(xy, overlap=hall)) > by_distance(swapped, origins(xy, overlap=hall))
+    unknown = origins(xy, overlap=torch.full((3, 3), math.nan))
+    assert by_overlap(alike, unknown) == 0
+
+
+def test_images_without_an_overlap_are_refused_before_the_training():
+    loss = SoftContrastiveLoss(kernel="overlap")
+    for call in (loss.lacks, lambda given: loss(torch.eye(2), given)):
+        with pytest.raises(DataError, match=r"loss\.kernel=overlap needs the visual overlap .* set loss\.kernel to"):
+            call(origins(torch.zeros(2, 2)))
 
 
 def test_gradients_are_finite_also_where_descriptors_are_equal():
