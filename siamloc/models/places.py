@@ -28,8 +28,10 @@ class PlaceModule(NetworkModule):
     A batch is a dictionary with `images` (N, 3, H, W), uint8 or floating point in [0, 1], and these fields of
     `Origins`: `xy` (N, 2), positions in a unit such as metres; and `building`, `room` and `frame` (N,), whole numbers.
     A network built with relative=True also learns the displacement and turn between two images, from the same
-    features and without changing them; then the batch also has `theta` (N,), headings in rad. A validation batch also
-    has `known` (N,) bool: True for map frames, False for the queries that are searched among them.
+    features and without changing them; then the batch also has `theta` (N,), headings in rad. A batch may
+    have `overlap` (N, N), the visual overlap of its images, which `SoftContrastiveLoss(kernel="overlap")` needs. A
+    validation batch also has `known` (N,) bool: True for map frames, False for the queries that are searched among
+    them.
 
     Logged at the end of a training epoch:
 
@@ -137,9 +139,11 @@ class PlaceModule(NetworkModule):
             return self.all_gather(value, sync_grads=grads).flatten(0, 1)  # type: ignore[union-attr]
 
         fields = {name: gathered(getattr(origins, name)) for name in _KEYS[1:]}
+        if origins.overlap is not None:  # the processes have different buildings
+            fields["overlap"] = torch.block_diag(*gathered(origins.overlap).split(len(descriptors)))
         return gathered(descriptors, grads=True), Origins(**fields)
 
 
 def _origins(batch: Mapping[str, Tensor]) -> Origins:
     required(batch, _KEYS, "places")
-    return Origins(**{key: batch[key] for key in _KEYS[1:]}, theta=batch.get("theta"))
+    return Origins(**{key: batch[key] for key in _KEYS[1:]}, theta=batch.get("theta"), overlap=batch.get("overlap"))

@@ -188,8 +188,8 @@ class ViewBatches(Dataset[dict[str, Any]]):
     """The training batches of every epoch, of views: rendered images of places in random buildings.
 
     Item (epoch, i) is the i-th batch of an epoch, both counted from 0: a dictionary with the keys of an item of
-    `siamloc.training.place_batches.PlaceBatches`. It depends only on the seed, the epoch and i, not on how fast
-    buildings are rendered.
+    `siamloc.training.place_batches.PlaceBatches`, and `overlap` (N, N) float32, the visual overlap of its images, 0
+    between buildings. It depends only on the seed, the epoch and i, not on how fast buildings are rendered.
 
     Attributes:
         stream: renders the buildings of this process.
@@ -224,7 +224,12 @@ class ViewBatches(Dataset[dict[str, Any]]):
         first = np.cumsum([0, *(len(one) for one in views)])
         which = np.searchsorted(first, rows, side="right") - 1
         pictures = np.stack([views[one].images[row - first[one]] for one, row in zip(which, rows, strict=True)])
-        item: dict[str, Any] = {"images": torch.from_numpy(pictures)}
+        overlap = np.zeros((len(rows), len(rows)), dtype=np.float32)
+        for one, building in enumerate(views):
+            mine = np.flatnonzero(which == one)
+            pose = building.pose[rows[mine] - first[one]]
+            overlap[np.ix_(mine, mine)] = building.overlap[np.ix_(pose, pose)]
+        item: dict[str, Any] = {"images": torch.from_numpy(pictures), "overlap": torch.from_numpy(overlap)}
         item |= {name: value[rows] for name, value in origins_of(frames).items()}
         # The processes that train together number their buildings, rooms and frames separately.
         rank, world_size = self.stream.rank, self.stream.world_size

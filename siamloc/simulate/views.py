@@ -20,6 +20,7 @@ from siamloc.simulate.buildings import load_building
 from siamloc.simulate.camera import Cameras, ViewCamera, develop, draw_camera, metered
 from siamloc.simulate.layout import Array, Building, Rng, seeded, single
 from siamloc.simulate.light import ROUGH
+from siamloc.simulate.overlap import visual_overlap
 from siamloc.simulate.plan import room_at
 from siamloc.simulate.rendering import turned
 from siamloc.simulate.run import Light, Run, draw_light
@@ -45,6 +46,9 @@ class Views:
         room: index of the room (N,).
         light: index of the light (N,); each drive has its own lights, and items move between the drives.
         lighting: "cloudy", "night" or "sunny", for each light.
+        pose: index of the pose (N,) among the P poses of all drives; the images of a pose differ in their light.
+        overlap: visual overlap (P, P) of panoramas from the poses, see `siamloc.simulate.overlap`. The items are where
+            they stand during the first drive, also for the poses of the others.
         wraps: whether the images are panoramas, whose columns cover a full turn.
     """
 
@@ -54,6 +58,8 @@ class Views:
     room: Array
     light: Array
     lighting: tuple[str, ...]
+    pose: Array
+    overlap: Array
     wraps: bool = True
 
     def __len__(self) -> int:
@@ -102,6 +108,7 @@ def draw_views(
     start, first = float(rng.random()), int(rng.integers(1, 1000))
     parts: list[tuple[Array, ...]] = []
     lightings: list[str] = []
+    eyes: list[Array] = []
     ahead = None
     for drive in range(drives):
         shining = _draw_lights(building, lights, rng)
@@ -114,6 +121,9 @@ def draw_views(
         chosen = track[begin : begin + poses]
         scenes = [scene, *(relit(scene, one) for one in shining[1:])]
         heights = height + rng.normal(0, 0.01, len(chosen))
+        eyes.append(np.column_stack([chosen[:, :2], heights]))
+        if drive == 0:
+            seen = scene.surfaces.mesh, scene.caster
         if not camera.wraps:  # an ordinary camera sees the same place only if it looks in the same direction
             ahead = float(chosen[rng.integers(len(chosen)), 2]) if ahead is None else ahead
             chosen[:, 2] = ahead + rng.normal(0, _YAW, len(chosen))
@@ -124,7 +134,9 @@ def draw_views(
         lightings += [one.lighting for one in shining]
     images, xy, heading, light = (np.concatenate(part) for part in zip(*parts, strict=True))
     images = np.ascontiguousarray(images)
-    return Views(images, xy, heading, room_at(building, xy), light, tuple(lightings), camera.wraps)
+    overlap = visual_overlap(*seen, np.concatenate(eyes))
+    pose = np.arange(len(images)) // lights
+    return Views(images, xy, heading, room_at(building, xy), light, tuple(lightings), pose, overlap, camera.wraps)
 
 
 def camera_of(seed: int, image_size: Sequence[int]) -> ViewCamera:

@@ -16,6 +16,8 @@ from foundation.settings import fields_of
 from siamloc.cli.compose import composed
 from siamloc.data.places import PlaceSettings
 from siamloc.errors import ConfigError, DataError
+from siamloc.models.origins import Origins
+from siamloc.models.places import PlaceModule
 from siamloc.pretraining import RECIPE, ViewSettings, pretrain, view_batches
 from siamloc.pretraining.view_batches import BuildingStream, Renderer, ViewBatches, building_seed
 from siamloc.simulate.camera import Cameras
@@ -35,7 +37,9 @@ def drawn(seed: int, image_size, drives: int, lights: int, poses: int, spacing: 
     light = np.concatenate([np.tile(np.arange(lights) + drive * lights, poses) for drive in range(drives)])
     images = rng.integers(0, 256, (count, 3, *image_size), dtype=np.uint8)
     lighting = tuple(["cloudy", "night", "sunny"][number % 3] for number in range(drives * lights))
-    return Views(images, xy, np.zeros(count), (xy[:, 0] > 0.9).astype(int), light, lighting)
+    overlap = rng.random((drives * poses, drives * poses))
+    room, pose = (xy[:, 0] > 0.9).astype(int), np.arange(count) // lights
+    return Views(images, xy, np.zeros(count), room, light, lighting, pose, (overlap + overlap.T) / 2)
 
 
 @pytest.fixture
@@ -81,6 +85,28 @@ def test_a_batch_has_several_pictures_of_each_place_under_different_lights(rende
     for row, picture in zip(rows, item["images"].numpy(), strict=True):
         one, number = (views[0], row) if row < first else (views[1], row - first)
         np.testing.assert_array_equal(picture, one.images[number])
+
+
+def test_a_batch_has_the_overlap_of_its_pictures(rendered):
+    source = batches()
+    views, _, rows = source.drawn(2, 0)
+    overlap = source[(2, 0)]["overlap"].numpy()
+    for i, j in np.ndindex(*overlap.shape):
+        (one, row), (other, column) = ((rows[k] // len(views[0]), rows[k] % len(views[0])) for k in (i, j))
+        expected = views[one].overlap[views[one].pose[row], views[one].pose[column]] if one == other else 0
+        assert overlap[i, j] == pytest.approx(expected), "none between two buildings"
+    assert (overlap == 0).any()
+
+
+def test_processes_that_train_together_have_no_overlap_with_each_other(rendered, monkeypatch):
+    item, module = batches()[(0, 0)], PlaceModule(RECIPE.build(image_size=SIZE))
+    monkeypatch.setattr(module, "all_gather", lambda value, sync_grads: torch.stack([value, 2 * value]))
+    origins = Origins(**{name: item[name] for name in ("xy", "building", "room", "frame", "overlap")})
+    together = module._of_all(torch.zeros(12, 4), origins)[1].overlap
+    torch.testing.assert_close(together[:12, :12], item["overlap"])
+    torch.testing.assert_close(together[12:, 12:], 2 * item["overlap"])
+    assert not together[:12, 12:].any()
+    assert not together[12:, :12].any()
 
 
 def test_buildings_come_and_go(rendered):
@@ -222,7 +248,7 @@ def test_closing_while_a_building_is_half_sent_leaves_no_thread_waiting():
 def test_the_command_trains_and_says_how_to_go_on(rendered, tmp_path, capsys, monkeypatch):
     monkeypatch.setattr(view_batches, "_VALIDATION_POSES", 3)
     words = ["pairs.epoch_batches=2", "pairs.places=3", "pairs.images=2", "image_size=[16,64]", "optimizer=sgd"]
-    views = ["views.held=2", "views.together=1", "views.poses=6", "views.processes=0"]
+    views = ["views.held=2", "views.together=1", "views.poses=6", "views.processes=0", "loss.kernel=overlap"]
     run = tmp_path / "run"
     assert siamloc.cli.main(["pretrain", f"run={run}", "epochs=1", *words, *views, "trainer.precision=32-true"]) == 0
     assert (

@@ -68,6 +68,10 @@ def test_views_follow_from_their_seed() -> None:
     assert set(one.lighting[:3]) == set(LIGHTINGS), "every drive under every light"
     assert len(one.xy) == len(one.room) == len(one.heading) == len(one.light) == len(one)
     assert (one.room >= 0).all()
+    np.testing.assert_array_equal(one.pose, np.repeat(np.arange(8), 3))
+    np.testing.assert_array_equal(one.xy, one.xy[::3][one.pose])
+    between = np.linalg.norm(one.xy[:12:3, None] - one.xy[None, 12::3], axis=2)
+    assert np.corrcoef(between.ravel(), one.overlap[:4, 4:].ravel())[0, 1] < -0.5, "also across drives"
     # One place under three lights, then the next one; the second drive passes nearby.
     np.testing.assert_array_equal(one.xy[0], one.xy[2])
     np.testing.assert_array_equal(one.light[:6], [0, 1, 2, 0, 1, 2])
