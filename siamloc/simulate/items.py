@@ -115,7 +115,7 @@ def basins(b: MeshBuilder, item: Item, _: Rng, w: float, d: float, h: float) -> 
         b.box((x - 0.07, back, 0.1), (x + 0.07, back + 0.14, h - 0.18), "plastic", _PORCELAIN)
         b.box((x - 0.015, back + 0.02, h), (x + 0.015, back + 0.05, h + 0.18), "metal")
         b.box((x - 0.015, back + 0.02, h + 0.15), (x + 0.015, back + 0.16, h + 0.18), "metal")
-        b.box((x - 0.25, back, h + 0.3), (x + 0.25, back + 0.015, h + 1.05), "metal", (0.72, 0.78, 0.82), "back")
+        b.box((x - 0.25, back, h + 0.3), (x + 0.25, back + 0.015, h + 1.05), "mirror", (0.72, 0.78, 0.82), "back")
     b.box((w / 2 - 0.1, back, h + 0.25), (w / 2 + 0.1, back + 0.12, h + 0.55), "plastic", WHITE, "back")
 
 
@@ -318,7 +318,7 @@ KINDS: dict[str, Kind] = FURNITURE | {
     "blind_door": hung(blind_door, 0.96, 2.06, 0.0, 0.06, options=("colour", "wood")),
     "elevator": hung(elevator, 1.1, 2.1, 0.0, 0.08),
     "radiator": hung(block("plain", (0.85, 0.85, 0.84), front="radiator"), 1.2, 0.55, 0.15, 0.1),
-    "mirror": hung(block("metal", (0.75, 0.8, 0.84), "back"), 1.2, 0.8, 1.1),
+    "mirror": hung(block("mirror", (0.75, 0.8, 0.84), "back"), 1.2, 0.8, 1.1),
     "coats": hung(coats, 1.0, 0.9, 0.9, 0.2),
 }
 

@@ -284,7 +284,8 @@ class Building:
         items: everything in the rooms.
         paths: paths by name.
         part: COLD's part letter, "a" or "b".
-        materials: "standard", or "drawn": the colours of its floors, walls and woods also follow from the seed.
+        materials: "standard"; "drawn": the colours of its floors, walls and woods also follow from the seed; or
+            "natural": so do grain, laid floors and wallpaper, and some floors, tables, mirrors and panes reflect.
     """
 
     name: str

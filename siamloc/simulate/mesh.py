@@ -85,6 +85,9 @@ class MeshBuilder:
     _corners: list[Array] = field(default_factory=list)
     _rows: list[tuple[Any, ...]] = field(default_factory=list)
 
+    def __len__(self) -> int:
+        return len(self._rows)
+
     @contextmanager
     def at(self, x: float, y: float, z: float = 0.0, degrees: float = 0.0) -> Iterator[None]:
         """Put the local frame at a point of the outer frame, and turn it counter-clockwise by `degrees`."""

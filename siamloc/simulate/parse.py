@@ -53,7 +53,7 @@ class _Building(_Entry):
     rooms: Keys
     name: Word | None = None
     part: Literal["a", "b"] = "a"
-    materials: Literal["standard", "drawn"] = "standard"
+    materials: Literal["standard", "drawn", "natural"] = "standard"
     north: Metres = 90.0
     height: Length = 2.8
     doors: List = field(default_factory=list)

@@ -9,10 +9,12 @@ from typing import Any
 import numpy as np
 
 from foundation.calls import typed
+from siamloc.simulate.gloss import Gloss
 from siamloc.simulate.items import add_items
 from siamloc.simulate.layout import Array, Building, Item, seeded, single
 from siamloc.simulate.light import FULL, BakedLight, Detail, LightTransport
 from siamloc.simulate.mesh import Caster, MeshBuilder, QuadMesh
+from siamloc.simulate.natural import natural_textures
 from siamloc.simulate.prints import print_textures
 from siamloc.simulate.run import Light, Run, RunState, draw_run
 from siamloc.simulate.shell import Lamp, add_shell, draw_style
@@ -90,6 +92,8 @@ class Hits:
         albedo: that colour multiplied by the tint (n, 3).
         x: column in the image of the baked light (n,).
         y: row in the image of the baked light (n,).
+        mirrored: rows of the rays that meet a mirror, the share (m,) of the light that it throws back, and what the
+            mirrored rays hit; None if nothing reflects.
     """
 
     origins: Array
@@ -101,6 +105,7 @@ class Hits:
     albedo: Array
     x: Array
     y: Array
+    mirrored: tuple[Array, Array, Hits] | None = None
 
 
 @dataclass(frozen=True)
@@ -116,6 +121,7 @@ class Scene:
         caster: casts rays against the surfaces.
         transport: how light spreads in the building.
         lamps: all lamps, with radiosity 1.
+        gloss: which surfaces reflect; None if none does.
         light: how much light arrives at each quad, computed by `transport`.
         sky: what is seen outside the windows, and where the sun stands.
     """
@@ -128,6 +134,7 @@ class Scene:
     caster: Caster
     transport: LightTransport
     lamps: tuple[Lamp, ...]
+    gloss: Gloss | None = None
     light: BakedLight = field(default=None)  # type: ignore[assignment]  # until `relit` bakes it
     sky: Sky = field(default=None)  # type: ignore[assignment]
 
@@ -174,12 +181,21 @@ class Scene:
             spread: angle in rad that a pixel covers (n,).
             smooth: whether textures are interpolated; otherwise the nearest texel counts, which is faster.
         """
+        hits = self._hits(origins, directions, spread, smooth, 0.0)
+        if self.gloss is None:
+            return hits
+        found = self.gloss.reflected(origins, directions, hits.quad, hits.distance)
+        mirrored = self._hits(found.origins, found.directions, spread[found.rows], smooth, found.before)
+        return replace(hits, mirrored=(found.rows, found.share[:, None], mirrored))
+
+    def _hits(self, origins: Array, directions: Array, spread: Array, smooth: bool, before: Array | float) -> Hits:
+        """Return what rays hit that have gone some metres before, without what they mirror."""
         quad, s, t, distance = self.caster.first_hit(origins, directions)
         missed = np.flatnonzero(quad < 0)
         distance[missed] = 1.0
         surfaces = self.surfaces
         facing = np.abs(np.einsum("ij,ij->i", surfaces.normals[quad], directions))
-        footprint = distance * spread / np.sqrt(np.maximum(facing, 0.05))
+        footprint = (distance + before) * spread / np.sqrt(np.maximum(facing, 0.05))
         colour = surfaces.colour(self.atlas, quad, s, t, footprint, smooth)
         x, y = self.light.grid.position(quad, s, t)
         return Hits(origins, directions, quad, distance, missed, colour, colour * surfaces.mesh.tint[quad], x, y)
@@ -194,6 +210,9 @@ class Scene:
         glowing = np.flatnonzero(self.surfaces.glows[hits.quad])
         radiosity[glowing] += hits.colour[glowing] * self.surfaces.emission[hits.quad[glowing]]
         radiosity[hits.missed] = self.sky.look(hits.directions[hits.missed])
+        if hits.mirrored is not None:
+            rows, share, mirrored = hits.mirrored
+            radiosity[rows] += share * (self.shine(mirrored)[0] - radiosity[rows])
         return radiosity, lit
 
     def _add_sun(self, arriving: Array, hits: Hits) -> Array:
@@ -248,7 +267,11 @@ def build_scene(building: Building, run: Run, detail: Detail = FULL, light: Ligh
     mesh = builder.build()
     caster = Caster(mesh)
     transport = LightTransport(building, mesh, caster, detail)
-    scene = Scene(building, run, state, atlas, Surfaces.of(mesh, atlas), caster, transport, tuple(lamps))
+    gloss, surfaces = None, Surfaces.of(mesh, atlas)
+    if building.materials == "natural":
+        rng = seeded(building.seed, building.name, "gloss")
+        gloss = Gloss.drawn(rng, building, index, mesh.texture, surfaces.normals)
+    scene = Scene(building, run, state, atlas, surfaces, caster, transport, tuple(lamps), gloss)
     return relit(scene, state.light if light is None else light)
 
 
@@ -272,7 +295,10 @@ def _textures(name: str, seed: int, materials: str) -> tuple[TextureAtlas, dict[
     textures = base_textures(rng) | print_textures(rng)
     rng = seeded(seed, name, "patterns")
     textures |= pattern_textures(rng)
-    if materials == "drawn":
+    if materials != "standard":
         textures = recoloured(textures, rng)
+    if materials == "natural":
+        textures |= natural_textures(seeded(seed, name, "natural"))
+    textures["mirror"] = textures["metal"]
     index = {key: (number, texture.tile) for number, (key, texture) in enumerate(textures.items())}
     return TextureAtlas(textures.values()), index

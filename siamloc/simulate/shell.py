@@ -60,12 +60,12 @@ def draw_style(rng: Rng, materials: str = "standard") -> Style:
 
     Args:
         rng: draws the colours.
-        materials: as in `Building`: "standard" draws the frames from a few colours, "drawn" gives them any colour.
+        materials: as in `Building`: "standard" draws the frames from a few colours, others give them any colour.
     """
     frames = ((0.10, 0.13, 0.20), (0.30, 0.08, 0.07), (0.08, 0.20, 0.14), (0.22, 0.22, 0.24), (0.75, 0.74, 0.70))
     leaves = ("beech", "wood", "walnut", "plain")
     frame = frames[rng.integers(len(frames))]
-    if materials == "drawn":
+    if materials != "standard":
         grey, tint = rng.uniform(0.03, 0.8), rng.uniform(0.4, 1.6, 3) ** rng.choice([0.2, 1.0])
         frame = tuple(np.clip(grey * tint / tint.mean(), 0.02, 0.85).tolist())
     drawn = []

@@ -19,6 +19,7 @@ from siamloc.simulate.textures import base_textures
 @pytest.fixture(scope="module")
 def textures() -> dict[str, tuple[int, tuple[float, float] | None]]:
     drawn = base_textures(np.random.default_rng(0)) | print_textures(np.random.default_rng(0))
+    drawn["mirror"] = drawn["metal"]
     return {name: (number, texture.tile) for number, (name, texture) in enumerate(drawn.items())}
 
 

@@ -1,0 +1,123 @@
+"""What reflects like a mirror in a building: polished floors and table tops, mirrors, and panes of glass."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+
+from siamloc.simulate.layout import HALF_WALL, SIDES, Array, Building, Rng, side_at, single
+from siamloc.simulate.mesh import Caster, MeshBuilder
+
+#: Textures that may be polished; each of them is in about half of the buildings.
+POLISHED = (
+    "parquet", "planks", "linoleum", "linoleum_green", "tiles_floor", "tiles_wall", "tiles_blue", "terrazzo", "checker",
+    "marble", "concrete", "wood", "beech", "walnut", "drawers", "cabinet_doors", "kitchen_fronts",
+)  # fmt: skip
+#: Share of the light that a pane throws back head-on: both faces of the glass, 0.04 each.
+PANE = 0.08
+_FRAME = 0.19  # metres from the inner face of the wall to the pane of a window
+_LIFT = 0.002
+
+
+@dataclass(frozen=True)
+class Reflections:
+    """The m rays that continue from a mirror, out of n rays.
+
+    Attributes:
+        rows: which of the n rays they continue (m,).
+        share: share of the light that the mirror throws back (m,), float32.
+        origins: points in metres just in front of the mirrors (m, 3), float32.
+        directions: unit vectors (m, 3), float32.
+        before: metres from the start of the ray to the mirror (m,), float32.
+    """
+
+    rows: Array
+    share: Array
+    origins: Array
+    directions: Array
+    before: Array
+
+
+@dataclass(frozen=True)
+class Gloss:
+    """The surfaces of a building that reflect.
+
+    Attributes:
+        head_on: share of the light that each quad throws back head-on (Q,), float32; 0 for matt ones.
+        polish: factor on the share that each quad throws back (Q,), float32; below 1 if it scatters the rest.
+        normals: unit normals of the quads (Q, 3).
+        panes: casts rays against the panes; None without panes.
+        facing: unit normals of the panes (P, 3).
+    """
+
+    head_on: Array
+    polish: Array
+    normals: Array
+    panes: Caster | None
+    facing: Array
+
+    @classmethod
+    def drawn(cls, rng: Rng, building: Building, names: Iterable[str], texture: Array, normals: Array) -> Gloss:
+        """Draw which textures of a building are polished.
+
+        Args:
+            rng: draws the polish.
+            building: its windows have panes.
+            names: names of all textures.
+            texture: index of the texture of each quad (Q,).
+            normals: unit normals of the quads (Q, 3).
+        """
+        values = {name: (rng.uniform(0.03, 0.07) * (rng.random() < 0.5), rng.uniform(0.3, 1.0)) for name in POLISHED}
+        values["mirror"] = (rng.uniform(0.8, 0.95), 1.0)
+        head_on, polish = single([values.get(name, (0.0, 1.0)) for name in names]).T[:, texture]
+        return cls(head_on, polish, normals, *_panes(building))
+
+    def reflected(self, origins: Array, directions: Array, quad: Array, distance: Array) -> Reflections:
+        """Return how rays (n, 3) continue that hit quads (n,), -1 for none, at distances (n,) in metres."""
+        head_on, polish = self.head_on[quad], self.polish[quad]
+        missed = quad < 0
+        head_on[missed] = 0
+        pane = np.full(len(quad), -1)
+        if self.panes is not None:
+            pane, _, _, near = self.panes.first_hit(origins, directions)
+            pane[near >= np.where(missed, np.inf, distance)] = -1
+            through = np.flatnonzero(pane >= 0)
+            head_on[through], polish[through] = PANE, 1.0
+        rows = np.flatnonzero(head_on)
+        glass = pane[rows]
+        normal, before = self.normals[quad[rows]], distance[rows]
+        if self.panes is not None:
+            normal[glass >= 0], before[glass >= 0] = self.facing[glass[glass >= 0]], near[rows[glass >= 0]]
+        coming = directions[rows]
+        cosine = np.einsum("ij,ij->i", coming, normal)[:, None]
+        share = polish[rows] * schlick(head_on[rows], np.abs(cosine[:, 0]))
+        points = origins[rows] + before[:, None] * coming - _LIFT * np.sign(cosine) * normal
+        return Reflections(rows, share, points, coming - 2 * cosine * normal, before)
+
+
+def schlick(head_on: Array, cosine: Array) -> Array:
+    """Return the share of the light that smooth surfaces throw back (n,): Schlick (1994), F0 + (1 - F0)(1 - cos)^5.
+
+    >>> float(schlick(np.array(0.04), np.array(1.0)))
+    0.04
+    """
+    return head_on + (1 - head_on) * (1 - np.minimum(cosine, 1)) ** 5
+
+
+def _panes(building: Building) -> tuple[Caster | None, Array]:
+    """Return the panes of the windows and of the glazed walls between rooms, and their normals (P, 3)."""
+    builder = MeshBuilder({"glass": (0, None)})
+    for opening in building.openings:
+        if opening.kind in ("window", "pane"):
+            room = building.rooms[opening.rooms[0]]
+            out = -SIDES[side_at(room, opening.along, opening.level)].inwards
+            off = out * (_FRAME - HALF_WALL) if opening.kind == "window" else 0.0
+            left, right = (opening.point(end, off) for end in opening.interval)
+            z = (opening.bottom, opening.top)
+            builder.quad((*left, z[0]), (*right, z[0]), (*right, z[1]), (*left, z[1]), "glass")
+    if not len(builder):
+        return None, np.zeros((0, 3), dtype=np.float32)
+    mesh = builder.build()
+    return Caster(mesh), single(mesh.normals)
