@@ -25,6 +25,8 @@ class ViewSettings(Settings):
         cameras: cameras in the buildings: "any", "panoramas" for panorama cameras only, or "built_in" for only the
             built-in panorama camera.
         exposure: "drawn" at random, or "metered" for the best exposure and white balance, without noise.
+        worlds: "offices" for office floors, flats and halls with matt surfaces; "any" also for homes, workshops and
+            high halls, most of them with natural textures and surfaces that reflect.
         processes: number of rendering processes; 0 renders in the training process.
     """
 
@@ -39,6 +41,7 @@ class ViewSettings(Settings):
     spacing: Positive = 0.3
     cameras: Literal["any", "panoramas", "built_in"] = "any"
     exposure: Literal["drawn", "metered"] = "drawn"
+    worlds: Literal["offices", "any"] = "offices"
     processes: Workers = 1
 
     def __post_init__(self) -> None:

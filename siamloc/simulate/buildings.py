@@ -8,13 +8,13 @@ from __future__ import annotations
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path as FilePath
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
 from foundation.calls import typed
 from siamloc.errors import DataError, hint
-from siamloc.simulate.floor_plans import Cell, Plan, draw_plan
+from siamloc.simulate.floor_plans import Cell, Kind, Plan, draw_plan
 from siamloc.simulate.furnishing import USES, Room, furnish
 from siamloc.simulate.layout import SIDES, Building, Path, Rng, seeded
 from siamloc.simulate.parse import parse_building, read_building_file
@@ -23,7 +23,16 @@ from siamloc.simulate.route import FreeSpace, visits
 from siamloc.simulate.trajectory import rounded
 
 Entry = dict[str, Any]
+Worlds = Literal["offices", "any"]
+"""Which random buildings are drawn: office floors and the like, or also homes, workshops and halls that gleam."""
 _ATTEMPTS = 30
+_SHARES: dict[Kind, float] = {"office": 0.3, "home": 0.4, "workshop": 0.15, "hall": 0.15}
+_DENSITIES: dict[Kind, list[float]] = {
+    "office": [0.5, 0.9, 1.3, 1.8],
+    "home": [1.6, 2.4, 3.2],
+    "workshop": [0.8, 1.2, 1.7],
+    "hall": [0.3, 0.8, 1.4],
+}
 
 
 def building_folder() -> FilePath:
@@ -58,7 +67,7 @@ def load_building(name_or_path: str | FilePath, seed: int = 0) -> Building:
     """
     name = str(name_or_path)
     if name == "random":
-        return parse_building(draw_building(seed), seed, f"random building of seed {seed}")
+        return random_building(seed)
     path = FilePath(name_or_path).expanduser()
     if path.suffix not in (".yaml", ".yml"):
         if name not in building_names():
@@ -69,27 +78,55 @@ def load_building(name_or_path: str | FilePath, seed: int = 0) -> Building:
     return building
 
 
-def draw_building(seed: int) -> Entry:
-    """Draw the content of a building file from a seed: offices along a corridor or around a core, a flat, or a hall.
+def random_building(seed: int, worlds: Worlds = "offices") -> Building:
+    """Draw a building from a seed.
+
+    Args:
+        seed: equal seeds give equal buildings.
+        worlds: "offices" draws office floors, flats and halls with matt surfaces; "any" also draws cluttered homes,
+            workshops and high halls, and gives most buildings natural textures and surfaces that reflect.
+    """
+    kind: Kind = "office"
+    materials = "drawn"
+    if worlds == "any":
+        rng = seeded(seed, "world")
+        kind = list(_SHARES)[int(rng.choice(len(_SHARES), p=list(_SHARES.values())))]
+        materials = "natural" if rng.random() < 0.85 else "drawn"
+    content = draw_building(seed, kind)
+    return parse_building({**content, "materials": materials}, seed, f"random building of seed {seed}")
+
+
+def draw_building(seed: int, kind: Kind = "office") -> Entry:
+    """Draw the content of a building file from a seed.
 
     `path1` visits every second room, `path2` all of them.
+
+    Args:
+        seed: equal seeds give equal buildings.
+        kind: "office" draws offices along a corridor or around a core, a flat, or a hall; "home" small, cluttered
+            rooms; "workshop" and "hall" a large, high room.
 
     >>> sorted(draw_building(3))
     ['doors', 'height', 'materials', 'name', 'north', 'paths', 'rooms']
     """
+    key = "random building" if kind == "office" else kind
     for attempt in range(_ATTEMPTS):
         # Sometimes the furniture blocks the way, or a window meets a wall; then another building is drawn.
         with suppress(DataError):
-            return _drawn(seed, seeded(seed, attempt, "random building"))
-    return _drawn(seed, seeded(seed, _ATTEMPTS, "random building"))
+            return _drawn(seed, seeded(seed, attempt, key), kind, attempt)
+    return _drawn(seed, seeded(seed, _ATTEMPTS, key), kind, _ATTEMPTS)
 
 
-def _drawn(seed: int, rng: Rng) -> Entry:
-    plan = draw_plan(rng)
+def _drawn(seed: int, rng: Rng, kind: Kind, attempt: int) -> Entry:
+    plan = draw_plan(rng, kind)
     doors = plan.place_doors(rng)
     materials = _materials(rng)
     windows = _window_style(rng, plan.height)
-    density = float(rng.choice([0.5, 0.9, 1.3, 1.8]))
+    if kind in ("workshop", "hall"):  # the windows of a high room reach up
+        windows["head"] = round(max(windows["head"], plan.height * float(rng.uniform(0.5, 0.9))), 2)
+    density = float(rng.choice(_DENSITIES[kind]))
+    if kind != "office":  # crowded rooms often leave no way
+        density *= 0.9**attempt
     numbers: dict[str, int] = {}
     rooms: Entry = {}
     for cell in plan.cells:
@@ -136,7 +173,7 @@ def _materials(rng: Rng) -> Any:
         entry["walls"] = walls if rng.random() < 0.75 else "paint"
         entry["ceiling"] = ceiling if rng.random() < 0.85 else "paint"
         entry["paint"] = _paint(rng) if own or rng.random() < 0.1 else common
-        if use in ("toilet", "bath", "kitchen") and rng.random() < 0.7:
+        if use.removeprefix("home_") in ("toilet", "bath", "kitchen") and rng.random() < 0.7:
             tiles = str(rng.choice(["tiles_wall", "tiles_blue", "checker"]))
             entry["wainscot"] = [tiles, round(float(rng.uniform(1.2, 2.2)), 2)]
         elif everywhere or rng.random() < 0.06:
@@ -175,7 +212,7 @@ def _window_style(rng: Rng, height: float) -> Entry:
 def _windows(cell: Cell, plan: Plan, style: Entry, rng: Rng) -> list[Entry]:
     """Put windows into the outer walls."""
     found: list[Entry] = []
-    chance = style["walls"] * (0.15 if cell.use in ("storage", "toilet", "bath") else 1.0)
+    chance = style["walls"] * (0.15 if cell.use.removeprefix("home_") in ("storage", "toilet", "bath") else 1.0)
     for side in SIDES:
         for low, high in cell.outside(side, plan.cells):
             free = high - low - 0.5

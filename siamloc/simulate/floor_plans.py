@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from typing import Literal
 
 from siamloc.simulate.layout import SIDES, Interval, Rng, shared_wall
 
@@ -201,21 +202,27 @@ def ring(rng: Rng) -> Plan:
     return plan
 
 
-def home(rng: Rng) -> Plan:
-    """Draw a flat: a rectangle split into rooms, the most central of which leads to the others."""
+def home(rng: Rng, uses: str = "", largest: Interval = (9.0, 20.0)) -> Plan:
+    """Draw a flat: a rectangle split into rooms, the most central of which leads to the others.
+
+    Args:
+        rng: draws the plan.
+        uses: what the names of the rooms' uses begin with.
+        largest: limits in square metres of the area above which a room is split.
+    """
     plan = Plan(float(rng.uniform(2.3, 3.1)))
     size = (float(rng.uniform(7.5, 12.5)), float(rng.uniform(6.5, 10.5)))
-    boxes = _split((0.0, size[0]), (0.0, size[1]), float(rng.uniform(9.0, 20.0)), rng)
+    boxes = _split((0.0, size[0]), (0.0, size[1]), float(rng.uniform(*largest)), rng)
     cells = [Cell(str(number), "", x, y) for number, (x, y) in enumerate(boxes)]
     touching = [(i, j) for i, a in enumerate(cells) for j, b in enumerate(cells) if i != j and _room_for_a_door(a, b)]
     if any(not any(pair[0] == i for pair in touching) for i in range(len(cells))):
-        return home(rng)
+        return home(rng, uses, largest)
     central = max(range(len(cells)), key=lambda i: (sum(pair[0] == i for pair in touching), -cells[i].area))
     order, links = [central], []
     while len(order) < len(cells):
         open_links = [pair for pair in touching if pair[0] in order and pair[1] not in order]
         if not open_links:
-            return home(rng)
+            return home(rng, uses, largest)
         near = [pair for pair in open_links if pair[0] == central] or open_links
         chosen = near[int(rng.integers(len(near)))]
         links.append(chosen)
@@ -228,7 +235,7 @@ def home(rng: Rng) -> Plan:
         last = by_size[-1]
         other = next(i for i in by_size if use[i] == "bath")
         use[other], use[last] = use[last], use[other]
-    made = {i: plan.add(use[i], cells[i].x, cells[i].y) for i in order}
+    made = {i: plan.add(uses + use[i], cells[i].x, cells[i].y) for i in order}
     for i, j in links:
         bath = "bath" in (use[i], use[j])
         plan.join(made[i], made[j], "leaf" if bath else _leaf(rng) if rng.random() < 0.7 else "open")
@@ -270,17 +277,55 @@ def hall(rng: Rng) -> Plan:
     return plan
 
 
-#: The kinds of buildings, and how often each is drawn.
-PLANS: tuple[tuple[Callable[[Rng], Plan], float], ...] = ((offices, 0.45), (ring, 0.15), (home, 0.25), (hall, 0.15))
+def dwelling(rng: Rng) -> Plan:
+    """Draw a home of small rooms that open into each other."""
+    return home(rng, "home_", (8.0, 16.0))
 
 
-def draw_plan(rng: Rng) -> Plan:
-    """Draw the floor plan of a building of any kind.
+def workshop(rng: Rng) -> Plan:
+    """Draw a large, high workshop, perhaps with a few rooms along one side."""
+    return _large(rng, ("machine_hall",), (3.2, 6.0), ("office", "storage", "workshop", "toilet", "laboratory"))
+
+
+def great_hall(rng: Rng) -> Plan:
+    """Draw a high hall, such as a foyer or a gymnasium, perhaps with a few rooms along one side."""
+    uses = ("great_hall", "great_hall", "sports_hall")
+    return _large(rng, uses, (3.8, 7.0), ("storage", "toilet", "canteen", "foyer", "meeting"))
+
+
+def _large(rng: Rng, uses: tuple[str, ...], heights: Interval, others: tuple[str, ...]) -> Plan:
+    plan = Plan(float(rng.uniform(*heights)))
+    size = (float(rng.uniform(9.0, 17.0)), float(rng.uniform(7.0, 12.0)))
+    room = plan.add(str(rng.choice(uses)), (0.0, size[0]), (0.0, size[1]))
+    count = int(rng.integers(0, 4))
+    if count:
+        row = [str(rng.choice(others)) for _ in range(count)]
+        _row(plan, rng, room, "north", row, float(rng.uniform(0.0, 1.5)), (2.8, 5.0), (2.8, 5.0))
+    _trim(plan)
+    return plan if count and len(plan.cells) > 1 else replace(plan, cells=[room])
+
+
+Plans = tuple[tuple[Callable[[Rng], Plan], float], ...]
+#: Plans of office floors and the like, and how often each is drawn.
+PLANS: Plans = ((offices, 0.45), (ring, 0.15), (home, 0.25), (hall, 0.15))
+Kind = Literal["office", "home", "workshop", "hall"]
+"""Kinds of buildings: "office" stands for all plans in `PLANS`, with rooms that are mostly tidy."""
+_PLANS: dict[Kind, Plans] = {
+    "office": PLANS,
+    "home": ((dwelling, 1.0),),
+    "workshop": ((workshop, 1.0),),
+    "hall": ((great_hall, 1.0),),
+}
+
+
+def draw_plan(rng: Rng, kind: Kind = "office") -> Plan:
+    """Draw the floor plan of a building of a kind.
 
     >>> import numpy as np
     >>> plan = draw_plan(np.random.default_rng(0))
     >>> all(any(cell.name in door[:2] for door in plan.doors) for cell in plan.cells)
     True
     """
-    chances = [chance for _, chance in PLANS]
-    return PLANS[int(rng.choice(len(PLANS), p=chances))][0](rng)
+    plans = _PLANS[kind]
+    chances = [chance for _, chance in plans]
+    return plans[int(rng.choice(len(plans), p=chances))][0](rng)

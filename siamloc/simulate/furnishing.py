@@ -17,7 +17,9 @@ _WOODS = ("beech", "wood", "walnut", "plain", "planks")
 #: Depth in metres of the area in front of a door that is kept free.
 _THRESHOLD = 1.05
 _TALL = 1.15
-_HUNG = ("poster", "picture", "poster", "picture", "notice_board", "clock", "room_sign", "shelf_board")
+_HUNG = "poster picture poster picture notice_board clock room_sign shelf_board"
+_AT_HOME = "poster picture picture picture poster shelf_board clock mirror"
+_IN_A_HALL = "blind_door exit_sign extinguisher clock poster notice_board"
 
 
 @dataclass(frozen=True)
@@ -31,6 +33,9 @@ class Use:
         middle: items that stand away from the walls.
         hung: items that hang on its walls, in addition to pictures.
         density: number of items per ten metres of wall.
+        usual: pictures and the like that hang on its walls.
+        curtains: whether curtains hang beside its windows.
+        needs: items that stand along its walls in any case, if there is space.
     """
 
     code: str
@@ -39,6 +44,9 @@ class Use:
     middle: str = ""
     hung: str = ""
     density: float = 4.0
+    usual: str = _HUNG
+    curtains: bool = False
+    needs: str = ""
 
 
 _SOFT = "carpet carpet_red carpet_gray parquet linoleum planks"
@@ -57,8 +65,8 @@ USES: dict[str, Use] = {
     "printer": Use("PA{}-A", _HARD, "copier printer_table pigeonholes shelf cabinet carton bin"),
     "meeting": Use("CNR{}-A", _SOFT, "sideboard plant visitor_chair cabinet", "conference conference",
         "whiteboard whiteboard television", 2.0),
-    "toilet": Use("TL{}-A", _CLEAN, "stall stall stall basins urinals bin", "", "dryer mirror", 5.0),
-    "storage": Use("SR{}-A", _HARD, "shelf shelf lockers carton carton cabinet shelf", "carton", "", 7.0),
+    "toilet": Use("TL{}-A", _CLEAN, "stall stall stall basins urinals bin", "", "dryer mirror", 5.0, ""),
+    "storage": Use("SR{}-A", _HARD, "shelf shelf lockers carton carton cabinet shelf", "carton", "", 7.0, ""),
     "laboratory": Use("RL{}-A", _HARD, "table table desk shelf cabinet lockers printer_table carton",
         "table desk_pair", "whiteboard shelf_board", 5.0),
     "lounge": Use("LG{}-A", _SOFT, "sofa armchair vending_machine plant shelf floor_lamp",
@@ -72,7 +80,7 @@ USES: dict[str, Use] = {
         "television shelf_board"),
     "bedroom": Use("BR{}-A", "parquet planks carpet carpet_red linoleum",
         "bed bed wardrobe sideboard desk armchair floor_lamp shelf", "rug", "mirror shelf_board"),
-    "bath": Use("BT{}-A", _CLEAN, "basins bathtub stall cabinet bin", "", "mirror", 5.0),
+    "bath": Use("BT{}-A", _CLEAN, "basins bathtub stall cabinet bin", "", "mirror", 5.0, ""),
     "study": Use("ST{}-A", _SOFT, "desk shelf shelf armchair cabinet plant", "rug", "shelf_board"),
     "entrance": Use("HL{}-A", "parquet planks tiles_floor checker terrazzo marble",
         "wardrobe sideboard coat_rack bench plant shelf", "rug", "mirror coats", 2.0),
@@ -83,6 +91,39 @@ USES: dict[str, Use] = {
         "table table column carton", "extinguisher whiteboard blind_door shelf_board"),
     "canteen": Use("CT{}-A", _HARD, "kitchen_counter vending_machine sideboard fridge plant bin",
         "dining dining dining round_table column", "notice_board exit_sign", 2.5),
+    "home_entrance": Use("HL{}-A", _SOFT + " tiles_floor marble checker",
+        "shoe_rack coat_rack wardrobe dresser bench plant vase shelf", "rug", "mirror coats", 4.0, _AT_HOME),
+    "home_living": Use("LR{}-A", "parquet planks parquet planks carpet carpet_red tiles_floor marble",
+        "sofa television_set armchair shelf shelf sideboard plant floor_lamp piano fireplace dresser pouffe toy_chest",
+        "seating dining seating rug pouffe", "television shelf_board mirror", 5.0, _AT_HOME, curtains=True,
+        needs="sofa television_set"),
+    "home_bedroom": Use("BR{}-A", "parquet planks carpet carpet_red carpet_gray",
+        "bed nightstand wardrobe dresser desk armchair floor_lamp shelf cot bunk_bed toy_chest laundry_rack nightstand",
+        "rug rug pouffe", "shelf_board", 5.0, _AT_HOME, curtains=True, needs="bed wardrobe"),
+    "home_kitchen": Use("KT{}-A", _CLEAN + " planks parquet marble",
+        "kitchen_counter stove fridge kitchen_counter washing_machine sideboard bin visitor_chair vase",
+        "dining kitchen_island round_table", "shelf_board", 6.0, _AT_HOME, curtains=True,
+        needs="kitchen_counter stove fridge"),
+    "home_bath": Use("BT{}-A", "tiles_floor checker terrazzo marble tiles_blue",
+        "toilet_bowl basins bathtub shower washing_machine laundry_rack bin", "", "mirror", 6.0, "mirror",
+        needs="toilet_bowl basins"),
+    "home_study": Use("ST{}-A", _SOFT, "desk shelf shelf shelf armchair piano dresser plant floor_lamp carton",
+        "rug", "shelf_board", 5.0, _AT_HOME, curtains=True),
+    "home_storage": Use("SR{}-A", _HARD, "shelf carton carton washing_machine ladder cabinet laundry_rack drum",
+        "carton", "", 6.0, "coats shelf_board"),
+    "machine_hall": Use("WS{}-A", "concrete concrete linoleum_green linoleum_green tiles_floor planks",
+        "workbench lathe drill_press mill rack rack switch_cabinet drum drum gas_bottles compressor lockers "
+        "pallet_load ladder trolley shelf carton cabinet workbench",
+        "lathe mill press conveyor workbench pallet_load forklift trolley drum table",
+        "pipes pipes cables cables tool_board downpipe downpipe", 4.5, _IN_A_HALL,
+        needs="workbench lathe rack workbench"),
+    "great_hall": Use("FY{}-A", "marble marble terrazzo tiles_floor parquet checker concrete carpet",
+        "bench seat_row seat_row plant planter vending_machine kiosk banner sideboard display_case reception",
+        "column column column seat_row planter seating display_case stage statue reception rug",
+        "big_screen flag elevator blind_door", 2.0, _IN_A_HALL),
+    "sports_hall": Use("SP{}-A", "parquet parquet planks linoleum linoleum_green",
+        "goal bench bench stacked_chairs lockers trolley bin", "table_tennis", "flag big_screen downpipe pipes",
+        1.5, _IN_A_HALL),
 }  # fmt: skip
 
 
@@ -219,6 +260,11 @@ def furnish(room: Room, style: Rng, rng: Rng, density: float) -> list[Entry]:
     """
     use = USES[room.cell.use]
     common: Entry = {"wood": str(style.choice(_WOODS)), "colour": [round(float(v), 2) for v in _colour(style)]}
+    for kind in use.needs.split():
+        for _ in range(24):
+            side = str(rng.choice(list(SIDES)))
+            if _along_a_wall(room, kind, side, float(rng.uniform(*room.span(side))), common, rng):
+                break
     area = room.cell.area
     if use.middle and area > 9:
         for _ in range(max(1, round(area / 14 * density))):
@@ -235,7 +281,13 @@ def furnish(room: Room, style: Rng, rng: Rng, density: float) -> list[Entry]:
         if window["sill"] > 0.55 and rng.random() < 0.6:
             size = (min(window["width"], 1.6), 0.1, min(0.55, window["sill"] - 0.2))
             room.hang(window["wall"], window["at"], size, 0.12, {"kind": "radiator"})
-    names = [*use.hung.split(), *_HUNG] if room.cell.use not in ("toilet", "bath", "storage") else use.hung.split()
+        if use.curtains and rng.random() < 0.7:
+            width, low = float(rng.uniform(0.2, 0.45)), float(rng.choice([0.06, window["sill"]]))
+            size = (width, 0.14, min(window["head"] + 0.15, room.height - 0.1) - low)
+            for end in (-1, 1):
+                at = window["at"] + end * (window["width"] / 2 + width / 2 + 0.13)
+                room.hang(window["wall"], at, size, low, {"kind": "curtain", "colour": common["colour"]})
+    names = f"{use.hung} {use.usual}".split()
     for _ in range(round(length / 10 * rng.uniform(2.0, 7.0) * density) if names else 0):
         kind = str(rng.choice(names))
         side = str(rng.choice(list(SIDES)))

@@ -10,10 +10,11 @@ import numpy as np
 from siamloc.simulate.layout import HALF_WALL, SIDES, Array, Building, Rng, side_at, single
 from siamloc.simulate.mesh import Caster, MeshBuilder
 
-#: Textures that may be polished; each of them is in about half of the buildings.
-POLISHED = (
-    "parquet", "planks", "linoleum", "linoleum_green", "tiles_floor", "tiles_wall", "tiles_blue", "terrazzo", "checker",
-    "marble", "concrete", "wood", "beech", "walnut", "drawers", "cabinet_doors", "kitchen_fronts",
+#: Textures that may be polished, each in about half of the buildings: on floors and tops, and on upright surfaces too.
+LEVEL = ("parquet", "planks", "linoleum", "linoleum_green", "terrazzo", "checker", "concrete")
+UPRIGHT = (
+    "tiles_floor", "tiles_wall", "tiles_blue", "marble", "wood", "beech", "walnut", "drawers", "cabinet_doors",
+    "kitchen_fronts",
 )  # fmt: skip
 #: Share of the light that a pane throws back head-on: both faces of the glass, 0.04 each.
 PANE = 0.08
@@ -69,9 +70,14 @@ class Gloss:
             texture: index of the texture of each quad (Q,).
             normals: unit normals of the quads (Q, 3).
         """
-        values = {name: (rng.uniform(0.03, 0.07) * (rng.random() < 0.5), rng.uniform(0.3, 1.0)) for name in POLISHED}
-        values["mirror"] = (rng.uniform(0.8, 0.95), 1.0)
-        head_on, polish = single([values.get(name, (0.0, 1.0)) for name in names]).T[:, texture]
+        drawn = {
+            name: (rng.uniform(0.03, 0.07) * (rng.random() < 0.5), rng.uniform(0.3, 1.0), lowest)
+            for polished, lowest in ((LEVEL, 0.5), (UPRIGHT, -0.5))
+            for name in polished
+        }
+        drawn["mirror"] = (rng.uniform(0.8, 0.95), 1.0, -0.5)
+        head_on, polish, lowest = single([drawn.get(name, (0.0, 1.0, 0.0)) for name in names]).T[:, texture]
+        head_on[normals[:, 2] < lowest] = 0  # nobody polishes a ceiling
         return cls(head_on, polish, normals, *_panes(building))
 
     def reflected(self, origins: Array, directions: Array, quad: Array, distance: Array) -> Reflections:

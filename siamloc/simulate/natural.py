@@ -86,16 +86,16 @@ def _pieces(rng: Rng, image: Array, labels: Array, spread: float, joint: float |
 
 def grain(rng: Rng, low: float, high: float) -> Array:
     """Draw upright wood grain with knots: wavy rings and fibres; its red channel lies between `low` and `high`."""
-    green = rng.uniform(0.7, 0.88)
-    colour = single(rng.uniform(low, high) * np.array((1.0, green, green * rng.uniform(0.6, 0.85))))
-    bend = cv2.blur(np.tile(noise(rng, 8, 3), (3, 1)), (1, 95))[SIZE : 2 * SIZE] * np.float32(rng.uniform(0.6, 1.6))
+    green = rng.uniform(0.76, 0.9)
+    colour = single(rng.uniform(low, high) * np.array((1.0, green, green * rng.uniform(0.66, 0.88))))
+    bend = cv2.blur(np.tile(noise(rng, 8, 3), (3, 1)), (1, 95))[SIZE : 2 * SIZE] * np.float32(rng.uniform(0.4, 1.2))
     for x, y in rng.integers(0, SIZE, (int(rng.integers(0, 4)), 2)):
         across = ((_COLUMN - x + SIZE // 2) % SIZE - SIZE // 2) / 14
         along = ((_ROW - y + SIZE // 2) % SIZE - SIZE // 2) / 40
         bend = bend + single(1.2 * np.exp(-(across**2) - along**2))
-    rings = np.sin(2 * np.pi * (int(rng.integers(5, 14)) * _COLUMN / SIZE + bend)).astype(np.float32)
+    rings = np.sin(2 * np.pi * (int(rng.integers(8, 22)) * _COLUMN / SIZE + bend)).astype(np.float32)
     fibre = cv2.blur(np.tile(rng.standard_normal((SIZE, SIZE)).astype(np.float32), (3, 1)), (1, 31))[SIZE : 2 * SIZE]
-    return colour * (1 + rng.uniform(0.04, 0.16) * rings + 0.35 * fibre)[..., None].astype(np.float32)
+    return colour * (1 + rng.uniform(0.02, 0.12) * rings + 0.35 * fibre)[..., None].astype(np.float32)
 
 
 def _parquet(rng: Rng, wood: Array) -> Array:

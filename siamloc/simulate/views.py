@@ -16,7 +16,7 @@ import numpy as np
 from foundation.calls import typed
 from siamloc.data.frames import FrameTable
 from siamloc.data.names import LIGHTINGS
-from siamloc.simulate.buildings import load_building
+from siamloc.simulate.buildings import Worlds, random_building
 from siamloc.simulate.camera import Cameras, ViewCamera, develop, draw_camera, metered
 from siamloc.simulate.layout import Array, Building, Rng, seeded, single
 from siamloc.simulate.light import ROUGH
@@ -80,6 +80,7 @@ def draw_views(
     spacing: float = 0.4,
     cameras: Cameras = "any",
     exposure: Exposures = "drawn",
+    worlds: Worlds = "offices",
 ) -> Views:
     """Draw a building, a camera and lights from a seed, and render images of a part of the building.
 
@@ -95,6 +96,8 @@ def draw_views(
         spacing: metres between poses.
         cameras: cameras to draw from: "any", "panoramas", or only the "built_in" one.
         exposure: "drawn", or "metered" for the best exposure and white balance, without noise.
+        worlds: "offices" draws office floors, flats and halls with matt surfaces; "any" also homes, workshops and high
+            halls, most of them with natural textures and surfaces that reflect.
 
     Raises:
         SiamlocError: embreex is not installed.
@@ -103,7 +106,7 @@ def draw_views(
     Views(6 pictures; rooms: 1; lights: cloudy, night)
     """
     rng = seeded(seed, "views")
-    building = load_building("random", FIRST_SEED + seed)
+    building = random_building(FIRST_SEED + seed, worlds)
     camera, height = draw_camera(rng, image_size, cameras)
     start, first = float(rng.random()), int(rng.integers(1, 1000))
     parts: list[tuple[Array, ...]] = []

@@ -20,6 +20,7 @@ from siamloc.models.origins import Origins
 from siamloc.models.places import PlaceModule
 from siamloc.pretraining import RECIPE, ViewSettings, pretrain, view_batches
 from siamloc.pretraining.view_batches import BuildingStream, Renderer, ViewBatches, building_seed
+from siamloc.simulate.buildings import Worlds
 from siamloc.simulate.camera import Cameras
 from siamloc.simulate.produce import rendering_processes
 from siamloc.simulate.views import Exposures, Views, camera_of
@@ -274,4 +275,4 @@ def test_the_validation_is_of_panoramas(rendered, monkeypatch):
 
 def test_the_choices_are_those_of_rendering():
     hints = fields_of(ViewSettings)
-    assert (hints["cameras"], hints["exposure"]) == (Cameras, Exposures)
+    assert (hints["cameras"], hints["exposure"], hints["worlds"]) == (Cameras, Exposures, Worlds)

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from itertools import combinations
+from typing import get_args
 
 import numpy as np
 import pytest
 
 from siamloc.errors import DataError
 from siamloc.simulate import Run, load_building
-from siamloc.simulate.floor_plans import PLANS, draw_plan
+from siamloc.simulate.buildings import draw_building, random_building
+from siamloc.simulate.floor_plans import PLANS, Kind, draw_plan, dwelling, great_hall, workshop
 from siamloc.simulate.furnishing import USES
 from siamloc.simulate.items import KINDS
 from siamloc.simulate.parse import parse_building
@@ -40,7 +42,9 @@ def test_a_seed_is_a_building_and_another_seed_another_one() -> None:
     assert (again.rooms, again.items) == (drawn[3].rooms, drawn[3].items)
 
 
-@pytest.mark.parametrize("draw", [plan for plan, _ in PLANS], ids=lambda plan: plan.__name__)
+@pytest.mark.parametrize(
+    "draw", [*(plan for plan, _ in PLANS), dwelling, workshop, great_hall], ids=lambda plan: plan.__name__
+)
 def test_every_kind_of_plan_is_connected_and_nothing_overlaps(draw) -> None:
     for seed in range(25):
         plan = draw(np.random.default_rng(seed))
@@ -64,6 +68,49 @@ def test_all_kinds_of_plans_are_drawn_and_what_their_rooms_may_hold_exists() -> 
     groups = {"desk_pair", "dining", "conference", "seating", "benches", "stacks", "plant_island", "television_set"}
     for use in USES.values():
         assert set(f"{use.walls} {use.middle} {use.hung}".split()) - groups <= set(KINDS)
+
+
+@pytest.mark.parametrize("kind", get_args(Kind))
+@pytest.mark.parametrize("seed", [0, 5])
+def test_a_robot_finds_its_way_through_every_kind_of_building(seed: int, kind: Kind) -> None:
+    building = parse_building(draw_building(seed, kind), seed, kind)
+    poses = draw_run(building, Run("cloudy", 1)).track.poses
+    assert set(room_at(building, poses[:, :2]).tolist()) == set(range(len(building.rooms)))
+    segments, _ = obstacles(building)
+    assert clearance(poses[:, :2], segments).min() > 0.2
+
+
+def test_kinds_differ_as_their_names_say() -> None:
+    drawn = {
+        kind: [parse_building(draw_building(seed, kind), seed, kind) for seed in range(6)] for kind in get_args(Kind)
+    }
+    area = {
+        kind: np.median([np.prod(np.diff(room.inner())) for one in buildings for room in one.rooms.values()])
+        for kind, buildings in drawn.items()
+    }
+    largest = {
+        kind: min(max(np.prod(np.diff(room.inner())) for room in one.rooms.values()) for one in buildings)
+        for kind, buildings in drawn.items()
+    }
+    crowd = {
+        kind: sum(len(one.items) for one in buildings) / sum(np.prod(np.diff(one.bounds)) for one in buildings)
+        for kind, buildings in drawn.items()
+    }
+    assert area["home"] < 16
+    assert min(largest["workshop"], largest["hall"]) > 50
+    assert crowd["home"] > 2 * crowd["hall"]
+    assert sum(any(item.kind in ("bed", "bunk_bed", "cot") for item in one.items) for one in drawn["home"]) >= 5
+    assert all(room.height > 3 for kind in ("workshop", "hall") for one in drawn[kind] for room in one.rooms.values())
+
+
+def test_worlds_of_any_kind_are_drawn_only_if_asked_for() -> None:
+    assert random_building(3).items == load_building("random", 3).items
+    worlds = [random_building(seed, "any") for seed in range(30)]
+    assert {building.materials for building in worlds} == {"drawn", "natural"}
+    first = {next(iter(building.rooms)).rpartition("_")[0] for building in worlds}
+    assert {"home_entrance", "machine_hall", "corridor"} < first
+    assert {"great_hall", "sports_hall"} & first
+    assert random_building(7, "any").items == worlds[7].items
 
 
 def ends(space: FreeSpace, *points: tuple[float, float]) -> list[int]:

@@ -13,12 +13,14 @@ from siamloc.simulate.layout import Building, Item
 from siamloc.simulate.mesh import MeshBuilder
 from siamloc.simulate.parse import Options
 from siamloc.simulate.prints import print_textures
-from siamloc.simulate.textures import base_textures
+from siamloc.simulate.textures import base_textures, pattern_textures
+from siamloc.simulate.things import made_of
 
 
 @pytest.fixture(scope="module")
 def textures() -> dict[str, tuple[int, tuple[float, float] | None]]:
     drawn = base_textures(np.random.default_rng(0)) | print_textures(np.random.default_rng(0))
+    drawn |= pattern_textures(np.random.default_rng(0))
     drawn["mirror"] = drawn["metal"]
     return {name: (number, texture.tile) for number, (name, texture) in enumerate(drawn.items())}
 
@@ -44,3 +46,21 @@ def test_an_item_without_room_for_its_parts_is_refused(textures: dict, mini: Bui
     fridge = Item("fridge", 0.0, 0.0, 90.0, (0.6, 0.6, 0.5), 0.0, "kitchen", line=7)
     with pytest.raises(DataError, match=r"line 7: room 'kitchen': fridge is too small for its parts at \(0\.6, 0\.6"):
         add_items(MeshBuilder(textures), mini, [fridge])
+
+
+def test_a_part_takes_its_share_of_the_size_of_its_item(textures: dict, mini: Building) -> None:
+    builder = MeshBuilder(textures)
+    item = Item("drum", 0.0, 0.0, 90.0, (2.0, 1.0, 3.0), 0.0, "kitchen", {"colour": [0.1, 0.2, 0.3]})
+    parts = made_of("""
+        box -1 -.5 0 0 1 .5 metal colour
+        tube .5 0 .5 1 .2 .1 plastic .4 .5 .6
+        front -1 1 .25 .75 1 screen#""")
+    parts(builder, item, np.random.default_rng(0), *item.size)
+    mesh = builder.build()
+    box, tube, panel = mesh.corners[:6], mesh.corners[6:-1], mesh.corners[-1]
+    np.testing.assert_allclose([box.min(axis=(0, 1)), box.max(axis=(0, 1))], [[-1, -0.25, 0], [0, 0.5, 1.5]])
+    np.testing.assert_allclose(tube[..., 2].max(), 3.0)
+    np.testing.assert_allclose(np.abs(tube[..., 0] - 0.5).max(), 0.2, atol=1e-9)
+    np.testing.assert_allclose([panel.min(axis=0), panel.max(axis=0)], [[-1, 0.5, 0.75], [1, 0.5, 2.25]])
+    np.testing.assert_allclose(mesh.tint[[0, 6, -1]], [[0.1, 0.2, 0.3], [0.4, 0.5, 0.6], [1, 1, 1]], atol=1e-6)
+    assert [one > 0 for one in mesh.emission.max(axis=1)] == [False] * (len(mesh) - 1) + [True]

@@ -80,6 +80,13 @@ def test_views_follow_from_their_seed() -> None:
     assert not np.array_equal(draw_views(6, (16, 64), drives=1, lights=3, poses=4).images[:12], one.images[:12])
 
 
+def test_other_worlds_are_other_buildings_for_the_same_camera() -> None:
+    one, other = (draw_views(7, (16, 64), 1, 2, 3, worlds=worlds) for worlds in ("offices", "any"))
+    assert one.wraps == other.wraps == camera_of(7, (16, 64)).wraps
+    assert not np.array_equal(one.xy, other.xy)
+    np.testing.assert_array_equal(one.images, draw_views(7, (16, 64), 1, 2, 3).images)
+
+
 def test_an_ordinary_camera_looks_in_one_direction_on_every_drive() -> None:
     together = {}
     for wraps in (False, True):
