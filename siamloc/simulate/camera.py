@@ -354,7 +354,7 @@ def develop(light: Array, gain: float, balance: Array, wraps: bool, rng: np.rand
     add_noise(value, gain, rng, quiet)
     grey = ((value[..., 0] + value[..., 1] + value[..., 2]) / np.float32(3))[..., None]
     value = np.clip(grey + 1.12 * (value - grey), 0, 1)
-    return _curve()[(value * 4095).astype(np.int32)]
+    return _curve().take((value * 4095).astype(np.int32))
 
 
 def add_noise(value: Array, gain: float, rng: np.random.Generator, quiet: float) -> None:

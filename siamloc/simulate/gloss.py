@@ -1,4 +1,4 @@
-"""What reflects like a mirror in a building: polished floors and table tops, mirrors, and panes of glass."""
+"""What reflects like a mirror in a building: polished floors and table tops, mirrors, and window panes."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ class Gloss:
         head_on: share of the light that each quad throws back head-on (Q,), float32; 0 for matt ones.
         polish: factor on the share that each quad throws back (Q,), float32; below 1 if it scatters the rest.
         normals: unit normals of the quads (Q, 3).
-        panes: casts rays against the panes; None without panes.
+        panes: casts rays against the panes of the windows; None without windows.
         facing: unit normals of the panes (P, 3).
     """
 
@@ -80,26 +80,32 @@ class Gloss:
         head_on[normals[:, 2] < lowest] = 0  # nobody polishes a ceiling
         return cls(head_on, polish, normals, *_panes(building))
 
-    def reflected(self, origins: Array, directions: Array, quad: Array, distance: Array) -> Reflections:
-        """Return how rays (n, 3) continue that hit quads (n,), -1 for none, at distances (n,) in metres."""
-        head_on, polish = self.head_on[quad], self.polish[quad]
-        missed = quad < 0
-        head_on[missed] = 0
-        pane = np.full(len(quad), -1)
-        if self.panes is not None:
-            pane, _, _, near = self.panes.first_hit(origins, directions)
-            pane[near >= np.where(missed, np.inf, distance)] = -1
-            through = np.flatnonzero(pane >= 0)
-            head_on[through], polish[through] = PANE, 1.0
-        rows = np.flatnonzero(head_on)
-        glass = pane[rows]
-        normal, before = self.normals[quad[rows]], distance[rows]
-        if self.panes is not None:
-            normal[glass >= 0], before[glass >= 0] = self.facing[glass[glass >= 0]], near[rows[glass >= 0]]
-        coming = directions[rows]
+    def reflected(self, origins: Array, directions: Array, quad: Array, distance: Array, missed: Array) -> Reflections:
+        """Return how n rays continue.
+
+        Args:
+            origins: starting points in metres (n, 3), float32.
+            directions: unit vectors (n, 3), float32.
+            quad: index of the quad hit (n,).
+            distance: distance to the quad in metres (n,).
+            missed: indices of the rays that hit nothing: they leave through a window.
+        """
+        shiny = self.head_on.take(quad) > 0
+        shiny[missed] = False
+        rows = np.flatnonzero(shiny)
+        on = quad[rows]
+        head_on, polish, normal, before = self.head_on[on], self.polish[on], self.normals[on], distance[rows]
+        if self.panes is not None and len(missed):
+            pane, _, _, near = self.panes.first_hit(origins[missed], directions[missed])
+            through = pane >= 0
+            count = int(through.sum())
+            rows, before = np.concatenate([rows, missed[through]]), np.concatenate([before, near[through]])
+            head_on, polish = np.append(head_on, np.full(count, single(PANE))), np.append(polish, np.ones(count, "f4"))
+            normal = np.concatenate([normal, self.facing[pane[through]]])
+        coming = directions.take(rows, axis=0)
         cosine = np.einsum("ij,ij->i", coming, normal)[:, None]
-        share = polish[rows] * schlick(head_on[rows], np.abs(cosine[:, 0]))
-        points = origins[rows] + before[:, None] * coming - _LIFT * np.sign(cosine) * normal
+        share = polish * schlick(head_on, np.abs(cosine[:, 0]))
+        points = origins.take(rows, axis=0) + before[:, None] * coming - _LIFT * np.sign(cosine) * normal
         return Reflections(rows, share, points, coming - 2 * cosine * normal, before)
 
 
@@ -113,16 +119,15 @@ def schlick(head_on: Array, cosine: Array) -> Array:
 
 
 def _panes(building: Building) -> tuple[Caster | None, Array]:
-    """Return the panes of the windows and of the glazed walls between rooms, and their normals (P, 3)."""
+    """Return the panes of the windows, and their normals (P, 3)."""
     builder = MeshBuilder({"glass": (0, None)})
     for opening in building.openings:
-        if opening.kind in ("window", "pane"):
+        if opening.kind == "window":
             room = building.rooms[opening.rooms[0]]
-            out = -SIDES[side_at(room, opening.along, opening.level)].inwards
-            off = out * (_FRAME - HALF_WALL) if opening.kind == "window" else 0.0
-            left, right = (opening.point(end, off) for end in opening.interval)
-            z = (opening.bottom, opening.top)
-            builder.quad((*left, z[0]), (*right, z[0]), (*right, z[1]), (*left, z[1]), "glass")
+            off = -SIDES[side_at(room, opening.along, opening.level)].inwards * (_FRAME - HALF_WALL)
+            (x0, y0), (x1, y1) = (opening.point(end, off) for end in opening.interval)
+            low, high = opening.bottom, opening.top
+            builder.quad((x0, y0, low), (x1, y1, low), (x1, y1, high), (x0, y0, high), "glass")
     if not len(builder):
         return None, np.zeros((0, 3), dtype=np.float32)
     mesh = builder.build()

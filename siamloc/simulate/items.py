@@ -292,40 +292,37 @@ def hung(build: Build, width: float, height: float, z: float, depth: float = 0.0
 
 
 #: Every kind that a building file may place, with its usual size; items that hang do not block a robot.
-KINDS: dict[str, Kind] = (
-    FURNITURE
-    | THINGS
-    | {
-        "copier": Kind(copier, (0.7, 0.7, 1.15)),
-        "printer_table": Kind(printer_table, (0.8, 0.6, 0.7)),
-        "pigeonholes": Kind(block("beech", WHITE, "bottom", front="pigeonholes"), (1.2, 0.35, 1.5)),
-        "vending_machine": Kind(vending_machine, (0.85, 0.8, 1.85)),
-        "kitchen_counter": Kind(kitchen_counter, (2.4, 0.62, 0.9), options=("wall_units",)),
-        "fridge": Kind(fridge, (0.62, 0.62, 1.75)),
-        "stall": Kind(stall, (1.0, 1.4, 2.0), options=("colour",)),
-        "basins": Kind(basins, (1.4, 0.5, 0.85)),
-        "urinals": Kind(urinals, (1.4, 0.35, 1.0)),
-        "dryer": hung(block("plastic", WHITE, "back"), 0.28, 0.3, 1.15, 0.18),
-        "stairs_up": Kind(stairs_up, (1.3, 2.8, 2.4)),
-        "stairs_down": Kind(stairs_down, (1.3, 2.8, 1.0)),
-        "column": Kind(block("concrete", WHITE, "bottom top"), (0.4, 0.4, 2.8)),
-        "person": Kind(person, (0.5, 0.4, 1.75), options=("colour",)),
-        "poster": hung(poster, 0.6, 0.85, 1.1, options=("picture",)),
-        "picture": hung(poster, 0.9, 0.6, 1.35, options=("picture",)),
-        "television": hung(television, 1.1, 0.65, 1.1, 0.06),
-        "whiteboard": hung(whiteboard, 1.8, 1.1, 0.95, 0.05),
-        "notice_board": hung(board("notices", NOTICES), 1.2, 0.9, 1.1, 0.04),
-        "clock": hung(board("clock"), 0.35, 0.35, 2.05),
-        "exit_sign": hung(exit_sign, 0.4, 0.2, 2.3, 0.06),
-        "room_sign": hung(board("sign", 8), 0.2, 0.2, 1.45, 0.02),
-        "extinguisher": hung(extinguisher, 0.2, 0.55, 0.5, 0.18),
-        "blind_door": hung(blind_door, 0.96, 2.06, 0.0, 0.06, options=("colour", "wood")),
-        "elevator": hung(elevator, 1.1, 2.1, 0.0, 0.08),
-        "radiator": hung(block("plain", (0.85, 0.85, 0.84), front="radiator"), 1.2, 0.55, 0.15, 0.1),
-        "mirror": hung(block("mirror", (0.75, 0.8, 0.84), "back"), 1.2, 0.8, 1.1),
-        "coats": hung(coats, 1.0, 0.9, 0.9, 0.2),
-    }
-)
+KINDS: dict[str, Kind] = FURNITURE | {
+    **THINGS,
+    "copier": Kind(copier, (0.7, 0.7, 1.15)),
+    "printer_table": Kind(printer_table, (0.8, 0.6, 0.7)),
+    "pigeonholes": Kind(block("beech", WHITE, "bottom", front="pigeonholes"), (1.2, 0.35, 1.5)),
+    "vending_machine": Kind(vending_machine, (0.85, 0.8, 1.85)),
+    "kitchen_counter": Kind(kitchen_counter, (2.4, 0.62, 0.9), options=("wall_units",)),
+    "fridge": Kind(fridge, (0.62, 0.62, 1.75)),
+    "stall": Kind(stall, (1.0, 1.4, 2.0), options=("colour",)),
+    "basins": Kind(basins, (1.4, 0.5, 0.85)),
+    "urinals": Kind(urinals, (1.4, 0.35, 1.0)),
+    "dryer": hung(block("plastic", WHITE, "back"), 0.28, 0.3, 1.15, 0.18),
+    "stairs_up": Kind(stairs_up, (1.3, 2.8, 2.4)),
+    "stairs_down": Kind(stairs_down, (1.3, 2.8, 1.0)),
+    "column": Kind(block("concrete", WHITE, "bottom top"), (0.4, 0.4, 2.8)),
+    "person": Kind(person, (0.5, 0.4, 1.75), options=("colour",)),
+    "poster": hung(poster, 0.6, 0.85, 1.1, options=("picture",)),
+    "picture": hung(poster, 0.9, 0.6, 1.35, options=("picture",)),
+    "television": hung(television, 1.1, 0.65, 1.1, 0.06),
+    "whiteboard": hung(whiteboard, 1.8, 1.1, 0.95, 0.05),
+    "notice_board": hung(board("notices", NOTICES), 1.2, 0.9, 1.1, 0.04),
+    "clock": hung(board("clock"), 0.35, 0.35, 2.05),
+    "exit_sign": hung(exit_sign, 0.4, 0.2, 2.3, 0.06),
+    "room_sign": hung(board("sign", 8), 0.2, 0.2, 1.45, 0.02),
+    "extinguisher": hung(extinguisher, 0.2, 0.55, 0.5, 0.18),
+    "blind_door": hung(blind_door, 0.96, 2.06, 0.0, 0.06, options=("colour", "wood")),
+    "elevator": hung(elevator, 1.1, 2.1, 0.0, 0.08),
+    "radiator": hung(block("plain", (0.85, 0.85, 0.84), front="radiator"), 1.2, 0.55, 0.15, 0.1),
+    "mirror": hung(block("mirror", (0.75, 0.8, 0.84), "back"), 1.2, 0.8, 1.1),
+    "coats": hung(coats, 1.0, 0.9, 0.9, 0.2),
+}
 
 
 def add_items(builder: MeshBuilder, building: Building, items: Iterable[Item]) -> None:

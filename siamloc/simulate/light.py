@@ -308,8 +308,7 @@ class LightGrid:
 
     def position(self, quad: Array, s: Array, t: Array) -> tuple[Array, Array]:
         """Return the columns and rows in the image of light values for positions s, t on quads."""
-        steps = (self.count - 1).astype(np.float32)[quad]
-        corner = self.corner[quad]
+        steps, corner = (self.count - 1).astype(np.float32).take(quad, axis=0), self.corner.take(quad, axis=0)
         return corner[:, 0] + s * steps[:, 0], corner[:, 1] + t * steps[:, 1]
 
     def image(self, values: Array) -> Array:

@@ -108,12 +108,11 @@ def _parquet(rng: Rng, wood: Array) -> Array:
 
 def _tiles(rng: Rng, image: Array) -> Array:
     side = int(rng.integers(2, 7))
-    labels = (
-        bond(rng, side, side, 0.0),
-        bond(rng, 2 * side, side, 0.5),
-        herringbone(16, 2),
-        scattered(rng, 24),
-    )[int(rng.choice(4, p=[0.5, 0.25, 0.1, 0.15]))]
+    kind = int(rng.choice(4, p=[0.5, 0.25, 0.1, 0.15]))
+    if kind < 2:
+        labels = bond(rng, side * (kind + 1), side, 0.5 * kind)
+    else:
+        labels = herringbone(16, 2) if kind == 2 else scattered(rng, 24)
     return _pieces(rng, image, labels, float(rng.uniform(0.0, 0.08)), float(rng.uniform(0.3, 0.85)))
 
 

@@ -72,10 +72,11 @@ class Surfaces:
             smooth: whether textures are interpolated; otherwise the nearest texel counts.
         """
         s, t = np.clip(s, 0, 0.99999), np.clip(t, 0, 0.99999)
-        u = self.phase[quad, 0] + s * self.repeat[quad, 0]
-        v = self.phase[quad, 1] + t * self.repeat[quad, 1]
-        level = np.log2(np.maximum(footprint * self.texels[quad], 1.0))
-        return (atlas.lookup if smooth else atlas.nearest)(self.mesh.texture[quad], u, v, level)
+        phase, repeat = self.phase.take(quad, axis=0), self.repeat.take(quad, axis=0)
+        u = phase[:, 0] + s * repeat[:, 0]
+        v = phase[:, 1] + t * repeat[:, 1]
+        level = np.log2(np.maximum(footprint * self.texels.take(quad), 1.0))
+        return (atlas.lookup if smooth else atlas.nearest)(self.mesh.texture.take(quad), u, v, level)
 
 
 @dataclass(frozen=True)
@@ -184,7 +185,7 @@ class Scene:
         hits = self._hits(origins, directions, spread, smooth, 0.0)
         if self.gloss is None:
             return hits
-        found = self.gloss.reflected(origins, directions, hits.quad, hits.distance)
+        found = self.gloss.reflected(origins, directions, hits.quad, hits.distance, hits.missed)
         mirrored = self._hits(found.origins, found.directions, spread[found.rows], smooth, found.before)
         return replace(hits, mirrored=(found.rows, found.share[:, None], mirrored))
 
@@ -194,11 +195,13 @@ class Scene:
         missed = np.flatnonzero(quad < 0)
         distance[missed] = 1.0
         surfaces = self.surfaces
-        facing = np.abs(np.einsum("ij,ij->i", surfaces.normals[quad], directions))
+        facing = np.abs(np.einsum("ij,ij->i", surfaces.normals.take(quad, axis=0), directions))
         footprint = (distance + before) * spread / np.sqrt(np.maximum(facing, 0.05))
         colour = surfaces.colour(self.atlas, quad, s, t, footprint, smooth)
         x, y = self.light.grid.position(quad, s, t)
-        return Hits(origins, directions, quad, distance, missed, colour, colour * surfaces.mesh.tint[quad], x, y)
+        return Hits(
+            origins, directions, quad, distance, missed, colour, colour * surfaces.mesh.tint.take(quad, axis=0), x, y
+        )
 
     def shine(self, hits: Hits) -> tuple[Array, Array]:
         """Return the radiosity (n, 3) of the points that rays hit, and the indices of the rays to sunlit points."""
@@ -207,12 +210,13 @@ class Scene:
         if self.light.sunny is not None:
             lit = self._add_sun(arriving, hits)
         radiosity = hits.albedo * arriving
-        glowing = np.flatnonzero(self.surfaces.glows[hits.quad])
+        glowing = np.flatnonzero(self.surfaces.glows.take(hits.quad))
         radiosity[glowing] += hits.colour[glowing] * self.surfaces.emission[hits.quad[glowing]]
         radiosity[hits.missed] = self.sky.look(hits.directions[hits.missed])
         if hits.mirrored is not None:
             rows, share, mirrored = hits.mirrored
-            radiosity[rows] += share * (self.shine(mirrored)[0] - radiosity[rows])
+            own = radiosity.take(rows, axis=0)
+            radiosity[rows] = own + share * (self.shine(mirrored)[0] - own)
         return radiosity, lit
 
     def _add_sun(self, arriving: Array, hits: Hits) -> Array:

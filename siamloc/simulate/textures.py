@@ -292,13 +292,13 @@ class TextureAtlas:
         self.mean = np.zeros((count, 3), dtype=np.float32)
         self.texel = np.full(count, np.nan)
         for index, texture in enumerate(textures):
-            mode = "edge" if texture.tile is None else "wrap"
+            border = cv2.BORDER_REPLICATE if texture.tile is None else cv2.BORDER_WRAP
             if texture.tile is not None:
                 self.texel[index] = texture.tile[0] / SIZE
-            self.mean[index] = _DECODE[texture.image].mean(axis=(0, 1))
+            self.mean[index] = cv2.LUT(texture.image, _DECODE).mean(axis=(0, 1))
             for level, size in enumerate(sizes):
                 small = cv2.resize(texture.image, (size, size), interpolation=cv2.INTER_AREA)
-                padded = np.pad(small, ((_PAD, _PAD), (_PAD, _PAD), (0, 0)), mode=mode)  # type: ignore[call-overload]
+                padded = cv2.copyMakeBorder(small, _PAD, _PAD, _PAD, _PAD, border)
                 cell = size + 2 * _PAD
                 x = int(starts[level]) + (index % _COLUMNS) * cell
                 y = (index // _COLUMNS) * cell
@@ -327,11 +327,12 @@ class TextureAtlas:
     def nearest(self, texture: Array, u: Array, v: Array, level: Array) -> Array:
         """Return the linear colours (n, 3) of the nearest texels, in the copy of the nearest size; see `lookup`."""
         level = np.clip(np.rint(level), 0, LEVELS - 1).astype(np.int32)
-        corner = self._corner[level, texture]
+        corner = self._corner.reshape(-1, 2).take(level * len(self.texel) + texture, axis=0)
         size = np.ldexp(np.float32(SIZE), -level)
         x = np.rint(corner[:, 0] + (u - np.floor(u)) * size).astype(np.int32)
         y = np.rint(corner[:, 1] + (1 - (v - np.floor(v))) * size).astype(np.int32)
-        return _DECODE[self.image[y, x]]
+        texels = self.image.reshape(-1, 3).take(y * self.image.shape[1] + x, axis=0)
+        return _DECODE.take(texels)
 
     def _level(self, texture: Array, u: Array, v: Array, level: Array) -> Array:
         corner = self._corner[level, texture]

@@ -52,8 +52,8 @@ def test_a_part_takes_its_share_of_the_size_of_its_item(textures: dict, mini: Bu
     builder = MeshBuilder(textures)
     item = Item("drum", 0.0, 0.0, 90.0, (2.0, 1.0, 3.0), 0.0, "kitchen", {"colour": [0.1, 0.2, 0.3]})
     parts = made_of("""
-        box -1 -.5 0 0 1 .5 metal colour
-        tube .5 0 .5 1 .2 .1 plastic .4 .5 .6
+        box -1 -.5 0 0 1 .5 metal colour;
+        tube .5 0 .5 1 .2 .1 plastic .4 .5 .6;
         front -1 1 .25 .75 1 screen#""")
     parts(builder, item, np.random.default_rng(0), *item.size)
     mesh = builder.build()
