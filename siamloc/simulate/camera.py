@@ -350,15 +350,15 @@ def develop(light: Array, gain: float, balance: Array, wraps: bool, rng: np.rand
         The image (rows, columns, 3), uint8.
     """
     value = light * (gain * balance).astype(np.float32)
-    _glare(value, wraps)
+    add_glare(value, wraps)
     add_noise(value, gain, rng, quiet)
     grey = ((value[..., 0] + value[..., 1] + value[..., 2]) / np.float32(3))[..., None]
     value = np.clip(grey + 1.12 * (value - grey), 0, 1)
     return _curve().take((value * 4095).astype(np.int32))
 
 
-def add_noise(value: Array, gain: float, rng: np.random.Generator, quiet: float) -> None:
-    """Add shot and read noise to an exposed image, in place; arguments as for `develop`."""
+def add_noise(value: Array, gain: float, rng: np.random.Generator, quiet: float | Array) -> None:
+    """Add shot and read noise to an exposed image, in place; arguments as for `develop`, or `quiet` per pixel."""
     shot = _SHOT * np.sqrt(gain)
     start = int(rng.integers(0, _BANK - value.size))
     grain = _noise_bank()[start : start + value.size].reshape(value.shape)
@@ -366,7 +366,7 @@ def add_noise(value: Array, gain: float, rng: np.random.Generator, quiet: float)
     value += grain * spread * np.float32(quiet)
 
 
-def _glare(value: Array, wraps: bool) -> None:
+def add_glare(value: Array, wraps: bool) -> None:
     """Let what is too bright spill into its surroundings, in place."""
     height, width = value.shape[:2]
     small = cv2.resize(value, (width // 4, height // 4), interpolation=cv2.INTER_AREA)

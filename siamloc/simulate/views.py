@@ -18,6 +18,7 @@ from siamloc.data.frames import FrameTable
 from siamloc.data.names import LIGHTINGS
 from siamloc.simulate.buildings import Worlds, random_building
 from siamloc.simulate.camera import Cameras, ViewCamera, develop, draw_camera, metered
+from siamloc.simulate.imaging import LONGEST, Imaging, draw_imaging
 from siamloc.simulate.layout import Array, Building, Rng, seeded, single
 from siamloc.simulate.light import ROUGH
 from siamloc.simulate.overlap import visual_overlap
@@ -28,6 +29,8 @@ from siamloc.simulate.scene import Scene, build_scene, relit
 
 Exposures = Literal["drawn", "metered"]
 """Whether exposure and white balance of the images vary and noise is added, or exposure and balance are optimal."""
+Imagings = Literal["plain", "drawn"]
+"""Whether all cameras have the response of a data set's camera, or each its own response, flaws and robot in view."""
 
 #: Seeds of training buildings start here, so that none coincides with a seed that a user or a test gives.
 FIRST_SEED = 1 << 28
@@ -81,6 +84,7 @@ def draw_views(
     cameras: Cameras = "any",
     exposure: Exposures = "drawn",
     worlds: Worlds = "offices",
+    imaging: Imagings = "plain",
 ) -> Views:
     """Draw a building, a camera and lights from a seed, and render images of a part of the building.
 
@@ -98,6 +102,8 @@ def draw_views(
         exposure: "drawn", or "metered" for the best exposure and white balance, without noise.
         worlds: "offices" draws office floors, flats and halls with matt surfaces; "any" also homes, workshops and high
             halls, most of them with natural textures and surfaces that reflect.
+        imaging: "plain" for the response of a data set's camera, or "drawn" for the tone curve, colours, lens, dirt
+            and visible parts of the robot of a camera that is drawn with the building.
 
     Raises:
         SiamlocError: embreex is not installed.
@@ -108,6 +114,7 @@ def draw_views(
     rng = seeded(seed, "views")
     building = random_building(FIRST_SEED + seed, worlds)
     camera, height = draw_camera(rng, image_size, cameras)
+    taken = draw_imaging(seeded(seed, "imaging"), camera) if imaging == "drawn" else None
     start, first = float(rng.random()), int(rng.integers(1, 1000))
     parts: list[tuple[Array, ...]] = []
     lightings: list[str] = []
@@ -130,7 +137,8 @@ def draw_views(
         if not camera.wraps:  # an ordinary camera sees the same place only if it looks in the same direction
             ahead = float(chosen[rng.integers(len(chosen)), 2]) if ahead is None else ahead
             chosen[:, 2] = ahead + rng.normal(0, _YAW, len(chosen))
-        images = look_around(scenes, np.column_stack([chosen[:, :2], heights, chosen[:, 2]]), camera, rng, exposure)
+        standing = np.column_stack([chosen[:, :2], heights, chosen[:, 2]])
+        images = look_around(scenes, standing, camera, rng, exposure, taken)
         images = images.reshape(-1, *images.shape[2:]).transpose(0, 3, 1, 2)
         xy, heading = (np.repeat(values, lights, axis=0) for values in (chosen[:, :2], chosen[:, 2]))
         parts.append((images, xy, heading, np.tile(np.arange(lights) + drive * lights, len(chosen))))
@@ -153,6 +161,7 @@ def look_around(
     camera: ViewCamera,
     rng: Rng,
     exposure: Exposures = "drawn",
+    imaging: Imaging | None = None,
 ) -> Array:
     """Render images from poses under several lights.
 
@@ -162,6 +171,7 @@ def look_around(
         camera: the camera that takes the images.
         rng: draws where within their pixels the rays of an image pass, exposure, white balance and noise.
         exposure: as for `draw_views`.
+        imaging: how the camera turns light into pixel values; like a data set's camera if None.
 
     Returns:
         (P, L, rows, columns, 3) uint8, RGB.
@@ -171,6 +181,7 @@ def look_around(
     balances: list[Array] = []
     strength, stops = rng.uniform(0.3, 1.0, len(scenes)), rng.normal(0.0, 0.3, len(scenes))
     quiet = 0.75
+    longest = 6.0 if imaging is None else LONGEST
     if exposure == "metered":  # the drawn values are not used, so that everything else stays the same
         strength[:], stops[:], quiet = 1.0, 0.0, 0.0
     rim = rng.integers(0, 12, (rows, columns, 1), dtype=np.uint8)
@@ -187,9 +198,9 @@ def look_around(
                 balances.append((colour / max(float(colour.mean()), 1e-6)) ** (-0.7 * strength[number]))
             brightness = light[:: max(1, len(light) // 200)].mean(axis=1)
             off = stops[number] + rng.normal(0, 0.15) * (exposure == "drawn")
-            gain = float(np.clip(metered(brightness, 12) * 2**off, 0.02, 6.0))
+            gain = float(np.clip(metered(brightness, 12) * 2**off, 0.02, longest))
             picture = light.reshape(rows, columns, 3)
-            found[row, number] = develop(picture, gain, balances[number], camera.wraps, rng, quiet)
+            found[row, number] = (imaging or develop)(picture, gain, balances[number], camera.wraps, rng, quiet)
     if camera.shown is not None:
         found[:, :, ~camera.shown] = rim[~camera.shown]
     return found
