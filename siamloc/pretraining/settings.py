@@ -27,6 +27,8 @@ class ViewSettings(Settings):
         exposure: "drawn" at random, or "metered" for the best exposure and white balance, without noise.
         worlds: "offices" for office floors, flats and halls with matt surfaces; "any" also for homes, workshops and
             high halls, most of them with natural textures and surfaces that reflect.
+        imaging: "plain" if all cameras have the response of a data set's camera, or "drawn" if each has its own tone
+            curve, colours, lens, dirt and visible parts of the robot.
         processes: number of rendering processes; 0 renders in the training process.
     """
 
@@ -42,6 +44,7 @@ class ViewSettings(Settings):
     cameras: Literal["any", "panoramas", "built_in"] = "any"
     exposure: Literal["drawn", "metered"] = "drawn"
     worlds: Literal["offices", "any"] = "offices"
+    imaging: Literal["plain", "drawn"] = "plain"
     processes: Workers = 1
 
     def __post_init__(self) -> None:

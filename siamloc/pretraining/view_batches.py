@@ -160,7 +160,7 @@ class BuildingStream:
         seed = building_seed(self.seed, number * self.world_size + self.rank)
         return (
             *(seed, tuple(self.image_size), settings.drives, settings.lights, settings.poses, settings.spacing),
-            *(settings.cameras, settings.exposure, settings.worlds),
+            *(settings.cameras, settings.exposure, settings.worlds, settings.imaging),
         )
 
 

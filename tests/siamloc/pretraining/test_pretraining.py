@@ -23,7 +23,7 @@ from siamloc.pretraining.view_batches import BuildingStream, Renderer, ViewBatch
 from siamloc.simulate.buildings import Worlds
 from siamloc.simulate.camera import Cameras
 from siamloc.simulate.produce import rendering_processes
-from siamloc.simulate.views import Exposures, Views, camera_of
+from siamloc.simulate.views import Exposures, Imagings, Views, camera_of
 
 SIZE = (16, 64)
 SETTINGS = ViewSettings(batches=2, held=3, together=2, drives=2, lights=3, poses=6, processes=0)
@@ -275,4 +275,5 @@ def test_the_validation_is_of_panoramas(rendered, monkeypatch):
 
 def test_the_choices_are_those_of_rendering():
     hints = fields_of(ViewSettings)
-    assert (hints["cameras"], hints["exposure"], hints["worlds"]) == (Cameras, Exposures, Worlds)
+    assert (hints["cameras"], hints["exposure"]) == (Cameras, Exposures)
+    assert (hints["worlds"], hints["imaging"]) == (Worlds, Imagings)
