@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Literal, NamedTuple
 
@@ -17,6 +16,7 @@ from siamloc.data.frames import FrameTable
 from siamloc.errors import ConfigError, DataError
 from siamloc.maps.learned import Learned
 from siamloc.maps.matching import headings
+from siamloc.maps.reranking import Compares, scaled
 from siamloc.maps.search import Retrieval
 from siamloc.maps.visual_map import VisualMap
 
@@ -29,15 +29,6 @@ _ROUNDS = 6
 _STILL = 1e-4  # units: a search that moves by less has converged
 _NOTHING = 1e-12  # determinants of information below this count as zero
 _AT_ONCE = 256  # queries
-
-
-Compares = Callable[
-    [NDArray[np.float32], NDArray[np.float32]], tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]
-]
-"""Compares orientation parts of queries (n, K, F) with those of as many map frames (n, K, F). Returns pose (n, 3):
-the displacement ahead and to the left as seen from the map frame's robot, and how far the query's robot is turned left,
-in rad; information (n, 3, 3): the inverse of the scale matrix of a t-distribution with 4 degrees of freedom; and match
-(n,): the logarithm of the odds that both were taken near each other."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -183,7 +174,7 @@ def _refined(known: VisualMap, parts: NDArray[np.float32], rows: NDArray[np.int6
     n, count = rows.shape
     held = known.turning(rows.ravel()).orientation
     assert held is not None
-    pose, information, match = compares(np.repeat(_scaled(parts), count, axis=0), _scaled(held))
+    pose, information, match = compares(np.repeat(scaled(parts), count, axis=0), scaled(held))
     theta, xy = known.frames.theta[rows], known.frames.xy[rows]
     building = known.frames.building[rows]
     usable = np.asarray(np.isfinite(theta) & np.isfinite(xy).all(axis=2) & (building == building[:, :1]))
@@ -300,12 +291,6 @@ def _turns(theta: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the matrices (..., 2, 2) that turn a robot's axes into those of the building."""
     cosine, sine = np.cos(theta), np.sin(theta)
     return np.stack([np.stack([cosine, -sine], axis=-1), np.stack([sine, cosine], axis=-1)], axis=-2)
-
-
-def _scaled(parts: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Return orientation parts scaled to a mean square of 1 each, as maps keep them only up to a scale."""
-    size = np.sqrt(np.mean(np.square(parts, dtype=np.float64), axis=(1, 2), keepdims=True))
-    return (parts / np.maximum(size, 1e-12)).astype(np.float32)
 
 
 def path_positions(frames: FrameTable) -> NDArray[np.float64]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -29,20 +30,25 @@ class Describer:
         providers: onnxruntime's execution providers in order of preference.
 
     Attributes:
-        known: the map; if it was described by an analytic descriptor, with that descriptor.
+        known: the map, with the analytic descriptor that made it, or with this object in place of the network.
+        identity: identity of the descriptor that made the map.
 
     Raises:
         ConfigError: a provider that this onnxruntime lacks.
         FormatError: a network that onnxruntime cannot run, or an analytic descriptor that did not make the map.
     """
 
+    aligned = False
+
     def __init__(self, bundle: Bundle, known: VisualMap, threads: int | None, providers: Sequence[str]) -> None:
         self._session, self._relative = (
             session_of(bundle.path / name, threads, providers) if name in bundle.files else None
             for name in (MODEL, RELATIVE)
         )
-        self._size = bundle.image_size
-        if self._session is None:
+        self._size, self.identity = bundle.image_size, known.identity
+        if self._session is not None:
+            known = replace(known, describes=self)  # type: ignore[arg-type]
+        else:
             own = known.orientation if known.heading is None else None  # else the parts are the heading's
             known = known.with_descriptor(analytic_descriptor(known.identity, bundle, known.width, own))
         self.known, self._turning = known, None

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import shutil
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -122,6 +122,7 @@ def export(
         from siamloc.runtime.onnx_model import on_cpu
 
         given = as_descriptor(on_cpu(given.module), None)  # as the robot computes
+    known = None if known is None else replace(known, describes=given)
     parts: dict[str, Any] = {files.MAP: known, files.ERRORS: errors, files.REFINEMENT: refinement}
     parts |= {files.LAYER: layer, files.COARSE: coarse_map}
     made = _Ingredients(about, given, parts, images, thumbnails)
@@ -184,13 +185,24 @@ class _Ingredients:
     def _write_networks(
         self, module: nn.Module, fresh: Path, precision: Precision, finer: dict[str, Any] | None
     ) -> dict[str, Any]:
-        """Write the network, and its comparing part if `finer` needs it; return the parity of the network's file."""
+        """Write the network, and its comparing part if the map holds what it compares; return the network's parity.
+
+        Args:
+            module: the network.
+            fresh: the bundle's folder.
+            precision: precision of the numbers.
+            finer: what the bundle says of its refinement, which gets the parity of the comparing part.
+        """
+        from siamloc.maps.reranking import comparison_of
         from siamloc.runtime.onnx_model import export_onnx, export_relative, quantize
 
         size = self.about["preprocessing"]["height"], self.about["preprocessing"]["width"]
         parity: dict[str, Any] = export_onnx(module, fresh / files.MODEL, size)
-        if finer is not None and finer["method"] == "relative":
-            finer["parity"] = export_relative(module, fresh / files.RELATIVE)
+        known = self.parts[files.MAP]
+        if known is not None and comparison_of(known) is not None:
+            apart = export_relative(module, fresh / files.RELATIVE)
+            if finer is not None and finer["method"] == "relative":
+                finer["parity"] = apart
         if precision == "int8":
             quantize(fresh / files.MODEL, spread(self.images, self.parts[files.MAP].frames, CALIBRATION)[0])
         return parity

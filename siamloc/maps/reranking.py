@@ -1,0 +1,73 @@
+"""Put the nearest map frames of a query in order anew, by comparing each of them with the query."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from analytic import Description
+from siamloc.maps.search import Retrieval
+from siamloc.maps.visual_map import VisualMap
+
+COMPARED = 8
+"""Number of nearest map frames that are compared with a query."""
+_CLEAREST = 10.0  # log odds beyond this count no more
+_ODDS_PER_DISTANCE = 25.0  # log odds that weigh as much as a distance of 1 between descriptors
+_AT_ONCE = 256  # queries
+
+Compares = Callable[
+    [NDArray[np.float32], NDArray[np.float32]], tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]
+]
+"""Compares orientation parts of queries (n, K, F) with those of as many map frames (n, K, F). Returns pose (n, 3):
+the displacement ahead and to the left as seen from the map frame's robot, and how far the query's robot is turned left,
+in rad; the inverse of the scale matrix of a t-distribution with 4 degrees of freedom (n, 3, 3), the information; and
+the log odds (n,) that the images were taken near each other."""
+
+
+def comparison_of(known: VisualMap) -> Compares | None:
+    """Return the function by which a map's descriptor compares a query with a map frame; None if it cannot."""
+    by = known.describes
+    held = known.heading_by_network and getattr(by, "compares", False) and known.distance == "euclidean"
+    return by.compare if held else None  # type: ignore[union-attr]
+
+
+def reranked(known: VisualMap, queries: Description, found: Retrieval, compares: Compares) -> Retrieval:
+    """Put the 8 nearest map frames of each query in order anew.
+
+    Distances between descriptors tell which places look alike; a comparison of two images tells whether both were taken
+    near each other, which is more certain where map frames stand metres apart. With the log odds o of that, limited to
+    -10 ... 10, a map frame at distance d gets the distance d + (10 - o) / 25. Map frames after the first 8 get the
+    distance d + 0.8, as if they showed another place.
+
+    Args:
+        known: a map of m frames, with the orientation parts that are compared.
+        queries: n descriptions with orientation parts, by `known.describe`.
+        found: the nearest map frames of each query.
+        compares: compares orientation parts.
+    """
+    parts, rows = queries.orientation, found.indices[:, :COMPARED]
+    assert parts is not None
+    starts = range(0, len(rows), _AT_ONCE)
+    odds = [_odds(known, parts[at : at + _AT_ONCE], rows[at : at + _AT_ONCE], compares) for at in starts]
+    doubt = np.full(found.distances.shape, 2 * _CLEAREST)
+    doubt[:, : rows.shape[1]] = _CLEAREST - np.concatenate([rows[:0].astype(np.float64), *odds])
+    distances = found.distances + doubt / _ODDS_PER_DISTANCE
+    order = distances.argsort(axis=1, kind="stable")
+    return Retrieval(np.take_along_axis(found.indices, order, 1), np.take_along_axis(distances, order, 1))
+
+
+def _odds(
+    known: VisualMap, parts: NDArray[np.float32], rows: NDArray[np.int64], compares: Compares
+) -> NDArray[np.float64]:
+    held = known.turning(rows.ravel()).orientation
+    assert held is not None
+    _, _, match = compares(np.repeat(scaled(parts), rows.shape[1], axis=0), scaled(held))
+    return match.reshape(rows.shape).clip(-_CLEAREST, _CLEAREST)
+
+
+def scaled(parts: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Return orientation parts scaled to a mean square of 1 each, as maps keep them only up to a scale."""
+    size = np.sqrt(np.mean(np.square(parts, dtype=np.float64), axis=(1, 2), keepdims=True))
+    return (parts / np.maximum(size, 1e-12)).astype(np.float32)

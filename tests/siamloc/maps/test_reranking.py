@@ -1,0 +1,88 @@
+"""The nearest map frames are put in order anew by a comparison."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from analytic import Description
+from analytic.descriptors.thumbnail import Thumbnail
+from siamloc.data import FrameTable
+from siamloc.maps import VisualMap, match
+
+FRAMES = 12
+
+
+class Compares(Thumbnail):
+    """A descriptor that compares: the log odds stand in the orientation parts of the map frame."""
+
+    compares = True
+
+    def __init__(self, odds):
+        super().__init__()
+        self.odds = np.asarray(odds, dtype=float)
+
+    def compare(self, queries, known):
+        np.testing.assert_allclose((known**2).mean(axis=(1, 2)), 1, rtol=1e-3)
+        rows = np.rint(known[:, 0, 0] / known[:, 1, 0]).astype(int) - 2
+        return np.zeros((len(rows), 3)), np.zeros((len(rows), 3, 3)), self.odds[rows]
+
+
+def map_of(odds, **changes) -> VisualMap:
+    """Frames in a row; frame i has the descriptor i / 10."""
+    frames = FrameTable(path=[f"{n}.png" for n in range(FRAMES)], x=np.arange(FRAMES), y=np.zeros(FRAMES))
+    parts = np.ones((FRAMES, 8, 2), dtype=np.float16)
+    parts[:, 0, 0] = 2 + np.arange(FRAMES)
+    made = VisualMap(np.arange(FRAMES)[:, None] / 10, frames, orientation=parts, heading={"name": "network"})
+    return replace(made, describes=Compares(odds), **changes)
+
+
+QUERY = Description(np.zeros((2, 1)), np.ones((2, 8, 2), dtype=np.float32))
+
+
+def test_distances_grow_with_the_doubts_of_the_comparison():
+    odds = [-20.0, 5.0, 0.0, -1.0, 10.0, 2.0, -3.0, 40.0, 50.0, 50.0, 50.0, 50.0]
+    found = match(map_of(odds), QUERY, FRAMES)
+    distances = np.arange(FRAMES) / 10
+    distances[:8] += (10 - np.clip(odds[:8], -10, 10)) / 25
+    distances[8:] += 0.8  # not compared
+    expected = sorted(range(FRAMES), key=lambda row: distances[row])
+    assert found.indices.tolist() == [expected, expected]
+    np.testing.assert_allclose(found.distances[0], distances[expected], atol=1e-6)
+    assert expected[:3] == [1, 4, 2]
+    fewer = match(map_of(odds), QUERY, 2)
+    assert fewer.indices.tolist() == [[1, 4], [1, 4]]
+
+
+def test_only_the_frames_that_may_be_found_are_compared():
+    odds = np.zeros(FRAMES)
+    odds[[0, 3, 6]] = 9.0
+    known = map_of(odds)
+    assert match(known, QUERY, 1, within=np.array([4, 6, 11])).indices.tolist() == [[6], [6]]
+    excluded = np.zeros((2, FRAMES), dtype=bool)
+    excluded[0, :3] = excluded[1, 4:] = True
+    excluded[1, 0] = True
+    assert match(known, QUERY, 1, excluded=excluded).indices.tolist() == [[3], [3]]
+
+
+@pytest.mark.parametrize("case", ["nothing compares", "another distance", "no parts asked", "no parts held"])
+def test_without_a_comparison_the_descriptors_decide(case):
+    known, query = map_of(np.where(np.arange(FRAMES) == 7, 10.0, -10.0)), QUERY
+    assert match(known, query, 1).indices.tolist() == [[7], [7]]
+    if case == "nothing compares":
+        known = replace(known, describes=None)
+    elif case == "another distance":
+        known = known.with_distance("manhattan")
+    elif case == "no parts asked":
+        query = Description(QUERY.position)
+    else:
+        known = replace(known, orientation=None, heading=None)
+    found = match(known, query, 3)
+    assert found.indices.tolist() == [[0, 1, 2]] * 2
+    np.testing.assert_allclose(found.distances[0], [0, 0.1, 0.2], atol=1e-6)
+
+
+def test_no_queries_give_no_frames():
+    assert match(map_of(np.zeros(FRAMES)), QUERY.take(slice(0, 0)), 3).indices.shape == (0, 3)
