@@ -63,7 +63,7 @@ def by_lighting(absolute: dict[str, Any], measure: str = "error", figure: str = 
 
 
 def located(building: Building, descriptor: Any, every: Sequence[int] = (5, 1)) -> dict[str, Any]:
-    """Describe map and queries once, and return mean error, excess, floor and 95 % error in m under each lighting.
+    """Describe map and queries once, and return errors in m and the share of right rooms under each lighting.
 
     Args:
         building: the building, at the image size that the descriptor expects.
@@ -71,7 +71,8 @@ def located(building: Building, descriptor: Any, every: Sequence[int] = (5, 1)) 
         every: for each k, a map of every k-th frame of its drive.
 
     Returns:
-        {"5": {"cloudy": {"mean": ..., "excess": ..., "floor": ..., "p95": ...}, ...}, "1": ...}.
+        {"5": {"cloudy": {"mean": ..., "excess": ..., "floor": ..., "p95": ..., "room": ...}, ...}, "1": ...}: mean
+        error, its excess over the floor, the floor, 95 % error, and the share of queries whose match is in their room.
     """
     # Map frames that are in no part need no description.
     common = math.gcd(*every)
@@ -82,12 +83,14 @@ def located(building: Building, descriptor: Any, every: Sequence[int] = (5, 1)) 
         part = known.take(range(0, len(known), step // common))
         nearest = siamloc.maps.match(part, asked.description, neighbours((1,), len(part)))
         result = evaluate_absolute(part, asked.frames, nearest, ks=(1,))
+        right = part.frames.room[nearest.indices[:, 0]] == asked.frames.room
         found[str(step)] = {
             light: {
                 "mean": group["error"]["mean"],
                 "excess": group["excess"]["mean"],
                 "floor": group["floor"]["mean"],
                 "p95": group["error"]["p95"],
+                "room": float(right[asked.frames.lighting == light].mean()),
             }
             for light, group in result.parts["absolute"]["lighting"].items()
         }
