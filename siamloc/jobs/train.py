@@ -110,7 +110,8 @@ class Train(_Training, DataJob):
         model/head=fc500_500_5            what makes a descriptor of its features
         model.circular=true               the network wraps around the azimuth
         model.branch.weights=siamloc      start from pretrained weights; or imagenet, or the path of a run or a file
-        model.normalize=local             remove lighting from the image first; or channels, image, local_brightness
+        model.normalize=local             remove lighting from the image first; or channels, image, local_brightness,
+                                          local_and_colours
         pairs=room|distance|in_batch      pairs with binary labels (room) or metric labels (distance); in_batch uses all
                                           pairs of a batch and needs a loss of batches, such as loss=triplet
         pairs=frames loss=cross_entropy   learn to name the room of a frame, as experiment=rooms_classifier does
@@ -180,8 +181,11 @@ class Pretrain(_Training):
     there. Everything follows from the seed. `siamloc train` can start from the resulting weights.
 
         run=runs/pretrained         where the run is written
-        epochs=12                   of 500 batches each; a new building every views.batches=15
+        epochs=14                   of 500 batches each; a new building every views.batches=10
         views.processes=1           number of processes that render alongside the training
+        views.worlds=any|offices    also homes, workshops and halls, with surfaces that reflect; or offices alone
+        views.imaging=drawn|plain   each camera with its own response and flaws; or all like a data set's camera
+        loss.beyond=[1.0,2.5]       metres from which images are told apart by the surfaces they share, too; [] for none
         seed=0 resume=true
         trainer.devices=2 trainer.strategy=ddp   each process has its own buildings
 

@@ -29,6 +29,10 @@ class SoftContrastiveLoss(ScheduledLoss):
     for all images of the room of i, and 0 for others. For this second target, q_ij is a softmax without the images
     whose room is unknown. Images without a neighbour or another image of their room in the batch do not count.
 
+    With distances r in `beyond`, the loss is the mean of this one and of one for each r, in which images nearer than r
+    to each other are left out of both softmaxes, and the target is the visual overlap to the power 1.5: where the map
+    has no frame within r, the one that shows most of the same surfaces should be found.
+
     Args:
         settings: see `siamloc.models.registry.SoftContrastive`.
 
@@ -49,7 +53,7 @@ class SoftContrastiveLoss(ScheduledLoss):
     def __init__(self, settings: SoftContrastive) -> None:
         super().__init__(settings)
         self.temperature, self.sigma = float(settings.temperature), float(settings.sigma)
-        self.kernel, self.room = settings.kernel, float(settings.room)
+        self.kernel, self.room, self.beyond = settings.kernel, float(settings.room), settings.beyond
         self.settings = {"name": "soft_contrastive", **settings.plain()}
 
     def forward(self, descriptors: Tensor, origins: Origins) -> Tensor:
@@ -75,10 +79,14 @@ class SoftContrastiveLoss(ScheduledLoss):
             if self.room > 0:
                 told = similarity.masked_fill(unknown, -math.inf).log_softmax(dim=1).masked_fill(itself | unknown, 0)
                 cost = cost - (mates * told).sum(dim=1)
-            return (cost * counts).sum() / counts.sum().clamp(min=1)
+            terms = [(cost * counts).sum() / counts.sum().clamp(min=1)]
+            terms += [self._farther(similarity, origins, itself, distance) for distance in self.beyond]
+            return torch.stack(terms).mean()
 
     def lacks(self, origins: Origins) -> str | None:
         """Return what a batch lacks for this loss, in words: two different frames that should be similar."""
+        if self.beyond:
+            _overlap(origins, "beyond=[]")  # refused before the training
         near, mates, _ = self._wanted(origins, origins.frame[:, None] == origins.frame[None])
         if bool((near + mates > 0).any()):
             return None
@@ -103,17 +111,31 @@ class SoftContrastiveLoss(ScheduledLoss):
         unknown = (origins.room < 0)[None] & (mates.sum(dim=1) > 0)[:, None]
         return share * wanted, share * mates, unknown
 
+    def _farther(self, similarity: Tensor, origins: Origins, itself: Tensor, distance: float) -> Tensor:
+        """Return the loss of images at least `distance` from each other; rows that show almost nothing do not count."""
+        aside = itself | (origins.distances() < distance)
+        wanted = (_overlap(origins, "beyond=[]") ** _BEYOND_POWER).masked_fill(aside, 0).nan_to_num(0)
+        total = wanted.sum(dim=1)
+        counts = total > _LEAST_OVERLAP
+        told = similarity.masked_fill(aside, -math.inf).log_softmax(dim=1).masked_fill(aside, 0)
+        cost = -(wanted * told).sum(dim=1) / total.clamp(min=_LEAST_OVERLAP)
+        return (cost * counts).sum() / counts.sum().clamp(min=1)
+
     def _kernel(self, origins: Origins) -> Tensor:
         """Return how similar images should be (N, N), from 0 to 1; NaN where unknown."""
         if self.kernel == "overlap":
-            if origins.overlap is None:
-                raise DataError(
-                    "loss.kernel=overlap needs the visual overlap of the images, which only those of pretraining have "
-                    "(siamloc pretrain): set loss.kernel to exponential or gaussian, which need positions"
-                )
-            return origins.overlap.float() ** (1 / self.sigma)
+            return _overlap(origins, "kernel=exponential or gaussian") ** (1 / self.sigma)
         apart = origins.distances().float() / self.sigma
         return torch.exp(-apart if self.kernel == "exponential" else -apart.square() / 2)
+
+
+def _overlap(origins: Origins, instead: str) -> Tensor:
+    if origins.overlap is None:
+        raise DataError(
+            "the loss needs the visual overlap of the images, which only those of pretraining have (siamloc pretrain): "
+            f"set loss.{instead}, which needs positions only"
+        )
+    return origins.overlap.float()
 
 
 def _shares(weights: Tensor) -> Tensor:
@@ -167,6 +189,8 @@ class MetricCalibratedLoss(ScheduledLoss):
 
 
 _LEAST_WEIGHT = 1e-6
+_LEAST_OVERLAP = 0.01  # of an image with all others together, to the power
+_BEYOND_POWER = 1.5
 
 
 def make_loss(name: str, **parameters: Any) -> nn.Module:

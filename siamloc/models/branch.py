@@ -22,6 +22,7 @@ BLOCKS = (1, 2, 2, 1)  # in each stage
 STRIDES = (1, 2, 2, 1)  # of each stage, after the stem has halved rows and columns twice
 DARK = 1e-3  # avoids division by 0 for an image without contrast
 SURROUNDINGS = 0.15  # reach of the surroundings of a pixel, in image heights
+FAINT = 0.02  # keeps the noise of dark pixels small in their logarithm
 LEAST_CONTRAST = 0.03  # of the surroundings, in units of [0, 1]: anything below is noise, which must not be amplified
 
 
@@ -32,7 +33,8 @@ class Branch(nn.Module):
     weights say otherwise; branches without ImageNet weights use the same numbers, which bring indoor images close to
     zero mean and unit variance, as He initialization assumes. "image" normalizes each image by its own mean and
     deviation, so that neither exposure nor contrast matters. "local" and "local_brightness" normalize the surroundings
-    of each pixel, see `by_surroundings`.
+    of each pixel, see `by_surroundings`. "local_and_colours" gives the first layer six channels: those of "local", and
+    `logarithms`, in which the colours and brightness of large surfaces remain.
 
     The torchvision networks keep their own stride: their output is not pooled or scaled to a fixed grid. At 128 x 512
     VGG and DenseNet give 4 x 16, AlexNet 3 x 15. DenseNet ends in a ReLU, as in its paper. The simple branches keep
@@ -56,7 +58,7 @@ class Branch(nn.Module):
         self.name = name
         self.circular = circular
         self.normalize = normalize
-        self.features: nn.Sequential = _features(name, circular)
+        self.features: nn.Sequential = _features(name, circular, channels_of(normalize))
         self.register_buffer("mean", torch.empty(1, 3, 1, 1))
         self.register_buffer("std", torch.empty(1, 3, 1, 1))
         self.normalize_with(IMAGENET_MEAN, IMAGENET_STD)
@@ -82,7 +84,14 @@ class Branch(nn.Module):
             return (panorama - self.mean) / self.std
         if self.normalize == "image":
             return by_image(panorama)
+        if self.normalize == "local_and_colours":
+            return torch.cat([by_surroundings(panorama, self.circular), logarithms(panorama)], dim=1)
         return by_surroundings(panorama, self.circular, colours=self.normalize == "local")
+
+
+def channels_of(normalize: str) -> int:
+    """Return the number of channels of normalized images, by a name in `NORMALIZATIONS`."""
+    return 6 if normalize == "local_and_colours" else 3
 
 
 @lru_cache(maxsize=256)
@@ -108,14 +117,21 @@ def feature_shape(name: str, image_size: tuple[int, int], circular: bool = False
 
 
 @lru_cache(maxsize=64)
-def finer_features(name: str, image_size: tuple[int, int]) -> tuple[int, tuple[int, int, int]] | None:
+def finer_features(
+    name: str, image_size: tuple[int, int], channels: int = 3
+) -> tuple[int, tuple[int, int, int]] | None:
     """Return where a circular branch has features with at least twice as many columns as its output.
+
+    Args:
+        name: a name in `BRANCHES`.
+        image_size: rows and columns of the images.
+        channels: channels of the normalized images, see `channels_of`.
 
     Returns:
         The number of layers up to the last features with so many columns, 0 for the image itself; and the channels,
         rows and columns of these features. None if not even the image has so many columns.
     """
-    found = [(3, *image_size), *layer_shapes(name, image_size, circular=True)]
+    found = [(channels, *image_size), *layer_shapes(name, image_size, circular=True)]
     finer = [number for number, one in enumerate(found) if one[2] >= 2 * found[-1][2]]
     return (finer[-1], found[finer[-1]]) if finer else None
 
@@ -162,19 +178,21 @@ def layers_by_stage(name: str, circular: bool) -> list[int]:
     return counts
 
 
-def _features(name: str, circular: bool = False) -> nn.Sequential:
+def _features(name: str, circular: bool = False, channels: int = 3) -> nn.Sequential:
     spec = branch_spec(name)
     if spec.kind == "residual":
-        features: nn.Sequential = residual_features(spec.widths)
+        features: nn.Sequential = residual_features(spec.widths, channels)
     elif spec.kind == "simple":
         layers: list[nn.Module] = []
-        for inputs, outputs in zip((3, *spec.widths), spec.widths, strict=False):
+        for inputs, outputs in zip((channels, *spec.widths), spec.widths, strict=False):
             layers += [nn.Conv2d(inputs, outputs, kernel_size=3, padding=1), nn.ReLU(inplace=True)]
         pool = nn.AdaptiveAvgPool2d(SIMPLE_GRID)
         pool.register_forward_hook(_keep_layout)
         features = nn.Sequential(*layers, pool)
-    else:
+    elif channels == 3:
         features = _torchvision_features(name)
+    else:
+        raise ConfigError(f"the first layer of {name} has three channels: leave normalize=local_and_colours out")
     return cast(nn.Sequential, around(features)) if circular else features
 
 
@@ -218,15 +236,16 @@ def _shape_or_none(name: str, rows: int, columns: int, circular: bool) -> tuple[
     return shape if min(shape) > 0 else None
 
 
-def residual_features(widths: Sequence[int]) -> nn.Sequential:
+def residual_features(widths: Sequence[int], inputs: int = 3) -> nn.Sequential:
     """Make the layers of a residual branch: a stem, then four stages of residual blocks. Rows and columns shrink
     to a sixteenth.
 
     Args:
         widths: channels of the four stages.
+        inputs: channels of the normalized images.
     """
     layers: list[nn.Module] = [
-        nn.Conv2d(3, widths[0], kernel_size=5, stride=2, padding=2, bias=False),
+        nn.Conv2d(inputs, widths[0], kernel_size=5, stride=2, padding=2, bias=False),
         nn.BatchNorm2d(widths[0]),
         nn.ReLU(inplace=True),
         nn.AvgPool2d(2),
@@ -276,6 +295,12 @@ def by_image(panorama: Tensor) -> Tensor:
     centred = panorama - panorama.mean(dim=(1, 2, 3), keepdim=True)
     deviation = centred.square().mean(dim=(1, 2, 3), keepdim=True).sqrt()
     return centred / (deviation + DARK)
+
+
+def logarithms(panorama: Tensor) -> Tensor:
+    """Return log(I + 0.02) minus its mean over each image (B, 3, H, W): a gain of the whole image changes nothing."""
+    found = (panorama.clamp(min=0) + FAINT).log()
+    return found - found.mean(dim=(1, 2, 3), keepdim=True)
 
 
 def by_surroundings(panorama: Tensor, circular: bool, *, colours: bool = True) -> Tensor:

@@ -18,6 +18,7 @@ from siamloc.models.branch import (
     IMAGENET_STD,
     Branch,
     ResidualBlock,
+    channels_of,
     feature_shape,
     finer_features,
     layer_shapes,
@@ -73,7 +74,8 @@ def build(
         normalize: "channels": subtract a mean and divide by a standard deviation for each channel, ImageNet's unless
             the weights say otherwise. "image": give each image zero mean and unit variance, whatever its exposure.
             "local": give the surroundings of each pixel zero mean and unit contrast, whatever light falls there;
-            "local_brightness": the same, but colours stay. If None, the default of the branch.
+            "local_brightness": the same, but colours stay. "local_and_colours": "local", and three channels in which
+            the colours of large surfaces stay, for the branches of ours. If None, the default of the branch.
         canonical: first turn each panorama, by less than the width of one feature column, so that turning the robot by
             whole columns of the panorama changes nothing; see `siamloc.models.orientation`. For circular=True and a
             head that discards the direction: "fourier", "magnitudes", "gem" or "bands".
@@ -160,7 +162,9 @@ class Network(nn.Module):
         self.head = make_head(head, shape, outputs)
         self.canonical = _canonical(branch, self.head, image_size, circular) if canonical else None
         self.orientation: Orientation | None = None
-        finer = finer_features(branch, image_size) if circular and isinstance(self.head, _BY_FREQUENCY) else None
+        channels = channels_of(normalize)
+        turning = circular and isinstance(self.head, _BY_FREQUENCY)
+        finer = finer_features(branch, image_size, channels) if turning else None
         if finer is not None and shape[2] > 1:
             turned = image_size[1] if canonical else None
             self.orientation = Orientation(*finer, (2 * shape[1], 2 * shape[2]), turned, relative)

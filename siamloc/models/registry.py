@@ -9,7 +9,7 @@ from typing import Annotated, Literal, get_args
 from foundation.settings import Natural, NotNegative, Positive, Rule, Settings, Share, checked
 from siamloc.errors import ConfigError, hint
 
-Normalization = Literal["channels", "image", "local", "local_brightness"]
+Normalization = Literal["channels", "image", "local", "local_brightness", "local_and_colours"]
 NORMALIZATIONS: tuple[Normalization, ...] = get_args(Normalization)
 """Normalizations of the images before the branch, see `siamloc.models.build`."""
 
@@ -35,6 +35,7 @@ class BranchSpec:
 
 _SIMPLE = "Three convolutions with {} outputs ([T] table 5.1)."
 _OURS = "A small residual network of ours, for training from random weights."
+_OURS_WIDE = "The same with half as many channels again in each layer."
 
 PRETRAINED = Path(__file__).parent / "shipped" / "panoramas.safetensors"
 """The weights that ship with siamloc; the model card next to them describes them."""
@@ -51,10 +52,11 @@ BRANCHES: dict[str, BranchSpec] = {
         BranchSpec("densenet121"),
         *(BranchSpec(f"vgg{depth}{suffix}") for suffix in ("", "_bn") for depth in (11, 13, 16, 19)),
         BranchSpec("panoresnet", "residual", (32, 64, 128, 192), "image", summary=_OURS),
+        BranchSpec("panoresnet_wide", "residual", (48, 96, 192, 288), "image", summary=_OURS_WIDE),
     )
 }
 """The feature extractors of [T] table 5.1, `*_bn` with batch normalization after each convolution; and `panoresnet`,
-our own small residual network for training from random weights."""
+our own small residual network for training from random weights, and `panoresnet_wide` with wider layers."""
 
 
 @dataclass(frozen=True)
@@ -153,6 +155,9 @@ class SoftContrastive(Settings):
         room: share of the target that is spread equally over all images of the same room. The rest follows the kernel,
             and then excludes images of other rooms. With 1 this is the supervised contrastive loss on rooms
             ([Khosla 2020]), which needs no positions.
+        beyond: distances, in the unit of the positions. For each, the loss has a further term, without images that are
+            nearer to each other: how alike the others should be follows from their visual overlap. So a network also
+            learns to find a place where the map has no frame near it; only for pretraining.
     """
 
     WHERE = "loss"
@@ -162,6 +167,12 @@ class SoftContrastive(Settings):
     sigma: Positive = 0.4
     sigma_start: Positive | None = None
     room: Share = 0.0
+    beyond: tuple[Positive, ...] = ()
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.beyond and self.room > 0:
+            raise ConfigError("loss.beyond compares surfaces, and loss.room the names of rooms: leave one of them out")
 
 
 @dataclass(frozen=True)

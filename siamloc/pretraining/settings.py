@@ -34,17 +34,17 @@ class ViewSettings(Settings):
 
     WHERE = "views"
 
-    batches: Count = 15
+    batches: Count = 10
     held: Thousand = 24
-    together: Thousand = 2
+    together: Thousand = 4
     drives: Thousand = 2
     lights: Thousand = 4
     poses: Thousand = 80
     spacing: Positive = 0.3
     cameras: Literal["any", "panoramas", "built_in"] = "any"
     exposure: Literal["drawn", "metered"] = "drawn"
-    worlds: Literal["offices", "any"] = "offices"
-    imaging: Literal["plain", "drawn"] = "plain"
+    worlds: Literal["offices", "any"] = "any"
+    imaging: Literal["plain", "drawn"] = "drawn"
     processes: Workers = 1
 
     def __post_init__(self) -> None:
@@ -60,8 +60,8 @@ _MODERN = RECIPES["modern"]
 
 RECIPE: Recipe = replace(
     _MODERN,
-    model={**_MODERN.model, "canonical": True},
-    loss={"name": "soft_contrastive", "kernel": "exponential", "sigma": 0.4},
+    model={**_MODERN.model, "branch": "panoresnet_wide", "normalize": "local_and_colours", "canonical": True},
+    loss={"name": "soft_contrastive", "kernel": "exponential", "sigma": 0.4, "beyond": [1.0, 2.5]},
     augmentation={
         "name": "pretraining",
         "rotate": 1.0,
@@ -81,10 +81,11 @@ RECIPE: Recipe = replace(
     },
     training={
         **_MODERN.training,
-        "epochs": 12,
-        "pairs": {"radius": 0.5, "near": 0.5, "reach": 1.5, "epoch_batches": 500},
+        "epochs": 14,
+        "pairs": {"places": 64, "radius": 2.0, "near": 0.5, "reach": 4.0, "epoch_batches": 500},
         "average": 0.995,
     },
 )
-"""The network of the recipe `modern` on panoramas in their canonical direction, trained longer, with images of a place
-that are farther apart, and with the effects of real cameras in addition to light."""
+"""A wider network than that of the recipe `modern`, which also sees colours, on panoramas in their canonical direction;
+trained longer, with larger batches, with images of a place that are farther apart, and with the effects of real cameras
+in addition to light."""

@@ -73,10 +73,50 @@ def test_the_overlap_takes_the_place_of_the_distance():
     assert by_overlap(alike, unknown) == 0
 
 
-def test_images_without_an_overlap_are_refused_before_the_training():
-    loss = SoftContrastiveLoss(kernel="overlap")
+def farther(descriptors, xy, building, overlap, temperature, distance):
+    """The term of images farther than a distance from each other, image by image."""
+    costs, count = [], len(xy)
+    for i in range(count):
+        others = [
+            j for j in range(count) if j != i and (building[i] != building[j] or not math.dist(xy[i], xy[j]) < distance)
+        ]
+        wanted = {j: overlap[i][j] ** 1.5 if overlap[i][j] == overlap[i][j] else 0.0 for j in others}
+        total = sum(wanted.values())
+        if total <= 0.01:
+            continue
+        alike = {j: sum(a * b for a, b in zip(descriptors[i], descriptors[j], strict=True)) for j in others}
+        whole = sum(math.exp(value / temperature) for value in alike.values())
+        costs.append(-sum(wanted[j] / total * (alike[j] / temperature - math.log(whole)) for j in others))
+    return sum(costs) / max(len(costs), 1)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_images_farther_apart_are_compared_by_their_overlap(seed):
+    descriptors, xy, building = draw(7, 4, seed)
+    overlap = torch.rand(7, 7, generator=torch.Generator().manual_seed(seed))
+    overlap[overlap < 0.3], overlap[overlap > 0.9] = 0.0, math.nan
+    where = origins(xy, building, overlap=overlap)
+    given = descriptors.tolist(), xy.tolist(), building.tolist(), overlap.tolist()
+    near = SoftContrastiveLoss(temperature=0.3)(descriptors, where)
+    both = SoftContrastiveLoss(temperature=0.3, beyond=(0.6, 1.1))(descriptors, where)
+    expected = (near.item() + farther(*given, 0.3, 0.6) + farther(*given, 0.3, 1.1)) / 3
+    assert both.item() == pytest.approx(expected, rel=1e-4)
+    assert both.item() != pytest.approx(near.item(), rel=1e-2)
+
+
+def test_farther_images_have_rooms_or_surfaces_not_both():
+    with pytest.raises(ConfigError, match=r"loss\.beyond compares surfaces, and loss\.room the names of rooms"):
+        SoftContrastiveLoss(room=0.5, beyond=(1.0,))
+
+
+@pytest.mark.parametrize(
+    ("parameters", "instead"),
+    [({"kernel": "overlap"}, "kernel=exponential or gaussian"), ({"beyond": (1.0,)}, "beyond=")],
+)
+def test_images_without_an_overlap_are_refused_before_the_training(parameters, instead):
+    loss = SoftContrastiveLoss(**parameters)
     for call in (loss.lacks, lambda given: loss(torch.eye(2), given)):
-        with pytest.raises(DataError, match=r"loss\.kernel=overlap needs the visual overlap .* set loss\.kernel to"):
+        with pytest.raises(DataError, match=rf"the loss needs the visual overlap .* set loss\.{instead}"):
             call(origins(torch.zeros(2, 2)))
 
 

@@ -22,6 +22,7 @@ CONVOLUTIONS = {
     "vgg16": 13,
     "vgg19": 16,
     "panoresnet": 1 + 2 * 6 + 3,
+    "panoresnet_wide": 1 + 2 * 6 + 3,
 }
 AT_128_512 = {
     "simple1": (16, 4, 16),
@@ -30,6 +31,7 @@ AT_128_512 = {
     "densenet121": (1024, 4, 16),
     "vgg": (512, 4, 16),
     "panoresnet": (192, 8, 32),
+    "panoresnet_wide": (288, 8, 32),
 }
 SMALLEST = {"simple1": (4, 16), "simple2": (4, 16), "alexnet": (63, 63), "densenet121": (29, 29), "vgg": (32, 32)}
 
@@ -125,3 +127,25 @@ def test_a_black_image_stays_finite():
     black = torch.zeros(1, 3, 16, 16)
     assert not by_image(black).any()
     assert not by_surroundings(black, circular=True).any()
+
+
+def test_colours_are_seen_beside_textures_whatever_the_gain():
+    panorama = 0.1 + 0.4 * torch.rand(2, 3, 16, 32, generator=torch.Generator().manual_seed(0))
+    branch = build("panoresnet", "gem", (16, 32), circular=True, normalize="local_and_colours").branch
+    found = branch.normalized(panorama)
+    assert torch.equal(found[:, :3], by_surroundings(panorama, True))
+    logarithm = torch.log(panorama.double() + 0.02)
+    expected = logarithm - logarithm.mean(dim=(1, 2, 3), keepdim=True)
+    torch.testing.assert_close(found[:, 3:], expected.float(), rtol=1e-4, atol=1e-5)
+    brighter = branch.normalized(2 * panorama)[:, 3:]  # up to the constant that keeps dark noise small
+    assert (brighter - found[:, 3:]).abs().mean() < 0.1 * found[:, 3:].abs().mean()
+    warm = panorama * torch.tensor([1.5, 1.0, 0.7]).view(3, 1, 1)
+    shift = (branch.normalized(warm)[:, 3:] - found[:, 3:]).mean(dim=(0, 2, 3))
+    assert shift[0] > 0.2 > -0.2 > shift[2]
+
+
+def test_a_branch_of_torchvision_has_no_more_channels():
+    with pytest.raises(ConfigError, match="first layer of alexnet has three channels: leave normalize=local_and_col"):
+        build("alexnet", "flat", (64, 128), normalize="local_and_colours")
+    network = build("simple1", "fc500_500_5", (16, 32), normalize="local_and_colours")
+    assert network(torch.rand(1, 3, 16, 32)).shape == (1, 5)
