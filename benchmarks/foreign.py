@@ -44,7 +44,7 @@ def lost_of(
     finer = siamloc.maps.Refinement("relative")
     lost, xy = list[Any](), list[Any]()
     for query in queries:
-        found = known.search(query.position, 20)
+        found = siamloc.maps.match(known, query, 20)
         poses = finer.poses(known, query, found) if model.of_poses else None
         lost.append(model.judged(found, known.frames.xy, poses)[1])
         xy.append(known.frames.xy[found.indices[:, 0]] if poses is None else poses.xy)
