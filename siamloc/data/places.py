@@ -20,15 +20,16 @@ class PlaceSettings(Settings):
 
     Attributes:
         by: "position", or "sequence" if there are no positions: the distance between two images is then the number of
-            frames between them, in the order of the table, and images of two sequences are never near each other.
+            frames between them, in the order of the table, and images of two sequences are never near each other; or
+            "steps": as with "sequence", but counted in the steps of one drive, see `siamloc.training.adapting`.
         places: number of places in a batch.
         images: number of images of each place, from different positions if there are several, and under different
             lightings if the place was seen under several.
-        radius: largest distance of the images of a place from its first image, in the unit of the positions, or in
-            frames; 0 repeats the first image, of which augmentation makes different views.
+        radius: largest distance of the images of a place from its first image, in the unit of the positions, in
+            frames or in steps; 0 repeats the first image, of which augmentation makes different views.
         near: share of the places that lie within `reach` of another place of the batch, so that the network also
             learns to tell neighbours apart.
-        reach: the distance of `near`, in the unit of the positions, or in frames.
+        reach: the distance of `near`, in the unit of the positions, in frames or in steps.
         epoch_batches: batches in an epoch; if None, enough to show every frame once on average.
     """
 
@@ -37,7 +38,7 @@ class PlaceSettings(Settings):
         "places need (the order of the frames does without: experiment=photographs, or rooms where they are labelled)"
     )
 
-    by: Literal["position", "sequence"] = "position"
+    by: Literal["position", "sequence", "steps"] = "position"
     places: Count = 16
     images: Count = 4
     radius: NotNegative = 0.3
@@ -79,7 +80,7 @@ class PlaceSampler:
         if settings.places < 2:
             raise ConfigError("a batch of one place has nothing to tell apart: set pairs.places to 2 or more")
         missing = int((~frames.has_position).sum())
-        if missing and settings.by == "position":
+        if missing and settings.by != "sequence":
             raise DataError(
                 f"{missing} of {len(frames)} frames have no position, by which places are drawn: give their x and y, "
                 "leave them out, or set pairs.by to sequence"
@@ -112,7 +113,7 @@ class PlaceSampler:
     def notes(self) -> list[str]:
         """Return sentences about frames from which batches cannot be drawn as the settings request."""
         settings = self.settings
-        unit = self.frames.unit if settings.by == "position" else "frames"
+        unit = "frames" if settings.by == "sequence" else self.frames.unit
         instead = {
             "radius": "their places have the same image again, which augmentation alone makes different",
             "reach": "places near them are the same place again",
@@ -206,10 +207,10 @@ class PlaceSampler:
 def places_of(frames: FrameTable, by: str = "position") -> tuple[NDArray[np.float64], NDArray[np.int64]]:
     """Return where frames were taken (N, 2), and a group number (N,); frames of different groups are never near.
 
-    By position, the two are positions and buildings; by sequence, the number of each frame in its sequence, and the
-    sequences.
+    By position or steps, the two are positions and buildings; by sequence, the number of each frame in its sequence,
+    and the sequences.
     """
-    if by == "position":
+    if by != "sequence":
         return frames.xy.copy(), np.unique(frames.building, return_inverse=True)[1]
     drive = np.unique(frames.sequence, return_inverse=True)[1]
     return np.column_stack([_turns(drive), np.zeros(len(drive))]).astype(np.float64), drive

@@ -101,11 +101,12 @@ class Train(_Training, DataJob):
         run=FOLDER                        where the run is written
         protocol.train.sequences=[...]    training sequences; names or patterns
         protocol.validation.sequences=[...]  sequences for choosing the best checkpoint
-        experiment=modern|fine_tuning|photographs|rooms
+        experiment=modern|fine_tuning|adapt|photographs|rooms
                                           our recipes: modern for panoramas with positions, from random weights;
-                                          fine_tuning for the same, shorter, from the shipped weights; photographs for
-                                          images of an ordinary camera; rooms for such images with room labels.
-                                          You can still change any key
+                                          fine_tuning for the same, shorter, from the shipped weights; adapt for the
+                                          panoramas of one drive without any labels, from the shipped weights;
+                                          photographs for images of an ordinary camera; rooms for such images with
+                                          room labels. You can still change any key
         model/branch=vgg16                the convolutional part of the network; all groups are listed below
         model/head=fc500_500_5            what makes a descriptor of its features
         model.circular=true               the network wraps around the azimuth

@@ -31,6 +31,7 @@ from siamloc.models.module import NetworkModule
 from siamloc.models.places import BatchLoss, PlaceModule
 from siamloc.models.siamese import Loss, SiameseModule
 from siamloc.runs import Run
+from siamloc.training.adapting import Adapting
 from siamloc.training.batches import BatchAugmentation, EpochDataModule
 from siamloc.training.checks import (
     check_batches,
@@ -138,13 +139,15 @@ def fit(
     if process_rank() == 0:
         check_folder(run, resume, overwrite)
     train, validated = usable(images, frames, validation, settings)
+    adapting = Adapting.begun(network, images, train, validation, run if resume else None, settings)
     check_headings(network, train, settings)
     change, augmented = augmentation_of(augmentation, images.circular, settings, trainer)
     if resume and settings.monitor == "auto":
         settings = replace(settings, monitor=monitor_before(run, settings))
     monitor = monitored(settings, train, validated, network, loss)
     settings = settings if monitor is None else replace(settings, monitor=monitor)
-    data, module = _parts(network, images, train, validated, loss, change, settings)
+    learned = train if adapting is None else adapting.learned
+    data, module = _parts(network, images, learned, validated, loss, change, settings)
     width = check_network(network, images.batch([0]), images.circular, unit=getattr(module.loss, "unit_length", False))
     if isinstance(module.loss, CrossEntropyLoss):
         module.loss.open(rooms_of(train), width, settings.seed)
@@ -165,11 +168,13 @@ def fit(
         settings,
         trainer,
         monitor=monitor,
-        what=f"{len(train)} frames, {data.sampler.summary()} per epoch",
+        what=f"{len(learned)} frames, {data.sampler.summary()} per epoch",
         resume=resume,
         overwrite=overwrite,
         notes=[*data.notes(), *_notes(settings, train, validated, loss)],
     )
+    if adapting is not None:
+        adapting.keep_the_better(network, images, change, run, writes=process_rank() == 0)
     return run
 
 

@@ -128,20 +128,37 @@ _MODERN = Recipe(
     summary="Panoramas with positions in metres, a small network from random weights, about five minutes on two cores.",
 )
 
+_FINE_TUNING = replace(
+    _MODERN,
+    model={**_MODERN.model, "head": "magnitudes", "canonical": True, "relative": True, "weights": "siamloc"},
+    training={
+        **_MODERN.training,
+        "epochs": 2,
+        "pairs": {**_MODERN.training["pairs"], "epoch_batches": 30},
+        "optimizer": {**_MODERN.training["optimizer"], "learning_rate": 0.0002},
+        "average": 0.95,
+    },
+    summary="As modern, but from the weights that ship with siamloc, with 60 batches instead of 700.",
+)
+
+_ADAPT = replace(
+    _FINE_TUNING,
+    model={**_FINE_TUNING.model, "relative": False},
+    loss={"name": "soft_contrastive", "kernel": "exponential", "sigma": 3.0, "temperature": 0.05},
+    training={
+        **_FINE_TUNING.training,
+        "epochs": 1,
+        "pairs": {"by": "steps", "images": 3, "radius": 0.7, "near": 0.5, "reach": 8.0, "epoch_batches": 200},
+        # All but the last resolution: a drive is too few images for more, and headings are found below it.
+        "optimizer": {**_MODERN.training["optimizer"], "learning_rate": 0.001, "frozen_stages": 3},
+    },
+    summary="One drive of your own without any labels, from the weights that ship with siamloc, a few minutes.",
+)
+
 RECIPES: dict[str, Recipe] = {
     "modern": _MODERN,
-    "fine_tuning": replace(
-        _MODERN,
-        model={**_MODERN.model, "head": "magnitudes", "canonical": True, "relative": True, "weights": "siamloc"},
-        training={
-            **_MODERN.training,
-            "epochs": 2,
-            "pairs": {**_MODERN.training["pairs"], "epoch_batches": 30},
-            "optimizer": {**_MODERN.training["optimizer"], "learning_rate": 0.0002},
-            "average": 0.95,
-        },
-        summary="As modern, but from the weights that ship with siamloc, with 60 batches instead of 700.",
-    ),
+    "fine_tuning": _FINE_TUNING,
+    "adapt": _ADAPT,
     "photographs": _PHOTOGRAPHS,
     "rooms": replace(
         _PHOTOGRAPHS,
@@ -163,6 +180,10 @@ random weights on batches of places, about five minutes on two processor cores.
 
 `fine_tuning`: the same from the weights that ship with siamloc, with 60 batches instead of 700, the head `magnitudes`,
 the canonical direction and the comparison of images, which needs headings.
+
+`adapt`: panoramas of one drive, without positions or rooms, from the weights that ship with siamloc. The order of the
+frames determines what is near, see `siamloc.training.adapting`; the weights from before are kept unless a check on the
+drive finds the trained ones better.
 
 `photographs`: images of an ordinary or a fisheye camera, in the order in which the robot took them; a single drive that
 visits no place twice needs neither positions nor rooms. The same network without wrapping, trained half as long. If

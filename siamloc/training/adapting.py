@@ -1,0 +1,206 @@
+"""Learning from the order of one drive: its steps, the stretches that are held out, and the check of the result.
+
+A robot drives at changing speed, and stops: numbers of frames do not measure how far two images are apart. So the drive
+is divided into steps by what the network sees before the training. A new step begins where a frame is less similar to
+the first frame of its step than half way from identical to the median of two frames of the drive.
+
+Whether the training helped is checked in stretches of the drive that it never learns from. The map is one frame of each
+stretch of the whole drive; the queries are frames of the stretches held out, augmented like the training images. An
+error is the number of steps between a query and the map frame with the most similar descriptor. The weights from
+before, from after, or a mean of both are kept: those with the smallest mean error, and in doubt those from before.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor, nn
+
+from siamloc.data.frames import FrameTable
+from siamloc.data.library import PanoramaLibrary
+from siamloc.data.places import PlaceSettings
+from siamloc.errors import ConfigError, DataError
+from siamloc.models.checkpoint import load
+from siamloc.models.describing import as_descriptor
+from siamloc.models.weights import read_checkpoint
+from siamloc.runs import Run
+from siamloc.training.batches import BatchAugmentation
+from siamloc.training.callbacks import AtomicCheckpoints
+from siamloc.training.settings import Training
+
+_FRAMES = 50  # at least
+_ALIKE = 0.98  # similarity above which two frames are of one step, however alike all frames of the drive are
+_STRETCH = 8  # steps
+_HELD_OUT = 4  # one stretch of this many
+_SAMPLE = 1000  # frames at most from which the median similarity is computed
+_QUERIES = 256
+_SHARES = (0.0, 0.5, 0.75, 1.0)  # of the weights from after the training
+_AT_ONCE = 256  # images to describe
+
+
+@dataclass(frozen=True)
+class Adapting:
+    """A drive that a network learns from by its order, and the network's weights from before.
+
+    Attributes:
+        drive: frames of the drive in order (n); x is the number of the step of each frame, y is 0.
+        before: weights from before the training, by name.
+    """
+
+    drive: FrameTable
+    before: Mapping[str, Tensor]
+
+    @classmethod
+    def begun(
+        cls,
+        network: nn.Module,
+        images: PanoramaLibrary,
+        frames: FrameTable,
+        validation: FrameTable | None,
+        resumed: Run | None,
+        settings: Training,
+    ) -> Adapting | None:
+        """Divide a drive into steps, if the places are drawn by steps; else return None.
+
+        Args:
+            network: the network to train; for a run that is resumed, the network as it was before is used instead.
+            images: decoded panoramas of all frames.
+            frames: training frames, in order.
+            validation: validation frames, which are refused.
+            resumed: the run that is resumed, None for a training from the beginning.
+            settings: settings of the training.
+
+        Raises:
+            ConfigError: validation frames.
+            DataError: several drives, too few frames, or frames of one spot.
+        """
+        if not isinstance(settings.pairs, PlaceSettings) or settings.pairs.by != "steps":
+            return None
+        if validation is not None:
+            raise ConfigError("pairs.by=steps checks the result on the drive it learns from: leave the validation out")
+        drives = sorted(set(frames.sequence.tolist()))
+        if len(drives) > 1:
+            raise DataError(
+                f"pairs.by=steps learns from the order of one drive, and the training frames are of {len(drives)} "
+                f"({', '.join(name or '(unnamed)' for name in drives[:4])}): choose one of them as "
+                "protocol.train.sequences"
+            )
+        if len(frames) < _FRAMES:
+            raise DataError(
+                f"pairs.by=steps learns from the order of {_FRAMES} frames of a drive or more, and there are "
+                f"{len(frames)}: give more of them"
+            )
+        if resumed is not None and (resumed.checkpoints / "last.ckpt").is_file():
+            network = load(resumed, which="untrained")
+        steps = steps_of(_described(network, images, frames))
+        if steps[-1] + 1 < 2 * _STRETCH:
+            raise DataError(
+                f"the frames of this drive look so alike that they make {steps[-1] + 1} steps, and pairs.by=steps "
+                f"learns from {2 * _STRETCH} or more: give a drive through several rooms"
+            )
+        drive = frames.with_columns(x=steps, y=np.zeros(len(steps)), building=[""] * len(steps))
+        return cls(replace(drive, unit="steps"), _weights(network))
+
+    @property
+    def learned(self) -> FrameTable:
+        """The frames outside of the stretches that are held out; x is the number of the step."""
+        return self.drive.take(~self._held_out)
+
+    @property
+    def _held_out(self) -> NDArray[np.bool_]:
+        return self.drive.x // _STRETCH % _HELD_OUT == 1
+
+    def keep_the_better(
+        self, network: nn.Module, images: PanoramaLibrary, change: BatchAugmentation | None, run: Run, *, writes: bool
+    ) -> None:
+        """Give the network the weights with the smallest error in the check, and write them as the best checkpoint.
+
+        Args:
+            network: the network that was trained.
+            images: decoded panoramas of all frames.
+            change: augmentation of the queries; None leaves them as they are.
+            run: the run, with the weights from after the training in its last checkpoint.
+            writes: whether this process writes the checkpoint and prints the result.
+        """
+        after = _weights(load(run, which="last", network=network))
+        known, asked, queries = self._check(images, change)
+        errors = {}
+        for share in _SHARES:
+            network.load_state_dict(_mean(self.before, after, share))
+            similarity = as_descriptor(network, None).describe(queries).position @ _described(network, images, known).T
+            errors[share] = float(np.abs(known.x[similarity.argmax(axis=1)] - asked.x).mean())
+        best = min(_SHARES, key=lambda share: errors[share])
+        network.load_state_dict(kept := _mean(self.before, after, best))
+        if not writes:
+            return
+        content = read_checkpoint(run.checkpoints / "last.ckpt")
+        content["state_dict"].update({f"network.{name}": value for name, value in kept.items()})
+        AtomicCheckpoints().save_checkpoint(content, run.checkpoints / "best.ckpt")
+        run.record_written(["checkpoints/best.ckpt"])
+        result = (
+            "the training does not help: the weights from before are kept"
+            if best == 0
+            else f"{errors[best]:.2f} steps with {100 * best:.0f} % of the change of the weights, which is kept"
+        )
+        print(
+            f"check on the drive: frames held out are found {errors[0]:.2f} steps off on average before the training; "
+            f"{result}",
+            file=sys.stderr,
+        )
+
+    def _check(
+        self, images: PanoramaLibrary, change: BatchAugmentation | None
+    ) -> tuple[FrameTable, FrameTable, Tensor]:
+        """Return the map frames, the query frames and the images of the queries (256, 3, H, W), uint8."""
+        steps, held_out = self.drive.x, np.flatnonzero(self._held_out)
+        middles = np.arange(_STRETCH / 2, steps[-1] + 1, _STRETCH)
+        known = np.abs(steps - middles[:, None]).argmin(axis=1)
+        asked = np.setdiff1d(held_out, known)
+        asked = asked[np.linspace(0, len(asked) - 1, _QUERIES).round().astype(np.int64)]
+        frames = self.drive.take(asked)
+        queries = torch.from_numpy(images.batch(images.rows(frames)))
+        if change is not None:
+            queries = change.effect.apply(queries, change.draw((0,), len(queries), tuple(queries.shape[1:])))
+        return self.drive.take(known), frames, queries
+
+
+def steps_of(descriptors: NDArray[np.float32]) -> NDArray[np.int64]:
+    """Number the steps of a drive from the descriptors (n, D) of its frames in order, of unit length.
+
+    Example:
+        >>> angle = np.linspace(0, np.pi / 2, 10)
+        >>> steps_of(np.column_stack([np.cos(angle), np.sin(angle)])).tolist()
+        [0, 0, 0, 1, 1, 1, 2, 2, 2, 3]
+    """
+    sample = descriptors[np.unique(np.linspace(0, len(descriptors) - 1, _SAMPLE).round().astype(np.int64))]
+    level = min((1 + np.median(sample @ sample.T)) / 2, _ALIKE)
+    steps, first = np.zeros(len(descriptors), np.int64), 0
+    for row in range(1, len(descriptors)):
+        leaves = descriptors[row] @ descriptors[first] < level
+        first = row if leaves else first
+        steps[row] = steps[row - 1] + leaves
+    return steps
+
+
+def _described(network: nn.Module, images: PanoramaLibrary, frames: FrameTable) -> NDArray[np.float32]:
+    """Return the descriptors (n, D) of frames."""
+    descriptor, rows = as_descriptor(network, None), images.rows(frames)
+    parts = [rows[start : start + _AT_ONCE] for start in range(0, len(rows), _AT_ONCE)]
+    return np.concatenate([descriptor.describe(images.batch(part)).position for part in parts])
+
+
+def _weights(network: nn.Module) -> dict[str, Tensor]:
+    """Return a copy of the weights of a network by name, in main memory."""
+    return {name: value.detach().cpu().clone() for name, value in network.state_dict().items()}
+
+
+def _mean(before: Mapping[str, Tensor], after: Mapping[str, Tensor], share: float) -> dict[str, Tensor]:
+    """Return the mean of two sets of weights; `share` is the weight of those from after the training."""
+    return {
+        name: value.lerp(after[name], share) if value.is_floating_point() else value for name, value in before.items()
+    }
