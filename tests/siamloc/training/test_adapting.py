@@ -80,7 +80,7 @@ def test_it_learns_what_the_order_shows_and_the_run_holds_what_is_kept(adapt, dr
     run = adapt(network)
     assert "which is kept" in capsys.readouterr().err
     weight = network.weight.detach().abs()
-    assert weight[0].mean() > 2 * weight[1].mean()
+    assert weight[0].min() > weight[1].max()
     np.testing.assert_array_equal(siamloc.models.load(run, network=Cells()).weight.detach(), network.weight.detach())
     assert "checkpoints/best.ckpt" in run.load_record()["written"]
     again = Cells()
@@ -88,10 +88,9 @@ def test_it_learns_what_the_order_shows_and_the_run_holds_what_is_kept(adapt, dr
     np.testing.assert_array_equal(again.weight.detach(), network.weight.detach())
 
 
-@pytest.mark.parametrize("rate", [1e-12, 1e4])
-def test_a_training_that_does_not_help_keeps_the_weights(rate, adapt, capsys):
+def test_a_training_that_does_not_help_keeps_the_weights(adapt, capsys):
     network = Cells()
-    run = adapt(network, optimizer={**CHANGES["optimizer"], "learning_rate": rate}, clip=None)
+    run = adapt(network, optimizer={**CHANGES["optimizer"], "learning_rate": 1e-6})
     assert "the weights from before are kept" in capsys.readouterr().err
     assert (network.weight == 1).all()
     assert (siamloc.models.load(run, network=Cells()).weight == 1).all()
