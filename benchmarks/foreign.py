@@ -7,11 +7,12 @@ corridor by a fisheye camera are located. None of these is used before.
 Targets: at most 2 % of the right answers lost in the drive with the most, and at least 95 % of all foreign images
 refused.
 
-    siamloc simulate building=freiburg_like camera=panorama runs=[cloudy1,cloudy2,night1,sunny1] spacing=0.3 out=data
-    siamloc simulate building=annex camera=panorama runs=[cloudy1,night1] spacing=0.3 out=data
+    siamloc simulate building=freiburg_like camera=panorama runs=[cloudy1,cloudy2,night1,sunny1] spacing=0.3 \
+        out=data/foreign
+    siamloc simulate building=annex camera=panorama runs=[cloudy1,night1] spacing=0.3 out=data/foreign
     for seed in 101 102 103 104 105 106 107; do siamloc simulate building=random seed=$seed camera=panorama \
-        runs=[cloudy1,cloudy2,night1,sunny1] spacing=0.3 out=data; done
-    python -m benchmarks.foreign --data data
+        runs=[cloudy1,cloudy2,night1,sunny1] spacing=0.3 out=data/foreign; done
+    python -m benchmarks.foreign --data data/foreign
 """
 
 from __future__ import annotations
