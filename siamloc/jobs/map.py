@@ -100,7 +100,8 @@ class MapFrames(RunJob):
         say(f"map: {target}, {len(known)} frames, descriptors of {known.width} numbers")
         if known.heading is not None and known.orientation is not None:
             size = known.orientation[0].nbytes
-            say(f"headings: by {known.heading['name']}, {size} bytes a frame")
+            what = "headings" if known.heading_by.tells_heading else "comparison"
+            say(f"{what}: by {known.heading['name']}, {size} bytes a frame")
         if self.build.name != "none":
             folder = own_folder(run.layer(label, self.build.title), self.titles, of_layer)
             built = maps.group(known, folder=folder, **self.way)

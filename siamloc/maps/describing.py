@@ -84,7 +84,8 @@ def build(
     found = Description.concatenate(list(describe(by, images, readable, heading=second, progress=what)))
     turning, orientation = second, found.orientation
     if by.name == NetworkHeading.name and second is None:
-        turning = NetworkHeading() if images.circular and by.tells_heading else None
+        wanted = images.circular if by.tells_heading else getattr(by, "compares", False)
+        turning = NetworkHeading(by.tells_heading) if wanted else None
         orientation = None if turning is None else orientation
     if turning is not None and orientation is not None:
         orientation = halved(turning, orientation)

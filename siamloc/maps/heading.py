@@ -43,7 +43,9 @@ def heading_descriptor(identity: Mapping[str, Any]) -> Descriptor:
     Raises:
         AnalyticError: a descriptor or a parameter that this version does not know.
     """
-    return NetworkHeading() if identity.get("name") == NetworkHeading.name else descriptor_of(identity)
+    if identity.get("name") == NetworkHeading.name:
+        return NetworkHeading(bool(identity.get("circular", True)))
+    return descriptor_of(identity)
 
 
 def is_analytic(identity: Mapping[str, Any]) -> bool:
@@ -64,6 +66,10 @@ def descriptor_of(identity: Mapping[str, Any]) -> ImageDescriptor:
 class NetworkHeading(BetweenColumns):
     """Compare orientation parts that a network computed, without the network and without torch.
 
+    Args:
+        circular: whether the columns are a full turn. If not, the parts give no headings, and only the network's
+            comparing part can use them.
+
     Example:
         >>> seen = np.random.default_rng(0).random((1, 16, 8))
         >>> known, turned = (Description(np.zeros((1, 1)), np.roll(seen, columns, axis=1)) for columns in (0, 4))
@@ -73,10 +79,18 @@ class NetworkHeading(BetweenColumns):
 
     name: ClassVar[str] = "network"
 
+    def __init__(self, circular: bool = True) -> None:
+        self.circular = circular
+
+    @property
+    def tells_heading(self) -> bool:
+        """Whether the columns are a full turn."""
+        return self.circular
+
     @property
     def identity(self) -> dict[str, Any]:
         """Name and version of the parts' format; the network itself is named in the identity of the map."""
-        return {"name": self.name, "version": 1}
+        return {"name": self.name, "version": 1, **({} if self.circular else {"circular": False})}
 
     def describe(self, batch: ArrayLike) -> Description:
         """Always raise an error: only the network describes images.

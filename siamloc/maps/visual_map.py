@@ -105,7 +105,7 @@ class VisualMap:
 
     def __repr__(self) -> str:
         name = f" by {self.identity['name']}" if "name" in self.identity else ""
-        heading = f", headings by {self.heading['name']}" if self.heading is not None else ""
+        heading = f", headings by {self.heading['name']}" if (self.heading or {}).get("circular", False) else ""
         return f"VisualMap({len(self)} frames, {self.width} numbers each{name}, compared by {self.distance}{heading})"
 
     @property

@@ -118,20 +118,21 @@ def feature_shape(name: str, image_size: tuple[int, int], circular: bool = False
 
 @lru_cache(maxsize=64)
 def finer_features(
-    name: str, image_size: tuple[int, int], channels: int = 3
+    name: str, image_size: tuple[int, int], circular: bool = True, channels: int = 3
 ) -> tuple[int, tuple[int, int, int]] | None:
-    """Return where a circular branch has features with at least twice as many columns as its output.
+    """Return where a branch has features with at least twice as many columns as its output.
 
     Args:
         name: a name in `BRANCHES`.
         image_size: rows and columns of the images.
+        circular: whether the columns wrap around.
         channels: channels of the normalized images, see `channels_of`.
 
     Returns:
         The number of layers up to the last features with so many columns, 0 for the image itself; and the channels,
         rows and columns of these features. None if not even the image has so many columns.
     """
-    found = [(channels, *image_size), *layer_shapes(name, image_size, circular=True)]
+    found = [(channels, *image_size), *layer_shapes(name, image_size, circular)]
     finer = [number for number, one in enumerate(found) if one[2] >= 2 * found[-1][2]]
     return (finer[-1], found[finer[-1]]) if finer else None
 

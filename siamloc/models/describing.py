@@ -51,7 +51,8 @@ class NetworkDescriptor(BetweenColumns):
     @property
     def tells_heading(self) -> bool:
         """Whether the network finds headings: with the head `fourier` or `magnitudes` and circular=True."""
-        return orienting(self.module) is not None
+        network = orienting(self.module)
+        return network is not None and network.branch.circular
 
     @property
     def margin(self) -> float | None:
@@ -187,7 +188,7 @@ def network_of(module: nn.Module) -> nn.Module:
 
 
 def orienting(module: nn.Module) -> Network | None:
-    """Return the `Network` of a module if it gives headings by itself, else None.
+    """Return the `Network` of a module if it gives orientation parts, else None.
 
     A subclass of `Network` does not count, since it may describe images in other ways than by branch and head.
     """

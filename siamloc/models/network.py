@@ -80,7 +80,7 @@ def build(
             whole columns of the panorama changes nothing; see `siamloc.models.orientation`. For circular=True and a
             head that discards the direction: "fourier", "magnitudes", "gem" or "bands".
         relative: also learn to estimate where an image was taken relative to another one; see
-            `siamloc.models.relative`. For circular=True and the heads "fourier" and "magnitudes".
+            `siamloc.models.relative`. For the heads "fourier" and "magnitudes".
 
     Raises:
         ConfigError: unknown names, an image too small for the branch, weights that are not available or do not fit.
@@ -131,8 +131,8 @@ class Network(nn.Module):
         head: the `Head`.
         image_size: (H, W) in pixels.
         grid: rows and columns of the features that the head sees.
-        orientation: the `Orientation` for finding headings, if the branch wraps around and the head is `fourier` or
-            `magnitudes`; else None.
+        orientation: the `Orientation` for finding headings, if the branch wraps around, and for comparing images; for
+            the heads `fourier` and `magnitudes`. Else None.
         relative: the `RelativePose` that compares orientation parts; None for a network that does not.
         rooms: the `RoomClassifier` that names the room from a descriptor, after a training with `CrossEntropyLoss`;
             else None.
@@ -162,18 +162,18 @@ class Network(nn.Module):
         self.head = make_head(head, shape, outputs)
         self.canonical = _canonical(branch, self.head, image_size, circular) if canonical else None
         self.orientation: Orientation | None = None
-        channels = channels_of(normalize)
-        turning = circular and isinstance(self.head, _BY_FREQUENCY)
-        finer = finer_features(branch, image_size, channels) if turning else None
+        by_column = (circular or relative) and isinstance(self.head, _BY_FREQUENCY)
+        finer = finer_features(branch, image_size, circular, channels_of(normalize)) if by_column else None
         if finer is not None and shape[2] > 1:
             turned = image_size[1] if canonical else None
             self.orientation = Orientation(*finer, (2 * shape[1], 2 * shape[2]), turned, relative)
         if relative and self.orientation is None:
             raise ConfigError(
-                "model.relative=true (from Python relative=True) needs model.circular=true, the head fourier or "
-                f"magnitudes, and features of two columns or more: here circular={circular}, and the head is {head}"
+                "model.relative=true (from Python relative=True) needs the head fourier or magnitudes, and features of "
+                f"two columns or more, and half as many as the image: here the head is {head}, and {shape[2]} columns of "
+                f"features show {image_size[1]} columns of the image"
             )
-        self.relative = RelativePose(2 * shape[2], VALUES) if relative else None
+        self.relative = RelativePose(2 * shape[2], VALUES, circular) if relative else None
 
     @property
     def outputs(self) -> int:

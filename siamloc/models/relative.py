@@ -24,6 +24,8 @@ _MOST = 6.0  # largest logarithm of the factor on the summed information
 _RANKS = (0, 4, 10)  # an image is compared with these of its nearest ones in a batch
 _ELSEWHERE = (1.0, REACH)  # and, beyond each of these distances, with the most similar one
 _ALIGNED = 2.0  # columns: a query whose turn is off by more cannot be compared
+_AHEAD = 0.5  # rad: two images of an ordinary camera that are turned by more share too little
+_FIELD = math.pi / 2  # assumed field of view of an ordinary camera, whose lens is unknown
 
 
 class Relative(NamedTuple):
@@ -53,9 +55,14 @@ class RelativePose(nn.Module):
     example if two places look alike; a factor estimated from all columns accounts for it. By construction, turning a
     panorama turns the answer, whatever was learned.
 
+    Images of an ordinary camera, which looks ahead, are not turned first, and nothing is next to their outer columns.
+    A column's line of sight is that of a field of view of 90 degrees: whatever the lens, the order of the columns and
+    the middle are right, and the rest is learned.
+
     Args:
         columns: number of columns K of the orientation parts.
         values: numbers per column F of the orientation parts.
+        circular: whether the columns are a full turn.
 
     Example:
         >>> from siamloc.models import build
@@ -72,9 +79,10 @@ class RelativePose(nn.Module):
     entries: Tensor
     scales: Tensor
 
-    def __init__(self, columns: int, values: int) -> None:
+    def __init__(self, columns: int, values: int, circular: bool = True) -> None:
         super().__init__()
         self.columns = columns
+        self.circular = circular
         self.shifts = min(_SHIFTS, (columns - 1) // 2)
         inputs = 2 * values + _GROUPS * (2 * self.shifts + 1)
         self.first = nn.Conv1d(inputs, _WIDTH, 3)
@@ -91,11 +99,12 @@ class RelativePose(nn.Module):
     def reset(self) -> None:
         """Fill in the buffers, whose values are never learned, and let all votes start small."""
         column = torch.arange(self.columns)
-        azimuth = -(column + 0.5 - self.columns / 2).double() * (2 * math.pi / self.columns)
+        field = 2 * math.pi if self.circular else _FIELD
+        azimuth = -(column + 0.5 - self.columns / 2).double() * (field / self.columns)
         with torch.no_grad():
             self.places.copy_((column - column[:, None]) % self.columns)
-            shift = torch.arange(len(self.windows))[:, None] - self.shifts
-            self.windows.copy_((column + shift) % self.columns)
+            shift = torch.arange(len(self.windows))[:, None]
+            self.windows.copy_(column + shift)
             self.axes.zero_()
             self.axes[:, 0, 0] = self.axes[:, 1, 1] = azimuth.cos().float()
             self.axes[:, 1, 0] = azimuth.sin().float()
@@ -131,21 +140,33 @@ class RelativePose(nn.Module):
         )
 
     def steps(self, query: Tensor, known: Tensor) -> Tensor:
-        """Return the number of columns (B,) by which queries must turn to correlate best with map frames."""
+        """Return the number of columns (B,) by which queries must turn to correlate best with map frames.
+
+        It is 0 if the columns are not a full turn.
+        """
+        if not self.circular:
+            return torch.zeros_like(query[:, 0, 0], dtype=torch.int64)
         products = known @ query.mT  # (B, K, K): column j of the map frame, column i of the query
         shifted = products.gather(2, self.places.mT.expand(products.shape[0], -1, -1))  # i = j - step
         return shifted.sum(dim=1).argmax(dim=1)
 
     def _votes(self, seen: Tensor, known: Tensor) -> tuple[Tensor, Tensor]:
         """Return the votes (B, 9, K); and from all columns the odds of a match and their joint information (B, 2)."""
-        around = seen.index_select(1, self.windows.flatten()).unflatten(1, self.windows.shape)  # (B, S, K, F)
+        padded = self._padded(seen.mT, self.shifts).mT
+        around = padded.index_select(1, self.windows.flatten()).unflatten(1, self.windows.shape)  # (B, S, K, F)
         compared = (known[:, None] * around).unflatten(3, (_GROUPS, -1)).mean(dim=4)  # (B, S, K, G)
         compared = compared.transpose(2, 3).flatten(1, 2)
         both = torch.cat([known, seen], dim=2).transpose(1, 2)
-        found = F.relu(self.first(_wrapped(torch.cat([compared, both], dim=1), 1)))
+        found = F.relu(self.first(self._padded(torch.cat([compared, both], dim=1), 1)))
         for layer in self.more:
-            found = found + F.relu(layer(_wrapped(found, 1)))
+            found = found + F.relu(layer(self._padded(found, 1)))
         return self.votes(found), self.whole(found.mean(dim=2))
+
+    def _padded(self, values: Tensor, columns: int) -> Tensor:
+        """Pad values (..., K) at each end: with columns from the other end of a full turn, else with zeros."""
+        if not self.circular:
+            return F.pad(values, (columns, columns))
+        return torch.cat([values[..., -columns:], values, values[..., :columns]], dim=-1)
 
 
 def compared(origins: Origins, descriptors: Tensor) -> tuple[Tensor, Tensor, Tensor]:
@@ -189,8 +210,8 @@ def relative_loss(
     """Return the loss of comparing pairs of a batch, and the mean error of the displacements within reach.
 
     The loss is the negative log likelihood: of a t-distribution for the pose, which a few large errors do not dominate,
-    and of whether the images can be compared, that is, were taken within reach of each other and are turned alike by
-    their correlation. The error is NaN if no two images can be compared.
+    and of whether the images can be compared, that is, were taken within reach of each other and are turned alike: by
+    their correlation, or, if the columns are not a full turn, by their headings. The error is NaN if no two images can be compared.
 
     Args:
         relative: the module that compares orientation parts.
@@ -213,7 +234,7 @@ def relative_loss(
     with torch.no_grad():
         column = 2 * math.pi / relative.columns
         steps = relative.steps(orientation[query], orientation[known])
-        near &= (_wrap(turn + steps * column) / column).abs() <= _ALIGNED
+        near &= (_wrap(turn + steps * column) / column).abs() <= (_ALIGNED if relative.circular else _AHEAD / column)
     found = (compare or relative)(orientation[query], orientation[known], steps)
     error = torch.stack([ahead, left, turn], dim=1) - found.pose
     error = torch.cat([error[:, :2], _wrap(error[:, 2:])], dim=1)
@@ -229,11 +250,6 @@ def relative_loss(
 def _wrap(angle: Tensor) -> Tensor:
     """Wrap angles to [-pi, pi]."""
     return angle - 2 * math.pi * (angle / (2 * math.pi)).round()
-
-
-def _wrapped(values: Tensor, columns: int) -> Tensor:
-    """Pad values (..., K) at each end with columns from the other end."""
-    return torch.cat([values[..., -columns:], values, values[..., :columns]], dim=-1)
 
 
 def _turned(values: Tensor, steps: Tensor) -> Tensor:

@@ -309,7 +309,8 @@ def _of_training(
     keys = ("head", "outputs", "image_size", "circular", "normalize", "canonical", "relative")
     differing = [f"{key} is {there[key]} there and {here[key]} here" for key in keys if there[key] != here[key]]
     sizes = () if isinstance(network.get_submodule("head"), (GeneralizedMean, Magnitudes)) else ("image_size",)
-    same = there["relative"] == here["relative"] and there["image_size"][1] == here["image_size"][1]
+    same = all(there[key] == here[key] for key in ("relative", "circular"))
+    same &= there["image_size"][1] == here["image_size"][1]
     target, state = network, _comparing_as_here(network, weights.state, keep=same)
     if any(there[key] != here[key] for key in ("head", "outputs", *sizes)) or mismatch(network, state) is not None:
         target = network.get_submodule("branch")

@@ -92,7 +92,7 @@ def pretrain(
         settings = Training.of(options)
     elif changes:
         raise ConfigError(f"settings= has all fields: give {', '.join(changes)} in it, or leave it out")
-    places = _check(settings, views)
+    places = _check(settings, views, network)
     if isinstance(loss, CrossEntropyLoss):
         raise ConfigError(
             "loss=cross_entropy learns the rooms of one building by name, and pretraining takes one building after "
@@ -130,13 +130,14 @@ def pretrain(
     return run
 
 
-def _check(settings: Training, views: ViewSettings) -> PlaceSettings:
+def _check(settings: Training, views: ViewSettings, network: Network) -> PlaceSettings:
     """Return how batches are drawn.
 
     Raises:
-        ConfigError: settings that are meaningless for random buildings.
+        ConfigError: settings that are meaningless for random buildings, or cameras that do not suit the network.
     """
     places, most = settings.pairs, views.drives * views.lights * views.poses
+    ordinary, circular = views.cameras == "ordinary", bool(network.settings["circular"])
     if not isinstance(places, PlaceSettings) or places.epoch_batches is None:
         raise ConfigError("pretraining learns from batches of places: give pairs a number of epoch_batches")
     wrong = {
@@ -148,6 +149,10 @@ def _check(settings: Training, views: ViewSettings) -> PlaceSettings:
         f"is judged by the places found: monitor={settings.monitor} has no meaning here": (
             settings.monitor not in ("auto", "recall", "error", "refined")
         ),
+        "shows images whose columns do not wrap around with views.cameras=ordinary: set model.circular=false (and "
+        "model.canonical=false)": ordinary and circular,
+        f"teaches a network with model.circular=false to compare images with views.cameras=ordinary only, and it is "
+        f"{views.cameras}": network.relative is not None and not circular and not ordinary,
     }
     for text in (text for text, holds in wrong.items() if holds):
         raise ConfigError(f"pretraining {text}")

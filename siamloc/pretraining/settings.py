@@ -22,8 +22,8 @@ class ViewSettings(Settings):
         lights: number of lightings of each drive.
         poses: maximum number of poses of each drive.
         spacing: metres between poses.
-        cameras: cameras in the buildings: "any", "panoramas" for panorama cameras only, or "built_in" for only the
-            built-in panorama camera.
+        cameras: cameras in the buildings: "any", "panoramas" for panorama cameras only, "built_in" for only the
+            built-in panorama camera, or "ordinary" for ordinary and fisheye cameras only, also in the validation.
         exposure: "drawn" at random, or "metered" for the best exposure and white balance, without noise.
         worlds: "offices" for office floors, flats and halls with matt surfaces; "any" also for homes, workshops and
             high halls, most of them with natural textures and surfaces that reflect.
@@ -41,7 +41,7 @@ class ViewSettings(Settings):
     lights: Thousand = 4
     poses: Thousand = 80
     spacing: Positive = 0.3
-    cameras: Literal["any", "panoramas", "built_in"] = "any"
+    cameras: Literal["any", "panoramas", "built_in", "ordinary"] = "any"
     exposure: Literal["drawn", "metered"] = "drawn"
     worlds: Literal["offices", "any"] = "any"
     imaging: Literal["plain", "drawn"] = "drawn"

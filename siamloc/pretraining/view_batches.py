@@ -152,7 +152,8 @@ class BuildingStream:
         for number in numbers:
             if number not in self._here:
                 views = self.renderer.views(self._wanted(number))
-                self._here[number] = views, frames_of(views, f"building {number * self.world_size + self.rank}")
+                name = f"building {number * self.world_size + self.rank}"
+                self._here[number] = views, frames_of(views, name, self.settings.cameras == "ordinary")
         return [self._here[number] for number in numbers]
 
     def _wanted(self, number: int) -> Wanted:
@@ -164,12 +165,14 @@ class BuildingStream:
         )
 
 
-def frames_of(views: Views, name: str) -> FrameTable:
+def frames_of(views: Views, name: str, ordinary: bool = False) -> FrameTable:
     """List the images of a building as frames; each light counts as its own lighting.
 
     Args:
         views: the images.
         name: name of the building, which distinguishes its frames from those of other buildings.
+        ordinary: whether the frames are for a network of ordinary cameras. Otherwise only panoramas have a heading:
+            columns that are not a full turn do not show it as their network learns it.
     """
     count = len(views)
     return FrameTable(
@@ -179,7 +182,7 @@ def frames_of(views: Views, name: str) -> FrameTable:
         room=np.array([f"room {room}" for room in views.room.tolist()]),
         lighting=np.array([f"light {light}" for light in views.light.tolist()]),
         building=np.full(count, name),
-        theta=np.where(views.wraps, views.heading, np.nan),  # columns of an ordinary camera are not a full turn
+        theta=np.where(views.wraps or ordinary, views.heading, np.nan),
     )
 
 
@@ -240,18 +243,20 @@ class ViewBatches(Dataset[dict[str, Any]]):
         return item
 
 
-def validation_views(renderer: Renderer, image_size: Sequence[int]) -> DriveBatches:
-    """Render panoramas of drives through three buildings that are not used for training.
+def validation_views(renderer: Renderer, image_size: Sequence[int], ordinary: bool = False) -> DriveBatches:
+    """Render images of drives through three buildings that are not used for training.
 
     Each building is mapped with its first drive in cloudy light, and queried with its second drive in every lighting.
 
     Args:
         renderer: renders the buildings.
         image_size: rows and columns of the images.
+        ordinary: whether ordinary cameras take the images; panorama cameras if False.
     """
-    # Ordinary cameras are left out: the head of panoramas is not used for their images.
-    seeds = (_SEEDS + number for number in count() if camera_of(_SEEDS + number, image_size).wraps)
-    wanted = [(seed, tuple(image_size), 2, 3, _VALIDATION_POSES) for seed in islice(seeds, _VALIDATION_BUILDINGS)]
+    # The head of panoramas is not used for images of ordinary cameras.
+    seeds = (_SEEDS + number for number in count() if ordinary or camera_of(_SEEDS + number, image_size).wraps)
+    shape = tuple(image_size), 2, 3, _VALIDATION_POSES, 0.4, "ordinary" if ordinary else "any"
+    wanted = [(seed, *shape) for seed in islice(seeds, _VALIDATION_BUILDINGS)]
     for one in wanted:
         renderer.begin(one)
     images, frames, known = [], [], []
@@ -261,7 +266,7 @@ def validation_views(renderer: Renderer, image_size: Sequence[int]) -> DriveBatc
         of_map = views.light == views.lighting[:3].index("cloudy")
         rows = np.flatnonzero(of_map | (views.light >= 3))
         images.append(views.images[rows])
-        frames.append(frames_of(views, f"building {number}").take(rows))
+        frames.append(frames_of(views, f"building {number}", ordinary).take(rows))
         known.append(of_map[rows])
     columns = {"images": torch.from_numpy(np.concatenate(images)), **origins_of(*frames)}
     return DriveBatches({**columns, "known": torch.from_numpy(np.concatenate(known))})
@@ -300,7 +305,7 @@ class ViewDataModule(EpochDataModule):
     def val_dataloader(self) -> DataLoader[Any]:
         """Make the loader of the validation images, which are rendered once."""
         if self._validation is None:
-            self._validation = validation_views(self._renderer, self._size)
+            self._validation = validation_views(self._renderer, self._size, self.views.cameras == "ordinary")
         return self.loader(self._validation, None)
 
     def teardown(self, stage: str) -> None:

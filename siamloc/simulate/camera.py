@@ -139,9 +139,10 @@ def _vignette(directions: Array) -> Array:
     return (1 - _VIGNETTE * np.clip(radius, 0, 1.1) ** 4).astype(np.float32)
 
 
-Cameras = Literal["any", "panoramas", "built_in"]
-"""Which cameras are drawn from: panorama and ordinary cameras, only panorama cameras, or only the built-in one."""
-_SHARE = {"any": 1.0, "panoramas": 0.75, "built_in": 0.25}
+Cameras = Literal["any", "panoramas", "built_in", "ordinary"]
+"""Which cameras are drawn from: panorama and ordinary cameras, only panorama cameras, only the built-in one, or only
+ordinary cameras."""
+_SHARE = {"any": (0.0, 1.0), "panoramas": (0.0, 0.75), "built_in": (0.0, 0.25), "ordinary": (0.75, 1.0)}
 
 
 @dataclass(frozen=True)
@@ -177,10 +178,11 @@ def draw_camera(
     Args:
         rng: draws the kind of camera and its lens.
         image_size: rows and columns.
-        cameras: "any", "panoramas", or only the "built_in" panorama camera.
+        cameras: "any", "panoramas", only the "built_in" panorama camera, or only "ordinary" cameras.
     """
     rows, columns = image_size
-    kind = rng.random() * _SHARE[cameras]
+    first, last = _SHARE[cameras]
+    kind = first + rng.random() * (last - first)
     if kind < 0.25:
         return panorama(PanoramaView(rows, columns)), HEIGHT
     height = float(rng.uniform(0.35, 1.5))

@@ -98,7 +98,7 @@ def draw_views(
         lights: number of lights per drive.
         poses: largest number of poses per drive.
         spacing: metres between poses.
-        cameras: cameras to draw from: "any", "panoramas", or only the "built_in" one.
+        cameras: cameras to draw from: "any", "panoramas", only the "built_in" one, or only "ordinary" ones.
         exposure: "drawn", or "metered" for the best exposure and white balance, without noise.
         worlds: "offices" draws office floors, flats and halls with matt surfaces; "any" also homes, workshops and high
             halls, most of them with natural textures and surfaces that reflect.
