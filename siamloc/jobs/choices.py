@@ -224,7 +224,7 @@ class Model(Settings):
         circular: convolutions wrap around the azimuth; refused with data.circular=false.
         normalize: channels, image, local or local_brightness; the default of the branch if None.
         canonical: turn panoramas first, so that a turn by whole columns leaves the descriptor; for circular=true.
-        relative: whether to learn where an image was taken relative to a map frame; for circular=true.
+        relative: whether to learn where an image was taken relative to a map frame.
     """
 
     WHERE = "model"

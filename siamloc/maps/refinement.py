@@ -278,8 +278,8 @@ def check_compares(known: VisualMap) -> None:
     if not getattr(known.descriptor, "compares", False):
         raise ConfigError(
             f"{known.descriptor.name} does not tell where images were taken relative to others: train a network with "
-            "model.relative=true (from Python build(..., relative=True)) and map by it, take descriptor=pretrained, or "
-            "use task.refine=interpolate"
+            "model.relative=true (from Python build(..., relative=True)) and map by it, take descriptor=pretrained for "
+            "panoramas, or use task.refine=interpolate"
         )
     if not known.heading_by_network:
         raise ConfigError(

@@ -86,7 +86,7 @@ def pretrained(*, circular: bool = True, relative: bool = True) -> Network:
 
     Args:
         circular: False for images whose columns are not a full turn, such as those of an ordinary camera: the same
-            weights, without wrapping around and without headings.
+            weights, without wrapping around, headings and the part that compares images.
         relative: False leaves out the part that compares images, for example to fine-tune on drives without headings.
 
     Raises:

@@ -32,7 +32,7 @@ class NetworkDescriptor(BetweenColumns):
 
     A network of `siamloc.models.build` with the head `fourier` or `magnitudes` and circular=True also finds headings:
     its features move along the azimuth as the robot turns, and are compared at all turns; see
-    `siamloc.models.orientation`.
+    `siamloc.models.orientation`. One with relative=True also compares images, see `siamloc.models.relative`.
 
     Attributes:
         module: the network, (B, 3, H, W) floating point in [0, 1] -> (B, D). Its weights are read at each call, and

@@ -168,6 +168,29 @@ def test_an_analytic_map_becomes_a_bundle_with_layer_pictures_and_precision(word
 
 
 @pytest.mark.slow
+def test_poses_by_an_ordinary_camera_are_refined_from_the_training_to_the_robot(data, tmp_path, capsys):
+    run = tmp_path / "run"
+    done(
+        *["train", "experiment=modern", *data, f"run={run}", "data.circular=false", "model.circular=false"],
+        *["model.relative=true", "protocol.train.sequences=[first]", "protocol.validation.sequences=[third]"],
+        *["epochs=1", "pairs.places=4", "pairs.images=2", "pairs.epoch_batches=2", "trainer.accelerator=cpu"],
+    )
+    done("map", f"run={run}")
+    assert "comparison: by network" in capsys.readouterr().out
+    done("evaluate", f"run={run}", *ABSOLUTE, "task.refine=relative")
+    told = measures(run / "evaluation/network")
+    assert "heading_error" not in told["absolute"]["overall"]
+    assert told["absolute_refined"]["overall"]["heading_error"]["count"] == 24
+    done("export", f"run={run}")
+    assert "the robot gets: position (by comparison with 3 map frames)\n" in capsys.readouterr().out
+    row = table(run / "evaluation/network/queries.csv")[0]
+    done("localize", f"run={run}", f"images=['{row['path']}']")
+    (found,) = table(run / "locations.csv")
+    for key in ("x", "y", "theta"):
+        assert float(found[key]) == pytest.approx(float(row[f"refined_est_{key}"]), abs=1e-3)
+
+
+@pytest.mark.slow
 def test_a_network_that_finds_headings_needs_no_heading_key(data, flat, tmp_path, capsys):
     run = tmp_path / "run"
     done(

@@ -13,7 +13,17 @@ from analytic import Description
 from siamloc.data.frames import FrameTable
 from siamloc.data.library import PanoramaLibrary
 from siamloc.errors import ConfigError, DataError
-from siamloc.maps import CoarseLayer, HierarchicalSearch, VisualMap, build, describe, headings, match
+from siamloc.maps import (
+    CoarseLayer,
+    HierarchicalSearch,
+    Refinement,
+    VisualMap,
+    build,
+    describe,
+    headings,
+    match,
+    refine,
+)
 from siamloc.models import as_descriptor
 from siamloc.models import build as build_network
 from tests.drawn import ROOMS, draw_panorama
@@ -134,6 +144,26 @@ def test_a_network_that_finds_headings_keeps_them_in_its_map(images, tmp_path):
     np.testing.assert_array_equal(headings(loaded, seen, found), headings(known, seen, found))
     # What gives headings changes neither the map nor how its frames are grouped.
     assert known.digest == build(network, library, frames, heading="hog", progress=False).digest
+
+
+def test_a_network_that_compares_ordinary_images_keeps_what_it_compares_and_no_heading(images, tmp_path):
+    frames, _ = images
+    flat = PanoramaLibrary(frames, tmp_path / "cache", image_size=SIZE, circular=False)
+    network = build_network("panoresnet", "magnitudes", SIZE, relative=True)
+    known = build(network, flat, frames, progress=False)
+    assert known.heading == {"name": "network", "version": 1, "circular": False}
+    assert "headings" not in repr(known)
+    known.save(tmp_path / "map.npz")
+    loaded = VisualMap.load(tmp_path / "map.npz", as_descriptor(network))
+    seen = Description.concatenate(list(describe(loaded, flat, known.frames)))
+    found = match(loaded, seen, 3)
+    assert np.isnan(headings(loaded, seen, found, 3)).all()
+    poses = refine(loaded, seen, found, k=1)
+    np.testing.assert_array_equal(poses.xy, refine(known, seen, found, k=1).xy)
+    pose, _, _ = known.descriptor.compare(seen.orientation, seen.orientation)
+    np.testing.assert_allclose(poses.theta, known.frames.theta + pose[:, 2], atol=0.01)  # the map is in half precision
+    assert np.isnan(Refinement("interpolate").poses(loaded, seen, found).theta).all()
+    assert build(build_network("panoresnet", "magnitudes", SIZE), flat, frames, progress=False).heading is None
 
 
 def test_another_descriptor_can_be_chosen_for_the_headings_of_a_network(images):

@@ -12,7 +12,7 @@ from torch import Tensor
 import siamloc
 from siamloc.errors import ConfigError, DataError
 from siamloc.maps import refinement
-from siamloc.models import build
+from siamloc.models import as_descriptor, build
 from siamloc.models.checkpoint import without_layer
 from siamloc.models.network import Network
 from siamloc.models.origins import Origins
@@ -31,6 +31,12 @@ def network() -> Network:
     with torch.no_grad():  # votes large enough to see how they turn
         found.relative.votes.weight[:3] *= 300
     return found
+
+
+@pytest.fixture(scope="module")
+def ahead() -> Network:
+    """A network for images of an ordinary camera."""
+    return build("panoresnet", "magnitudes", SIZE, relative=True).eval()
 
 
 def parts(count: int, seed: int = 0) -> Tensor:
@@ -60,6 +66,33 @@ def test_turning_the_query_adds_to_the_turn_alone(network):
     turned = torch.remainder(after.pose[:, 2] - before.pose[:, 2] - 3 * COLUMN + math.pi, 2 * math.pi) - math.pi
     torch.testing.assert_close(turned, torch.zeros(4), rtol=0, atol=1e-4)
     torch.testing.assert_close(network.relative.steps(query.roll(3, dims=1), known), torch.full((4,), COLUMNS - 3))
+
+
+def test_images_of_an_ordinary_camera_are_not_turned_and_their_outer_columns_are_not_neighbours(ahead):
+    query, known = parts(4), parts(4, 1)
+    changed = query.clone()
+    changed[:, -1] += 1
+    (before, _), (after, _) = (ahead.relative._votes(one, known) for one in (query, changed))
+    reach = ahead.relative.shifts + 4  # the windows, and four layers
+    assert torch.equal(before[..., : COLUMNS - 1 - reach], after[..., : COLUMNS - 1 - reach])
+    assert not torch.equal(before[..., -1], after[..., -1])
+    assert not ahead.relative.steps(query.roll(3, dims=1), query).any()
+    for one, other in zip(ahead.relative(query, known), ahead.relative(query, known, torch.zeros(4)), strict=True):
+        assert torch.equal(one, other)
+
+
+def test_a_network_of_ordinary_images_compares_them_and_gives_no_heading(ahead):
+    descriptor = as_descriptor(ahead)
+    assert descriptor.compares
+    assert not descriptor.tells_heading
+    images = torch.rand(2, 3, *SIZE, generator=torch.Generator().manual_seed(0))
+    images[1, :, :, 64:] = images[0, :, :, 64:]
+    seen = descriptor.describe(images).orientation
+    assert seen.shape == (2, COLUMNS, VALUES)
+    alike = [np.corrcoef(*seen[:, column])[0, 1] for column in (2, -3)]
+    assert alike[0] < 0.5, "each column shows its own part of the image"
+    assert alike[1] > 0.9
+    assert all(np.isfinite(one).all() for one in descriptor.compare(seen, seen))
 
 
 def test_the_errors_have_the_distribution_that_the_answers_are_joined_by():
@@ -116,7 +149,8 @@ def loss_of_a_list(relative: RelativePose, orientation: Tensor, where: Origins, 
         found = relative(orientation[i : i + 1], orientation[j : j + 1])
         steps = relative.steps(orientation[i : i + 1], orientation[j : j + 1])
         off = torch.remainder(turn + steps * COLUMN + math.pi, 2 * math.pi) - math.pi
-        near = torch.hypot(x, y) <= REACH and where.building[i] == where.building[j] and abs(off) <= 2 * COLUMN
+        most = 2 * COLUMN if relative.circular else 0.5
+        near = torch.hypot(x, y) <= REACH and where.building[i] == where.building[j] and abs(off) <= most
         sign = 1.0 if near else -1.0
         matches.append(-torch.nn.functional.logsigmoid(sign * found.match[0]))
         if near:
@@ -127,9 +161,10 @@ def loss_of_a_list(relative: RelativePose, orientation: Tensor, where: Origins, 
     return torch.stack(poses).mean() + torch.stack(matches).mean()
 
 
-@pytest.mark.parametrize("count", [3, 16])
-def test_pairs_that_do_not_count_change_neither_the_loss_nor_its_gradients(network, count):
+@pytest.mark.parametrize(("count", "circular"), [(3, True), (16, True), (16, False)])
+def test_pairs_that_do_not_count_change_neither_the_loss_nor_its_gradients(network, ahead, count, circular):
     where = origins(count)
+    network = network if circular else ahead
     if count > 3:
         where.theta[3], where.xy[5], where.xy[6, 1] = math.nan, math.nan, math.inf
         where.building[:4] = 1
@@ -148,12 +183,12 @@ def test_pairs_that_do_not_count_change_neither_the_loss_nor_its_gradients(netwo
         torch.testing.assert_close(other, one, rtol=1e-4, atol=1e-5)
 
 
-def seen_in_a_round_room(where: Tensor, theta: Tensor, seed: int) -> Tensor:
-    """Return the view of a textured wall at 3 m in 16 directions: (N, 16, 64)."""
+def seen_in_a_round_room(where: Tensor, theta: Tensor, seed: int, field: float = 2 * math.pi) -> Tensor:
+    """Return the view of a textured wall at 3 m in 16 directions of a field of view: (N, 16, 64)."""
     rng = torch.Generator().manual_seed(seed)
     waves = torch.randint(1, 6, (VALUES,), generator=rng)
     phase = 2 * math.pi * torch.rand(VALUES, generator=rng)
-    azimuth = -(torch.arange(COLUMNS) + 0.5 - COLUMNS / 2) * COLUMN
+    azimuth = -(torch.arange(COLUMNS) + 0.5 - COLUMNS / 2) * (field / COLUMNS)
     ahead = theta[:, None] + azimuth
     ray = torch.stack([ahead.cos(), ahead.sin()], dim=-1)
     along = (ray * where[:, None]).sum(dim=-1)
@@ -163,17 +198,20 @@ def seen_in_a_round_room(where: Tensor, theta: Tensor, seed: int) -> Tensor:
     return 1.4 * (angle[..., None] * waves + phase).cos()
 
 
-def test_displacements_and_turns_are_learned():
+@pytest.mark.parametrize("circular", [True, False])
+def test_displacements_and_turns_are_learned(circular):
     rng = torch.Generator().manual_seed(0)
     torch.manual_seed(0)
-    relative = RelativePose(COLUMNS, VALUES)
+    relative = RelativePose(COLUMNS, VALUES, circular)
     relative.reset()
     optimizer = torch.optim.AdamW(relative.parameters(), lr=0.002)
     errors = []
     for step in range(120):
         where = origins(24, step)
         where.xy[:] = 3 * (torch.rand(24, 2, generator=rng) - 0.5)
-        shown = seen_in_a_round_room(where.xy, where.theta, seed=0)
+        if not circular:
+            where.theta[:] = 0.1 * torch.randn(24, generator=rng)
+        shown = seen_in_a_round_room(where.xy, where.theta, 0, 2 * math.pi if circular else 1.2)
         loss, error = relative_loss(relative, shown, where, torch.randn(24, 8, generator=rng))
         optimizer.zero_grad()
         loss.backward()
@@ -210,11 +248,11 @@ def test_the_features_learn_what_they_learn_without_it():
 
 
 @pytest.mark.parametrize(
-    "options", [{"circular": False}, {"head": "gem"}, {"branch": "simple1", "image_size": (4, 16), "head": "flat"}]
+    "options", [{"circular": False, "head": "flat"}, {"head": "gem"}, {"branch": "simple1", "image_size": (4, 16)}]
 )
 def test_networks_without_orientation_parts_are_refused(options):
     wanted = {"branch": "panoresnet", "head": "magnitudes", "image_size": SIZE, "circular": True, **options}
-    with pytest.raises(ConfigError, match=r"model\.relative=true .* needs model\.circular=true"):
+    with pytest.raises(ConfigError, match=r"model\.relative=true .* needs the head fourier or magnitudes"):
         build(**wanted, relative=True)
 
 
@@ -266,6 +304,8 @@ def test_weights_that_compare_travel_where_they_fit(network, tmp_path, capsys):
     wider = build(**like, image_size=(32, 256), weights=str(path), relative=True, seed=3)
     fresh = build(**like, image_size=(32, 256), relative=True, seed=3)
     torch.testing.assert_close(wider.relative.first.weight, fresh.relative.first.weight)  # of other columns
+    ahead = build(**{**like, "circular": False}, image_size=SIZE, weights=str(path), relative=True, seed=3)
+    torch.testing.assert_close(ahead.relative.first.weight, fresh.relative.first.weight)  # learned on full turns
     bare = siamloc.models.save_weights(without, tmp_path / "bare.safetensors")
     begun = build(**like, image_size=SIZE, weights=str(bare), relative=True)
     for name, value in without.branch.state_dict().items():

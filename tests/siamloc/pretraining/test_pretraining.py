@@ -30,7 +30,9 @@ SETTINGS = ViewSettings(batches=2, held=3, together=2, drives=2, lights=3, poses
 PLACES = PlaceSettings(places=4, images=3, near=0.5, reach=1.5, epoch_batches=4)
 
 
-def drawn(seed: int, image_size, drives: int, lights: int, poses: int, spacing: float = 0.3, *_) -> Views:
+def drawn(
+    seed: int, image_size, drives: int, lights: int, poses: int, spacing: float = 0.3, cameras: Cameras = "any", *_
+) -> Views:
     """Stand in for rendering: noise that follows from the seed, along a line."""
     rng = np.random.default_rng(seed)
     count = drives * lights * poses
@@ -40,7 +42,8 @@ def drawn(seed: int, image_size, drives: int, lights: int, poses: int, spacing: 
     lighting = tuple(["cloudy", "night", "sunny"][number % 3] for number in range(drives * lights))
     overlap = rng.random((drives * poses, drives * poses))
     room, pose = (xy[:, 0] > 0.9).astype(int), np.arange(count) // lights
-    return Views(images, xy, np.zeros(count), room, light, lighting, pose, (overlap + overlap.T) / 2)
+    overlap, wraps = (overlap + overlap.T) / 2, cameras != "ordinary"
+    return Views(images, xy, np.zeros(count), room, light, lighting, pose, overlap, wraps)
 
 
 @pytest.fixture
@@ -271,6 +274,27 @@ def test_the_validation_is_of_panoramas(rendered, monkeypatch):
     assert all(camera_of(seed, SIZE).wraps for seed in rendered)
     between = range(min(rendered), max(rendered))
     assert not [seed for seed in between if seed not in rendered and camera_of(seed, SIZE).wraps]
+
+
+def test_the_comparison_is_learned_from_ordinary_cameras(rendered, tmp_path, monkeypatch):
+    monkeypatch.setattr(view_batches, "_VALIDATION_POSES", 4)
+    views = {"batches": 2, "held": 2, "together": 1, "lights": 3, "poses": 6, "processes": 0, "cameras": "ordinary"}
+    pairs = {"places": 4, "images": 2, "epoch_batches": 2}
+    given = {"run": tmp_path / "run", "epochs": 1, "pairs": pairs, "trainer": {"precision": "32-true"}}
+    network = RECIPE.build(image_size=SIZE, circular=False, canonical=False, relative=True)
+    run = pretrain(network, views=views, **given)
+    assert run.settings["training"]["monitor"] == "refined"
+    assert np.isfinite(run.curves()["train/relative"]).all()
+    assert np.isfinite(run.curves()["val/refined"]).all()
+    assert siamloc.models.load(run.weights).relative is not None
+    around = RECIPE.build(image_size=SIZE, relative=True)
+    for made, cameras, says in ((around, "ordinary", "set model.circular=false"), (network, "any", "and it is any")):
+        with pytest.raises(ConfigError, match=says):
+            pretrain(made, views={**views, "cameras": cameras}, **given)
+    views = drawn(0, SIZE, 1, 1, 2, 0.3, "ordinary")
+    assert np.isnan(view_batches.frames_of(views, "a").theta).all(), (
+        "a network of panoramas learns no heading from them"
+    )
 
 
 def test_the_choices_are_those_of_rendering():

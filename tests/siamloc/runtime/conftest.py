@@ -37,7 +37,7 @@ def mapped(by: Descriptor, heading: Descriptor | None = None) -> VisualMap:
     pictures, frames = drive(0)
     seen, parts = described(by, heading, batch(pictures)), {}
     if seen.orientation is not None:
-        heading = heading or NetworkHeading()
+        heading = heading or NetworkHeading(by.tells_heading)
         parts = {"orientation": halved(heading, seen.orientation), "heading": heading.identity}
     return VisualMap(seen.position, frames, {**by.identity, "images": IMAGES}, **parts, describes=by)
 

@@ -79,6 +79,21 @@ def seen(known):
     return known.describe(batch(PICTURES))
 
 
+def test_the_robot_refines_by_an_ordinary_camera(tmp_path):
+    network = build("panoresnet", "magnitudes", SIZE, relative=True).eval()
+    known = mapped(as_descriptor(network))
+    folder = bundled(tmp_path / "bundle", network, known, method="relative")
+    seen = known.describe(batch(PICTURES[:3]))
+    expected = refinement(known, "relative").poses(known, seen, match(known, seen, 3))
+    localizer = Localizer(folder)
+    found = [localizer.locate(picture) for picture in PICTURES[:3]]
+    np.testing.assert_allclose([[one.x, one.y] for one in found], expected.xy, atol=1e-3)
+    np.testing.assert_allclose([one.theta for one in found], expected.theta, atol=1e-3)
+    assert localizer.bundle.about["heading"] is None
+    plain = Localizer(export(network, known, tmp_path / "plain").path)
+    assert math.isnan(plain.locate(PICTURES[0]).theta), "only the comparison knows it"
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("method", ["relative", "interpolate"])
 def test_the_robot_refines_as_the_evaluation_does(known, seen, bundle, between, method):

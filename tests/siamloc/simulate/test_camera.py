@@ -83,3 +83,4 @@ def test_cameras_of_all_kinds_are_drawn_from_those_asked_for():
     assert len({height for _, height in drawn["any"]}) > 30
     assert all(camera.wraps for camera, _ in drawn["panoramas"])
     assert {height for _, height in drawn["built_in"]} == {HEIGHT}
+    assert {(camera.wraps, camera.shown is None) for camera, _ in drawn["ordinary"]} == {(False, True), (False, False)}

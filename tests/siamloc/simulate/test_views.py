@@ -95,6 +95,7 @@ def test_an_ordinary_camera_looks_in_one_direction_on_every_drive() -> None:
         together[wraps] = abs(np.exp(1j * headings).mean())
     assert together[False] > 0.98, "all within a few degrees"
     assert together[True] < 0.9, "as the robot turns"
+    assert not draw_views(seed, (16, 64), 1, 1, 2, cameras="ordinary").wraps
 
 
 def test_a_metered_camera_takes_nearly_the_same_picture_again(night: Scene) -> None:
