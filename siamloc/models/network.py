@@ -170,8 +170,8 @@ class Network(nn.Module):
         if relative and self.orientation is None:
             raise ConfigError(
                 "model.relative=true (from Python relative=True) needs the head fourier or magnitudes, and features of "
-                f"two columns or more, and half as many as the image: here the head is {head}, and {shape[2]} columns of "
-                f"features show {image_size[1]} columns of the image"
+                f"two columns or more, but at most half as many as the image has: here the head is {head}, and an "
+                f"image of {image_size[1]} columns has features of {shape[2]}"
             )
         self.relative = RelativePose(2 * shape[2], VALUES, circular) if relative else None
 

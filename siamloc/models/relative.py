@@ -103,8 +103,9 @@ class RelativePose(nn.Module):
         azimuth = -(column + 0.5 - self.columns / 2).double() * (field / self.columns)
         with torch.no_grad():
             self.places.copy_((column - column[:, None]) % self.columns)
-            shift = torch.arange(len(self.windows))[:, None]
-            self.windows.copy_(column + shift)
+            shift = torch.arange(len(self.windows))[:, None] - self.shifts
+            beside = column + shift
+            self.windows.copy_(beside % self.columns if self.circular else beside + self.shifts)
             self.axes.zero_()
             self.axes[:, 0, 0] = self.axes[:, 1, 1] = azimuth.cos().float()
             self.axes[:, 1, 0] = azimuth.sin().float()
@@ -152,7 +153,7 @@ class RelativePose(nn.Module):
 
     def _votes(self, seen: Tensor, known: Tensor) -> tuple[Tensor, Tensor]:
         """Return the votes (B, 9, K); and from all columns the odds of a match and their joint information (B, 2)."""
-        padded = self._padded(seen.mT, self.shifts).mT
+        padded = seen if self.circular else F.pad(seen, (0, 0, self.shifts, self.shifts))
         around = padded.index_select(1, self.windows.flatten()).unflatten(1, self.windows.shape)  # (B, S, K, F)
         compared = (known[:, None] * around).unflatten(3, (_GROUPS, -1)).mean(dim=4)  # (B, S, K, G)
         compared = compared.transpose(2, 3).flatten(1, 2)
@@ -211,7 +212,8 @@ def relative_loss(
 
     The loss is the negative log likelihood: of a t-distribution for the pose, which a few large errors do not dominate,
     and of whether the images can be compared, that is, were taken within reach of each other and are turned alike: by
-    their correlation, or, if the columns are not a full turn, by their headings. The error is NaN if no two images can be compared.
+    their correlation, or, if the columns are not a full turn, by their headings. The error is NaN if no two images can
+    be compared.
 
     Args:
         relative: the module that compares orientation parts.
