@@ -105,7 +105,9 @@ class VisualMap:
 
     def __repr__(self) -> str:
         name = f" by {self.identity['name']}" if "name" in self.identity else ""
-        heading = f", headings by {self.heading['name']}" if (self.heading or {}).get("circular", False) else ""
+        heading = ""
+        if self.heading is not None and self.heading.get("circular", True):
+            heading = f", headings by {self.heading['name']}"
         return f"VisualMap({len(self)} frames, {self.width} numbers each{name}, compared by {self.distance}{heading})"
 
     @property

@@ -126,6 +126,7 @@ def test_a_network_that_finds_headings_keeps_them_in_its_map(images, tmp_path):
     assert known.heading_by_network
     assert known.orientation.dtype == np.float16
     assert known.heading_descriptor is None
+    assert repr(known).endswith("headings by network)")
     seen = Description.concatenate(list(describe(known, library, library.readable(frames))))
     found = match(known, seen)
     np.testing.assert_array_equal(found.indices[:, 0], np.arange(6))
