@@ -77,7 +77,8 @@ def test_images_of_an_ordinary_camera_are_not_turned_and_their_outer_columns_are
     assert torch.equal(before[..., : COLUMNS - 1 - reach], after[..., : COLUMNS - 1 - reach])
     assert not torch.equal(before[..., -1], after[..., -1])
     assert not ahead.relative.steps(query.roll(3, dims=1), query).any()
-    for one, other in zip(ahead.relative(query, known), ahead.relative(query, known, torch.zeros(4)), strict=True):
+    unturned = torch.zeros(4, dtype=torch.int64)
+    for one, other in zip(ahead.relative(query, known), ahead.relative(query, known, unturned), strict=True):
         assert torch.equal(one, other)
 
 
