@@ -171,8 +171,8 @@ def frames_of(views: Views, name: str, ordinary: bool = False) -> FrameTable:
     Args:
         views: the images.
         name: name of the building, which distinguishes its frames from those of other buildings.
-        ordinary: whether the frames are for a network of ordinary cameras. Otherwise only panoramas have a heading:
-            columns that are not a full turn do not show it as their network learns it.
+        ordinary: whether images of an ordinary camera keep their headings, for a network of such images. A network of
+            panoramas must not learn turns from them, since their columns are not a full turn.
     """
     count = len(views)
     return FrameTable(
