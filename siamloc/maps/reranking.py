@@ -13,8 +13,8 @@ from siamloc.maps.visual_map import VisualMap
 
 COMPARED = 8
 """Number of nearest map frames that are compared with a query."""
-_CLEAREST = 10.0  # log odds beyond this count no more
-_ODDS_PER_DISTANCE = 25.0  # log odds that weigh as much as a distance of 1 between descriptors
+_ODDS = -10.0, 5.0  # log odds beyond these count no more: nearer frames differ in their descriptors
+_ODDS_PER_DISTANCE = 40.0  # log odds that weigh as much as a distance of 1 between descriptors
 _AT_ONCE = 256  # queries
 
 Compares = Callable[
@@ -38,8 +38,8 @@ def reranked(known: VisualMap, queries: Description, found: Retrieval, compares:
 
     Distances between descriptors tell which places look alike; a comparison of two images tells whether both were taken
     near each other, which is more certain where map frames stand metres apart. With the log odds o of that, limited to
-    -10 ... 10, a map frame at distance d gets the distance d + (10 - o) / 25. Map frames after the first 8 get the
-    distance d + 0.8, as if they showed another place.
+    -10 ... 5, a map frame at distance d gets the distance d + (5 - o) / 40. Map frames after the first 8 get the
+    distance d + 0.375, as if they showed another place.
 
     Args:
         known: a map of m frames, with the orientation parts that are compared.
@@ -51,8 +51,8 @@ def reranked(known: VisualMap, queries: Description, found: Retrieval, compares:
     assert parts is not None
     starts = range(0, len(rows), _AT_ONCE)
     odds = [_odds(known, parts[at : at + _AT_ONCE], rows[at : at + _AT_ONCE], compares) for at in starts]
-    doubt = np.full(found.distances.shape, 2 * _CLEAREST)
-    doubt[:, : rows.shape[1]] = _CLEAREST - np.concatenate([rows[:0].astype(np.float64), *odds])
+    doubt = np.full(found.distances.shape, _ODDS[1] - _ODDS[0])
+    doubt[:, : rows.shape[1]] = _ODDS[1] - np.concatenate([rows[:0].astype(np.float64), *odds])
     distances = found.distances + doubt / _ODDS_PER_DISTANCE
     order = distances.argsort(axis=1, kind="stable")
     return Retrieval(np.take_along_axis(found.indices, order, 1), np.take_along_axis(distances, order, 1))
@@ -64,7 +64,7 @@ def _odds(
     held = known.turning(rows.ravel()).orientation
     assert held is not None
     _, _, match = compares(np.repeat(scaled(parts), rows.shape[1], axis=0), scaled(held))
-    return match.reshape(rows.shape).clip(-_CLEAREST, _CLEAREST)
+    return match.reshape(rows.shape).clip(*_ODDS)
 
 
 def scaled(parts: NDArray[np.float32]) -> NDArray[np.float32]:

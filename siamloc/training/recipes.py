@@ -130,7 +130,11 @@ _MODERN = Recipe(
 
 _FINE_TUNING = replace(
     _MODERN,
-    model={**_MODERN.model, "head": "magnitudes", "canonical": True, "relative": True, "weights": "siamloc"},
+    model={
+        **_MODERN.model,
+        **{"branch": "panoresnet_wide", "head": "magnitudes", "normalize": "local_and_colours"},
+        **{"canonical": True, "relative": True, "weights": "siamloc"},
+    },
     training={
         **_MODERN.training,
         "epochs": 2,

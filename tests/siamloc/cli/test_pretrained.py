@@ -70,7 +70,9 @@ def test_training_starts_from_it(capsys):
     compares = ("orientation.", "relative.")  # is asked for by model.relative=true
     ready = {name: value for name, value in shipped.items() if not name.startswith(compares)}
     for experiment, what, held in (("modern", "branch alone", ready), ("fine_tuning", "whole network", shipped)):
-        config = composed("train", [f"experiment={experiment}", "data.manifest=x", "model.branch.weights=siamloc"])
+        like = ["model/branch=panoresnet_wide", "model.normalize=local_and_colours"]
+        words = [f"experiment={experiment}", "data.manifest=x", "model.branch.weights=siamloc", *like]
+        config = composed("train", words)
         started = siamloc.models.build(**config.model.arguments(), image_size=(64, 256)).state_dict()
         assert all((started[name] == value).all() for name, value in held.items())
         assert f"the {what} starts from the weights that ship with siamloc" in capsys.readouterr().err

@@ -31,11 +31,11 @@ class Compares(Thumbnail):
 
 
 def map_of(odds, **changes) -> VisualMap:
-    """Frames in a row; frame i has the descriptor i / 10."""
+    """Frames in a row; frame i has the descriptor i / 20."""
     frames = FrameTable(path=[f"{n}.png" for n in range(FRAMES)], x=np.arange(FRAMES), y=np.zeros(FRAMES))
     parts = np.ones((FRAMES, 8, 2), dtype=np.float16)
     parts[:, 0, 0] = 2 + np.arange(FRAMES)
-    made = VisualMap(np.arange(FRAMES)[:, None] / 10, frames, orientation=parts, heading={"name": "network"})
+    made = VisualMap(np.arange(FRAMES)[:, None] / 20, frames, orientation=parts, heading={"name": "network"})
     return replace(made, describes=Compares(odds), **changes)
 
 
@@ -43,11 +43,11 @@ QUERY = Description(np.zeros((2, 1)), np.ones((2, 8, 2), dtype=np.float32))
 
 
 def test_distances_grow_with_the_doubts_of_the_comparison():
-    odds = [-20.0, 5.0, 0.0, -1.0, 10.0, 2.0, -3.0, 40.0, 50.0, 50.0, 50.0, 50.0]
+    odds = [-20.0, 5.0, 0.0, -1.0, 10.0, 2.0, -3.0, 5.0, 50.0, 50.0, 50.0, 50.0]
     found = match(map_of(odds), QUERY, FRAMES)
-    distances = np.arange(FRAMES) / 10
-    distances[:8] += (10 - np.clip(odds[:8], -10, 10)) / 25
-    distances[8:] += 0.8  # not compared
+    distances = np.arange(FRAMES) / 20
+    distances[:8] += (5 - np.clip(odds[:8], -10, 5)) / 40
+    distances[8:] += 0.375  # not compared
     expected = sorted(range(FRAMES), key=lambda row: distances[row])
     assert found.indices.tolist() == [expected, expected]
     np.testing.assert_allclose(found.distances[0], distances[expected], atol=1e-6)
@@ -81,7 +81,7 @@ def test_without_a_comparison_the_descriptors_decide(case):
         known = replace(known, orientation=None, heading=None)
     found = match(known, query, 3)
     assert found.indices.tolist() == [[0, 1, 2]] * 2
-    np.testing.assert_allclose(found.distances[0], [0, 0.1, 0.2], atol=1e-6)
+    np.testing.assert_allclose(found.distances[0], [0, 0.05, 0.1], atol=1e-6)
 
 
 def test_no_queries_give_no_frames():
