@@ -60,6 +60,8 @@ def main() -> None:
     arguments.add_argument("--run", type=Path, help="run of the pretraining: also locate with the dropped layer")
     arguments.add_argument("--analytic", nargs="*", default=ANALYTIC, choices=ANALYTIC, help="descriptors to compare")
     options = arguments.parse_args()
+    if not (options.data or options.manifest or options.keep):
+        arguments.error("name the rendered buildings with --data, or the corridor with --manifest")
     report = Report("zero_shot", options.out)
     rows: dict[str, dict[str, Any]] = {}
     sparse: dict[str, dict[str, dict[str, Any]]] = {str(step): {} for step in SPARSE}

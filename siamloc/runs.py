@@ -130,10 +130,17 @@ class Run:
     def settings(self) -> dict[str, Any]:
         """The settings of the training: plain values under data, protocol, model, training, augment and more.
 
+        A setting that came later than the run has the value that held for the run.
+
         Raises:
             ConfigError, FormatError: as `load_record`.
         """
-        return dict(self.load_record()["settings"])
+        found = dict(self.load_record()["settings"])
+        if found.get("views"):
+            found["views"] = {"worlds": "offices", "imaging": "plain", **found["views"]}
+        if (found.get("loss") or {}).get("name") == "soft_contrastive":
+            found["loss"] = {"beyond": [], **found["loss"]}
+        return found
 
     def curves(self) -> dict[str, NDArray[np.float64]]:
         """Return the training curves: an array over the epochs by name, such as "train/loss"; NaN for a gap.
