@@ -192,7 +192,9 @@ def pretraining(bench: Bench) -> Figures:
 def _pretrained(bench: Bench, processes: int) -> Figures:
     sizes = bench.sizes
     longest = {"max_time": timedelta(seconds=sizes.seconds), "min_steps": sizes.steps, "min_epochs": 0}
-    settings = {"views": replace(sizes.views, processes=processes), "pairs": {"epoch_batches": ENDLESS}}
+    views = replace(sizes.views, processes=processes)
+    places = min(RECIPE.training["pairs"]["places"], views.drives * views.lights * views.poses)  # of one building
+    settings = {"views": views, "pairs": {"epoch_batches": ENDLESS, "places": places}}
     # The validation at the end is not measured: a small building keeps it short.
     with mock.patch.multiple(view_batches, _VALIDATION_BUILDINGS=1, _VALIDATION_POSES=10):
         return trained(bench, partial(pretrain, RECIPE.build(sizes.rendered)), trainer=longest, **settings)

@@ -22,6 +22,7 @@ _PLAIN: dict[str, tuple[type, ...]] = {
     "list": (list,),
     "tuple": (list,),
     "Sequence": (list,),
+    "Counts": (list,),
     "None": (type(None),),
 }
 _NOT_TOLD = (
