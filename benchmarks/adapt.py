@@ -45,7 +45,7 @@ def main() -> None:
     report = Report("adapt", options.out)
     name, images = opened(options.data)
     drive, asked = images.frames.select(sequence=MAP), images.frames.select(sequence=QUERIES)
-    before = located(siamloc.models.pretrained(relative=False), images, drive, asked)
+    before = located(siamloc.models.pretrained(), images, drive, asked)
     print(f"{name}, before: {before}", flush=True)
     after = [adapted(images, drive, asked, seed) for seed in range(options.seeds)]
     rows = {name: {"before": before, "after": after}}
@@ -78,11 +78,8 @@ def adapted(images: PanoramaLibrary, drive: FrameTable, asked: FrameTable, seed:
 
 def located(network: Any, images: PanoramaLibrary, drive: FrameTable, asked: FrameTable) -> dict[str, float]:
     """Return the mean error over the floor by the spacing of the map, in m."""
-    known, queries = (
-        siamloc.models.as_descriptor(network).describe(images.batch(images.rows(frames))).position
-        for frames in (drive, asked)
-    )
-    alike = queries @ known.T
+    known, queries = (siamloc.maps.build(network, images, frames, progress=False) for frames in (drive, asked))
+    described = queries.turning(np.arange(len(queries)))
     apart = np.hypot(*(asked.xy[:, None] - drive.xy).transpose(2, 0, 1))
     found = {}
     for metres in SPACINGS:
@@ -91,7 +88,7 @@ def located(network: Any, images: PanoramaLibrary, drive: FrameTable, asked: Fra
             first = start * len(drive) // (10 * STARTS)
             part = drive.take(slice(first, None))
             rows = np.flatnonzero(np.isin(drive.path, (part.spaced(metres) if metres else part).path))
-            match = rows[alike[:, rows].argmax(axis=1)]
+            match = siamloc.maps.match(known, described, 1, within=rows).indices[:, 0]
             excess.append(apart[np.arange(len(asked)), match] - apart[:, rows].min(axis=1))
         found[str(metres)] = float(np.mean(excess))
     return found

@@ -16,7 +16,7 @@ from siamloc.models.cross_entropy import CrossEntropyLoss
 from siamloc.models.describing import as_float, checked_descriptors, comparing, identity_of, margin_of, orienting, shown
 from siamloc.models.drive_figures import RECALL_RADIUS, DriveFigures
 from siamloc.models.network import Network
-from siamloc.models.network_stages import FrozenStages, stages
+from siamloc.models.network_stages import FrozenStages, comparing_weights, stages
 from siamloc.models.registry import Optimizer
 from siamloc.models.weights import CONTENT_KEY, FORMAT_VERSION
 
@@ -71,7 +71,8 @@ class NetworkModule(LightningModule):
     @property
     def comparing_network(self) -> Network | None:
         """The network if it learns to compare two images, else None; see `siamloc.models.relative`."""
-        return orienting(self.network) if comparing(self.network) is not None else None
+        learns = any(weight.requires_grad for weight in comparing_weights(self.network))
+        return orienting(self.network) if learns else None
 
     @property
     def identity(self) -> dict[str, Any]:

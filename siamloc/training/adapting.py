@@ -13,7 +13,8 @@ before, from after, or a mean of both are kept: those with the smallest mean err
 from __future__ import annotations
 
 import sys
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -27,6 +28,7 @@ from siamloc.data.places import PlaceSettings
 from siamloc.errors import ConfigError, DataError
 from siamloc.models.checkpoint import load
 from siamloc.models.describing import as_descriptor
+from siamloc.models.network_stages import comparing_weights
 from siamloc.models.weights import read_checkpoint
 from siamloc.runs import Run
 from siamloc.training.batches import BatchAugmentation
@@ -105,6 +107,22 @@ class Adapting:
             )
         drive = frames.with_columns(x=steps, y=np.zeros(len(steps)), building=[""] * len(steps))
         return cls(replace(drive, unit="steps"), _weights(network))
+
+    @staticmethod
+    @contextmanager
+    def comparison_kept(network: nn.Module) -> Iterator[None]:
+        """Keep the part of a network that compares images as it is: it would need headings to learn.
+
+        Its own inputs are features of the frozen stages, so that it goes on to fit.
+        """
+        weights = comparing_weights(network)
+        for weight in weights:
+            weight.requires_grad_(False)
+        try:
+            yield
+        finally:
+            for weight in weights:
+                weight.requires_grad_(True)
 
     @property
     def learned(self) -> FrameTable:

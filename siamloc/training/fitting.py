@@ -140,7 +140,8 @@ def fit(
         check_folder(run, resume, overwrite)
     train, validated = usable(images, frames, validation, settings)
     adapting = Adapting.begun(network, images, train, validation, run if resume else None, settings)
-    check_headings(network, train, settings)
+    if adapting is None:
+        check_headings(network, train, settings)
     change, augmented = augmentation_of(augmentation, images.circular, settings, trainer)
     if resume and settings.monitor == "auto":
         settings = replace(settings, monitor=monitor_before(run, settings))
@@ -160,19 +161,20 @@ def fit(
             "validation": None if validated is None else note_frames(images, validated),
         },
     }
-    learn(
-        module,
-        data,
-        run,
-        about,
-        settings,
-        trainer,
-        monitor=monitor,
-        what=f"{len(learned)} frames, {data.sampler.summary()} per epoch",
-        resume=resume,
-        overwrite=overwrite,
-        notes=[*data.notes(), *_notes(settings, train, validated, loss)],
-    )
+    with nullcontext() if adapting is None else adapting.comparison_kept(network):
+        learn(
+            module,
+            data,
+            run,
+            about,
+            settings,
+            trainer,
+            monitor=monitor,
+            what=f"{len(learned)} frames, {data.sampler.summary()} per epoch",
+            resume=resume,
+            overwrite=overwrite,
+            notes=[*data.notes(), *_notes(settings, train, validated, loss)],
+        )
     if adapting is not None:
         adapting.keep_the_better(network, images, change, run, writes=process_rank() == 0)
     return run

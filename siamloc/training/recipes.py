@@ -147,7 +147,6 @@ _FINE_TUNING = replace(
 
 _ADAPT = replace(
     _FINE_TUNING,
-    model={**_FINE_TUNING.model, "relative": False},
     loss={"name": "soft_contrastive", "kernel": "exponential", "sigma": 3.0, "temperature": 0.05},
     training={
         **_FINE_TUNING.training,

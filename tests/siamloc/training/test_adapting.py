@@ -121,6 +121,18 @@ def test_a_run_continues_as_if_it_had_never_stopped(adapt):
         np.testing.assert_array_equal(parts.state_dict()[name], value)
 
 
+def test_the_comparison_stays_as_it_is_and_needs_no_headings(adapt):
+    network = siamloc.models.build("simple1", "magnitudes", (16, 64), circular=True, relative=True)
+    before = {name: value.clone() for name, value in network.state_dict().items()}
+    run = adapt(network, pairs={"epoch_batches": 4}, trainer={"precision": "32-true"})
+    after = siamloc.models.load(run, which="last").state_dict()
+    kept = ("orientation.", "relative.", "branch.mean", "branch.std")
+    for name, value in before.items():
+        assert torch.equal(after[name], value) == name.startswith(kept)
+    assert all(weight.requires_grad for weight in network.parameters())
+    assert siamloc.models.as_descriptor(siamloc.models.load(run)).compares
+
+
 def test_drives_without_an_order_to_learn_from_are_refused(adapt, drives):
     frames = drives.frames
     with pytest.raises(DataError, match=r"order of one drive, and the training frames are of 2 \(drive, still\)"):
