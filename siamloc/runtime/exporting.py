@@ -19,6 +19,7 @@ from siamloc.maps import Built, CoarseLayer, HierarchicalSearch, LayerSearch, Vi
 from siamloc.maps.describing import descriptor_from
 from siamloc.maps.heading import is_analytic
 from siamloc.maps.packing import PRECISIONS, Precision
+from siamloc.maps.reranking import comparison_of
 from siamloc.runtime import bundle as files
 from siamloc.runtime.bundle import Bundle
 from siamloc.runtime.localizer import Localizer
@@ -185,7 +186,7 @@ class _Ingredients:
     def _write_networks(
         self, module: nn.Module, fresh: Path, precision: Precision, finer: dict[str, Any] | None
     ) -> dict[str, Any]:
-        """Write the network, and its comparing part if the map holds what it compares; return the network's parity.
+        """Write the network, and its comparing part if the robot compares images by it; return the network's parity.
 
         Args:
             module: the network.
@@ -193,15 +194,14 @@ class _Ingredients:
             precision: precision of the numbers.
             finer: what the bundle says of its refinement, which gets the parity of the comparing part.
         """
-        from siamloc.maps.reranking import comparison_of
         from siamloc.runtime.onnx_model import export_onnx, export_relative, quantize
 
         size = self.about["preprocessing"]["height"], self.about["preprocessing"]["width"]
         parity: dict[str, Any] = export_onnx(module, fresh / files.MODEL, size)
-        known = self.parts[files.MAP]
-        if known is not None and comparison_of(known) is not None:
+        known, refines = self.parts[files.MAP], finer is not None and finer["method"] == "relative"
+        if refines or (known is not None and comparison_of(known) is not None):
             apart = export_relative(module, fresh / files.RELATIVE)
-            if finer is not None and finer["method"] == "relative":
+            if finer is not None and refines:
                 finer["parity"] = apart
         if precision == "int8":
             quantize(fresh / files.MODEL, spread(self.images, self.parts[files.MAP].frames, CALIBRATION)[0])

@@ -94,6 +94,15 @@ def test_the_robot_refines_by_an_ordinary_camera(tmp_path):
     assert math.isnan(plain.locate(PICTURES[0]).theta), "only the comparison knows it"
 
 
+def test_a_map_that_is_not_put_in_order_by_comparison_is_refined_by_it(network, known, tmp_path):
+    other = known.with_distance("cosine")
+    localizer = Localizer(bundled(tmp_path / "bundle", network, other, method="relative"))
+    seen = other.describe(batch(PICTURES[:1]))
+    expected = refinement(other, "relative").poses(other, seen, match(other, seen, 3))
+    found = localizer.locate(PICTURES[0])
+    np.testing.assert_allclose([[found.x, found.y]], expected.xy, atol=1e-3)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("method", ["relative", "interpolate"])
 def test_the_robot_refines_as_the_evaluation_does(known, seen, bundle, between, method):
