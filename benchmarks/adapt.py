@@ -79,7 +79,7 @@ def adapted(images: PanoramaLibrary, drive: FrameTable, asked: FrameTable, seed:
 def located(network: Any, images: PanoramaLibrary, drive: FrameTable, asked: FrameTable) -> dict[str, float]:
     """Return the mean error over the floor by the spacing of the map, in m."""
     known, queries = (siamloc.maps.build(network, images, frames, progress=False) for frames in (drive, asked))
-    described = queries.turning(np.arange(len(queries)))
+    described = queries.turning()
     apart = np.hypot(*(asked.xy[:, None] - drive.xy).transpose(2, 0, 1))
     found = {}
     for metres in SPACINGS:

@@ -11,8 +11,6 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 import siamloc
 from siamloc.data import FrameTable, PanoramaLibrary
 from siamloc.evaluation.absolute import evaluate_absolute, neighbours
@@ -83,7 +81,7 @@ def located(building: Building, descriptor: Any, every: Sequence[int] = (5, 1)) 
     found: dict[str, Any] = {}
     for step in every:
         part = known.take(range(0, len(known), step // common))
-        nearest = siamloc.maps.match(part, asked.turning(np.arange(len(asked))), neighbours((1,), len(part)))
+        nearest = siamloc.maps.match(part, asked.turning(), neighbours((1,), len(part)))
         result = evaluate_absolute(part, asked.frames, nearest, ks=(1,))
         right = part.frames.room[nearest.indices[:, 0]] == asked.frames.room
         found[str(step)] = {

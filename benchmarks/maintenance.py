@@ -78,7 +78,7 @@ def maintained(building: Building, by: Any, nodes: bool) -> dict[str, dict[str, 
 def measured(known: VisualMap, built: Built | None, asked: VisualMap) -> dict[str, Any]:
     """Return the number of frames and nodes of a map, and its errors under each lighting."""
     if built is None or built.mapper is None:
-        frames = match(known, asked.turning(np.arange(len(asked)))).indices[:, 0]
+        frames = match(known, asked.turning()).indices[:, 0]
     else:
         one = (asked.description.take(slice(row, row + 1)) for row in range(len(asked)))
         frames = np.array([built.mapper.locate(query).frame for query in one])

@@ -181,7 +181,7 @@ def by_light(
 
 def description(known: siamloc.maps.VisualMap) -> Description:
     """Return the descriptions of a map's frames, to use them as queries."""
-    return known.turning(np.arange(len(known)))
+    return known.turning()
 
 
 def costs(building: Building, network: siamloc.models.Network) -> dict[str, float]:

@@ -154,7 +154,7 @@ def update(
             raise DataError("an incremental map is updated with its mapper, which a layer read from a file lacks")
     described = build(known.descriptor, images, drive, heading=known.heading_descriptor, progress=progress)
     if mapper is None:
-        located = match(known, described.turning(np.arange(len(described)))).indices[:, 0]
+        located = match(known, described.turning()).indices[:, 0]
     else:
         frames = (described.description.take(slice(row, row + 1)) for row in range(len(described)))
         located = np.array([mapper.locate(frame).frame for frame in frames])

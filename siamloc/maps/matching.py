@@ -9,7 +9,7 @@ from analytic import Description
 from analytic.distances import distance as distance_named
 from foundation.calls import typed
 from foundation.settings import Count
-from siamloc.maps.reranking import COMPARED, Compares, comparison_of, reranked
+from siamloc.maps.reranking import COMPARED, comparison_of, reranked
 from siamloc.maps.search import Retrieval
 from siamloc.maps.visual_map import VisualMap
 
@@ -22,7 +22,6 @@ def match(
     *,
     excluded: ArrayLike | None = None,
     within: NDArray[np.int64] | None = None,
-    compares: Compares | None = None,
 ) -> Retrieval:
     """Find the min(k, m) nearest map frames of each query, exactly.
 
@@ -38,7 +37,6 @@ def match(
         k: number of map frames to return, at least 1.
         excluded: (n, m) bool, True where a query must not find a map frame; see `Protocol.excluded`.
         within: the only rows of the map to search, increasing, not together with `excluded`; all if None.
-        compares: compares orientation parts; if None, the `compare` method of the map's descriptor, if it has one.
 
     Raises:
         AnalyticError, ConfigError, DataError: descriptions that cannot be compared, a k below 1, or a query with fewer
@@ -55,7 +53,7 @@ def match(
     """
     if known.aligned:
         return known.aligned_index.search(queries, k, excluded=excluded, within=within)
-    compares = compares or comparison_of(known)
+    compares = comparison_of(known)
     if compares is None or queries.orientation is None:
         return known.index.search(queries.position, k, excluded=excluded, within=within)
     left = len(known) if within is None else len(within)

@@ -28,9 +28,8 @@ the log odds (n,) that the images were taken near each other."""
 
 def comparison_of(known: VisualMap) -> Compares | None:
     """Return the function by which a map's descriptor compares a query with a map frame; None if it cannot."""
-    by = known.describes
-    held = known.heading_by_network and getattr(by, "compares", False) and known.distance == "euclidean"
-    return by.compare if held else None  # type: ignore[union-attr]
+    held = known.heading_by_network and known.distance == "euclidean"
+    return getattr(known.describes, "compare", None) if held and getattr(known.describes, "compares", False) else None
 
 
 def reranked(known: VisualMap, queries: Description, found: Retrieval, compares: Compares) -> Retrieval:

@@ -230,8 +230,8 @@ class VisualMap:
             raise DataError("no map frame has a position: add columns x and y to the data")
         return self if placed.all() else self.take(placed)
 
-    def turning(self, rows: NDArray[np.int64]) -> Description:
-        """Return the description of some rows (p,) with the orientation parts that headings are estimated from."""
+    def turning(self, rows: NDArray[np.int64] | slice = slice(None)) -> Description:
+        """Return the description of some rows (p,), by default all, with the parts that headings are estimated from."""
         if self.heading is None or self.orientation is None:
             return self.description.take(rows)
         parts = self.orientation[rows].astype(np.float32)

@@ -115,7 +115,7 @@ class Adapting:
 
         Its own inputs are features of the frozen stages, so that it goes on to fit.
         """
-        weights = comparing_weights(network)
+        weights = [weight for weight in comparing_weights(network) if weight.requires_grad]
         for weight in weights:
             weight.requires_grad_(False)
         try:

@@ -132,8 +132,12 @@ _FINE_TUNING = replace(
     _MODERN,
     model={
         **_MODERN.model,
-        **{"branch": "panoresnet_wide", "head": "magnitudes", "normalize": "local_and_colours"},
-        **{"canonical": True, "relative": True, "weights": "siamloc"},
+        "branch": "panoresnet_wide",
+        "head": "magnitudes",
+        "normalize": "local_and_colours",
+        "canonical": True,
+        "relative": True,
+        "weights": "siamloc",
     },
     training={
         **_MODERN.training,
