@@ -15,6 +15,8 @@ COMPARED = 8
 """Number of nearest map frames that are compared with a query."""
 _ODDS = -10.0, 5.0  # log odds beyond these count no more: nearer frames differ in their descriptors
 _ODDS_PER_DISTANCE = 40.0  # log odds that weigh as much as a distance of 1 between descriptors
+_NEARNESS = 0.8  # distance between descriptors that weighs as much as 1 between positions
+_NEAR = 1.0  # a certain match is preferred for being nearer than this, in the unit of the positions
 _AT_ONCE = 256  # queries
 
 Compares = Callable[
@@ -36,9 +38,10 @@ def reranked(known: VisualMap, queries: Description, found: Retrieval, compares:
     """Put the 8 nearest map frames of each query in order anew.
 
     Distances between descriptors tell which places look alike; a comparison of two images tells whether both were taken
-    near each other, which is more certain where map frames stand metres apart. With the log odds o of that, limited to
-    -10 ... 5, a map frame at distance d gets the distance d + (5 - o) / 40. Map frames after the first 8 get the
-    distance d + 0.375, as if they showed another place.
+    near each other, which is more certain where map frames stand metres apart, and how far apart, which is more exact
+    where they stand closely. With the log odds o of that, limited to -10 ... 5, and the length r of the displacement,
+    limited to 1 and taken as 1 where o < 5, a map frame at distance d gets the distance d + (5 - o) / 40 + 0.8 r. Map
+    frames after the first 8 get the distance d + 1.175, as if they showed another place.
 
     Args:
         known: a map of m frames, with the orientation parts that are compared.
@@ -49,21 +52,28 @@ def reranked(known: VisualMap, queries: Description, found: Retrieval, compares:
     parts, rows = queries.orientation, found.indices[:, :COMPARED]
     assert parts is not None
     starts = range(0, len(rows), _AT_ONCE)
-    odds = [_odds(known, parts[at : at + _AT_ONCE], rows[at : at + _AT_ONCE], compares) for at in starts]
-    doubt = np.full(found.distances.shape, _ODDS[1] - _ODDS[0])
-    doubt[:, : rows.shape[1]] = _ODDS[1] - np.concatenate([rows[:0].astype(np.float64), *odds])
-    distances = found.distances + doubt / _ODDS_PER_DISTANCE
+    of_compared = [_doubts(known, parts[at : at + _AT_ONCE], rows[at : at + _AT_ONCE], compares) for at in starts]
+    doubts = np.full(found.distances.shape, _doubt(np.array(_ODDS[0]), np.array(_NEAR)))
+    doubts[:, : rows.shape[1]] = np.concatenate([rows[:0].astype(np.float64), *of_compared])
+    distances = found.distances + doubts
     order = distances.argsort(axis=1, kind="stable")
     return Retrieval(np.take_along_axis(found.indices, order, 1), np.take_along_axis(distances, order, 1))
 
 
-def _odds(
+def _doubts(
     known: VisualMap, parts: NDArray[np.float32], rows: NDArray[np.int64], compares: Compares
 ) -> NDArray[np.float64]:
+    """Return what to add to the distances (n, K) between queries with these parts and map frames (n, K)."""
     held = known.turning(rows.ravel()).orientation
     assert held is not None
-    _, _, match = compares(np.repeat(scaled(parts), rows.shape[1], axis=0), scaled(held))
-    return match.reshape(rows.shape).clip(*_ODDS)
+    pose, _, odds = compares(np.repeat(scaled(parts), rows.shape[1], axis=0), scaled(held))
+    return _doubt(odds, np.hypot(pose[:, 0], pose[:, 1])).reshape(rows.shape)
+
+
+def _doubt(odds: NDArray[np.float64], apart: NDArray[np.float64]) -> NDArray[np.float64]:
+    least, certain = _ODDS
+    near = np.where(odds >= certain, np.minimum(apart, _NEAR), _NEAR)
+    return (certain - odds.clip(least, certain)) / _ODDS_PER_DISTANCE + _NEARNESS * near
 
 
 def scaled(parts: NDArray[np.float32]) -> NDArray[np.float32]:

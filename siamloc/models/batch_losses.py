@@ -29,9 +29,9 @@ class SoftContrastiveLoss(ScheduledLoss):
     for all images of the room of i, and 0 for others. For this second target, q_ij is a softmax without the images
     whose room is unknown. Images without a neighbour or another image of their room in the batch do not count.
 
-    With distances r in `beyond`, the loss is the mean of this one and of one for each r, in which images nearer than r
-    to each other are left out of both softmaxes, and the target is the visual overlap to the power 1.5: where the map
-    has no frame within r, the one that shows most of the same surfaces should be found.
+    With distances r in `beyond`, half of the loss is this one, and half the mean of one for each r, in which images
+    nearer than r to each other are left out of both softmaxes, and the target is the visual overlap to the power 1.5:
+    where the map has no frame within r, the one that shows most of the same surfaces should be found.
 
     Args:
         settings: see `siamloc.models.registry.SoftContrastive`.
@@ -79,9 +79,11 @@ class SoftContrastiveLoss(ScheduledLoss):
             if self.room > 0:
                 told = similarity.masked_fill(unknown, -math.inf).log_softmax(dim=1).masked_fill(itself | unknown, 0)
                 cost = cost - (mates * told).sum(dim=1)
-            terms = [(cost * counts).sum() / counts.sum().clamp(min=1)]
-            terms += [self._farther(similarity, origins, itself, distance) for distance in self.beyond]
-            return torch.stack(terms).mean()
+            loss = (cost * counts).sum() / counts.sum().clamp(min=1)
+            if not self.beyond:
+                return loss
+            farther = [self._farther(similarity, origins, itself, distance) for distance in self.beyond]
+            return (loss + torch.stack(farther).mean()) / 2
 
     def lacks(self, origins: Origins) -> str | None:
         """Return what a batch lacks for this loss, in words: two different frames that should be similar."""

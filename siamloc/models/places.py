@@ -41,7 +41,7 @@ class PlaceModule(NetworkModule):
     - `train/active`, with losses that report it, such as `TripletLoss`: the share of triplets with a non-zero loss, or
       of pairs with a gradient;
     - `train/relative`, with relative=True: the mean error of the estimated displacements between two images at most
-      `siamloc.models.relative.REACH` = 5 apart, in the unit of the positions.
+      `siamloc.models.relative.REACH` = 8 apart, in the unit of the positions.
 
     Logged after the validation, where the match of a query is the map frame with the nearest descriptor:
 

@@ -12,8 +12,10 @@ from torch import Tensor, nn
 
 from siamloc.models.origins import Origins
 
-REACH = 5.0
+REACH = 8.0
 """Largest distance between two images for a comparison, in the unit of the positions."""
+SHARED = 0.04
+"""Smallest visual overlap of two images for a comparison, where it is known: walls may stand between near images."""
 FREEDOM = 4.0
 """Degrees of freedom of the t-distribution of errors; `siamloc.maps.refine`, which joins answers, assumes the same."""
 _GROUPS, _SHIFTS, _WIDTH = 8, 5, 128
@@ -22,7 +24,7 @@ _PRIOR = 0.5  # information of each coordinate before any column is considered: 
 _GAIN = 10.0
 _MOST = 6.0  # largest logarithm of the factor on the summed information
 _RANKS = (0, 4, 10)  # an image is compared with these of its nearest ones in a batch
-_ELSEWHERE = (1.0, REACH)  # and, beyond each of these distances, with the most similar one
+_ELSEWHERE = (1.0, 3.0, REACH)  # and, beyond each of these distances, with the most similar one
 _ALIGNED = 2.0  # columns: a query whose turn is off by more cannot be compared
 _AHEAD = 0.5  # rad: two images of an ordinary camera that are turned by more share too little
 _FIELD = math.pi / 2  # assumed field of view of an ordinary camera, whose lens is unknown
@@ -36,7 +38,8 @@ class Relative(NamedTuple):
             and how far the query's robot has turned left, in rad in [-pi, pi].
         information: (B, 3, 3) inverse of the scale matrix of a t-distribution with 4 degrees of freedom; turns are in
             rad.
-        match: (B,) log odds that the images were taken within `REACH` of each other, and turned alike.
+        match: (B,) log odds that the images were taken within `REACH` of each other, show some of the same surfaces,
+            and are turned alike.
     """
 
     pose: Tensor
@@ -173,8 +176,8 @@ class RelativePose(nn.Module):
 def compared(origins: Origins, descriptors: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     """Choose pairs of a batch's images from which to learn displacements.
 
-    Each image is compared with some of the nearest images, near and farther ones, with the most similar image of
-    another place, and with the most similar image out of reach: such images are what a search returns by mistake. The
+    Each image is compared with some of the nearest images, near and farther ones, and with the most similar image
+    beyond each of several distances, the last of which is out of reach: such images are what a search returns. The
     number of pairs P follows from N alone, so that no step waits for its device; where an image has no partner of a
     kind, the pair does not count.
 
@@ -211,8 +214,9 @@ def relative_loss(
     """Return the loss of comparing pairs of a batch, and the mean error of the displacements within reach.
 
     The loss is the negative log likelihood: of a t-distribution for the pose, which a few large errors do not dominate,
-    and of whether the images can be compared, that is, were taken within reach of each other and are turned alike: by
-    their correlation, or, if the columns are not a full turn, by their headings. The error is NaN if no two images can
+    and of whether the images can be compared, that is, were taken within reach of each other, have a visual overlap of
+    `SHARED` or more where it is known, and are turned alike: by their correlation, or, if the columns are not a full
+    turn, by their headings. The error is NaN if no two images can
     be compared.
 
     Args:
@@ -229,6 +233,8 @@ def relative_loss(
     apart = xy[query] - xy[known]
     near = counts & (torch.linalg.vector_norm(apart, dim=1) <= REACH)
     near &= origins.building[query] == origins.building[known]
+    if origins.overlap is not None:
+        near &= ~(origins.overlap[query, known] < SHARED)
     cosine, sine = theta[known].cos(), theta[known].sin()
     ahead = cosine * apart[:, 0] + sine * apart[:, 1]
     left = cosine * apart[:, 1] - sine * apart[:, 0]

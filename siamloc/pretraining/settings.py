@@ -60,13 +60,17 @@ _MODERN = RECIPES["modern"]
 
 RECIPE: Recipe = replace(
     _MODERN,
-    model={**_MODERN.model, "branch": "panoresnet_wide", "normalize": "local_and_colours", "canonical": True},
+    model={
+        **_MODERN.model,
+        **{"branch": "panoresnet_wide", "head": "magnitudes", "normalize": "local_and_colours"},
+        **{"canonical": True, "relative": True},
+    },
     loss={"name": "soft_contrastive", "kernel": "exponential", "sigma": 0.4, "beyond": [1.0, 2.5]},
     augmentation={
         "name": "pretraining",
         "rotate": 1.0,
         "all_of": [
-            {"policy": "any_light"},
+            {"policy": "any_light", "probability": 0.3},  # on every image, it would leave no use for colours
             {
                 "one_of": [
                     {"effect": "blur", "size": 3, "strength": [0.3, 1.0]},

@@ -16,27 +16,29 @@ FRAMES = 12
 
 
 class Compares(Thumbnail):
-    """A descriptor that compares: the log odds stand in the orientation parts of the map frame."""
+    """A descriptor that compares: the number of the map frame is in its orientation part."""
 
     compares = True
 
-    def __init__(self, odds):
+    def __init__(self, odds, apart=None):
         super().__init__()
         self.odds = np.asarray(odds, dtype=float)
+        self.apart = np.full(len(self.odds), 3.0) if apart is None else np.asarray(apart, dtype=float)
 
     def compare(self, queries, known):
         np.testing.assert_allclose((known**2).mean(axis=(1, 2)), 1, rtol=1e-3)
         rows = np.rint(known[:, 0, 0] / known[:, 1, 0]).astype(int) - 2
-        return np.zeros((len(rows), 3)), np.zeros((len(rows), 3, 3)), self.odds[rows]
+        pose = np.outer(self.apart[rows], [0.6, -0.8, 0.0])
+        return pose, np.zeros((len(rows), 3, 3)), self.odds[rows]
 
 
-def map_of(odds, **changes) -> VisualMap:
+def map_of(odds, apart=None, **changes) -> VisualMap:
     """Frames in a row; frame i has the descriptor i / 20."""
     frames = FrameTable(path=[f"{n}.png" for n in range(FRAMES)], x=np.arange(FRAMES), y=np.zeros(FRAMES))
     parts = np.ones((FRAMES, 8, 2), dtype=np.float16)
     parts[:, 0, 0] = 2 + np.arange(FRAMES)
     made = VisualMap(np.arange(FRAMES)[:, None] / 20, frames, orientation=parts, heading={"name": "network"})
-    return replace(made, describes=Compares(odds), **changes)
+    return replace(made, describes=Compares(odds, apart), **changes)
 
 
 QUERY = Description(np.zeros((2, 1)), np.ones((2, 8, 2), dtype=np.float32))
@@ -48,12 +50,24 @@ def test_distances_grow_with_the_doubts_of_the_comparison():
     distances = np.arange(FRAMES) / 20
     distances[:8] += (5 - np.clip(odds[:8], -10, 5)) / 40
     distances[8:] += 0.375  # not compared
+    distances += 0.8  # none is certain and within 1 m
     expected = sorted(range(FRAMES), key=lambda row: distances[row])
     assert found.indices.tolist() == [expected, expected]
     np.testing.assert_allclose(found.distances[0], distances[expected], atol=1e-6)
     assert expected[:3] == [1, 4, 2]
     fewer = match(map_of(odds), QUERY, 2)
     assert fewer.indices.tolist() == [[1, 4], [1, 4]]
+
+
+def test_of_certain_matches_the_nearest_is_preferred():
+    odds = np.where(np.arange(FRAMES) == 3, 4.9, 20.0)
+    apart = [0.9, 0.3, 0.6, 0.0, *[2.0] * (FRAMES - 4)]
+    found = match(map_of(odds, apart), QUERY, FRAMES)
+    distances = np.arange(FRAMES) / 20 + 0.8 * np.minimum(apart, 1.0)
+    distances[3] = 3 / 20 + 0.1 / 40 + 0.8
+    distances[8:] += 0.375
+    assert found.indices[0, :3].tolist() == [1, 2, 0]
+    np.testing.assert_allclose(found.distances[0], np.sort(distances), atol=1e-6)
 
 
 def test_only_the_frames_that_may_be_found_are_compared():

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -18,7 +19,7 @@ from siamloc.models.network import Network
 from siamloc.models.origins import Origins
 from siamloc.models.places import PlaceModule
 from siamloc.models.registry import Optimizer
-from siamloc.models.relative import FREEDOM, REACH, RelativePose, _inverse, compared, relative_loss
+from siamloc.models.relative import FREEDOM, REACH, SHARED, RelativePose, _inverse, compared, relative_loss
 
 SIZE, COLUMNS, VALUES = (32, 128), 16, 64
 COLUMN = 2 * math.pi / COLUMNS
@@ -122,7 +123,7 @@ def test_images_are_compared_with_near_ones_and_with_other_places_that_look_alik
     where.theta[3] = math.nan
     descriptors = torch.nn.functional.normalize(torch.randn(30, 8, generator=torch.Generator().manual_seed(0)))
     query, known, counts = compared(where, descriptors)
-    assert len(query) == len(known) == 30 * 5, "whatever the images are, so that nothing waits to learn the number"
+    assert len(query) == len(known) == 30 * 6, "whatever the images are, so that nothing waits to learn the number"
     query, known = query[counts], known[counts]
     assert (query != known).all()
     assert 3 not in query.tolist() + known.tolist()
@@ -134,7 +135,7 @@ def test_images_are_compared_with_near_ones_and_with_other_places_that_look_alik
     for row in (0, 7, 29):
         chosen = known[query == row].tolist()
         assert chosen[:3] == apart[row].argsort()[[0, 4, 10]].tolist()
-        others = [torch.where(apart[row] > least, likeness[row], -math.inf) for least in (1, REACH)]
+        others = [torch.where(apart[row] > least, likeness[row], -math.inf) for least in (1, 3, REACH)]
         others = [one.masked_fill(itself[row], -math.inf) for one in others]
         assert chosen[3:] == [int(one.argmax()) for one in others]
 
@@ -152,6 +153,7 @@ def loss_of_a_list(relative: RelativePose, orientation: Tensor, where: Origins, 
         off = torch.remainder(turn + steps * COLUMN + math.pi, 2 * math.pi) - math.pi
         most = 2 * COLUMN if relative.circular else 0.5
         near = torch.hypot(x, y) <= REACH and where.building[i] == where.building[j] and abs(off) <= most
+        near &= where.overlap is None or not where.overlap[i, j] < SHARED
         sign = 1.0 if near else -1.0
         matches.append(-torch.nn.functional.logsigmoid(sign * found.match[0]))
         if near:
@@ -169,6 +171,8 @@ def test_pairs_that_do_not_count_change_neither_the_loss_nor_its_gradients(netwo
     if count > 3:
         where.theta[3], where.xy[5], where.xy[6, 1] = math.nan, math.nan, math.inf
         where.building[:4] = 1
+        overlap = torch.rand(count, count, generator=torch.Generator().manual_seed(1)) ** 4
+        where = replace(where, overlap=overlap.where(overlap < 0.9, math.nan))
     seen = seen_in_a_round_room(where.xy.nan_to_num(posinf=0) / 5, where.theta.nan_to_num(), seed=0)
     descriptors = torch.nn.functional.normalize(torch.randn(count, 8, generator=torch.Generator().manual_seed(0)))
     gradients, losses = [], []

@@ -254,6 +254,7 @@ def test_the_command_trains_and_says_how_to_go_on(rendered, tmp_path, capsys, mo
     monkeypatch.setattr(view_batches, "_VALIDATION_POSES", 3)
     words = ["pairs.epoch_batches=2", "pairs.places=3", "pairs.images=2", "image_size=[16,64]", "optimizer=sgd"]
     views = ["views.held=2", "views.together=1", "views.poses=6", "views.processes=0", "loss.kernel=overlap"]
+    words.append("model/head=fourier")
     former = ["views.worlds=offices", "views.imaging=plain", "loss.beyond=[]"]
     run = tmp_path / "run"
     given = [f"run={run}", "epochs=1", *words, *views, *former, "trainer.precision=32-true"]
