@@ -28,8 +28,9 @@ _TURN = 2 * np.pi
 def check(frames: FrameTable, images: PanoramaLibrary | None = None) -> list[str]:
     """Check a data set for faults that go unnoticed until the results are poor.
 
-    Checked are headings (degrees instead of radians, clockwise, x and y exchanged), missing positions and labels, steps
-    that no robot indoors makes, jumps and stops of a drive, times, the sizes of the images, and duplicate images.
+    Checked are headings (degrees instead of radians, clockwise, x and y exchanged), odometry (degrees), missing
+    positions and labels, steps that no robot indoors makes, jumps and stops of a drive, times, the sizes of the images,
+    and duplicate images.
 
     Args:
         frames: the data set.
@@ -44,7 +45,8 @@ def check(frames: FrameTable, images: PanoramaLibrary | None = None) -> list[str
         >>> check(frames)[0]
         'theta looks like degrees: 7 of 8 headings lie beyond one turn, up to 315. Give radians (multiply by pi / 180).'
     """
-    return [*wrong_headings(frames), *_missing(frames), *_drives(frames), *_sizes(frames, images), *_copies(frames)]
+    found = [*wrong_headings(frames), *wrong_odometry(frames), *_missing(frames), *_drives(frames)]
+    return [*found, *_sizes(frames, images), *_copies(frames)]
 
 
 @typed
@@ -130,6 +132,29 @@ def wrong_headings(frames: FrameTable) -> Iterator[str]:
     else:
         remedy = "it runs clockwise: headings run counter-clockwise from +x. Give -theta, or check the sign of y."
     yield f"theta follows the direction of travel if {remedy}"
+
+
+def wrong_odometry(frames: FrameTable) -> Iterator[str]:
+    """Return a sentence if the headings of the odometry are degrees instead of rad.
+
+    They are if the robot moves along its heading only when it is read as degrees, or if it makes many turns between
+    two frames that radians do not explain: up to half a turn, and a full turn where angles start again.
+    """
+    heading, travel = _moving(frames.with_columns(x=frames.odom_x, y=frames.odom_y, theta=frames.odom_theta))
+    as_radians, as_degrees = np.nan, np.nan
+    if len(heading) >= 10:
+        as_radians, as_degrees = _agreement(heading - travel)[0], _agreement(np.radians(heading) - travel)[0]
+    if as_radians >= _FITS:
+        return
+    turns = [np.diff(frames.odom_theta[rows]) for rows in frames.rows_by("sequence").values()]
+    size = np.abs(np.concatenate([np.zeros(0), *turns]))
+    size = size[np.isfinite(size)]
+    far = int((size > 1.5 * _TURN).sum())
+    if (as_radians < _FAILS and as_degrees >= _FITS) or far > max(2, len(size) / 50):
+        yield (
+            f"odom_theta looks like degrees: the robot turns by up to {size.max(initial=0):.4g} between two frames. "
+            "Give radians (multiply by pi / 180)."
+        )
 
 
 def _moving(frames: FrameTable) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

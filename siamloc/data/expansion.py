@@ -126,7 +126,7 @@ def expand(
     _check_apart(folder, root, kind, frames)
     decode = Preprocessing.checked(image_size, unwrap)
     turns = headings(len(frames), depth, seed, (decode.view.height, decode.view.width), circular)
-    theta = turned_headings(frames, turns)
+    theta = turned_headings(frames.theta, turns)
     pictures = outputs(kind, frames, root, folder, theta)
 
     def read(path: Path) -> NDArray[np.uint8]:
@@ -209,10 +209,10 @@ def outputs(kind: str, frames: FrameTable, root: Path, folder: Path, theta: NDAr
     return rows
 
 
-def turned_headings(frames: FrameTable, turns: NDArray[np.float64]) -> NDArray[np.float64]:
+def turned_headings(theta: NDArray[np.float64], turns: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the heading of every image (frames, depth), rad; headings of rotated images lie in (-pi, pi]."""
-    theta = frames.theta[:, None] + turns
-    return np.where(turns != 0, math.pi - (math.pi - theta) % (2 * math.pi), theta)
+    turned = theta[:, None] + turns
+    return np.where(turns != 0, math.pi - (math.pi - turned) % (2 * math.pi), turned)
 
 
 def write_lists(
@@ -242,9 +242,10 @@ def write_lists(
         text = StringIO()
         writer = csv.writer(text, lineterminator="\n")
         writer.writerow(COLUMNS)
-        for frame, row, turned in zip(frames, pictures, theta.tolist(), strict=True):
-            for picture, angle in zip(row, turned, strict=True):
-                values = {**frame, "theta": angle, "image": picture.relative_to(folder).as_posix()}
+        wheels = turned_headings(frames.odom_theta, theta - frames.theta[:, None])
+        for frame, row, *angles in zip(frames, pictures, theta.tolist(), wheels.tolist(), strict=True):
+            for picture, angle, wheel in zip(row, *angles, strict=True):
+                values = {**frame, "theta": angle, "odom_theta": wheel, "image": picture.relative_to(folder).as_posix()}
                 writer.writerow("" if values[column] != values[column] else values[column] for column in COLUMNS)
         write_text(folder / MANIFEST, text.getvalue())
 

@@ -17,7 +17,8 @@ from foundation.settings import Count, Natural, Positive
 from siamloc.errors import ConfigError, DataError, hint
 
 _TEXT = ("path", "room", "sequence", "lighting", "building")
-_COLUMNS = ("path", "x", "y", "theta", "room", "sequence", "lighting", "time", "building")
+_ODOMETRY = ("odom_x", "odom_y", "odom_theta")
+_COLUMNS = ("path", "x", "y", "theta", "room", "sequence", "lighting", "time", "building", *_ODOMETRY)
 _UNKNOWN = {name: "" if name in _TEXT else np.nan for name in _COLUMNS}
 
 
@@ -42,6 +43,10 @@ class FrameTable:
         lighting: "cloudy", "night", "sunny", or "" (n,).
         time: seconds (n,).
         building: name of the building, which distinguishes equal room codes of two buildings (n,).
+        odom_x: positions that the robot computes from its wheels, in `unit` (n,), in a frame of each drive's own, from
+            which they drift away.
+        odom_y: likewise.
+        odom_theta: headings in that frame, in radians (n,), counter-clockwise.
         unit: unit of x and y; only used in texts. Selections keep it, equality ignores it.
         source: the arguments with which `siamloc.data.read(**source)` reads the frames; empty if unknown. Selections
             keep it, equality ignores it.
@@ -68,6 +73,9 @@ class FrameTable:
     lighting: NDArray[np.str_] = None  # type: ignore[assignment]
     time: NDArray[np.float64] = None  # type: ignore[assignment]
     building: NDArray[np.str_] = None  # type: ignore[assignment]
+    odom_x: NDArray[np.float64] = None  # type: ignore[assignment]
+    odom_y: NDArray[np.float64] = None  # type: ignore[assignment]
+    odom_theta: NDArray[np.float64] = None  # type: ignore[assignment]
     unit: str = "m"
     source: Mapping[str, Any] = field(default_factory=dict)
 
@@ -106,6 +114,11 @@ class FrameTable:
     def xy(self) -> NDArray[np.float64]:
         """Positions (n, 2)."""
         return np.column_stack([self.x, self.y])
+
+    @property
+    def odometry(self) -> NDArray[np.float64]:
+        """Poses by the robot's wheels (n, 3): x, y in `unit` and heading in rad, each drive in a frame of its own."""
+        return np.column_stack([getattr(self, name) for name in _ODOMETRY])
 
     @property
     def has_position(self) -> NDArray[np.bool_]:

@@ -14,18 +14,22 @@ from foundation.settings import shortened
 from siamloc.data.frames import FrameTable, in_capture_order
 from siamloc.errors import DataError, leave_out, logger
 
-COLUMNS = ("image", "x", "y", "theta", "room", "sequence", "lighting", "time", "building")
+COLUMNS = (
+    *("image", "x", "y", "theta", "room", "sequence", "lighting", "time", "building"),
+    *("odom_x", "odom_y", "odom_theta"),
+)
 
-_LARGEST = {"x": 1e7, "y": 1e7, "theta": sys.float_info.max, "time": sys.float_info.max}
+_LARGEST = dict.fromkeys(("theta", "time"), sys.float_info.max)
+_LARGEST |= dict.fromkeys(("x", "y", "odom_x", "odom_y", "odom_theta"), 1e7)
 
 
 def read_manifest(manifest: str | Path, *, on_error: str = "skip") -> FrameTable:
     """Read a manifest.
 
     The first line names the columns, in any order and case: `image`, and any of `x, y` (m), `theta` (rad), `room`,
-    `sequence`, `lighting`, `time` (s), `building`; others are ignored with a warning. Image paths are relative to the
-    table's folder. An empty number is unknown (NaN); blank lines are skipped. The rows of a sequence whose times are
-    all known are sorted by time; the others keep the order of the table.
+    `sequence`, `lighting`, `time` (s), `building`, `odom_x, odom_y` (m), `odom_theta` (rad); others are ignored with a
+    warning. Image paths are relative to the table's folder. An empty number is unknown (NaN); blank lines are skipped.
+    The rows of a sequence whose times are all known are sorted by time; the others keep the order of the table.
 
     Args:
         manifest: the CSV file, in UTF-8.

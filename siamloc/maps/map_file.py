@@ -46,7 +46,9 @@ def write_map(path: str | Path, known: Any, precision: Precision) -> None:
         header["orientation"] = list(known.orientation.shape)
         if not shares_values(known.orientation, known.descriptors):
             arrays["orientation"] = known.orientation
-    arrays.update({f"frame_{name}": column for name, column in known.frames.columns().items()})
+    # Columns without any value are left out: `FrameTable` fills them in.
+    columns = known.frames.columns().items()
+    arrays.update({f"frame_{name}": column for name, column in columns if (column == column).any()})
     if precision != "float32":
         arrays = {**arrays, **packed("descriptors", known.descriptors, precision)}
         if "orientation" in arrays:

@@ -52,6 +52,28 @@ def test_degrees_of_a_robot_that_hardly_turns_are_recognized_by_its_way():
     assert "if it counts degrees: give radians" in finding
 
 
+def wheels(frames: FrameTable, theta) -> FrameTable:
+    return frames.with_columns(odom_x=frames.x + 3, odom_y=frames.y, odom_theta=theta)
+
+
+def test_odometry_in_degrees_is_recognized():
+    frames = drive()
+    assert check(wheels(frames, frames.theta)) == []
+    assert check(wheels(frames, np.unwrap(frames.theta) - 20)) == [], "radians that count full turns"
+    again = np.r_[np.arange(30.0), np.arange(30.0)]
+    assert check(frames.with_columns(odom_theta=again)) == [], "radians that began again"
+    (finding,) = check(wheels(frames, np.degrees(frames.theta) % 360))
+    assert re.search("odom_theta looks like degrees: the robot turns by up to 3.*multiply by pi / 180", finding)
+    (finding,) = check(frames.with_columns(odom_theta=np.degrees(frames.theta) % 360))
+    assert "odom_theta looks like degrees" in finding, "without odom_x and odom_y, by the size of the turns"
+    n = 100
+    turn = np.radians(5) * np.sin(np.arange(n) / 5)
+    xy = np.cumsum(np.stack([np.cos(turn), np.sin(turn)], axis=1), axis=0)
+    slow = FrameTable(path=[f"{i}.jpg" for i in range(n)], odom_x=np.r_[0, xy[:-1, 0]], odom_y=np.r_[0, xy[:-1, 1]])
+    assert not any("odom" in finding for finding in check(slow.with_columns(odom_theta=turn)))
+    assert any("odom_theta looks" in finding for finding in check(slow.with_columns(odom_theta=np.degrees(turn))))
+
+
 def test_without_positions_degrees_show_by_their_range():
     degrees, unplaced = check(drive(x=None, y=None, theta=np.arange(60) * 6.0))
     assert "theta looks like degrees" in degrees

@@ -25,7 +25,7 @@ def cold_frames(folder="/cold/freiburg/part_a/seq2_cloudy3", rooms=("CR-A", "CR-
 
 def expanded(kind, frames, root, folder, turns=TURNS):
     """Make the files of an expanded data set, empty ones, and return them."""
-    theta = turned_headings(frames, turns)
+    theta = turned_headings(frames.theta, turns)
     files = outputs(kind, frames, Path(root), folder, theta)
     for path in (path for row in files for path in row):
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -38,7 +38,7 @@ def expanded(kind, frames, root, folder, turns=TURNS):
 def test_an_expanded_cold_data_set_reads_as_the_frames_with_turned_headings(tmp_path, root):
     frames = cold_frames()
     files = expanded("cold", frames, root, tmp_path)
-    kept = turned_headings(frames.with_columns(theta=[4.0, math.nan, 3.0]), TURNS)
+    kept = turned_headings(np.array([4.0, math.nan, 3.0]), TURNS)
     assert kept[0, 0] == 4.0, "a heading that is not turned stays as it was written"
     assert np.isnan(kept[1]).all()
     found = data.read("cold", root=tmp_path, on_error="raise")
@@ -68,6 +68,7 @@ def test_frames_that_would_share_a_name_are_an_error(tmp_path):
 def test_an_expanded_manifest_reads_as_the_frames(tmp_path):
     table = write_manifest(tmp_path / "in", {"day": "cloudy", "dark": "night"}, frames_per_room=2)
     frames = data.read("manifest", manifest=table)
+    frames = frames.with_columns(odom_x=frames.x - 1, odom_y=frames.y, odom_theta=frames.theta - 0.5)
     turns = np.tile([0.0, 0.0, 1.0], (len(frames), 1))
     expanded("manifest", frames, table.parent, tmp_path / "out", turns)
     found = data.read("manifest", manifest=tmp_path / "out/manifest.csv", on_error="raise")
@@ -75,6 +76,8 @@ def test_an_expanded_manifest_reads_as_the_frames(tmp_path):
         assert np.array_equal(getattr(found, column), np.repeat(getattr(frames, column), 3)), column
     np.testing.assert_allclose(np.cos(found.theta), np.cos(np.repeat(frames.theta, 3) + turns.ravel()))
     assert np.array_equal(found.theta.reshape(-1, 3)[:, 0], frames.theta)
+    assert np.array_equal(found.odometry[::3], frames.odometry)
+    np.testing.assert_allclose(np.exp(1j * found.odom_theta), np.exp(1j * (found.theta - 0.5)))
 
 
 def test_images_beside_the_manifests_folder_are_gathered_in_it(tmp_path):

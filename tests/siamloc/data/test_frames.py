@@ -34,6 +34,9 @@ def test_columns_that_are_left_out_are_filled():
     assert not frames.has_position.any()
     with pytest.raises(DataError, match=r"column 'x' has shape \(1,\), expected \(2,\) like 'path'"):
         FrameTable(path=["a", "b"], x=[1.0])
+    frames = FrameTable(path=["a", "b"], odom_x=[1, 2], odom_theta=[0, 0.5])
+    np.testing.assert_equal(frames.odometry, [[1, np.nan, 0], [2, np.nan, 0.5]])
+    np.testing.assert_equal(concatenate([frames, frames]).take([3]).odometry, [[2, np.nan, 0.5]])
 
 
 def test_equality_counts_nan_as_equal_and_rows_make_the_table_again():

@@ -35,10 +35,11 @@ def read(folder: Path, text: str | bytes, **options: str) -> FrameTable:
 def test_all_columns(folder):
     table = read(
         folder,
-        "image,x,y,theta,room,sequence,lighting,time,building\n"
-        "a.jpg,1,-2.5,1e-3,CR-A,drive,cloudy,10,lab\nb.jpg,2,0,0,KT-A,drive,cloudy,11,lab\n",
+        "image,x,y,theta,room,sequence,lighting,time,building,odom_x,odom_y,odom_theta\n"
+        "a.jpg,1,-2.5,1e-3,CR-A,drive,cloudy,10,lab,7,8,-40\nb.jpg,2,0,0,KT-A,drive,cloudy,11,lab,,,\n",
     )
     numbers = {"x": [1, 2], "y": [-2.5, 0], "theta": [1e-3, 0], "time": [10, 11]}
+    numbers |= {"odom_x": [7, np.nan], "odom_y": [8, np.nan], "odom_theta": [-40, np.nan]}
     labels = {"sequence": ["drive"] * 2, "lighting": ["cloudy"] * 2, "building": ["lab"] * 2}
     paths = [str(folder / "a.jpg"), str(folder / "b.jpg")]
     expected = FrameTable(path=paths, room=["CR-A", "KT-A"], **numbers, **labels)
@@ -119,7 +120,7 @@ labels = st.text(st.characters(codec="utf-8", exclude_characters="\0"), max_size
 numbers = st.one_of(st.just(math.nan), st.floats(allow_nan=False, allow_infinity=False))
 positions = st.one_of(st.just(math.nan), st.floats(-1e7, 1e7))
 rows = st.fixed_dictionaries(
-    dict.fromkeys(("x", "y"), positions)
+    dict.fromkeys(("x", "y", "odom_x", "odom_y", "odom_theta"), positions)
     | dict.fromkeys(("theta", "time"), numbers)
     | dict.fromkeys(("room", "sequence", "lighting", "building"), labels)
 )
