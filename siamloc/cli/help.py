@@ -13,6 +13,7 @@ from siamloc.jobs.job import Job
 COMMANDS = {
     "simulate": ("jobs.simulate.Simulate", "render a made-up building in the COLD layout"),
     "prepare": ("jobs.prepare.Prepare", "check a data set and decode its images once"),
+    "survey": ("jobs.survey.SurveyDrives", "estimate the poses of drives from their images and odometry"),
     "train": ("jobs.train.Train", "train a siamese network"),
     "pretrain": ("jobs.train.Pretrain", "train a network on random buildings, before it sees any data"),
     "map": ("jobs.map.MapFrames", "describe the map frames of a run"),

@@ -8,4 +8,5 @@ from .report import Compare as Compare, Report as Report
 from .reproduce import Reproduce as Reproduce
 from .robot import Localize as Localize, Watch as Watch
 from .simulate import Simulate as Simulate
+from .survey import SurveyDrives as SurveyDrives
 from .train import Pretrain as Pretrain, Train as Train

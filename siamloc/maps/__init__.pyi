@@ -24,4 +24,5 @@ from .sequence_filter import (
     temperature_of_map as temperature_of_map,
     tune_filter as tune_filter,
 )
+from .surveying import Survey as Survey, SurveySettings as SurveySettings, survey as survey
 from .visual_map import VisualMap as VisualMap

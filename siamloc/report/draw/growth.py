@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -10,21 +9,20 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.colors import to_rgb, to_rgba_array
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from analytic import AnalyticError
 from analytic.mapper import replay
 from analytic.mapper.graph import edges
-from foundation.files import atomic_path, parsed_json
+from foundation.files import parsed_json
 from siamloc.errors import FormatError
+from siamloc.report.draw.film import write_film
 from siamloc.report.draw.look import INK, style
 from siamloc.report.draw.node_colours import NO_NODE, POOL, neighbouring, node_colours
 from siamloc.report.draw.nodes import NodePlan, add_graph, counted, dress, frame_colours, plan_size, points_per_unit
 
 PICTURES = 80
-_EACH, _LAST = 110, 4000  # milliseconds that each picture and the last one are shown
 _DOTS_PER_INCH = 110
 _SIZE = (7.6, (2.4, 5.4))
 _NODE_POINTS = 12
@@ -103,14 +101,7 @@ def animate(story: Story, path: str | Path) -> Path:
     Raises:
         StorageError: the disk is full or cannot be written to.
     """
-    path = Path(path)
-    pictures = _indexed(_drawn(story))
-    stays = [_EACH] * (len(pictures) - 1) + [_LAST]
-    buffer = io.BytesIO()
-    pictures[0].save(buffer, "GIF", save_all=True, append_images=pictures[1:], duration=stays, loop=0, disposal=1)
-    with atomic_path(path) as temporary:
-        temporary.write_bytes(buffer.getvalue())
-    return path
+    return write_film(_drawn(story), path, [*POOL, NO_NODE, _NEWS])
 
 
 def moments(events: int) -> list[int]:
@@ -183,18 +174,3 @@ def _news(story: Story, before: int, events: int) -> str:
                 number = story.numbers.get(change["node"])
                 return words if number is None else f"{words} {joint}{number}"
     return ""
-
-
-def _indexed(pictures: list[NDArray[np.uint8]]) -> list[Any]:
-    """Return pictures in one common palette, for small files, steady colours, and exact colours of nodes."""
-    from PIL import Image
-
-    # The colours used, and shades between each of them and white and ink.
-    greys = np.linspace(0, 1, 24)[1:, None] * np.ones(3)
-    drawn = to_rgba_array([*POOL, NO_NODE, _NEWS])[:, :3]
-    shades = [drawn + share * (1 - drawn) for share in (0, 0.25, 0.5, 0.75)]
-    shades += [drawn + share * (np.array(to_rgb(INK)) - drawn) for share in (0.33, 0.67)]
-    palette = Image.new("P", (1, 1))
-    palette.putpalette(np.round(255 * np.concatenate([greys, *shades])).astype(np.uint8).ravel().tolist())
-    none = Image.Dither.NONE
-    return [Image.fromarray(picture).quantize(palette=palette, dither=none) for picture in pictures]

@@ -5,7 +5,7 @@ import pytest
 from siamloc.cli.compose import composed
 from siamloc.data import Protocol
 from siamloc.errors import ConfigError
-from siamloc.jobs import Evaluate, MapFrames, Prepare, Pretrain, Preview, Report, Train
+from siamloc.jobs import Evaluate, MapFrames, Prepare, Pretrain, Preview, Report, SurveyDrives, Train
 from siamloc.jobs.options import choices, config_folder, groups, option
 
 
@@ -58,6 +58,12 @@ def test_a_broken_file_of_an_option_is_named(group, content, says, tmp_path, mon
         ("report", "runs=[a,b]", Report, {"runs": ["a", "b"]}),
         ("pretrain", "loss.sigma=1.5", Pretrain, {"loss": {"sigma": 1.5}}),
         ("augment preview", "data.image_size=[32,128]", Preview, {"data": {"image_size": [32, 128]}}),
+        (
+            "survey",
+            "data.manifest=x survey.alike=5 out=y",
+            SurveyDrives,
+            {"data": {"manifest": "x"}, "survey": {"alike": 5}, "out": "y"},
+        ),
         # Options that choose options of other groups: how images unwrap, and which drives have which role.
         ("prepare", "data=cold data.root=x", Prepare, {"data": {"kind": "cold", "root": "x"}}),
         (

@@ -1,0 +1,91 @@
+"""`siamloc survey`."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any, ClassVar
+
+import numpy as np
+
+from foundation.files import csv_text, write_json, write_text
+from siamloc.data import FrameTable, read
+from siamloc.data.manifest import COLUMNS
+from siamloc.data.protocol import Protocol
+from siamloc.jobs.choices import Device, Folder
+from siamloc.jobs.job import Say, quiet
+from siamloc.jobs.run_job import DataJob
+from siamloc.maps.surveying import Survey, SurveySettings, survey
+from siamloc.models.registry import PRETRAINED_SIZE
+
+
+@dataclass(frozen=True, kw_only=True)
+class SurveyDrives(DataJob):
+    """Estimate where the frames of drives were taken, without true positions.
+
+    Uses the images and, if there is any, the odometry of the robot. Writes into the folder: surveyed.csv, a manifest of
+    the frames with x, y and theta, with which `train`, `map` and `evaluate` go on; survey.json, figures; survey.png,
+    odometry, path and loops; and survey.gif, the drive as a film.
+
+        data.manifest=FILE              the images in capture order, with odom_x, odom_y (m) and odom_theta (rad) if
+                                        there is odometry
+        protocol.map.sequences=[...]    the drives to survey together; all if not given
+        protocol.map.every=2            fewer frames
+        anchors=FILE                    a manifest with the true x, y and theta of a few of the frames, which fix
+                                        position, direction and scale
+        descriptor=runs/robot           the run of a network that compares images, instead of the shipped one
+        survey.apart=3.0                metres of way between two frames that may close a loop
+        survey.alike=8                  similar frames that each frame is compared with
+        out=survey                      the folder
+
+    Example:
+        $ siamloc survey data.manifest=monday.csv out=monday
+    """
+
+    MORE: ClassVar = {"data": {"image_size": list(PRETRAINED_SIZE)}}
+
+    descriptor: str = "pretrained"
+    anchors: Path | None = None
+    survey: SurveySettings = field(default_factory=SurveySettings)
+    device: Device = "auto"
+    out: Folder = "survey"
+
+    def run(self, say: Say = quiet) -> Survey:
+        """Survey the frames, and write the folder."""
+        from siamloc import models
+
+        network = models.pretrained() if self.descriptor == "pretrained" else models.load(self.descriptor)
+        anchors = None if self.anchors is None else read("manifest", manifest=str(self.anchors))
+        every = self.protocol.map.sequences is None
+        role = replace(self.protocol.map, sequences=("*",)) if every else self.protocol.map
+        images, roles = replace(self, protocol=Protocol(map=role)).open_roles("map")
+        described = models.as_descriptor(network, self.device)
+        found = survey(described, images, roles["map"], anchors=anchors, settings=self.survey)
+        for note in found.notes:
+            say(f"note: {note}")
+        say(found.summary())
+        self._write(found)
+        say(f"next: siamloc map descriptor=pretrained data.manifest={Path(self.out) / 'surveyed.csv'}")
+        return found
+
+    def _write(self, found: Survey) -> None:
+        from siamloc.report.draw.look import save
+        from siamloc.report.draw.survey import survey_film, survey_picture
+
+        folder = Path(self.out)
+        save(survey_picture(found), folder / "survey.png")
+        survey_film(found, folder / "survey.gif")
+        write_json(folder / "survey.json", {"schema": 1, "settings": self.plain(), **found.report()})
+        write_text(folder / "surveyed.csv", manifest_of(found.frames, folder))
+
+
+def manifest_of(frames: FrameTable, folder: Path) -> str:
+    """Return frames as a manifest for a folder: image paths are relative to it, and empty columns left out."""
+    columns: dict[str, Any] = {"path": [os.path.relpath(path, folder) for path in frames.path.tolist()]}
+    for name in COLUMNS[1:]:
+        values = getattr(frames, name)
+        if (values != "").any() if values.dtype.kind == "U" else np.isfinite(values).any():
+            columns[name] = values.tolist()
+    header = ["image", *list(columns)[1:]]
+    return csv_text([header, *zip(*columns.values(), strict=True)])

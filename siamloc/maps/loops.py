@@ -1,0 +1,154 @@
+"""Loops: frames of which one shows where another was taken, though the robot drove a long way between them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from enum import Enum
+
+import numpy as np
+from numpy.typing import NDArray
+
+from foundation.columns import Rows
+from siamloc.maps.pose_graph import Array, composed, relative, wrapped
+
+_NEIGHBOURHOOD = 3  # frames on either side within which loops must agree
+_AGREE = 2  # number of other loops that must agree with a loop
+_OFF, _OFF_SHARE, _TURNED = 0.25, 0.15, np.radians(8)  # by how much, in metres, in shares of the displacement, in rad
+_PAIRS = 1 << 20  # compared at once
+
+
+class Reason(Enum):
+    """Why a loop is used, or not."""
+
+    ACCEPTED = "accepted"
+    UNLIKE = "the comparison does not find that the two images were taken near each other"
+    ALONE = "the loops of neighbouring frames do not agree with it"
+    CONTRADICTED = "it contradicts all other measurements together"
+
+
+@dataclass(frozen=True, eq=False)
+class Loops(Rows):
+    """Candidates for loops between frames (p pairs).
+
+    Attributes:
+        first: (p,) rows of frames, the earlier ones.
+        second: (p,) rows of frames.
+        pose: (p, 3) displacement ahead and to the left as seen from `first`, and turn to the left in rad.
+        information: (p, 3, 3) inverse of the scale matrix of a t-distribution with 4 degrees of freedom.
+        odds: (p,) log odds that the two images were taken near each other.
+        reason: (p,) of `Reason`.
+        weight: (p,) weight in the last solution, from 0 to 1; 0 for loops that are not accepted.
+    """
+
+    first: NDArray[np.int64]
+    second: NDArray[np.int64]
+    pose: Array
+    information: Array
+    odds: Array
+    reason: NDArray[np.object_]
+    weight: Array
+
+    @property
+    def accepted(self) -> NDArray[np.bool_]:
+        """Which loops are used (p,)."""
+        return np.asarray(self.reason == Reason.ACCEPTED)
+
+    def counts(self) -> dict[str, int]:
+        """Return the number of loops of each reason, by its name in small letters."""
+        return {reason.name.lower(): int((self.reason == reason).sum()) for reason in Reason}
+
+
+def candidates(
+    descriptors: NDArray[np.float32], path: Array, drive: NDArray[np.int64], apart: float, k: int
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Return pairs of similar frames (p,) and (p,), each pair once, the smaller row first.
+
+    Args:
+        descriptors: (n, D), of any length; similar ones have a small Euclidean distance.
+        path: (n,) way that the robot drove from the start of its drive.
+        drive: (n,) number of the drive.
+        apart: way between two frames of a drive that may be a loop, at least.
+        k: number of candidates of each frame, in its own drive and in each other one.
+    """
+    square = np.square(descriptors).sum(axis=1)
+    found: set[tuple[int, int]] = set()
+    at_once = max(1, (1 << 22) // len(path))
+    for begin in range(0, len(path), at_once):
+        rows = np.arange(begin, min(begin + at_once, len(path)))
+        unlike = square - 2 * descriptors[rows] @ descriptors.T
+        same = drive[rows, None] == drive
+        unlike[same & (np.abs(path[rows, None] - path) < apart)] = np.inf
+        for other in range(int(drive.max()) + 1):
+            columns = np.flatnonzero(drive == other)
+            some = min(k, len(columns))
+            best = np.argpartition(unlike[:, columns], some - 1, axis=1)[:, :some]
+            of_row = np.repeat(rows, some)
+            of_column = columns[best].ravel()
+            usable = np.isfinite(unlike[of_row - begin, of_column])
+            pairs = np.sort(np.column_stack([of_row, of_column])[usable], axis=1)
+            found.update(map(tuple, pairs.tolist()))
+    pairs = np.array(sorted(found), dtype=np.int64).reshape(-1, 2)
+    return pairs[:, 0], pairs[:, 1]
+
+
+def agreeing(loops: Loops, poses: Array, drive: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Count for each loop the loops between neighbouring frames that agree with it (p,).
+
+    Two loops agree if one predicts the other: from one first frame to the other as the robot drove, along the loop,
+    and from one second frame to the other.
+
+    Args:
+        loops: the loops to compare, all of which count.
+        poses: (n, 3) poses that are right over a few frames of a drive, however much they drift.
+        drive: (n,) number of the drive of each frame.
+    """
+    from scipy.spatial import cKDTree
+
+    places = np.column_stack([loops.first, loops.second]) + 10 * _NEIGHBOURHOOD * np.column_stack(
+        [drive[loops.first], drive[loops.second]]
+    )
+    counts = np.zeros(len(loops), dtype=np.int64)
+    if not len(loops):
+        return counts
+    pairs = cKDTree(places).query_pairs(_NEIGHBOURHOOD, p=np.inf, output_type="ndarray")
+    for begin in range(0, len(pairs), _PAIRS):
+        one, other = pairs[begin : begin + _PAIRS].T
+        there = relative(poses, loops.first[other], loops.first[one])
+        back = relative(poses, loops.second[one], loops.second[other])
+        error = composed(composed(there, loops.pose[one]), back) - loops.pose[other]
+        length = np.hypot(loops.pose[other, 0], loops.pose[other, 1])
+        agrees = (np.hypot(error[:, 0], error[:, 1]) < _OFF + _OFF_SHARE * length) & (
+            np.abs(wrapped(error[:, 2])) < _TURNED
+        )
+        for rows in (one, other):
+            counts += np.bincount(rows[agrees], minlength=len(loops))
+    return counts
+
+
+def judged(
+    first: NDArray[np.int64],
+    second: NDArray[np.int64],
+    compare: Callable[[NDArray[np.int64], NDArray[np.int64]], tuple[Array, Array, Array]],
+    poses: Array,
+    drive: NDArray[np.int64],
+    least_odds: float,
+) -> Loops:
+    """Compare candidates (p,) and return the loops, with the reason why each is accepted or refused.
+
+    Args:
+        first: (p,) rows of the frames.
+        second: (p,) rows of the frames that are compared with them.
+        compare: returns pose (p, 3), information (p, 3, 3) and log odds (p,) of `second` as seen from `first`.
+        poses: (n, 3), as for `agreeing`.
+        drive: (n,) number of the drive of each frame.
+        least_odds: log odds from which on two images were taken near each other.
+    """
+    pose, information, odds = compare(first, second)
+    reason = np.full(len(first), Reason.UNLIKE, dtype=object)
+    loops = Loops(first, second, pose, information, odds, reason, np.zeros(len(first)))
+    alike = np.flatnonzero(odds >= least_odds)
+    counts = agreeing(loops.take(alike), poses, drive)
+    reason[alike] = Reason.ALONE
+    reason[alike[counts >= _AGREE]] = Reason.ACCEPTED
+    return loops

@@ -1,0 +1,270 @@
+"""Least squares over a graph of poses: frames joined by compared panoramas and by odometry.
+
+The unknowns are the poses of all frames, the scale of the compared displacements, and for each drive the scale and the
+gyro bias of its odometry. Errors of comparisons follow a t-distribution, so that a wrong one is weighted down; the
+minimum is found by Levenberg and Marquardt's method with weights that are computed anew in every round.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import sparse
+from scipy.sparse.linalg import splu
+
+from foundation.columns import Rows
+from siamloc.maps.refinement import FREEDOM
+
+Array = NDArray[np.float64]
+
+SHARED = 25.0
+"""How many comparisons make the same errors: their information counts divided by this."""
+SCALE, WHEEL_SCALE = 0.15, 0.03  # standard deviations of the logarithms of the scales
+GYRO_BIAS = np.radians(1.0)  # standard deviation, rad per unit of distance
+_FIXED = 1e8  # information of a pose that is given
+_ROUNDS, _SMALL = 60, 1e-5
+_AT_ONCE = 1024  # columns of the inverse
+
+
+@dataclass(frozen=True, eq=False)
+class Edges(Rows):
+    """Measured poses of frames as seen from others (e edges).
+
+    Attributes:
+        first: (e,) frames that the others are seen from.
+        second: (e,) frames whose poses are measured.
+        pose: (e, 3) displacement ahead and to the left of `first`, and the turn to the left in rad.
+        information: (e, 3, 3) inverse of the scale matrix.
+    """
+
+    first: NDArray[np.int64]
+    second: NDArray[np.int64]
+    pose: Array
+    information: Array
+
+
+@dataclass(frozen=True, eq=False)
+class PoseGraph:
+    """What was measured about the poses of n frames.
+
+    Attributes:
+        pictures: compared panoramas; their displacements are too long by one unknown scale.
+        wheels: odometry between consecutive frames; each drive has its scale and bias.
+        drive: (n,) number of the drive of each frame, from 0.
+        fixed: rows of frames whose poses are given; the first frame, at its start, if there are none.
+    """
+
+    pictures: Edges
+    wheels: Edges
+    drive: NDArray[np.int64]
+    fixed: NDArray[np.int64]
+
+    def __len__(self) -> int:
+        return len(self.drive)
+
+
+@dataclass(frozen=True, eq=False)
+class Solution:
+    """The most likely poses of n frames in d drives.
+
+    Attributes:
+        poses: (n, 3) x, y and heading in rad.
+        scale: length of compared displacements over true lengths.
+        wheel_scale: (d,) lengths by odometry over true lengths.
+        gyro_bias: (d,) turn that odometry adds, in rad per unit of distance.
+        weight: (e,) weight of each compared pair, from 0 to 1: 1 / (1 + q / 4), with its squared error q in units of
+            the expected one.
+    """
+
+    poses: Array
+    scale: float
+    wheel_scale: Array
+    gyro_bias: Array
+    weight: Array
+
+
+def solve(graph: PoseGraph, start: Array) -> Solution:
+    """Return the most likely poses, beginning at start poses (n, 3); those of fixed frames are kept.
+
+    Example:
+        >>> one_metre, sure = np.tile([1.0, 0.0, 0.0], (2, 1)), np.tile(np.eye(3), (2, 1, 1))
+        >>> ahead = Edges(np.array([0, 1]), np.array([1, 2]), one_metre, sure)
+        >>> graph = PoseGraph(ahead, ahead.take(slice(0, 0)), np.zeros(3, int), np.array([0, 2]))
+        >>> solve(graph, np.array([[0.0, 0, 0], [0, 0, 0], [2.2, 0, 0]])).poses.round(3).tolist()
+        [[0.0, 0.0, 0.0], [1.1, 0.0, 0.0], [2.2, 0.0, 0.0]]
+    """
+    state = _State.of(graph, start)
+    damping, system = 1e-4, _System(graph, state)
+    for _ in range(_ROUNDS):
+        step = system.step(damping)
+        moved = state.moved(step)
+        tried = _System(graph, moved)
+        if tried.cost <= system.cost:
+            state, system, damping = moved, tried, max(damping / 10, 1e-9)
+            if np.abs(step[: 3 * len(graph)]).max() < _SMALL:
+                break
+        elif (damping := damping * 10) > 1e6:
+            break
+    fixed = graph.fixed if len(graph.fixed) else np.zeros(1, np.int64)
+    state.poses[fixed] = start[fixed]
+    return Solution(state.poses, float(np.exp(state.scale)), np.exp(state.wheel_scale), state.gyro_bias, system.weight)
+
+
+def covariances(graph: PoseGraph, found: Solution) -> Array:
+    """Return the covariances (n, 3, 3) of the poses, given the fixed ones, in squared units and rad."""
+    state = _State(found.poses, np.log(found.scale), np.log(found.wheel_scale), found.gyro_bias)
+    factors, n = splu(_System(graph, state).normal(0.0)), len(graph)
+    made = np.empty((n, 3, 3))
+    for begin in range(0, n, _AT_ONCE // 3):
+        rows = np.arange(begin, min(begin + _AT_ONCE // 3, n))
+        unknowns = (3 * rows[:, None] + np.arange(3)).ravel()
+        units = np.zeros((factors.shape[0], len(unknowns)))
+        units[unknowns, np.arange(len(unknowns))] = 1
+        inverse = factors.solve(units)[unknowns].reshape(len(rows), 3, len(rows), 3)
+        made[rows] = inverse[np.arange(len(rows)), :, np.arange(len(rows))]
+    return made
+
+
+@dataclass(frozen=True, eq=False)
+class _State:
+    poses: Array
+    scale: float  # logarithms
+    wheel_scale: Array
+    gyro_bias: Array
+
+    @classmethod
+    def of(cls, graph: PoseGraph, start: Array) -> _State:
+        drives = int(graph.drive.max()) + 1
+        return cls(np.array(start, dtype=np.float64), 0.0, np.zeros(drives), np.zeros(drives))
+
+    def moved(self, step: Array) -> _State:
+        poses, scale, wheels, bias = np.split(step, np.cumsum([self.poses.size, 1, len(self.wheel_scale)]))
+        return _State(
+            self.poses + poses.reshape(-1, 3),
+            self.scale + float(scale[0]),
+            self.wheel_scale + wheels,
+            self.gyro_bias + bias,
+        )
+
+
+class _System:
+    """The graph linearized at a state: its cost, and the normal equations of a step."""
+
+    def __init__(self, graph: PoseGraph, state: _State) -> None:
+        n, drives = len(graph), len(state.wheel_scale)
+        self._parts: list[tuple[sparse.csr_matrix, Array]] = []
+        self.cost, self._unknowns = 0.0, 3 * n + 1 + 2 * drives
+        pictures, wheels = graph.pictures, graph.wheels
+        # Comparisons: exp(scale) times the displacement.
+        error, jacobians = _seen(state.poses, pictures, np.exp(np.full(len(pictures), state.scale)))
+        own = np.zeros((len(pictures), 3, 1))
+        own[:, :2, 0] = error[:, :2]
+        error = _off(error, pictures.pose)
+        squared = np.einsum("ei,eij,ej->e", error, pictures.information, error)
+        self.weight = 1 / (1 + squared / FREEDOM)
+        self.cost += (FREEDOM + 3) / 2 * float(np.log1p(squared / FREEDOM).sum()) / SHARED
+        factor = self.weight * (FREEDOM + 3) / FREEDOM / SHARED
+        columns = np.full((len(pictures), 1), 3 * n)
+        self._add(pictures, error, pictures.information * factor[:, None, None], jacobians, own, columns)
+        # Odometry: its scale times the displacement, and a turn that grows with the distance.
+        drive = graph.drive[wheels.second]
+        error, jacobians = _seen(state.poses, wheels, np.exp(state.wheel_scale[drive]))
+        own = np.zeros((len(wheels), 3, 2))
+        own[:, :2, 0] = error[:, :2]
+        own[:, 2, 1] = np.hypot(wheels.pose[:, 0], wheels.pose[:, 1])
+        error[:, 2] += state.gyro_bias[drive] * own[:, 2, 1]
+        error = _off(error, wheels.pose)
+        squared = np.einsum("ei,eij,ej->e", error, wheels.information, error)
+        self.cost += (FREEDOM + 3) / 2 * float(np.log1p(squared / FREEDOM).sum())
+        factor = (FREEDOM + 3) / (FREEDOM + squared)
+        columns = 3 * n + 1 + drive[:, None] + np.array([0, drives])
+        self._add(wheels, error, wheels.information * factor[:, None, None], jacobians, own, columns)
+        # What is known before: fixed poses, and the sizes of scales and biases.
+        self._prior = np.full(self._unknowns, 1e-9)
+        fixed = graph.fixed if len(graph.fixed) else np.zeros(1, np.int64)
+        self._prior[(3 * fixed[:, None] + np.arange(3)).ravel()] = _FIXED
+        given = np.concatenate([[state.scale], state.wheel_scale, state.gyro_bias])
+        deviations = np.concatenate([[SCALE], np.full(drives, WHEEL_SCALE), np.full(drives, GYRO_BIAS)])
+        self._prior[3 * n :] = 1 / deviations**2
+        self._pull = np.concatenate([np.zeros(3 * n), given / deviations**2])
+        self.cost += 0.5 * float(np.square(given / deviations).sum())
+
+    def _add(
+        self,
+        edges: Edges,
+        error: Array,
+        information: Array,
+        jacobians: tuple[Array, Array],
+        own: Array,
+        columns: NDArray[np.int64],
+    ) -> None:
+        """Add rows to the linear system: errors (e, 3) whitened by their information."""
+        if not len(edges):
+            return
+        white = np.linalg.cholesky(information).swapaxes(1, 2)
+        values = white @ np.concatenate([*jacobians, own], axis=2)
+        poses = [3 * one[:, None] + np.arange(3) for one in (edges.first, edges.second)]
+        places = np.broadcast_to(np.concatenate([*poses, columns], axis=1)[:, None], values.shape)
+        rows = np.broadcast_to(np.arange(3 * len(edges)).reshape(-1, 3, 1), values.shape)
+        shape = 3 * len(edges), self._unknowns
+        matrix = sparse.csr_matrix((values.ravel(), (rows.ravel(), places.ravel())), shape=shape)
+        self._parts.append((matrix, (white @ error[..., None])[..., 0].ravel()))
+
+    def normal(self, damping: float) -> sparse.csc_matrix:
+        """Return the matrix of the normal equations, its diagonal enlarged by a share."""
+        whole = sum((matrix.T @ matrix for matrix, _ in self._parts), start=sparse.diags(self._prior))
+        return (whole + sparse.diags(damping * whole.diagonal())).tocsc()
+
+    def step(self, damping: float) -> Array:
+        """Return the step of all unknowns."""
+        slope = sum((matrix.T @ error for matrix, error in self._parts), start=self._pull.copy())
+        return np.asarray(splu(self.normal(damping)).solve(-slope))
+
+
+def relative(poses: Array, first: NDArray[np.int64], second: NDArray[np.int64]) -> Array:
+    """Return poses of frames as seen from others (e, 3): displacement ahead and to the left, and turn in (-pi, pi]."""
+    apart = poses[second] - poses[first]
+    cosine, sine = np.cos(poses[first, 2]), np.sin(poses[first, 2])
+    ahead, left = cosine * apart[:, 0] + sine * apart[:, 1], cosine * apart[:, 1] - sine * apart[:, 0]
+    return np.column_stack([ahead, left, wrapped(apart[:, 2])])
+
+
+def composed(pose: Array, seen: Array) -> Array:
+    """Return poses (n, 3) of what is seen at `seen` (n, 3) from `pose` (n, 3)."""
+    cosine, sine = np.cos(pose[:, 2]), np.sin(pose[:, 2])
+    x, y = cosine * seen[:, 0] - sine * seen[:, 1], sine * seen[:, 0] + cosine * seen[:, 1]
+    return np.column_stack([pose[:, 0] + x, pose[:, 1] + y, pose[:, 2] + seen[:, 2]])
+
+
+def chained(steps: Array) -> Array:
+    """Return the poses (n + 1, 3) of a robot that starts at 0 and moves by steps (n, 3), each as seen from the last."""
+    heading = np.concatenate([[0.0], np.cumsum(steps[:, 2])])
+    moved = composed(np.column_stack([np.zeros((len(steps), 2)), heading[:-1]]), steps)[:, :2]
+    return np.column_stack([np.concatenate([np.zeros((1, 2)), np.cumsum(moved, axis=0)]), heading])
+
+
+def wrapped(angle: Array) -> Array:
+    """Wrap angles to (-pi, pi]."""
+    return np.asarray(np.pi - np.remainder(np.pi - angle, 2 * np.pi))
+
+
+def _seen(poses: Array, edges: Edges, scale: Array) -> tuple[Array, tuple[Array, Array]]:
+    """Return scaled displacements and turns (e, 3), and their derivatives by both poses (e, 3, 3)."""
+    found = relative(poses, edges.first, edges.second)
+    found[:, :2] *= scale[:, None]
+    cosine, sine = np.cos(poses[edges.first, 2]), np.sin(poses[edges.first, 2])
+    first, second = np.zeros((2, len(edges), 3, 3))
+    second[:, 0, 0] = second[:, 1, 1] = scale * cosine
+    second[:, 0, 1], second[:, 1, 0] = scale * sine, -scale * sine
+    second[:, 2, 2] = 1
+    first[:] = -second
+    first[:, 0, 2], first[:, 1, 2] = found[:, 1], -found[:, 0]
+    return found, (first, second)
+
+
+def _off(found: Array, measured: Array) -> Array:
+    error = found - measured
+    error[:, 2] = wrapped(error[:, 2])
+    return error

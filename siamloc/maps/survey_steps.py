@@ -1,0 +1,174 @@
+"""The steps of a survey: how a robot moved from frame to frame, by compared panoramas and by odometry."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from siamloc.errors import DataError
+from siamloc.maps.pose_graph import Array, Edges, chained, relative
+from siamloc.maps.reranking import Compares
+from siamloc.progress import track
+
+ODDS = float(np.log(19))
+"""Log odds from which on two images count as taken near each other: a probability of 95 %."""
+_BEFORE = (1, 2, 3, 5)  # frames back that each frame is compared with
+_DOUBTED = 100.0  # the information of a step between images that are not alike is divided by this
+_AT_ONCE = 2048  # pairs to compare
+_SHARE, _TURN = 0.03, np.radians(0.5)  # deviation of odometry: as a share of the way, and per square root of the way
+_STILL, _ROLLED = 2e-3, np.radians(0.05)  # deviation of odometry however short the way
+_SURE = 0.05  # metres: a displacement that comparisons see for certain
+_UNITS = 0.4, 2.5  # ratio of the ways by odometry and by comparison; outside, the units differ
+_JUMP, _FROZEN = 1.0, 5  # metres beyond three times the compared way; frames
+_TURNED = np.radians(3)  # a turn that comparisons see for certain
+_ENOUGH = 10  # steps from which units and signs are judged
+
+Pairs = Callable[[NDArray[np.int64], NDArray[np.int64]], tuple[Array, Array, Array]]
+"""Returns pose (p, 3), information (p, 3, 3) and log odds (p,) of the second frames as seen from the first."""
+
+
+def comparing(compare: Compares, parts: NDArray[np.float32], progress: bool) -> Pairs:
+    """Return a function that compares frames by their orientation parts (n, K, F)."""
+
+    def compared(first: NDArray[np.int64], second: NDArray[np.int64]) -> tuple[Array, Array, Array]:
+        begins = range(0, len(first), _AT_ONCE)
+        pieces = [(first[at : at + _AT_ONCE], second[at : at + _AT_ONCE]) for at in begins]
+        shown = track(pieces, len(first), "comparing frames", size=lambda one: len(one[0])) if progress else pieces
+        found = [compare(parts[other], parts[one]) for one, other in shown]
+        if not found:
+            return np.empty((0, 3)), np.empty((0, 3, 3)), np.empty(0)
+        pose, information, odds = (np.concatenate(values).astype(np.float64) for values in zip(*found, strict=True))
+        return pose, information, odds
+
+    return compared
+
+
+def compared_steps(compared: Pairs, drive: NDArray[np.int64]) -> tuple[Edges, Array]:
+    """Compare each frame with those shortly before it.
+
+    Returns:
+        The steps between images that are alike, and all steps from frame to frame; and the poses (n - 1, 3) of each
+        frame but the first, as seen from the frame before it, NaN between drives.
+    """
+    n = len(drive)
+    first = np.concatenate([np.arange(n - back) for back in _BEFORE])
+    second = np.concatenate([np.arange(back, n) for back in _BEFORE])
+    same = drive[first] == drive[second]
+    first, second = first[same], second[same]
+    pose, information, odds = compared(first, second)
+    next_one = second == first + 1
+    seen = np.full((n - 1, 3), np.nan)
+    seen[first[next_one]] = pose[next_one]
+    information = np.where((odds < ODDS)[:, None, None], information / _DOUBTED, information)
+    kept = next_one | (odds >= ODDS)
+    return Edges(first[kept], second[kept], pose[kept], information[kept]), seen
+
+
+def odometry_of(values: ArrayLike, count: int) -> Array:
+    """Return odometry as numbers (n, 3).
+
+    Raises:
+        DataError: another shape, or texts.
+    """
+    try:
+        found = np.array(values, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise DataError(f"odometry must be numbers, x, y and heading for each frame: {error}") from error
+    if found.shape != (count, 3):
+        raise DataError(f"odometry needs x, y and heading of {count} frames, shape ({count}, 3), got {found.shape}")
+    return found
+
+
+def odometry_steps(
+    odometry: Array, seen: Array, drive: NDArray[np.int64], names: Sequence[str], notes: list[str]
+) -> Array:
+    """Return the poses (n - 1, 3) of each frame but the first as seen from the frame before it, by odometry.
+
+    They are NaN between drives, where odometry is unknown, and where it cannot be true: after a reset, and while it is
+    frozen, as comparisons (n - 1, 3) show. `notes` gets a sentence about each such part.
+
+    Raises:
+        DataError: odometry in another unit, in degrees, or of turns with the wrong sign.
+    """
+    before, after = np.arange(len(drive) - 1), np.arange(1, len(drive))
+    steps = relative(odometry, before, after)
+    raw = np.diff(odometry[:, 2])
+    steps[drive[1:] != drive[:-1]] = np.nan
+    way, compared = np.hypot(steps[:, 0], steps[:, 1]), np.hypot(seen[:, 0], seen[:, 1])
+    for number, name in enumerate(names):
+        mine = (drive[1:] == number) & np.isfinite(way) & np.isfinite(compared)
+        if not mine.any():
+            continue
+        said = f"the odometry of drive {name or '(unnamed)'}"
+        moving = mine & (compared > _SURE) & (way > 0)
+        ratio = float(np.median(way[moving] / compared[moving])) if moving.sum() >= _ENOUGH else 1.0
+        if not _UNITS[0] <= ratio <= _UNITS[1]:
+            raise DataError(
+                f"{said} moves {ratio:.3g} times as far as its images show: give odom_x and odom_y in metres"
+            )
+        turning = mine & (np.abs(seen[:, 2]) > _TURNED)
+        if turning.sum() >= _ENOUGH:
+            slope = float(np.sum(raw[turning] * seen[turning, 2]) / np.sum(seen[turning, 2] ** 2))
+            if slope > 10:
+                raise DataError(
+                    f"{said} turns {slope:.0f} times as far as its images show: give odom_theta in radians, not degrees"
+                )
+            agree = float(np.mean(np.sign(steps[turning, 2]) == np.sign(seen[turning, 2])))
+            if agree < 0.3:
+                raise DataError(
+                    f"{said} turns left where its images turn right: headings grow counter-clockwise and the columns "
+                    "of a panorama run clockwise; give odom_theta with the other sign, or mirror the panoramas"
+                )
+        reset = mine & (way > 3 * compared + _JUMP)
+        frozen = _runs(mine & (way < 0.1 * compared) & (compared > _SURE), _FROZEN)
+        for bad, text in ((reset, "jumps"), (frozen, "stands still while the images move")):
+            if bad.any():
+                frame = int(np.flatnonzero(bad)[0]) + 1 - int(np.flatnonzero(drive == number)[0])
+                notes.append(f"{said} {text} at {int(bad.sum())} steps, first before frame {frame}: left out there")
+        unknown = int((~np.isfinite(odometry[drive == number]).all(axis=1)).sum())
+        if unknown:
+            notes.append(f"{said} is unknown for {unknown} frames: images alone bridge the gap")
+        steps[reset | frozen] = np.nan
+    return steps
+
+
+def wheel_edges(steps: Array) -> Edges:
+    """Return odometry from frame to frame (n - 1, 3) as edges with their information, without those that are NaN."""
+    first = np.flatnonzero(np.isfinite(steps).all(axis=1)).astype(np.int64)
+    way = np.hypot(steps[first, 0], steps[first, 1])
+    along = (_SHARE * way) ** 2 + _STILL**2
+    turn = _TURN**2 * way + _ROLLED**2
+    information = np.zeros((len(first), 3, 3))
+    information[:, 0, 0] = information[:, 1, 1] = 1 / along
+    information[:, 2, 2] = 1 / turn
+    return Edges(first, first + 1, steps[first], information)
+
+
+def start_of(odometry_steps: Array, seen: Array, drive: NDArray[np.int64]) -> Array:
+    """Return poses (n, 3) by odometry, and by comparisons where it is unknown, each drive from 0."""
+    steps = np.where(np.isfinite(odometry_steps.sum(axis=1, keepdims=True)), odometry_steps, seen)
+    poses = np.zeros((len(drive), 3))
+    for number in range(int(drive.max()) + 1):
+        rows = np.flatnonzero(drive == number)
+        poses[rows] = chained(steps[rows[:-1]])
+    return poses
+
+
+def from_own_start(odometry: Array, drive: NDArray[np.int64]) -> Array:
+    """Return odometry (n, 3) as seen from the first known pose of each drive."""
+    found = np.full(odometry.shape, np.nan)
+    for number in range(int(drive.max()) + 1):
+        rows = np.flatnonzero((drive == number) & np.isfinite(odometry).all(axis=1))
+        found[rows] = relative(odometry, np.full(len(rows), rows[0] if len(rows) else 0), rows)
+    return found
+
+
+def _runs(flags: NDArray[np.bool_], least: int) -> NDArray[np.bool_]:
+    """Return the flags (n,) of runs of at least so many."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], flags, [False]]).astype(np.int8)))
+    found = np.zeros_like(flags)
+    for begin, end in edges.reshape(-1, 2):
+        found[begin:end] = end - begin >= least
+    return found

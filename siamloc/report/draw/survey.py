@@ -1,0 +1,129 @@
+"""Draw a survey: the path by odometry, the surveyed path and its loops; and a film of how it was driven."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.collections import LineCollection
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
+from siamloc.report.draw.film import write_film
+from siamloc.report.draw.look import INK, SERIES, Picture, panels, style
+
+if TYPE_CHECKING:
+    from siamloc.maps import Survey
+
+_PICTURES = 80
+_DOTS_PER_INCH = 110
+_LOOP, _REFUSED = "#009e74", "#c44e00"
+_BEHIND = 12  # frames of the path that are drawn boldly behind the robot
+
+
+@style()
+def survey_picture(found: Survey) -> Picture:
+    """Draw the path by odometry, if there is any, beside the surveyed path with its loops.
+
+    Each drive has a colour. Loops that are used are thin green lines, and those that contradict the rest are orange.
+    """
+    wheels = np.isfinite(found.odometry).all(axis=1).any()
+    drives = list(found.frames.rows_by("sequence").items())
+    xy = found.frames.xy
+    shown = np.concatenate([xy, *([_turned(found, rows) for _, rows in drives] if wheels else [])])
+    height = 5.2 * float(np.clip(np.ptp(shown[:, 1]) / max(np.ptp(shown[:, 0]), 1e-9), 0.4, 1.2))
+    figure, drawn = panels(1 + int(wheels), 5.2, height, margin=(0.2, 0.9), across=2, sharex=True, sharey=True)
+    if wheels:
+        for number, (_, rows) in enumerate(drives):
+            drawn[0].plot(*_turned(found, rows).T, color=_colour(number), linewidth=1.3)
+        drawn[0].set_title("by odometry")
+    axes = drawn[-1]
+    _add_loops(axes, found)
+    for number, (name, rows) in enumerate(drives):
+        axes.plot(*xy[rows].T, color=_colour(number), linewidth=1.6, label=name or "drive")
+        axes.plot(*xy[rows[0]], "o", color=_colour(number), markersize=6, markeredgecolor="white")
+    counts = found.loops.counts()
+    axes.set_title(f"surveyed: {counts['accepted']} loops used")
+    for one in drawn:
+        one.set(xlabel="x [m]", ylabel="y [m]", aspect="equal")
+    handles, labels = axes.get_legend_handles_labels()
+    handles.append(axes.plot([], [], color=_LOOP, linewidth=0.8)[0])
+    labels.append("loop")
+    if counts["contradicted"]:
+        handles.append(axes.plot([], [], color=_REFUSED, linewidth=0.8)[0])
+        labels.append("loop refused as contradicting")
+    figure.legend(handles, labels, loc="outside lower center", ncols=min(len(labels), 4))
+    return figure
+
+
+def survey_film(found: Survey, path: str | Path) -> Path:
+    """Write a GIF of about 80 pictures: the robot drives along the surveyed path, and loops appear as they close.
+
+    Raises:
+        StorageError: the disk is full or cannot be written to.
+    """
+    return write_film(_driven(found), path, [*SERIES, _LOOP])
+
+
+@style()
+def _driven(found: Survey) -> list[NDArray[np.uint8]]:
+    xy, loops = found.frames.xy, found.loops.take(found.loops.accepted)
+    extent = np.ptp(xy, axis=0)
+    width = 6.4
+    height = float(np.clip(width * extent[1] / max(extent[0], 1e-9), 2.4, 6.4))
+    figure = Figure(figsize=(width, height + 0.8), dpi=_DOTS_PER_INCH)
+    canvas, axes = FigureCanvasAgg(figure), figure.subplots()
+    axes.set(xlabel="x [m]", ylabel="y [m]", aspect="equal")
+    margin = 0.05 * extent.max()
+    axes.set(xlim=(xy[:, 0].min() - margin, xy[:, 0].max() + margin))
+    axes.set(ylim=(xy[:, 1].min() - margin, xy[:, 1].max() + margin))
+    closed = LineCollection([], colors=_LOOP, linewidths=0.6, alpha=0.35)
+    axes.add_collection(closed)
+    paths = [axes.plot([], [], color=_colour(number), linewidth=1.2)[0] for number in range(int(found.drive.max()) + 1)]
+    (robot,) = axes.plot([], [], "o", color=INK, markersize=7)
+    (tail,) = axes.plot([], [], color=INK, linewidth=2.2)
+    pictures: list[NDArray[np.uint8]] = []
+    for last in np.unique(np.linspace(1, len(xy) - 1, _PICTURES).round().astype(np.int64)).tolist():
+        here = loops.second <= last
+        closed.set_segments(list(np.stack([xy[loops.first[here]], xy[loops.second[here]]], axis=1)))
+        for number, line in enumerate(paths):
+            rows = np.flatnonzero((found.drive == number) & (np.arange(len(xy)) <= last))
+            line.set_data(*xy[rows].T)
+        behind = np.flatnonzero(found.drive[: last + 1] == found.drive[last])[-_BEHIND:]
+        tail.set_data(*xy[behind].T)
+        robot.set_data(*xy[[last]].T)
+        axes.set_title(f"{last + 1} frames, {int(here.sum())} loops")
+        canvas.draw()
+        pictures.append(np.asarray(canvas.buffer_rgba())[..., :3].copy())
+    return pictures
+
+
+def _add_loops(axes: Axes, found: Survey) -> None:
+    xy = found.frames.xy
+    contradicted = np.array([reason.name == "CONTRADICTED" for reason in found.loops.reason.tolist()], dtype=bool)
+    for rows, options in (
+        (found.loops.accepted, {"colors": _LOOP, "linewidths": 0.5, "alpha": 0.25}),
+        (contradicted, {"colors": _REFUSED, "linewidths": 0.8, "alpha": 0.9}),
+    ):
+        ends = np.stack([xy[found.loops.first[rows]], xy[found.loops.second[rows]]], axis=1)
+        axes.add_collection(LineCollection(list(ends), **options))  # type: ignore[arg-type]
+
+
+def _turned(found: Survey, rows: NDArray[np.int64]) -> NDArray[np.float64]:
+    """Return positions by odometry (k, 2), moved and turned so that they begin as the surveyed drive does."""
+    known = rows[np.isfinite(found.odometry[rows]).all(axis=1)]
+    if not len(known):
+        return np.empty((0, 2))
+    x, y, heading = found.odometry[known].T
+    begin = found.frames.theta[known[0]] - heading[0]
+    cosine, sine = np.cos(begin), np.sin(begin)
+    apart = np.column_stack([x - x[0], y - y[0]])
+    turned = np.column_stack([cosine * apart[:, 0] - sine * apart[:, 1], sine * apart[:, 0] + cosine * apart[:, 1]])
+    return np.asarray(found.frames.xy[known[0]] + turned)
+
+
+def _colour(number: int) -> str:
+    return SERIES[number % len(SERIES)]

@@ -1,0 +1,74 @@
+"""`siamloc survey` writes a manifest with the poses, figures, a picture and a film."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import siamloc
+from foundation.files import read_json
+from siamloc.data import FrameTable
+from siamloc.maps.pose_graph import chained, relative, wrapped
+from tests.drawn import write_manifest
+from tests.siamloc.cli.commands import done, refused
+from tests.surveyed import a_survey
+
+HOUSE = Path(__file__).parents[4] / "shared" / "data" / "house" / "manifest.csv"
+
+
+def test_the_command_writes_what_the_next_commands_read(tmp_path, monkeypatch, capsys):
+    manifest = write_manifest(tmp_path / "data", {"monday": "cloudy"}, frames_per_room=4)
+    given = {}
+
+    def survey(network, images, frames, **options):
+        given.update(options, frames=frames, size=images.image_size)
+        return a_survey(manifest.parent / "monday")
+
+    monkeypatch.setattr(sys.modules["siamloc.jobs.survey"], "survey", survey)
+    anchors = tmp_path / "anchors.csv"
+    anchors.write_text(manifest.read_text().replace("monday/", "data/monday/"))
+    out = tmp_path / "survey"
+    done("survey", f"data.manifest={manifest}", f"anchors={anchors}", f"out={out}", "survey.alike=5")
+    assert given["size"] == (64, 256)
+    assert given["settings"].alike == 5
+    assert set(given["frames"].sequence.tolist()) == {"monday"}
+    assert given["anchors"].has_position.all()
+    shown = capsys.readouterr().out
+    assert "2 used, 2 refused" in shown
+    assert f"data.manifest={out / 'surveyed.csv'}" in shown
+    assert {path.name for path in out.iterdir()} == {"surveyed.csv", "survey.json", "survey.png", "survey.gif"}
+    figures = read_json(out / "survey.json")
+    assert figures["loops"] == {"accepted": 2, "unlike": 0, "alone": 1, "contradicted": 1}
+    assert figures["settings"]["survey"]["alike"] == 5
+    lines = (out / "surveyed.csv").read_text().splitlines()
+    assert lines[0] == "image,x,y,theta,sequence"
+    assert lines[1].startswith("../data/monday/0.png,4.0,0.0,")
+
+
+def test_a_network_that_does_not_compare_is_refused(tmp_path, trained, data, capsys):
+    text = refused(capsys, "survey", *data, f"descriptor={trained}", f"out={tmp_path / 'survey'}")
+    assert "needs a network that compares panoramas" in text
+    assert not (tmp_path / "survey").exists()
+
+
+@pytest.mark.slow
+def test_the_shipped_network_surveys_a_house_of_others():
+    if not HOUSE.is_file():
+        pytest.skip("the path-traced house is not beside the project")
+    frames = siamloc.data.read("manifest", manifest=str(HOUSE)).select(sequence="*cloudy3").every(2)
+    images = siamloc.data.PanoramaLibrary(frames, image_size=(64, 256))
+    true = np.column_stack([frames.xy, frames.theta])
+    steps = relative(true, np.arange(len(true) - 1), np.arange(1, len(true)))
+    steps[:, :2] *= 1.02
+    steps[:, 2] += np.radians(0.5) * np.hypot(steps[:, 0], steps[:, 1])
+    unknown = FrameTable(path=frames.path, sequence=frames.sequence)
+    found = siamloc.maps.survey("pretrained", images, unknown, odometry=chained(steps), progress=False)
+    turned = wrapped(true[:, 2] - found.frames.theta).mean()
+    given, wanted = (xy - xy.mean(axis=0) for xy in (found.frames.xy, true[:, :2]))
+    cosine, sine = np.cos(turned), np.sin(turned)
+    moved = given @ np.array([[cosine, sine], [-sine, cosine]])
+    assert np.hypot(*(moved - wanted).T).mean() < 0.15  # by odometry alone 0.3
+    assert found.loops.accepted.sum() > 20

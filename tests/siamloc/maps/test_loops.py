@@ -1,0 +1,91 @@
+"""Candidates for loops, and which of them agree."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from siamloc.maps.loops import Loops, Reason, agreeing, candidates, judged
+from siamloc.maps.pose_graph import relative
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_candidates_are_the_most_similar_frames_far_away_along_the_path(seed):
+    rng = np.random.default_rng(seed)
+    n, k, apart = 40, 3, 4.0
+    descriptors = rng.normal(size=(n, 5)).astype(np.float32)
+    drive = np.repeat([0, 1, 2], [15, 15, 10])
+    path = np.cumsum(rng.uniform(0, 1, n))
+    expected = set()
+    for row in range(n):
+        for other in range(3):
+            usable = [
+                j for j in range(n) if drive[j] == other and (other != drive[row] or abs(path[j] - path[row]) >= apart)
+            ]
+            usable.sort(key=lambda j: float(np.square(descriptors[row] - descriptors[j]).sum()))
+            expected |= {(min(row, j), max(row, j)) for j in usable[:k]}
+    first, second = candidates(descriptors, path, drive, apart, k)
+    assert list(zip(first.tolist(), second.tolist(), strict=True)) == sorted(expected)
+
+
+def two_rounds(count: int = 20) -> np.ndarray:
+    angle = 2 * np.pi * np.arange(2 * count) / count
+    return np.column_stack([3 * np.cos(angle), 3 * np.sin(angle), angle + np.pi / 2])
+
+
+def loops_of(poses, first, second) -> Loops:
+    pose = relative(poses, first, second)
+    n = len(first)
+    information, reason = np.tile(np.eye(3), (n, 1, 1)), np.full(n, Reason.UNLIKE, dtype=object)
+    return Loops(first, second, pose, information, np.full(n, 5.0), reason, np.zeros(n))
+
+
+def test_loops_of_neighbouring_frames_agree_unless_one_is_wrong():
+    poses = two_rounds()
+    first = np.arange(20)
+    loops = loops_of(poses, first, first + 20)
+    drive = np.zeros(40, dtype=np.int64)
+    counts = agreeing(loops, poses, drive)
+    inner = np.minimum(3, first) + np.minimum(3, 19 - first)  # loops at most three frames to either side
+    assert counts.tolist() == inner.tolist()
+    loops.pose[10, 0] += 2.0
+    counts = agreeing(loops, poses, drive)
+    assert counts[10] == 0
+    assert counts[9] == inner[9] - 1
+    # A drive whose whole path is off still tells how the robot moved over a few frames.
+    drifted = poses.copy()
+    drifted[:, 2] += 0.7
+    turned = relative(drifted, first, first + 20)
+    assert np.abs(turned - loops.pose).max() > 0.5
+    bent = np.column_stack([np.cos(0.7) * poses[:, 0] - np.sin(0.7) * poses[:, 1] + 5,
+                            np.sin(0.7) * poses[:, 0] + np.cos(0.7) * poses[:, 1], poses[:, 2] + 0.7])  # fmt: skip
+    assert agreeing(loops, bent, drive).tolist() == counts.tolist()
+
+
+def test_frames_of_two_drives_are_no_neighbours():
+    poses = two_rounds()
+    first = np.array([18, 19, 20, 21])
+    loops = loops_of(poses, np.array([0, 1, 2, 3]), first)
+    one = agreeing(loops, poses, np.zeros(40, dtype=np.int64))
+    two = agreeing(loops, poses, np.repeat([0, 1], 20))
+    assert one.tolist() == [3, 3, 3, 3]
+    assert two.tolist() == [1, 1, 1, 1]
+
+
+def test_each_loop_has_its_reason():
+    poses = two_rounds()
+    first, second = np.arange(8), np.arange(8) + 20
+    wrong = np.array([6])
+
+    def compare(a, b):
+        pose = relative(poses, a, b)
+        pose[a == wrong] += [1.5, 0.0, 0.0]
+        return pose, np.tile(np.eye(3), (len(a), 1, 1)), np.where(np.arange(len(a)) == 2, -1.0, 4.0)
+
+    loops = judged(first, second, compare, poses, np.zeros(40, dtype=np.int64), 2.0)
+    assert [reason.name for reason in loops.reason] == [
+        "ACCEPTED", "ACCEPTED", "UNLIKE", "ACCEPTED", "ACCEPTED", "ACCEPTED", "ALONE", "ACCEPTED",
+    ]  # fmt: skip
+    assert loops.counts() == {"accepted": 6, "unlike": 1, "alone": 1, "contradicted": 0}
+    assert loops.accepted.sum() == 6
+    assert judged(first[:0], second[:0], compare, poses, np.zeros(40, np.int64), 2.0).counts()["accepted"] == 0

@@ -1,0 +1,224 @@
+"""Poses of drives whose frames have none, with a comparison that knows the truth up to noise."""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from analytic.descriptors.thumbnail import Thumbnail
+from siamloc.data import FrameTable, PanoramaLibrary, concatenate
+from siamloc.errors import ConfigError, DataError
+from siamloc.maps import VisualMap, survey
+from siamloc.maps.pose_graph import chained, composed, relative, wrapped
+
+
+class TrueComparison(Thumbnail):
+    """Compares frames by their true poses; the number of a frame is in its orientation part."""
+
+    compares = True
+
+    def __init__(self, poses, scale, noise, seed=0, mirrored=False):
+        super().__init__()
+        self.poses, self.scale, self.noise, self.mirrored = poses, scale, noise, mirrored
+        self.rng = np.random.default_rng(seed)
+
+    def compare(self, queries, known):
+        second, first = (np.rint(one[:, 0, 0] / one[:, 1, 0]).astype(int) - 2 for one in (queries, known))
+        pose = relative(self.poses, first, second)
+        apart = np.hypot(pose[:, 0], pose[:, 1])
+        pose[:, :2] *= self.scale
+        pose += self.rng.normal(size=pose.shape) * [self.noise, self.noise, self.noise / 2]
+        if self.mirrored:
+            pose *= [1, -1, -1]
+        sure = 1 / max(self.noise, 0.01) ** 2
+        information = np.tile(np.diag([sure, sure, 4 * sure]), (len(pose), 1, 1))
+        return pose, information, np.where(apart < 2.5, 5.0, -5.0)
+
+
+def eights(rounds=3, per_round=30, turned=0.0) -> np.ndarray:
+    """A robot that drives figures of eight, 6 m long, and a little differently each time."""
+    t = 2 * np.pi * np.arange(rounds * per_round) / per_round
+    xy = np.column_stack([3 * np.sin(t), 1.5 * np.sin(2 * t)]) + 0.1 * np.sin(0.37 * np.arange(len(t)))[:, None]
+    ahead = np.gradient(xy, axis=0)
+    pose = np.column_stack([xy, np.unwrap(np.arctan2(ahead[:, 1], ahead[:, 0]))])
+    return composed(np.tile([1.0, 2.0, turned], (len(pose), 1)), pose)
+
+
+def drifting(poses, scale=1.02, degrees=0.5, seed=0) -> np.ndarray:
+    steps = relative(poses, np.arange(len(poses) - 1), np.arange(1, len(poses)))
+    way = np.hypot(steps[:, 0], steps[:, 1])
+    rng = np.random.default_rng(seed)
+    steps[:, :2] *= scale + 0.01 * rng.normal(size=(len(steps), 1))
+    steps[:, 2] += np.radians(degrees) * way + np.radians(0.3) * np.sqrt(way) * rng.normal(size=len(steps))
+    return chained(steps)
+
+
+@pytest.fixture
+def surveyed(monkeypatch):
+    """Return a function that surveys drives with these true poses (by name)."""
+
+    def run(drives, *, scale=1.0, noise=0.02, odometry=True, mirrored=False, seed=0, **options):
+        table = concatenate(
+            [
+                FrameTable(path=[f"{name}/{n}.png" for n in range(len(poses))], sequence=[name] * len(poses))
+                for name, poses in drives.items()
+            ]
+        )
+        true = np.concatenate(list(drives.values()))
+        places = np.column_stack([true[:, :2], np.zeros(len(true))])
+
+        def built(network, images, frames, progress):
+            rows = [table.identities().index(key) for key in frames.identities()]
+            parts = np.ones((len(rows), 8, 2), dtype=np.float16)
+            parts[:, 0, 0] = 2 + np.array(rows)
+            made = VisualMap(places[rows], frames, orientation=parts, heading={"name": "network"})
+            return replace(made, describes=network)
+
+        monkeypatch.setattr(sys.modules["siamloc.maps.surveying"], "build", built)
+        wheels = None
+        if isinstance(odometry, np.ndarray):
+            wheels = odometry
+        elif odometry:
+            wheels = np.concatenate([drifting(poses, seed=n) for n, poses in enumerate(drives.values())])
+        images = object.__new__(PanoramaLibrary)  # only `build` would look into it
+        found = survey(
+            TrueComparison(true, scale, noise, seed, mirrored),
+            images,
+            table,
+            odometry=wheels,
+            progress=False,
+            **options,
+        )
+        return found, true, table
+
+    return run
+
+
+def off(found, true, scaled=False) -> float:
+    """Return the mean distance in m after the best rigid motion."""
+    given, wanted = (xy - xy.mean(axis=0) for xy in (found.frames.xy, true[:, :2]))
+    cross = given.T @ wanted
+    angle = np.arctan2(cross[0, 1] - cross[1, 0], cross[0, 0] + cross[1, 1])
+    cosine, sine = np.cos(angle), np.sin(angle)
+    moved = given @ np.array([[cosine, sine], [-sine, cosine]])
+    if scaled:
+        moved *= (moved * wanted).sum() / (moved**2).sum()
+    return float(np.hypot(*(moved - wanted).T).mean())
+
+
+def test_loops_undo_the_drift_of_odometry(surveyed):
+    poses = eights()
+    found, true, _ = surveyed({"monday": poses}, scale=0.9)
+    before = off(replace(found, frames=found.frames.with_columns(x=found.odometry[:, 0], y=found.odometry[:, 1])), true)
+    assert before > 0.2
+    assert off(found, true) < 0.06  # 2 % of the 3 m from the middle, which only anchors would tell
+    assert off(found, true, scaled=True) < 0.03
+    turns = wrapped(found.frames.theta - true[:, 2])
+    assert np.degrees(np.abs(wrapped(turns - turns[0]))).mean() < 2
+    assert found.fixed_by == "odometry"
+    assert found.solution.scale == pytest.approx(0.9 / 1.02, abs=0.03)
+    assert np.degrees(found.solution.gyro_bias[0]) == pytest.approx(0.5, abs=0.15)
+    assert found.frames.x[0] == found.frames.y[0] == 0
+    assert found.report()["loops"]["accepted"] == found.loops.accepted.sum() > 50
+    assert "along" in found.summary()
+
+
+def test_images_alone_give_the_shape(surveyed):
+    poses = eights()
+    found, true, _ = surveyed({"monday": poses}, odometry=False, noise=0.03)
+    assert off(found, true) < 0.1
+    assert found.fixed_by == "pictures"
+    assert np.isnan(found.odometry).all()
+
+
+def test_anchors_fix_position_direction_and_scale(surveyed):
+    poses = eights()
+    anchors = FrameTable(
+        path=["monday/3.png", "monday/40.png", "monday/77.png"],
+        sequence=["monday"] * 3, **dict(zip("xy", poses[[3, 40, 77], :2].T, strict=True)), theta=poses[[3, 40, 77], 2],
+    )  # fmt: skip
+    found, true, _ = surveyed({"monday": poses}, scale=0.9, anchors=anchors)
+    assert np.hypot(*(found.frames.xy - true[:, :2]).T).mean() < 0.03
+    np.testing.assert_allclose(found.frames.xy[[3, 40, 77]], true[[3, 40, 77], :2], atol=1e-12)
+    assert found.fixed_by == "anchors"
+    assert found.solution.wheel_scale[0] == pytest.approx(1.02, abs=0.01)
+    with pytest.raises(DataError, match=r"anchor .*nowhere\.png is not among the 90 frames"):
+        surveyed({"monday": poses}, anchors=anchors.with_columns(path=["nowhere.png"] * 3))
+    with pytest.raises(DataError, match=r"anchor monday/3\.png has no pose"):
+        surveyed({"monday": poses}, anchors=anchors.with_columns(theta=[np.nan, 0, 0]))
+
+
+def test_drives_are_brought_together(surveyed):
+    drives = {"monday": eights(2), "tuesday": np.add(eights(2)[::-1], [0.05, 0.1, np.pi]), "night": eights(1)}
+    found, true, _ = surveyed(drives)
+    assert off(found, true) < 0.08
+    assert found.drive.tolist() == [0] * 60 + [1] * 60 + [2] * 30
+    assert list(found.report()["odometry"]) == ["monday", "tuesday", "night"]
+    with pytest.raises(DataError, match="no places were found that elsewhere and monday have in common"):
+        surveyed({"monday": eights(2), "elsewhere": np.add(eights(2), [50.0, 0, 0])})
+
+
+def test_a_wrong_loop_is_refused(surveyed, monkeypatch):
+    poses = eights()
+    wrong = TrueComparison.compare
+
+    def compare(self, queries, known):
+        pose, information, odds = wrong(self, queries, known)
+        second, first = (np.rint(one[:, 0, 0] / one[:, 1, 0]).astype(int) - 2 for one in (queries, known))
+        mistaken = (first < 6) & (second > 60) & (second < 66)  # a whole place that looks like another
+        pose[mistaken] = relative(self.poses, first[mistaken] + 15, second[mistaken])
+        odds[mistaken] = 5.0
+        return pose, information, odds
+
+    monkeypatch.setattr(TrueComparison, "compare", compare)
+    found, true, _ = surveyed({"monday": poses})
+    assert off(found, true) < 0.08
+    right = relative(true, found.loops.first, found.loops.second)
+    far = np.hypot(*(found.loops.pose - right)[:, :2].T) > 1
+    assert far.sum() > 5
+    assert (found.loops.weight[far] < 0.1).all()
+
+
+def test_parts_of_the_odometry_that_cannot_be_true_are_left_out(surveyed):
+    poses = eights()
+    wheels = drifting(poses)
+    wheels[30:, :2] += 40.0  # a reset
+    steps = relative(wheels, np.arange(89), np.arange(1, 90))
+    steps[50:60] = 0  # frozen
+    wheels = chained(steps)
+    wheels[70:75] = np.nan
+    found, true, _ = surveyed({"monday": poses}, odometry=wheels)
+    assert off(found, true) < 0.1
+    text = "; ".join(found.notes)
+    for part in ("jumps at 1 steps, first before frame 30", "stands still while the images move at 10", "for 5 frames"):
+        assert part in text
+    assert found.report()["notes"] == list(found.notes)
+
+
+def test_what_cannot_be_surveyed_is_a_sentence(surveyed):
+    poses = eights()
+    wheels = drifting(poses)
+    for changed, says in (
+        (wheels * [100, 100, 1], "moves 102 times as far as its images show: give odom_x and odom_y in metres"),
+        (wheels * [1, 1, 180 / np.pi], "times as far as its images show: give odom_theta in radians, not degrees"),
+        (wheels * [1, -1, -1], "turns left where its images turn right"),
+        (wheels[:50], r"shape \(90, 3\), got \(50, 3\)"),
+    ):
+        with pytest.raises(DataError, match=says):
+            surveyed({"monday": poses}, odometry=changed)
+    with pytest.raises(DataError, match="monday has 5 frames: a survey needs 10"):
+        surveyed({"monday": poses[:5]})
+    with pytest.raises(DataError, match="monday stays within 1 m"):
+        surveyed({"monday": np.tile(poses[:1], (30, 1))})
+    straight = np.column_stack([0.3 * np.arange(40), np.zeros((40, 2))])
+    found, _, _ = surveyed({"monday": straight})
+    assert "no loop was found" in found.notes[-1]
+
+
+def test_a_survey_needs_a_network_that_compares(monkeypatch, surveyed):
+    monkeypatch.setattr(TrueComparison, "compares", False)
+    with pytest.raises(ConfigError, match="needs a network that compares panoramas"):
+        surveyed({"monday": eights()})

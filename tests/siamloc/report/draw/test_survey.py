@@ -1,0 +1,45 @@
+"""Pictures of a survey show its paths and loops."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from matplotlib.collections import LineCollection
+
+from siamloc.maps.surveying import Survey
+from siamloc.report.draw.survey import survey_film, survey_picture
+from tests.surveyed import a_survey
+
+
+@pytest.fixture
+def found() -> Survey:
+    return a_survey()
+
+
+def test_the_picture_shows_odometry_paths_and_loops(found):
+    figure = survey_picture(found)
+    by_odometry, surveyed = figure.axes
+    assert len(by_odometry.lines) == 2
+    path = by_odometry.lines[0].get_xydata()
+    np.testing.assert_allclose(path[0], found.frames.xy[0])
+    # Odometry is turned to the first frame's heading: here, straight up.
+    np.testing.assert_allclose(path[:, 0], path[0, 0], atol=1e-9)
+    np.testing.assert_allclose(np.diff(path[:, 1]), 1)
+    used, refused = (one for one in surveyed.collections if isinstance(one, LineCollection))
+    assert [len(used.get_segments()), len(refused.get_segments())] == [2, 1]
+    np.testing.assert_allclose(refused.get_segments()[0], found.frames.xy[[2, 11]])
+    np.testing.assert_allclose(surveyed.lines[0].get_xydata(), found.frames.xy[:6])
+    labels = [text.get_text() for text in figure.legends[0].get_texts()]
+    assert labels == ["monday", "tuesday", "loop", "loop refused as contradicting"]
+
+
+def test_the_film_ends_with_the_whole_path(found, tmp_path):
+    from PIL import Image
+
+    path = survey_film(found, tmp_path / "film.gif")
+    with Image.open(path) as film:
+        assert film.n_frames == 11
+        first = np.asarray(film.convert("RGB")).astype(int)
+        film.seek(10)
+        last = np.asarray(film.convert("RGB")).astype(int)
+    assert (np.abs(last - first).sum(axis=2) > 60).sum() > 500
