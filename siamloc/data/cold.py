@@ -9,11 +9,14 @@ from pathlib import Path
 from typing import Any
 
 from foundation.files import read_text
-from siamloc.data.frames import FrameTable, image_files, in_capture_order
+from siamloc.data.frames import ODOMETRY, FrameTable, image_files, in_capture_order
+from siamloc.data.manifest import read_rows
 from siamloc.data.names import SequenceName, name_sequence, parse_name
 from siamloc.errors import ConfigError, DataError, hint, leave_out, logger
 
 CAMERAS = ("omni_cam", "std_cam")
+#: Table of odometry next to `places.lst`: image, odom_x, odom_y, odom_theta.
+ODOMETRY_FILE = "odometry.csv"
 
 _LIST_SUFFIX = ".places.lst"
 _DEPTH = 5
@@ -36,7 +39,8 @@ def read_cold(
     after its sequence, such as `freiburg_seq2_cloudy1.places.lst`, whose images are looked for in
     `freiburg_seq2_cloudy1/<camera>` next to it and need not be there. Frames are ordered by time within each sequence;
     sequences are called `freiburg_a_seq2_cloudy3`, their building `freiburg_a`. Without a list, the frames are the
-    images in the camera's folder, without rooms. Pronobis & Caputo 2009, IJRR 28(5).
+    images in the camera's folder, without rooms. Next to `places.lst`, a table `odometry.csv` with the columns `image`,
+    `odom_x`, `odom_y` and `odom_theta` gives the odometry. Pronobis & Caputo 2009, IJRR 28(5).
 
     Args:
         root: the database, a building, a part, or one sequence.
@@ -46,8 +50,8 @@ def read_cold(
 
     Raises:
         ConfigError: neither or both of `root` and `places`, or an unknown camera.
-        DataError: no sequence below the folder, a malformed line (with file and line number), or two sources of
-            one sequence.
+        DataError: no sequence below the folder, a malformed line (with file and line number), two sources of one
+            sequence, or odometry of other images.
     """
     if camera not in CAMERAS:
         raise ConfigError(f"COLD has no camera {camera!r}; {hint(camera, CAMERAS)}")
@@ -143,6 +147,8 @@ def _with_camera(sources: list[_Source], camera: str, on_error: str) -> list[_So
 def _read_sequence(source: _Source, on_error: str) -> tuple[list[dict[str, Any]], SequenceName]:
     if source.list is not None:
         frames = read_list(source.list)
+        if source.list.name == "places.lst" and (table := source.list.with_name(ODOMETRY_FILE)).is_file():
+            _add_odometry(frames, table)
         if source.images.is_dir():
             there = set(os.listdir(source.images))  # noqa: PTH208 (names, not paths)
             missing = [str(source.images / frame["image"]) for frame in frames if frame["image"] not in there]
@@ -155,6 +161,15 @@ def _read_sequence(source: _Source, on_error: str) -> tuple[list[dict[str, Any]]
         frame["path"] = str(source.images / frame.pop("image"))
         frame.update(sequence=name.sequence, building=name.building, lighting=name.lighting)
     return frames, name
+
+
+def _add_odometry(frames: list[dict[str, Any]], table: Path) -> None:
+    rows = {Path(row["path"]).name: row for row in read_rows(table)}
+    if not rows.keys() & {frame["image"] for frame in frames}:
+        raise DataError(f"{table} names no image of places.lst next to it, but {next(iter(rows))}: use the same names")
+    for frame in frames:
+        wheels = rows.get(frame["image"], {})
+        frame.update({name: wheels[name] for name in ODOMETRY if name in wheels})
 
 
 def read_list(path: Path) -> list[dict[str, Any]]:

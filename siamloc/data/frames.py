@@ -17,8 +17,8 @@ from foundation.settings import Count, Natural, Positive
 from siamloc.errors import ConfigError, DataError, hint
 
 _TEXT = ("path", "room", "sequence", "lighting", "building")
-_ODOMETRY = ("odom_x", "odom_y", "odom_theta")
-_COLUMNS = ("path", "x", "y", "theta", "room", "sequence", "lighting", "time", "building", *_ODOMETRY)
+ODOMETRY = ("odom_x", "odom_y", "odom_theta")
+_COLUMNS = ("path", "x", "y", "theta", "room", "sequence", "lighting", "time", "building", *ODOMETRY)
 _UNKNOWN = {name: "" if name in _TEXT else np.nan for name in _COLUMNS}
 
 
@@ -118,7 +118,7 @@ class FrameTable:
     @property
     def odometry(self) -> NDArray[np.float64]:
         """Poses by the robot's wheels (n, 3): x, y in `unit` and heading in rad, each drive in a frame of its own."""
-        return np.column_stack([getattr(self, name) for name in _ODOMETRY])
+        return np.column_stack([getattr(self, name) for name in ODOMETRY])
 
     @property
     def has_position(self) -> NDArray[np.bool_]:

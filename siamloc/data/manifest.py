@@ -42,12 +42,26 @@ def read_manifest(manifest: str | Path, *, on_error: str = "skip") -> FrameTable
     file = Path(manifest).expanduser()
     if file.exists() and not file.is_file():
         raise DataError(f"the manifest {file} is not a regular file: give a CSV table with one row for each image")
+    frames = list(read_rows(file))
+    # Path.is_file raises on names that are too long; os.path.isfile says no.
+    exists = [os.path.isfile(frame["path"]) for frame in frames]  # noqa: PTH113
+    missing = [frame["path"] for frame, there in zip(frames, exists, strict=True) if not there]
+    what = f"images of {file} do not exist (they are looked for relative to the table's folder)"
+    leave_out(missing, len(frames), what, on_error)
+    return in_capture_order(FrameTable.from_rows(frames).take(exists))
+
+
+def read_rows(file: Path) -> Iterator[dict[str, Any]]:
+    """Yield each row of a table of images: `path`, relative to the table's folder, and the other columns that it has.
+
+    Raises:
+        DataError: as for `read_manifest`; the images need not exist.
+    """
     lines = _lines(file)
     header = next(lines, None)
     if header is None:
         raise DataError(f"{file} is empty: expected a first line with the columns {', '.join(COLUMNS)}")
     names = _column_names(file, header[1])
-    frames = []
     seen: dict[tuple[str, str], int] = {}
     for number, cells in lines:
         if any(cell.strip() for cell in cells[len(header[1]) :]):
@@ -63,15 +77,9 @@ def read_manifest(manifest: str | Path, *, on_error: str = "skip") -> FrameTable
                 "with the same sequence: remove one of the rows, or give them different sequences"
             )
         seen[image] = number
-        frames.append(frame)
-    if not frames:
+        yield frame
+    if not seen:
         raise DataError(f"{file} has a header but no rows: expected one row for each image")
-    # Path.is_file raises on names that are too long; os.path.isfile says no.
-    exists = [os.path.isfile(frame["path"]) for frame in frames]  # noqa: PTH113
-    missing = [frame["path"] for frame, there in zip(frames, exists, strict=True) if not there]
-    what = f"images of {file} do not exist (they are looked for relative to the table's folder)"
-    leave_out(missing, len(frames), what, on_error)
-    return in_capture_order(FrameTable.from_rows(frames).take(exists))
 
 
 def _lines(file: Path) -> Iterator[tuple[int, list[str]]]:
@@ -89,7 +97,7 @@ def _lines(file: Path) -> Iterator[tuple[int, list[str]]]:
     except UnicodeDecodeError as error:
         raise DataError(f"{file} is not a CSV table in UTF-8 ({error})") from error
     except OSError as error:
-        raise DataError(f"the manifest {file} cannot be read: {error.strerror or error}") from error
+        raise DataError(f"the table {file} cannot be read: {error.strerror or error}") from error
 
 
 def _column_names(file: Path, header: list[str]) -> dict[str, int]:

@@ -19,20 +19,22 @@ from typing import Annotated, Any
 import cv2
 
 from foundation.calls import takes
-from foundation.files import content_key, read_json, storage_errors, write_json, write_picture, write_text
+from foundation.files import content_key, csv_text, read_json, storage_errors, write_json, write_picture, write_text
 from foundation.settings import Count, Rule, Seed, Settings, Text, Thousand
 from foundation.threads import processors
+from siamloc.data.cold import ODOMETRY_FILE
 from siamloc.data.decoding import cut_short
+from siamloc.data.frames import ODOMETRY
 from siamloc.data.names import lighting_in, parse_name
 from siamloc.errors import ConfigError, DataError, FormatError
 from siamloc.progress import track
 from siamloc.simulate.buildings import load_building
 from siamloc.simulate.camera import CAMERAS, HEIGHT, CameraName, Exposure
-from siamloc.simulate.layout import Building
+from siamloc.simulate.layout import Array, Building
 from siamloc.simulate.mesh import embree
 from siamloc.simulate.preview import write_preview
 from siamloc.simulate.rendering import frames, meter
-from siamloc.simulate.run import Hour, Run, draw_run
+from siamloc.simulate.run import Hour, Run, draw_odometry, draw_run
 from siamloc.simulate.scene import Scene, build_scene
 from siamloc.simulate.trajectory import Track
 
@@ -182,18 +184,28 @@ def simulate(*, settings: SimulateConfig) -> Summary:
     if settings.preview:
         pictures = write_preview(building, drives, folder / "preview")
         return Summary(folder, {}, {}, 0, time.monotonic() - begin, pictures)
-    tracks = {run.name: draw_run(building, run).track.head(settings.frames) for run in drives}
+    whole = {run.name: draw_run(building, run).track for run in drives}
+    tracks = {name: drive.head(settings.frames) for name, drive in whole.items()}
     work = [batch for run in drives for batch in _missing(settings, building, run, tracks[run.name])]
     total = sum(len(rows) for _, rows in work)
     for _ in track(_rendered(settings, work), total, f"rendering {building.name}", size=int):
         pass
     for run in drives:
-        drive = tracks[run.name]
-        lines = [f"{name} {code}\n" for name, code in zip(drive.names, drive.codes, strict=True)]
-        write_text(_sequence(settings, building, run) / "localization" / "places.lst", "".join(lines))
+        wheels = draw_odometry(building, run, whole[run.name])
+        _write_lists(_sequence(settings, building, run) / "localization", tracks[run.name], wheels)
     rooms = dict(Counter(code for drive in tracks.values() for code in drive.codes))
     counts = {name: len(drive) for name, drive in tracks.items()}
     return Summary(folder, counts, rooms, total, time.monotonic() - begin)
+
+
+def _write_lists(folder: Path, drive: Track, wheels: Array | None) -> None:
+    """Write the list of a drive's n images and rooms and, if there is odometry (n or more, 3), the table of it."""
+    if wheels is not None:
+        poses = wheels[: len(drive)].round(6).tolist()
+        rows = [[name, *pose] for name, pose in zip(drive.names, poses, strict=True)]
+        write_text(folder / ODOMETRY_FILE, csv_text([("image", *ODOMETRY), *rows]))
+    lines = [f"{name} {code}\n" for name, code in zip(drive.names, drive.codes, strict=True)]
+    write_text(folder / "places.lst", "".join(lines))
 
 
 def _sequence(config: SimulateConfig, building: Building, run: Run) -> Path:
@@ -261,7 +273,8 @@ def _missing(config: SimulateConfig, building: Building, run: Run, drive: Track)
         with storage_errors(images):
             if any(name not in present for name in drive.names):
                 # Done first, so that no list ever names a missing image.
-                (sequence / "localization" / "places.lst").unlink(missing_ok=True)
+                for name in ("places.lst", ODOMETRY_FILE):
+                    (sequence / "localization" / name).unlink(missing_ok=True)
             for file in pictures:
                 # Cut short, or from another simulation.
                 if file.name not in present:

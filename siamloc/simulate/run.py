@@ -14,6 +14,7 @@ from siamloc.data.names import LIGHTINGS
 from siamloc.errors import ConfigError, hint
 from siamloc.simulate.items import KINDS
 from siamloc.simulate.layout import SIDES, Array, Building, Colour, Item, Rng, Room, seeded
+from siamloc.simulate.odometry import odometry
 from siamloc.simulate.plan import clearance, inside_item, obstacles
 from siamloc.simulate.shell import Fixtures, leaf_segment
 from siamloc.simulate.sky import overcast, sun_direction
@@ -181,6 +182,19 @@ def draw_run(building: Building, run: Run) -> RunState:
     light = Light(run.lighting, hour, declination, _lamps_on(building, run.lighting, rng), run.number, level)
     items = [*_moved_items(building, track, angles, rng), *_standing_people(building, track, rng)]
     return RunState(track, tuple(items), fixtures, _walkers(building, track, rng), light)
+
+
+def draw_odometry(building: Building, run: Run, track: Track) -> Array | None:
+    """Draw what the robot's wheels report along the drive of a run (n, 3), as `odometry`; None on a grid.
+
+    It has a generator of its own, so that nothing else of the run depends on it.
+    """
+    if run.path in GRIDS:  # where nobody drives
+        return None
+    order, wheels = np.argsort(track.time, kind="stable"), np.empty_like(track.poses)
+    keys = building.seed, building.name, "odometry", run.lighting, run.number, run.path
+    wheels[order] = odometry(track.poses[order], seeded(*keys))
+    return wheels
 
 
 def draw_light(building: Building, lighting: str, rng: Rng) -> Light:

@@ -105,6 +105,23 @@ def test_sequences_of_several_buildings_keep_their_folders_apart(tmp_path):
     assert len(table) == 12
 
 
+def test_odometry_is_read_from_the_table_next_to_the_list(tmp_path):
+    folder = make_sequence(tmp_path / "freiburg/part_a/seq2_cloudy1")
+    assert np.isnan(siamloc.data.read("cold", root=tmp_path).odometry).all()
+    table = folder / "localization/odometry.csv"
+    table.write_text(f"image,odom_x,odom_y,odom_theta\n{IMAGES[2]},1,2,3\n{IMAGES[0]},0,0,0\nnone.jpeg,9,9,9\n")
+    for where in ({"root": tmp_path}, {"places": folder / "localization/places.lst"}):
+        found = siamloc.data.read("cold", **where)
+        np.testing.assert_equal(found.odometry, [[0, 0, 0], [np.nan] * 3, [1, 2, 3]])
+        np.testing.assert_array_equal(found.x, [1.25, 2.25, 3.25])
+    table.write_text(f"image,odom_x,odom_theta\n{IMAGES[2]},1,wide\n")
+    with pytest.raises(DataError, match=r"odometry\.csv, line 2, column 'odom_theta': 'wide' is not a number"):
+        siamloc.data.read("cold", root=tmp_path)
+    table.write_text("image,odom_x\n1.jpeg,1\n")
+    with pytest.raises(DataError, match=r"odometry\.csv names no image of places\.lst next to it, but 1\.jpeg: use"):
+        siamloc.data.read("cold", root=tmp_path)
+
+
 def test_the_same_sequence_twice_is_an_error(tmp_path):
     make_sequence(tmp_path / "freiburg/part_a/seq2_cloudy1")
     make_sequence(tmp_path / "cold-freiburg_part_a_seq2_cloudy1")

@@ -45,6 +45,10 @@ def test_the_cold_reader_reads_it(written: Path) -> None:
     labels = [set(column.tolist()) for column in (table.sequence, table.lighting, table.room)]
     assert (len(table), labels) == (6, [{"mini_a_seq2_cloudy1"}, {"cloudy"}, {"CR-A"}])
     assert table.has_position.all()
+    assert table.odometry[0].tolist() == [0, 0, 0]
+    driven, reported = (np.hypot(*np.diff(xy, axis=0).T) for xy in (table.xy, table.odometry[:, :2]))
+    np.testing.assert_allclose(reported, driven, rtol=0.2)
+    assert not np.allclose(reported, driven, rtol=0.001)
     image = cv2.imread(str(table.path[0]))
     assert image.shape == (128, 512, 3)
     assert image.std() > 10
@@ -59,6 +63,9 @@ def test_equal_bytes_with_other_worker_counts(written: Path, tmp_path: Path) -> 
         if name.endswith(".jpeg"):
             assert two[name] == value
     assert sum(name.endswith(".jpeg") for name in two) == 20
+    table = Path("mini/part_a/seq2_cloudy1/localization/odometry.csv")
+    short, long = ((out / table).read_text() for out in (written, tmp_path / "one"))
+    assert long.startswith(short), "fewer frames of the same drive"
     small(out=tmp_path / "other", seed=1, frames=1)
     assert not set(hashes(tmp_path / "other").values()) & set(two.values()), "another seed is another building"
 
@@ -150,7 +157,9 @@ def test_a_grid_is_a_run_like_others(tmp_path: Path) -> None:
     asked = {"path": "grid", "spacing": 0.8, "runs": ["cloudy2"], "hours": [9], "headings": 2, "positions": 2}
     asked |= {"frames": None, "out": tmp_path}
     assert small(**asked).sequences == {"seq1_cloudy2": 4}
-    assert read_cold(tmp_path / "mini", on_error="raise").lighting.tolist() == ["cloudy"] * 4
+    table = read_cold(tmp_path / "mini", on_error="raise")
+    assert table.lighting.tolist() == ["cloudy"] * 4
+    assert np.isnan(table.odometry).all(), "nobody drives"
     with pytest.raises(DataError, match=r"another simulation \(different: hour\)"):
         small(**asked | {"hours": [15]})
 
