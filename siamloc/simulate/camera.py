@@ -352,7 +352,7 @@ def develop(light: Array, gain: float, balance: Array, wraps: bool, rng: np.rand
         The image (rows, columns, 3), uint8.
     """
     value = light * (gain * balance).astype(np.float32)
-    add_glare(value, wraps)
+    add_glare(value, wraps, joined=False)  # the images of a data set follow from its seed, their seam included
     add_noise(value, gain, rng, quiet)
     grey = ((value[..., 0] + value[..., 1] + value[..., 2]) / np.float32(3))[..., None]
     value = np.clip(grey + 1.12 * (value - grey), 0, 1)
@@ -368,8 +368,14 @@ def add_noise(value: Array, gain: float, rng: np.random.Generator, quiet: float 
     value += grain * spread * np.float32(quiet)
 
 
-def add_glare(value: Array, wraps: bool) -> None:
-    """Let what is too bright spill into its surroundings, in place."""
+def add_glare(value: Array, wraps: bool, joined: bool = True) -> None:
+    """Let what is too bright spill into its surroundings, in place.
+
+    Args:
+        value: pixel values (rows, columns, 3), with 1 for white, float32.
+        wraps: whether the left edge continues at the right one.
+        joined: whether the glare is also smooth across the edges of an image that wraps.
+    """
     height, width = value.shape[:2]
     small = cv2.resize(value, (width // 4, height // 4), interpolation=cv2.INTER_AREA)
     excess = np.clip(small - 1, 0, 40)
@@ -380,7 +386,16 @@ def add_glare(value: Array, wraps: bool) -> None:
     mode = "wrap" if wraps else "edge"
     excess = np.pad(excess, ((0, 0), (pad, pad), (0, 0)), mode=mode)  # type: ignore[call-overload]
     halo = 0.03 * cv2.GaussianBlur(excess, (0, 0), 6 * scale) + 0.03 * cv2.GaussianBlur(excess, (0, 0), 1.5 * scale)
-    value += cv2.resize(halo[:, pad:-pad], (width, height), interpolation=cv2.INTER_LINEAR)
+    value += enlarged(halo[:, pad:-pad], height, width, wraps and joined)
+
+
+def enlarged(image: Array, rows: int, columns: int, wraps: bool) -> Array:
+    """Enlarge an image (m, n, 3) to (rows, columns, 3) by linear interpolation, also between its edges if it wraps."""
+    if not wraps:
+        return cv2.resize(image, (columns, rows), interpolation=cv2.INTER_LINEAR)
+    x, y = ((np.arange(size) + 0.5) * few / size - 0.5 for size, few in ((columns, image.shape[1]), (rows, len(image))))
+    grid = np.meshgrid(single(x), single(np.clip(y, 0, len(image) - 1)))
+    return cv2.remap(image, *grid, cv2.INTER_LINEAR, borderMode=cv2.BORDER_WRAP)
 
 
 @lru_cache(maxsize=1)

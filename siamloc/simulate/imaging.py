@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from siamloc.simulate.camera import ViewCamera, add_glare, add_noise
+from siamloc.simulate.camera import ViewCamera, add_glare, add_noise, enlarged
 from siamloc.simulate.layout import Array, Rng, single
 
 #: Families of tone curves; all give 0 for 0 and 1 for 1.
@@ -152,7 +152,7 @@ def scattered(value: Array, spread: float, wraps: bool) -> Array:
     """Blur an image (rows, columns, 3) widely, with a standard deviation of `spread` columns; no light is lost."""
     rows, columns = value.shape[:2]
     small = cv2.resize(value, (max(1, columns // 8), max(1, rows // 8)), interpolation=cv2.INTER_AREA)
-    return cv2.resize(blurred(small, (spread / 8, spread / 8), wraps), (columns, rows), interpolation=cv2.INTER_LINEAR)
+    return enlarged(blurred(small, (spread / 8, spread / 8), wraps), rows, columns, wraps)
 
 
 def _draw_colours(rng: Rng) -> Array:

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from siamloc.data.panorama import PanoramaView
-from siamloc.simulate.camera import draw_camera, panorama
+from siamloc.simulate.camera import add_glare, develop, draw_camera, panorama
 from siamloc.simulate.imaging import TONES, Imaging, blurred, draw_imaging, scattered, tone
 from siamloc.simulate.layout import seeded
 from siamloc.simulate.views import draw_views, look_around
@@ -58,6 +58,29 @@ def test_blur_and_glare_keep_the_light_and_go_around_the_edge_of_a_panorama(wrap
     expected = 0.9 * weights / weights.sum()
     reflected = 0 if wraps else expected[11:14]
     np.testing.assert_allclose(blurred(LINE, (1.5, 0.8), wraps)[3, :3, 0], expected[10:13] + reflected, atol=1e-3)
+
+
+@pytest.mark.parametrize(
+    "flaws", [{"soft": 0.8 * ONES}, {"veil": 0.9, "spread": 7.0}, {}], ids=["blur", "veil", "glare"]
+)
+def test_turning_a_panorama_turns_its_image(flaws):
+    lamp = SCENE.copy()
+    lamp[4:12, :8] = 0.9 if flaws else 20.0
+    image, turned = (seen(np.roll(lamp, shift, axis=1), **flaws) for shift in (0, 32))
+    np.testing.assert_allclose(np.roll(image, 32, axis=1), turned, atol=0.01)
+    assert np.abs(image - lamp)[4:12, -4:].max() > 0.05, "the lamp shines beyond the left edge"
+
+
+def test_glare_has_no_seam_except_in_data_sets():
+    lamp = SCENE.copy()
+    lamp[4:12, :4] = 20.0
+    for joined in (True, False):
+        value, turned = lamp.copy(), np.roll(lamp, 32, axis=1)
+        for one in (value, turned):
+            add_glare(one, True, joined)
+        assert np.allclose(np.roll(value, 32, axis=1), turned, atol=1e-4) == joined
+    image, turned = (develop(np.roll(lamp, by, axis=1), 1.0, np.ones(3), True, seeded(0), 0.0) for by in (0, 32))
+    assert (np.roll(image, 32, axis=1) != turned).any()
 
 
 def test_each_flaw_changes_the_light_by_its_formula():
