@@ -362,8 +362,9 @@ def develop(light: Array, gain: float, balance: Array, wraps: bool, rng: np.rand
 def add_noise(value: Array, gain: float, rng: np.random.Generator, quiet: float | Array) -> None:
     """Add shot and read noise to an exposed image, in place; arguments as for `develop`, or `quiet` per pixel."""
     shot = _SHOT * np.sqrt(gain)
-    start = int(rng.integers(0, _BANK - value.size))
-    grain = _noise_bank()[start : start + value.size].reshape(value.shape)
+    bank = _noise_bank(max(_BANK, 1 << value.size.bit_length()))
+    start = int(rng.integers(0, len(bank) - value.size))
+    grain = bank[start : start + value.size].reshape(value.shape)
     spread = cv2.sqrt(np.maximum(value, 0) * np.float32(shot**2) + np.float32((_READ * gain) ** 2))
     value += grain * spread * np.float32(quiet)
 
@@ -377,7 +378,7 @@ def add_glare(value: Array, wraps: bool, joined: bool = True) -> None:
         joined: whether the glare is also smooth across the edges of an image that wraps.
     """
     height, width = value.shape[:2]
-    small = cv2.resize(value, (width // 4, height // 4), interpolation=cv2.INTER_AREA)
+    small = cv2.resize(value, (max(1, width // 4), max(1, height // 4)), interpolation=cv2.INTER_AREA)
     excess = np.clip(small - 1, 0, 40)
     if not excess.any():
         return
@@ -386,7 +387,7 @@ def add_glare(value: Array, wraps: bool, joined: bool = True) -> None:
     mode = "wrap" if wraps else "edge"
     excess = np.pad(excess, ((0, 0), (pad, pad), (0, 0)), mode=mode)  # type: ignore[call-overload]
     halo = 0.03 * cv2.GaussianBlur(excess, (0, 0), 6 * scale) + 0.03 * cv2.GaussianBlur(excess, (0, 0), 1.5 * scale)
-    value += enlarged(halo[:, pad:-pad], height, width, wraps and joined)
+    value += enlarged(halo[:, pad : pad + small.shape[1]], height, width, wraps and joined)
 
 
 def enlarged(image: Array, rows: int, columns: int, wraps: bool) -> Array:
@@ -399,8 +400,8 @@ def enlarged(image: Array, rows: int, columns: int, wraps: bool) -> Array:
 
 
 @lru_cache(maxsize=1)
-def _noise_bank() -> Array:
-    return np.random.default_rng(20110).standard_normal(_BANK, dtype=np.float32)
+def _noise_bank(size: int) -> Array:
+    return np.random.default_rng(20110).standard_normal(size, dtype=np.float32)
 
 
 @lru_cache(maxsize=1)

@@ -94,7 +94,7 @@ def draw_imaging(rng: Rng, camera: ViewCamera) -> Imaging:
     else:
         x, y = x - columns / 2, y - rows / 2
     rim = np.hypot(x / columns, y / rows)[..., None]
-    rim /= rim.max()
+    rim /= rim.max() or 1
     inner = 1 - rim if wraps else rim  # an unwrapped ring has few pixels at its inner edge; lenses are soft at the rim
     fringes = single(points + rng.normal(0, 0.4, (2, 1, 1, 1)) * np.stack([x, y]) / 64)
     softness = rng.uniform(-0.3, 1) * (inner if rng.random() < 0.7 else rim) ** rng.uniform(0.7, 3)

@@ -14,6 +14,7 @@ from typing import Literal
 import numpy as np
 
 from foundation.calls import typed
+from foundation.settings import Size
 from siamloc.data.frames import FrameTable
 from siamloc.data.names import LIGHTINGS
 from siamloc.simulate.buildings import Worlds, random_building
@@ -76,7 +77,7 @@ class Views:
 @typed
 def draw_views(
     seed: int,
-    image_size: Sequence[int] = (64, 256),
+    image_size: Size = (64, 256),
     drives: int = 2,
     lights: int = 4,
     poses: int = 60,
@@ -106,6 +107,7 @@ def draw_views(
             and visible parts of the robot of a camera that is drawn with the building.
 
     Raises:
+        ConfigError: an invalid value.
         SiamlocError: embreex is not installed.
 
     >>> draw_views(0, (16, 64), drives=1, lights=2, poses=3)

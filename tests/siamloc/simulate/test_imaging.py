@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from siamloc.data.panorama import PanoramaView
+from siamloc.errors import ConfigError
 from siamloc.simulate.camera import add_glare, develop, draw_camera, panorama
 from siamloc.simulate.imaging import TONES, Imaging, blurred, draw_imaging, scattered, tone
 from siamloc.simulate.layout import seeded
@@ -140,3 +141,20 @@ def test_a_drawn_camera_exposes_longer_at_night():
         for imaging in (None, draw_imaging(seeded(0), CAMERA))
     )
     assert plain < 90 < 110 < drawn
+
+
+@pytest.mark.parametrize("cameras", ["panoramas", "ordinary"])
+@pytest.mark.parametrize("size", [(1, 4), (3, 5), (2, 128), (512, 2048)], ids=str)
+def test_images_have_any_size(size, cameras):
+    camera, _ = draw_camera(seeded(0), size, cameras)
+    light = seeded(0).uniform(0, 3, (*size, 3)).astype(np.float32)  # bright enough for glare
+    for camera_like in (develop, draw_imaging(seeded(0), camera)):
+        image = camera_like(light, 1.0, np.ones(3), camera.wraps, seeded(0), 1.0)
+        assert (image.shape, image.dtype) == (light.shape, np.uint8)
+        assert image.std() > 5
+
+
+@pytest.mark.parametrize("size", [(0, 64), (16,), (16, 64, 3), (16, 20_000)], ids=str)
+def test_sizes_without_a_meaning_are_refused_before_the_work(size):
+    with pytest.raises(ConfigError, match=r"image_size must be \[rows, columns\], each from 1 to 16,384 pixels, got"):
+        draw_views(0, size)
