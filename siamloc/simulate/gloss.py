@@ -16,8 +16,8 @@ UPRIGHT = (
     "tiles_floor", "tiles_wall", "tiles_blue", "marble", "wood", "beech", "walnut", "drawers", "cabinet_doors",
     "kitchen_fronts",
 )  # fmt: skip
-#: Share of the light that a pane throws back head-on: both faces of the glass, 0.04 each.
-PANE = 0.08
+#: Share of the light that each of the two faces of a pane throws back head-on.
+PANE = 0.04
 _FRAME = 0.19  # metres from the inner face of the wall to the pane of a window
 _LIFT = 0.002
 
@@ -105,6 +105,7 @@ class Gloss:
         coming = directions.take(rows, axis=0)
         cosine = np.einsum("ij,ij->i", coming, normal)[:, None]
         share = polish * schlick(head_on, np.abs(cosine[:, 0]))
+        share[len(on) :] *= 2 / (1 + share[len(on) :])  # both faces of the panes, and all the ways between them
         points = origins.take(rows, axis=0) + before[:, None] * coming - _LIFT * np.sign(cosine) * normal
         return Reflections(rows, share, points, coming - 2 * cosine * normal, before)
 

@@ -57,7 +57,7 @@ def visual_overlap(mesh: QuadMesh, caster: Caster, eyes: Array, rays: int = 32) 
     own = (np.einsum("ij,ij->i", normals, eyes[view]) - plane) / reach**3
     shared = np.empty((count, count))
     for number, eye in enumerate(eyes):
-        height = normals @ eye - plane
+        height = np.einsum("ij,j->i", normals, eye) - plane  # unlike a product, the same on every machine
         rows = np.flatnonzero(height > 0)
         towards = points[rows] - eye
         distance = np.sqrt(np.einsum("ij,ij->i", towards, towards))
