@@ -62,8 +62,8 @@ def herringbone(count: int, long: int) -> Array:
     return 2 * ((start_j % count) * count + start_i % count) + ~lies
 
 
-def scattered(rng: Rng, count: int) -> Array:
-    """Return the labels of irregular pieces, such as flagstones: the nearest of `count` points, across the edges."""
+def flagstones(rng: Rng, count: int) -> Array:
+    """Return the labels of irregular pieces: the nearest of `count` points, across the edges of the image."""
     points = rng.uniform(0, SIZE, (count, 2))
     away = [np.abs(np.stack([_ROW, _COLUMN]) - point[:, None, None]) for point in points]
     return np.argmin([np.square(np.minimum(one, SIZE - one)).sum(axis=0) for one in away], axis=0)
@@ -112,7 +112,7 @@ def _tiles(rng: Rng, image: Array) -> Array:
     if kind < 2:
         labels = bond(rng, side * (kind + 1), side, 0.5 * kind)
     else:
-        labels = herringbone(16, 2) if kind == 2 else scattered(rng, 24)
+        labels = herringbone(16, 2) if kind == 2 else flagstones(rng, 24)
     return _pieces(rng, image, labels, float(rng.uniform(0.0, 0.08)), float(rng.uniform(0.3, 0.85)))
 
 

@@ -19,11 +19,11 @@ from typing import Any
 from siamloc.simulate.furniture import BLACKISH, FRONTS, SEATS, STEEL, Build, Kind, colour_of, wood_of
 from siamloc.simulate.layout import Colour, Item, Rng
 from siamloc.simulate.mesh import WHITE, MeshBuilder
-from siamloc.simulate.prints import BOARDS, BOOK_ROWS, NOTICES, POSTERS, SCREENS
+from siamloc.simulate.prints import NOTICES, POSTERS, SCREENS
 
-_NUMBERED = {"books#": BOOK_ROWS, "screen#": SCREENS, "poster#": POSTERS, "board#": BOARDS, "notices#": NOTICES}
+_NUMBERED = {"screen#": SCREENS, "poster#": POSTERS, "notices#": NOTICES}
 _NUMBERS = {"box": 6, "tube": 6, "front": 5}
-_NAMED: dict[str, Colour] = {"black": BLACKISH, "steel": STEEL, "white": (0.88, 0.88, 0.87), "glow": WHITE}
+_NAMED: dict[str, Colour] = {"black": BLACKISH, "steel": STEEL, "white": (0.88, 0.88, 0.87)}
 _MACHINES: tuple[Colour, ...] = (
     (0.08, 0.25, 0.16), (0.10, 0.20, 0.38), (0.45, 0.46, 0.46), (0.55, 0.30, 0.04), (0.40, 0.05, 0.04),
     (0.60, 0.58, 0.50),

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from siamloc.simulate.natural import bond, herringbone, natural_textures, scattered
+from siamloc.simulate.natural import bond, flagstones, herringbone, natural_textures
 from siamloc.simulate.textures import SIZE, base_textures, pattern_textures
 
 
@@ -48,7 +48,7 @@ def test_bonds_shift_their_rows() -> None:
 
 
 def test_flagstones_are_nearest_to_their_own_points() -> None:
-    labels = scattered(np.random.default_rng(1), 9)
+    labels = flagstones(np.random.default_rng(1), 9)
     points = np.random.default_rng(1).uniform(0, SIZE, (9, 2))
     shifted = np.concatenate([points + np.array((dy, dx)) for dy in (-SIZE, 0, SIZE) for dx in (-SIZE, 0, SIZE)])
     for y, x in ((0, 0), (3, 250), (128, 77), (255, 255)):
