@@ -88,23 +88,26 @@ THINGS: dict[str, Kind] = {
         tube 0 -.2 1.2 1.6 .55 .35 fabric white"""),
     "dresser": _kind((1.1, 0.48, 0.95), """
         box -1 -1 .06 1 .96 1 wood; front -.98 0 .1 .95 .98 drawers; front 0 .98 .1 .95 .98 drawers;
-        box -.6 -.6 1 -.2 -.5 1.4 mirror; tube .5 0 1 1.25 .1 .06 plastic colour"""),
+        box -.6 -.6 1 -.2 -.5 1.4 mirror; tube .5 0 1 1.25 .1 .06 plastic colour; box -.95 -1 0 .95 .9 .06 wood"""),
     "stove": _kind((0.6, 0.6, 0.9), """
         box -1 -1 0 1 .95 .98 plastic white; box -1 -1 .98 1 1 1 plastic .02 .02 .02;
         front -.85 .85 .2 .72 1 plastic black; front -.9 .9 .84 .95 1 metal steel;
-        box -.8 .98 .76 .8 1.06 .79 metal"""),
+        box -.8 .95 .76 .8 1.06 .79 metal"""),
     "washing_machine": _kind((0.6, 0.6, 0.85), """
         box -1 -1 0 1 1 1 plastic white; front -.55 .55 .25 .72 1.01 metal steel;
         front -.42 .42 .31 .66 1.02 plastic black; front -.9 -.3 .85 .95 1.01 plastic steel"""),
     "toilet_bowl": _kind((0.42, 0.68, 0.85), """
-        tube 0 .3 0 .48 .6 .95 plastic white; box -.9 -1 .45 .9 -.5 1 plastic white"""),
+        tube 0 .3 0 .48 .6 .95 plastic white; box -.9 -1 .45 .9 -.5 1 plastic white;
+        box -.4 -1 0 .4 .3 .45 plastic white"""),
     "shower": _kind((0.9, 0.9, 2.0), """
         box -1 -1 0 1 1 .06 plastic white; box -1 .95 .06 -.9 1 1 metal; box .9 .95 .06 1 1 1 metal;
-        box -1 .95 .97 1 1 1 metal; box .2 -1 .06 1 .95 .95 fabric colour; box -.1 -1 .5 0 -.9 1 metal"""),
+        box -1 .95 .97 1 1 1 metal; box .2 -1 .06 1 .95 .95 fabric colour; box -.1 -1 .06 0 -.9 1 metal"""),
     "laundry_rack": _kind((1.2, 0.55, 1.05), """
         box -1 -.05 0 -.97 .05 .9 metal; box .97 -.05 0 1 .05 .9 metal; box -1 -1 .9 1 -.95 .92 metal;
         box -1 .95 .9 1 1 .92 metal; box -.8 -.75 .3 -.2 -.7 .95 fabric colour;
-        box -.1 -.1 .45 .4 -.05 .95 fabric white; box .1 .6 .35 .8 .65 .95 fabric .3 .12 .1"""),
+        box -.1 -.1 .45 .4 -.05 .95 fabric white; box .1 .6 .35 .8 .65 .95 fabric .3 .12 .1;
+        box -1 -1 .88 -.97 1 .92 metal; box .97 -1 .88 1 1 .92 metal; box -1 -.75 .9 1 -.7 .92 metal;
+        box -1 -.1 .9 1 -.05 .92 metal; box -1 .6 .9 1 .65 .92 metal"""),
     "toy_chest": _kind((0.8, 0.45, 0.45), """
         box -1 -1 0 1 1 .8 wood colour; box -.6 -.5 .8 -.2 0 1.1 plain .6 .1 .08;
         box .1 -.3 .8 .4 .3 1 plain .1 .25 .6; tube .7 0 .8 1.1 .2 .05 plain .7 .55 .05"""),
@@ -137,7 +140,7 @@ THINGS: dict[str, Kind] = {
         box -1 -1 .93 1 1 1 wood; box -1 -1 0 -.92 1 .93 metal colour; box .92 -1 0 1 1 .93 metal colour;
         box .3 -.9 .3 .9 .9 .93 metal colour; front .32 .88 .32 .9 .92 drawers;
         box -.7 .5 1 -.5 1.05 1.2 metal .1 .2 .4; box -.2 -.6 1 .3 0 1.12 metal .4 .05 .04;
-        tube .6 -.4 1 1.25 .06 .06 plastic .7 .5 .05; box -.9 -1 .25 .25 .9 .28 metal""", _MACHINES),
+        tube .6 -.4 1 1.25 .06 .06 plastic .7 .5 .05; box -.92 -1 .25 .25 .9 .28 metal""", _MACHINES),
     "lathe": _kind((2.0, 0.8, 1.35), """
         box -1 -.8 0 -.45 .8 .55 metal colour; box .5 -.8 0 1 .8 .55 metal colour;
         box -1 -1 .52 1 1 .62 metal colour; box -1 -.6 .62 -.45 .5 1 metal colour;
@@ -145,19 +148,20 @@ THINGS: dict[str, Kind] = {
         box .5 -.4 .62 .85 .3 .88 metal colour; box -.1 -.4 .62 .25 .9 .74 metal steel;
         front -.95 -.5 .75 .95 .52 notices#; box -1 -1 .62 1 -.95 1.05 metal .5 .5 .48""", _MACHINES),
     "drill_press": _kind((0.55, 0.75, 1.8), """
-        box -.8 -.9 0 .8 .9 .06 metal colour; tube 0 -.6 .06 .95 .2 .2 metal; box -.8 -.4 .45 .8 .9 .5 metal colour;
+        box -.8 -.9 0 .8 .9 .06 metal colour; tube 0 -.6 .06 .95 .2 .2 metal; box -.8 -.6 .45 .8 .9 .5 metal colour;
         box -.6 -1 .72 .6 .7 1 metal colour; tube 0 .4 .55 .72 .15 .15 metal steel;
         box .6 .2 .78 1 .3 .8 metal black""", _MACHINES),
     "mill": _kind((1.3, 1.1, 2.1), """
         box -.7 -1 0 .7 1 .12 metal colour; box -.5 -1 .12 .5 -.1 1 metal colour;
         box -.45 -.4 .7 .45 .75 .95 metal colour; tube 0 .5 .55 .7 .15 .2 metal steel;
         box -1 -.1 .4 1 .8 .47 metal steel; box -.3 -.1 .12 .3 .6 .4 metal colour;
-        box .75 -.2 .6 1 .2 .8 metal .6 .6 .55; front .77 .98 .63 .78 .22 screen# .3 .3 .3""", _MACHINES),
+        box .75 -.2 .6 1 .2 .8 metal .6 .6 .55; front .77 .98 .63 .78 .22 screen# .3 .3 .3;
+        box .45 -.05 .74 .75 .05 .78 metal""", _MACHINES),
     "press": _kind((1.4, 1.2, 2.5), """
         box -1 -.9 0 1 .9 .2 metal colour; box -1 -.7 .2 -.7 .7 .85 metal colour;
         box .7 -.7 .2 1 .7 .85 metal colour; box -1 -.9 .78 1 .9 1 metal colour;
         box -.55 -.5 .2 .55 .5 .3 metal steel; box -.5 -.5 .55 .5 .5 .78 metal steel;
-        box -1.02 .88 .4 -.7 .92 .45 plain .7 .55 .02""", _MACHINES),
+        box -1.02 .66 .4 -.7 .72 .45 plain .7 .55 .02""", _MACHINES),
     "conveyor": _kind((2.8, 0.7, 0.85), """
         box -1 -.8 .85 1 .8 .93 plastic black; box -1 -1 .8 1 -.8 1 metal colour; box -1 .8 .8 1 1 1 metal colour;
         box -.9 -.9 0 -.85 .9 .8 metal; box .85 -.9 0 .9 .9 .8 metal; box -.05 -.9 0 0 .9 .8 metal;
@@ -172,7 +176,7 @@ THINGS: dict[str, Kind] = {
     "gas_bottles": _kind((0.7, 0.35, 1.5), """
         tube -.5 0 0 .85 .36 .36 metal colour; tube -.5 0 .85 1 .3 .1 metal .5 .5 .5;
         tube .45 0 0 .8 .36 .36 metal .3 .04 .04; tube .45 0 .8 .95 .3 .1 metal .5 .5 .5;
-        box -1 -1 .5 1 -.9 .56 metal""", _MACHINES),
+        box -1 -1 .5 1 -.3 .56 metal""", _MACHINES),
     "rack": _kind((2.5, 0.9, 2.9), """
         box -1 -1 0 -.96 -.9 1 metal .05 .12 .35; box -1 .9 0 -.96 1 1 metal .05 .12 .35;
         box .96 -1 0 1 -.9 1 metal .05 .12 .35; box .96 .9 0 1 1 1 metal .05 .12 .35;
@@ -194,7 +198,8 @@ THINGS: dict[str, Kind] = {
         box -.85 -.7 .95 .85 .5 1 metal black; box -.85 -.7 .55 -.75 -.6 .95 metal black;
         box .75 -.7 .55 .85 -.6 .95 metal black; box -1 -.9 0 -.7 -.6 .25 plastic black;
         box .7 -.9 0 1 -.6 .25 plastic black; box -1 .1 0 -.7 .4 .25 plastic black;
-        box .7 .1 0 1 .4 .25 plastic black""", ((0.65, 0.32, 0.02), (0.6, 0.06, 0.03), (0.55, 0.5, 0.05)), moves=0.4),
+        box .7 .1 0 1 .4 .25 plastic black; box -.85 .5 .03 .85 .58 .12 metal black""",
+        ((0.65, 0.32, 0.02), (0.6, 0.06, 0.03), (0.55, 0.5, 0.05)), moves=0.4),
     "ladder": _kind((0.5, 0.25, 2.2), """
         box -1 -1 0 -.85 -.6 1 metal; box .85 -1 0 1 -.6 1 metal; box -.85 -1 .15 .85 -.7 .18 metal;
         box -.85 -1 .32 .85 -.7 .35 metal; box -.85 -1 .49 .85 -.7 .52 metal; box -.85 -1 .66 .85 -.7 .69 metal;
@@ -209,10 +214,10 @@ THINGS: dict[str, Kind] = {
         box -1 -.9 0 -.95 .3 .65 wood; box .95 -.9 0 1 .3 .65 wood; box .2 -.4 .65 .5 -.3 1.05 plastic black;
         front -.3 .3 .4 .7 .92 sign0"""),
     "seat_row": _kind((2.2, 0.6, 0.85), """
-        box -1 -.1 .3 1 .1 .38 metal; box -.9 -.8 0 -.85 .8 .3 metal; box .85 -.8 0 .9 .8 .3 metal;
+        box -1 -.1 .3 1 .1 .45 metal; box -.9 -.8 0 -.85 .8 .3 metal; box .85 -.8 0 .9 .8 .3 metal;
         box -1 -.8 .45 -.36 1 .52 fabric colour; box -.32 -.8 .45 .32 1 .52 fabric colour;
-        box .36 -.8 .45 1 1 .52 fabric colour; box -1 -1 .55 -.36 -.85 1 fabric colour;
-        box -.32 -1 .55 .32 -.85 1 fabric colour; box .36 -1 .55 1 -.85 1 fabric colour"""),
+        box .36 -.8 .45 1 1 .52 fabric colour; box -1 -1 .48 -.36 -.8 1 fabric colour;
+        box -.32 -1 .48 .32 -.8 1 fabric colour; box .36 -1 .48 1 -.8 1 fabric colour"""),
     "banner": _kind((0.85, 0.4, 2.0), """
         box -1 -.6 0 1 .6 .04 metal; box -.95 -.1 .04 .95 0 1 plain white; front -.95 .95 .04 1 .04 poster#"""),
     "kiosk": _kind((0.65, 0.5, 1.6), """
@@ -237,14 +242,15 @@ THINGS: dict[str, Kind] = {
     "stacked_chairs": _kind((0.55, 0.55, 1.5), """
         box -.9 -.9 .3 .9 .9 .34 plastic colour; box -.9 -.9 .38 .9 .9 .42 plastic colour;
         box -.9 -.9 .46 .9 .9 .5 plastic colour; box -.9 -.9 .54 .9 .9 .58 plastic colour;
-        box -.9 -1 .5 .9 -.9 1 plastic colour; box -.9 -.9 0 -.8 .9 .3 metal; box .8 -.9 0 .9 .9 .3 metal""",
+        box -.9 -1 .3 .9 -.9 1 plastic colour; box -.9 -.9 0 -.8 .9 .3 metal; box .8 -.9 0 .9 .9 .3 metal""",
         moves=0.3),
     "goal": _kind((3.0, 0.9, 2.0), """
         box -1 .8 0 -.94 1 1 plain .7 .1 .08; box .94 .8 0 1 1 1 plain .7 .1 .08;
         box -1 .8 .96 1 1 1 plain .7 .1 .08; box -.98 -1 0 -.96 .8 .05 metal; box .96 -1 0 .98 .8 .05 metal"""),
     "curtain": _kind((0.4, 0.14, 2.1), """
         box -1 -.2 0 -.6 1 1 fabric colour; box -.6 -.8 0 -.2 .4 1 fabric colour;
-        box -.2 -.2 0 .2 1 1 fabric colour; box .2 -.8 0 .6 .4 1 fabric colour; box .6 -.2 0 1 1 1 fabric colour""",
+        box -.2 -.2 0 .2 1 1 fabric colour; box .2 -.8 0 .6 .4 1 fabric colour; box .6 -.2 0 1 1 1 fabric colour;
+        box -1 -1 .97 1 0 1 metal""",
         z=0.08, blocks=False),
     "tool_board": _kind((1.5, 0.1, 0.9), """
         box -1 -1 0 1 -.6 1 wood; box -.9 -.6 .5 -.85 0 .95 metal; box -.95 -.6 .85 -.8 .2 .95 metal;
@@ -258,13 +264,13 @@ THINGS: dict[str, Kind] = {
         _MACHINES, z=2.35, blocks=False),
     "downpipe": _kind((0.3, 0.2, 2.3), """
         tube -.4 0 0 1 .35 .35 metal colour; tube .5 0 0 1 .22 .22 metal .45 .2 .08;
-        box -1 -1 .5 1 -.6 .52 metal black""", _MACHINES, z=0.02, blocks=False),
+        box -1 -1 .5 1 0 .52 metal black""", _MACHINES, z=0.02, blocks=False),
     "cables": _kind((2.6, 0.16, 0.16), """
         box -1 -1 0 1 1 .15 metal; box -1 -.8 .15 1 -.5 .5 plastic black;
         box -1 -.4 .15 1 -.1 .45 plastic .5 .1 .05; box -1 0 .15 1 .3 .5 plastic .1 .2 .5;
         box -1 .4 .15 1 .7 .6 plastic black""", z=2.2, blocks=False),
     "flag": _kind((0.9, 0.05, 2.2), """
-        box -1 -.5 0 1 .5 1 fabric colour; front -.7 .7 .55 .85 .6 poster#""", FRONTS + SEATS, z=2.0, blocks=False),
+        box -1 -1 0 1 .5 1 fabric colour; front -.7 .7 .55 .85 .6 poster#""", FRONTS + SEATS, z=2.0, blocks=False),
     "big_screen": _kind((3.0, 0.12, 1.7), """
         box -1 -1 0 1 .9 1 plastic black; front -.97 .97 .03 .97 1 screen# .3 .3 .3""", z=2.1, blocks=False),
 }  # fmt: skip

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from contextlib import nullcontext
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,7 +15,7 @@ from siamloc.simulate.mesh import MeshBuilder
 from siamloc.simulate.parse import Options
 from siamloc.simulate.prints import print_textures
 from siamloc.simulate.textures import base_textures, pattern_textures
-from siamloc.simulate.things import made_of
+from siamloc.simulate.things import THINGS, made_of
 
 
 @pytest.fixture(scope="module")
@@ -64,3 +65,44 @@ def test_a_part_takes_its_share_of_the_size_of_its_item(textures: dict, mini: Bu
     np.testing.assert_allclose([panel.min(axis=0), panel.max(axis=0)], [[-1, 0.5, 0.75], [1, 0.5, 2.25]])
     np.testing.assert_allclose(mesh.tint[[0, 6, -1]], [[0.1, 0.2, 0.3], [0.4, 0.5, 0.6], [1, 1, 1]], atol=1e-6)
     assert [one > 0 for one in mesh.emission.max(axis=1)] == [False] * (len(mesh) - 1) + [True]
+
+
+class Parts:
+    """A mesh builder that notes where the parts of an item are: their lowest and highest corners."""
+
+    def __init__(self) -> None:
+        self.solid: list[np.ndarray] = []
+        self.flat: list[np.ndarray] = []
+
+    def box(self, low: Any, high: Any, *_: Any) -> None:
+        self.solid.append(np.array([low, high]))
+
+    def prism(self, x: float, y: float, z: Any, radius: Any, *_: Any) -> None:
+        half = min(radius) / np.sqrt(2)  # the thinnest square within it
+        self.solid.append(np.array([(x - half, y - half, z[0]), (x + half, y + half, z[1])]))
+
+    def panel(self, x: Any, z: Any, y: float, *_: Any, **__: Any) -> None:
+        self.flat.append(np.array([(x[0], y, z[0]), (x[1], y, z[1])]))
+
+
+def nearest(part: np.ndarray, others: list[np.ndarray]) -> float:
+    gaps = [np.maximum(np.maximum(part[0] - other[1], other[0] - part[1]), 0) for other in others]
+    return float(np.linalg.norm(gaps, axis=1).min())
+
+
+@pytest.mark.parametrize("scale", [(1, 1, 1), (0.85, 1.2, 1), (1.2, 0.85, 1)], ids=str)
+@pytest.mark.parametrize("kind", THINGS)
+def test_no_part_of_a_thing_hangs_in_the_air(kind: str, scale: tuple[float, float, float]) -> None:
+    known = THINGS[kind]
+    w, d, h = (float(value) for value in np.multiply(known.size, scale))
+    built: Any = Parts()
+    known.build(built, Item(kind, 0, 0, 90, (w, d, h), known.z, ""), np.random.default_rng(0), w, d, h)
+    fixed = [np.array([(-9, -9, -9), (9, 9, -known.z)])]  # the floor
+    if known.z > 0:
+        fixed.append(np.array([(-9, -9, -9), (9, -d / 2, 9)]))  # the wall that it hangs on
+    left = list(range(len(built.solid)))
+    while touching := [number for number in left if nearest(built.solid[number], fixed) < 0.001]:
+        fixed += [built.solid[number] for number in touching]
+        left = [number for number in left if number not in touching]
+    assert not left, "parts that hang in the air"
+    assert all(nearest(panel, built.solid) < 0.03 for panel in built.flat)
