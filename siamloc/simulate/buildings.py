@@ -135,7 +135,11 @@ def _drawn(seed: int, rng: Rng, kind: Kind, attempt: int) -> Entry:
         code = use.code.format("" if cell.use == "corridor" else numbers[cell.use])
         entry: Entry = {"code": code, "x": list(cell.x), "y": list(cell.y), **materials(cell.use)}
         entry["lamps"] = _lamps(cell, rng)
-        entry["windows"] = _windows(cell, plan, windows, rng)
+        high = plan.ceiling(cell)
+        if high < plan.height:
+            entry["height"] = round(high, 2)
+        lowered = {**windows, "head": min(windows["head"], round(high - 0.1, 2))}
+        entry["windows"] = _windows(cell, plan, lowered, rng)
         room = Room(cell, plan, doors, entry["windows"])
         style = seeded(seed, cell.use, "furniture")
         entry["items"] = furnish(room, style, rng, density)

@@ -68,11 +68,17 @@ class Plan:
         height: height of the ceilings in metres.
         cells: the cells; the robot starts in the first cell.
         doors: names of two cells and the kind of the door between them: "leaf", "glass" or "open".
+        beside: height of the ceilings beside the first cell, if that is a hall; None if all are equally high.
     """
 
     height: float
     cells: list[Cell] = field(default_factory=list)
     doors: list[tuple[str, str, str]] = field(default_factory=list)
+    beside: float | None = None
+
+    def ceiling(self, cell: Cell) -> float:
+        """Return the height of the ceiling of a cell in metres."""
+        return self.height if self.beside is None or cell.name == self.cells[0].name else self.beside
 
     def add(self, use: str, x: Interval, y: Interval) -> Cell:
         """Add a cell and return it.
@@ -294,7 +300,7 @@ def great_hall(rng: Rng) -> Plan:
 
 
 def _large(rng: Rng, uses: tuple[str, ...], heights: Interval, others: tuple[str, ...]) -> Plan:
-    plan = Plan(float(rng.uniform(*heights)))
+    plan = Plan(float(rng.uniform(*heights)), beside=float(rng.uniform(2.7, 3.2)))
     size = (float(rng.uniform(9.0, 17.0)), float(rng.uniform(7.0, 12.0)))
     room = plan.add(str(rng.choice(uses)), (0.0, size[0]), (0.0, size[1]))
     count = int(rng.integers(0, 4))

@@ -94,9 +94,9 @@ USES: dict[str, Use] = {
     "home_entrance": Use("HL{}-A", _SOFT + " tiles_floor marble checker",
         "shoe_rack coat_rack wardrobe dresser bench plant vase shelf", "rug", "mirror coats", 4.0, _AT_HOME),
     "home_living": Use("LR{}-A", "parquet planks parquet planks carpet carpet_red tiles_floor marble",
-        "sofa television_set armchair shelf shelf sideboard plant floor_lamp piano fireplace dresser pouffe toy_chest",
+        "sofa television_wall armchair shelf shelf sideboard plant floor_lamp piano fireplace dresser pouffe toy_chest",
         "seating dining seating rug pouffe", "television shelf_board mirror", 5.0, _AT_HOME, curtains=True,
-        needs="sofa television_set"),
+        needs="sofa television_wall"),
     "home_bedroom": Use("BR{}-A", "parquet planks carpet carpet_red carpet_gray",
         "bed nightstand wardrobe dresser desk armchair floor_lamp shelf cot bunk_bed toy_chest laundry_rack nightstand",
         "rug rug pouffe", "shelf_board", 5.0, _AT_HOME, curtains=True, needs="bed wardrobe"),
@@ -140,7 +140,7 @@ class Room:
     """
 
     def __init__(self, cell: Cell, plan: Plan, doors: list[Entry], windows: list[Entry]) -> None:
-        self.cell, self.height, self.windows = cell, plan.height, windows
+        self.cell, self.height, self.windows = cell, plan.ceiling(cell), windows
         self.x, self.y = ((low + HALF_WALL, high - HALF_WALL) for low, high in (cell.x, cell.y))
         self.items: list[Entry] = []
         self._taken: list[Rectangle] = []  # where something stands on the floor
@@ -233,16 +233,24 @@ class Room:
             z: height of its lower edge above the floor in metres.
             entry: as for `stand`.
         """
-        w, _, h = size
-        low, high = self.span(side)
-        across = (at - w / 2 - 0.04, at + w / 2 + 0.04)
-        if across[0] < low or across[1] > high or z + h > self.height - 0.05:
+        if not self.bare(side, at, size, z):
             return False
-        for span, rise in self._hung[side]:
-            if across[0] < span[1] and across[1] > span[0] and z < rise[1] and z + h > rise[0]:
-                return False
-        self._hung[side].append((across, (z, z + h)))
+        self._hung[side].append(self._on_the_wall(at, size, z))
         return self._add(entry, size, against=side, at=round(at, 2), z=round(z, 2))
+
+    def bare(self, side: str, at: float, size: Size, z: float) -> bool:
+        """Return whether there is space for an item to hang on a wall; arguments as for `hang`."""
+        (low, high), (across, upright) = self.span(side), self._on_the_wall(at, size, z)
+        if across[0] < low or across[1] > high or upright[1] > self.height - 0.05:
+            return False
+        return not any(
+            across[0] < span[1] and across[1] > span[0] and upright[0] < rise[1] and upright[1] > rise[0]
+            for span, rise in self._hung[side]
+        )
+
+    @staticmethod
+    def _on_the_wall(at: float, size: Size, z: float) -> tuple[Interval, Interval]:
+        return (at - size[0] / 2 - 0.04, at + size[0] / 2 + 0.04), (z, z + size[2])
 
     def _free(self, box: Rectangle) -> bool:
         (x0, x1), (y0, y1) = ((low - 0.02, high + 0.02) for low, high in box)
@@ -331,10 +339,13 @@ def _entry(kind: str, common: Entry, rng: Rng) -> Entry:
 
 
 def _along_a_wall(room: Room, kind: str, side: str, at: float, common: Entry, rng: Rng) -> bool:
-    if kind == "television_set":
+    if kind in ("television_set", "television_wall"):
         size = _sized("sideboard", rng)
+        above = side, at, (1.1, 0.06, 0.65), size[2] + 0.25
+        if kind == "television_wall" and not room.bare(*above):
+            return False  # a television_set leaves the sideboard without a television
         done = room.stand(side, at, size, _entry("sideboard", common, rng))
-        return done and room.hang(side, at, (1.1, 0.06, 0.65), size[2] + 0.25, {"kind": "television"})
+        return done and room.hang(*above, {"kind": "television"})
     size = _sized(kind, rng)
     if kind == "column":
         size = (size[0], size[1], room.height - 0.06)

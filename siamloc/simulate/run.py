@@ -27,6 +27,7 @@ DAY = (7, 17)
 _START = {"cloudy": 11.0, "night": 22.0, "sunny": 10.0}
 _EPOCH = 1152860400.0
 _KEEP_OFF = 0.42
+_APART = 0.6  # metres between people
 _LAMP = {"panel": 30.0, "tube": 42.0, "round": 48.0}
 
 
@@ -318,6 +319,8 @@ def _standing_people(building: Building, track: Track, rng: Rng) -> list[Item]:
         place, near = np.array([[x, y]]), [other for other in building.items if other.room == room.name]
         blocked = any(KINDS[other.kind].blocks and inside_item(other, place, 0.3).any() for other in near)
         free = clearance(place, segments)[0] > 0.35
+        if building.materials == "natural":  # in buildings of data sets, people follow from their seeds as they are
+            free &= all(np.hypot(x - other.x, y - other.y) > _APART for other in people)
         if free and not blocked and clearance(track.poses[:, :2], item.edges()).min() > _KEEP_OFF:
             people.append(item)
     return people

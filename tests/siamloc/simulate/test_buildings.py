@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import combinations
 from typing import get_args
 
@@ -11,9 +12,10 @@ import pytest
 from siamloc.errors import DataError
 from siamloc.simulate import Run, load_building
 from siamloc.simulate.buildings import draw_building, random_building
-from siamloc.simulate.floor_plans import PLANS, Kind, draw_plan, dwelling, great_hall, workshop
-from siamloc.simulate.furnishing import USES
+from siamloc.simulate.floor_plans import PLANS, Cell, Kind, Plan, draw_plan, dwelling, great_hall, workshop
+from siamloc.simulate.furnishing import USES, Room, Use, furnish
 from siamloc.simulate.items import KINDS
+from siamloc.simulate.layout import SIDES, Building
 from siamloc.simulate.parse import parse_building
 from siamloc.simulate.plan import clearance, obstacles, room_at
 from siamloc.simulate.route import FreeSpace
@@ -65,7 +67,8 @@ def test_all_kinds_of_plans_are_drawn_and_what_their_rooms_may_hold_exists() -> 
     uses = {cell.use for seed in range(40) for cell in draw_plan(np.random.default_rng(seed)).cells}
     assert {"corridor", "office", "bedroom", "living"} <= uses <= set(USES)
     assert {"foyer", "workshop", "canteen", "open_office"} & uses
-    groups = {"desk_pair", "dining", "conference", "seating", "benches", "stacks", "plant_island", "television_set"}
+    groups = {"desk_pair", "dining", "conference", "seating", "benches", "stacks", "plant_island"}
+    groups |= {"television_set", "television_wall"}
     for use in USES.values():
         assert set(f"{use.walls} {use.middle} {use.hung}".split()) - groups <= set(KINDS)
 
@@ -100,7 +103,32 @@ def test_kinds_differ_as_their_names_say() -> None:
     assert min(largest["workshop"], largest["hall"]) > 50
     assert crowd["home"] > 2 * crowd["hall"]
     assert sum(any(item.kind in ("bed", "bunk_bed", "cot") for item in one.items) for one in drawn["home"]) >= 5
-    assert all(room.height > 3 for kind in ("workshop", "hall") for one in drawn[kind] for room in one.rooms.values())
+    halls = [list(one.rooms.values()) for kind in ("workshop", "hall") for one in drawn[kind]]
+    assert all(rooms[0].height > 3.1 for rooms in halls)
+    beside = [room.height for rooms in halls for room in rooms[1:]]
+    assert len(beside) > 5
+    assert 2.6 < min(beside) <= max(beside) <= 3.2, "a toilet is not as high as the hall"
+
+
+@pytest.mark.parametrize("free", [True, False])
+def test_no_sideboard_waits_for_a_television_that_has_no_place(monkeypatch, free: bool) -> None:
+    monkeypatch.setitem(USES, "home_living", Use("LR", "parquet", "sofa", needs="television_wall television_wall"))
+    plan = Plan(2.6, [Cell("living", "home_living", (0.0, 6.0), (0.0, 5.0))])
+    windows = [] if free else [{"wall": side, "at": 2.5, "width": 6.0, "sill": 1.0, "head": 2.3} for side in SIDES]
+    room = Room(plan.cells[0], plan, [], windows)
+    kinds = [entry["kind"] for entry in furnish(room, np.random.default_rng(0), np.random.default_rng(1), 1.0)]
+    assert (kinds.count("sideboard"), kinds.count("television")) == ((2, 2) if free else (0, 0))
+
+
+def test_two_people_stand_apart_in_natural_buildings(mini: Building) -> None:
+    pairs = 0
+    for number in range(1, 20):
+        state = draw_run(replace(mini, materials="natural"), Run("cloudy", number, spacing=1.0))
+        people = [item for item in state.items if item.kind == "person"]
+        for one, other in combinations(people, 2):
+            pairs += 1
+            assert np.hypot(one.x - other.x, one.y - other.y) > 0.6
+    assert pairs > 15
 
 
 def test_worlds_of_any_kind_are_drawn_only_if_asked_for() -> None:
