@@ -6,6 +6,8 @@ import multiprocessing
 import os
 import struct
 import time
+from inspect import signature
+from typing import Any
 
 import numpy as np
 import pytest
@@ -24,7 +26,7 @@ from siamloc.pretraining.view_batches import BuildingStream, Renderer, ViewBatch
 from siamloc.simulate.buildings import Worlds
 from siamloc.simulate.camera import Cameras
 from siamloc.simulate.produce import rendering_processes
-from siamloc.simulate.views import Exposures, Imagings, Views, camera_of
+from siamloc.simulate.views import Exposures, Imagings, Views, camera_of, draw_views
 
 SIZE = (16, 64)
 SETTINGS = ViewSettings(batches=2, held=3, together=2, drives=2, lights=3, poses=6, processes=0)
@@ -122,6 +124,20 @@ def test_buildings_come_and_go(rendered):
     stream.held(6)
     assert rendered[-1] == building_seed(3, 6)
     assert len(rendered) == 5, "those that were there are not rendered again"
+
+
+def test_all_settings_of_the_views_reach_the_renderer(monkeypatch):
+    asked: list[dict[str, Any]] = []
+
+    def noted(*wanted):
+        asked.append(signature(draw_views).bind(*wanted).arguments)
+        return drawn(*wanted)
+
+    monkeypatch.setattr(view_batches, "draw_views", noted)
+    of_a_building = {"drives": 3, "lights": 2, "poses": 5, "spacing": 0.7, "cameras": "ordinary"}
+    of_a_building |= {"exposure": "metered", "worlds": "offices", "imaging": "plain"}
+    BuildingStream(Renderer(0), SIZE, ViewSettings(**of_a_building, processes=0), seed=1).held(0)
+    assert asked == [{"seed": building_seed(1, 0), "image_size": SIZE, **of_a_building}]
 
 
 def test_processes_that_train_together_have_buildings_of_their_own(rendered):

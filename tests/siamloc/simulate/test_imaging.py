@@ -11,6 +11,7 @@ import pytest
 
 from siamloc.data.panorama import PanoramaView
 from siamloc.errors import ConfigError
+from siamloc.simulate import imaging
 from siamloc.simulate.camera import add_glare, develop, draw_camera, panorama
 from siamloc.simulate.imaging import TONES, Imaging, blurred, draw_imaging, scattered, tone
 from siamloc.simulate.layout import seeded
@@ -27,8 +28,8 @@ def seen(light: np.ndarray, quiet: float = 0.0, **flaws: Any) -> np.ndarray:
     """Return the light that an image shows; without `flaws`, the camera is perfect, its tone curve a square root."""
     perfect = {"passing": ONES, "own": 0 * ONES, "fringes": None, "soft": 0 * ONES, "veil": 0.0, "grain": ONES}
     perfect |= {"colours": np.eye(3, dtype=np.float32), "curve": np.rint(np.linspace(0, 255, 4096)).astype(np.uint8)}
-    imaging = replace(draw_imaging(seeded(0), CAMERA), **{**perfect, "quality": None, **flaws})
-    return (imaging(light, 1.0, np.ones(3), True, seeded(0), quiet) / 255) ** 2
+    taken = replace(draw_imaging(seeded(0), CAMERA), **{**perfect, "quality": None, **flaws})
+    return (taken(light, 1.0, np.ones(3), True, seeded(0), quiet) / 255) ** 2
 
 
 @pytest.mark.parametrize("contrast", [-0.3, 0.0, 0.7])
@@ -123,6 +124,43 @@ def test_drawn_cameras_are_different_and_most_see_little_of_the_robot():
         covered.append((one.passing < 0.1 * np.median(one.passing)).mean())
     assert 0.005 < np.mean(covered) < 0.04
     assert np.mean(np.array(covered) == 0) > 0.5
+
+
+def test_dirt_dims_spots_of_half_of_the_cameras_and_dust_shines_there(monkeypatch):
+    nothing = 0 * ONES[..., :1], 0 * ONES
+    monkeypatch.setattr(imaging, "_draw_robot", lambda *_: nothing)
+    drawn = [draw_imaging(seeded(seed), CAMERA) for seed in range(300)]
+    passing = np.stack([one.passing[..., 0] for one in drawn])
+    lost = 1 - passing / passing.max(axis=2, keepdims=True)  # without dirt, the rows of a panorama are even
+    own = np.stack([one.own[..., 0] for one in drawn])
+    dirty, dusty = (values.max(axis=(1, 2)) > 0.01 for values in (lost, own))
+    assert 0.35 < dirty.mean() < 0.6
+    assert lost.max() < 0.8
+    assert 0.1 < dusty.mean() < dirty.mean()
+    assert (own[~dirty] < 0.01).all()
+    brightest = own[dusty].reshape(dusty.sum(), -1).argmax(axis=1)
+    assert np.take_along_axis(lost[dusty].reshape(dusty.sum(), -1), brightest[:, None], axis=1).min() > 0.02
+    across, beside = np.abs(lost[..., 0] - lost[..., -1]).mean(), np.abs(np.diff(lost, axis=2)).mean()
+    assert across < 1.5 * beside, "spots go around the edge"
+
+
+def test_drawn_cameras_mix_each_two_colours_differently():
+    colours = np.stack([draw_imaging(seeded(seed), CAMERA).colours for seed in range(100)])
+    others = colours[:, ~np.eye(3, dtype=bool)]
+    assert 0.02 < others.mean() < 0.08
+    assert others.std(axis=1).mean() > 0.02
+    assert colours[:, np.eye(3, dtype=bool)].min() > 0.4
+
+
+def test_the_robot_is_below_the_camera():
+    drawn = [draw_imaging(seeded(seed), CAMERA) for seed in range(200)]
+    hidden = np.stack([(one.passing == 0).all(axis=2) for one in drawn])
+    whole = hidden.all(axis=2).mean(axis=0)  # share of the cameras of which a deck fills a row
+    assert 0.1 < whole[-1] < 0.4
+    assert not whole[: ROWS // 2].any()
+    assert hidden[:, -1].mean() > hidden[:, 0].mean() + 0.1
+    own = np.stack([one.own.min(axis=2) for one in drawn])
+    assert own[hidden].min() > 0.005, "what it hides it shows"
 
 
 def test_only_the_images_differ_from_those_of_the_plain_camera():

@@ -87,6 +87,13 @@ def test_other_worlds_are_other_buildings_for_the_same_camera() -> None:
     np.testing.assert_array_equal(one.images, draw_views(7, (16, 64), 1, 2, 3).images)
 
 
+def test_the_exposure_reaches_the_camera() -> None:
+    exposures = get_args(Exposures)
+    bright = {exposure: draw_views(4, (8, 32), 1, 2, 12, exposure=exposure).images for exposure in exposures}
+    spread = {exposure: images.reshape(12, 2, -1).mean(axis=2).std(axis=0) for exposure, images in bright.items()}
+    assert (spread["metered"] < spread["drawn"] / 2).all(), "all images of a light are equally bright"
+
+
 def test_an_ordinary_camera_looks_in_one_direction_on_every_drive() -> None:
     together = {}
     for wraps in (False, True):
