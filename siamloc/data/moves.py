@@ -1,4 +1,4 @@
-"""Moves of a robot in the plane: how it gets from one pose to the next, seen from itself."""
+"""Poses in the plane: moves of a robot from one pose to the next, and poses as seen from others."""
 
 from __future__ import annotations
 
@@ -24,9 +24,8 @@ def moves(poses: ArrayLike) -> NDArray[np.float64]:
     """
     given = np.asarray(poses, dtype=np.float64).reshape(-1, 3)
     found = np.full(given.shape, np.nan)
-    east, north, turn = np.diff(given, axis=0).T
-    cos, sin = np.cos(given[:-1, 2]), np.sin(given[:-1, 2])
-    found[1:] = np.column_stack([cos * east + sin * north, cos * north - sin * east, np.pi - (np.pi - turn) % TURN])
+    rows = np.arange(len(given))
+    found[1:] = relative(given, rows[:-1], rows[1:])
     found[np.isnan(found).any(axis=1)] = np.nan
     return found
 
@@ -46,7 +45,26 @@ def chained(steps: ArrayLike) -> NDArray[np.float64]:
     """
     given = np.asarray(steps, dtype=np.float64).reshape(-1, 3)[1:]
     heading = np.concatenate([[0.0], np.cumsum(given[:, 2])])
-    cos, sin = np.cos(heading[:-1]), np.sin(heading[:-1])
-    ahead, left, _ = given.T
-    steps = np.column_stack([cos * ahead - sin * left, sin * ahead + cos * left])
-    return np.column_stack([np.concatenate([[[0.0, 0.0]], np.cumsum(steps, axis=0)]), np.pi - (np.pi - heading) % TURN])
+    turned = np.column_stack([np.zeros((len(given), 2)), heading[:-1]])
+    moved = composed(turned, given)[:, :2]
+    return np.column_stack([np.concatenate([[[0.0, 0.0]], np.cumsum(moved, axis=0)]), wrapped(heading)])
+
+
+def relative(poses: NDArray[np.float64], first: NDArray[np.int64], second: NDArray[np.int64]) -> NDArray[np.float64]:
+    """Return some of the poses (n, 3) as seen from others (e, 3): the move from the `first` row to the `second` one."""
+    apart = poses[second] - poses[first]
+    cosine, sine = np.cos(poses[first, 2]), np.sin(poses[first, 2])
+    ahead, left = cosine * apart[:, 0] + sine * apart[:, 1], cosine * apart[:, 1] - sine * apart[:, 0]
+    return np.column_stack([ahead, left, wrapped(apart[:, 2])])
+
+
+def composed(pose: NDArray[np.float64], move: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the poses (n, 3) after a move (n, 3) from each pose (n, 3)."""
+    cosine, sine = np.cos(pose[:, 2]), np.sin(pose[:, 2])
+    x, y = cosine * move[:, 0] - sine * move[:, 1], sine * move[:, 0] + cosine * move[:, 1]
+    return np.column_stack([pose[:, 0] + x, pose[:, 1] + y, pose[:, 2] + move[:, 2]])
+
+
+def wrapped(angle: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Wrap angles to (-pi, pi]."""
+    return np.asarray(np.pi - np.remainder(np.pi - angle, TURN))

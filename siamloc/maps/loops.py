@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from foundation.columns import Rows
-from siamloc.maps.pose_graph import Array, composed, relative, wrapped
+from siamloc.data.moves import composed, relative, wrapped
+from siamloc.maps.pose_graph import Array
 
 _NEIGHBOURHOOD = 3  # frames on either side within which loops must agree
 _AGREE = 2  # number of other loops that must agree with a loop

@@ -15,6 +15,7 @@ from scipy import sparse
 from scipy.sparse.linalg import splu
 
 from foundation.columns import Rows
+from siamloc.data.moves import relative, wrapped
 from siamloc.maps.refinement import FREEDOM
 
 Array = NDArray[np.float64]
@@ -221,33 +222,6 @@ class _System:
         """Return the step of all unknowns."""
         slope = sum((matrix.T @ error for matrix, error in self._parts), start=self._pull.copy())
         return np.asarray(splu(self.normal(damping)).solve(-slope))
-
-
-def relative(poses: Array, first: NDArray[np.int64], second: NDArray[np.int64]) -> Array:
-    """Return poses of frames as seen from others (e, 3): displacement ahead and to the left, and turn in (-pi, pi]."""
-    apart = poses[second] - poses[first]
-    cosine, sine = np.cos(poses[first, 2]), np.sin(poses[first, 2])
-    ahead, left = cosine * apart[:, 0] + sine * apart[:, 1], cosine * apart[:, 1] - sine * apart[:, 0]
-    return np.column_stack([ahead, left, wrapped(apart[:, 2])])
-
-
-def composed(pose: Array, seen: Array) -> Array:
-    """Return poses (n, 3) of what is seen at `seen` (n, 3) from `pose` (n, 3)."""
-    cosine, sine = np.cos(pose[:, 2]), np.sin(pose[:, 2])
-    x, y = cosine * seen[:, 0] - sine * seen[:, 1], sine * seen[:, 0] + cosine * seen[:, 1]
-    return np.column_stack([pose[:, 0] + x, pose[:, 1] + y, pose[:, 2] + seen[:, 2]])
-
-
-def chained(steps: Array) -> Array:
-    """Return the poses (n + 1, 3) of a robot that starts at 0 and moves by steps (n, 3), each as seen from the last."""
-    heading = np.concatenate([[0.0], np.cumsum(steps[:, 2])])
-    moved = composed(np.column_stack([np.zeros((len(steps), 2)), heading[:-1]]), steps)[:, :2]
-    return np.column_stack([np.concatenate([np.zeros((1, 2)), np.cumsum(moved, axis=0)]), heading])
-
-
-def wrapped(angle: Array) -> Array:
-    """Wrap angles to (-pi, pi]."""
-    return np.asarray(np.pi - np.remainder(np.pi - angle, 2 * np.pi))
 
 
 def _seen(poses: Array, edges: Edges, scale: Array) -> tuple[Array, tuple[Array, Array]]:

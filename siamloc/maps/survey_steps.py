@@ -7,8 +7,9 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from siamloc.data.moves import chained, moves, relative
 from siamloc.errors import DataError
-from siamloc.maps.pose_graph import Array, Edges, chained, relative
+from siamloc.maps.pose_graph import Array, Edges
 from siamloc.maps.reranking import Compares
 from siamloc.progress import track
 
@@ -92,8 +93,7 @@ def odometry_steps(
     Raises:
         DataError: odometry in another unit, in degrees, or of turns with the wrong sign.
     """
-    before, after = np.arange(len(drive) - 1), np.arange(1, len(drive))
-    steps = relative(odometry, before, after)
+    steps = moves(odometry)[1:]
     raw = np.diff(odometry[:, 2])
     steps[drive[1:] != drive[:-1]] = np.nan
     way, compared = np.hypot(steps[:, 0], steps[:, 1]), np.hypot(seen[:, 0], seen[:, 1])
@@ -152,7 +152,7 @@ def start_of(odometry_steps: Array, seen: Array, drive: NDArray[np.int64]) -> Ar
     poses = np.zeros((len(drive), 3))
     for number in range(int(drive.max()) + 1):
         rows = np.flatnonzero(drive == number)
-        poses[rows] = chained(steps[rows[:-1]])
+        poses[rows] = chained(np.concatenate([np.zeros((1, 3)), steps[rows[:-1]]]))
     return poses
 
 

@@ -16,10 +16,11 @@ from numpy.typing import ArrayLike, NDArray
 from foundation.calls import typed
 from foundation.settings import Count, Positive, Settings
 from siamloc.data.frames import FrameTable
+from siamloc.data.moves import composed, relative, wrapped
 from siamloc.errors import ConfigError, DataError
 from siamloc.maps.describing import build
 from siamloc.maps.loops import Loops, Reason, candidates, judged
-from siamloc.maps.pose_graph import Array, Edges, PoseGraph, Solution, composed, covariances, relative, solve, wrapped
+from siamloc.maps.pose_graph import Array, Edges, PoseGraph, Solution, covariances, solve
 from siamloc.maps.reranking import scaled
 from siamloc.maps.survey_steps import (
     ODDS,

@@ -11,7 +11,7 @@ import pytest
 import siamloc
 from foundation.files import read_json
 from siamloc.data import FrameTable
-from siamloc.maps.pose_graph import chained, relative, wrapped
+from siamloc.data.moves import chained, moves, wrapped
 from tests.drawn import write_manifest
 from tests.siamloc.cli.commands import done, refused
 from tests.surveyed import a_survey
@@ -61,7 +61,7 @@ def test_the_shipped_network_surveys_a_house_of_others():
     frames = siamloc.data.read("manifest", manifest=str(HOUSE)).select(sequence="*cloudy3").every(2)
     images = siamloc.data.PanoramaLibrary(frames, image_size=(64, 256))
     true = np.column_stack([frames.xy, frames.theta])
-    steps = relative(true, np.arange(len(true) - 1), np.arange(1, len(true)))
+    steps = moves(true)
     steps[:, :2] *= 1.02
     steps[:, 2] += np.radians(0.5) * np.hypot(steps[:, 0], steps[:, 1])
     unknown = FrameTable(path=frames.path, sequence=frames.sequence)

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from siamloc.data.moves import relative
 from siamloc.maps.loops import Loops, Reason, agreeing, candidates, judged
-from siamloc.maps.pose_graph import relative
 
 
 @pytest.mark.parametrize("seed", range(3))

@@ -10,9 +10,9 @@ import pytest
 
 from analytic.descriptors.thumbnail import Thumbnail
 from siamloc.data import FrameTable, PanoramaLibrary, concatenate
+from siamloc.data.moves import chained, composed, relative, wrapped
 from siamloc.errors import ConfigError, DataError
 from siamloc.maps import VisualMap, survey
-from siamloc.maps.pose_graph import chained, composed, relative, wrapped
 
 
 class TrueComparison(Thumbnail):
@@ -53,7 +53,7 @@ def drifting(poses, scale=1.02, degrees=0.5, seed=0) -> np.ndarray:
     rng = np.random.default_rng(seed)
     steps[:, :2] *= scale + 0.01 * rng.normal(size=(len(steps), 1))
     steps[:, 2] += np.radians(degrees) * way + np.radians(0.3) * np.sqrt(way) * rng.normal(size=len(steps))
-    return chained(steps)
+    return chained(np.concatenate([np.zeros((1, 3)), steps]))
 
 
 @pytest.fixture
@@ -188,7 +188,7 @@ def test_parts_of_the_odometry_that_cannot_be_true_are_left_out(surveyed):
     wheels[30:, :2] += 40.0  # a reset
     steps = relative(wheels, np.arange(89), np.arange(1, 90))
     steps[50:60] = 0  # frozen
-    wheels = chained(steps)
+    wheels = chained(np.concatenate([np.zeros((1, 3)), steps]))
     wheels[70:75] = np.nan
     found, true, _ = surveyed({"monday": poses}, odometry=wheels)
     assert off(found, true) < 0.1
