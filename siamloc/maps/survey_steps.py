@@ -110,7 +110,7 @@ def odometry_steps(
             )
         turning = mine & (np.abs(seen[:, 2]) > _TURNED)
         if turning.sum() >= _ENOUGH:
-            slope = float(np.sum(raw[turning] * seen[turning, 2]) / np.sum(seen[turning, 2] ** 2))
+            slope = float(np.median(raw[turning] / seen[turning, 2]))
             if slope > 10:
                 raise DataError(
                     f"{said} turns {slope:.0f} times as far as its images show: give odom_theta in radians, not degrees"
