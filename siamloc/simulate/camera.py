@@ -156,6 +156,7 @@ class ViewCamera:
             that lie these shares of a pixel from its middle.
         spread: angle in rad between the columns at each pixel (rows * columns,), float32.
         wraps: whether the left edge continues at the right one.
+        field: horizontal angle of view in rad.
         shown: False where the lens leaves the image dark (rows, columns); None if it is dark nowhere.
     """
 
@@ -164,6 +165,7 @@ class ViewCamera:
     directions: Callable[[float, float], Array]
     spread: Array
     wraps: bool
+    field: float = 2 * np.pi
     shown: Array | None = None
 
 
@@ -239,7 +241,7 @@ def photograph(image_size: Sequence[int], width: float, aspect: float, pitch: fl
         return _tilted(found / np.linalg.norm(found, axis=-1, keepdims=True), pitch)
 
     spread = np.full(rows * columns, width / columns, dtype=np.float32)
-    return ViewCamera(rows, columns, directions, spread, wraps=False)
+    return ViewCamera(rows, columns, directions, spread, wraps=False, field=width)
 
 
 def fisheye(image_size: Sequence[int], radius: float, angle: float, aspect: float, pitch: float = 0.0) -> ViewCamera:
@@ -263,7 +265,8 @@ def fisheye(image_size: Sequence[int], radius: float, angle: float, aspect: floa
 
     right, up = _grid(rows, columns, 0, 0)
     spread = np.full(rows * columns, 2 * aspect / columns * angle / radius, dtype=np.float32)
-    return ViewCamera(rows, columns, directions, spread, wraps=False, shown=np.hypot(right * aspect, up) <= radius)
+    shown, field = np.hypot(right * aspect, up) <= radius, 2 * angle * min(aspect / radius, 1)
+    return ViewCamera(rows, columns, directions, spread, wraps=False, field=field, shown=shown)
 
 
 def _grid(rows: int, columns: int, across: float, down: float) -> tuple[Array, Array]:

@@ -1,4 +1,4 @@
-"""Visual overlap: the share of the visible surfaces that two panoramas have in common."""
+"""Visual overlap: the share of the visible surfaces that two images have in common."""
 
 from __future__ import annotations
 
@@ -13,13 +13,20 @@ _LEAST = 0.05  # a shadow ray that can contribute less than this share of a ray 
 _FREE = np.float32(0.999)  # share of the way to a surface that must be free: the surface itself is no obstacle
 
 
-def visual_overlap(mesh: QuadMesh, caster: Caster, eyes: Array, rays: int = 32) -> Array:
-    """Estimate the visual overlap of every two of P panoramas, which have the elevations of `PanoramaView`.
+def visual_overlap(
+    mesh: QuadMesh,
+    caster: Caster,
+    eyes: Array,
+    rays: int = 32,
+    headings: Array | None = None,
+    field: float = 2 * np.pi,
+) -> Array:
+    """Estimate the visual overlap of every two of P images, which have the elevations of `PanoramaView`.
 
-    Two panoramas show each piece of surface under two solid angles; the angle is 0 where the piece is hidden or too
-    high or too low. The overlap is the sum of the smaller angles over all pieces, divided by the sum of the larger
-    angles. It is 1 if both panoramas show the same surfaces at the same size, and 0 if they have no surface in common.
-    What is outside of the building, behind its windows, does not count.
+    Two images show each piece of surface under two solid angles; the angle is 0 where the piece is hidden, too high,
+    too low, or outside the field of view. The overlap is the sum of the smaller angles over all pieces, divided by the
+    sum of the larger angles. It is 1 if both images show the same surfaces at the same size, and 0 if they have no
+    surface in common. What is outside of the building, behind its windows, does not count.
 
     Each eye casts rays that stand for equal solid angles. An eye at height h above the plane of a piece of surface, and
     at distance r from the piece, sees it under the solid angle h / r^3 per area. So another eye, which sees the end of
@@ -29,8 +36,10 @@ def visual_overlap(mesh: QuadMesh, caster: Caster, eyes: Array, rays: int = 32) 
     Args:
         mesh: all surfaces of the building.
         caster: casts rays against that mesh.
-        eyes: where the panoramas are taken, x, y, z in metres (P, 3).
+        eyes: where the images are taken, x, y, z in metres (P, 3).
         rays: number of rays from each point.
+        headings: directions in rad in which the images look (P,); 0 if None.
+        field: horizontal angle of view in rad; a full turn for panoramas.
 
     Returns:
         (P, P) float32, from 0 to 1, symmetric, with 1 on the diagonal.
@@ -44,12 +53,15 @@ def visual_overlap(mesh: QuadMesh, caster: Caster, eyes: Array, rays: int = 32) 
     """
     eyes, count = single(eyes), len(eyes)
     sine = _LOWEST + (np.arange(rays) + 0.5) / rays * (_HIGHEST - _LOWEST)
-    azimuth = np.pi * (1 + 5**0.5) * np.arange(rays)  # a spiral by the golden angle is even over the sphere
+    ahead = np.zeros((count, 1)) if headings is None else np.reshape(headings, (-1, 1))
+    turns = (1 + 5**0.5) / 2 * np.arange(rays)  # a spiral by the golden angle is even over the sphere
+    azimuth = ahead + field * ((turns + 0.5) % 1 - 0.5)
     level = np.sqrt(1 - sine**2)
-    spiral = single(np.column_stack([level * np.cos(azimuth), level * np.sin(azimuth), sine]))
-    quad, _, _, reach = caster.first_hit(np.repeat(eyes, rays, axis=0), np.tile(spiral, (count, 1)))
+    spiral = np.stack(np.broadcast_arrays(level * np.cos(azimuth), level * np.sin(azimuth), sine), axis=-1)
+    spiral = single(spiral.reshape(-1, 3))
+    quad, _, _, reach = caster.first_hit(np.repeat(eyes, rays, axis=0), spiral)
     hit = np.flatnonzero(quad >= 0)
-    view, directions, reach = hit // rays, spiral[hit % rays], reach[hit]
+    view, directions, reach = hit // rays, spiral[hit], reach[hit]
     points = eyes[view] + reach[:, None] * directions
     normals = single(mesh.normals)[quad[hit]]
     normals *= -np.sign(np.einsum("ij,ij->i", normals, directions))[:, None]  # towards the eye
@@ -63,7 +75,9 @@ def visual_overlap(mesh: QuadMesh, caster: Caster, eyes: Array, rays: int = 32) 
         distance = np.sqrt(np.einsum("ij,ij->i", towards, towards))
         share = np.minimum(height[rows] / distance**3 / own[rows], 1)
         rise = towards[:, 2] / distance
-        keep = (share > _LEAST) & (rise > _LOWEST) & (rise < _HIGHEST)
+        aside = np.arctan2(towards[:, 1], towards[:, 0]) - ahead[number]
+        seen = np.abs((aside + np.pi) % (2 * np.pi) - np.pi) <= field / 2
+        keep = (share > _LEAST) & (rise > _LOWEST) & (rise < _HIGHEST) & seen
         rows, share = rows[keep], share[keep]
         free = ~caster.blocked(np.tile(eye, (len(rows), 1)), towards[keep], np.full(len(rows), _FREE))
         shared[:, number] = np.bincount(view[rows], share * free, minlength=count)

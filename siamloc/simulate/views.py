@@ -51,7 +51,7 @@ class Views:
         light: index of the light (N,); each drive has its own lights, and items move between the drives.
         lighting: "cloudy", "night" or "sunny", for each light.
         pose: index of the pose (N,) among the P poses of all drives; the images of a pose differ in their light.
-        overlap: visual overlap (P, P) of panoramas from the poses, see `siamloc.simulate.overlap`. The items are where
+        overlap: visual overlap (P, P) of images from the poses, see `siamloc.simulate.overlap`. The items are where
             they stand during the first drive, also for the poses of the others.
         wraps: whether the images are panoramas, whose columns cover a full turn.
     """
@@ -147,7 +147,8 @@ def draw_views(
         lightings += [one.lighting for one in shining]
     images, xy, heading, light = (np.concatenate(part) for part in zip(*parts, strict=True))
     images = np.ascontiguousarray(images)
-    overlap = visual_overlap(*seen, np.concatenate(eyes))
+    looking = None if camera.wraps else heading[::lights]
+    overlap = visual_overlap(*seen, np.concatenate(eyes), headings=looking, field=camera.field)
     pose = np.arange(len(images)) // lights
     return Views(images, xy, heading, room_at(building, xy), light, tuple(lightings), pose, overlap, camera.wraps)
 

@@ -5,15 +5,19 @@ import math
 import numpy as np
 
 
-def visual_overlap(quads, eyes, lowest, highest, size=0.1):
-    """Sum the smaller and the larger of the solid angles of small pieces of rectangles (Q, 4, 3), for each two eyes."""
-    angles = np.concatenate([_solid_angles(quads, number, eyes, lowest, highest, size) for number in range(len(quads))])
+def visual_overlap(quads, eyes, lowest, highest, size=0.1, headings=None, field=360):
+    """Sum the smaller and the larger of the solid angles of small pieces of rectangles (Q, 4, 3), for each two eyes.
+
+    All angles are in degrees.
+    """
+    seen = lowest, highest, np.zeros(len(eyes)) if headings is None else headings, field
+    angles = np.concatenate([_solid_angles(quads, number, eyes, *seen, size) for number in range(len(quads))])
     return np.array(
         [[np.minimum(one, other).sum() / np.maximum(one, other).sum() for other in angles.T] for one in angles.T]
     )
 
 
-def _solid_angles(quads, number, eyes, lowest, highest, size):
+def _solid_angles(quads, number, eyes, lowest, highest, headings, field, size):
     """Return the solid angle (pieces, eyes) of each piece of one rectangle; 0 where it is hidden."""
     corner, along, up = _frame(quads[number])
     columns, rows = (max(1, round(np.linalg.norm(edge) / size)) for edge in (along, up))
@@ -27,6 +31,9 @@ def _solid_angles(quads, number, eyes, lowest, highest, size):
         distance = np.linalg.norm(away, axis=1)
         elevation = np.degrees(np.arcsin(away[:, 2] / distance))
         seen = (elevation > lowest) & (elevation < highest)
+        ahead = np.array([math.cos(math.radians(headings[row])), math.sin(math.radians(headings[row]))])
+        flat = np.linalg.norm(away[:, :2], axis=1)
+        seen &= away[:, :2] @ ahead >= flat * math.cos(math.radians(field / 2))
         for other in range(len(quads)):
             if other != number:
                 seen &= ~_between(quads[other], eye, away)

@@ -72,6 +72,17 @@ def test_directions_have_length_one_and_neighbours_lie_as_far_apart_as_said(make
     assert beside == pytest.approx(camera.spread.reshape(64, 256)[32, 127], rel=0.35 if make is photograph else 0.05)
 
 
+@pytest.mark.parametrize(
+    "camera",
+    [photograph((9, 200), 1.2, 1.4), fisheye((9, 200), 1.1, 1.3, 1.4), fisheye((9, 200), 1.5, 1.3, 1.2)],
+    ids=["ordinary", "whole circle", "cut circle"],
+)
+def test_the_field_of_view_ends_at_the_outermost_columns(camera):
+    ahead = camera.directions(0, 0)[4]
+    azimuth = np.arctan2(ahead[..., 1], ahead[..., 0])[np.ones(200, bool) if camera.shown is None else camera.shown[4]]
+    assert np.ptp(azimuth) == pytest.approx(camera.field, abs=0.03)
+
+
 def test_cameras_of_all_kinds_are_drawn_from_those_asked_for():
     drawn = {
         cameras: [draw_camera(np.random.default_rng(seed), (16, 64), cameras) for seed in range(60)]

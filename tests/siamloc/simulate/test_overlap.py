@@ -33,6 +33,18 @@ def test_agrees_with_small_pieces_of_surface(door: float) -> None:
     np.testing.assert_allclose(visual_overlap(mesh, Caster(mesh), EYES), expected, atol=0.08)
 
 
+@pytest.mark.parametrize("field", [60.0, 190.0])
+def test_of_ordinary_images_only_what_lies_in_both_fields_of_view_counts(field: float) -> None:
+    mesh, view = halls(1.0), PanoramaView()
+    headings = np.array([170.0, -170.0, 60.0, 150.0, 180.0])
+    wanted = oracle.visual_overlap(mesh.corners, EYES, view.bottom, view.top, 0.03, headings, field)
+    radians = {"headings": np.radians(headings), "field": np.radians(field)}
+    found = visual_overlap(mesh, Caster(mesh), EYES, rays=20_000, **radians)
+    np.testing.assert_allclose(found, wanted, atol=0.01)
+    away = visual_overlap(mesh, Caster(mesh), EYES[[0, 0]], headings=[0.0, np.pi], field=np.radians(60))
+    np.testing.assert_array_equal(away, np.eye(2), err_msg="one place, but back to back")
+
+
 def test_walls_separate_and_halls_connect() -> None:
     found = {}
     for door in (0.0, 1.0):

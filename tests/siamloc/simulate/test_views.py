@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import get_args
+from typing import Any, get_args
 
 import cv2
 import numpy as np
@@ -10,8 +10,8 @@ import pytest
 
 from siamloc.data.names import LIGHTINGS
 from siamloc.data.panorama import PanoramaView
-from siamloc.simulate import Run, build_scene, load_building, render
-from siamloc.simulate.camera import PanoramaCamera, ViewCamera, fisheye, panorama
+from siamloc.simulate import Run, build_scene, load_building, render, views
+from siamloc.simulate.camera import Cameras, PanoramaCamera, ViewCamera, fisheye, panorama
 from siamloc.simulate.light import ROUGH
 from siamloc.simulate.run import draw_light, draw_run
 from siamloc.simulate.scene import Scene, relit
@@ -103,6 +103,24 @@ def test_an_ordinary_camera_looks_in_one_direction_on_every_drive() -> None:
     assert together[False] > 0.98, "all within a few degrees"
     assert together[True] < 0.9, "as the robot turns"
     assert not draw_views(seed, (16, 64), 1, 1, 2, cameras="ordinary").wraps
+
+
+@pytest.mark.parametrize("cameras", ["ordinary", "panoramas"])
+def test_the_overlap_is_that_of_the_fields_of_view(monkeypatch: pytest.MonkeyPatch, cameras: Cameras) -> None:
+    asked: list[dict[str, Any]] = []
+
+    def noted(_mesh: object, _caster: object, eyes: np.ndarray, **given: Any) -> np.ndarray:
+        asked.append(given)
+        return np.eye(len(eyes))
+
+    monkeypatch.setattr(views, "visual_overlap", noted)
+    drawn = draw_views(3, (8, 32), 2, 2, 3, cameras=cameras)
+    (given,) = asked
+    if cameras == "ordinary":
+        np.testing.assert_array_equal(given["headings"], drawn.heading[::2])
+        assert 0.9 < given["field"] < 3.4
+    else:
+        assert given == {"headings": None, "field": 2 * np.pi}
 
 
 def test_a_metered_camera_takes_nearly_the_same_picture_again(night: Scene) -> None:
