@@ -46,12 +46,12 @@ def comparing(compare: Compares, parts: NDArray[np.float32], progress: bool) -> 
     return compared
 
 
-def compared_steps(compared: Pairs, drive: NDArray[np.int64]) -> tuple[Edges, Array]:
+def compared_steps(compared: Pairs, drive: NDArray[np.int64]) -> tuple[Edges, Array, NDArray[np.bool_]]:
     """Compare each frame with those shortly before it.
 
     Returns:
-        The steps between images that are alike, and all steps from frame to frame; and the poses (n - 1, 3) of each
-        frame but the first, as seen from the frame before it, NaN between drives.
+        The steps between images that are alike, and all steps from frame to frame; the poses (n - 1, 3) of each frame
+        but the first, as seen from the frame before it, NaN between drives; and which of them are certain (n - 1,).
     """
     n = len(drive)
     first = np.concatenate([np.arange(n - back) for back in _BEFORE])
@@ -60,11 +60,12 @@ def compared_steps(compared: Pairs, drive: NDArray[np.int64]) -> tuple[Edges, Ar
     first, second = first[same], second[same]
     pose, information, odds = compared(first, second)
     next_one = second == first + 1
-    seen = np.full((n - 1, 3), np.nan)
+    seen, certain = np.full((n - 1, 3), np.nan), np.zeros(n - 1, dtype=bool)
     seen[first[next_one]] = pose[next_one]
+    certain[first[next_one]] = odds[next_one] >= ODDS
     information = np.where((odds < ODDS)[:, None, None], information / _DOUBTED, information)
     kept = next_one | (odds >= ODDS)
-    return Edges(first[kept], second[kept], pose[kept], information[kept]), seen
+    return Edges(first[kept], second[kept], pose[kept], information[kept]), seen, certain
 
 
 def odometry_of(values: ArrayLike, count: int) -> Array:
@@ -83,12 +84,17 @@ def odometry_of(values: ArrayLike, count: int) -> Array:
 
 
 def odometry_steps(
-    odometry: Array, seen: Array, drive: NDArray[np.int64], names: Sequence[str], notes: list[str]
+    odometry: Array,
+    seen: Array,
+    certain: NDArray[np.bool_],
+    drive: NDArray[np.int64],
+    names: Sequence[str],
+    notes: list[str],
 ) -> Array:
     """Return the poses (n - 1, 3) of each frame but the first as seen from the frame before it, by odometry.
 
     They are NaN between drives, where odometry is unknown, and where it cannot be true: after a reset, and while it is
-    frozen, as comparisons (n - 1, 3) show. `notes` gets a sentence about each such part.
+    frozen, as comparisons (n - 1, 3) show that are certain (n - 1,). `notes` gets a sentence about each such part.
 
     Raises:
         DataError: odometry in another unit, in degrees, or of turns with the wrong sign.
@@ -98,7 +104,7 @@ def odometry_steps(
     steps[drive[1:] != drive[:-1]] = np.nan
     way, compared = np.hypot(steps[:, 0], steps[:, 1]), np.hypot(seen[:, 0], seen[:, 1])
     for number, name in enumerate(names):
-        mine = (drive[1:] == number) & np.isfinite(way) & np.isfinite(compared)
+        mine = (drive[1:] == number) & np.isfinite(way) & certain
         if not mine.any():
             continue
         said = f"the odometry of drive {name or '(unnamed)'}"

@@ -190,8 +190,8 @@ def survey(
     assert parts is not None
     _check_lengths(drive, names)
     compared = comparing(known.describes.compare, scaled(parts), progress)  # type: ignore[union-attr]
-    steps, seen = compared_steps(compared, drive)
-    moved = odometry_steps(wheels, seen, drive, names, notes)
+    steps, seen, certain = compared_steps(compared, drive)
+    moved = odometry_steps(wheels, seen, certain, drive, names, notes)
     start = start_of(moved, seen, drive)
     _check_ways(start, drive, names)
     way = np.hypot(*np.diff(start[:, :2], axis=0, prepend=start[:1, :2]).T)
