@@ -86,7 +86,7 @@ def main() -> None:
         judge(report, pooled(of_step), step)
     figures |= {"rows": rows, "sparse": sparse}
     if options.manifest is not None:
-        figures["corridor"] = in_corridor(options.manifest, options.analytic)
+        figures["corridor"] = {**figures.get("corridor", {}), **in_corridor(options.manifest, options.analytic)}
     if "corridor" in figures:
         recall = figures["corridor"][OURS]["recall"]
         for name, row in figures["corridor"].items():
