@@ -70,17 +70,18 @@ def candidates(
         path: (n,) way that the robot drove from the start of its drive.
         drive: (n,) number of the drive.
         apart: way between two frames of a drive that may be a loop, at least.
-        k: number of candidates of each frame, in its own drive and in each other one.
+        k: number of candidates of each frame, divided evenly among the drives, but at least two in each.
     """
     square = np.square(descriptors).sum(axis=1)
     found: set[tuple[int, int]] = set()
-    at_once = max(1, (1 << 22) // len(path))
+    at_once, drives = max(1, (1 << 22) // len(path)), int(drive.max()) + 1
+    k = max(-(-k // drives), min(k, 2))
     for begin in range(0, len(path), at_once):
         rows = np.arange(begin, min(begin + at_once, len(path)))
         unlike = square - 2 * descriptors[rows] @ descriptors.T
         same = drive[rows, None] == drive
         unlike[same & (np.abs(path[rows, None] - path) < apart)] = np.inf
-        for other in range(int(drive.max()) + 1):
+        for other in range(drives):
             columns = np.flatnonzero(drive == other)
             some = min(k, len(columns))
             best = np.argpartition(unlike[:, columns], some - 1, axis=1)[:, :some]

@@ -8,6 +8,7 @@ minimum is found by Levenberg and Marquardt's method with weights that are compu
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -116,7 +117,7 @@ def solve(graph: PoseGraph, start: Array) -> Solution:
 def covariances(graph: PoseGraph, found: Solution) -> Array:
     """Return the covariances (n, 3, 3) of the poses, given the fixed ones, in squared units and rad."""
     state = _State(found.poses, np.log(found.scale), np.log(found.wheel_scale), found.gyro_bias)
-    factors, n = splu(_System(graph, state).normal(0.0)), len(graph)
+    factors, n = _factors(_System(graph, state).normal(0.0)), len(graph)
     made = np.empty((n, 3, 3))
     for begin in range(0, n, _AT_ONCE // 3):
         rows = np.arange(begin, min(begin + _AT_ONCE // 3, n))
@@ -221,7 +222,13 @@ class _System:
     def step(self, damping: float) -> Array:
         """Return the step of all unknowns."""
         slope = sum((matrix.T @ error for matrix, error in self._parts), start=self._pull.copy())
-        return np.asarray(splu(self.normal(damping)).solve(-slope))
+        return np.asarray(_factors(self.normal(damping)).solve(-slope))
+
+
+def _factors(matrix: sparse.csc_matrix) -> Any:
+    """Return the factors of a positive definite matrix, in an order that keeps them sparse."""
+    options = {"SymmetricMode": True}
+    return splu(matrix, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options=options)
 
 
 def _seen(poses: Array, edges: Edges, scale: Array) -> tuple[Array, tuple[Array, Array]]:

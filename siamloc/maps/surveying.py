@@ -44,6 +44,7 @@ _FEWEST = 10  # frames of a drive
 _LEAST_WAY = 1.0  # metres of a drive
 _INLIER = 1.5, np.radians(20)  # how far a loop between drives may be off before drift is undone: metres, rad
 _MEETING = 3  # loops that must agree about how two drives lie
+_VOTERS = 500  # loops at most that are compared with each other for that
 
 
 @dataclass(frozen=True)
@@ -52,7 +53,8 @@ class SurveySettings(Settings):
 
     Attributes:
         apart: way between two frames of a drive that may be a loop, at least, in metres.
-        alike: number of most similar frames that each frame is compared with, in its own drive and each other one.
+        alike: number of most similar frames that each frame is compared with, divided evenly among the drives, but at
+            least two in each.
     """
 
     WHERE = "survey"
@@ -244,7 +246,8 @@ def _brought_together(start: Array, loops: Loops, drive: NDArray[np.int64], name
             seen = np.concatenate([used.pose[forward], _inverse(used.pose[backward])])
             known = np.concatenate([used.first[forward], used.second[backward]])
             own = np.concatenate([used.second[forward], used.first[backward]])
-            origins = composed(composed(start[known], seen), _inverse(start[own]))
+            some = np.unique(np.linspace(0, len(known) - 1, _VOTERS).astype(np.int64)) if len(known) else known
+            origins = composed(composed(start[known[some]], seen[some]), _inverse(start[own[some]]))
             apart = np.hypot(*(origins[:, None, :2] - origins[None, :, :2]).transpose(2, 0, 1))
             turned = np.abs(wrapped(origins[:, None, 2] - origins[None, :, 2]))
             # Far from the start a turn moves the drive: compare where the frames of the loops would be.
