@@ -12,6 +12,8 @@ corridor (`--manifest`), recall within 3 frames above HOG's. In any building: at
 5 ms for a panorama on one core with onnxruntime; turning a panorama by whole columns changes the descriptor by less
 than 1 % of the distance to the next place (in the first building).
 
+    siamloc simulate camera=panorama out=data
+    siamloc simulate camera=panorama building=annex out=data
     for seed in 101 102 ... 110
     do siamloc simulate camera=panorama building=random seed=$seed runs=[cloudy3] out=data
        siamloc simulate camera=panorama building=random seed=$seed runs=[cloudy2,night2,sunny2] spacing=0.45 out=data

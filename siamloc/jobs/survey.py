@@ -34,7 +34,7 @@ class SurveyDrives(DataJob):
         protocol.map.every=2            fewer frames
         anchors=FILE                    a manifest with the true x, y and theta of a few of the frames, which fix
                                         position, direction and scale
-        descriptor=runs/robot           the run of a network that compares images, instead of the shipped one
+        network=runs/robot              the run of a network that compares images, instead of the shipped one
         survey.apart=3.0                metres of way between two frames that may close a loop
         survey.alike=8                  similar frames that each frame is compared with
         out=survey                      the folder
@@ -45,7 +45,7 @@ class SurveyDrives(DataJob):
 
     MORE: ClassVar = {"data": {"image_size": list(PRETRAINED_SIZE)}}
 
-    descriptor: str = "pretrained"
+    network: str = "pretrained"
     anchors: Path | None = None
     survey: SurveySettings = field(default_factory=SurveySettings)
     device: Device = "auto"
@@ -55,7 +55,7 @@ class SurveyDrives(DataJob):
         """Survey the frames, and write the folder."""
         from siamloc import models
 
-        network = models.pretrained() if self.descriptor == "pretrained" else models.load(self.descriptor)
+        network = models.pretrained() if self.network == "pretrained" else models.load(self.network)
         anchors = None if self.anchors is None else read("manifest", manifest=str(self.anchors))
         every = self.protocol.map.sequences is None
         role = replace(self.protocol.map, sequences=("*",)) if every else self.protocol.map
@@ -66,7 +66,8 @@ class SurveyDrives(DataJob):
             say(f"note: {note}")
         say(found.summary())
         self._write(found)
-        say(f"next: siamloc map descriptor=pretrained data.manifest={Path(self.out) / 'surveyed.csv'}")
+        by = "descriptor=pretrained" if self.network == "pretrained" else f"run={self.network}"
+        say(f"next: siamloc map {by} data.manifest={Path(self.out) / 'surveyed.csv'}")
         return found
 
     def _write(self, found: Survey) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -27,7 +26,7 @@ def test_the_command_writes_what_the_next_commands_read(tmp_path, monkeypatch, c
         given.update(options, frames=frames, size=images.image_size)
         return a_survey(manifest.parent / "monday")
 
-    monkeypatch.setattr(sys.modules["siamloc.jobs.survey"], "survey", survey)
+    monkeypatch.setattr("siamloc.jobs.survey.survey", survey)
     anchors = tmp_path / "anchors.csv"
     anchors.write_text(manifest.read_text().replace("monday/", "data/monday/"))
     out = tmp_path / "survey"
@@ -49,7 +48,7 @@ def test_the_command_writes_what_the_next_commands_read(tmp_path, monkeypatch, c
 
 
 def test_a_network_that_does_not_compare_is_refused(tmp_path, trained, data, capsys):
-    text = refused(capsys, "survey", *data, f"descriptor={trained}", f"out={tmp_path / 'survey'}")
+    text = refused(capsys, "survey", *data, f"network={trained}", f"out={tmp_path / 'survey'}")
     assert "needs a network that compares panoramas" in text
     assert not (tmp_path / "survey").exists()
 
