@@ -18,6 +18,7 @@ from siamloc.evaluation.metrics import localization_error
 from siamloc.evaluation.result import Result
 from siamloc.evaluation.session import Search, Session
 from siamloc.maps.error_model import ErrorModel
+from siamloc.maps.motion import motions
 from siamloc.maps.pose_filter import PoseFilter
 from siamloc.maps.refinement import RefinedPoses, Refinement
 from siamloc.maps.sequence_filter import MotionModel, SequenceFilter, temperature_of_map, tune_filter
@@ -225,7 +226,7 @@ def with_estimates(
         columns, made["filter"], between = filtered(settings, search, queries, learned.validation)
         result = _with_columns(result, "filtered", columns)
         if settings.refine == "interpolate":
-            steps = {key: made["filter"][key] for key in ("step", "kidnapping")}
+            steps = {key: made["filter"][key] for key in ("step", "kidnapping")} | _by_wheels(queries)
             made["tracking"] = {**steps, "radius": settings.place_radius}
             result = _with_columns(result, "tracked", estimate_columns("tracked", between, queries))
     if finer is not None:
@@ -251,7 +252,7 @@ def with_estimates(
 def filtered(
     settings: Estimates, search: Search, queries: FrameTable, validation: Validation | None
 ) -> tuple[Columns, dict[str, Any], NDArray[np.float64]]:
-    """Track the robot through the queries of each sequence.
+    """Track the robot through the queries of each sequence, by their odometry where they have any.
 
     Args:
         settings: gives the temperature and the probability of kidnapping, or asks to choose them.
@@ -270,12 +271,13 @@ def filtered(
     if validation is not None and settings.filter_tune:
         frames = validation.frames
         motion = MotionModel.learn(known.frames, interval=_interval(frames))
-        best = tune_filter(motion, validation.search.found.distances, frames.xy, frames.sequence, temperature)[0]
+        given = validation.search.found.distances, frames.xy, frames.sequence
+        best = tune_filter(motion, *given, temperature, moves=motions(frames))[0]
         temperature, kidnapping = best.temperature, best.kidnapping
         tuned = {"queries": len(frames), "error": best.error}
     motion = MotionModel.learn(known.frames, interval=_interval(queries))
     track = SequenceFilter(motion, temperature, kidnapping).run(
-        search.found.distances, queries.sequence, settings.place_radius
+        search.found.distances, queries.sequence, settings.place_radius, motions(queries)
     )
     assert track.xy is not None
     columns = {
@@ -290,6 +292,7 @@ def filtered(
         "step": motion.step,
         "spacing": motion.spacing,
         "tuned": tuned,
+        **_by_wheels(queries),
     }
     return columns, about, track.xy
 
@@ -307,6 +310,8 @@ def refined(refinement: Refinement, poses: RefinedPoses, queries: FrameTable) ->
 def tracked(step: float, kidnapping: float, queries: FrameTable, poses: RefinedPoses) -> tuple[Columns, dict[str, Any]]:
     """Filter refined poses along the queries of each sequence; return their columns and the filter's parameters.
 
+    The filter moves by the odometry of the queries, where they have any.
+
     Args:
         step: distance the robot moves between two queries, learned from the map; the median step of the query poses if
             that is larger.
@@ -317,14 +322,14 @@ def tracked(step: float, kidnapping: float, queries: FrameTable, poses: RefinedP
     gone = [np.hypot(*np.diff(poses.xy[rows], axis=0).T) for rows in queries.rows_by("sequence").values()]
     usual = float(np.median(steps)) if len(steps := np.concatenate([np.empty(0), *gone])) else 0.0
     step = max(step, usual, _STANDING)
-    found = PoseFilter(step, kidnapping).run(poses, queries.sequence)
+    found = PoseFilter(step, kidnapping).run(poses, queries.sequence, motions(queries))
     columns = {
         **estimate_columns("tracked", found.xy, queries, found.theta),
         "tracked_match": found.frame,
         "tracked_agreement": found.agreement,
         "tracked_inside": found.inside(queries.xy),
     }
-    return columns, {"step": step, "kidnapping": kidnapping}
+    return columns, {"step": step, "kidnapping": kidnapping, **_by_wheels(queries)}
 
 
 def learned_errors(
@@ -362,6 +367,12 @@ def learned_errors(
     except DataError as error:
         skipped["foreign"] = str(error)
     return model, {**about, "foreign_above": model.foreign_above}
+
+
+def _by_wheels(queries: FrameTable) -> dict[str, int]:
+    """Return the number of moves known from odometry, if there are any, for what a result says about a filter."""
+    known = int(np.isfinite(motions(queries)).all(axis=1).sum())
+    return {"odometry": known} if known else {}
 
 
 def _interval(frames: FrameTable) -> float | None:

@@ -33,7 +33,7 @@ from siamloc.evaluation.estimates import (
 from siamloc.evaluation.metrics import fitted_margin
 from siamloc.evaluation.result import Result
 from siamloc.evaluation.session import Baselines, Counts, Radii, Search, Session, cost, several
-from siamloc.maps import VisualMap
+from siamloc.maps import VisualMap, motions
 from siamloc.maps.error_model import ErrorModel
 from siamloc.stopwatch import Stopwatch
 
@@ -214,6 +214,8 @@ def error_model(known: VisualMap, images: PanoramaLibrary, validation: FrameTabl
 def _measured(session: Session, settings: Localization, name: str, known: VisualMap, main: bool = True) -> Result:
     """Measure one descriptor; with `main`, for the map's own, queries without a pose are located as well."""
     queries = session.queries
+    if settings.filter:
+        motions(queries)  # fails before anything is described if the odometry cannot be right
     skipped: dict[str, str] = {}
     searches: dict[str, Search] = {}
     if "absolute" in settings.names:

@@ -31,6 +31,7 @@ class Robot(Job):
         bundle: folder of a bundle, instead of a run's.
         top: number of map frames to list for each image.
         track: follow the robot from image to image; each folder, video and camera is a drive.
+        odometry: table of the robot's odometry, for `track`; see `siamloc.runtime.locate_all`.
         threads: number of onnxruntime threads; onnxruntime chooses if None.
         hierarchical: search the coarse layer first; if None, whenever the bundle has one.
     """
@@ -42,6 +43,7 @@ class Robot(Job):
     bundle: Path | None = None
     top: Count = 3
     track: bool = False
+    odometry: Path | None = None
     threads: Threads | None = None
     hierarchical: bool | None = None
 
@@ -74,6 +76,7 @@ class Localize(Robot):
         bundle=FOLDER            another bundle
         top=3                    number of map frames to list
         track=true               follow the robot from image to image; each folder, video and camera is a drive
+        odometry=robot.csv       by its wheels: a table with the columns image, odom_x, odom_y, odom_theta
         format=table|jsonl|csv   readable lines, or output for other programs
         out=FILE                 write a .csv or .jsonl file, too; locations.csv by default with format=table
         on_error=skip|raise      skip images that cannot be read, or stop at the first one
@@ -107,7 +110,7 @@ class Localize(Robot):
         from siamloc.runtime import locate_all, written
         from siamloc.runtime.stream import LINES
 
-        located = locate_all(localizer, self.images, on_error=self.on_error, track=self.track)
+        located = locate_all(localizer, self.images, on_error=self.on_error, track=self.track, odometry=self.odometry)
         target = self.target
         off, faults, count, stopped = list[float](), 0, 0, False
         head, line = ("", None) if self.format == "table" else LINES[f".{self.format}"]
@@ -157,6 +160,7 @@ class Watch(Robot):
         bundle=FOLDER        the bundle; export it with thumbnails=true to see the map images
         run=FOLDER           or the run whose bundle is used
         track=true           follow the robot from image to image
+        odometry=robot.csv   by its wheels, as for localize
         fps=5                images per second at most, 0 for full speed; cameras keep their own rate
         port=8000            0 picks a free port
         host=127.0.0.1       0.0.0.0 lets everybody on the network watch
@@ -178,7 +182,15 @@ class Watch(Robot):
         localizer = self.localizer()
         from siamloc.runtime import Live
 
-        page = Live(localizer, self.images, track=self.track, host=self.host, port=self.port, fps=self.fps)
+        page = Live(
+            localizer,
+            self.images,
+            track=self.track,
+            host=self.host,
+            port=self.port,
+            fps=self.fps,
+            odometry=self.odometry,
+        )
         if self.host not in ("127.0.0.1", "localhost", "::1"):
             say(f"everybody who can reach {self.host} can watch: leave host out to keep it on this machine")
         with page:

@@ -9,6 +9,7 @@ from .hierarchy import (
 )
 from .maintenance import Update as Update, update as update
 from .matching import frame_distances as frame_distances, headings as headings, match as match
+from .motion import motions as motions
 from .pose_filter import PoseFilter as PoseFilter
 from .ranking import NodeRanking as NodeRanking
 from .refinement import (

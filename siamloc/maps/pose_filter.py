@@ -1,8 +1,9 @@
-"""A filter over refined poses: a robot is expected to keep moving as before, and an outlier must repeat to count.
+"""A filter over refined poses: a robot is expected to move as it tells or as before; an outlier must repeat to count.
 
-`SequenceFilter` tracks the frames of a map; this filter tracks positions between them. The robot keeps its velocity up
-to a random acceleration (a Kalman filter in x and y), and each pose from `siamloc.maps.refine` is weighted by its
-information and by the probability that it is not a stray one. Several hypotheses, called stories, are kept at once
+`SequenceFilter` tracks the frames of a map; this filter tracks positions between them. If the robot's motion is known,
+as from its wheels, it has moved by that (an extended Kalman filter in x, y and heading); otherwise, it keeps its
+velocity up to a random acceleration (a Kalman filter in x and y). Each pose from `siamloc.maps.refine` is weighted by
+its information and by the probability that it is not a stray one. Several hypotheses, called stories, are kept at once
 [Reid 1979]: every pose starts a new one, which is dropped if it stays near a better one, and takes over if it explains
 the following poses better.
 """
@@ -18,6 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 from foundation.calls import typed
 from foundation.settings import Positive, Probability
 from siamloc.errors import DataError
+from siamloc.maps.motion import motion_or_none, motions_of
 from siamloc.maps.refinement import FREEDOM, RefinedPoses
 
 _STORIES = 5
@@ -27,17 +29,36 @@ _NEAR = 0.05  # share of a step: stories this close to each other are merged
 _ACCELERATION = 0.5  # standard deviation of the change of the step between two queries, as a share of the usual step
 _MOVES = np.block([[np.eye(2), np.eye(2)], [np.zeros((2, 2)), np.eye(2)]])
 _NOISE = np.kron(np.array([[0.25, 0.5], [0.5, 1.0]]), np.eye(2))
+_HEADING = math.radians(3)  # standard deviation of the heading of a pose
+_NO_HEADING = math.pi**2 / 3  # variance of a heading that may be any
+_SURE = 1.0  # rad^2: a heading with a larger variance is unknown
+_WHEELS = 0.1  # standard deviation of a known motion, as a share of the distance, and of the turn
+_SWERVE = math.radians(1)  # standard deviation of the turn of a known motion over the usual step
+_STANDING = 0.01  # standard deviation of a motion of zero, as a share of the usual step
+# Divisors of the t-distributions of 2 and 3 values: the position, with or without the heading.
+_HEIGHT = {2: 2 * math.pi, 3: math.gamma(FREEDOM / 2) * (FREEDOM * math.pi) ** 1.5 / math.gamma((FREEDOM + 3) / 2)}
+_ANYWHERE = {2: _STRAY, 3: _STRAY / (2 * math.pi)}
 
 
 @dataclass(frozen=True)
 class _Story:
-    """Position and step of the robot, mean (4,) and covariance (4, 4), and how well they explain the poses."""
+    """What the robot may be doing, and how well that explains the poses.
+
+    Its mean and covariance are those of position and step (4,), or after a known motion of position and heading (3,).
+    """
 
     mean: NDArray[np.float64]
     covariance: NDArray[np.float64]
     evidence: float
     share: float  # probability that the last pose is not a stray one
-    trusted: RefinedPoses  # the last pose not considered stray: it gives the heading and the map frame
+    trusted: RefinedPoses  # the last pose not considered stray
+
+    @property
+    def theta(self) -> NDArray[np.float64]:
+        """Heading in rad (1,), NaN if unknown."""
+        if len(self.mean) == 4:
+            return self.trusted.theta
+        return _wrapped(self.mean[2:]) if self.covariance[2, 2] < _SURE else np.full(1, np.nan)
 
 
 class PoseFilter:
@@ -73,26 +94,45 @@ class PoseFilter:
         """Forget all queries: the robot may be anywhere."""
         self._stories: list[_Story] = []
 
-    def step(self, pose: RefinedPoses) -> RefinedPoses:
+    def step(
+        self, pose: RefinedPoses, motion: ArrayLike | None = None, covariance: ArrayLike | None = None
+    ) -> RefinedPoses:
         """Update the filter with the pose of one query and return the filtered pose.
 
-        After a pose that is NaN or has no information (see `RefinedPoses`), the robot is assumed to keep moving as
-        before. Heading and map frame are those of the last pose that is not considered stray.
+        A pose that is NaN or has no information (see `RefinedPoses`) only lets the robot move on. The map frame is that
+        of the last pose that is not considered stray; so is the heading, unless the motion is known.
+
+        Args:
+            pose: the pose of the query.
+            motion: how the robot moved since the last query, seen from itself at the last query (3,): distances ahead
+                and to the left in units of x and y, and turn to the left in rad. If None or NaN, the robot is assumed
+                to keep moving as before.
+            covariance: covariance of the motion (3, 3); if None, distances and turns are off by 10 %, and turns by
+                another degree over the usual step.
 
         Raises:
-            DataError: not exactly one pose.
+            DataError: not exactly one pose, or a motion or a covariance of another form.
         """
         if len(pose) != 1:
             raise DataError(f"a step takes the pose of one query, got {len(pose)}")
-        about = pose.information[0]
-        stories = [self._moved(story) for story in self._stories]
+        about, move = pose.information[0], motion_or_none(motion)
+        if move is None:
+            stories = [self._moved(story) for story in self._stories]
+        else:
+            noise = self._noise(move) if covariance is None else _checked(covariance)
+            stories = [_driven(_with_heading(story), move, noise) for story in self._stories]
+            self._last = move
         if about.any() and np.isfinite(about).all() and np.isfinite(pose.xy).all():
-            spread = np.linalg.inv(about)
+            spread, seen = np.linalg.inv(about), pose.xy[0]
             best = max((story.evidence for story in stories), default=0.0)
-            begun = np.block([[spread, np.zeros((2, 2))], [np.zeros((2, 2)), self.length**2 * np.eye(2)]])
-            fresh = best + math.log(self.kidnapping) + math.log(_STRAY)
-            stories = [self._told(story, pose, spread) for story in stories]
-            stories.append(_Story(np.concatenate([pose.xy[0], np.zeros(2)]), begun, fresh, 1.0, pose))
+            begun = _Story(np.concatenate([seen, np.zeros(2)]), _blocks(spread, self.length**2 * np.eye(2)), 0, 1, pose)
+            if move is not None:
+                begun = _with_heading(begun)
+                if np.isfinite(pose.theta[0]):
+                    spread, seen = begun.covariance, begun.mean
+            fresh = best + math.log(self.kidnapping) + math.log(_ANYWHERE[len(seen)])
+            stories = [_told(story, pose, seen, spread) for story in stories]
+            stories.append(replace(begun, evidence=fresh))
         if not stories:
             return pose
         self._stories = self._kept(stories)
@@ -101,51 +141,56 @@ class PoseFilter:
             pose,
             xy=story.mean[None, :2],
             information=np.linalg.inv(story.covariance[:2, :2])[None].astype(np.float64),
-            theta=story.trusted.theta,
+            theta=story.theta,
             agreement=pose.agreement * story.share,
             frame=story.trusted.frame,
         )
 
-    def run(self, poses: RefinedPoses, sequence: ArrayLike) -> RefinedPoses:
+    def run(self, poses: RefinedPoses, sequence: ArrayLike, motion: ArrayLike | None = None) -> RefinedPoses:
         """Track robots through whole sequences, with a reset before each.
 
         Args:
             poses: poses of n queries, in capture order within each sequence.
             sequence: (n,) name of each query's sequence.
+            motion: how the robot moved to each query from the one before (n, 3), as for `step` and as
+                `siamloc.maps.motions` returns it; NaN where unknown, as for all if None.
 
         Raises:
-            DataError: not one name for each pose.
+            DataError: not one name and one motion for each pose.
         """
         names = np.asarray(sequence)
         if names.shape != (len(poses),):
             raise DataError(f"{len(poses)} poses need as many names of sequences, got shape {names.shape}")
+        moved = motions_of(motion, len(poses))
         found: list[RefinedPoses] = [poses.take(np.array([row])) for row in range(len(poses))]
         for name in dict.fromkeys(names.tolist()):
             self.reset()
             for row in np.flatnonzero(names == name).tolist():
-                found[row] = self.step(found[row])
+                found[row] = self.step(found[row], moved[row])
         self.reset()
         return RefinedPoses.concatenate(found) if found else poses
 
     def _moved(self, story: _Story) -> _Story:
+        if len(story.mean) == 3:
+            step = _turned(story.mean[2]) @ self._last[:2]
+            unsure = (_ACCELERATION * self.length) ** 2 * np.eye(2)
+            story = replace(
+                story,
+                mean=np.concatenate([story.mean[:2], step]),
+                covariance=_blocks(story.covariance[:2, :2], unsure),
+                trusted=replace(story.trusted, theta=story.theta),
+            )
         noise = (_ACCELERATION * self.length) ** 2 * _NOISE
         return replace(
             story, mean=_MOVES @ story.mean, covariance=_MOVES @ story.covariance @ _MOVES.T + noise, share=0.0
         )
 
-    def _told(self, story: _Story, pose: RefinedPoses, spread: NDArray[np.float64]) -> _Story:
-        """Return a story updated with a pose, which is weighted by the probability that it is not a stray one."""
-        agreement = float(pose.agreement[0])
-        apart, total = pose.xy[0] - story.mean[:2], story.covariance[:2, :2] + spread
-        squared = float(apart @ np.linalg.solve(total, apart))
-        height = (1 + squared / FREEDOM) ** (-(FREEDOM + 2) / 2) / (2 * math.pi * math.sqrt(np.linalg.det(total)))
-        share = agreement * height / (agreement * height + _STRAY)
-        weight = max(share * (FREEDOM + 2) / (FREEDOM + squared), 1e-9)
-        gain = story.covariance[:, :2] @ np.linalg.inv(story.covariance[:2, :2] + spread / weight)
-        covariance = story.covariance - gain @ story.covariance[:2]
-        evidence = story.evidence + math.log(agreement * height + _STRAY)
-        trusted = pose if share > _TRUSTED else story.trusted
-        return _Story(story.mean + gain @ apart, (covariance + covariance.T) / 2, evidence, share, trusted)
+    def _noise(self, motion: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the usual covariance (3, 3) of a known motion."""
+        steps = math.hypot(*motion[:2]) / self.length
+        place = (_WHEELS**2 * steps**2 + _STANDING**2) * self.length**2
+        turn = (_WHEELS * motion[2]) ** 2 + _SWERVE**2 * (steps + _STANDING)
+        return np.diag([place, place, turn])
 
     def _kept(self, stories: list[_Story]) -> list[_Story]:
         """Return the stories that explain the poses best, best first, each place once, the best with evidence 0."""
@@ -156,3 +201,78 @@ class PoseFilter:
                 kept.append(story)
         best = kept[0].evidence
         return [replace(story, evidence=story.evidence - best) for story in kept[:_STORIES]]
+
+
+def _told(story: _Story, pose: RefinedPoses, seen: NDArray[np.float64], spread: NDArray[np.float64]) -> _Story:
+    """Return a story updated with a pose, which is weighted by the probability that it is not a stray one.
+
+    Args:
+        story: the story; the first values of its mean are those that the pose shows.
+        pose: the pose.
+        seen: position (2,), or position and heading (3,), of the pose.
+        spread: covariance of `seen`.
+    """
+    n, agreement = len(seen), float(pose.agreement[0])
+    apart, total = seen - story.mean[:n], story.covariance[:n, :n] + spread
+    apart[2:] = _wrapped(apart[2:])
+    squared = float(apart @ np.linalg.solve(total, apart))
+    height = (1 + squared / FREEDOM) ** (-(FREEDOM + n) / 2) / (_HEIGHT[n] * math.sqrt(np.linalg.det(total)))
+    share = agreement * height / (agreement * height + _ANYWHERE[n])
+    weight = max(share * (FREEDOM + n) / (FREEDOM + squared), 1e-9)
+    gain = story.covariance[:, :n] @ np.linalg.inv(story.covariance[:n, :n] + spread / weight)
+    covariance = story.covariance - gain @ story.covariance[:n]
+    evidence = story.evidence + math.log(agreement * height + _ANYWHERE[n])
+    trusted = pose if share > _TRUSTED else story.trusted
+    return _Story(story.mean + gain @ apart, (covariance + covariance.T) / 2, evidence, share, trusted)
+
+
+def _driven(story: _Story, motion: NDArray[np.float64], noise: NDArray[np.float64]) -> _Story:
+    """Return a story of position and heading after a known motion (3,) with a covariance (3, 3)."""
+    axes = _blocks(_turned(story.mean[2]), np.eye(1))
+    shift = axes @ motion
+    moves = np.eye(3)
+    moves[:2, 2] = -shift[1], shift[0]
+    covariance = moves @ story.covariance @ moves.T + axes @ noise @ axes.T
+    return replace(story, mean=story.mean + shift, covariance=covariance, share=0.0)
+
+
+def _with_heading(story: _Story) -> _Story:
+    """Return a story of position and heading; the heading is that of the last pose not considered stray."""
+    if len(story.mean) == 3:
+        return story
+    theta = float(story.trusted.theta[0])
+    turn, variance = (theta, _HEADING**2) if math.isfinite(theta) else (0.0, _NO_HEADING)
+    return replace(
+        story,
+        mean=np.array([*story.mean[:2], turn]),
+        covariance=_blocks(story.covariance[:2, :2], np.full((1, 1), variance)),
+    )
+
+
+def _blocks(first: NDArray[np.float64], second: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the matrix with two matrices on its diagonal."""
+    apart = np.zeros((len(first), len(second)))
+    return np.block([[first, apart], [apart.T, second]])
+
+
+def _turned(angle: float) -> NDArray[np.float64]:
+    cos, sin = math.cos(angle), math.sin(angle)
+    return np.array([[cos, -sin], [sin, cos]])
+
+
+def _wrapped(angles: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return angles in (-pi, pi]."""
+    return np.pi - (np.pi - angles) % (2 * np.pi)
+
+
+def _checked(covariance: ArrayLike) -> NDArray[np.float64]:
+    """Return the covariance of a motion.
+
+    Raises:
+        DataError: not a symmetric matrix (3, 3) of finite numbers without negative eigenvalues.
+    """
+    given = np.asarray(covariance, dtype=np.float64)
+    fits = given.shape == (3, 3) and np.isfinite(given).all() and np.allclose(given, given.T)
+    if not fits or np.linalg.eigvalsh(given)[0] < -1e-9 * np.abs(given).max():
+        raise DataError(f"the covariance of a motion is a symmetric matrix (3, 3) of variances, got {covariance!r}")
+    return given

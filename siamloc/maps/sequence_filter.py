@@ -2,14 +2,17 @@
 
 There is only a forward pass: an estimate depends on the queries up to its own. The likelihood of a map frame given a
 query is the softmax of the descriptor distances, exp(-d / temperature) ([T] 5.3.5 uses only the smallest distance). The
-robot's motion is learned from the map's own spacing (`MotionModel`), the temperature from the map itself
-(`temperature_of_map`) or, together with the probability of kidnapping, on a validation sequence (`tune_filter`).
+robot's motion is learned from the map's own spacing (`MotionModel`), unless its wheels tell how far it moved; the
+temperature is learned from the map itself (`temperature_of_map`) or, together with the probability of kidnapping, on a
+validation sequence (`tune_filter`).
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import product
 
 import numpy as np
@@ -21,6 +24,7 @@ from foundation.settings import Positive, Probability
 from siamloc.data.frames import FrameTable
 from siamloc.errors import ConfigError, DataError
 from siamloc.maps.matching import frame_distances
+from siamloc.maps.motion import motion_or_none, motions_of
 from siamloc.maps.visual_map import VisualMap
 
 _REACH = 4.0  # standard deviations; the weight beyond is below 4e-4 and covered by kidnapping
@@ -75,14 +79,16 @@ class SequenceFilter:
         """Forget all queries: the robot may be anywhere."""
         self.belief = np.full(len(self.motion), 1 / len(self.motion))
 
-    def step(self, distances: ArrayLike) -> NDArray[np.float64]:
+    def step(self, distances: ArrayLike, motion: ArrayLike | None = None) -> NDArray[np.float64]:
         """Update the belief with one query and return it (m,).
 
         Args:
             distances: (m,) from the query's descriptor to the map's; infinite for map frames that are excluded.
+            motion: how the robot moved since the last query (3,), as for `PoseFilter.step`, of which only the distance
+                counts here; if None or NaN, the robot is assumed to move as the motion model says.
 
         Raises:
-            DataError: not one distance for each map frame, or none that is finite.
+            DataError: not one distance for each map frame, or none that is finite; or a motion of another form.
         """
         apart = np.asarray(distances, dtype=np.float64)
         # NaN and -infinity show in the smallest value.
@@ -91,19 +97,29 @@ class SequenceFilter:
                 f"a query needs {len(self.motion)} distances to the map, finite ones or infinity where it is "
                 f"not compared, got shape {apart.shape}"
             )
-        expected = (1 - self.kidnapping) * self.motion.predict(self.belief) + self.kidnapping / len(apart)
+        move = motion_or_none(motion)
+        length = None if move is None else float(np.hypot(*move[:2]))
+        expected = (1 - self.kidnapping) * self.motion.predict(self.belief, length) + self.kidnapping / len(apart)
         # The most likely frame has likelihood 1, so the sum cannot vanish.
         belief = expected * np.exp((apart.min() - apart) / self.temperature)
         self.belief = belief / belief.sum()
         return self.belief
 
-    def run(self, distances: ArrayLike, sequence: ArrayLike, radius: float | None = None) -> Track:
+    def run(
+        self,
+        distances: ArrayLike,
+        sequence: ArrayLike,
+        radius: float | None = None,
+        motion: ArrayLike | None = None,
+    ) -> Track:
         """Track robots through whole sequences, with a reset before each.
 
         Args:
             distances: (n, m) from each query to the map, in capture order within each sequence.
             sequence: (n,) name of each query's sequence.
             radius: radius of the mean between map frames, in units of x and y; no mean is computed if None.
+            motion: how the robot moved to each query from the one before (n, 3), as `siamloc.maps.motions` returns it;
+                NaN where unknown, as for all if None.
 
         Raises:
             DataError: arrays that do not match each other or the map.
@@ -113,13 +129,14 @@ class SequenceFilter:
             raise DataError(
                 f"{len(names)} queries need distances of shape ({len(names)}, {len(self.motion)}), got {apart.shape}"
             )
+        moved = motions_of(motion, len(names))
         frame = np.zeros(len(names), dtype=np.int64)
         probability, spread = np.zeros(len(names)), np.zeros(len(names))
         xy = None if radius is None else np.zeros((len(names), 2))
         for name in dict.fromkeys(names.tolist()):
             self.reset()
             for row in np.flatnonzero(names == name).tolist():
-                belief = self.step(apart[row])
+                belief = self.step(apart[row], moved[row])
                 frame[row] = best = int(belief.argmax())
                 probability[row], spread[row] = belief[best], self.spread(best)
                 if xy is not None and radius is not None:
@@ -144,7 +161,9 @@ class MotionModel:
 
     The probability falls with the distance d between two frames as exp(-d^2 / (2 sigma^2)), in any direction, with
     sigma^2 = step^2 + spacing^2 / 6. The second term is there because a frame stands for all places up to half a
-    spacing from it: the difference of two such places has that variance.
+    spacing from it: the difference of two such places has that variance. If the length of a move is known, it takes the
+    place of a step that is shorter. If the move is shorter than the step, so is the probability of leaving a frame, by
+    their ratio: many short moves count as much as a long one.
 
     Attributes:
         xy: (m, 2) positions of the map's frames.
@@ -195,10 +214,33 @@ class MotionModel:
                 step = interval * float(np.percentile(length[timed] / seconds[timed], _FAST))
         return cls(frames.xy, *_transitions(frames, np.sqrt(step**2 + spacing**2 / 6)), float(step), spacing)
 
-    def predict(self, belief: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the belief (m,) after another step of the robot."""
-        moved = np.bincount(self.target, self.weight * belief[self.source], minlength=len(self))
-        return np.asarray(moved, dtype=np.float64)
+    def predict(self, belief: NDArray[np.float64], length: float | None = None) -> NDArray[np.float64]:
+        """Return the belief (m,) after another step of the robot.
+
+        Args:
+            belief: (m,) before it.
+            length: the distance between the ends of the step, if it is known.
+        """
+        if length is None or length == self.step:
+            moved = np.bincount(self.target, self.weight * belief[self.source], minlength=len(self))
+            return np.asarray(moved, dtype=np.float64)
+        if length < self.step:
+            share = length / self.step
+            return (1 - share) * belief + share * self.predict(belief)
+        usual, variance = (step**2 + self.spacing**2 / 6 for step in (self.step, length))
+        if usual == 0:  # all frames are in one place
+            return self.predict(belief)
+        # The pairs of the model reach four of its standard deviations.
+        parts = math.ceil(variance / (2 * usual))
+        weight = np.exp(-self._squared * parts / (2 * variance))
+        weight /= np.bincount(self.source, weight, minlength=len(self))[self.source]
+        for _ in range(parts):
+            belief = np.bincount(self.target, weight * belief[self.source], minlength=len(self)).astype(np.float64)
+        return belief
+
+    @cached_property
+    def _squared(self) -> NDArray[np.float64]:
+        return np.asarray(np.square(self.xy[self.source] - self.xy[self.target]).sum(axis=1), dtype=np.float64)
 
 
 def spacing_of(frames: FrameTable) -> float:
@@ -313,6 +355,7 @@ def tune_filter(
     temperature: float,
     softer: Sequence[float] = (1, 2, 3, 4),
     kidnapping: Sequence[float] = (1e-3, 1e-5, 1e-7),
+    moves: ArrayLike | None = None,
 ) -> list[TunedFilter]:
     """Try settings of the filter on a validation sequence; return the tried settings, smallest mean error first.
 
@@ -328,6 +371,8 @@ def tune_filter(
         temperature: the temperature that suits single queries.
         softer: factors of the temperature to try, positive.
         kidnapping: probabilities to try, in (0, 1).
+        moves: how the robot moved to each query from the one before (n, 3), as `siamloc.maps.motions` returns it; NaN
+            where unknown, as for all if None.
 
     Raises:
         ConfigError: nothing to try, or values out of range.
@@ -340,7 +385,7 @@ def tune_filter(
         raise DataError(f"validation queries need true positions of shape (n, 2), all known, got {true.shape}")
     tried = []
     for factor, probability in product(softer, kidnapping):
-        track = SequenceFilter(motion, temperature * factor, probability).run(distances, sequence)
+        track = SequenceFilter(motion, temperature * factor, probability).run(distances, sequence, motion=moves)
         error = np.hypot(*(motion.xy[track.frame] - true).T)
         tried.append(TunedFilter(float(temperature * factor), float(probability), float(error.mean())))
     return sorted(tried, key=lambda settings: settings.error)

@@ -60,6 +60,7 @@ class Live:
         localizer: locates the images.
         images: image files, folders, videos, and cameras such as "camera:0"; or one.
         track: follow the robot from image to image; see `locate_all`.
+        odometry: table of the robot's odometry, for `track`; see `locate_all`.
         host: address to listen on; "0.0.0.0" stands for all addresses of this machine.
         port: port to listen on; 0 picks a free one, which `url` shows.
         fps: maximum number of images per second, as on a robot; 0 for as fast as they are located. Cameras keep their
@@ -87,13 +88,14 @@ class Live:
         host: Text = "127.0.0.1",
         port: Port = 8000,
         fps: Pace = 5.0,
+        odometry: str | Path | None = None,
     ) -> None:
         self.host, self.fps = host, fps
         named(images)
         localizer.bundle.thumbnail(0)  # fails here if the thumbnails are damaged
         if track:
             localizer.tracker()
-        self._localizer, self._images, self._track = localizer, images, track
+        self._localizer, self._images, self._track, self._odometry = localizer, images, track, odometry
         self._socket = _listening(host, port)
         self.port: int = self._socket.getsockname()[1]
         self._lock, self._stopped, self._ended = threading.Lock(), threading.Event(), threading.Event()
@@ -156,7 +158,9 @@ class Live:
         """Locate the images, and publish each outcome."""
         text = "the end of the images"
         try:
-            located = locate_all(self._localizer, self._images, track=self._track, seen=self._keep)
+            located = locate_all(
+                self._localizer, self._images, track=self._track, seen=self._keep, odometry=self._odometry
+            )
             due = time.monotonic()
             for one in located:
                 self._tell(one)

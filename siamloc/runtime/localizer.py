@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from analytic import Description
 from foundation.calls import typed
@@ -42,6 +42,8 @@ Tracker = PoseFilter | SequenceFilter
 """Follows a robot from image to image, see `Localizer.tracker`."""
 
 _STANDING = 0.01  # step in a map whose frames are all in one place
+_UNKNOWN, _ZERO = np.full((1, 2), np.nan), np.zeros(1)
+_NOWHERE = RefinedPoses(_UNKNOWN, _UNKNOWN[0, :1], np.zeros((1, 2, 2)), _ZERO, np.zeros(1, np.int64), _ZERO - np.inf)
 
 
 @dataclass(frozen=True)
@@ -178,7 +180,8 @@ class Localizer:
         """Return a tracker that follows a robot from image to image, for `locate`; use one per drive.
 
         If poses are refined by comparison with map frames, the poses are tracked (`siamloc.maps.PoseFilter`); otherwise
-        the robot is tracked from map frame to map frame (`siamloc.maps.SequenceFilter`).
+        the robot is tracked from map frame to map frame (`siamloc.maps.SequenceFilter`). With the `motion` in `locate`,
+        the tracker knows sooner that the robot was carried away, and goes on where nothing is recognized.
 
         Args:
             step: roughly how far the robot moves between two images; the map's frame-to-frame distance if None.
@@ -197,6 +200,7 @@ class Localizer:
         image: str | Path | NDArray[np.uint8],
         tracker: Tracker | None = None,
         seen: Callable[[NDArray[np.uint8]], None] | None = None,
+        motion: ArrayLike | None = None,
     ) -> Location:
         """Locate an image: a file, or pixels (rows, columns, 3) RGB uint8 as they come from the camera.
 
@@ -206,31 +210,41 @@ class Localizer:
                 robot; the expected error and whether it is lost are still those of this image alone. If None, each
                 answer depends on its image alone.
             seen: called with the panorama (3, H, W), uint8, RGB, made from the image.
+            motion: how the robot moved since the last image that the tracker got, as its wheels tell, seen from itself
+                at that image (3,): distances ahead and to the left in the map's unit, and turn to the left in rad; NaN
+                if unknown.
 
         Raises:
-            DataError: the image cannot be read, is empty, or has another shape.
+            ConfigError: a motion without a tracker.
+            DataError: the image cannot be read, is empty, or has another shape; or a motion of another form.
         """
         start = time.perf_counter()
+        _check_motion(tracker, motion)
         panorama = self._panorama(image)
         if seen is not None:
             seen(panorama)
-        return self._located(panorama, self.describe(panorama[None]), tracker, start)
+        return self._located(panorama, self.describe(panorama[None]), tracker, motion, start)
 
     @typed
-    def locate_panorama(self, panorama: NDArray[np.uint8], tracker: Tracker | None = None) -> Location:
+    def locate_panorama(
+        self, panorama: NDArray[np.uint8], tracker: Tracker | None = None, motion: ArrayLike | None = None
+    ) -> Location:
         """Locate a panorama of the bundle's size, uint8, RGB; see `locate`.
 
         Args:
             panorama: (3, H, W), as from a library, or (H, W, 3), as from `siamloc.data.unwrap` or a camera.
             tracker: see `locate`.
+            motion: see `locate`.
 
         Raises:
-            DataError: another shape or type.
+            ConfigError: a motion without a tracker.
+            DataError: another shape or type; or a motion of another form.
         """
         start = time.perf_counter()
+        _check_motion(tracker, motion)
         if panorama.ndim == 3 and panorama.shape[0] != 3 == panorama.shape[2]:
             panorama = np.ascontiguousarray(panorama.transpose(2, 0, 1))
-        return self._located(panorama, self.describe(panorama[None]), tracker, start)
+        return self._located(panorama, self.describe(panorama[None]), tracker, motion, start)
 
     @typed
     def locate_batch(self, images: Sequence[str | Path | NDArray[np.uint8]]) -> list[Location]:
@@ -250,14 +264,19 @@ class Localizer:
         panoramas = np.stack([self._panorama(image) for image in images])
         queries = self.describe(panoramas)
         found = [
-            self._located(panorama, queries.take(slice(row, row + 1)), None, start)
+            self._located(panorama, queries.take(slice(row, row + 1)), None, None, start)
             for row, panorama in enumerate(panoramas)
         ]
         mean = 1000 * (time.perf_counter() - start) / len(images)
         return [replace(one, ms=mean) for one in found]
 
     def _located(
-        self, panorama: NDArray[np.uint8], query: Description, tracker: Tracker | None, start: float
+        self,
+        panorama: NDArray[np.uint8],
+        query: Description,
+        tracker: Tracker | None,
+        motion: ArrayLike | None,
+        start: float,
     ) -> Location:
         found, frames = self._found(panorama, query), self.map.frames
         rows, apart = found.indices[0, : self._top].tolist(), found.distances[0, : self._top].tolist()
@@ -270,12 +289,13 @@ class Localizer:
         if isinstance(tracker, SequenceFilter):
             assert self._placed is not None
             known, pose = self._placed, None
-            row = int(tracker.step(frame_distances(known, query)[0]).argmax())
+            row = int(tracker.step(frame_distances(known, query)[0], motion).argmax())
             found = Retrieval(np.array([[row]]), np.zeros((1, 1)))
             variance = tracker.spread(row) ** 2 / 2
             covariance = ((variance, 0.0), (0.0, variance))
-        elif pose is not None:
-            pose = pose if tracker is None else tracker.step(pose)
+        elif pose is not None or (tracker is not None and motion is not None):
+            pose = _NOWHERE if pose is None else pose
+            pose = pose if tracker is None else tracker.step(pose, motion)
             covariance = _told(pose)
         xy, theta = (
             (known.frames.xy[row], headings(known, query, found)[:, 0]) if pose is None else (pose.xy[0], pose.theta)
@@ -364,6 +384,11 @@ class Localizer:
         except (UnreadableImageError, ConfigError) as error:  # damaged, or too small for the camera's ring
             what = image if pixels is None else f"an image of {pixels.shape[0]} x {pixels.shape[1]}"
             raise DataError(f"{what} cannot be located: {error}") from error
+
+
+def _check_motion(tracker: Tracker | None, motion: ArrayLike | None) -> None:
+    if tracker is None and motion is not None:
+        raise ConfigError("a motion says how a tracked robot moved: give the tracker of its drive, localizer.tracker()")
 
 
 def _told(pose: RefinedPoses) -> tuple[tuple[float, float], tuple[float, float]] | None:

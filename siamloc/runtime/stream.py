@@ -9,6 +9,7 @@ import re
 from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
+from os.path import abspath
 from pathlib import Path
 from typing import Any, Literal
 
@@ -18,9 +19,11 @@ from numpy.typing import NDArray
 from foundation.calls import typed
 from foundation.files import atomic_path, csv_text, plain
 from siamloc.data.frames import image_files
+from siamloc.data.moves import moves
 from siamloc.data.names import NamedPose, parse_name
 from siamloc.errors import ConfigError, DataError
 from siamloc.runtime.localizer import Localizer, Location
+from siamloc.runtime.wheels import UNKNOWN, read_odometry
 
 VIDEOS = {".mp4", ".avi", ".mkv", ".mov", ".webm", ".mjpeg", ".mpg"}
 CAMERA = "camera:"
@@ -86,6 +89,7 @@ def locate_all(
     on_error: Literal["skip", "raise"] = "skip",
     track: bool = False,
     seen: Callable[[NDArray[np.uint8]], None] | None = None,
+    odometry: str | Path | None = None,
 ) -> Generator[Located, None, None]:
     """Locate images one after the other, each as soon as it arrives; the images are not kept.
 
@@ -95,22 +99,35 @@ def locate_all(
         on_error: "skip" reports an image that cannot be read and continues; "raise" stops there.
         track: follow the robot from image to image, see `Localizer.tracker`; each folder, video and camera is a drive.
         seen: called with each panorama (3, H, W), uint8, RGB, before it is located.
+        odometry: how the robot moved from image to image, for `track`: a manifest, or any CSV table with the columns
+            `image`, `odom_x`, `odom_y` (in the map's unit) and `odom_theta` (rad); paths are relative to its folder.
 
     Yields:
         The outcome for each image, in order.
 
     Raises:
-        ConfigError: no images given, or a bundle that cannot follow a robot.
-        DataError: a file that does not exist, a folder without images, a video or a camera that gives no image, or a
-            camera that stops.
+        ConfigError: no images given, a bundle that cannot follow a robot, or odometry without `track`.
+        DataError: a file that does not exist, a folder without images, a video or a camera that gives no image, a
+            camera that stops, or odometry that cannot be used or is of other images.
     """
-    tracker, drive = localizer.tracker() if track else None, ""
+    if odometry is not None and not track:
+        raise ConfigError(f"odometry={odometry} says how the robot is followed: set track=true (in Python track=True)")
+    wheels = {} if odometry is None else read_odometry(odometry)
+    files = [path for _, some in named(images) for path in some or []]
+    if wheels and files and not any(abspath(path) in wheels for path in files):  # noqa: PTH100
+        raise DataError(f"{odometry} names none of the images, such as {files[0]}: paths are relative to its folder")
+    tracker, drive, last = localizer.tracker() if track else None, "", UNKNOWN
     for name, image, pose in pictures(images):
         before, drive = drive, str(image.parent) if isinstance(image, Path) else name.rpartition("#")[0]
         if tracker is not None and drive != before:
             tracker.reset()
+            last = UNKNOWN
+        here = wheels.get(abspath(name), UNKNOWN)  # noqa: PTH100
+        motion = moves([last, here])[1] if wheels else None
         try:
-            yield Located(name, localizer.locate(image, tracker, seen), pose=pose)
+            location = localizer.locate(image, tracker, seen, motion)
+            last = here
+            yield Located(name, location, pose=pose)
         except DataError as error:
             if on_error == "raise":
                 raise

@@ -13,6 +13,7 @@ from foundation.files import read_json
 from siamloc.maps import VisualMap
 from siamloc.maps.error_model import ErrorModel
 from siamloc.results import read_results
+from tests.drawn import altered
 from tests.siamloc.cli.commands import QUICK, done, measures, refused
 
 MEASURED = ["protocol.query.sequences=[second]", *QUICK]
@@ -70,6 +71,18 @@ def test_lost_stands_in_the_line_and_the_table(run, flat, capsys):
     assert any(row["lost"] == "True" for row in rows)
     (run / "evaluation/network/results.json").write_text("[1]")
     assert "results.json is not a siamloc result file" in refused(capsys, "export", f"run={run}")
+
+
+def test_a_robot_is_followed_by_the_odometry_of_a_manifest(run, flat, capsys):
+    still = altered(flat, "still.csv", lambda row: dict.fromkeys(("odom_x", "odom_y", "odom_theta"), "0"))
+    images, jumps = [f"run={run}", f"images=[{flat.parent / 'second'}]", "track=true"], []
+    for words in ([], [f"odometry={still}"]):
+        done("localize", *images, *words)
+        x = [float(row["x"]) for row in table(run / "locations.csv")]
+        jumps.append(np.count_nonzero(np.diff(x)))
+    assert jumps[1] < jumps[0], "the wheels say that the robot stands still"
+    said = refused(capsys, "localize", *images[:2], f"odometry={still}")
+    assert "says how the robot is followed: set track=true" in said
 
 
 def test_a_map_without_positions_names_the_room(bare, flat, capsys):

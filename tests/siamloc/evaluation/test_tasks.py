@@ -170,6 +170,19 @@ def test_poses_by_comparison_with_map_frames(world, tmp_path):
     expected = maps.PoseFilter(step).run(poses, tuesday.sequence)
     np.testing.assert_allclose(followed.columns["tracked_est_x"], expected.xy[:, 0], rtol=1e-3, atol=1e-3)
     assert finest(followed.columns)[1] == "tracked"
+    assert "odometry" not in followed.about["estimates"]["tracking"]
+    driven = tuesday.with_columns(odom_x=tuesday.x, odom_y=tuesday.y, odom_theta=tuesday.theta)
+    by_wheels = evaluation.localization(known, images, driven, refine="relative", neighbours=2, filter=True)
+    expected = maps.PoseFilter(step).run(poses, tuesday.sequence, maps.motions(driven))
+    np.testing.assert_allclose(by_wheels.columns["tracked_est_x"], expected.xy[:, 0], rtol=1e-3, atol=1e-3)
+    model = maps.MotionModel.learn(known.frames, step=by_wheels.about["estimates"]["filter"]["step"])
+    robot = maps.SequenceFilter(model, maps.temperature_of_map(known))
+    filtered = robot.run(maps.frame_distances(known, described), driven.sequence, motion=maps.motions(driven))
+    np.testing.assert_array_equal(by_wheels.columns["filtered_match"], filtered.frame)
+    assert by_wheels.about["estimates"]["tracking"]["odometry"] == len(tuesday) - 1
+    degrees = driven.with_columns(odom_theta=np.arange(len(driven)) * 20.0)
+    with pytest.raises(DataError, match="tracked by its odometry: odom_theta looks like degrees"):
+        evaluation.localization(known, images, degrees, filter=True)
     assert followed.plot("tracked_plan").axes
     with pytest.raises(ConfigError, match=r"reads does not tell .*task\.refine=interpolate"):
         evaluation.localization(reads, images, tuesday, refine="relative")

@@ -7,8 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from siamloc.data.moves import moves
 from siamloc.errors import ConfigError, DataError
 from siamloc.maps import PoseFilter, RefinedPoses
+from siamloc.simulate.odometry import odometry
 
 STEP, SD = 0.2, 0.05
 
@@ -106,3 +108,156 @@ def test_bad_input_is_refused():
         PoseFilter(1.0).run(told(drive(2)), ["a"])
     none = told(np.zeros((0, 2)))
     assert len(PoseFilter(1.0).run(none, [])) == 0
+
+
+def around(count: int = 400) -> np.ndarray:
+    """Poses (count, 3) of a drive that turns left and right by a right angle, again and again."""
+    at = np.arange(count)
+    heading = np.cumsum(np.where(at % 60 < 12, np.pi / 24, 0.0) * np.where(at // 60 % 2, 1, -1))
+    xy = np.cumsum(STEP * np.stack([np.cos(heading), np.sin(heading)], axis=1), axis=0)
+    return np.column_stack([xy, heading])
+
+
+def seen(poses: np.ndarray, seed: int, wrong: np.ndarray | None = None) -> RefinedPoses:
+    """Refined poses of true ones (n, 3); half of the wrong ones are dark, the others are of places far away."""
+    rng = np.random.default_rng(seed)
+    found = told(poses[:, :2], seed)
+    found.theta[:] = poses[:, 2] + np.radians(3) * rng.standard_normal(len(poses))
+    if wrong is not None:
+        dark = wrong & (rng.random(len(poses)) < 0.5)
+        found.information[dark], found.theta[dark] = 0, np.nan
+        found.xy[wrong] = rng.uniform(-20, 20, (int(wrong.sum()), 2))
+        found.theta[wrong & ~dark] = rng.uniform(-3, 3, int((wrong & ~dark).sum()))
+        found.agreement[wrong] = rng.uniform(0.3, 0.9, int(wrong.sum()))
+    return found
+
+
+def wheels(poses: np.ndarray, seed: int = 0) -> np.ndarray:
+    """Moves (n, 3) as the wheels of a simulated robot report them."""
+    return moves(odometry(poses, np.random.default_rng(seed)))
+
+
+def turned_away(found: RefinedPoses, poses: np.ndarray) -> np.ndarray:
+    return np.degrees(np.abs(np.angle(np.exp(1j * (found.theta - poses[:, 2])))))
+
+
+@pytest.mark.parametrize("together", [1, 10])
+def test_with_odometry_pictures_that_are_foreign_or_dark_do_little_harm(together):
+    """One picture in four, alone or ten after one another."""
+    poses, with_wheels, without = around(), [], []
+    for seed in range(5):
+        wrong = np.repeat(np.random.default_rng(seed).random(400 // together) < 0.25, together)
+        wrong[:5] = False
+        given, names = seen(poses, seed, wrong), ["a"] * 400
+        with_wheels.append(errors(PoseFilter(STEP).run(given, names, wheels(poses, seed)), poses[:, :2]))
+        without.append(errors(PoseFilter(STEP).run(given, names), poses[:, :2]))
+    assert np.percentile(with_wheels, 95) < 0.5 * np.percentile(without, 95)
+    assert np.percentile(with_wheels, 95) < 0.12
+
+
+def test_with_odometry_the_heading_is_filtered_too():
+    poses = around()
+    given = seen(poses, 0)
+    found = PoseFilter(STEP).run(given, ["a"] * 400, wheels(poses))
+    assert turned_away(found, poses).mean() < 0.6 * turned_away(given, poses).mean()
+    assert np.abs(found.theta).max() <= np.pi
+    assert found.inside(poses[:, :2]).mean() > 0.85
+
+
+def test_with_odometry_a_robot_that_was_carried_away_is_found_within_three_pictures():
+    poses = around()
+    away = poses.copy()
+    away[200:] = np.column_stack([50 - poses[200:, 1], poses[200:, 0], poses[200:, 2] + np.pi / 2])
+    for seed in range(5):
+        found = PoseFilter(STEP).run(seen(away, seed), ["a"] * 400, wheels(poses, seed))
+        off = errors(found, away[:, :2])
+        assert max(off[:200].max(), off[202:].max()) < 0.3
+        assert turned_away(found, away)[202:].max() < 15
+
+
+def test_where_nothing_is_recognized_odometry_leads_on_with_growing_doubt():
+    poses = around(100)
+    given = seen(poses, 0)
+    given.information[40:] = 0
+    given.xy[40:], given.theta[40:] = np.nan, np.nan
+    found = PoseFilter(STEP).run(given, ["a"] * 100, wheels(poses))
+    doubt = np.linalg.det(found.covariance())[39:]
+    assert (np.diff(doubt) > 0).all()
+    travelled = STEP * np.arange(1, 61)
+    assert (errors(found, poses[:, :2])[40:] < 0.1 + 0.1 * travelled).all()
+    assert turned_away(found, poses)[40:].max() < 15
+    assert found.inside(poses[:, :2])[40:].mean() > 0.8
+    assert set(found.frame[40:].tolist()) == {39}
+
+
+def test_a_covariance_of_the_motion_says_how_much_it_counts():
+    poses = around(60)
+    given, move = seen(poses, 0), moves(poses)
+    spreads = {}
+    for size in (1e-4, 1.0):
+        robot = PoseFilter(STEP)
+        found = [robot.step(given.take([row]), move[row], size**2 * np.eye(3)) for row in range(60)]
+        spreads[size] = np.linalg.det(found[-1].covariance()[0])
+        if size == 1.0:
+            np.testing.assert_allclose(found[-1].xy, given.xy[[-1]], atol=0.01)
+    assert spreads[1e-4] < 0.1 * spreads[1.0]
+
+
+def test_unknown_motion_is_as_none():
+    xy = drive()
+    poses = told(xy)
+    plain = PoseFilter(STEP).run(poses, ["a"] * 60)
+    unknown = np.full((60, 3), np.nan)
+    unknown[:, 0] = STEP
+    for motion in (np.full((60, 3), np.nan), unknown):
+        found = PoseFilter(STEP).run(poses, ["a"] * 60, motion)
+        for name in ("xy", "theta", "information", "agreement", "frame"):
+            np.testing.assert_array_equal(getattr(found, name), getattr(plain, name))
+
+
+def test_odometry_that_comes_and_goes():
+    poses = around()
+    motion = wheels(poses)
+    motion[np.arange(400) % 40 < 10] = np.nan
+    found = PoseFilter(STEP).run(seen(poses, 0), ["a"] * 400, motion)
+    assert errors(found, poses[:, :2]).max() < 0.25
+    assert turned_away(found, poses).max() < 20
+
+
+def test_a_robot_whose_headings_are_unknown_is_still_tracked_by_its_wheels():
+    poses = around()
+    given = seen(poses, 0)
+    given.theta[:] = np.nan
+    found = PoseFilter(STEP).run(given, ["a"] * 400, wheels(poses))
+    assert errors(found, poses[:, :2]).max() < 0.3
+    assert np.isnan(found.theta[0])
+    assert turned_away(found, poses)[50:].max() < 15, "how it moves shows where it looks"
+
+
+def test_with_odometry_the_axes_do_not_matter():
+    poses, turn = around(60), 0.9
+    given, motion = seen(poses, 0), wheels(poses)
+    axes = np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
+    about = axes @ given.information @ axes.T
+    turned = replace(given, xy=given.xy @ axes.T + 5, theta=given.theta + turn, information=about)
+    found, other = (PoseFilter(STEP).run(one, ["a"] * 60, motion) for one in (given, turned))
+    np.testing.assert_allclose(other.xy, found.xy @ axes.T + 5, atol=1e-8)
+    np.testing.assert_allclose(np.exp(1j * other.theta), np.exp(1j * (found.theta + turn)), atol=1e-8)
+
+
+@pytest.mark.parametrize(
+    ("motion", "covariance", "says"),
+    [
+        ([1.0, 2.0], None, "a motion is the distance ahead, the distance to the left and the turn .* three numbers"),
+        ([1.0, np.inf, 0.0], None, "a motion is the distance ahead"),
+        ([1.0, 0.0, 30.0], None, "the turn of a motion is in rad, at most one full turn, got 30"),
+        ([1.0, 0.0, 0.0], np.eye(2), "the covariance of a motion is a symmetric matrix"),
+        ([1.0, 0.0, 0.0], -np.eye(3), "the covariance of a motion is a symmetric matrix"),
+        ([1.0, 0.0, 0.0], np.full((3, 3), np.nan), "the covariance of a motion is a symmetric matrix"),
+    ],
+)
+def test_bad_motion_is_refused(motion, covariance, says):
+    with pytest.raises(DataError, match=says):
+        PoseFilter(STEP).step(told(drive(1)), motion, covariance)
+    with pytest.raises(DataError, match=r"2 queries need as many motions .* of shape \(2, 3\), got \(1, 3\)"):
+        PoseFilter(STEP).run(told(drive(2)), ["a"] * 2, [[0.0, 0.0, 0.0]])

@@ -96,6 +96,51 @@ def test_each_sequence_begins_anew_wherever_its_queries_stand() -> None:
     np.testing.assert_array_equal(again.probability, track.probability[mixed])
 
 
+def ahead(lengths: np.ndarray) -> np.ndarray:
+    """Motions (n, 3) of a robot that drives straight ahead."""
+    return np.column_stack([lengths, np.zeros((len(lengths), 2))])
+
+
+@pytest.mark.parametrize("length", [0.0, 0.1, 0.5, 0.8, 1.5, 4.0])
+def test_a_robot_of_known_motion_gets_about_as_far_as_it_moved(length: float) -> None:
+    known = corridor(120)
+    motion = MotionModel.learn(known)
+    belief, away = motion.predict(np.eye(120)[60], length), known.x - known.x[60]
+    assert belief.sum() == pytest.approx(1)
+    expected = (0.5**2 + 0.5**2 / 6) * length / 0.5 if length < 0.5 else length**2 + 0.5**2 / 6
+    assert belief @ away**2 == pytest.approx(expected, rel=0.15)
+
+
+def test_the_usual_step_is_a_motion_like_any_other() -> None:
+    belief, motion = np.random.default_rng(0).dirichlet(np.ones(60)), MotionModel.learn(corridor())
+    usual = motion.predict(belief)
+    for length in (None, 0.5, 0.5 + 1e-9, 0.5 - 1e-9):
+        np.testing.assert_allclose(motion.predict(belief, length), usual, atol=1e-8)
+
+
+def test_a_map_in_one_place_is_kept_whatever_the_motion() -> None:
+    motion = MotionModel.learn(placed([[1, 1], [1, 1]]))
+    np.testing.assert_allclose(motion.predict(np.array([1.0, 0.0]), 2.0), [0.5, 0.5])
+
+
+def test_a_robot_that_stands_still_in_the_dark_is_still_there() -> None:
+    """After 16 dark pictures, the place two frames on looks more like the robot's than its own does."""
+    motion, own = MotionModel.learn(corridor()), np.arange(60)
+    seen = np.where(own == 20, 0.2, np.where(own == 22, 0.0, 1.0))
+    distances = np.concatenate([1.0 * (own != 20)[None], np.zeros((16, 60)), seen[None]])
+    for lengths, place in ((np.zeros(18), 20), (np.full(18, 1 / 16), 22), (np.full(18, np.nan), 22)):
+        track = SequenceFilter(motion, 0.1).run(distances, ["a"] * 18, motion=ahead(lengths))
+        assert track.frame[-1] == place
+
+
+def test_unknown_motion_is_as_none() -> None:
+    motion, distances = MotionModel.learn(corridor()), ambiguous(np.r_[0:20], np.random.default_rng(1))
+    plain = SequenceFilter(motion, 0.2).run(distances, ["a"] * 20, 1.0)
+    found = SequenceFilter(motion, 0.2).run(distances, ["a"] * 20, 1.0, np.full((20, 3), np.nan))
+    for name in ("frame", "probability", "spread", "xy"):
+        np.testing.assert_array_equal(getattr(found, name), getattr(plain, name))
+
+
 def test_a_map_of_one_frame() -> None:
     known = VisualMap([[1.0]], placed([[2, 3]]))
     motion = MotionModel.learn(known.frames)

@@ -13,7 +13,8 @@ import pytest
 import torch
 
 from foundation.files import read_json, write_json
-from siamloc.errors import ConfigError, FormatError, SiamlocError
+from siamloc.data.moves import chained, moves
+from siamloc.errors import ConfigError, DataError, FormatError, SiamlocError
 from siamloc.maps import (
     ErrorModel,
     MotionModel,
@@ -135,6 +136,83 @@ def test_the_robot_is_followed_as_the_filter_of_the_evaluation_does(known, seen,
     again = [localizer.locate(picture, localizer.tracker(step=0.3)) for picture in PICTURES]
     assert [one.x for one in again] == pytest.approx([one.x for one in alone]), "the first image of a drive is alone"
     assert localizer.tracker().length == pytest.approx(spacing_of(known.frames))
+
+
+def motion_of(count: int) -> np.ndarray:
+    """Moves of a robot that drives 0.3 m ahead and turns a little between two pictures."""
+    return np.tile([0.3, 0.0, 0.1], (count, 1))
+
+
+def test_the_robot_is_followed_by_its_wheels_as_in_the_evaluation(known, seen, bundle, plain):
+    localizer, motion = Localizer(bundle), motion_of(len(PICTURES))
+    tracker = localizer.tracker(step=0.3)
+    found = [localizer.locate(picture, tracker, motion=move) for picture, move in zip(PICTURES, motion, strict=True)]
+    poses = refinement(known, "relative", widening=2.0).poses(known, seen, match(known, seen, 3))
+    expected = PoseFilter(0.3).run(poses, np.full(len(poses), "drive"), motion)
+    np.testing.assert_allclose([[one.x, one.y] for one in found], expected.xy, atol=1e-2)
+    np.testing.assert_allclose([math.cos(one.theta) for one in found], np.cos(expected.theta), atol=1e-2)
+    np.testing.assert_allclose([one.covariance for one in found], expected.covariance(), rtol=0.05, atol=1e-4)
+    without = PoseFilter(0.3).run(poses, np.full(len(poses), "drive"))
+    assert np.abs(expected.xy - without.xy).max() > 0.05
+    localizer = Localizer(plain)
+    tracker = localizer.tracker(step=0.3)
+    panoramas = batch(PICTURES)
+    on_map = [localizer.locate_panorama(one, tracker, move) for one, move in zip(panoramas, motion, strict=True)]
+    robot = SequenceFilter(MotionModel.learn(known.frames, step=0.3), temperature_of_map(known))
+    rows = robot.run(frame_distances(known, seen), np.full(len(PICTURES), "drive"), motion=motion).frame
+    np.testing.assert_allclose([[one.x, one.y] for one in on_map], known.frames.xy[rows])
+    for locate in (localizer.locate, localizer.locate_panorama):
+        with pytest.raises(ConfigError, match=r"give the tracker of its drive, localizer\.tracker"):
+            locate(panoramas[0] if locate == localizer.locate_panorama else PICTURES[0], motion=motion[0])
+
+
+def test_the_robot_drives_on_where_only_map_frames_without_positions_look_alike(known, bundle, tmp_path):
+    localizer = Localizer(bundle)
+    tracker = localizer.tracker(step=0.3)
+    before = localizer.locate(PICTURES[0], tracker)
+    bare = known.frames.x.copy()
+    bare[localizer.locate(PICTURES[1]).candidates[0].row] = np.nan
+    folder = rewritten(bundle, tmp_path / "bundle", map=replace(known, frames=known.frames.with_columns(x=bare)))
+    other = Localizer(folder)
+    assert math.isnan(other.locate(PICTURES[1]).x)
+    after = other.locate(PICTURES[1], tracker, motion=[0.3, 0.0, 0.0])
+    ahead = [before.x + 0.3 * math.cos(before.theta), before.y + 0.3 * math.sin(before.theta)]
+    np.testing.assert_allclose([after.x, after.y], ahead)
+
+
+def test_images_are_followed_by_a_table_of_odometry(bundle, tmp_path):
+    localizer, at = Localizer(bundle), chained(motion_of(6))
+    folder = tmp_path / "drive"
+    folder.mkdir()
+    files = [folder / f"{number}.png" for number in range(6)]
+    for file, picture in zip(files, PICTURES, strict=False):
+        cv2.imwrite(str(file), picture[..., ::-1])
+    files[2].write_bytes(b"no image")
+    rows = [f"drive/{file.name},{x},{y},{theta}" for file, (x, y, theta) in zip(files, at.tolist(), strict=True)]
+    wheels = tmp_path / "robot.csv"
+    wheels.write_text("\n".join(["image,odom_x,odom_y,odom_theta", *rows]))
+    found = [one.location for one in locate_all(localizer, folder, track=True, odometry=wheels)]
+    tracker = localizer.tracker()
+    moved = [None, motion_of(1)[0], moves(at[[1, 3]])[1], *motion_of(2)]  # over the image that cannot be read
+    files.pop(2)
+    expected = [localizer.locate(file, tracker, motion=move) for file, move in zip(files, moved, strict=True)]
+    assert found.pop(2) is None
+    np.testing.assert_allclose([(one.x, one.y) for one in found], [(one.x, one.y) for one in expected], atol=1e-9)
+    without = [one.location for one in locate_all(localizer, files, track=True)]
+    assert np.abs(np.subtract([one.x for one in found], [one.x for one in without])).max() > 0.05
+
+    with pytest.raises(ConfigError, match=r"odometry=.* says how the robot is followed: set track=true"):
+        next(locate_all(localizer, folder, odometry=wheels))
+    wheels.write_text("image,odom_x,odom_y,odom_theta\nother.png,0,0,0\n")
+    with pytest.raises(DataError, match=r"robot\.csv names none of the images, such as .*0\.png: paths are relative"):
+        next(locate_all(localizer, folder, track=True, odometry=wheels))
+    wheels.write_text("image,odom_x\ndrive/0.png,0\n")
+    with pytest.raises(DataError, match=r"has no row with all of odom_x, odom_y and odom_theta"):
+        next(locate_all(localizer, folder, track=True, odometry=wheels))
+    turns = [f"drive/{number}.png,{number},0,{20 * number}" for number in range(40)]
+    wheels.write_text("\n".join(["image,odom_x,odom_y,odom_theta", *turns]))
+    with pytest.raises(DataError, match=r"robot\.csv: odom_theta looks like degrees"):
+        next(locate_all(localizer, folder, track=True, odometry=wheels))
 
 
 def test_a_picture_without_contrast_ends_no_drive(bundle):

@@ -1,0 +1,37 @@
+"""Read the wheel odometry of the images that a robot locates."""
+
+from __future__ import annotations
+
+from os.path import abspath
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from siamloc.data.checks import wrong_odometry
+from siamloc.data.frames import FrameTable
+from siamloc.data.manifest import read_rows
+from siamloc.errors import DataError
+
+UNKNOWN: NDArray[np.float64] = np.full(3, np.nan)
+UNKNOWN.flags.writeable = False
+
+
+def read_odometry(table: str | Path) -> dict[str, NDArray[np.float64]]:
+    """Read the poses that a robot computed from its wheels, x, y and heading in rad (3,), by the path of the image.
+
+    Args:
+        table: a manifest, or any CSV table with the columns `image`, `odom_x`, `odom_y` and `odom_theta`; paths are
+            relative to its folder. Without a column `sequence`, each folder of images is a drive.
+
+    Raises:
+        DataError: the table cannot be read, has no odometry, or has it in degrees.
+    """
+    file = Path(table).expanduser()
+    rows = [{"sequence": str(Path(row["path"]).parent), **row} for row in read_rows(file)]
+    frames = FrameTable.from_rows(rows)
+    if not np.isfinite(frames.odometry).all(axis=1).any():
+        raise DataError(f"{file} has no row with all of odom_x, odom_y and odom_theta: a robot is tracked by them")
+    for finding in wrong_odometry(frames):
+        raise DataError(f"{file}: {finding}")
+    return {abspath(path): pose for path, pose in zip(frames.path.tolist(), frames.odometry, strict=True)}  # noqa: PTH100
