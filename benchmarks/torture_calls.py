@@ -26,6 +26,7 @@ _PLAIN: dict[str, tuple[type, ...]] = {
     "None": (type(None),),
 }
 _NOT_TOLD = (
+    "Annotated",
     "Any",
     "ArrayLike",
     "Iterable",
