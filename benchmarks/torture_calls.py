@@ -12,21 +12,16 @@ PACKAGES = ("data", "models", "training", "maps", "evaluation", "runtime", "repo
 _PLAIN: dict[str, tuple[type, ...]] = {
     "int": (int,),
     "float": (int, float),
-    **dict.fromkeys(("Count", "Natural", "Seed", "Thousand", "Workers"), (int,)),
-    **dict.fromkeys(("Positive", "NotNegative", "Share", "Probability"), (int, float)),
+    **dict.fromkeys(("Count", "Natural", "Seed", "Thousand", "Workers", "Port"), (int,)),
+    **dict.fromkeys(("Positive", "NotNegative", "Share", "Probability", "Pace"), (int, float)),
     "bool": (bool,),
-    "str": (str,),
-    "Path": (str,),
+    **dict.fromkeys(("str", "Path", "Text"), (str,)),
     "dict": (Mapping,),
     "Mapping": (Mapping,),
-    "list": (list,),
-    "tuple": (list,),
-    "Sequence": (list,),
-    "Counts": (list,),
+    **dict.fromkeys(("list", "tuple", "Sequence", "Counts", "Radii", "Size"), (list,)),
     "None": (type(None),),
 }
 _NOT_TOLD = (
-    "Annotated",
     "Any",
     "ArrayLike",
     "Iterable",
@@ -89,8 +84,11 @@ def is_nonsense(annotation: str, value: Any) -> bool:
 
     >>> is_nonsense("str | Path | None", 3), is_nonsense("str | Path | None", "abc"), is_nonsense("FrameTable", None)
     (True, False, True)
+    >>> is_nonsense("Annotated[tuple[float, ...], levels(0, 1)] | None", []), is_nonsense("Annotated[float, up(1)]", [])
+    (False, True)
     """
-    outside = re.sub(r"\[[^\[\]]*\]", "", re.sub(r"\[[^\[\]]*\]", "", annotation))
+    outer = re.sub(r"(?<!Annotated)\[[^\[\]]*\]", "", annotation)
+    outside = re.sub(r"\[[^\[\]]*\]", "", re.sub(r"Annotated\[(\w+),[^\[\]]*\]", r"\1", outer))
     parts = [part.strip() for part in outside.split("|")]
     if any(part in _NOT_TOLD or part.endswith(_NOT_TOLD) or not part[:1].isalpha() for part in parts):
         return False
