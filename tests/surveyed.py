@@ -27,5 +27,5 @@ def a_survey(folder: Path = Path()) -> Survey:
     steps = Edges(np.arange(5), np.arange(1, 6), np.zeros((5, 3)), np.tile(np.eye(3), (5, 1, 1)))
     odometry = np.column_stack([np.arange(n), np.zeros((n, 2))])
     drive = np.repeat([0, 1], 6)
-    solution = Solution(np.zeros((n, 3)), 1.0, np.ones(2), np.zeros(2), np.ones(7))
+    solution = Solution(np.zeros((n, 3)), 1.0, np.ones(2), np.zeros(2), np.ones(7), 0.0)
     return Survey(frames, np.tile(np.eye(3), (n, 1, 1)), loops, steps, odometry, drive, solution, "odometry")

@@ -65,6 +65,12 @@ def composed(pose: NDArray[np.float64], move: NDArray[np.float64]) -> NDArray[np
     return np.column_stack([pose[:, 0] + x, pose[:, 1] + y, pose[:, 2] + move[:, 2]])
 
 
+def inverse(pose: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the poses (n, 3) of the origin as seen from poses (n, 3)."""
+    turned = np.column_stack([np.zeros((len(pose), 2)), -pose[:, 2]])
+    return composed(turned, np.column_stack([-pose[:, :2], np.zeros(len(pose))]))
+
+
 def wrapped(angle: NDArray[np.float64]) -> NDArray[np.float64]:
     """Wrap angles to (-pi, pi]."""
     return np.asarray(np.pi - np.remainder(np.pi - angle, TURN))

@@ -67,7 +67,7 @@ class SurveyDrives(DataJob):
         say(found.summary())
         self._write(found)
         by = "descriptor=pretrained" if self.network == "pretrained" else f"run={self.network}"
-        say(f"next: siamloc map {by} data.manifest={Path(self.out) / 'surveyed.csv'}")
+        say(f"next: siamloc map {by} data.manifest={Path(self.out) / 'surveyed.csv'} 'protocol.map.sequences=[\"*\"]'")
         return found
 
     def _write(self, found: Survey) -> None:
@@ -75,10 +75,10 @@ class SurveyDrives(DataJob):
         from siamloc.report.draw.survey import survey_film, survey_picture
 
         folder = Path(self.out)
+        write_text(folder / "surveyed.csv", manifest_of(found.frames, folder))
+        write_json(folder / "survey.json", {"schema": 1, "settings": self.plain(), **found.report()})
         save(survey_picture(found), folder / "survey.png")
         survey_film(found, folder / "survey.gif")
-        write_json(folder / "survey.json", {"schema": 1, "settings": self.plain(), **found.report()})
-        write_text(folder / "surveyed.csv", manifest_of(found.frames, folder))
 
 
 def manifest_of(frames: FrameTable, folder: Path) -> str:

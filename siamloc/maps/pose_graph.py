@@ -27,7 +27,7 @@ SCALE, WHEEL_SCALE = 0.15, 0.03  # standard deviations of the logarithms of the 
 GYRO_BIAS = np.radians(1.0)  # standard deviation, rad per unit of distance
 _FIXED = 1e8  # information of a pose that is given
 _ROUNDS, _SMALL = 60, 1e-5
-_AT_ONCE = 1024  # columns of the inverse
+_AT_ONCE = 1 << 21  # values of a third of the columns of the inverse
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,6 +78,7 @@ class Solution:
         gyro_bias: (d,) turn that odometry adds, in rad per unit of distance.
         weight: (e,) weight of each compared pair, from 0 to 1: 1 / (1 + q / 4), with its squared error q in units of
             the expected one.
+        cost: negative logarithm of the likelihood, up to a constant.
     """
 
     poses: Array
@@ -85,10 +86,14 @@ class Solution:
     wheel_scale: Array
     gyro_bias: Array
     weight: Array
+    cost: float
 
 
-def solve(graph: PoseGraph, start: Array) -> Solution:
+def solve(graph: PoseGraph, start: Array, freedom: float = FREEDOM) -> Solution:
     """Return the most likely poses, beginning at start poses (n, 3); those of fixed frames are kept.
+
+    With many degrees of freedom, errors have nearly a normal distribution: no measurement is weighted down, so that
+    even a start that is far off is pulled to where all of them agree.
 
     Example:
         >>> one_metre, sure = np.tile([1.0, 0.0, 0.0], (2, 1)), np.tile(np.eye(3), (2, 1, 1))
@@ -98,11 +103,11 @@ def solve(graph: PoseGraph, start: Array) -> Solution:
         [[0.0, 0.0, 0.0], [1.1, 0.0, 0.0], [2.2, 0.0, 0.0]]
     """
     state = _State.of(graph, start)
-    damping, system = 1e-4, _System(graph, state)
+    damping, system = 1e-4, _System(graph, state, freedom)
     for _ in range(_ROUNDS):
         step = system.step(damping)
         moved = state.moved(step)
-        tried = _System(graph, moved)
+        tried = _System(graph, moved, freedom)
         if tried.cost <= system.cost:
             state, system, damping = moved, tried, max(damping / 10, 1e-9)
             if np.abs(step[: 3 * len(graph)]).max() < _SMALL:
@@ -111,16 +116,17 @@ def solve(graph: PoseGraph, start: Array) -> Solution:
             break
     fixed = graph.fixed if len(graph.fixed) else np.zeros(1, np.int64)
     state.poses[fixed] = start[fixed]
-    return Solution(state.poses, float(np.exp(state.scale)), np.exp(state.wheel_scale), state.gyro_bias, system.weight)
+    scales = float(np.exp(state.scale)), np.exp(state.wheel_scale), state.gyro_bias
+    return Solution(state.poses, *scales, system.weight, system.cost)
 
 
 def covariances(graph: PoseGraph, found: Solution) -> Array:
     """Return the covariances (n, 3, 3) of the poses, given the fixed ones, in squared units and rad."""
     state = _State(found.poses, np.log(found.scale), np.log(found.wheel_scale), found.gyro_bias)
     factors, n = _factors(_System(graph, state).normal(0.0)), len(graph)
-    made = np.empty((n, 3, 3))
-    for begin in range(0, n, _AT_ONCE // 3):
-        rows = np.arange(begin, min(begin + _AT_ONCE // 3, n))
+    made, at_once = np.empty((n, 3, 3)), max(1, _AT_ONCE // factors.shape[0])
+    for begin in range(0, n, at_once):
+        rows = np.arange(begin, min(begin + at_once, n))
         unknowns = (3 * rows[:, None] + np.arange(3)).ravel()
         units = np.zeros((factors.shape[0], len(unknowns)))
         units[unknowns, np.arange(len(unknowns))] = 1
@@ -154,7 +160,7 @@ class _State:
 class _System:
     """The graph linearized at a state: its cost, and the normal equations of a step."""
 
-    def __init__(self, graph: PoseGraph, state: _State) -> None:
+    def __init__(self, graph: PoseGraph, state: _State, freedom: float = FREEDOM) -> None:
         n, drives = len(graph), len(state.wheel_scale)
         self._parts: list[tuple[sparse.csr_matrix, Array]] = []
         self.cost, self._unknowns = 0.0, 3 * n + 1 + 2 * drives
@@ -165,9 +171,9 @@ class _System:
         own[:, :2, 0] = error[:, :2]
         error = _off(error, pictures.pose)
         squared = np.einsum("ei,eij,ej->e", error, pictures.information, error)
-        self.weight = 1 / (1 + squared / FREEDOM)
-        self.cost += (FREEDOM + 3) / 2 * float(np.log1p(squared / FREEDOM).sum()) / SHARED
-        factor = self.weight * (FREEDOM + 3) / FREEDOM / SHARED
+        self.weight = 1 / (1 + squared / freedom)
+        self.cost += (freedom + 3) / 2 * float(np.log1p(squared / freedom).sum()) / SHARED
+        factor = self.weight * (freedom + 3) / freedom / SHARED
         columns = np.full((len(pictures), 1), 3 * n)
         self._add(pictures, error, pictures.information * factor[:, None, None], jacobians, own, columns)
         # Odometry: its scale times the displacement, and a turn that grows with the distance.
@@ -179,8 +185,8 @@ class _System:
         error[:, 2] += state.gyro_bias[drive] * own[:, 2, 1]
         error = _off(error, wheels.pose)
         squared = np.einsum("ei,eij,ej->e", error, wheels.information, error)
-        self.cost += (FREEDOM + 3) / 2 * float(np.log1p(squared / FREEDOM).sum())
-        factor = (FREEDOM + 3) / (FREEDOM + squared)
+        self.cost += (freedom + 3) / 2 * float(np.log1p(squared / freedom).sum())
+        factor = (freedom + 3) / (freedom + squared)
         columns = 3 * n + 1 + drive[:, None] + np.array([0, drives])
         self._add(wheels, error, wheels.information * factor[:, None, None], jacobians, own, columns)
         # What is known before: fixed poses, and the sizes of scales and biases.

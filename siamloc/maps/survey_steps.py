@@ -23,6 +23,7 @@ _STILL, _ROLLED = 2e-3, np.radians(0.05)  # deviation of odometry however short 
 _SURE = 0.05  # metres: a displacement that comparisons see for certain
 _UNITS = 0.4, 2.5  # ratio of the ways by odometry and by comparison; outside, the units differ
 _JUMP, _FROZEN = 1.0, 5  # metres beyond three times the compared way; frames
+_WAY = 0.3  # metres over which units and signs are judged
 _TURNED = np.radians(3)  # a turn that comparisons see for certain
 _ENOUGH = 10  # steps from which units and signs are judged
 
@@ -100,44 +101,61 @@ def odometry_steps(
         DataError: odometry in another unit, in degrees, or of turns with the wrong sign.
     """
     steps = moves(odometry)[1:]
-    raw = np.diff(odometry[:, 2])
     steps[drive[1:] != drive[:-1]] = np.nan
     way, compared = np.hypot(steps[:, 0], steps[:, 1]), np.hypot(seen[:, 0], seen[:, 1])
     for number, name in enumerate(names):
+        said = f"the odometry of drive {name or '(unnamed)'}"
+        unknown = int((~np.isfinite(odometry[drive == number]).all(axis=1)).sum())
+        if unknown > 0 and np.isfinite(odometry).any():
+            notes.append(f"{said} is unknown for {unknown} frames: images alone bridge the gap")
         mine = (drive[1:] == number) & np.isfinite(way) & certain
         if not mine.any():
             continue
-        said = f"the odometry of drive {name or '(unnamed)'}"
-        moving = mine & (compared > _SURE) & (way > 0)
-        ratio = float(np.median(way[moving] / compared[moving])) if moving.sum() >= _ENOUGH else 1.0
-        if not _UNITS[0] <= ratio <= _UNITS[1]:
-            raise DataError(
-                f"{said} moves {ratio:.3g} times as far as its images show: give odom_x and odom_y in metres"
-            )
-        turning = mine & (np.abs(seen[:, 2]) > _TURNED)
-        if turning.sum() >= _ENOUGH:
-            slope = float(np.median(raw[turning] / seen[turning, 2]))
-            if slope > 10:
-                raise DataError(
-                    f"{said} turns {slope:.0f} times as far as its images show: give odom_theta in radians, not degrees"
-                )
-            agree = float(np.mean(np.sign(steps[turning, 2]) == np.sign(seen[turning, 2])))
-            if agree < 0.3:
-                raise DataError(
-                    f"{said} turns left where its images turn right: headings grow counter-clockwise and the columns "
-                    "of a panorama run clockwise; give odom_theta with the other sign, or mirror the panoramas"
-                )
+        rows = np.flatnonzero(drive == number)
+        _check_odometry(said, odometry[rows], seen[rows[:-1]], certain[rows[:-1]])
         reset = mine & (way > 3 * compared + _JUMP)
         frozen = _runs(mine & (way < 0.1 * compared) & (compared > _SURE), _FROZEN)
         for bad, text in ((reset, "jumps"), (frozen, "stands still while the images move")):
             if bad.any():
                 frame = int(np.flatnonzero(bad)[0]) + 1 - int(np.flatnonzero(drive == number)[0])
                 notes.append(f"{said} {text} at {int(bad.sum())} steps, first before frame {frame}: left out there")
-        unknown = int((~np.isfinite(odometry[drive == number]).all(axis=1)).sum())
-        if unknown:
-            notes.append(f"{said} is unknown for {unknown} frames: images alone bridge the gap")
         steps[reset | frozen] = np.nan
     return steps
+
+
+def _check_odometry(said: str, odometry: Array, seen: Array, certain: NDArray[np.bool_]) -> None:
+    """Refuse odometry (n, 3) of a drive whose unit or sign is not that of the compared steps (n - 1, 3).
+
+    It is judged over as many frames as the robot needs for 0.3 m, so that frames may be dense.
+    """
+    compared = np.hypot(seen[:, 0], seen[:, 1])
+    back = int(np.clip(np.ceil(_WAY / max(float(np.median(compared[certain])), 1e-6)), 1, max(1, len(seen) // 4)))
+    first = np.arange(len(odometry) - back)
+    unsure = np.concatenate([[0], np.cumsum(~certain)])
+    first = first[unsure[first + back] == unsure[first]]
+    by_images = relative(
+        chained(np.concatenate([np.zeros((1, 3)), np.where(certain[:, None], seen, 0)])), first, first + back
+    )
+    by_wheels, raw = relative(odometry, first, first + back), odometry[first + back, 2] - odometry[first, 2]
+    way, wanted = (np.hypot(one[:, 0], one[:, 1]) for one in (by_wheels, by_images))
+    moving = (wanted > _SURE) & (way > 0)
+    ratio = float(np.median(way[moving] / wanted[moving])) if moving.sum() >= _ENOUGH else 1.0
+    if not _UNITS[0] <= ratio <= _UNITS[1]:
+        raise DataError(f"{said} moves {ratio:.3g} times as far as its images show: give odom_x and odom_y in metres")
+    turning = (np.abs(by_images[:, 2]) > _TURNED) & np.isfinite(raw)
+    if turning.sum() < _ENOUGH:
+        return
+    slope = float(np.median(raw[turning] / by_images[turning, 2]))
+    if abs(slope) > 10:
+        raise DataError(
+            f"{said} turns {slope:.0f} times as far as its images show: give odom_theta in radians, not degrees, "
+            "counter-clockwise"
+        )
+    if float(np.mean(np.sign(by_wheels[turning, 2]) == np.sign(by_images[turning, 2]))) < 0.3:
+        raise DataError(
+            f"{said} turns left where its images turn right: headings grow counter-clockwise and the columns of a "
+            "panorama run clockwise; give odom_theta with the other sign, or mirror the panoramas"
+        )
 
 
 def wheel_edges(steps: Array) -> Edges:

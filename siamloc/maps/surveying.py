@@ -15,13 +15,15 @@ from numpy.typing import ArrayLike, NDArray
 
 from foundation.calls import typed
 from foundation.settings import Count, Positive, Settings
+from siamloc.data.checks import wrong_odometry
 from siamloc.data.frames import FrameTable
-from siamloc.data.moves import composed, relative, wrapped
+from siamloc.data.moves import relative, wrapped
 from siamloc.errors import ConfigError, DataError
-from siamloc.maps.describing import build
+from siamloc.maps.describing import build, descriptor_from
 from siamloc.maps.loops import Loops, Reason, candidates, judged
 from siamloc.maps.pose_graph import Array, Edges, PoseGraph, Solution, covariances, solve
 from siamloc.maps.reranking import scaled
+from siamloc.maps.survey_start import anchored, brought_together, check_anchors
 from siamloc.maps.survey_steps import (
     ODDS,
     compared_steps,
@@ -42,9 +44,8 @@ if TYPE_CHECKING:
 _CONTRADICTED = 0.15  # weight below which a loop is refused
 _FEWEST = 10  # frames of a drive
 _LEAST_WAY = 1.0  # metres of a drive
-_INLIER = 1.5, np.radians(20)  # how far a loop between drives may be off before drift is undone: metres, rad
-_MEETING = 3  # loops that must agree about how two drives lie
-_VOTERS = 500  # loops at most that are compared with each other for that
+_ROUGHLY = 1e6  # degrees of freedom with which no measurement is weighted down
+_ODOMETRY = "odom_x", "odom_y", "odom_theta"
 
 
 @dataclass(frozen=True)
@@ -161,11 +162,14 @@ def survey(
         settings: how loops are searched.
         progress: whether to show the progress.
 
+    Returns:
+        The survey; its frames are in the order of the drives.
+
     Raises:
         ConfigError: a network that does not compare.
-        DataError: a drive with fewer than 10 frames, or one that stands still; odometry in another unit, in degrees or
-            of turns with the wrong sign; drives that have no place in common; anchors that are not among the frames, or
-            without a pose.
+        DataError: a drive with fewer than 10 frames, with times that go back, or one that stands still; odometry in
+            another unit, in degrees or of turns with the wrong sign; drives that have no place in common; anchors that
+            are not among the frames, or without a pose.
 
     Example:
         >>> found = siamloc.maps.survey("pretrained", images, monday)  # doctest: +SKIP
@@ -175,23 +179,28 @@ def survey(
     order = np.concatenate([*frames.rows_by("sequence").values(), np.empty(0, np.int64)])
     wheels = frames.odometry if odometry is None else odometry_of(odometry, len(frames))
     frames, wheels = frames.take(order), wheels[order]
-    known = build(network, images, frames, progress=progress)
-    if not (getattr(known.describes, "compares", False) and known.heading_by_network):
+    _check_lengths(frames)
+    check_anchors(frames, anchors)
+    for finding in wrong_odometry(frames.with_columns(**dict(zip(_ODOMETRY, wheels.T, strict=True)))):
+        raise DataError(f"the odometry of a survey cannot be used: {finding}")
+    described = descriptor_from(network, circular=images.circular)
+    if not (getattr(described, "compares", False) and getattr(described, "tells_heading", False)):
         raise ConfigError(
             "a survey needs a network that compares panoramas: take pretrained, or a network with the head fourier or "
             "magnitudes that was built and trained with relative=True"
         )
+    known = build(described, images, frames, progress=progress)
     if len(known) < len(frames):  # images that cannot be read
         kept = set(known.frames.identities())
         wheels = wheels[[key in kept for key in frames.identities()]]
         frames = known.frames
+        _check_lengths(frames)
     names = list(frames.rows_by("sequence"))
     drive = np.array([names.index(name) for name in frames.sequence.tolist()], dtype=np.int64)
     notes: list[str] = []
     parts = known.turning().orientation
     assert parts is not None
-    _check_lengths(drive, names)
-    compared = comparing(known.describes.compare, scaled(parts), progress)  # type: ignore[union-attr]
+    compared = comparing(described.compare, scaled(parts), progress)  # type: ignore[attr-defined]
     steps, seen, certain = compared_steps(compared, drive)
     moved = odometry_steps(wheels, seen, certain, drive, names, notes)
     start = start_of(moved, seen, drive)
@@ -199,12 +208,13 @@ def survey(
     way = np.hypot(*np.diff(start[:, :2], axis=0, prepend=start[:1, :2]).T)
     first, second = candidates(known.descriptors, np.cumsum(way), drive, settings.apart, settings.alike)
     loops = judged(first, second, compared, start, drive, ODDS)
-    start = _brought_together(start, loops, drive, names)
-    fixed, start = _anchored(frames, anchors, start)
+    start = brought_together(start, loops, drive, names, notes)
+    fixed, start = anchored(start, drive, frames, anchors)
     graph = PoseGraph(steps, wheel_edges(moved), drive, fixed)
     graph, solution, loops = _solved(graph, loops, start)
     if not loops.accepted.any():
-        notes.append("no loop was found: drift is not undone; a drive that visits places again has loops")
+        found = "contradict all other measurements" if (loops.reason == Reason.CONTRADICTED).any() else "were not found"
+        notes.append(f"loops {found}: drift is not undone; a drive that visits places again has loops")
     by = "anchors" if len(fixed) > 1 else "odometry" if np.isfinite(moved).any() else "pictures"
     x, y, theta = solution.poses.T
     surveyed = replace(frames.with_columns(x=x, y=y, theta=wrapped(theta)), unit="m")
@@ -212,10 +222,13 @@ def survey(
     return Survey(surveyed, covariances(graph, solution), loops, steps, own, drive, solution, by, tuple(notes))
 
 
-def _check_lengths(drive: NDArray[np.int64], names: list[str]) -> None:
-    for name, count in zip(names, np.bincount(drive).tolist(), strict=True):
-        if count < _FEWEST:
-            raise DataError(f"drive {name or '(unnamed)'} has {count} frames: a survey needs {_FEWEST} or more of each")
+def _check_lengths(frames: FrameTable) -> None:
+    for name, rows in frames.rows_by("sequence").items():
+        said, times = f"drive {name or '(unnamed)'}", frames.time[rows]
+        if len(rows) < _FEWEST:
+            raise DataError(f"{said} has {len(rows)} frames: a survey needs {_FEWEST} or more of each")
+        if (np.diff(times[np.isfinite(times)]) < 0).any():
+            raise DataError(f"the times of {said} go back: give its frames in the order in which they were taken")
 
 
 def _check_ways(start: Array, drive: NDArray[np.int64], names: list[str]) -> None:
@@ -228,87 +241,16 @@ def _check_ways(start: Array, drive: NDArray[np.int64], names: list[str]) -> Non
             )
 
 
-def _brought_together(start: Array, loops: Loops, drive: NDArray[np.int64], names: list[str]) -> Array:
-    """Return start poses (n, 3) with each drive moved to where its loops to the drives before it agree most.
-
-    Raises:
-        DataError: a drive that no loops connect with the others.
-    """
-    start, used = start.copy(), loops.take(loops.accepted)
-    placed, waiting = {0}, set(range(1, len(names)))
-    while waiting:
-        best: tuple[int, int, Array] = 0, -1, np.empty(3)
-        for number in waiting:
-            here, there = drive[used.first], drive[used.second]
-            forward = np.isin(here, list(placed)) & (there == number)
-            backward = np.isin(there, list(placed)) & (here == number)
-            # Where the drive's start would be: from the frame that is placed, along the loop, back to the start.
-            seen = np.concatenate([used.pose[forward], _inverse(used.pose[backward])])
-            known = np.concatenate([used.first[forward], used.second[backward]])
-            own = np.concatenate([used.second[forward], used.first[backward]])
-            some = np.unique(np.linspace(0, len(known) - 1, _VOTERS).astype(np.int64)) if len(known) else known
-            origins = composed(composed(start[known[some]], seen[some]), _inverse(start[own[some]]))
-            apart = np.hypot(*(origins[:, None, :2] - origins[None, :, :2]).transpose(2, 0, 1))
-            turned = np.abs(wrapped(origins[:, None, 2] - origins[None, :, 2]))
-            # Far from the start a turn moves the drive: compare where the frames of the loops would be.
-            votes = ((apart < _INLIER[0] * 2) & (turned < _INLIER[1])).sum(axis=1) if len(origins) else np.zeros(1)
-            if votes.max() > best[0]:
-                agreeing = (apart[votes.argmax()] < 2 * _INLIER[0]) & (turned[votes.argmax()] < _INLIER[1])
-                mean = origins[agreeing].mean(axis=0)
-                heading = origins[agreeing, 2]
-                mean[2] = np.arctan2(np.sin(heading).mean(), np.cos(heading).mean())
-                best = int(votes.max()), number, mean
-        count, number, origin = best
-        if count < _MEETING:
-            apart_ones = ", ".join(names[one] or "(unnamed)" for one in sorted(waiting))
-            raise DataError(
-                f"no places were found that {apart_ones} and {names[0] or '(unnamed)'} have in common: survey drives "
-                "apart that never meet, or give one more drive that connects them"
-            )
-        rows = drive == number
-        start[rows] = composed(np.tile(origin, (int(rows.sum()), 1)), start[rows])
-        placed.add(number)
-        waiting.remove(number)
-    return start
-
-
-def _inverse(pose: Array) -> Array:
-    """Return poses (n, 3) of the origin as seen from poses."""
-    zero = np.zeros((1, 3))
-    both = np.concatenate([zero, pose])
-    rows = np.arange(1, len(both))
-    return relative(both, rows, np.zeros(len(rows), np.int64))
-
-
-def _anchored(frames: FrameTable, anchors: FrameTable | None, start: Array) -> tuple[NDArray[np.int64], Array]:
-    """Return the rows of the anchors, and start poses (n, 3) in their frame."""
-    if anchors is None or not len(anchors):
-        return np.empty(0, np.int64), start
-    rows = {key: row for row, key in enumerate(frames.identities())}
-    missing = [key for key in anchors.identities() if key not in rows]
-    if missing:
-        raise DataError(f"the anchor {missing[0][1]} is not among the {len(frames)} frames of the survey")
-    unknown = ~(anchors.has_position & np.isfinite(anchors.theta))
-    if unknown.any():
-        raise DataError(f"the anchor {anchors.path[unknown][0]} has no pose: give its x, y and theta")
-    fixed = np.array([rows[key] for key in anchors.identities()])
-    true = np.column_stack([anchors.xy, anchors.theta])
-    origins = composed(true, _inverse(start[fixed]))
-    # The start is moved as a whole to the first anchor; all anchors then take their own poses.
-    start = composed(np.tile(origins[0], (len(start), 1)), start)
-    start[fixed, :2] = true[:, :2]
-    start[fixed, 2] += wrapped(true[:, 2] - start[fixed, 2])
-    return fixed, start
-
-
 def _solved(graph: PoseGraph, loops: Loops, start: Array) -> tuple[PoseGraph, Solution, Loops]:
     """Solve the graph with the accepted loops, refuse those that it contradicts, and solve again until none is left."""
-    reason, steps = loops.reason.copy(), graph.pictures
+    reason, steps, rounds = loops.reason.copy(), graph.pictures, 0
     while True:
         used = np.flatnonzero(reason == Reason.ACCEPTED)
         edges = Edges(loops.first[used], loops.second[used], loops.pose[used], loops.information[used])
         graph = replace(graph, pictures=Edges.concatenate([steps, edges]))
-        solution = solve(graph, start)
+        # A robust solution that begins far off may take what is right for wrong: begin roughly, too, and compare.
+        starts = [start] if rounds else [start, solve(graph, start, _ROUGHLY).poses]
+        solution, rounds = min((solve(graph, one) for one in starts), key=lambda one: one.cost), rounds + 1
         weight = np.zeros(len(loops))
         weight[used] = solution.weight[len(steps) :]
         wrong = used[weight[used] < _CONTRADICTED]

@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from siamloc.data.moves import chained, moves
+from siamloc.data.moves import chained, composed, inverse, moves, wrapped
 
 
 def test_a_move_is_seen_from_the_pose_before():
@@ -35,3 +35,11 @@ def test_chained_moves_are_the_poses_seen_from_the_first():
 def test_one_pose_and_none():
     assert moves([[1, 2, 3]]).shape == chained(moves([[1, 2, 3]])).shape == (1, 3)
     assert moves(np.zeros((0, 3))).shape == (0, 3)
+
+
+def test_the_inverse_leads_back():
+    rng = np.random.default_rng(2)
+    poses = rng.normal(size=(30, 3)) * [4, 4, 9]
+    back = composed(poses, inverse(poses))
+    np.testing.assert_allclose(back[:, :2], 0, atol=1e-12)
+    np.testing.assert_allclose(wrapped(back[:, 2]), 0, atol=1e-12)

@@ -15,10 +15,16 @@ from siamloc.errors import ConfigError, DataError
 from siamloc.maps import VisualMap, survey
 
 
+class Panoramas(PanoramaLibrary):
+    """Panoramas that are never opened."""
+
+    circular = True
+
+
 class TrueComparison(Thumbnail):
     """Compares frames by their true poses; the number of a frame is in its orientation part."""
 
-    compares = True
+    compares = tells_heading = True
 
     def __init__(self, poses, scale, noise, seed=0, mirrored=False):
         super().__init__()
@@ -83,7 +89,7 @@ def surveyed(monkeypatch):
             wheels = odometry
         elif odometry:
             wheels = np.concatenate([drifting(poses, seed=n) for n, poses in enumerate(drives.values())])
-        images = object.__new__(PanoramaLibrary)  # only `build` would look into it
+        images = object.__new__(Panoramas)
         found = survey(
             TrueComparison(true, scale, noise, seed, mirrored),
             images,
@@ -203,7 +209,7 @@ def test_what_cannot_be_surveyed_is_a_sentence(surveyed):
     wheels = drifting(poses)
     for changed, says in (
         (wheels * [100, 100, 1], "moves 102 times as far as its images show: give odom_x and odom_y in metres"),
-        (wheels * [1, 1, 180 / np.pi], "times as far as its images show: give odom_theta in radians, not degrees"),
+        (wheels * [1, 1, 180 / np.pi], "odom_theta looks like degrees"),
         (wheels * [1, -1, -1], "turns left where its images turn right"),
         (wheels[:50], r"shape \(90, 3\), got \(50, 3\)"),
     ):
@@ -215,7 +221,52 @@ def test_what_cannot_be_surveyed_is_a_sentence(surveyed):
         surveyed({"monday": np.tile(poses[:1], (30, 1))})
     straight = np.column_stack([0.3 * np.arange(40), np.zeros((40, 2))])
     found, _, _ = surveyed({"monday": straight})
-    assert "no loop was found" in found.notes[-1]
+    assert "loops were not found" in found.notes[-1]
+
+
+def test_two_anchors_bend_a_long_straight_drive(surveyed):
+    rng = np.random.default_rng(5)
+    heading = 0.05 * np.cumsum(rng.normal(size=300)) * 0.3
+    true = chained(np.column_stack([np.full(300, 0.4), np.zeros(300), np.diff(heading, prepend=0)]))
+    anchors = FrameTable(
+        path=["monday/0.png", "monday/299.png"], sequence=["monday"] * 2, x=true[[0, -1], 0], y=true[[0, -1], 1],
+        theta=true[[0, -1], 2],
+    )  # fmt: skip
+    wheels = drifting(true, degrees=1.0)
+    assert np.hypot(*(wheels - true)[:, :2].T).max() > 15
+    found, _, _ = surveyed({"monday": true}, odometry=wheels, anchors=anchors)
+    assert np.hypot(*(found.frames.xy - true[:, :2]).T).mean() < 1.5
+
+
+def test_loops_close_a_drive_that_drifted_far(surveyed):
+    poses = eights(rounds=4, per_round=60)
+    found, true, _ = surveyed({"monday": poses}, odometry=drifting(poses, degrees=4.0))
+    assert off(found, true) < 0.1
+    assert found.loops.counts()["contradicted"] < found.loops.counts()["accepted"] / 10
+
+
+def test_drives_that_meet_once_are_noted(surveyed):
+    crossing = np.column_stack([np.linspace(-8, 8, 60) + 1, np.full(60, 2.0), np.zeros(60)])
+    other = np.column_stack([np.full(60, 1.0), np.linspace(-8, 8, 60) + 2, np.full(60, np.pi / 2)])
+    found, _, _ = surveyed({"monday": crossing, "tuesday": other})
+    assert any("meets the others at a single place" in note for note in found.notes) == (
+        len(np.unique(found.loops.first[found.loops.accepted] // 10)) == 1
+    )
+
+
+def test_units_and_signs_of_dense_frames_are_judged_as_well(surveyed):
+    poses = eights(rounds=2, per_round=500)
+    wheels = drifting(poses)
+    for changed, says in ((wheels * [100, 100, 1], "give odom_x"), (wheels * [1, -1, -1], "turns left where")):
+        with pytest.raises(DataError, match=says):
+            surveyed({"monday": poses}, odometry=changed, noise=0.003)
+
+
+def test_frames_out_of_order_are_refused_before_any_image_is_described(surveyed, monkeypatch):
+    monkeypatch.setattr(sys.modules["siamloc.maps.surveying"], "descriptor_from", None)
+    table = FrameTable(path=[f"{n}.png" for n in range(12)], time=[*range(6), 3, *range(6, 11)])
+    with pytest.raises(DataError, match=r"times of drive .* go back"):
+        survey("pretrained", object.__new__(Panoramas), table)
 
 
 def test_a_survey_needs_a_network_that_compares(monkeypatch, surveyed):

@@ -1,0 +1,132 @@
+"""Where a survey begins: drives brought into one frame by their loops, and moved to the anchors."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from siamloc.data.frames import FrameTable
+from siamloc.data.moves import composed, inverse, wrapped
+from siamloc.errors import DataError
+from siamloc.maps.loops import Loops
+from siamloc.maps.pose_graph import Array
+
+_NEAR, _ALIKE = 3.0, np.radians(20)  # how far a loop between drives may be off before drift is undone: metres, rad
+_MEETING = 3  # loops that must agree about how two drives lie
+_VOTERS = 500  # loops at most that are compared with each other for that
+_PLACE = 10  # frames of a place: a meeting at a single place is told
+
+
+def brought_together(start: Array, loops: Loops, drive: NDArray[np.int64], names: list[str], notes: list[str]) -> Array:
+    """Return start poses (n, 3) with each drive moved to where most of its loops to the drives before it agree.
+
+    Args:
+        start: start poses (n, 3), each drive in a frame of its own.
+        loops: judged loops, of which the accepted ones count.
+        drive: number of the drive of each frame (n,).
+        names: names of the drives.
+        notes: gets a sentence about each drive that meets the others at a single place.
+
+    Raises:
+        DataError: a drive that no loops connect with the others.
+    """
+    start, used = start.copy(), loops.take(loops.accepted)
+    here, there = drive[used.first], drive[used.second]
+    placed, waiting = {0}, set(range(1, len(names)))
+    while waiting:
+        tried = []
+        for number in waiting:
+            forward = np.isin(here, list(placed)) & (there == number)
+            backward = np.isin(there, list(placed)) & (here == number)
+            known = np.concatenate([used.first[forward], used.second[backward]])
+            own = np.concatenate([used.second[forward], used.first[backward]])
+            seen = np.concatenate([used.pose[forward], inverse(used.pose[backward])])
+            tried.append((*_most_agreed(start, known, own, seen), number))
+        votes, places, origin, number = max(tried, key=lambda one: one[0])
+        if votes < _MEETING:
+            lost = ", ".join(names[one] or "(unnamed)" for one in sorted(waiting))
+            raise DataError(
+                f"no places were found that {lost} and {names[0] or '(unnamed)'} have in common: survey drives "
+                "apart that never meet, or give one more drive that connects them"
+            )
+        if places == 1:
+            notes.append(f"drive {names[number] or '(unnamed)'} meets the others at a single place: check that it does")
+        rows = drive == number
+        start[rows] = composed(np.tile(origin, (int(rows.sum()), 1)), start[rows])
+        placed.add(number)
+        waiting.remove(number)
+    return start
+
+
+def _most_agreed(start: Array, known: NDArray[np.int64], own: NDArray[np.int64], seen: Array) -> tuple[int, int, Array]:
+    """Return how many loops agree about where a drive lies, at how many places, and the pose of its frame (3,).
+
+    Args:
+        start: start poses (n, 3).
+        known: frames of placed drives that see the drive (p,).
+        own: frames of the drive that they see (p,).
+        seen: poses of these frames as seen from the known ones (p, 3).
+    """
+    if not len(known):
+        return 0, 0, np.zeros(3)
+    some = np.unique(np.linspace(0, len(known) - 1, _VOTERS).astype(np.int64))
+    wanted, mine = composed(start[known[some]], seen[some]), start[own[some]]
+    origins = composed(wanted, inverse(mine))
+    agreeing = np.empty((len(some), len(some)), dtype=bool)
+    for row, origin in enumerate(origins):
+        moved = composed(np.tile(origin, (len(some), 1)), mine)
+        near = np.hypot(*(moved - wanted)[:, :2].T) < _NEAR
+        agreeing[row] = near & (np.abs(wrapped(moved[:, 2] - wanted[:, 2])) < _ALIKE)
+    best = int(agreeing.sum(axis=1).argmax())
+    places = len(np.unique(known[some][agreeing[best]] // _PLACE))
+    return int(agreeing[best].sum()), places, origins[best]
+
+
+def check_anchors(frames: FrameTable, anchors: FrameTable | None) -> None:
+    """Check that anchors are frames of a survey and have poses.
+
+    Raises:
+        DataError: an anchor that is not among the frames, or without a pose.
+    """
+    if anchors is None:
+        return
+    rows = set(frames.identities())
+    missing = [key for key in anchors.identities() if key not in rows]
+    if missing:
+        raise DataError(f"the anchor {missing[0][1]} is not among the {len(frames)} frames of the survey")
+    unknown = ~(anchors.has_position & np.isfinite(anchors.theta))
+    if unknown.any():
+        raise DataError(f"the anchor {anchors.path[unknown][0]} has no pose: give its x, y and theta")
+
+
+def anchored(
+    start: Array, drive: NDArray[np.int64], frames: FrameTable, anchors: FrameTable | None
+) -> tuple[NDArray[np.int64], Array]:
+    """Return the rows of the anchors, and start poses (n, 3) moved to them.
+
+    All drives are moved together to the first anchor; then each drive is bent so that its anchors have their poses.
+
+    Args:
+        start: start poses (n, 3).
+        drive: number of the drive of each frame (n,).
+        frames: the frames (n).
+        anchors: frames with poses; those whose image could not be read are left out.
+    """
+    rows = {key: row for row, key in enumerate(frames.identities())}
+    there = [] if anchors is None else [row for row, key in enumerate(anchors.identities()) if key in rows]
+    if anchors is None or not there:
+        return np.empty(0, np.int64), start
+    held = anchors.take(there)
+    fixed = np.array([rows[key] for key in held.identities()], dtype=np.int64)
+    true = np.column_stack([held.xy, held.theta])
+    origin = composed(true[:1], inverse(start[fixed[:1]]))
+    start = composed(np.tile(origin, (len(start), 1)), start)
+    for number in np.unique(drive[fixed]):
+        mine = np.flatnonzero(drive[fixed] == number)
+        mine = mine[np.argsort(fixed[mine])]
+        off = true[mine] - start[fixed[mine]]
+        off[:, 2] = np.unwrap(wrapped(off[:, 2]))
+        frame = np.flatnonzero(drive == number)
+        start[frame] += np.column_stack([np.interp(frame, fixed[mine], one) for one in off.T])
+    start[fixed, :2] = true[:, :2]
+    return fixed, start
