@@ -18,6 +18,9 @@ _AGREE = 2  # number of other loops that must agree with a loop
 _OFF, _OFF_SHARE, _TURNED = 0.25, 0.15, np.radians(8)  # by how much, in metres, in shares of the displacement, in rad
 _PAIRS = 1 << 20  # compared at once
 
+Pairs = Callable[[NDArray[np.int64], NDArray[np.int64]], tuple[Array, Array, Array]]
+"""Returns pose (p, 3), information (p, 3, 3) and log odds (p,) of the second frames as seen from the first."""
+
 
 class Reason(Enum):
     """Why a loop is used, or not."""
@@ -131,7 +134,7 @@ def agreeing(loops: Loops, poses: Array, drive: NDArray[np.int64]) -> NDArray[np
 def judged(
     first: NDArray[np.int64],
     second: NDArray[np.int64],
-    compare: Callable[[NDArray[np.int64], NDArray[np.int64]], tuple[Array, Array, Array]],
+    compare: Pairs,
     poses: Array,
     drive: NDArray[np.int64],
     least_odds: float,
@@ -141,7 +144,7 @@ def judged(
     Args:
         first: (p,) rows of the frames.
         second: (p,) rows of the frames that are compared with them.
-        compare: returns pose (p, 3), information (p, 3, 3) and log odds (p,) of `second` as seen from `first`.
+        compare: compares pairs of frames.
         poses: (n, 3), as for `agreeing`.
         drive: (n,) number of the drive of each frame.
         least_odds: log odds from which on two images were taken near each other.

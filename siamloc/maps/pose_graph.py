@@ -66,6 +66,11 @@ class PoseGraph:
     def __len__(self) -> int:
         return len(self.drive)
 
+    @property
+    def held(self) -> NDArray[np.int64]:
+        """Rows of the frames that keep the poses of the start: the fixed ones, or the first."""
+        return self.fixed if len(self.fixed) else np.zeros(1, np.int64)
+
 
 @dataclass(frozen=True, eq=False)
 class Solution:
@@ -114,8 +119,7 @@ def solve(graph: PoseGraph, start: Array, freedom: float = FREEDOM) -> Solution:
                 break
         elif (damping := damping * 10) > 1e6:
             break
-    fixed = graph.fixed if len(graph.fixed) else np.zeros(1, np.int64)
-    state.poses[fixed] = start[fixed]
+    state.poses[graph.held] = start[graph.held]
     scales = float(np.exp(state.scale)), np.exp(state.wheel_scale), state.gyro_bias
     return Solution(state.poses, *scales, system.weight, system.cost)
 
@@ -166,33 +170,23 @@ class _System:
         self.cost, self._unknowns = 0.0, 3 * n + 1 + 2 * drives
         pictures, wheels = graph.pictures, graph.wheels
         # Comparisons: exp(scale) times the displacement.
-        error, jacobians = _seen(state.poses, pictures, np.exp(np.full(len(pictures), state.scale)))
+        found, jacobians = _seen(state.poses, pictures, np.exp(np.full(len(pictures), state.scale)))
         own = np.zeros((len(pictures), 3, 1))
-        own[:, :2, 0] = error[:, :2]
-        error = _off(error, pictures.pose)
-        squared = np.einsum("ei,eij,ej->e", error, pictures.information, error)
-        self.weight = 1 / (1 + squared / freedom)
-        self.cost += (freedom + 3) / 2 * float(np.log1p(squared / freedom).sum()) / SHARED
-        factor = self.weight * (freedom + 3) / freedom / SHARED
+        own[:, :2, 0] = found[:, :2]
         columns = np.full((len(pictures), 1), 3 * n)
-        self._add(pictures, error, pictures.information * factor[:, None, None], jacobians, own, columns)
+        self.weight = self._add(pictures, found, jacobians, own, columns, freedom, SHARED)
         # Odometry: its scale times the displacement, and a turn that grows with the distance.
         drive = graph.drive[wheels.second]
-        error, jacobians = _seen(state.poses, wheels, np.exp(state.wheel_scale[drive]))
+        found, jacobians = _seen(state.poses, wheels, np.exp(state.wheel_scale[drive]))
         own = np.zeros((len(wheels), 3, 2))
-        own[:, :2, 0] = error[:, :2]
+        own[:, :2, 0] = found[:, :2]
         own[:, 2, 1] = np.hypot(wheels.pose[:, 0], wheels.pose[:, 1])
-        error[:, 2] += state.gyro_bias[drive] * own[:, 2, 1]
-        error = _off(error, wheels.pose)
-        squared = np.einsum("ei,eij,ej->e", error, wheels.information, error)
-        self.cost += (freedom + 3) / 2 * float(np.log1p(squared / freedom).sum())
-        factor = (freedom + 3) / (freedom + squared)
+        found[:, 2] += state.gyro_bias[drive] * own[:, 2, 1]
         columns = 3 * n + 1 + drive[:, None] + np.array([0, drives])
-        self._add(wheels, error, wheels.information * factor[:, None, None], jacobians, own, columns)
+        self._add(wheels, found, jacobians, own, columns, freedom, 1.0)
         # What is known before: fixed poses, and the sizes of scales and biases.
         self._prior = np.full(self._unknowns, 1e-9)
-        fixed = graph.fixed if len(graph.fixed) else np.zeros(1, np.int64)
-        self._prior[(3 * fixed[:, None] + np.arange(3)).ravel()] = _FIXED
+        self._prior[(3 * graph.held[:, None] + np.arange(3)).ravel()] = _FIXED
         given = np.concatenate([[state.scale], state.wheel_scale, state.gyro_bias])
         deviations = np.concatenate([[SCALE], np.full(drives, WHEEL_SCALE), np.full(drives, GYRO_BIAS)])
         self._prior[3 * n :] = 1 / deviations**2
@@ -202,16 +196,33 @@ class _System:
     def _add(
         self,
         edges: Edges,
-        error: Array,
-        information: Array,
+        found: Array,
         jacobians: tuple[Array, Array],
         own: Array,
         columns: NDArray[np.int64],
-    ) -> None:
-        """Add rows to the linear system: errors (e, 3) whitened by their information."""
+        freedom: float,
+        shared: float,
+    ) -> Array:
+        """Add the rows of edges to the linear system, and their cost; return the weights of the edges (e,).
+
+        Args:
+            edges: the measurements (e).
+            found: what they measure, at the state (e, 3).
+            jacobians: derivatives of that by the poses of both frames (e, 3, 3).
+            own: derivatives by further unknowns (e, 3, k).
+            columns: the further unknowns (e, k).
+            freedom: degrees of freedom of the errors.
+            shared: how many measurements make the same errors.
+        """
+        error = found - edges.pose
+        error[:, 2] = wrapped(error[:, 2])
+        squared = np.einsum("ei,eij,ej->e", error, edges.information, error)
+        weight = 1 / (1 + squared / freedom)
+        self.cost += (freedom + 3) / 2 * float(np.log1p(squared / freedom).sum()) / shared
         if not len(edges):
-            return
-        white = np.linalg.cholesky(information).swapaxes(1, 2)
+            return weight
+        factor = weight * (freedom + 3) / freedom / shared
+        white = np.linalg.cholesky(edges.information * factor[:, None, None]).swapaxes(1, 2)
         values = white @ np.concatenate([*jacobians, own], axis=2)
         poses = [3 * one[:, None] + np.arange(3) for one in (edges.first, edges.second)]
         places = np.broadcast_to(np.concatenate([*poses, columns], axis=1)[:, None], values.shape)
@@ -219,6 +230,7 @@ class _System:
         shape = 3 * len(edges), self._unknowns
         matrix = sparse.csr_matrix((values.ravel(), (rows.ravel(), places.ravel())), shape=shape)
         self._parts.append((matrix, (white @ error[..., None])[..., 0].ravel()))
+        return weight
 
     def normal(self, damping: float) -> sparse.csc_matrix:
         """Return the matrix of the normal equations, its diagonal enlarged by a share."""
@@ -249,9 +261,3 @@ def _seen(poses: Array, edges: Edges, scale: Array) -> tuple[Array, tuple[Array,
     first[:] = -second
     first[:, 0, 2], first[:, 1, 2] = found[:, 1], -found[:, 0]
     return found, (first, second)
-
-
-def _off(found: Array, measured: Array) -> Array:
-    error = found - measured
-    error[:, 2] = wrapped(error[:, 2])
-    return error

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from siamloc.data.moves import chained, moves, relative
 from siamloc.errors import DataError
+from siamloc.maps.loops import Pairs
 from siamloc.maps.pose_graph import Array, Edges
 from siamloc.maps.reranking import Compares
 from siamloc.progress import track
@@ -26,9 +27,6 @@ _JUMP, _FROZEN = 1.0, 5  # metres beyond three times the compared way; frames
 _WAY = 0.3  # metres over which units and signs are judged
 _TURNED = np.radians(3)  # a turn that comparisons see for certain
 _ENOUGH = 10  # steps from which units and signs are judged
-
-Pairs = Callable[[NDArray[np.int64], NDArray[np.int64]], tuple[Array, Array, Array]]
-"""Returns pose (p, 3), information (p, 3, 3) and log odds (p,) of the second frames as seen from the first."""
 
 
 def comparing(compare: Compares, parts: NDArray[np.float32], progress: bool) -> Pairs:

@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from foundation.calls import typed
 from foundation.settings import Count, Positive, Settings
 from siamloc.data.checks import wrong_odometry
-from siamloc.data.frames import FrameTable
+from siamloc.data.frames import ODOMETRY, FrameTable
 from siamloc.data.moves import relative, wrapped
 from siamloc.errors import ConfigError, DataError
 from siamloc.maps.describing import build, descriptor_from
@@ -45,7 +45,6 @@ _CONTRADICTED = 0.15  # weight below which a loop is refused
 _FEWEST = 10  # frames of a drive
 _LEAST_WAY = 1.0  # metres of a drive
 _ROUGHLY = 1e6  # degrees of freedom with which no measurement is weighted down
-_ODOMETRY = "odom_x", "odom_y", "odom_theta"
 
 
 @dataclass(frozen=True)
@@ -114,7 +113,7 @@ class Survey:
 
     def report(self) -> dict[str, Any]:
         """Return figures as plain values: frames, loops by reason, scales, biases, residuals and notes."""
-        found = relative(self._poses(), self.steps.first, self.steps.second)
+        found = relative(self.solution.poses, self.steps.first, self.steps.second)
         off = found[:, :2] * self.solution.scale - self.steps.pose[:, :2]
         residual = np.hypot(off[:, 0], off[:, 1])
         drives = [name or "(unnamed)" for name in self.frames.rows_by("sequence")]
@@ -131,9 +130,6 @@ class Survey:
             "odometry": {name: {"length": length, "gyro_bias": bias} for name, length, bias in wheels},
             "notes": list(self.notes),
         }
-
-    def _poses(self) -> Array:
-        return np.column_stack([self.frames.xy, self.frames.theta])
 
 
 @typed
@@ -181,7 +177,7 @@ def survey(
     frames, wheels = frames.take(order), wheels[order]
     _check_lengths(frames)
     check_anchors(frames, anchors)
-    for finding in wrong_odometry(frames.with_columns(**dict(zip(_ODOMETRY, wheels.T, strict=True)))):
+    for finding in wrong_odometry(frames.with_columns(**dict(zip(ODOMETRY, wheels.T, strict=True)))):
         raise DataError(f"the odometry of a survey cannot be used: {finding}")
     described = descriptor_from(network, circular=images.circular)
     if not (getattr(described, "compares", False) and getattr(described, "tells_heading", False)):
@@ -243,18 +239,18 @@ def _check_ways(start: Array, drive: NDArray[np.int64], names: list[str]) -> Non
 
 def _solved(graph: PoseGraph, loops: Loops, start: Array) -> tuple[PoseGraph, Solution, Loops]:
     """Solve the graph with the accepted loops, refuse those that it contradicts, and solve again until none is left."""
-    reason, steps, rounds = loops.reason.copy(), graph.pictures, 0
+    reason, steps, starts = loops.reason.copy(), graph.pictures, [start]
     while True:
         used = np.flatnonzero(reason == Reason.ACCEPTED)
         edges = Edges(loops.first[used], loops.second[used], loops.pose[used], loops.information[used])
         graph = replace(graph, pictures=Edges.concatenate([steps, edges]))
-        # A robust solution that begins far off may take what is right for wrong: begin roughly, too, and compare.
-        starts = [start] if rounds else [start, solve(graph, start, _ROUGHLY).poses]
-        solution, rounds = min((solve(graph, one) for one in starts), key=lambda one: one.cost), rounds + 1
+        if starts[0] is start:  # a robust solution that begins far off may take what is right for wrong
+            starts.append(solve(graph, start, _ROUGHLY).poses)
+        solution = min((solve(graph, one) for one in starts), key=lambda one: one.cost)
         weight = np.zeros(len(loops))
         weight[used] = solution.weight[len(steps) :]
         wrong = used[weight[used] < _CONTRADICTED]
         if not len(wrong):
             return graph, solution, replace(loops, reason=reason, weight=weight)
         reason[wrong] = Reason.CONTRADICTED
-        start = solution.poses
+        starts = [solution.poses]

@@ -12,6 +12,7 @@ from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
+from siamloc.data.moves import composed, relative
 from siamloc.report.draw.film import write_film
 from siamloc.report.draw.look import INK, SERIES, Picture, panels, style
 
@@ -117,12 +118,9 @@ def _turned(found: Survey, rows: NDArray[np.int64]) -> NDArray[np.float64]:
     known = rows[np.isfinite(found.odometry[rows]).all(axis=1)]
     if not len(known):
         return np.empty((0, 2))
-    x, y, heading = found.odometry[known].T
-    begin = found.frames.theta[known[0]] - heading[0]
-    cosine, sine = np.cos(begin), np.sin(begin)
-    apart = np.column_stack([x - x[0], y - y[0]])
-    turned = np.column_stack([cosine * apart[:, 0] - sine * apart[:, 1], sine * apart[:, 0] + cosine * apart[:, 1]])
-    return np.asarray(found.frames.xy[known[0]] + turned)
+    first = np.full(len(known), known[0])
+    begin = np.column_stack([found.frames.xy, found.frames.theta])[first]
+    return composed(begin, relative(found.odometry, first, known))[:, :2]
 
 
 def _colour(number: int) -> str:
