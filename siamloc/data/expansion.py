@@ -6,11 +6,8 @@ expanded data set like any other.
 
 from __future__ import annotations
 
-import csv
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from io import StringIO
 from pathlib import Path
 from typing import Any
 
@@ -21,12 +18,13 @@ from augment.errors import AugmentError
 from augment.expand import expand as write_variants
 from augment.expand import headings
 from foundation.calls import typed
-from foundation.files import real_path, storage_errors, write_json, write_text
+from foundation.files import csv_text, real_path, storage_errors, write_json, write_text
 from foundation.locks import alone
 from foundation.settings import Count, Seed, Thousand
 from siamloc.data.decoding import Preprocessing, UnreadableImageError
 from siamloc.data.frames import FrameTable
 from siamloc.data.manifest import COLUMNS
+from siamloc.data.moves import wrapped
 from siamloc.data.names import NamedPose, format_name, name_sequence, parse_name
 from siamloc.data.panorama import OmnidirectionalCamera
 from siamloc.errors import ConfigError, DataError, Policy
@@ -212,7 +210,7 @@ def outputs(kind: str, frames: FrameTable, root: Path, folder: Path, theta: NDAr
 def turned_headings(theta: NDArray[np.float64], turns: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the heading of every image (frames, depth), rad; headings of rotated images lie in (-pi, pi]."""
     turned = theta[:, None] + turns
-    return np.where(turns != 0, math.pi - (math.pi - turned) % (2 * math.pi), turned)
+    return np.where(turns != 0, wrapped(turned), turned)
 
 
 def write_lists(
@@ -239,15 +237,13 @@ def write_lists(
             if any(frames.room[rows].tolist()):
                 write_text(sequence / "localization" / "places.lst", "".join(lines))
     elif kind == "manifest":
-        text = StringIO()
-        writer = csv.writer(text, lineterminator="\n")
-        writer.writerow(COLUMNS)
+        table: list[Sequence[Any]] = [COLUMNS]
         wheels = turned_headings(frames.odom_theta, theta - frames.theta[:, None])
         for frame, row, *angles in zip(frames, pictures, theta.tolist(), wheels.tolist(), strict=True):
             for picture, angle, wheel in zip(row, *angles, strict=True):
                 values = {**frame, "theta": angle, "odom_theta": wheel, "image": picture.relative_to(folder).as_posix()}
-                writer.writerow("" if values[column] != values[column] else values[column] for column in COLUMNS)
-        write_text(folder / MANIFEST, text.getvalue())
+                table.append([values[column] for column in COLUMNS])
+        write_text(folder / MANIFEST, csv_text(table))
 
 
 def _check_apart(folder: Path, root: Path, kind: str, frames: FrameTable) -> None:

@@ -11,16 +11,13 @@ from pathlib import Path
 from typing import Any
 
 from foundation.settings import shortened
-from siamloc.data.frames import FrameTable, in_capture_order
+from siamloc.data.frames import ODOMETRY, FrameTable, in_capture_order
 from siamloc.errors import DataError, leave_out, logger
 
-COLUMNS = (
-    *("image", "x", "y", "theta", "room", "sequence", "lighting", "time", "building"),
-    *("odom_x", "odom_y", "odom_theta"),
-)
+COLUMNS = ("image", "x", "y", "theta", "room", "sequence", "lighting", "time", "building", *ODOMETRY)
 
 _LARGEST = dict.fromkeys(("theta", "time"), sys.float_info.max)
-_LARGEST |= dict.fromkeys(("x", "y", "odom_x", "odom_y", "odom_theta"), 1e7)
+_LARGEST |= dict.fromkeys(("x", "y", *ODOMETRY), 1e7)
 
 
 def read_manifest(manifest: str | Path, *, on_error: str = "skip") -> FrameTable:

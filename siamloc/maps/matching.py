@@ -9,6 +9,7 @@ from analytic import Description
 from analytic.distances import distance as distance_named
 from foundation.calls import typed
 from foundation.settings import Count
+from siamloc.data.moves import wrapped
 from siamloc.maps.reranking import COMPARED, comparison_of, reranked
 from siamloc.maps.search import Retrieval
 from siamloc.maps.visual_map import VisualMap
@@ -87,7 +88,7 @@ def headings(known: VisualMap, queries: Description, found: Retrieval, count: in
         theta = known.frames.theta[rows]
         if by.tells_heading and np.isfinite(theta).any():
             turned[:, place] = theta + by.relative_heading(queries, known.turning(rows))
-    return np.pi - np.remainder(np.pi - turned, 2 * np.pi)
+    return wrapped(turned)
 
 
 @typed

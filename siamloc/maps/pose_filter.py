@@ -18,6 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from foundation.calls import typed
 from foundation.settings import Positive, Probability
+from siamloc.data.moves import wrapped
 from siamloc.errors import DataError
 from siamloc.maps.motion import motion_or_none, motions_of
 from siamloc.maps.refinement import FREEDOM, RefinedPoses
@@ -58,7 +59,7 @@ class _Story:
         """Heading in rad (1,), NaN if unknown."""
         if len(self.mean) == 4:
             return self.trusted.theta
-        return _wrapped(self.mean[2:]) if self.covariance[2, 2] < _SURE else np.full(1, np.nan)
+        return wrapped(self.mean[2:]) if self.covariance[2, 2] < _SURE else np.full(1, np.nan)
 
 
 class PoseFilter:
@@ -214,7 +215,7 @@ def _told(story: _Story, pose: RefinedPoses, seen: NDArray[np.float64], spread: 
     """
     n, agreement = len(seen), float(pose.agreement[0])
     apart, total = seen - story.mean[:n], story.covariance[:n, :n] + spread
-    apart[2:] = _wrapped(apart[2:])
+    apart[2:] = wrapped(apart[2:])
     squared = float(apart @ np.linalg.solve(total, apart))
     height = (1 + squared / FREEDOM) ** (-(FREEDOM + n) / 2) / (_HEIGHT[n] * math.sqrt(np.linalg.det(total)))
     share = agreement * height / (agreement * height + _ANYWHERE[n])
@@ -258,11 +259,6 @@ def _blocks(first: NDArray[np.float64], second: NDArray[np.float64]) -> NDArray[
 def _turned(angle: float) -> NDArray[np.float64]:
     cos, sin = math.cos(angle), math.sin(angle)
     return np.array([[cos, -sin], [sin, cos]])
-
-
-def _wrapped(angles: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return angles in (-pi, pi]."""
-    return np.pi - (np.pi - angles) % (2 * np.pi)
 
 
 def _checked(covariance: ArrayLike) -> NDArray[np.float64]:

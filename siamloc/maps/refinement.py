@@ -13,6 +13,7 @@ from foundation.calls import typed
 from foundation.columns import Rows
 from foundation.settings import Count, NotNegative, Positive
 from siamloc.data.frames import FrameTable
+from siamloc.data.moves import wrapped
 from siamloc.errors import ConfigError, DataError
 from siamloc.maps.learned import Learned
 from siamloc.maps.matching import headings
@@ -374,4 +375,4 @@ def _mean_heading(weight: NDArray[np.float64], headings: ArrayLike, k: int) -> N
 def _wrapped(angle: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return angles in (-pi, pi]; those already in this range are unchanged."""
     inside = (angle > -np.pi) & (angle <= np.pi)
-    return np.where(inside, angle, np.pi - np.remainder(np.pi - angle, 2 * np.pi))
+    return np.where(inside, angle, wrapped(angle))
