@@ -225,6 +225,7 @@ class Model(Settings):
         normalize: channels, image, local or local_brightness; the default of the branch if None.
         canonical: turn panoramas first, so that a turn by whole columns leaves the descriptor; for circular=true.
         relative: whether to learn where an image was taken relative to a map frame.
+        colours: whether to describe colours beside what is learned.
     """
 
     WHERE = "model"
@@ -235,6 +236,7 @@ class Model(Settings):
     normalize: Text | None = None
     canonical: bool = False
     relative: bool = False
+    colours: bool = False
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -245,7 +247,7 @@ class Model(Settings):
 
     def arguments(self) -> dict[str, Any]:
         """Return the arguments of `siamloc.models.build`."""
-        own = {key: getattr(self, key) for key in ("circular", "normalize", "canonical", "relative")}
+        own = {key: getattr(self, key) for key in ("circular", "normalize", "canonical", "relative", "colours")}
         branch = {"branch": self.branch.name, "weights": self.branch.weights}
         return {**branch, "head": self.head.name, "outputs": self.head.outputs, **own}
 

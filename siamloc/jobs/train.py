@@ -202,7 +202,7 @@ class Pretrain(_Training):
     MORE: ClassVar = {
         "augment": {"where": "auto"},
         "trainer": RECIPE.trainer,
-        "model": {key: RECIPE.model[key] for key in ("circular", "normalize", "canonical", "relative")},
+        "model": {key: RECIPE.model[key] for key in ("circular", "normalize", "canonical", "relative", "colours")},
     }
 
     folder: Folder = "runs/pretrained"

@@ -10,7 +10,7 @@ from analytic.distances import distance as distance_named
 from foundation.calls import typed
 from foundation.settings import Count
 from siamloc.data.moves import wrapped
-from siamloc.maps.reranking import COMPARED, comparison_of, reranked
+from siamloc.maps.reranking import COMPARED, comparison_of, reranked, with_learned
 from siamloc.maps.search import Retrieval
 from siamloc.maps.visual_map import VisualMap
 
@@ -27,7 +27,8 @@ def match(
     """Find the min(k, m) nearest map frames of each query, exactly.
 
     If the map's descriptor compares images, such as a network built with relative=True, the first eight are put in
-    order anew by a comparison with the query, which changes their distances; see `siamloc.maps.reranking`.
+    order anew by a comparison with the query, which changes their distances; see `siamloc.maps.reranking`. If it also
+    describes colours, so are the eight that are nearest without them.
 
     Descriptors that are turned into alignment before they are compared ([T] 3.3.4-3.3.6) compute every distance; all
     others are searched as vectors.
@@ -60,8 +61,13 @@ def match(
     left = len(known) if within is None else len(within)
     if excluded is not None and len(queries):
         left = int((~np.asarray(excluded, dtype=bool)).sum(axis=1).min())
-    found = known.index.search(queries.position, max(k, min(COMPARED, left)), excluded=excluded, within=within)
-    ordered = reranked(known, queries, found, compares)
+    compared = min(COMPARED, left)
+    found = known.index.search(queries.position, max(k, compared), excluded=excluded, within=within)
+    if (learned := known.learned_index) is not known.index:
+        width = learned.width
+        near = learned.search(queries.position[:, :width], compared, excluded=excluded, within=within)
+        found, compared = with_learned(known, queries, found, near.indices), 2 * compared
+    ordered = reranked(known, queries, found, compares, compared)
     return Retrieval(ordered.indices[:, :k], ordered.distances[:, :k])
 
 

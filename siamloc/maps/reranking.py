@@ -14,7 +14,7 @@ from siamloc.maps.visual_map import VisualMap
 COMPARED = 8
 """Number of nearest map frames that are compared with a query."""
 _ODDS = -10.0, 5.0  # log odds beyond these count no more: nearer frames differ in their descriptors
-_ODDS_PER_DISTANCE = 40.0  # log odds that weigh as much as a distance of 1 between descriptors
+_ODDS_PER_DISTANCE = 25.0  # log odds that weigh as much as a distance of 1 between descriptors
 _NEARNESS = 0.8  # distance between descriptors that weighs as much as 1 between positions
 _NEAR = 1.0  # a certain match is preferred for being nearer than this, in the unit of the positions
 _AT_ONCE = 256  # queries
@@ -34,22 +34,55 @@ def comparison_of(known: VisualMap) -> Compares | None:
     return getattr(known.describes, "compare", None) if held and getattr(known.describes, "compares", False) else None
 
 
-def reranked(known: VisualMap, queries: Description, found: Retrieval, compares: Compares) -> Retrieval:
-    """Put the 8 nearest map frames of each query in order anew.
+def with_learned(known: VisualMap, queries: Description, found: Retrieval, near: NDArray[np.int64]) -> Retrieval:
+    """Insert, after the 8 nearest map frames of each query, those that are nearest without colours.
+
+    In the light of the map, colours find places whose shapes look alike; in another light they mislead, and the learned
+    part alone finds what a comparison then confirms.
+
+    Args:
+        known: a map of m frames, described with colours; see `siamloc.models.colours`.
+        queries: n descriptions.
+        found: the nearest map frames by learned part and colours together (n, k).
+        near: the nearest map frames by the learned part alone (n, c).
+
+    Returns:
+        (n, k + c), with a distance of infinity where a map frame appears again.
+    """
+    apart = np.empty(near.shape)
+    for at in range(0, len(near), _AT_ONCE):
+        rows = slice(at, at + _AT_ONCE)
+        off = queries.position[rows, None].astype(np.float64) - known.descriptors[near[rows]]
+        apart[rows] = np.sqrt(np.einsum("ijk,ijk->ij", off, off))
+    parts = (found.indices[:, :COMPARED], near, found.indices[:, COMPARED:])
+    indices = np.concatenate(parts, axis=1)
+    distances = np.concatenate([found.distances[:, :COMPARED], apart, found.distances[:, COMPARED:]], axis=1)
+    first = parts[0].shape[1] + near.shape[1]
+    for column in range(first):
+        later = indices[:, column + 1 :] == indices[:, column, None]
+        distances[:, column + 1 :][later] = np.inf
+    return Retrieval(indices, distances)
+
+
+def reranked(
+    known: VisualMap, queries: Description, found: Retrieval, compares: Compares, compared: int = COMPARED
+) -> Retrieval:
+    """Put the nearest map frames of each query in order anew.
 
     Distances between descriptors tell which places look alike; a comparison of two images tells whether both were taken
     near each other, which is more certain where map frames stand metres apart, and how far apart, which is more exact
     where they stand closely. With the log odds o of that, limited to -10 ... 5, and the length r of the displacement,
-    limited to 1 and taken as 1 where o < 5, a map frame at distance d gets the distance d + (5 - o) / 40 + 0.8 r. Map
-    frames after the first 8 get the distance d + 1.175, as if they showed another place.
+    limited to 1 and taken as 1 where o < 5, a map frame at distance d gets the distance d + (5 - o) / 25 + 0.8 r. Map
+    frames after those compared get the distance d + 1.4, as if they showed another place.
 
     Args:
         known: a map of m frames, with the orientation parts that are compared.
         queries: n descriptions with orientation parts, by `known.describe`.
         found: the nearest map frames of each query.
         compares: compares orientation parts.
+        compared: number of map frames to compare, from the first.
     """
-    parts, rows = queries.orientation, found.indices[:, :COMPARED]
+    parts, rows = queries.orientation, found.indices[:, :compared]
     assert parts is not None
     starts = range(0, len(rows), _AT_ONCE)
     of_compared = [_doubts(known, parts[at : at + _AT_ONCE], rows[at : at + _AT_ONCE], compares) for at in starts]

@@ -81,6 +81,11 @@ class VectorIndex:
     def __len__(self) -> int:
         return len(self._references)
 
+    @property
+    def width(self) -> int:
+        """Number of values in a vector, D."""
+        return self._references.shape[1]
+
     @typed
     def search(
         self,
@@ -106,7 +111,7 @@ class VectorIndex:
             DataError: queries of another shape, values that are not finite or far larger than the references', or a
                 query with fewer than k references that are not excluded.
         """
-        (q, largest), width = _checked(queries, "query"), self._references.shape[1]
+        (q, largest), width = _checked(queries, "query"), self.width
         if q.shape[1] != width:
             raise DataError(
                 f"queries have {q.shape[1]} values each, the map's descriptors {width}: describe both with one model"

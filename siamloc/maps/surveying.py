@@ -202,7 +202,7 @@ def survey(
     start = start_of(moved, seen, drive)
     _check_ways(start, drive, names)
     way = np.hypot(*np.diff(start[:, :2], axis=0, prepend=start[:1, :2]).T)
-    first, second = candidates(known.descriptors, np.cumsum(way), drive, settings.apart, settings.alike)
+    first, second = candidates(known.learned, np.cumsum(way), drive, settings.apart, settings.alike)
     loops = judged(first, second, compared, start, drive, ODDS)
     start = brought_together(start, loops, drive, names, notes)
     fixed, start = anchored(start, drive, frames, anchors)

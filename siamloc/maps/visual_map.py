@@ -26,6 +26,7 @@ from siamloc.maps.heading import NetworkHeading, described, descriptor_of, headi
 from siamloc.maps.map_file import read_map, write_map
 from siamloc.maps.packing import Precision, all_finite, shares_values
 from siamloc.maps.search import Retrieval, VectorIndex
+from siamloc.models.registry import COLOURS
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -176,6 +177,19 @@ class VisualMap:
     def index(self) -> VectorIndex:
         """The descriptors, prepared once for exact search with any number of queries."""
         return VectorIndex(self.descriptors, self.distance)
+
+    @property
+    def learned(self) -> NDArray[np.float32]:
+        """What a network learned to describe of the frames: the descriptors without colours, where they have any.
+
+        See `siamloc.models.colours`.
+        """
+        return self.descriptors[:, : self.width - COLOURS] if self.identity.get("colours") else self.descriptors
+
+    @cached_property
+    def learned_index(self) -> VectorIndex:
+        """The learned part of the descriptors, prepared as `index` is; `index` itself where that is all."""
+        return VectorIndex(self.learned, self.distance) if self.identity.get("colours") else self.index
 
     @cached_property
     def aligned_index(self) -> AlignedIndex:

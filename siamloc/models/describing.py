@@ -102,12 +102,14 @@ class NetworkDescriptor(BetweenColumns):
             DataError: another shape or type, values that are not finite or outside [0, 1], or a network that returns
                 anything but a descriptor for each image.
         """
-        module, network = self.module, orienting(self.module)
-        if network is not None:
-            position, orientation = _described(network, network.with_orientation, batch, chunk)
-            return Description(position, orientation)
-        described = _described(module, lambda images: (checked_descriptors(module(images), len(images)),), batch, chunk)
-        return Description(described[0])
+        describes = describing(self.module)
+
+        def checked(images: Tensor) -> tuple[Tensor, ...]:
+            position, *orientation = describes(images)
+            return checked_descriptors(position, len(images)), *orientation
+
+        position, *orientation = _described(self.module, checked, batch, chunk)
+        return Description(position, orientation[0] if orientation else None)
 
     @property
     def compares(self) -> bool:
@@ -185,6 +187,15 @@ def identity_of(network: nn.Module) -> dict[str, Any]:
 def network_of(module: nn.Module) -> nn.Module:
     """Return the network that a training module of siamloc trains; any other module as it is."""
     return getattr(module, "trained_network", module)
+
+
+def describing(module: nn.Module) -> Callable[[Tensor], tuple[Tensor, ...]]:
+    """Return the function by which a module describes images: `Network.description`, or the call of any other module.
+
+    A subclass of `Network` counts as any other, since it may describe images in other ways than by branch and head.
+    """
+    network = network_of(module)
+    return network.description if type(network) is Network else lambda images: (module(images),)
 
 
 def orienting(module: nn.Module) -> Network | None:

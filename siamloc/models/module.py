@@ -13,7 +13,16 @@ from augment.torchvision_compat import ensure_torchvision
 from foundation.calls import typed
 from siamloc.errors import ConfigError, DataError
 from siamloc.models.cross_entropy import CrossEntropyLoss
-from siamloc.models.describing import as_float, checked_descriptors, comparing, identity_of, margin_of, orienting, shown
+from siamloc.models.describing import (
+    as_float,
+    checked_descriptors,
+    comparing,
+    describing,
+    identity_of,
+    margin_of,
+    orienting,
+    shown,
+)
 from siamloc.models.drive_figures import RECALL_RADIUS, DriveFigures
 from siamloc.models.network import Network
 from siamloc.models.network_stages import FrozenStages, comparing_weights, stages
@@ -174,9 +183,10 @@ class NetworkModule(LightningModule):
         Raises:
             DataError: a batch that does not say which frames belong to the map.
         """
-        images, network = as_float(batch["images"]), self.comparing_network
-        found, parts = (self.network(images), None) if network is None else network.with_orientation(images)
-        self._drive.add(batch, checked_descriptors(found, len(images)), parts)
+        images = as_float(batch["images"])
+        found, *parts = describing(self.network)(images)
+        compared = parts[0] if self.comparing_network is not None else None
+        self._drive.add(batch, checked_descriptors(found, len(images)), compared)
 
     def drive_figures(self) -> dict[str, Tensor]:
         """Search the queries of the validation drive in the map and return the figures; empty without queries.

@@ -24,6 +24,7 @@ from siamloc.models.branch import (
     layer_shapes,
     layers_by_stage,
 )
+from siamloc.models.colours import Colours
 from siamloc.models.heads import Fourier, GeneralizedMean, Head, Magnitudes, make_head
 from siamloc.models.orientation import VALUES, Canonical, Orientation
 from siamloc.models.registry import Normalization, branch_spec, head_widths
@@ -49,6 +50,7 @@ def build(
     normalize: Normalization | None = None,
     canonical: bool = False,
     relative: bool = False,
+    colours: bool = False,
 ) -> Network:
     """Make a network that describes panoramas: (B, 3, H, W) in [0, 1] -> (B, D), in training mode on the CPU.
 
@@ -81,6 +83,8 @@ def build(
             head that discards the direction: "fourier", "magnitudes", "gem" or "bands".
         relative: also learn to estimate where an image was taken relative to another one; see
             `siamloc.models.relative`. For the heads "fourier" and "magnitudes".
+        colours: also describe the colours of images, which are not learned: `description` gives 800 more numbers than
+            `forward`; see `siamloc.models.colours`.
 
     Raises:
         ConfigError: unknown names, an image too small for the branch, weights that are not available or do not fit.
@@ -95,6 +99,7 @@ def build(
     rows, columns = size = checked(image_size, Size, "image_size")
     norm = branch_spec(branch).normalize if normalize is None else normalize
     options: dict[str, Any] = {"circular": circular, "normalize": norm, "canonical": canonical, "relative": relative}
+    options["colours"] = colours
     with torch.device("meta"):
         network = Network(branch, head, size, outputs, **options)
     network.to_empty(device="cpu")
@@ -125,6 +130,7 @@ class Network(nn.Module):
         normalize: a name in `NORMALIZATIONS`.
         canonical: whether panoramas are turned to a canonical direction first.
         relative: whether the network also compares images.
+        colours: whether descriptions include colours.
 
     Attributes:
         branch: the `Branch`, which also normalizes.
@@ -134,6 +140,7 @@ class Network(nn.Module):
         orientation: the `Orientation` for finding headings, if the branch wraps around, and for comparing images; for
             the heads `fourier` and `magnitudes`. Else None.
         relative: the `RelativePose` that compares orientation parts; None for a network that does not.
+        colours: the `Colours` that descriptions include; None without.
         rooms: the `RoomClassifier` that names the room from a descriptor, after a training with `CrossEntropyLoss`;
             else None.
         settings: the arguments of `build` that made the network, as plain values.
@@ -152,6 +159,7 @@ class Network(nn.Module):
         normalize: str = "channels",
         canonical: bool = False,
         relative: bool = False,
+        colours: bool = False,
     ) -> None:
         super().__init__()
         shape = feature_shape(branch, image_size, circular)
@@ -174,10 +182,11 @@ class Network(nn.Module):
                 f"image of {image_size[1]} columns has features of {shape[2]}"
             )
         self.relative = RelativePose(2 * shape[2], VALUES, circular) if relative else None
+        self.colours = Colours(image_size) if colours else None
 
     @property
     def outputs(self) -> int:
-        """Length D of a descriptor."""
+        """Length D of what `forward` gives, without colours."""
         return self.head.outputs
 
     @property
@@ -206,6 +215,7 @@ class Network(nn.Module):
             **({"normalize": self.branch.normalize} if self.branch.normalize != "channels" else {}),
             **({"canonical": True} if self.canonical is not None else {}),
             **({"relative": True} if self.relative is not None else {}),
+            **({"colours": True} if self.colours is not None else {}),
         }
 
     def forward(self, panorama: Tensor) -> Tensor:
@@ -231,6 +241,19 @@ class Network(nn.Module):
         panorama, turned = self._turned(panorama)
         finer, features = self.branch.both(panorama, self.orientation.level)
         return self.head(features), self.orientation(finer, turned)
+
+    def description(self, panorama: Tensor) -> tuple[Tensor, ...]:
+        """Return what maps and robots search by: learned descriptors (B, D), or (B, D + 800) with the colours.
+
+        If the network finds headings, orientation parts (B, K, F) follow.
+
+        Raises:
+            DataError: as `forward`.
+        """
+        learned, *orientation = (self(panorama),) if self.orientation is None else self.with_orientation(panorama)
+        if self.colours is not None:
+            learned = torch.cat([learned, self.colours(panorama).to(learned.dtype)], dim=1)
+        return learned, *orientation
 
     def _turned(self, panorama: Tensor) -> tuple[Tensor, Tensor | None]:
         """Check panoramas, and turn them to their canonical direction if the network does that, by so many columns."""

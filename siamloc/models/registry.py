@@ -43,6 +43,10 @@ PRETRAINED = Path(__file__).parent / "shipped" / "panoramas.safetensors"
 PRETRAINED_SIZE = (64, 256)
 """Rows and columns of the panoramas for these weights."""
 
+ROWS, HUES, SATURATIONS, VALUES = 4, 24, 8, 8
+COLOURS = ROWS * (HUES * SATURATIONS + VALUES)
+"""Number of values by which a network with colours=True describes the colours, after those that are learned."""
+
 BRANCHES: dict[str, BranchSpec] = {
     spec.name: spec
     for spec in (

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from siamloc.errors import DataError
+from siamloc.models.registry import COLOURS
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,16 +69,19 @@ class RoomClassifier:
     def scores(self, descriptors: ArrayLike) -> NDArray[np.float64]:
         """Return the scores (n, r) of descriptors (n, D); their softmax gives the probabilities.
 
+        Colours after the D learned numbers are not read.
+
         Raises:
             DataError: descriptors of another length.
         """
         found = np.asarray(descriptors, dtype=np.float64)
-        if found.ndim != 2 or found.shape[1] != self.weight.shape[1]:
+        learned = self.weight.shape[1]
+        if found.ndim != 2 or found.shape[1] not in (learned, learned + COLOURS):
             raise DataError(
                 f"the class layer reads descriptors of {self.weight.shape[1]} numbers (n, {self.weight.shape[1]}), got "
                 f"{found.shape}"
             )
-        return found @ self.weight.T.astype(np.float64) + self.bias
+        return found[:, :learned] @ self.weight.T.astype(np.float64) + self.bias
 
     def named(self, descriptors: ArrayLike) -> NamedRooms:
         """Return the rooms that descriptors (n, D) show, with probabilities.

@@ -63,7 +63,7 @@ RECIPE: Recipe = replace(
     model={
         **_MODERN.model,
         **{"branch": "panoresnet_wide", "head": "magnitudes", "normalize": "local_and_colours"},
-        **{"canonical": True, "relative": True},
+        **{"canonical": True, "relative": True, "colours": True},
     },
     loss={"name": "soft_contrastive", "kernel": "exponential", "sigma": 0.4, "beyond": [1.0, 2.5]},
     augmentation={

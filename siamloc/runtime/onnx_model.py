@@ -21,7 +21,7 @@ from foundation.calls import typed
 from foundation.files import atomic_path
 from siamloc.errors import ConfigError, SiamlocError
 from siamloc.maps.refinement import OUTPUTS
-from siamloc.models.describing import evaluating, identity_of, network_of, orienting, required_comparing
+from siamloc.models.describing import describing, evaluating, identity_of, network_of, orienting, required_comparing
 from siamloc.models.orientation import VALUES
 from siamloc.models.relative import RelativePose
 from siamloc.runtime.describing import session_of
@@ -210,8 +210,7 @@ class _FromPixels(nn.Module):
 
     def forward(self, panorama: torch.Tensor) -> tuple[torch.Tensor, ...]:
         images = panorama.to(torch.float32) / 255  # the input of networks everywhere
-        oriented = orienting(self.network)
-        return (self.network(images),) if oriented is None else oriented.with_orientation(images)
+        return describing(self.network)(images)
 
 
 class _Compared(nn.Module):

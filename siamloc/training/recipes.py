@@ -137,6 +137,7 @@ _FINE_TUNING = replace(
         "normalize": "local_and_colours",
         "canonical": True,
         "relative": True,
+        "colours": True,
         "weights": "siamloc",
     },
     training={

@@ -27,7 +27,7 @@ def given(flat, tmp_path):
 def test_from_a_map_to_a_located_photograph(flat, given, tmp_path, capsys):
     done("map", *given)
     known = VisualMap.load(tmp_path / MAP)
-    assert known.width == 2048
+    assert known.width == 2848
     assert known.heading_by_network
     done("evaluate", *given, "task.baselines=[hog]", "task.plots=false")
     results = read_results(tmp_path / "evaluation/pretrained")

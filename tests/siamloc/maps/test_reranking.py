@@ -11,6 +11,7 @@ from analytic import Description
 from analytic.descriptors.thumbnail import Thumbnail
 from siamloc.data import FrameTable
 from siamloc.maps import VisualMap, match
+from siamloc.models.registry import COLOURS
 
 FRAMES = 12
 
@@ -48,8 +49,8 @@ def test_distances_grow_with_the_doubts_of_the_comparison():
     odds = [-20.0, 5.0, 0.0, -1.0, 10.0, 2.0, -3.0, 5.0, 50.0, 50.0, 50.0, 50.0]
     found = match(map_of(odds), QUERY, FRAMES)
     distances = np.arange(FRAMES) / 20
-    distances[:8] += (5 - np.clip(odds[:8], -10, 5)) / 40
-    distances[8:] += 0.375  # not compared
+    distances[:8] += (5 - np.clip(odds[:8], -10, 5)) / 25
+    distances[8:] += 0.6  # not compared
     distances += 0.8  # none is certain and within 1 m
     expected = sorted(range(FRAMES), key=lambda row: distances[row])
     assert found.indices.tolist() == [expected, expected]
@@ -64,10 +65,27 @@ def test_of_certain_matches_the_nearest_is_preferred():
     apart = [0.9, 0.3, 0.6, 0.0, *[2.0] * (FRAMES - 4)]
     found = match(map_of(odds, apart), QUERY, FRAMES)
     distances = np.arange(FRAMES) / 20 + 0.8 * np.minimum(apart, 1.0)
-    distances[3] = 3 / 20 + 0.1 / 40 + 0.8
-    distances[8:] += 0.375
+    distances[3] = 3 / 20 + 0.1 / 25 + 0.8
+    distances[8:] += 0.6
     assert found.indices[0, :3].tolist() == [1, 2, 0]
     np.testing.assert_allclose(found.distances[0], np.sort(distances), atol=1e-6)
+
+
+def test_frames_that_are_nearest_without_colours_are_compared_too():
+    odds, apart = np.full(FRAMES, -20.0), np.full(FRAMES, 3.0)
+    odds[1], apart[1] = 9.0, 0.1
+    colours = np.zeros((FRAMES, COLOURS))
+    colours[:4, 0] = 1.0  # the first four frames have other colours than the query and all others
+    plain = map_of(odds, apart)
+    known = replace(plain, descriptors=np.concatenate([plain.descriptors, colours], axis=1), identity={"colours": True})
+    query = replace(QUERY, position=np.zeros((2, 1 + COLOURS)))
+    assert known.search(query.position, 8).indices[0].tolist() == list(range(4, FRAMES))
+    found = match(known, query, FRAMES)
+    whole = np.hypot(np.arange(FRAMES) / 20, colours[:, 0]) + 0.6 + 0.8
+    whole[1] = np.hypot(0.05, 1.0) + 0.8 * 0.1
+    assert found.indices[0].tolist() == np.argsort(whole, kind="stable").tolist()
+    np.testing.assert_allclose(found.distances[0], np.sort(whole), atol=1e-6)
+    assert match(known, query, 3).indices.tolist() == found.indices[:, :3].tolist()
 
 
 def test_only_the_frames_that_may_be_found_are_compared():

@@ -145,8 +145,8 @@ def test_the_network_that_comes_along_is_ready(circular: bool):
     descriptor = as_descriptor(ready)
     assert descriptor.tells_heading is circular
     found = descriptor.describe(panoramas(2, PRETRAINED_SIZE)).position
-    assert found.shape == (2, 2048)
-    np.testing.assert_allclose(np.linalg.norm(found, axis=1), 1, atol=1e-5)
+    assert found.shape == (2, 2848)
+    np.testing.assert_allclose(np.linalg.norm(found, axis=1), 1.5, atol=1e-5)
     started = build(**{**ready.settings, "weights": "siamloc"})
     for name, value in ready.state_dict().items():
         torch.testing.assert_close(started.state_dict()[name], value, rtol=0, atol=0)

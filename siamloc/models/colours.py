@@ -1,0 +1,65 @@
+"""Colours of an image as numbers beside the learned ones: histograms, as those of the analytic descriptor `hsv`."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor, nn
+
+from siamloc.errors import ConfigError
+from siamloc.models.registry import HUES, ROWS, SATURATIONS, VALUES
+
+WEIGHT = 1.25
+"""Weight of the squared distance between colours; that between learned numbers, which have unit length, has 1."""
+_TIE = 1e-4  # of a bin; an 8-bit value is exactly on an edge, or further from it than this
+
+
+class Colours(nn.Module):
+    """Describe images by how often each hue, saturation and brightness occurs in each of four horizontal bands.
+
+    The numbers are those of `analytic.descriptor("hsv", rows=4)`, scaled to a length of sqrt(1.25). They do not depend
+    on where in a row a pixel is, so a turn of the panorama leaves them exactly as they are. A learned descriptor
+    compares places in any light; colours distinguish places that look alike in shape, in the light of the map.
+
+    Args:
+        image_size: (H, W) in pixels.
+
+    Raises:
+        ConfigError: a height that is no multiple of 4.
+
+    Example:
+        >>> Colours((64, 256))(torch.rand(2, 3, 64, 256)).shape
+        torch.Size([2, 800])
+    """
+
+    def __init__(self, image_size: tuple[int, int]) -> None:
+        super().__init__()
+        if image_size[0] % ROWS:
+            raise ConfigError(
+                f"colours=true describes {ROWS} bands of equal height, and the images have {image_size[0]} rows: take "
+                f"a multiple of {ROWS}, or set model.colours=false (from Python colours=False)"
+            )
+
+    def forward(self, panorama: Tensor) -> Tensor:
+        """Return (B, 800) for panoramas (B, 3, H, W), floating point in [0, 1]."""
+        bands = panorama.float().unflatten(2, (ROWS, -1)).flatten(3)  # (B, 3, rows, pixels)
+        red, green, blue = bands.unbind(1)
+        value = bands.amax(1)
+        chroma = value - bands.amin(1)
+        scale = chroma + (chroma == 0)
+        hue = torch.where(value == green, (blue - red) / scale + 2, (red - green) / scale + 4)
+        hue = torch.where(value == red, (green - blue) / scale, hue) / 6  # -1/6 to 5/6
+        saturation = chroma / (value + (value == 0))
+        hues = _one_hot(_bins(hue, HUES).remainder(HUES), HUES)
+        both = hues.mT @ _one_hot(_bins(saturation, SATURATIONS), SATURATIONS)  # sums of ones, exact in any order
+        brightness = _one_hot(_bins(value, VALUES), VALUES).sum(2)
+        counts = torch.cat([both.flatten(2), brightness / 4], dim=2)
+        return (counts * (WEIGHT / (1.25 * ROWS * bands.shape[3]))).sqrt().flatten(1)
+
+
+def _bins(share: Tensor, count: int) -> Tensor:
+    return (share * count + _TIE).floor()
+
+
+def _one_hot(bins: Tensor, count: int) -> Tensor:
+    """Return (..., count), 1 at each bin; the last bin includes all above it."""
+    return (bins.clamp(max=count - 1)[..., None] == torch.arange(count, device=bins.device)).float()
