@@ -1,4 +1,5 @@
 from .coarse import CoarseLayer as CoarseLayer, UNASSIGNED as UNASSIGNED
+from .counts import Counts as Counts
 from .describing import build as build, describe as describe
 from .error_model import ErrorModel as ErrorModel
 from .grouping import Built as Built, WAYS as WAYS, group as group
@@ -26,4 +27,5 @@ from .sequence_filter import (
     tune_filter as tune_filter,
 )
 from .surveying import Survey as Survey, SurveySettings as SurveySettings, survey as survey
+from .thinning import Thinned as Thinned, thin as thin
 from .visual_map import VisualMap as VisualMap

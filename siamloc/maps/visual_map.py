@@ -22,7 +22,8 @@ from foundation.settings import leaves
 from siamloc.data.frames import FrameTable, concatenate
 from siamloc.errors import ConfigError, DataError
 from siamloc.maps.aligned import AlignedIndex
-from siamloc.maps.heading import NetworkHeading, described, descriptor_of, heading_descriptor, is_analytic
+from siamloc.maps.counts import Counts
+from siamloc.maps.heading import NetworkHeading, described, descriptor_of, halved, heading_descriptor, is_analytic
 from siamloc.maps.map_file import read_map, write_map
 from siamloc.maps.packing import Precision, all_finite, shares_values
 from siamloc.maps.search import Retrieval, VectorIndex
@@ -47,10 +48,11 @@ class VisualMap:
             descriptors: {"name": "network"} for the network that describes the map, or another descriptor's.
         describes: the descriptor, ready to describe queries; not saved. Use `descriptor`, which creates an analytic one
             from the identity, or `with_descriptor`.
+        counts: how often drives recognized the frames, see `siamloc.maps.update`; zeros if None.
 
     Raises:
-        DataError: no frames, a different number of descriptors or orientation parts than frames, or values that are not
-            finite.
+        DataError: no frames, a different number of descriptors, orientation parts or counts than frames, or values that
+            are not finite.
         ConfigError: an unknown distance, or one that is meaningless for so few values.
 
     Example:
@@ -70,6 +72,7 @@ class VisualMap:
     orientation: NDArray[Any] | None = None
     heading: dict[str, Any] | None = None
     describes: Descriptor | None = None
+    counts: Counts = None  # type: ignore[assignment]
 
     def __post_init__(self) -> None:
         values = np.asarray(self.descriptors)
@@ -100,6 +103,10 @@ class VisualMap:
             orientation = _checked_orientation(self.orientation, descriptors, halved=self.heading is not None)
             object.__setattr__(self, "orientation", orientation)
         object.__setattr__(self, "identity", plain(dict(self.identity)))
+        if self.counts is None:
+            object.__setattr__(self, "counts", Counts.none(len(self)))
+        if len(self.counts) != len(self):
+            raise DataError(f"a map needs one count per frame, got {len(self.counts)} for {len(self)} frames")
 
     def __len__(self) -> int:
         return len(self.descriptors)
@@ -115,6 +122,13 @@ class VisualMap:
     def width(self) -> int:
         """Number of values in a descriptor, D."""
         return self.descriptors.shape[1]
+
+    @property
+    def bytes(self) -> int:
+        """Size of descriptors and orientation parts in memory."""
+        parts = self.orientation
+        shared = parts is None or shares_values(parts, self.descriptors)
+        return self.descriptors.nbytes + (0 if parts is None or shared else parts.nbytes)
 
     @cached_property
     def descriptor(self) -> Descriptor:
@@ -198,7 +212,7 @@ class VisualMap:
 
     @cached_property
     def digest(self) -> str:
-        """A hash of the descriptors, their distance, the frames and the identity; orientation parts do not count."""
+        """A hash of descriptors, distance, frames and identity, without orientation parts and counts."""
         digest = hashlib.sha256(json.dumps([self.identity, self.distance], sort_keys=True).encode())
         digest.update("\0".join([*self.frames.path.tolist(), *self.frames.place.tolist()]).encode())
         for array in (self.descriptors, self.frames.xy):
@@ -213,16 +227,74 @@ class VisualMap:
         if orientation is not None:
             shared = shares_values(orientation, self.descriptors)
             orientation = descriptors.reshape(-1, *orientation.shape[1:]) if shared else orientation[key]
-        return replace(self, descriptors=descriptors, frames=self.frames.take(key), orientation=orientation)
+        frames, counts = self.frames.take(key), self.counts.take(key)
+        return replace(self, descriptors=descriptors, frames=frames, orientation=orientation, counts=counts)
+
+    def without(self, frames: FrameTable | ArrayLike) -> VisualMap:
+        """Return the map without some frames, given as a table, such as `known.frames.select(...)`, by row or by mask.
+
+        Raises:
+            DataError: a frame that the map does not hold, or no frame would be left.
+        """
+        left = np.ones(len(self), dtype=bool)
+        if isinstance(frames, FrameTable):
+            wanted = set(frames.identities())
+            left[:] = [key not in wanted for key in self.frames.identities()]
+            if missing := wanted - set(self.frames.identities()):
+                raise DataError(
+                    f"{len(missing)} of {len(frames)} frames to leave out are not in the map, such as {min(missing)[1]}"
+                )
+        else:
+            key: Any = np.atleast_1d(frames)
+            left[key if key.size else key.astype(np.int64)] = False
+        if not left.any():
+            raise DataError(f"all {len(self)} frames of the map would be left out: a map needs at least one")
+        return self.take(left)
+
+    @typed
+    def add(self, frames: FrameTable, description: Description) -> VisualMap:
+        """Return the map with further frames, such as those of a place under another light.
+
+        `siamloc.maps.update` adds only the frames that the map lacks.
+
+        Args:
+            frames: n frames, in the unit of the map.
+            description: what `describe` returned for their panoramas.
+
+        Raises:
+            DataError: a frame that the map holds already, positions in another unit, or a description of another form.
+
+        Example:
+            >>> known = VisualMap([[0.0, 1.0], [1.0, 0.0]], FrameTable(path=["a.png", "b.png"]))
+            >>> known.add(FrameTable(path=["c.png"]), Description(np.array([[1.0, 1.0]])))
+            VisualMap(3 frames, 2 numbers each, compared by euclidean)
+        """
+        parts = description.orientation if self.orientation is not None else None
+        if parts is not None and self.heading is not None:
+            parts = halved(self.heading_by, parts)
+        own: dict[str, Any] = {
+            "descriptors": description.position,
+            "frames": frames,
+            "orientation": parts,
+            "counts": None,
+        }
+        return self.merge(replace(self, **own))
 
     def merge(self, other: VisualMap) -> VisualMap:
         """Return the map of the frames of this map, followed by the frames of another map.
 
         Raises:
             ConfigError: the other map was described differently.
-            DataError: positions in another unit, or a map with headings and one without.
+            DataError: a frame that both maps hold, positions in another unit, or a map with headings and one without.
         """
         self.check_describer(other.identity)
+        if other.width != self.width:
+            raise DataError(f"descriptors of {other.width} numbers do not fit a map of {self.width}")
+        if both := set(self.frames.identities()) & set(other.frames.identities()):
+            raise DataError(
+                f"{len(both)} frames are in both maps, such as {min(both)[1]}: leave them out of one, with "
+                "other.without(...)"
+            )
         if self.heading != other.heading or (self.orientation is None) != (other.orientation is None):
             raise DataError("a map with headings and one without, or with headings found otherwise, cannot be merged")
         parts = None
@@ -231,7 +303,8 @@ class VisualMap:
         descriptors = np.concatenate([self.descriptors, other.descriptors])
         frames = concatenate([self.frames, other.frames])
         made = {**self.made, "sequences": list(frames.rows_by("sequence")), "frames": len(frames)}
-        return replace(self, descriptors=descriptors, frames=frames, orientation=parts, made=made)
+        counts = Counts.concatenate([self.counts, other.counts])
+        return replace(self, descriptors=descriptors, frames=frames, orientation=parts, made=made, counts=counts)
 
     def placed(self) -> VisualMap:
         """Return the map with only the frames that have a position: the map itself if all have one.

@@ -12,7 +12,7 @@ import pytest
 import analytic
 from siamloc.data.frames import FrameTable
 from siamloc.errors import ConfigError, DataError, FormatError
-from siamloc.maps import VisualMap
+from siamloc.maps import Counts, VisualMap
 
 IDENTITY = {"name": "network", "branch": {"name": "vgg16", "weights": None}, "width": 3}
 
@@ -58,6 +58,43 @@ def test_a_map_knows_its_descriptor(tmp_path: Path) -> None:
     assert not learned.aligned
     with pytest.raises(ConfigError, match="described by 'network', which it does not hold"):
         learned.descriptor  # noqa: B018
+
+
+def test_frames_join_and_leave_a_map_with_their_counts(tmp_path: Path) -> None:
+    known = make_map()
+    more = replace(known.frames, path=np.array([f"new/{i}.jpeg" for i in range(6)]), sequence=np.array(["night"] * 6))
+    known = replace(known, counts=Counts(np.arange(6), 2 * np.arange(6)))
+    grown = known.add(more, analytic.Description(np.ones((6, 3))))
+    np.testing.assert_array_equal(grown.descriptors[6:], np.ones((6, 3)))
+    assert grown.counts.confirmed.tolist() == [0, 1, 2, 3, 4, 5, 0, 0, 0, 0, 0, 0]
+    grown.save(tmp_path / "map.npz")
+    grown = VisualMap.load(tmp_path / "map.npz")
+    left = grown.without(grown.frames.select(sequence="night")).without([0])
+    assert left.frames == known.frames.take(slice(1, None))
+    assert left.counts.contradicted.tolist() == [2, 4, 6, 8, 10]
+    assert left.without(left.frames.x > 1e9).counts.confirmed.tolist() == [1, 2, 3, 4, 5]
+    with pytest.raises(DataError, match=r"6 frames are in both maps, such as .*new/0.jpeg: leave them out of one"):
+        grown.add(more, analytic.Description(np.ones((6, 3))))
+    with pytest.raises(DataError, match="6 of 6 frames to leave out are not in the map"):
+        known.without(more)
+    with pytest.raises(DataError, match="all 6 frames of the map would be left out"):
+        known.without(np.arange(6))
+    with pytest.raises(DataError, match="got 6 for 2 frames"):
+        known.add(more.take([0, 1]), analytic.Description(np.ones((6, 3))))
+    with pytest.raises(DataError, match="descriptors of 2 numbers do not fit a map of 3"):
+        known.add(more, analytic.Description(np.ones((6, 2))))
+    with pytest.raises(ConfigError, match=r"described differently.*width is 3 in the map, 4 here"):
+        known.merge(replace(known, identity={**IDENTITY, "width": 4}))
+
+
+def test_added_frames_keep_what_headings_need() -> None:
+    hog = analytic.descriptor("hog", rows=2)
+    seen = hog.describe(np.random.default_rng(0).integers(0, 256, (4, 16, 64)).astype(np.uint8))
+    known = VisualMap(
+        seen.position[:1], FrameTable(path=["a.png"]), hog.identity, orientation=seen.orientation[:1], describes=hog
+    )
+    grown = known.add(FrameTable(path=["b.png", "c.png", "d.png"]), seen.take([1, 2, 3]))
+    np.testing.assert_array_equal(grown.orientation, seen.orientation)
 
 
 def test_a_map_without_frames_or_positions_says_so() -> None:

@@ -1,0 +1,166 @@
+"""`thin`: keep a map within a budget, by forgetting frames that are no longer recognized, then redundant ones."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, TypedDict
+
+import numpy as np
+from numpy.typing import NDArray
+
+from foundation.calls import OF_FIELDS, takes
+from foundation.settings import Count, Positive, Settings
+from siamloc.data.frames import FrameTable
+from siamloc.errors import ConfigError, DataError
+from siamloc.maps.matching import frame_distances
+from siamloc.maps.reasons import Reason
+from siamloc.maps.search import slices
+from siamloc.maps.visual_map import VisualMap
+
+if TYPE_CHECKING:
+    from typing_extensions import Unpack
+
+_REACH = 1.5  # units: frames of one square metre are at most this far apart
+_PAIRS_AT_ONCE = 1 << 20
+_AT_ONCE = 64  # frames whose descriptors are compared with all others
+
+
+@dataclass(frozen=True)
+class Budget(Settings):
+    """How large a map may be; without limits if both are None.
+
+    Attributes:
+        per_square_metre: number of frames in any square of a grid, one unit of the positions wide.
+        megabytes: size of descriptors and orientation parts in float32, as in memory; a saved map may be smaller.
+    """
+
+    WHERE = "update"
+
+    per_square_metre: Count | None = None
+    megabytes: Positive | None = None
+
+    def frames(self, known: VisualMap) -> int | None:
+        """Return how many frames of a map `megabytes` allows; None if any number.
+
+        Raises:
+            ConfigError: not even one.
+        """
+        if self.megabytes is None:
+            return None
+        each = known.bytes / len(known)
+        if (most := int(self.megabytes * 1e6 / each)) < 1:
+            raise ConfigError(f"megabytes={self.megabytes:g} holds no frame of {each / 1e6:.3g} MB: give more")
+        return most
+
+
+class BudgetFields(TypedDict, total=False):
+    """Keyword arguments with the names and types of the fields of `Budget`, for type checkers."""
+
+    per_square_metre: int | None
+    megabytes: float | None
+
+
+@dataclass(frozen=True, eq=False)
+class Thinned:
+    """A map within its budget.
+
+    Attributes:
+        known: the map with the frames that are left.
+        reason: (n,) of `Reason`: why each of the n frames of the map before was kept or forgotten.
+    """
+
+    known: VisualMap
+    reason: NDArray[np.object_]
+
+
+@takes(Budget)
+def thin(known: VisualMap, *, settings: Budget = OF_FIELDS, **fields: Unpack[BudgetFields]) -> Thinned:
+    """Forget frames of a map until it is within a budget.
+
+    Frames that the last drives did not recognize are forgotten first, the most often contradicted before the others.
+    Then, of the two frames nearby whose descriptors are the most alike, the one that was confirmed less often is
+    forgotten, the later one if both were alike, and so on. Frames of one place under different lights are less alike
+    than consecutive frames, and so stay longer.
+
+    Args:
+        known: the map.
+        settings: both limits in one object, instead of one keyword each.
+
+    Raises:
+        ConfigError: a limit that is not positive, or too small for one frame.
+        DataError: a frame without a position.
+
+    Example:
+        >>> frames = FrameTable(path=["a.png", "b.png", "c.png"], x=[0.1, 0.2, 0.3], y=[0, 0, 0])
+        >>> found = thin(VisualMap([[0.0], [0.1], [5.0]], frames), per_square_metre=2)
+        >>> [reason.name for reason in found.reason]
+        ['KEPT', 'REDUNDANT', 'KEPT']
+    """
+    if not known.frames.has_position.all():
+        raise DataError("a map frame has no position: thin(known.placed()) leaves those out")
+    reason = np.full(len(known), Reason.KEPT, dtype=object)
+    most, per_cell = settings.frames(known), settings.per_square_metre
+    _, building = np.unique(known.frames.building, return_inverse=True)
+    squares = np.column_stack([building, np.floor(known.frames.xy)])
+    _, cell, in_cell = np.unique(squares, axis=0, return_inverse=True, return_counts=True)
+    cell, left = cell.reshape(-1), len(known)
+
+    def forget(row: int, why: Reason) -> bool:
+        nonlocal left
+        over = (per_cell is not None and in_cell[cell[row]] > per_cell) or (most is not None and left > most)
+        if over:
+            reason[row], left = why, left - 1
+            in_cell[cell[row]] -= 1
+        return over
+
+    confirmed, contradicted = known.counts.confirmed, known.counts.contradicted
+    for row in np.argsort(-contradicted, kind="stable")[: np.count_nonzero(contradicted)].tolist():
+        forget(row, Reason.UNRECOGNIZED)
+    reach, widest = _REACH, float(np.ptp(known.frames.xy, axis=0).sum()) + _REACH
+    while (most is not None and left > most) or (per_cell is not None and (in_cell > per_cell).any()):
+        kept = np.flatnonzero(reason == Reason.KEPT)
+        for pair in kept[_alike(known.take(kept), min(reach, widest))].tolist():
+            if (reason[pair] == Reason.KEPT).all():
+                first, second = sorted(pair, key=lambda row: (confirmed[row], -row))
+                _ = forget(first, Reason.REDUNDANT) or forget(second, Reason.REDUNDANT)
+        if reach > widest:
+            break  # one frame in each building
+        reach *= 2
+    kept = reason == Reason.KEPT
+    return Thinned(known if kept.all() else known.take(kept), reason)
+
+
+def _alike(known: VisualMap, reach: float) -> NDArray[np.int64]:
+    """Return the pairs of map frames (p, 2) at most `reach` apart, those with the most similar descriptors first."""
+    pairs, apart = list[NDArray[np.int64]](), list[NDArray[np.float64]]()
+    for rows, others, _ in near(known.frames, known.frames, reach, _AT_ONCE):
+        once = others > rows
+        rows, others = rows[once], others[once]
+        if len(rows):
+            which, row = np.unique(rows, return_inverse=True)
+            apart.append(frame_distances(known, known.description.take(which))[row, others])
+            pairs.append(np.column_stack([rows, others]))
+    if not pairs:
+        return np.empty((0, 2), dtype=np.int64)
+    return np.concatenate(pairs)[np.argsort(np.concatenate(apart), kind="stable")]
+
+
+def near(
+    first: FrameTable, second: FrameTable, reach: float, at_once: int | None = None
+) -> Iterator[tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float64]]]:
+    """Yield the pairs of frames of one building at most `reach` apart, some frames of the first table at a time.
+
+    Args:
+        first: n frames with positions.
+        second: m frames with positions.
+        reach: distance in the unit of the positions.
+        at_once: frames of the first table; as many as memory allows if None.
+
+    Yields:
+        Rows of the first table (p,), increasing, rows of the second table (p,), and their distances (p,).
+    """
+    for part in slices(len(first), at_once or _PAIRS_AT_ONCE // max(len(second), 1)):
+        apart = np.hypot(first.x[part, None] - second.x, first.y[part, None] - second.y)
+        rows, others = np.nonzero((apart <= reach) & (first.building[part, None] == second.building))
+        yield rows + part.start, others, apart[rows, others]

@@ -1,0 +1,79 @@
+"""A map within a budget: what is no longer recognized goes first, then what is redundant."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from siamloc.data import FrameTable
+from siamloc.errors import ConfigError, DataError
+from siamloc.maps import Counts, VisualMap, thin
+from siamloc.maps.thinning import near
+from tests.siamloc.maps.conftest import placed, plain_map
+
+DAY, NIGHT = 0.0, 500.0
+
+
+def lit(frames: int = 10) -> VisualMap:
+    """A drive of 0.1 m steps by day, then one through the same places by night, twice as fast."""
+    x = np.concatenate([0.1 * np.arange(frames), 0.2 * np.arange(frames // 2)])
+    look = np.where(np.arange(len(x)) < frames, DAY, NIGHT) + np.rint(10 * x)
+    drive = np.where(np.arange(len(x)) < frames, "day", "night")
+    return VisualMap(look[:, None], placed(np.column_stack([x, 0 * x]), sequence=drive))
+
+
+def names(found):
+    return [reason.name for reason in found.reason]
+
+
+def test_a_map_within_its_budget_stays_as_it_is():
+    known = lit()
+    assert thin(known).known is known
+    assert thin(known, per_square_metre=15, megabytes=1).known is known
+
+
+def test_the_light_with_few_frames_outlives_the_frames_that_crowd():
+    found = thin(lit(), per_square_metre=10)
+    assert names(found) == ["KEPT", "REDUNDANT"] * 5 + ["KEPT"] * 5
+
+
+def test_what_was_contradicted_goes_first_the_most_often_first():
+    counts = Counts(np.array([0, 9, 0, 0, 0]), np.array([0, 2, 0, 1, 3]))
+    known = replace(plain_map(np.arange(5.0)[:, None]), counts=counts)
+    frame = known.bytes / len(known) / 1e6
+    assert names(thin(known, megabytes=3 * frame)) == ["KEPT", "UNRECOGNIZED", "KEPT", "KEPT", "UNRECOGNIZED"]
+    assert names(thin(known, megabytes=frame))[2] == "REDUNDANT", "however far apart"
+    found = thin(known, megabytes=2 * frame)
+    np.testing.assert_array_equal(found.known.counts.confirmed, [0, 0])
+
+
+def test_of_two_alike_frames_the_one_confirmed_more_often_stays():
+    known = VisualMap([[0.0], [0.1]], placed([(0, 0), (0.1, 0)]), counts=Counts(np.array([1, 2]), np.zeros(2, int)))
+    assert names(thin(known, per_square_metre=1)) == ["REDUNDANT", "KEPT"]
+
+
+def test_each_building_and_each_square_has_its_own_budget():
+    frames = placed([(0.1, 0.1), (0.2, 0.1), (0.1, 0.1), (1.1, 0.1)], building=["a", "a", "b", "a"])
+    found = thin(VisualMap(np.zeros((4, 1)), frames), per_square_metre=1)
+    assert names(found) == ["KEPT", "REDUNDANT", "KEPT", "KEPT"]
+
+
+def test_pairs_nearby_are_those_of_a_loop_over_all(monkeypatch):
+    monkeypatch.setattr("siamloc.maps.thinning._PAIRS_AT_ONCE", 50)
+    rng = np.random.default_rng(0)
+    first, second = (placed(rng.uniform(0, 5, (n, 2)), building=rng.choice(["a", "b"], n)) for n in (30, 20))
+    found = [(i, j, d) for part in near(first, second, 1.0) for i, j, d in zip(*part, strict=True)]
+    apart = np.linalg.norm(first.xy[:, None] - second.xy, axis=2)
+    expected = (apart <= 1) & (first.building[:, None] == second.building)
+    assert [(i, j) for i, j, _ in found] == list(zip(*np.nonzero(expected), strict=True))
+    np.testing.assert_allclose([d for *_, d in found], apart[expected])
+
+
+def test_budgets_that_make_no_sense_are_refused():
+    known = plain_map(np.zeros((2, 4)))
+    with pytest.raises(ConfigError, match=r"megabytes=1e-06 holds no frame of 1.6e-05 MB: give more"):
+        thin(known, megabytes=1e-6)
+    with pytest.raises(ConfigError, match=r"update.per_square_metre must be a whole number from 1"):
+        thin(known, per_square_metre=0)
+    with pytest.raises(DataError, match="a map frame has no position"):
+        thin(VisualMap([[1.0]], FrameTable(path=["a.png"])), per_square_metre=1)
