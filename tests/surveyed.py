@@ -19,7 +19,7 @@ def a_survey(folder: Path = Path()) -> Survey:
     frames = FrameTable(
         path=[str(folder / f"{row}.png") for row in range(n)],
         **{"x": 4 * np.cos(angle), "y": 2 * np.sin(angle), "theta": angle + np.pi / 2},
-        sequence=["monday"] * 6 + ["tuesday"] * 6,
+        deviation=np.full(n, 0.1), theta_deviation=np.full(n, 0.02), sequence=["monday"] * 6 + ["tuesday"] * 6,
     )  # fmt: skip
     reason = np.array([Reason.ACCEPTED, Reason.ACCEPTED, Reason.CONTRADICTED, Reason.ALONE], dtype=object)
     pose, sure = np.zeros((4, 3)), np.tile(np.eye(3), (4, 1, 1))
@@ -28,4 +28,4 @@ def a_survey(folder: Path = Path()) -> Survey:
     odometry = np.column_stack([np.arange(n), np.zeros((n, 2))])
     drive = np.repeat([0, 1], 6)
     solution = Solution(np.zeros((n, 3)), 1.0, np.ones(2), np.zeros(2), np.ones(7), 0.0)
-    return Survey(frames, np.tile(np.eye(3), (n, 1, 1)), loops, steps, odometry, drive, solution, "odometry")
+    return Survey(frames, np.tile(np.eye(3), (n, 1, 1)), 0.01, loops, steps, odometry, drive, solution, "odometry")

@@ -18,7 +18,8 @@ from siamloc.errors import ConfigError, DataError, hint
 
 _TEXT = ("path", "room", "sequence", "lighting", "building")
 ODOMETRY = ("odom_x", "odom_y", "odom_theta")
-_COLUMNS = ("path", "x", "y", "theta", "room", "sequence", "lighting", "time", "building", *ODOMETRY)
+DEVIATIONS = ("deviation", "theta_deviation")
+_COLUMNS = ("path", "x", "y", "theta", "room", "sequence", "lighting", "time", "building", *ODOMETRY, *DEVIATIONS)
 _UNKNOWN = {name: "" if name in _TEXT else np.nan for name in _COLUMNS}
 
 
@@ -47,12 +48,15 @@ class FrameTable:
             which they drift away.
         odom_y: likewise.
         odom_theta: headings in that frame, in radians (n,), counter-clockwise.
+        deviation: standard deviations of x, and of y, in `unit` (n,), such as a survey estimates; missing where
+            positions are exact. They count as independent from frame to frame.
+        theta_deviation: standard deviations of theta, in radians (n,).
         unit: unit of x and y; only used in texts. Selections keep it, equality ignores it.
         source: the arguments with which `siamloc.data.read(**source)` reads the frames; empty if unknown. Selections
             keep it, equality ignores it.
 
     Raises:
-        DataError: columns of different lengths.
+        DataError: columns of different lengths, or a deviation below 0.
 
     Example:
         >>> frames = FrameTable(path=["1.jpg", "2.jpg", "3.jpg"], x=[0, 1, 2], y=[0, 0, 0], room=["A", "A", "B"])
@@ -76,6 +80,8 @@ class FrameTable:
     odom_x: NDArray[np.float64] = None  # type: ignore[assignment]
     odom_y: NDArray[np.float64] = None  # type: ignore[assignment]
     odom_theta: NDArray[np.float64] = None  # type: ignore[assignment]
+    deviation: NDArray[np.float64] = None  # type: ignore[assignment]
+    theta_deviation: NDArray[np.float64] = None  # type: ignore[assignment]
     unit: str = "m"
     source: Mapping[str, Any] = field(default_factory=dict)
 
@@ -88,6 +94,8 @@ class FrameTable:
             column = _as_column(name, [_UNKNOWN[name]] * n if value is None else value)
             if column.shape != (n,):
                 raise DataError(f"column {name!r} has shape {column.shape}, expected ({n},) like 'path'")
+            if name in DEVIATIONS and (column < 0).any():
+                raise DataError(f"column {name!r} holds standard deviations, from 0 up, got {column.min():g}")
             column.flags.writeable = False
             object.__setattr__(self, name, column)
 

@@ -11,22 +11,23 @@ from pathlib import Path
 from typing import Any
 
 from foundation.settings import shortened
-from siamloc.data.frames import ODOMETRY, FrameTable, in_capture_order
+from siamloc.data.frames import DEVIATIONS, ODOMETRY, FrameTable, in_capture_order
 from siamloc.errors import DataError, leave_out, logger
 
-COLUMNS = ("image", "x", "y", "theta", "room", "sequence", "lighting", "time", "building", *ODOMETRY)
+COLUMNS = ("image", "x", "y", "theta", "room", "sequence", "lighting", "time", "building", *ODOMETRY, *DEVIATIONS)
 
 _LARGEST = dict.fromkeys(("theta", "time"), sys.float_info.max)
-_LARGEST |= dict.fromkeys(("x", "y", *ODOMETRY), 1e7)
+_LARGEST |= dict.fromkeys(("x", "y", *ODOMETRY, *DEVIATIONS), 1e7)
 
 
 def read_manifest(manifest: str | Path, *, on_error: str = "skip") -> FrameTable:
     """Read a manifest.
 
     The first line names the columns, in any order and case: `image`, and any of `x, y` (m), `theta` (rad), `room`,
-    `sequence`, `lighting`, `time` (s), `building`, `odom_x, odom_y` (m), `odom_theta` (rad); others are ignored with a
-    warning. Image paths are relative to the table's folder. An empty number is unknown (NaN); blank lines are skipped.
-    The rows of a sequence whose times are all known are sorted by time; the others keep the order of the table.
+    `sequence`, `lighting`, `time` (s), `building`, `odom_x, odom_y` (m), `odom_theta` (rad), `deviation` (m) and
+    `theta_deviation` (rad); others are ignored with a warning. Image paths are relative to the table's folder. An empty
+    number is unknown (NaN); blank lines are skipped. The rows of a sequence whose times are all known are sorted by
+    time; the others keep the order of the table.
 
     Args:
         manifest: the CSV file, in UTF-8.

@@ -21,8 +21,8 @@ class PairSettings(Settings):
 
     Attributes:
         label: "room": 0 for the same room, 1 for different rooms ([T] 5.3.4). "distance": the distance between the
-            two positions divided by `scale` within a room, 1 across rooms ([T] 5.3.5). "auto": "room" if there are at
-            least two rooms, otherwise "distance".
+            two positions divided by `scale` within a room, 1 across rooms ([T] 5.3.5); of positions with deviations,
+            the root of the mean squared distance. "auto": "room" if there are at least two rooms, otherwise "distance".
         same_room_share: share of same-room pairs; exact up to rounding. None: one half, or 1 if there is only one
             room.
         epoch_pairs: pairs in an epoch; the number of frames if None.
@@ -115,6 +115,7 @@ class PairSampler:
         self.scale: float | dict[str, float] = float("nan")
         if self.label == "distance":
             self.scale, self._divisor = _scales(frames, settings.scale)
+            self._variance = np.nan_to_num(frames.deviation) ** 2
 
     def __len__(self) -> int:
         return self.epoch_pairs
@@ -141,8 +142,10 @@ class PairSampler:
             second[rows] = self._rooms.partners(first[rows], uniform[rows, 3], same=kind)
         label = ~same
         if self.label == "distance":
-            distance = np.linalg.norm(self.frames.xy[first] - self.frames.xy[second], axis=1) / self._divisor[first]
-            label = np.where(same, np.minimum(distance, 1), 1)
+            apart = np.linalg.norm(self.frames.xy[first] - self.frames.xy[second], axis=1)
+            if self._variance.any():
+                apart = np.sqrt(apart**2 + 2 * (self._variance[first] + self._variance[second]))
+            label = np.where(same, np.minimum(apart / self._divisor[first], 1), 1)
         return Pairs(first, second, label.astype(np.float32), same)
 
     def _check_possible(self) -> None:

@@ -126,8 +126,7 @@ def solve(graph: PoseGraph, start: Array, freedom: float = FREEDOM) -> Solution:
 
 def covariances(graph: PoseGraph, found: Solution) -> Array:
     """Return the covariances (n, 3, 3) of the poses, given the fixed ones, in squared units and rad."""
-    state = _State(found.poses, np.log(found.scale), np.log(found.wheel_scale), found.gyro_bias)
-    factors, n = _factors(_System(graph, state).normal(0.0)), len(graph)
+    factors, n = _factors(_System(graph, _State.at(found)).normal(0.0)), len(graph)
     made, at_once = np.empty((n, 3, 3)), max(1, _AT_ONCE // factors.shape[0])
     for begin in range(0, n, at_once):
         rows = np.arange(begin, min(begin + at_once, n))
@@ -137,6 +136,35 @@ def covariances(graph: PoseGraph, found: Solution) -> Array:
         inverse = factors.solve(units)[unknowns].reshape(len(rows), 3, len(rows), 3)
         made[rows] = inverse[np.arange(len(rows)), :, np.arange(len(rows))]
     return made
+
+
+def of_shape(covariance: Array, graph: PoseGraph, found: Solution) -> tuple[Array, float]:
+    """Return covariances (n, 3, 3) of the poses after the best rigid motion and scale, and the scale's deviation.
+
+    How exact a map is in itself does not depend on the frame that it is given in: of poses of which only the first is
+    fixed, the others are the less certain the farther away they are, together. An S-transformation takes out what all
+    poses have in common ([Baarda 1973]).
+
+    Args:
+        covariance: (n, 3, 3) what `covariances` returns.
+        graph: the graph.
+        found: its solution.
+    """
+    apart, n = found.poses[:, :2] - found.poses[:, :2].mean(axis=0), len(graph)
+    common = np.zeros((n, 3, 4))  # how poses move with the map: along x, along y, turned, larger
+    common[:, 0, 0] = common[:, 1, 1] = common[:, 2, 2] = 1
+    common[:, 0, 2], common[:, 1, 2] = -apart[:, 1], apart[:, 0]
+    common[:, :2, 3] = apart
+    fitted = common * [[1], [1], [0]]  # the best motion is that of the positions
+    inverse = np.linalg.inv(np.einsum("nij,nik->jk", fitted, common))
+    factors = _factors(_System(graph, _State.at(found)).normal(0.0))
+    known = np.zeros((factors.shape[0], 4))
+    known[: 3 * n] = fitted.reshape(-1, 4)
+    with_all = factors.solve(known)[: 3 * n].reshape(n, 3, 4) @ inverse.T
+    of_common = inverse @ np.einsum("nij,nik->jk", fitted, with_all)
+    cross = with_all @ common.swapaxes(1, 2)
+    whole = covariance - cross - cross.swapaxes(1, 2) + common @ of_common @ common.swapaxes(1, 2)
+    return whole, float(np.sqrt(of_common[3, 3]))
 
 
 @dataclass(frozen=True, eq=False)
@@ -150,6 +178,10 @@ class _State:
     def of(cls, graph: PoseGraph, start: Array) -> _State:
         drives = int(graph.drive.max()) + 1
         return cls(np.array(start, dtype=np.float64), 0.0, np.zeros(drives), np.zeros(drives))
+
+    @classmethod
+    def at(cls, found: Solution) -> _State:
+        return cls(found.poses, float(np.log(found.scale)), np.log(found.wheel_scale), found.gyro_bias)
 
     def moved(self, step: Array) -> _State:
         poses, scale, wheels, bias = np.split(step, np.cumsum([self.poses.size, 1, len(self.wheel_scale)]))

@@ -21,7 +21,7 @@ from siamloc.data.moves import relative, wrapped
 from siamloc.errors import ConfigError, DataError
 from siamloc.maps.describing import build, descriptor_from
 from siamloc.maps.loops import Loops, Reason, candidates, judged
-from siamloc.maps.pose_graph import Array, Edges, PoseGraph, Solution, covariances, solve
+from siamloc.maps.pose_graph import Array, Edges, PoseGraph, Solution, covariances, of_shape, solve
 from siamloc.maps.reranking import scaled
 from siamloc.maps.survey_start import anchored, brought_together, check_anchors
 from siamloc.maps.survey_steps import (
@@ -68,8 +68,10 @@ class Survey:
     """Surveyed frames (n) and what they follow from.
 
     Attributes:
-        frames: the frames with the surveyed x, y and theta.
-        covariance: (n, 3, 3) covariance of x, y and theta, given the poses of the anchors, or of the first frame.
+        frames: the frames with the surveyed x, y and theta, and their deviations.
+        covariance: (n, 3, 3) covariance of x, y and theta given the poses of the anchors; without them after the best
+            rigid motion and scale.
+        scale_deviation: standard deviation of the scale, as a share; 0 if anchors fix it.
         loops: all loops that were considered, with the reason why each is used or not; rows count in `frames`.
         steps: compared frames that follow each other.
         odometry: (n, 3) the odometry that was used, each drive from its own first frame; NaN where there is none.
@@ -82,6 +84,7 @@ class Survey:
 
     frames: FrameTable
     covariance: Array
+    scale_deviation: float
     loops: Loops
     steps: Edges
     odometry: Array
@@ -93,11 +96,6 @@ class Survey:
     def __repr__(self) -> str:
         return f"Survey({self.summary()})"
 
-    @property
-    def deviation(self) -> Array:
-        """Standard deviation of each position (n,): the root of the mean variance of x and y."""
-        return np.asarray(np.sqrt((self.covariance[:, 0, 0] + self.covariance[:, 1, 1]) / 2))
-
     def summary(self) -> str:
         """Say in a line how many frames were surveyed, by how many loops, and what fixes their scale."""
         way = sum(
@@ -106,26 +104,29 @@ class Survey:
         )
         counts = self.loops.counts()
         refused = sum(counts.values()) - counts["accepted"]
+        within = f" within {self.scale_deviation:.1%}" if self.scale_deviation else ""
+        typical = np.median(self.frames.deviation)
         return (
             f"{len(self.frames)} frames along {way:.1f} m; loops: {counts['accepted']} used, {refused} refused; the "
-            f"scale follows from the {self.fixed_by}, typical deviation {np.median(self.deviation):.2f} m"
+            f"scale follows from the {self.fixed_by}{within}, typical deviation {typical:.2f} m"
         )
 
     def report(self) -> dict[str, Any]:
         """Return figures as plain values: frames, loops by reason, scales, biases, residuals and notes."""
         found = relative(self.solution.poses, self.steps.first, self.steps.second)
         off = found[:, :2] * self.solution.scale - self.steps.pose[:, :2]
-        residual = np.hypot(off[:, 0], off[:, 1])
+        residual, deviation = np.hypot(off[:, 0], off[:, 1]), self.frames.deviation
         drives = [name or "(unnamed)" for name in self.frames.rows_by("sequence")]
         wheels = zip(drives, self.solution.wheel_scale.tolist(), self.solution.gyro_bias.tolist(), strict=True)
         return {
             "frames": len(self.frames),
             "drives": drives,
             "scale_from": self.fixed_by,
+            "scale_deviation": self.scale_deviation,
             "loops": self.loops.counts(),
             "steps": len(self.steps),
             "residual_of_steps": {"median": float(np.median(residual)), "p95": float(np.quantile(residual, 0.95))},
-            "deviation": {"median": float(np.median(self.deviation)), "largest": float(self.deviation.max())},
+            "deviation": {"median": float(np.median(deviation)), "largest": float(deviation.max())},
             "length_of_comparisons": self.solution.scale,
             "odometry": {name: {"length": length, "gyro_bias": bias} for name, length, bias in wheels},
             "notes": list(self.notes),
@@ -213,9 +214,29 @@ def survey(
         notes.append(f"loops {found}: drift is not undone; a drive that visits places again has loops")
     by = "anchors" if len(fixed) > 1 else "odometry" if np.isfinite(moved).any() else "pictures"
     x, y, theta = solution.poses.T
-    surveyed = replace(frames.with_columns(x=x, y=y, theta=wrapped(theta)), unit="m")
-    own = from_own_start(wheels, drive)
-    return Survey(surveyed, covariances(graph, solution), loops, steps, own, drive, solution, by, tuple(notes))
+    covariance, scale_deviation = covariances(graph, solution), 0.0
+    if by != "anchors":
+        covariance, scale_deviation = of_shape(covariance, graph, solution)
+    variances = np.einsum("nii->ni", covariance)
+    surveyed = frames.with_columns(
+        x=x,
+        y=y,
+        theta=wrapped(theta),
+        deviation=np.sqrt(variances[:, :2].mean(axis=1)),  # the root of the mean variance of x and y
+        theta_deviation=np.sqrt(variances[:, 2]),
+    )
+    return Survey(
+        replace(surveyed, unit="m"),
+        covariance,
+        scale_deviation,
+        loops,
+        steps,
+        from_own_start(wheels, drive),
+        drive,
+        solution,
+        by,
+        tuple(notes),
+    )
 
 
 def _check_lengths(frames: FrameTable) -> None:

@@ -23,6 +23,8 @@ class Origins:
         room: (N,) whole numbers, different across buildings; negative if unknown.
         frame: (N,) whole numbers: a frame that is drawn twice has the same number.
         theta: (N,) headings in rad, NaN if unknown; None if not needed.
+        deviation: (N, 2) standard deviations of each coordinate of the positions, in their unit, and of the headings,
+            in rad; None if positions and headings are exact. They count as independent from frame to frame.
         overlap: (N, N) share of the surfaces that two images have in common, from 0 to 1: 0 between buildings, NaN
             where unknown; None if it is unknown for all images.
     """
@@ -33,10 +35,18 @@ class Origins:
     frame: Tensor
     theta: Tensor | None = None
     overlap: Tensor | None = None
+    deviation: Tensor | None = None
 
     def distances(self) -> Tensor:
-        """Return the distances between images (N, N): infinite between buildings, NaN where a position is unknown."""
+        """Return the distances between images (N, N): infinite between buildings, NaN where a position is unknown.
+
+        Of positions with deviations, they are the roots of the mean squared distances: two frames at one point, each of
+        them give or take 10 cm along x and along y, are 20 cm apart.
+        """
         apart = torch.linalg.vector_norm(self.xy[:, None] - self.xy[None], dim=2)
+        if self.deviation is not None:
+            variance, other = self.deviation[:, 0].square(), self.frame[:, None] != self.frame
+            apart = (apart.square() + 2 * other * (variance[:, None] + variance)).sqrt()
         return torch.where(self.building[:, None] == self.building[None], apart, math.inf)
 
     def apart(self) -> Tensor:

@@ -20,6 +20,7 @@ from siamloc.models.relative import relative_loss
 BatchLoss = Callable[[Tensor, Origins], Tensor]
 
 _KEYS = ("images", "xy", "building", "room", "frame")
+_FURTHER = ("theta", "overlap", "deviation")
 
 
 class PlaceModule(NetworkModule):
@@ -29,7 +30,8 @@ class PlaceModule(NetworkModule):
     `Origins`: `xy` (N, 2), positions in a unit such as metres; and `building`, `room` and `frame` (N,), whole numbers.
     A network built with relative=True also learns the displacement and turn between two images, from the same
     features and without changing them; then the batch also has `theta` (N,), headings in rad. A batch may
-    have `overlap` (N, N), the visual overlap of its images, which `SoftContrastiveLoss(kernel="overlap")` needs. A
+    have `deviation` (N, 2), of positions and headings; and `overlap` (N, N), the visual overlap of its images, which
+    `SoftContrastiveLoss(kernel="overlap")` needs. A
     validation batch also has `known` (N,) bool: True for map frames, False for the queries that are searched among
     them.
 
@@ -138,7 +140,8 @@ class PlaceModule(NetworkModule):
         def gathered(value: Tensor, grads: bool = False) -> Tensor:
             return self.all_gather(value, sync_grads=grads).flatten(0, 1)  # type: ignore[union-attr]
 
-        fields = {name: gathered(getattr(origins, name)) for name in _KEYS[1:]}
+        names = [*_KEYS[1:], *(["deviation"] if origins.deviation is not None else [])]
+        fields = {name: gathered(getattr(origins, name)) for name in names}
         if origins.overlap is not None:  # the processes have different buildings
             fields["overlap"] = torch.block_diag(*gathered(origins.overlap).split(len(descriptors)))
         return gathered(descriptors, grads=True), Origins(**fields)
@@ -146,4 +149,4 @@ class PlaceModule(NetworkModule):
 
 def _origins(batch: Mapping[str, Tensor]) -> Origins:
     required(batch, _KEYS, "places")
-    return Origins(**{key: batch[key] for key in _KEYS[1:]}, theta=batch.get("theta"), overlap=batch.get("overlap"))
+    return Origins(**{key: batch[key] for key in (*_KEYS[1:], *_FURTHER) if key in batch})

@@ -216,8 +216,9 @@ def relative_loss(
     The loss is the negative log likelihood: of a t-distribution for the pose, which a few large errors do not dominate,
     and of whether the images can be compared, that is, were taken within reach of each other, have a visual overlap of
     `SHARED` or more where it is known, and are turned alike: by their correlation, or, if the columns are not a full
-    turn, by their headings. The error is NaN if no two images can
-    be compared.
+    turn, by their headings. Where poses have deviations, their variance is added to that of the estimate: uncertain
+    poses teach less, and the network does not take their errors for its own. The error is NaN if no two images can be
+    compared.
 
     Args:
         relative: the module that compares orientation parts.
@@ -244,15 +245,37 @@ def relative_loss(
         steps = relative.steps(orientation[query], orientation[known])
         near &= (_wrap(turn + steps * column) / column).abs() <= (_ALIGNED if relative.circular else _AHEAD / column)
     found = (compare or relative)(orientation[query], orientation[known], steps)
+    information = found.information
+    if origins.deviation is not None:
+        information = _blurred(information, ahead, left, *(origins.deviation[one].square() for one in (query, known)))
     error = torch.stack([ahead, left, turn], dim=1) - found.pose
     error = torch.cat([error[:, :2], _wrap(error[:, 2:])], dim=1)
-    squared = (error[:, None] @ found.information @ error[..., None])[:, 0, 0]
-    pose = 0.5 * (FREEDOM + 3) * torch.log1p(squared / FREEDOM) - 0.5 * torch.logdet(found.information)
+    squared = (error[:, None] @ information @ error[..., None])[:, 0, 0]
+    pose = 0.5 * (FREEDOM + 3) * torch.log1p(squared / FREEDOM) - 0.5 * torch.logdet(information)
     count = near.sum()
     weight, target = (each.to(found.match.dtype) for each in (counts, near))
     match = F.binary_cross_entropy_with_logits(found.match, target, weight, reduction="sum")
     off_by = torch.linalg.vector_norm(error[:, :2].detach(), dim=1)
     return (pose * near).sum() / count.clamp(min=1) + match / counts.sum().clamp(min=1), (off_by * near).sum() / count
+
+
+def _blurred(information: Tensor, ahead: Tensor, left: Tensor, query: Tensor, known: Tensor) -> Tensor:
+    """Return the information (P, 3, 3) about errors of estimates against poses that are themselves uncertain.
+
+    Args:
+        information: inverse of the scale matrix of the estimated poses.
+        ahead: true displacements (P,), as seen from the map frames.
+        left: likewise.
+        query: variances of each coordinate of the queries' positions, and of their headings (P, 2).
+        known: those of the map frames (P, 2).
+    """
+    position = query[:, 0] + known[:, 0]
+    turned = torch.stack([left, -ahead, -torch.ones_like(left)], dim=1)  # derivative by the map frame's heading
+    covariance = torch.diag_embed(torch.stack([position, position, query[:, 1]], dim=1))
+    covariance = covariance + known[:, 1, None, None] * turned[:, :, None] * turned[:, None]
+    scale = covariance * ((FREEDOM - 2) / FREEDOM)
+    both = torch.linalg.solve(torch.eye(3, device=scale.device) + information @ scale, information)
+    return (both + both.mT) / 2
 
 
 def _wrap(angle: Tensor) -> Tensor:

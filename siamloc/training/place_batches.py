@@ -13,7 +13,7 @@ from torch import Tensor
 from torch.utils.data import DataLoader, Dataset
 
 from foundation.calls import typed
-from siamloc.data.frames import FrameTable, concatenate
+from siamloc.data.frames import DEVIATIONS, FrameTable, concatenate
 from siamloc.data.library import PanoramaLibrary
 from siamloc.data.places import PlaceSampler, PlaceSettings, places_of
 from siamloc.training.batches import BatchAugmentation, DriveBatches, EpochDataModule, Panoramas
@@ -26,7 +26,8 @@ class PlaceBatches(Dataset[dict[str, Any]]):
     """The batches of places of every epoch: item (epoch, i) is a whole batch.
 
     Each item is a dictionary: `images` (N, 3, H, W) uint8, or `rows` (N,) as in `Panoramas.of`; `xy` (N, 2) float32;
-    `building`, `room` and `frame` (N,), whole numbers; and `theta` (N,) float32, in rad.
+    `building`, `room` and `frame` (N,), whole numbers; `theta` (N,) float32, in rad; and `deviation` (N, 2) float32 if
+    any frame has one.
 
     Attributes:
         panoramas: gives the images of the sampler's frames, or their numbers on the device.
@@ -155,12 +156,14 @@ def origins_of(*tables: FrameTable, by: str = "position", rooms: Sequence[str] =
     for one in range(building.max() + 1):  # single precision resolves decimetres only near the origin
         if (known & (building == one)).any():
             xy[building == one] -= xy[known & (building == one)].mean(axis=0)
+    deviation = np.nan_to_num(np.column_stack([getattr(frames, name) for name in DEVIATIONS]))
     return {
         "xy": torch.from_numpy(xy).float(),
         "building": torch.from_numpy(building),
         "room": torch.from_numpy(room),
         "frame": torch.arange(len(room)),
         "theta": torch.from_numpy(frames.theta.astype(np.float32)),
+        **({"deviation": torch.from_numpy(deviation).float()} if by == "position" and deviation.any() else {}),
     }
 
 

@@ -121,6 +121,7 @@ numbers = st.one_of(st.just(math.nan), st.floats(allow_nan=False, allow_infinity
 positions = st.one_of(st.just(math.nan), st.floats(-1e7, 1e7))
 rows = st.fixed_dictionaries(
     dict.fromkeys(("x", "y", "odom_x", "odom_y", "odom_theta"), positions)
+    | dict.fromkeys(("deviation", "theta_deviation"), positions.map(abs))
     | dict.fromkeys(("theta", "time"), numbers)
     | dict.fromkeys(("room", "sequence", "lighting", "building"), labels)
 )

@@ -75,6 +75,17 @@ def test_distance_labels_follow_the_thesis_example():
     assert labels[frozenset((3, 4))] == 1
 
 
+def test_labels_of_uncertain_positions_fade():
+    frames = FrameTable(path=["a", "b", "c"], x=[0, 1, 4], y=[0, 0, 0], deviation=[0.5, np.nan, 0.1])
+    pairs = PairSampler(frames, PairSettings(label="distance", epoch_pairs=200), seed=0).epoch(0)
+    for one, other, apart, variance in ((0, 1, 1.0, 0.25), (0, 2, 4.0, 0.26), (1, 2, 3.0, 0.01)):
+        rows = (np.minimum(pairs.first, pairs.second) == one) & (np.maximum(pairs.first, pairs.second) == other)
+        assert rows.any()
+        np.testing.assert_allclose(pairs.label[rows], min(np.sqrt(apart**2 + 2 * variance) / 4, 1), rtol=1e-6)
+    with pytest.raises(DataError, match="'deviation' holds standard deviations, from 0 up, got -1"):
+        FrameTable(path=["a"], deviation=[-1])
+
+
 def test_scale_is_the_largest_same_room_distance_of_all_pairs():
     frames = table(["A"] * 30 + ["B"] * 20 + ["C"])
     slow = max(

@@ -17,6 +17,7 @@ from siamloc.maps.pose_graph import (
     Edges,
     PoseGraph,
     covariances,
+    of_shape,
     solve,
 )
 
@@ -131,3 +132,28 @@ def test_covariances_are_the_inverse_of_the_curvature():
         part = slice(3 * frame - 3, 3 * frame)
         np.testing.assert_allclose(made[frame], expected[part, part], rtol=0.02, atol=1e-6)
     assert np.abs(made[0]).max() < 1e-6
+    # After the best motion and scale: of draws with small errors, aligned one by one.
+    shape, scale = of_shape(made, graph, found)
+    drawn = 0.01 * np.random.default_rng(0).multivariate_normal(np.zeros(n), expected, 20_000)[:, :15]
+    poses = true + np.concatenate([np.zeros((20_000, 1, 3)), drawn.reshape(-1, 5, 3)], axis=1)
+    given, wanted = (one[..., 0] + 1j * one[..., 1] for one in (poses, true))
+    given -= given.mean(axis=1, keepdims=True)
+    wanted -= wanted.mean()
+    turn = (given.conj() @ wanted) / np.square(np.abs(given)).sum(axis=1)  # and scale, as a complex number
+    apart = turn[:, None] * given - wanted
+    errors = np.stack([apart.real, apart.imag, poses[..., 2] + np.angle(turn)[:, None] - true[:, 2]], axis=2)
+    np.testing.assert_allclose(np.square(errors).mean(axis=0), 1e-4 * np.einsum("nii->ni", shape), rtol=0.05)
+    assert np.std(np.abs(turn)) == pytest.approx(0.01 * scale, rel=0.05)
+
+
+def test_the_shape_is_as_exact_whichever_pose_is_given():
+    rng = np.random.default_rng(3)
+    true = loop_drive(1, 8)
+    graph = graph_of(true, rng, (0.02, 0.01), apart=5)
+    found = solve(graph, true)
+    made = []
+    for given in (0, 5):
+        fixed = replace(graph, fixed=np.array([given]))
+        made.append(of_shape(covariances(fixed, found), fixed, found))
+    np.testing.assert_allclose(made[0][0], made[1][0], rtol=1e-4, atol=1e-9)
+    assert made[0][1] == pytest.approx(made[1][1], rel=1e-4)

@@ -122,6 +122,9 @@ def test_loops_undo_the_drift_of_odometry(surveyed):
     assert before > 0.2
     assert off(found, true) < 0.06  # 2 % of the 3 m from the middle, which only anchors would tell
     assert off(found, true, scaled=True) < 0.03
+    expected = np.sqrt(np.pi / 2) * np.median(found.frames.deviation)  # the mean of a Rayleigh distribution
+    assert 0.3 < off(found, true, scaled=True) / expected < 1.5
+    assert 0.01 < found.scale_deviation < 0.03  # wheels are expected to be off by 3 %
     turns = wrapped(found.frames.theta - true[:, 2])
     assert np.degrees(np.abs(wrapped(turns - turns[0]))).mean() < 2
     assert found.fixed_by == "odometry"

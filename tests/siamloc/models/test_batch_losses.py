@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+from dataclasses import replace
 
 import pytest
 import torch
@@ -59,6 +60,28 @@ def test_agrees_with_a_loop_over_pairs(images, dimensions, temperature, sigma, k
     expected = soft_contrastive_loss(*given, **parameters, **more)
     # float32 against float64: similarities up to 1 / 0.05 are rounded at 1e-6 of their size.
     assert loss.item() == pytest.approx(expected, rel=1e-4, abs=1e-5)
+
+
+def test_distances_of_uncertain_positions_are_those_of_their_mean_squares():
+    xy, deviation = (
+        torch.tensor([[0.0, 0.0], [0.3, 0.4], [0.0, 0.0]]),
+        torch.tensor([[0.1, 1.0], [0.2, 1.0], [0.1, 1.0]]),
+    )
+    number = torch.tensor([0, 1, 0])
+    found = Origins(xy, torch.zeros(3), torch.zeros(3), number, deviation=deviation).distances()
+    noise = torch.randn(200_000, 2, 2, generator=torch.Generator().manual_seed(0)) * deviation[:2, :1]
+    apart = xy[0] + noise[:, 0] - xy[1] - noise[:, 1]
+    assert float(found[0, 1]) == pytest.approx(float(apart.square().sum(dim=1).mean().sqrt()), rel=2e-3)
+    assert found[0, 2] == found[0, 0] == 0, "one frame has one error"
+    loss = SoftContrastiveLoss(kernel="exponential", sigma=0.2)
+    alike = torch.nn.functional.normalize(torch.tensor([[1.0, 0.1], [1.0, 0.0], [0.0, 1.0]]))
+    origins = Origins(torch.tensor([[0.0, 0], [0.1, 0], [0.3, 0]]), torch.zeros(3), torch.zeros(3), torch.arange(3))
+    pulls = []
+    for each in (0.0, 0.3):
+        given = alike.clone().requires_grad_()
+        loss(given, replace(origins, deviation=torch.tensor([[0.0, 0.0], [each, 0.0], [0.0, 0.0]]))).backward()
+        pulls.append(given.grad)
+    assert pulls[1][0] @ alike[2] < pulls[0][0] @ alike[2], "the certain neighbour pulls more beside an uncertain one"
 
 
 def test_the_overlap_takes_the_place_of_the_distance():

@@ -159,14 +159,32 @@ def loss_of_a_list(relative: RelativePose, orientation: Tensor, where: Origins, 
         if near:
             error = torch.stack([cosine * x + sine * y, cosine * y - sine * x, turn]) - found.pose[0]
             error = torch.cat([error[:2], torch.remainder(error[2:] + math.pi, 2 * math.pi) - math.pi])
-            squared = error @ found.information[0] @ error
-            poses.append(0.5 * (FREEDOM + 3) * (1 + squared / FREEDOM).log() - 0.5 * found.information[0].logdet())
+            information = found.information[0]
+            if where.deviation is not None:  # by the derivatives of the true pose, and matching covariances of errors
+                given = torch.cat([where.xy[i], where.theta[i : i + 1], where.xy[j], where.theta[j : j + 1]])
+                slopes = torch.autograd.functional.jacobian(seen_from, given)
+                variances = where.deviation[[i, i, i, j, j, j], [0, 0, 1, 0, 0, 1]].square()
+                blur = slopes @ torch.diag(variances) @ slopes.T * (FREEDOM - 2) / FREEDOM
+                information = (information.inverse() + blur).inverse()
+            squared = error @ information @ error
+            poses.append(0.5 * (FREEDOM + 3) * (1 + squared / FREEDOM).log() - 0.5 * information.logdet())
     return torch.stack(poses).mean() + torch.stack(matches).mean()
 
 
-@pytest.mark.parametrize(("count", "circular"), [(3, True), (16, True), (16, False)])
-def test_pairs_that_do_not_count_change_neither_the_loss_nor_its_gradients(network, ahead, count, circular):
+def seen_from(given: Tensor) -> Tensor:
+    """Return the pose of a query as seen from a map frame: both poses in a row (6,)."""
+    apart, cosine, sine = given[:2] - given[3:5], given[5].cos(), given[5].sin()
+    ahead, left = cosine * apart[0] + sine * apart[1], cosine * apart[1] - sine * apart[0]
+    return torch.stack([ahead, left, given[2] - given[5]])
+
+
+@pytest.mark.parametrize(
+    ("count", "circular", "surveyed"), [(3, True, False), (16, True, False), (16, False, False), (16, True, True)]
+)
+def test_pairs_that_do_not_count_change_neither_the_loss_nor_its_gradients(network, ahead, count, circular, surveyed):
     where = origins(count)
+    if surveyed:
+        where = replace(where, deviation=torch.rand(count, 2, generator=torch.Generator().manual_seed(1)) * 0.3)
     network = network if circular else ahead
     if count > 3:
         where.theta[3], where.xy[5], where.xy[6, 1] = math.nan, math.nan, math.inf

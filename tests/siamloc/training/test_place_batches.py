@@ -260,6 +260,16 @@ def test_positions_far_from_the_origin_keep_their_distances():
     assert torch.allclose(torch.cdist(xy, xy)[0, 1:], 2**0.5 * torch.tensor([0.2, 0.4]), atol=1e-3)
 
 
+def test_surveyed_poses_say_how_uncertain_they_are(images):
+    frames = images.frames.with_columns(deviation=0.05 + 0.01 * np.arange(len(images.frames)))
+    sampler = PlaceSampler(frames, PlaceSettings(places=3, images=2), seed=2)
+    item = PlaceBatches(Panoramas(images, frames), sampler)[0, 0]
+    rows = sampler.batch(0, 0)
+    assert np.allclose(item["deviation"].numpy(), np.column_stack([frames.deviation[rows], np.zeros(6)]))
+    assert "deviation" not in origins_of(frames, by="sequence")
+    assert "deviation" not in origins_of(images.frames)
+
+
 def test_queries_found_in_another_building_are_far_off():
     figures, xy = DriveFigures(), torch.tensor([[0.0, 0], [1, 0], [0, 0], [1, 0]])
     known, building = torch.tensor([True, True, False, False]), torch.tensor([0, 1, 0, 0])
