@@ -12,10 +12,14 @@ from numpy.typing import NDArray
 from foundation.columns import Rows
 from siamloc.data.moves import composed, relative, wrapped
 from siamloc.maps.pose_graph import Array
+from siamloc.maps.refinement import FREEDOM
 
 _NEIGHBOURHOOD = 3  # frames on either side within which loops must agree
 _AGREE = 2  # number of other loops that must agree with a loop
 _OFF, _OFF_SHARE, _TURNED = 0.25, 0.15, np.radians(8)  # by how much, in metres, in shares of the displacement, in rad
+_CONTRADICTED = 0.15  # weight below which a loop is refused
+_CONFIRMED = 0.5  # weight from which on a refused loop is accepted
+_CLOSER = 0.75  # a solution follows from many measurements, so it agrees more closely than two loops: times this
 _PAIRS = 1 << 20  # compared at once
 
 Pairs = Callable[[NDArray[np.int64], NDArray[np.int64]], tuple[Array, Array, Array]]
@@ -121,11 +125,7 @@ def agreeing(loops: Loops, poses: Array, drive: NDArray[np.int64]) -> NDArray[np
         one, other = pairs[begin : begin + _PAIRS].T
         there = relative(poses, loops.first[other], loops.first[one])
         back = relative(poses, loops.second[one], loops.second[other])
-        error = composed(composed(there, loops.pose[one]), back) - loops.pose[other]
-        length = np.hypot(loops.pose[other, 0], loops.pose[other, 1])
-        agrees = (np.hypot(error[:, 0], error[:, 1]) < _OFF + _OFF_SHARE * length) & (
-            np.abs(wrapped(error[:, 2])) < _TURNED
-        )
+        agrees = _alike(composed(composed(there, loops.pose[one]), back), loops.pose[other])
         for rows in (one, other):
             counts += np.bincount(rows[agrees], minlength=len(loops))
     return counts
@@ -157,3 +157,28 @@ def judged(
     reason[alike] = Reason.ALONE
     reason[alike[counts >= _AGREE]] = Reason.ACCEPTED
     return loops
+
+
+def judged_again(loops: Loops, found: Array) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    """Return which accepted loops a solution contradicts (p,), and which refused ones it confirms (p,).
+
+    An accepted loop is contradicted if it weighs next to nothing, and also if it is far off: a loop that is wrong, but
+    says itself how uncertain it is, would keep some weight.
+
+    Args:
+        loops: loops with the reasons so far; images that are not alike stay refused.
+        found: what the solution says about the poses of the second frames, as seen from the first (p, 3).
+    """
+    error = found - loops.pose
+    error[:, 2] = wrapped(error[:, 2])
+    weight = 1 / (1 + np.einsum("pi,pij,pj->p", error, loops.information, error) / FREEDOM)
+    alike = _alike(found, loops.pose, _CLOSER)
+    refused = (loops.reason == Reason.ALONE) | (loops.reason == Reason.CONTRADICTED)
+    return loops.accepted & ((weight < _CONTRADICTED) | ~alike), refused & alike & (weight > _CONFIRMED)
+
+
+def _alike(found: Array, pose: Array, tolerance: float = 1.0) -> NDArray[np.bool_]:
+    """Return which of some relative poses (p, 3) agree with those of loops (p, 3)."""
+    error, length = found - pose, np.hypot(pose[:, 0], pose[:, 1])
+    near = np.hypot(error[:, 0], error[:, 1]) < tolerance * (_OFF + _OFF_SHARE * length)
+    return np.asarray(near & (np.abs(wrapped(error[:, 2])) < _TURNED))

@@ -20,7 +20,7 @@ from siamloc.data.frames import ODOMETRY, FrameTable
 from siamloc.data.moves import relative, wrapped
 from siamloc.errors import ConfigError, DataError
 from siamloc.maps.describing import build, descriptor_from
-from siamloc.maps.loops import Loops, Reason, candidates, judged
+from siamloc.maps.loops import Loops, Reason, candidates, judged, judged_again
 from siamloc.maps.pose_graph import Array, Edges, PoseGraph, Solution, covariances, of_shape, solve
 from siamloc.maps.reranking import scaled
 from siamloc.maps.survey_start import anchored, brought_together, check_anchors
@@ -41,7 +41,6 @@ if TYPE_CHECKING:
     from analytic import Descriptor
     from siamloc.data.library import PanoramaLibrary
 
-_CONTRADICTED = 0.15  # weight below which a loop is refused
 _FEWEST = 10  # frames of a drive
 _LEAST_WAY = 1.0  # metres of a drive
 _ROUGHLY = 1e6  # degrees of freedom with which no measurement is weighted down
@@ -259,8 +258,11 @@ def _check_ways(start: Array, drive: NDArray[np.int64], names: list[str]) -> Non
 
 
 def _solved(graph: PoseGraph, loops: Loops, start: Array) -> tuple[PoseGraph, Solution, Loops]:
-    """Solve the graph with the accepted loops, refuse those that it contradicts, and solve again until none is left."""
-    reason, steps, starts = loops.reason.copy(), graph.pictures, [start]
+    """Solve the graph with the accepted loops, judge all of them again, and solve until nothing changes.
+
+    A refused loop is accepted once at most, after all contradicted ones are out.
+    """
+    reason, steps, starts, may_return = loops.reason.copy(), graph.pictures, [start], True
     while True:
         used = np.flatnonzero(reason == Reason.ACCEPTED)
         edges = Edges(loops.first[used], loops.second[used], loops.pose[used], loops.information[used])
@@ -270,8 +272,12 @@ def _solved(graph: PoseGraph, loops: Loops, start: Array) -> tuple[PoseGraph, So
         solution = min((solve(graph, one) for one in starts), key=lambda one: one.cost)
         weight = np.zeros(len(loops))
         weight[used] = solution.weight[len(steps) :]
-        wrong = used[weight[used] < _CONTRADICTED]
-        if not len(wrong):
-            return graph, solution, replace(loops, reason=reason, weight=weight)
-        reason[wrong] = Reason.CONTRADICTED
-        starts = [solution.poses]
+        loops, starts = replace(loops, reason=reason.copy(), weight=weight), [solution.poses]
+        seen = relative(solution.poses, loops.first, loops.second) * [solution.scale, solution.scale, 1]
+        contradicted, confirmed = judged_again(loops, seen)
+        if contradicted.any():
+            reason[contradicted] = Reason.CONTRADICTED
+        elif may_return and confirmed.any():
+            reason[confirmed], may_return = Reason.ACCEPTED, False
+        else:
+            return graph, solution, loops

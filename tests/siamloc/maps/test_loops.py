@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from siamloc.data.moves import relative
-from siamloc.maps.loops import Loops, Reason, agreeing, candidates, judged
+from siamloc.maps.loops import Loops, Reason, agreeing, candidates, judged, judged_again
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -89,3 +89,20 @@ def test_each_loop_has_its_reason():
     assert loops.counts() == {"accepted": 6, "unlike": 1, "alone": 1, "contradicted": 0}
     assert loops.accepted.sum() == 6
     assert judged(first[:0], second[:0], compare, poses, np.zeros(40, np.int64), 2.0).counts()["accepted"] == 0
+
+
+def test_a_solution_judges_loops_again():
+    poses, n = two_rounds(), 6
+    loops = loops_of(poses, np.arange(n), np.arange(n) + 20)
+    found = loops.pose.copy()
+    loops.reason[:] = Reason.ACCEPTED
+    loops.reason[3:] = [Reason.ALONE, Reason.CONTRADICTED, Reason.UNLIKE]
+    loops.pose[1, 0] += 0.5  # far off, whatever weight its uncertainty leaves
+    loops.pose[2, 2] += np.pi * 2 + 0.05
+    loops.information[2] *= 40_000  # near, but certain of something else
+    contradicted, confirmed = judged_again(loops, found)
+    assert np.flatnonzero(contradicted).tolist() == [1, 2]
+    assert np.flatnonzero(confirmed).tolist() == [3, 4]
+    loops.pose[3, 0] += 0.5
+    loops.pose[4, 2] += 0.2
+    assert not judged_again(loops, found)[1].any()
