@@ -18,7 +18,9 @@ _NUMBER = r"[-+]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][-+]?[0-9]+)?"
 _NAME = re.compile(
     rf"t(?P<time>{_NUMBER})_x(?P<x>{_NUMBER})_y(?P<y>{_NUMBER})_a(?P<theta>{_NUMBER})\.(?:jpe?g|png)", re.IGNORECASE
 )
-_SEQUENCE = re.compile(rf"(?:(?P<place>.+?)[_-])?(?P<run>seq_?[0-9]+[_-]?(?:{'|'.join(LIGHTINGS)})[0-9]*)")
+_SEQUENCE = re.compile(
+    rf"(?:(?P<place>.+?)[_-])?(?P<run>seq_?[0-9]+[_-]?(?:{'|'.join(LIGHTINGS)})[0-9]*(?:_month[0-9]+)?)"
+)
 _PART = re.compile(r"(?:(?P<building>.+?)[_-])?part[_-]?(?P<part>[a-z])")
 _SHORT_PART = re.compile(r"(?P<building>.+)[_-](?P<part>[ab])")
 
@@ -69,7 +71,8 @@ def name_sequence(folder: Path, label: str, rooms: Sequence[str]) -> SequenceNam
 
     The folder may be named `freiburg/part_a/seq2_cloudy3`, `cold-freiburg_part_a_seq2_cloudy3`,
     `cold-freiburg_part_a/seq2_cloudy3`, `freiburg_seq2_cloudy3` or `freiburg_a_seq2_cloudy3`. If the folders do not
-    name the part, it follows from the room codes if all of them end in -A or all in -B.
+    name the part, it follows from the room codes if all of them end in -A or all in -B. The simulator adds the month of
+    a drive, as in `seq2_cloudy3_month6`.
 
     Args:
         folder: the sequence's folder; the folders above it may name building and part.

@@ -25,6 +25,7 @@ class Simulate(SimulateConfig, Job):
         path=halfway                the middles of the grid's squares: queries for such a map
         positions=11 headings=16    with these two: number of positions in each run, of frames at each of them
         hours=[9,15.5]              solar time of each run, 7 to 17 but for nights; also dims a cloudy sky
+        months=6                    drive again in each of six later months, which move and exchange furniture
         camera=omnidirectional      640 x 480; or panorama: 512 x 128, already unwrapped
         workers=2 seed=0
         preview=true                only a contact sheet and a floor plan
@@ -39,9 +40,8 @@ class Simulate(SimulateConfig, Job):
         summary = simulate(settings=self)
         for path in summary.files:
             say(f"picture: {path}")
-        for sequence, count in summary.sequences.items():
-            say(f"{sequence}: {count} frames")
+        for line in summary.lines():
+            say(line)
         if summary.sequences:
-            rate = f", {summary.rendered / summary.seconds:.1f} frames/s" if summary.rendered else ""
-            say(f"{summary.folder}: {summary.rendered} frames rendered in {summary.seconds:.0f} s{rate}")
+            say(f"{summary.folder}: {summary.rendered} frames rendered in {summary.seconds:.0f} s{summary.rate}")
         return summary

@@ -13,11 +13,11 @@ or, step by step, without files:
     panoramas = render(scene, scene.state.track.poses[:3])  # (3, 128, 512, 3) uint8
 
 The modules, from a building's YAML file to a panorama: `layout` (what a building consists of), `parse` (its file),
-`floor_plans`, `furnishing`, `route` and `buildings` (buildings by name or drawn), `plan` (free space), `trajectory`,
-`odometry` and `run` (one drive), `mesh`, `shell`, `furniture`, `things`, `items`, `textures`, `natural`, `prints` and
-`gloss` (what is visible), `sky` and `light` (light sources), `scene` (all of these), `camera` and `rendering` (images),
-`overlap` (what two images have in common), `views` (many images, quickly), and `produce` (the data set). Rendering
-needs the package embreex, installed by the extra "simulate".
+`floor_plans`, `furnishing`, `route` and `buildings` (buildings by name or drawn), `plan` (free space), `months` (what
+changes from month to month), `trajectory`, `odometry` and `run` (one drive), `mesh`, `shell`, `furniture`, `things`,
+`items`, `textures`, `natural`, `prints` and `gloss` (what is visible), `sky` and `light` (light sources), `scene` (all
+of these), `camera` and `rendering` (images), `overlap` (what two images, or months, have in common), `views` (many
+images, quickly), and `produce` (the data set). Rendering needs the package embreex, installed by the extra "simulate".
 """
 
 from siamloc.lazy import lazy

@@ -267,7 +267,7 @@ def furnish(room: Room, style: Rng, rng: Rng, density: float) -> list[Entry]:
         density: amount of furniture; 1 is the usual amount.
     """
     use = USES[room.cell.use]
-    common: Entry = {"wood": str(style.choice(_WOODS)), "colour": [round(float(v), 2) for v in _colour(style)]}
+    common = draw_common(style)
     for kind in use.needs.split():
         for _ in range(24):
             side = str(rng.choice(list(SIDES)))
@@ -303,6 +303,11 @@ def furnish(room: Room, style: Rng, rng: Rng, density: float) -> list[Entry]:
     return room.items
 
 
+def draw_common(rng: Rng) -> Entry:
+    """Draw what furniture that is bought together has in common: its wood and its linear colour."""
+    return {"wood": str(rng.choice(_WOODS)), "colour": [round(float(v), 2) for v in _colour(rng)]}
+
+
 def _colour(rng: Rng) -> tuple[float, ...]:
     """Draw a linear colour: often grey, rarely strong."""
     grey = rng.uniform(0.04, 0.7)
@@ -310,7 +315,8 @@ def _colour(rng: Rng) -> tuple[float, ...]:
     return tuple(np.clip(grey * tint / tint.mean(), 0.01, 0.9).tolist())
 
 
-def _sized(kind: str, rng: Rng) -> Size:
+def draw_size(kind: str, rng: Rng) -> Size:
+    """Draw the width, depth and height in metres of an item of a kind."""
     w, d, h = KINDS[kind].size
     scale = rng.uniform(0.85, 1.2, 3)
     if kind in ("chair", "visitor_chair", "person", "copier", "fridge", "vending_machine", "stall", "elevator"):
@@ -321,7 +327,7 @@ def _sized(kind: str, rng: Rng) -> Size:
     return float(w * scale[0]), float(d * scale[1]), float(h * scale[2])
 
 
-def _entry(kind: str, common: Entry, rng: Rng) -> Entry:
+def draw_entry(kind: str, common: Entry, rng: Rng) -> Entry:
     """Return the entry of an item, with the options that its kind supports."""
     entry: Entry = {"kind": kind}
     known = KINDS[kind].options
@@ -340,21 +346,21 @@ def _entry(kind: str, common: Entry, rng: Rng) -> Entry:
 
 def _along_a_wall(room: Room, kind: str, side: str, at: float, common: Entry, rng: Rng) -> bool:
     if kind in ("television_set", "television_wall"):
-        size = _sized("sideboard", rng)
+        size = draw_size("sideboard", rng)
         above = side, at, (1.1, 0.06, 0.65), size[2] + 0.25
         if kind == "television_wall" and not room.bare(*above):
             return False  # a television_set leaves the sideboard without a television
-        done = room.stand(side, at, size, _entry("sideboard", common, rng))
+        done = room.stand(side, at, size, draw_entry("sideboard", common, rng))
         return done and room.hang(*above, {"kind": "television"})
-    size = _sized(kind, rng)
+    size = draw_size(kind, rng)
     if kind == "column":
         size = (size[0], size[1], room.height - 0.06)
-    if not room.stand(side, at, size, _entry(kind, common, rng)):
+    if not room.stand(side, at, size, draw_entry(kind, common, rng)):
         return False
     if kind == "desk":
         wall = SIDES[side]
         x, y = wall.plan(at, wall.level(room) + wall.inwards * (size[1] + 0.35))
-        room.place(x, y, wall.facing + 180, _sized("chair", rng), _entry("chair", common, rng))
+        room.place(x, y, wall.facing + 180, draw_size("chair", rng), draw_entry("chair", common, rng))
     return True
 
 
@@ -374,14 +380,14 @@ def _in_the_middle(room: Room, kind: str, common: Entry, rng: Rng) -> None:
         inside = x0 + 0.75 < place[0] < x1 - 0.75 and y0 + 0.75 < place[1] < y1 - 0.75
         if not inside and name not in ("rug", "chair", "visitor_chair"):
             return False
-        return room.place(float(place[0]), float(place[1]), turn + facing, size, _entry(name, common, rng))
+        return room.place(float(place[0]), float(place[1]), turn + facing, size, draw_entry(name, common, rng))
 
     if kind == "desk_pair":
-        size = _sized("desk", rng)
+        size = draw_size("desk", rng)
         if put("desk", size[1] / 2 + 0.03, 0, 0, size):
-            put("chair", size[1] + 0.33, 0, 180, _sized("chair", rng))
+            put("chair", size[1] + 0.33, 0, 180, draw_size("chair", rng))
             if put("desk", -size[1] / 2 - 0.03, 0, 180, size):
-                put("chair", -size[1] - 0.33, 0, 0, _sized("chair", rng))
+                put("chair", -size[1] - 0.33, 0, 0, draw_size("chair", rng))
     elif kind in ("dining", "conference"):
         long = float(rng.uniform(1.1, 1.9) if kind == "dining" else rng.uniform(1.6, 3.2))
         deep = float(rng.uniform(0.7, 1.1))
@@ -394,8 +400,8 @@ def _in_the_middle(room: Room, kind: str, common: Entry, rng: Rng) -> None:
                         away, facing = sign * (deep / 2 + 0.2), 180 if sign > 0 else 0
                         put("visitor_chair", away, sideways, facing, KINDS["visitor_chair"].size)
     elif kind == "seating":
-        put("rug", 0, 0, 0, _sized("rug", rng))
-        if put("sofa", -0.9, 0, 0, _sized("sofa", rng)):
+        put("rug", 0, 0, 0, draw_size("rug", rng))
+        if put("sofa", -0.9, 0, 0, draw_size("sofa", rng)):
             put("table", 0.25, 0, 0, (0.9, 0.55, 0.42))
     elif kind == "benches":
         for line in range(int(rng.integers(2, 5))):
@@ -403,17 +409,17 @@ def _in_the_middle(room: Room, kind: str, common: Entry, rng: Rng) -> None:
                 put("table", 1.5 * line - 1.5, 1.7 * seat - 0.85, 0, (1.3, 0.5, 0.74))
                 put("visitor_chair", 1.5 * line - 2.0, 1.7 * seat - 0.85, 0, KINDS["visitor_chair"].size)
     elif kind == "stacks":
-        size = _sized("shelf", rng)
+        size = draw_size("shelf", rng)
         if put("shelf", 0.2, 0, 0, size):
             put("shelf", -0.2, 0, 180, size)
     elif kind == "plant_island":
         for sideways in (-0.35, 0.35):
-            put("plant", 0, sideways, 0, _sized("plant", rng))
+            put("plant", 0, sideways, 0, draw_size("plant", rng))
     elif kind == "column":
         wide = float(rng.uniform(0.3, 0.6))
         put("column", 0, 0, 0, (wide, wide, room.height - 0.06))
     else:
-        put(kind, 0, 0, 0, _sized(kind, rng))
+        put(kind, 0, 0, 0, draw_size(kind, rng))
 
 
 def _on_a_wall(room: Room, kind: str, side: str, at: float, rng: Rng) -> None:

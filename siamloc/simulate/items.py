@@ -326,15 +326,18 @@ KINDS: dict[str, Kind] = FURNITURE | {
 
 
 def add_items(builder: MeshBuilder, building: Building, items: Iterable[Item]) -> None:
-    """Add items to a mesh; an item's details depend on its position in the list and its look, not on the run.
+    """Add items to a mesh; an item's details depend on its number and its look, not on the run.
+
+    The number is that in its options, which it keeps through months, or else its position in the list.
 
     Raises:
         DataError: an item that is too small for its parts.
     """
-    for number, item in enumerate(items):
+    for position, item in enumerate(items):
+        number, look = (int(item.options.get(key, usual)) for key, usual in (("number", position), ("look", 0)))
         builder.room = building.room_index(item.room)
         with builder.at(item.x, item.y, item.z, item.facing - 90):
-            rng = seeded(building.seed, building.name, "item", number, int(item.options.get("look", 0)))
+            rng = seeded(building.seed, building.name, "item", number, look)
             try:
                 KINDS[item.kind].build(builder, item, rng, *item.size)
             except ValueError as error:  # a part would have to lie between two ends that cross

@@ -1,4 +1,4 @@
-"""Visual overlap: the share of the visible surfaces that two images have in common."""
+"""Visual overlap: the share of the visible surfaces that two images, or two months, have in common."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from siamloc.simulate.mesh import Caster, QuadMesh
 
 _LOWEST, _HIGHEST = np.sin(np.radians([PanoramaView.bottom, PanoramaView.top]))
 _LEAST = 0.05  # a shadow ray that can contribute less than this share of a ray is not cast
+_MOVED = 0.05  # metres by which the corners of a surface may differ before it counts as another one
 _FREE = np.float32(0.999)  # share of the way to a surface that must be free: the surface itself is no obstacle
 
 
@@ -52,13 +53,8 @@ def visual_overlap(
     [1.   0.62 0.13]
     """
     eyes, count = single(eyes), len(eyes)
-    sine = _LOWEST + (np.arange(rays) + 0.5) / rays * (_HIGHEST - _LOWEST)
     ahead = np.zeros((count, 1)) if headings is None else np.reshape(headings, (-1, 1))
-    turns = (1 + 5**0.5) / 2 * np.arange(rays)  # a spiral by the golden angle is even over the sphere
-    azimuth = ahead + field * ((turns + 0.5) % 1 - 0.5)
-    level = np.sqrt(1 - sine**2)
-    spiral = np.stack(np.broadcast_arrays(level * np.cos(azimuth), level * np.sin(azimuth), sine), axis=-1)
-    spiral = single(spiral.reshape(-1, 3))
+    spiral = _spiral(ahead, rays, field)
     quad, _, _, reach = caster.first_hit(np.repeat(eyes, rays, axis=0), spiral)
     hit = np.flatnonzero(quad >= 0)
     view, directions, reach = hit // rays, spiral[hit], reach[hit]
@@ -86,3 +82,47 @@ def visual_overlap(
     overlap = single(shared / np.maximum(total[:, None] + total - shared, 1))
     np.fill_diagonal(overlap, 1)
     return overlap
+
+
+def changed_share(then: QuadMesh, now: QuadMesh, eyes: Array, rays: int = 256) -> Array:
+    """Return the share of the surfaces in view that are different in another state of a building.
+
+    Each eye casts rays that stand for equal solid angles, over the elevations of `PanoramaView`. A ray meets the same
+    surface in both states if the two quads that it hits first have the same texture and colour and lie within 5 cm
+    of each other. What is outside of the building, in both states, does not count.
+
+    Args:
+        then: all surfaces of the building in one state.
+        now: all surfaces in the other state, with the same textures.
+        eyes: where the panoramas are taken, x, y, z in metres (P, 3).
+        rays: number of rays from each point.
+
+    Returns:
+        (P,) from 0 to 1; 0 for an eye that sees no surface.
+
+    >>> from siamloc.simulate.mesh import MeshBuilder
+    >>> room = MeshBuilder({"paint": (0, None)})
+    >>> room.box((0, 0, 0), (6, 4, 2.5), "paint")
+    >>> bare = room.build()
+    >>> room.box((4, 1, 0), (5, 2, 2), "paint", (0.5, 0.1, 0.1))
+    >>> print(changed_share(bare, room.build(), [[1, 1, 1], [3, 1, 1]]).round(2))
+    [0.03 0.12]
+    """
+    spiral = _spiral(np.zeros((len(eyes), 1)), rays)
+    origins = np.repeat(single(eyes), rays, axis=0)
+    first, other = (Caster(mesh).first_hit(origins, spiral)[0] for mesh in (then, now))
+    same = (np.abs(then.corners[first] - now.corners[other]) < _MOVED).all(axis=(1, 2))
+    same &= (then.texture[first] == now.texture[other]) & (then.tint[first] == now.tint[other]).all(axis=1)
+    seen, outside = (first >= 0) | (other >= 0), (first < 0) | (other < 0)
+    different = (seen & (outside | ~same)).reshape(-1, rays).sum(axis=1)
+    return different / np.maximum(seen.reshape(-1, rays).sum(axis=1), 1)
+
+
+def _spiral(ahead: Array, rays: int, field: float = 2 * np.pi) -> Array:
+    """Return directions (P * rays, 3) around P headings (P, 1), even over the sphere by the golden angle."""
+    sine = _LOWEST + (np.arange(rays) + 0.5) / rays * (_HIGHEST - _LOWEST)
+    turns = (1 + 5**0.5) / 2 * np.arange(rays)
+    azimuth = ahead + field * ((turns + 0.5) % 1 - 0.5)
+    level = np.sqrt(1 - sine**2)
+    spiral = np.stack(np.broadcast_arrays(level * np.cos(azimuth), level * np.sin(azimuth), sine), axis=-1)
+    return single(spiral.reshape(-1, 3))

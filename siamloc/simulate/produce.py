@@ -10,17 +10,18 @@ from collections import Counter
 from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field, replace
 from functools import lru_cache
 from multiprocessing import get_context, parent_process
 from pathlib import Path
 from typing import Annotated, Any
 
 import cv2
+import numpy as np
 
 from foundation.calls import takes
 from foundation.files import content_key, csv_text, read_json, storage_errors, write_json, write_picture, write_text
-from foundation.settings import Count, Rule, Seed, Settings, Text, Thousand
+from foundation.settings import Count, Natural, Rule, Seed, Settings, Text, Thousand
 from foundation.threads import processors
 from siamloc.data.cold import ODOMETRY_FILE
 from siamloc.data.decoding import cut_short
@@ -32,16 +33,19 @@ from siamloc.simulate.buildings import load_building
 from siamloc.simulate.camera import CAMERAS, HEIGHT, CameraName, Exposure
 from siamloc.simulate.layout import Array, Building
 from siamloc.simulate.mesh import embree
+from siamloc.simulate.overlap import changed_share
 from siamloc.simulate.preview import write_preview
 from siamloc.simulate.rendering import frames, meter
-from siamloc.simulate.run import Hour, Run, draw_odometry, draw_run
-from siamloc.simulate.scene import Scene, build_scene
+from siamloc.simulate.run import Hour, Run, RunState, draw_odometry, draw_run
+from siamloc.simulate.scene import Scene, build_scene, built
 from siamloc.simulate.trajectory import Track
 
 #: The standard benchmark: path 2 under three lightings.
 STANDARD_RUNS = ("cloudy1", "cloudy2", "cloudy3", "night1", "night2", "sunny1", "sunny2", "sunny3")
+#: What months have changed, next to `places.lst`: the share of the surfaces in view, and a list of the changes.
+CHANGES_FILE = "changes.json"
 _SCHEMA = 1
-_STANDING = ("hour", "headings", "positions")
+_OPTIONAL = ("hour", "headings", "positions", "month")
 _BATCH = 16
 _QUALITY = 92  # of the JPEG files, 1 to 100
 _Spacing = Annotated[float, Rule("a number of metres from 0.005", lambda value: 0.005 <= value < 1e6)]
@@ -63,6 +67,9 @@ class SimulateConfig(Settings):
             empty.
         headings: frames at each position of a grid, evenly turned.
         positions: number of positions of a grid in each run, spread over the rooms; all that are free if None.
+        months: number of months after the first, in each of which the runs are driven again; furniture, pictures and
+            lamps are moved, exchanged, added and taken from month to month. The folders of later months end in
+            `_month1`, `_month2`, ...; those of the first are the same as without months.
         camera: "omnidirectional" (640 x 480 JPEG) or "panorama" (512 x 128 JPEG).
         trajectory: a `places.lst`; one image is rendered for each pose, under its listed name, in one run with the
             lighting that the list's file name contains, unless runs are given. Poses are checked for collisions, but
@@ -86,6 +93,7 @@ class SimulateConfig(Settings):
     hours: tuple[Hour, ...] = ()
     headings: Count = 1
     positions: Count | None = None
+    months: Natural = 0
     camera: CameraName = "omnidirectional"
     trajectory: Path | None = None
     frames: Count | None = None
@@ -107,7 +115,7 @@ class SimulateConfig(Settings):
             raise ConfigError(f"a run is listed twice: {', '.join(self.runs)}")
 
     def drives(self) -> list[Run]:
-        """Return the runs to render; for a list of poses, the run in the list's name, unless runs are given."""
+        """Return the runs to render, month by month; for a list of poses, the run in the list's name by default."""
         names = self.runs
         if self.trajectory is not None and names == STANDARD_RUNS:
             names = (f"{lighting_in(Path(self.trajectory).name) or 'cloudy'}1",)
@@ -116,7 +124,8 @@ class SimulateConfig(Settings):
         hours = self.hours or (None,) * len(names)
         still = {"headings": self.headings, "positions": self.positions}
         return [
-            Run.parse(name, self.path, self.spacing, trajectory=self.trajectory, hour=hour, **still)
+            Run.parse(name, self.path, self.spacing, trajectory=self.trajectory, hour=hour, month=month, **still)
+            for month in range(self.months + 1)
             for name, hour in zip(names, hours, strict=True)
         ]
 
@@ -132,6 +141,7 @@ class Summary:
         rendered: number of frames rendered by this call; the others were already there.
         seconds: time taken.
         files: further files, such as the contact sheet.
+        changed: share of the surfaces in view that are different from the first month, by run folder, of later months.
 
     >>> Summary(Path("data/mini"), {"seq2_cloudy1": 6}, {"CR-A": 4, "1PO-A": 2}, rendered=6, seconds=3.0)
     data/mini: 6 frames rendered in 3 s, 2.0 frames/s
@@ -145,15 +155,25 @@ class Summary:
     rendered: int
     seconds: float
     files: tuple[Path, ...] = ()
+    changed: dict[str, float] = field(default_factory=dict)
 
     def __repr__(self) -> str:
         if self.files:
             return "\n".join([f"{self.folder}: a preview", *(f"  {path}" for path in self.files)])
-        rate = f", {self.rendered / self.seconds:.1f} frames/s" if self.rendered and self.seconds > 0 else ""
-        lines = [f"{self.folder}: {self.rendered} frames rendered in {self.seconds:.0f} s{rate}"]
-        lines += [f"  {name}: {count} frames" for name, count in self.sequences.items()]
+        lines = [f"{self.folder}: {self.rendered} frames rendered in {self.seconds:.0f} s{self.rate}"]
+        lines += [f"  {line}" for line in self.lines()]
         lines.append("  rooms: " + ", ".join(f"{code} {count}" for code, count in self.rooms.items()))
         return "\n".join(lines)
+
+    @property
+    def rate(self) -> str:
+        """The frames rendered per second, as words that follow a number of seconds; "" if none were."""
+        return f", {self.rendered / self.seconds:.1f} frames/s" if self.rendered and self.seconds > 0 else ""
+
+    def lines(self) -> list[str]:
+        """Return a line for each run: its frames, and in later months how much has changed."""
+        news = {name: f", {100 * share:.0f} % of the surfaces in view changed" for name, share in self.changed.items()}
+        return [f"{name}: {count} frames{news.get(name, '')}" for name, count in self.sequences.items()]
 
 
 @takes(SimulateConfig)
@@ -184,18 +204,32 @@ def simulate(*, settings: SimulateConfig) -> Summary:
     if settings.preview:
         pictures = write_preview(building, drives, folder / "preview")
         return Summary(folder, {}, {}, 0, time.monotonic() - begin, pictures)
-    whole = {run.name: draw_run(building, run).track for run in drives}
-    tracks = {name: drive.head(settings.frames) for name, drive in whole.items()}
+    states = {run.name: draw_run(building, run) for run in drives}
+    tracks = {name: state.track.head(settings.frames) for name, state in states.items()}
     work = [batch for run in drives for batch in _missing(settings, building, run, tracks[run.name])]
     total = sum(len(rows) for _, rows in work)
     for _ in track(_rendered(settings, work), total, f"rendering {building.name}", size=int):
         pass
+    changed: dict[str, float] = {}
     for run in drives:
-        wheels = draw_odometry(building, run, whole[run.name])
-        _write_lists(_sequence(settings, building, run) / "localization", tracks[run.name], wheels)
+        wheels = draw_odometry(building, run, states[run.name].track)
+        lists = _sequence(settings, building, run) / "localization"
+        if run.month:
+            before = states[replace(run, month=0).name]
+            changed[run.name] = _write_changes(lists, before, states[run.name], tracks[run.name])
+        _write_lists(lists, tracks[run.name], wheels)
     rooms = dict(Counter(code for drive in tracks.values() for code in drive.codes))
     counts = {name: len(drive) for name, drive in tracks.items()}
-    return Summary(folder, counts, rooms, total, time.monotonic() - begin)
+    return Summary(folder, counts, rooms, total, time.monotonic() - begin, changed=changed)
+
+
+def _write_changes(folder: Path, before: RunState, now: RunState, drive: Track) -> float:
+    """Write what the months have changed, and return the share of the surfaces in view on a drive that differ."""
+    eyes = np.column_stack([drive.poses[:, :2], np.full(len(drive), HEIGHT)])
+    share = round(float(changed_share(built(before)[0], built(now)[0], eyes).mean()), 4)
+    changes = [asdict(change) for change in now.changes]
+    write_json(folder / CHANGES_FILE, {"schema": _SCHEMA, "changed": share, "changes": changes})
+    return share
 
 
 def _write_lists(folder: Path, drive: Track, wheels: Array | None) -> None:
@@ -237,7 +271,7 @@ def _description(config: SimulateConfig, building: Building, run: Run) -> dict[s
         "trajectory": None if poses is None else poses.name,
         "trajectory_key": None if poses is None else content_key(poses.read_text("utf-8")),
         "quality": _QUALITY,
-        **{name: value for name in _STANDING if (value := getattr(run, name)) != getattr(Run, name)},
+        **{name: value for name in _OPTIONAL if (value := getattr(run, name)) != getattr(Run, name)},
     }
 
 
@@ -273,7 +307,7 @@ def _missing(config: SimulateConfig, building: Building, run: Run, drive: Track)
         with storage_errors(images):
             if any(name not in present for name in drive.names):
                 # Done first, so that no list ever names a missing image.
-                for name in ("places.lst", ODOMETRY_FILE):
+                for name in ("places.lst", ODOMETRY_FILE, CHANGES_FILE):
                     (sequence / "localization" / name).unlink(missing_ok=True)
             for file in pictures:
                 # Cut short, or from another simulation.

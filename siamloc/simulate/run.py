@@ -9,11 +9,12 @@ from typing import Annotated, Any, Literal
 
 import numpy as np
 
-from foundation.settings import Count, Positive, Rule, Settings
+from foundation.settings import Count, Natural, Positive, Rule, Settings
 from siamloc.data.names import LIGHTINGS
 from siamloc.errors import ConfigError, hint
 from siamloc.simulate.items import KINDS
 from siamloc.simulate.layout import SIDES, Array, Building, Colour, Item, Rng, Room, seeded
+from siamloc.simulate.months import Change, aged
 from siamloc.simulate.odometry import odometry
 from siamloc.simulate.plan import clearance, inside_item, obstacles
 from siamloc.simulate.shell import Fixtures, leaf_segment
@@ -26,6 +27,7 @@ Hour = Annotated[float, Rule("an hour from 0 to 24", lambda value: 0 <= value <=
 DAY = (7, 17)
 _START = {"cloudy": 11.0, "night": 22.0, "sunny": 10.0}
 _EPOCH = 1152860400.0
+_DAYS = 30  # of a month
 _KEEP_OFF = 0.42
 _APART = 0.6  # metres between people
 _LAMP = {"panel": 30.0, "tube": 42.0, "round": 48.0}
@@ -45,6 +47,8 @@ class Run(Settings):
         hour: solar time, which also dims a cloudy sky, 7 to 17 unless it is a night; drawn around a usual one if None.
         headings: frames at each position of a grid, at headings 360 degrees / `headings` apart.
         positions: number of positions of a grid; all that are free if None.
+        month: number of months that have passed in the building: `months.aged` changes it, and doors, lamps, chairs and
+            people are drawn again.
 
     Raises:
         ConfigError: headings or positions without a grid, a grid with a list of poses, an hour by day at which the sun
@@ -59,6 +63,7 @@ class Run(Settings):
     hour: Hour | None = None
     headings: Count = 1
     positions: Count | None = None
+    month: Natural = 0
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -66,6 +71,8 @@ class Run(Settings):
             raise ConfigError(f"headings and positions go with path={' or path='.join(GRIDS)}, got path={self.path}")
         if self.path in GRIDS and self.trajectory is not None:
             raise ConfigError(f"a trajectory gives the poses itself: leave out path={self.path}, or the trajectory")
+        if self.month and self.trajectory is not None:
+            raise ConfigError("furniture moved in a month may stand in the way of a trajectory: choose a path instead")
         if self.lighting != "night" and self.hour is not None and not DAY[0] <= self.hour <= DAY[1]:
             raise ConfigError(
                 f"at hour {self.hour:g}, the sun may be down: choose one from {DAY[0]} to {DAY[1]} for a "
@@ -74,9 +81,14 @@ class Run(Settings):
 
     @property
     def name(self) -> str:
-        """Name of the drive's folder, as in COLD: seq<path>_<lighting><number>, such as seq2_cloudy1."""
+        """Name of the drive's folder, as in COLD: seq<path>_<lighting><number>, and _month<month> from 1 on."""
         digits = "".join(letter for letter in self.path if letter.isdigit()) or "1"
-        return f"seq{digits}_{self.lighting}{self.number}"
+        return f"seq{digits}_{self.lighting}{self.number}" + (f"_month{self.month}" if self.month else "")
+
+    @property
+    def key(self) -> tuple[str | int, ...]:
+        """What the random draws of the drive depend on."""
+        return (self.lighting, self.number, self.path, *(("month", self.month) if self.month else ()))
 
     @classmethod
     def parse(cls, name: str, path: str = "path2", spacing: float = 0.15, **options: Any) -> Run:
@@ -152,6 +164,8 @@ class RunState:
     """Everything in which one run differs from others.
 
     Attributes:
+        building: the building as the month of the run finds it.
+        changes: what the months have changed in the building.
         track: poses of the drive.
         items: all items in their places, with standing people.
         fixtures: state of doors and blinds.
@@ -159,6 +173,8 @@ class RunState:
         light: the state of lamps, sun and sky.
     """
 
+    building: Building
+    changes: tuple[Change, ...]
     track: Track
     items: tuple[Item, ...]
     fixtures: Fixtures
@@ -168,21 +184,22 @@ class RunState:
 
 def draw_run(building: Building, run: Run) -> RunState:
     """Draw everything in which a run of a building differs from others: drive, doors, blinds, lamps, chairs, people."""
-    rng = seeded(building.seed, building.name, "run", run.lighting, run.number, run.path)
+    building, changes = aged(building, run.month)
+    rng = seeded(building.seed, building.name, "run", *run.key)
     hour = _START[run.lighting] + 2.6 * ((run.number - 1) % 3) + rng.uniform(-0.4, 0.4)
     declination = float(rng.uniform(-10, 0))
     hour, level = (hour, 1.0) if run.hour is None else (run.hour, overcast(run.hour, declination))
     if run.trajectory is not None:
         track = listed(building, run.trajectory)
     else:
-        day = 86400.0 * (3 * (run.number - 1) + LIGHTINGS.index(run.lighting))
+        day = 86400.0 * (3 * (run.number - 1) + LIGHTINGS.index(run.lighting) + _DAYS * run.month)
         way = building, run.path, run.spacing, rng, round(_EPOCH + day + 3600 * hour, 6)
         track = grid(*way, run.headings, run.positions) if run.path in GRIDS else drive(*way)
-    angles = _door_angles(building, track, rng)
+    angles, number = _door_angles(building, track, rng), run.number + 1000 * run.month
     fixtures = Fixtures(angles, _blinds(building, run.lighting, rng))
-    light = Light(run.lighting, hour, declination, _lamps_on(building, run.lighting, rng), run.number, level)
+    light = Light(run.lighting, hour, declination, _lamps_on(building, run.lighting, rng), number, level)
     items = [*_moved_items(building, track, angles, rng), *_standing_people(building, track, rng)]
-    return RunState(track, tuple(items), fixtures, _walkers(building, track, rng), light)
+    return RunState(building, changes, track, tuple(items), fixtures, _walkers(building, track, rng), light)
 
 
 def draw_odometry(building: Building, run: Run, track: Track) -> Array | None:
@@ -193,7 +210,7 @@ def draw_odometry(building: Building, run: Run, track: Track) -> Array | None:
     if run.path in GRIDS:  # where nobody drives
         return None
     order, wheels = np.argsort(track.time, kind="stable"), np.empty_like(track.poses)
-    keys = building.seed, building.name, "odometry", run.lighting, run.number, run.path
+    keys = building.seed, building.name, "odometry", *run.key
     wheels[order] = odometry(track.poses[order], seeded(*keys))
     return wheels
 

@@ -263,12 +263,8 @@ def build_scene(building: Building, run: Run, detail: Detail = FULL, light: Ligh
         SiamlocError: embreex is not installed.
     """
     state = draw_run(building, run)
+    building, (mesh, lamps) = state.building, built(state)
     atlas, index = _textures(building.name, building.seed, building.materials)
-    builder = MeshBuilder(dict(index))
-    style = draw_style(seeded(building.seed, building.name, "style"), building.materials)
-    lamps = add_shell(builder, building, state.fixtures, style)
-    add_items(builder, building, state.items)
-    mesh = builder.build()
     caster = Caster(mesh)
     transport = LightTransport(building, mesh, caster, detail)
     gloss, surfaces = None, Surfaces.of(mesh, atlas)
@@ -277,6 +273,20 @@ def build_scene(building: Building, run: Run, detail: Detail = FULL, light: Ligh
         gloss = Gloss.drawn(rng, building, index, mesh.texture, surfaces.normals)
     scene = Scene(building, run, state, atlas, surfaces, caster, transport, tuple(lamps), gloss)
     return relit(scene, state.light if light is None else light)
+
+
+def built(state: RunState) -> tuple[QuadMesh, list[Lamp]]:
+    """Return all quads of a building in the state of one run, and its lamps, with radiosity 1.
+
+    Raises:
+        DataError: an item is too small for its parts.
+    """
+    building = state.building
+    builder = MeshBuilder(dict(_textures(building.name, building.seed, building.materials)[1]))
+    style = draw_style(seeded(building.seed, building.name, "style"), building.materials)
+    lamps = add_shell(builder, building, state.fixtures, style)
+    add_items(builder, building, state.items)
+    return builder.build(), lamps
 
 
 @typed

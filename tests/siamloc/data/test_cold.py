@@ -83,6 +83,7 @@ def test_a_sequence_is_found_from_any_folder_above_it(tmp_path, folder, where, l
         ("/d/ljubljana/seq1_cloudy1", ["CR"], "ljubljana_seq1_cloudy1", "ljubljana"),
         ("/d/x/seq1_cloudy1", ["CR"], "seq1_cloudy1", ""),
         ("/d/lab/part_a/seq1_cloudy1", ["CR"], "lab_a_seq1_cloudy1", "lab_a"),
+        ("/d/lab/part_a/seq1_cloudy1_month12", ["CR"], "lab_a_seq1_cloudy1_month12", "lab_a"),
         ("/d/lab-2_part_c_seq1_night", [], "lab-2_c_seq1_night", "lab-2_c"),
         ("/d/freiburg/my_sunny_drive", ["CR-A"], "label", ""),
     ],

@@ -164,10 +164,37 @@ def test_a_grid_is_a_run_like_others(tmp_path: Path) -> None:
         small(**asked | {"hours": [15]})
 
 
+def test_months_add_drives_and_leave_the_first_month_as_it_is(written: Path, tmp_path: Path) -> None:
+    summary = small(out=tmp_path, months=1)
+    drives = tmp_path / "mini" / "part_a"
+    assert hashes(drives / "seq2_cloudy1") == hashes(written / "mini" / "part_a" / "seq2_cloudy1")
+    table = read_cold(tmp_path / "mini", on_error="raise")
+    assert sorted(set(table.sequence.tolist())) == ["mini_a_seq2_cloudy1", "mini_a_seq2_cloudy1_month1"]
+    assert set(table.building.tolist()) == {"mini_a"}
+    later = table.select(sequence="*_month1")
+    assert later.time.min() > table.select(sequence="*_cloudy1").time.max()
+    assert not np.isnan(later.odometry).any()
+    share = summary.changed["seq2_cloudy1_month1"]
+    assert 0 < share < 0.5
+    told = read_json(drives / "seq2_cloudy1_month1" / "localization" / "changes.json")
+    assert (told["changed"], {change["month"] for change in told["changes"]}) == (share, {1})
+    line = f"seq2_cloudy1_month1: 6 frames, {100 * share:.0f} % of the surfaces in view changed"
+    assert summary.lines() == ["seq2_cloudy1: 6 frames", line]
+    assert small(out=tmp_path, months=1).rendered == 0
+
+
 def test_preview_writes_two_pictures(tmp_path: Path) -> None:
     summary = simulate(building="mini", runs=["night1"], out=tmp_path, preview=True)
     assert [path.name for path in summary.files] == ["contact_sheet.png", "floor_plan.png"]
     assert min(cv2.imread(str(path)).std() for path in summary.files) > 20
+
+
+def test_a_plan_shows_what_months_have_changed() -> None:
+    mini = load_building("mini")
+    plain, later = (floor_plan(mini, [Run("cloudy", 1, month=month)]).axes[0] for month in (0, 3))
+    assert later.get_title() == "mini, seed 0, month 3: changed since month 0"
+    colours, news = ({patch.get_facecolor() for patch in plan.patches} for plan in (plain, later))
+    assert colours < news, "changed furniture has a colour of its own"
 
 
 @pytest.mark.parametrize(("path", "marker"), [("grid", "."), ("path2", "None")])
@@ -191,6 +218,8 @@ def test_the_legend_of_a_plan_shows_a_grid_as_dots(path: str, marker: str) -> No
         ({"hours": [9, 12]}, r"hours needs one hour for each run \(cloudy1\), got 2"),
         ({"trajectory": "night.lst", "runs": STANDARD_RUNS, "hours": [9] * 8}, r"each run \(night1\), got 8"),
         ({"trajectory": "night.lst", "path": "grid", "headings": 4}, "leave out path=grid, or the trajectory"),
+        ({"months": -1}, "months must be a whole number from 0"),
+        ({"trajectory": "night.lst", "months": 2}, "may stand in the way of a trajectory: choose a path instead"),
         ({"runs": ["sunny1"], "hours": [22]}, "at hour 22, the sun may be down: choose one from 7 to 17 for a sunny"),
         ({"spacing": float("nan")}, "spacing must be a number of metres from 0.005, got nan"),
     ],
