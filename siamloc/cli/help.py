@@ -12,6 +12,7 @@ from siamloc.jobs.job import Job
 
 COMMANDS = {
     "simulate": ("jobs.simulate.Simulate", "render a made-up building in the COLD layout"),
+    "fetch": ("jobs.fetch.Fetch", "load the COLD database, or parts of it"),
     "prepare": ("jobs.prepare.Prepare", "check a data set and decode its images once"),
     "survey": ("jobs.survey.SurveyDrives", "estimate the poses of drives from their images and odometry"),
     "train": ("jobs.train.Train", "train a siamese network"),

@@ -86,7 +86,8 @@ class _Source:
 
 def _find(root: Path, camera: str) -> list[_Source]:
     if not root.is_dir():
-        raise DataError(f"{root} is not a folder; one list is read with places=FILE. Expected {_LAYOUT}")
+        other = "one list is read with places=FILE, and `siamloc fetch cold` loads the database"
+        raise DataError(f"{root} is not a folder; {other}. Expected {_LAYOUT}")
     found: dict[Path, _Source] = {}
     named_lists: list[Path] = []
     for folder, files in _folders(root):

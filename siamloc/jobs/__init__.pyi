@@ -1,6 +1,7 @@
 from .augment import Expand as Expand, Preview as Preview
 from .evaluate import Evaluate as Evaluate
 from .export import Export as Export
+from .fetch import Fetch as Fetch
 from .job import Job as Job
 from .map import MapFrames as MapFrames
 from .prepare import Prepare as Prepare

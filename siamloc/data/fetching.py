@@ -1,0 +1,306 @@
+"""`fetch`: load archives of a public data set, check them, and unpack them into the layout that its reader knows."""
+
+from __future__ import annotations
+
+import tarfile
+import time
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from http.client import HTTPException
+from itertools import chain
+from pathlib import Path
+from typing import BinaryIO, Literal
+from urllib.error import HTTPError, URLError
+from urllib.parse import urlsplit
+from urllib.request import Request, urlopen
+
+from foundation.calls import typed
+from foundation.files import atomic_folder, file_hash, read_text, scratch_folder, storage_errors, write_text
+from foundation.locks import alone
+from foundation.settings import Count, Positive
+from siamloc.data.archives import ADDRESS, Archive, archives
+from siamloc.data.cold import CAMERAS, read_list
+from siamloc.data.protocol import ROLES, Protocol
+from siamloc.errors import ConfigError, DataError
+from siamloc.progress import track
+
+SUMS = "SHA256SUMS"
+"""File next to the sequences with the check sum of each fetched archive, which `sha256sum --check` reads."""
+_ABSENT = 0.01  # share of the listed images: an archive may lack a few, one that was cut lacks many
+_LONGEST_PAUSE = 30.0  # s, between two attempts
+_BLOCK = 1 << 18
+
+
+class _Broken(Exception):
+    """A connection that ended early; the next attempt continues."""
+
+
+@dataclass(frozen=True)
+class Fetched:
+    """Which sequences are there.
+
+    Attributes:
+        folder: the database, which `siamloc.data.read("cold", root=folder)` reads.
+        there: number of frames of each sequence in the folder.
+        missing: sequences that are not in the folder.
+        notes: a sentence for each peculiarity of a sequence, such as another number of frames than expected.
+    """
+
+    folder: Path
+    there: dict[str, int]
+    missing: list[str] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)
+
+    def table(self) -> str:
+        """Return a line for each sequence."""
+        lines = [f"{name}: {count} frames" for name, count in self.there.items()]
+        return "\n".join([*lines, *(f"{name}: missing" for name in self.missing)])
+
+
+@typed
+def fetch(
+    kind: Literal["cold"] = "cold",
+    sequences: str | Sequence[str] | Protocol = (),
+    out: str | Path = "data/COLD",
+    *,
+    mirror: str = ADDRESS,
+    keep: bool = False,
+    only_list: bool = False,
+    timeout: Positive = 60.0,
+    tries: Count = 5,
+) -> Fetched:
+    """Load sequences of a data set that are not in a folder yet, check them, and unpack them.
+
+    A download that breaks is continued, also by a later call. An archive is used if it has the announced size, holds
+    nothing but files and folders inside its own folder, and a list `places.lst` whose images are there.
+
+    Args:
+        kind: the data set: "cold".
+        sequences: names or shell patterns such as "freiburg_a_seq2_*"; or a protocol, for the sequences of its roles.
+        out: folder of the database. Archives that already lie there, as `cold-freiburg/part_a/seq2_cloudy3.tar`, are
+            unpacked without loading them.
+        mirror: address of the database, or of a copy with the same folders.
+        keep: whether to keep the archives next to the folders.
+        only_list: whether to load nothing, and only return which sequences are there.
+        timeout: seconds without any data after which an attempt ends.
+        tries: number of attempts in a row that bring nothing before it gives up.
+
+    Returns:
+        Which sequences are there. `SHA256SUMS` in the folder has the check sums of the archives.
+
+    Raises:
+        ConfigError: no sequences, one that the data set does not have, or an address that is not http or https.
+        DataError: archives that are not at the address, cannot be loaded, or fail the checks; all others are fetched.
+        StorageError: the disk is full or refuses.
+    """
+    wanted = archives(_names(sequences))
+    folder = Path(out).expanduser()
+    if urlsplit(mirror).scheme not in ("http", "https"):
+        raise ConfigError(f"mirror must be an address such as {ADDRESS}, got {mirror!r}")
+    lost: dict[str, str] = {}
+    if not only_list and (absent := [one for one in wanted if _count(folder / one.folder) is None]):
+        with alone(folder):
+            for one in absent:
+                try:
+                    _obtain(one, folder, f"{mirror.rstrip('/')}/{one.folder}.tar", keep, timeout, tries)
+                except DataError as error:  # the others may still be there
+                    lost[one.sequence] = str(error)
+    found = _inventory(folder, wanted)
+    if lost:
+        what = f"{len(lost)} of {len(wanted)} sequences could not be fetched: " if len(wanted) > 1 else ""
+        raise DataError(f"{what}{next(iter(lost.values()))}")
+    return found
+
+
+def _names(sequences: str | Sequence[str] | Protocol) -> list[str]:
+    if isinstance(sequences, Protocol):
+        named = chain.from_iterable(getattr(sequences, role).sequences or () for role in ROLES)
+        found = list(dict.fromkeys(named))
+    else:
+        found = [sequences] if isinstance(sequences, str) else list(sequences)
+    if not found:
+        raise ConfigError("no sequences given: name them, as sequences=[freiburg_a_seq2_cloudy3], or a protocol")
+    return found
+
+
+def _inventory(folder: Path, wanted: list[Archive]) -> Fetched:
+    counts = {one.sequence: _count(folder / one.folder) for one in wanted}
+    there = {name: count for name, count in counts.items() if count is not None}
+    notes = [
+        f"{one.sequence} has {there[one.sequence]} frames, and {one.frames} are known from the literature"
+        for one in wanted
+        if one.frames is not None and there.get(one.sequence, one.frames) != one.frames
+    ]
+    return Fetched(folder, there, [name for name in counts if name not in there], notes)
+
+
+def _count(sequence: Path) -> int | None:
+    """Return the number of frames in the list of a sequence; None if the sequence is not there."""
+    path = sequence / "localization" / "places.lst"
+    return len(read_list(path)) if path.is_file() else None
+
+
+def _obtain(one: Archive, out: Path, address: str, keep: bool, timeout: float, tries: int) -> None:
+    """Load an archive, unless it lies in the folder, unpack it, and note its check sum."""
+    folder = out / one.folder
+    archive, part = (folder.with_name(f"{folder.name}.tar{end}") for end in ("", ".part"))
+    loaded = not archive.is_file()
+    if loaded:
+        with storage_errors(part):
+            folder.parent.mkdir(parents=True, exist_ok=True)
+            _load(address, part, one.sequence, timeout, tries)
+    source = part if loaded else archive
+    try:
+        _unpack(source, folder, address if loaded else str(archive))
+    except DataError:
+        _discard(part)  # it would fail again
+        raise
+    _note_sum(out / SUMS, f"{one.folder}.tar", file_hash(source))
+    if loaded and keep:
+        part.replace(archive)
+    _discard(part)
+
+
+def _load(address: str, part: Path, name: str, timeout: float, tries: int) -> None:
+    """Load a file, attempt after attempt, each of which continues the one before.
+
+    Raises:
+        DataError: the server refuses, or several attempts in a row bring nothing.
+    """
+    failed, before = 0, _size(part)
+    while True:
+        try:
+            _attempt(address, part, name, timeout)
+            return
+        except HTTPError as error:
+            if error.code < 500:
+                raise DataError(
+                    f"{address} cannot be fetched: the server answers {error.code} {error.reason}; give the address "
+                    "of a mirror, or correct the table in siamloc/data/archives.py"
+                ) from error
+            reason = f"the server answers {error.code} {error.reason}"
+        except (_Broken, URLError, HTTPException, TimeoutError, ConnectionError) as error:
+            reason = str(getattr(error, "reason", error)) or "the connection broke"
+        failed = 0 if _size(part) > before else failed + 1
+        before = _size(part)
+        if failed >= tries:
+            raise DataError(
+                f"{address} cannot be fetched ({reason}): {before:,} bytes are here, and the same command continues"
+            )
+        time.sleep(min(2.0**failed - 1, _LONGEST_PAUSE))
+
+
+def _attempt(address: str, part: Path, name: str, timeout: float) -> None:
+    """Load the rest of a file.
+
+    Raises:
+        _Broken: the connection ended before the announced size.
+        HTTPError, URLError, HTTPException, OSError: no answer, or a refusal.
+    """
+    have, validator = _size(part), _validator(part)
+    headers = {"User-Agent": "siamloc", "Accept-Encoding": "identity"}
+    if have:
+        headers["Range"] = f"bytes={have}-"
+        if validator.is_file() and (known := read_text(validator)):
+            headers["If-Range"] = known  # a file that changed is sent from its beginning
+    try:
+        response = urlopen(Request(address, headers=headers), timeout=timeout)
+    except HTTPError as error:
+        if error.code != 416:
+            raise
+        if (error.headers.get("Content-Range") or "").endswith(f"/{have}"):
+            return  # all of it is here
+        _discard(part)
+        raise _Broken("the file here is longer than the server's") from error
+    with response:
+        if response.status != 206:
+            have = 0
+            tag = response.headers.get("ETag") or ""  # a weak one begins with W and does not say that bytes are equal
+            write_text(validator, tag if tag.startswith('"') else response.headers.get("Last-Modified") or "")
+        elif not (response.headers.get("Content-Range") or "").startswith(f"bytes {have}-"):
+            _discard(part)
+            raise _Broken("the server sends another part of the file")
+        rest = response.length
+        with part.open("ab" if have else "wb") as file:
+            for _ in track(_megabytes(response, file), (rest or 0) // 1_000_000, f"fetching {name}, MB", size=int):
+                pass
+    if rest is not None and _size(part) != have + rest:
+        raise _Broken(f"{_size(part):,} of {have + rest:,} bytes arrived")
+
+
+def _megabytes(response: BinaryIO, file: BinaryIO) -> Iterator[int]:
+    """Copy a response to a file, and yield how many full megabytes each piece completes."""
+    done = 0
+    while block := response.read1(_BLOCK):  # type: ignore[attr-defined]
+        file.write(block)
+        yield (done + len(block)) // 1_000_000 - done // 1_000_000
+        done += len(block)
+
+
+def _size(path: Path) -> int:
+    return path.stat().st_size if path.is_file() else 0
+
+
+def _discard(part: Path) -> None:
+    for path in (part, _validator(part)):
+        path.unlink(missing_ok=True)
+
+
+def _validator(part: Path) -> Path:
+    """Return the file that keeps by what a server recognizes the file of which a part is here."""
+    return part.with_name(f"{part.name}.etag")
+
+
+def _unpack(archive: Path, folder: Path, name: str) -> None:
+    """Unpack the archive of a sequence; nothing remains of one that fails a check.
+
+    Raises:
+        DataError: it is not a tar archive or cut short, leads out of its folder, or its images are not those listed.
+    """
+    with scratch_folder(folder) as scratch:
+        try:
+            with tarfile.open(archive, "r:") as tar:
+                members = tar.getmembers()
+                for member in members:
+                    if not (member.isreg() or member.isdir()) or member.issparse():
+                        raise DataError(f"{name} holds {member.name}, which is neither a file nor a folder: not used")
+                for member in track(members, len(members), f"unpacking {folder.name}"):
+                    tar.extract(member, scratch, filter="data")
+        except tarfile.FilterError as error:
+            outside = getattr(error, "tarinfo").name  # noqa: B009 (not known to the type checker)
+            raise DataError(f"{name} holds {outside}, which lies outside of its own folder: not used") from error
+        except (tarfile.TarError, EOFError) as error:
+            raise DataError(f"{name} is not a whole tar archive ({error}): fetch it again") from error
+        sequence = _checked(scratch, name)
+        with atomic_folder(folder) as fresh:
+            for child in sequence.iterdir():
+                child.replace(fresh / child.name)
+
+
+def _checked(scratch: Path, name: str) -> Path:
+    """Return the folder of the sequence that was unpacked.
+
+    Raises:
+        DataError: it has no readable list, or lacks images of the list.
+    """
+    lists = sorted(scratch.glob("**/localization/places.lst"))
+    if not lists:
+        raise DataError(f"{name} holds no list localization/places.lst: it is not the archive of a sequence of COLD")
+    sequence = lists[0].parent.parent
+    try:
+        listed = [frame["image"] for frame in read_list(lists[0])]
+    except DataError as error:
+        raise DataError(f"{name} is not used: {str(error).replace(f'{scratch}/', '')}") from error
+    absent = [image for image in listed if not any((sequence / camera / image).is_file() for camera in CAMERAS)]
+    if len(absent) > _ABSENT * len(listed):
+        raise DataError(
+            f"{name} lacks {len(absent)} of the {len(listed)} images in its places.lst, the first {absent[0]}: "
+            "it was cut short; fetch it again, or from a mirror"
+        )
+    return sequence
+
+
+def _note_sum(path: Path, name: str, digest: str) -> None:
+    lines = read_text(path).splitlines() if path.is_file() else []
+    kept = [line for line in lines if line.partition("  ")[2] != name]
+    write_text(path, "\n".join(sorted([*kept, f"{digest}  {name}"], key=lambda line: line.partition("  ")[2])) + "\n")

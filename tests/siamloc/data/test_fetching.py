@@ -1,0 +1,251 @@
+"""Fetching from a server on this machine that breaks, stalls, cheats and refuses."""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import tarfile
+import threading
+import time
+from functools import partial
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+
+import cv2
+import numpy as np
+import pytest
+
+import siamloc.data
+from siamloc.cli import main
+from siamloc.data import Protocol, Role, fetching
+from siamloc.data.archives import archives
+from siamloc.errors import ConfigError, DataError
+
+NAME, PATH = "freiburg_a_seq2_cloudy3", "/db/cold-freiburg/part_a/seq2_cloudy3.tar"
+IMAGES = [f"t{time}.5_x{time}.25_y-0.5_a1e-05.jpeg" for time in range(3)]
+
+
+def tar(listed=IMAGES, images=IMAGES, inside="seq2_cloudy3", places="places.lst", further=(), content=bytes(20_000)):
+    """An archive as the database has them, with the content of each image, and further members."""
+    files = {f"{inside}/localization/{places}": "".join(f"{image} CR-A\n" for image in listed).encode()}
+    files |= {f"{inside}/{camera}/{image}": content for camera in ("std_cam", "omni_cam") for image in images}
+    buffer = io.BytesIO()
+    with tarfile.open(fileobj=buffer, mode="w") as archive:
+        for name, content in files.items():
+            member = tarfile.TarInfo(name)
+            member.size = len(content)
+            archive.addfile(member, io.BytesIO(content))
+        for member in further:
+            archive.addfile(member, io.BytesIO(bytes(member.size)))
+    return buffer.getvalue()
+
+
+class Handler(BaseHTTPRequestHandler):
+    """Answers from `server.files`; `server.steps` says for each request how it goes wrong."""
+
+    protocol_version = "HTTP/1.1"
+
+    def do_GET(self):
+        server = self.server
+        server.asked.append((self.path, self.headers.get("Range"), self.headers.get("If-Range")))
+        step = server.steps.pop(0) if server.steps else ""
+        content = server.files.get(self.path)
+        if content is None or step == "503":
+            self.send_error(404 if content is None else 503)
+            return
+        tag = f'"{hashlib.sha256(content).hexdigest()[:8]}"'
+        begin = int(self.headers.get("Range", "bytes=0-")[6:-1])
+        if step == "no ranges" or self.headers.get("If-Range", tag) != tag:
+            begin = 0
+        if begin and begin >= len(content):
+            self.send_response(416)
+            self.send_header("Content-Range", f"bytes */{len(content)}")
+            self.send_header("Content-Length", "0")
+            self.end_headers()
+            return
+        self.send_response(206 if begin else 200)
+        if begin:
+            self.send_header("Content-Range", f"bytes {begin}-{len(content) - 1}/{len(content)}")
+        self.send_header("ETag", tag)
+        self.send_header("Content-Length", len(content) - begin)
+        self.end_headers()
+        half = begin + (len(content) - begin) // 2
+        self.wfile.write(content[begin:half])
+        if step == "stall":
+            self.wfile.flush()
+            server.go_on.wait(5)
+        if step in ("cut", "stall"):
+            self.close_connection = True
+            return
+        if step == "slow":
+            time.sleep(0.2)
+        self.wfile.write(content[half:])
+
+    def log_message(self, *_):
+        pass
+
+
+@pytest.fixture
+def server(monkeypatch):
+    monkeypatch.setattr(fetching, "_LONGEST_PAUSE", 0.0)
+    server = ThreadingHTTPServer(("127.0.0.1", 0), Handler)
+    server.files, server.steps, server.asked, server.go_on = {PATH: tar()}, [], [], threading.Event()
+    thread = threading.Thread(target=server.serve_forever, args=[0.01], daemon=True)
+    thread.start()
+    server.address = f"http://127.0.0.1:{server.server_port}/db"
+    server.fetch = partial(siamloc.data.fetch, "cold", NAME, mirror=server.address)
+    yield server
+    server.go_on.set()
+    server.shutdown()
+    server.server_close()
+
+
+def test_a_sequence_is_loaded_checked_and_read(server, tmp_path):
+    found = server.fetch(tmp_path / "COLD")
+    assert found.there == {NAME: 3}
+    assert not found.missing
+    assert "3 frames, and 2778 are known" in found.notes[0]
+    frames = siamloc.data.read("cold", root=tmp_path / "COLD")
+    assert set(frames.sequence.tolist()) == {NAME}
+    assert frames.x.tolist() == [0.25, 1.25, 2.25]
+    digest = hashlib.sha256(server.files[PATH]).hexdigest()
+    assert (tmp_path / "COLD/SHA256SUMS").read_text() == f"{digest}  cold-freiburg/part_a/seq2_cloudy3.tar\n"
+    server.fetch(tmp_path / "COLD")
+    assert len(server.asked) == 1, "what is there is not loaded again"
+    assert sorted(path.name for path in (tmp_path / "COLD").rglob("*") if "tar" in path.name) == []
+
+
+@pytest.mark.parametrize(
+    ("steps", "ranges"),
+    [
+        (["cut", "cut"], 2),
+        (["stall"], 1),
+        (["slow"], 0),
+        (["503", "503"], 0),
+        (["cut", "no ranges"], 1),
+    ],
+)
+def test_a_break_is_resumed(server, tmp_path, steps, ranges):
+    server.steps[:] = steps
+    assert server.fetch(tmp_path, timeout=0.5, keep=True).there == {NAME: 3}
+    assert sum(asked is not None for _, asked, _ in server.asked) == ranges
+    assert (tmp_path / "cold-freiburg/part_a/seq2_cloudy3.tar").read_bytes() == server.files[PATH]
+
+
+def test_a_later_call_goes_on_unless_the_file_changed(server, tmp_path):
+    for changed in (False, True):
+        out, server.files[PATH] = tmp_path / str(changed), tar()
+        server.steps[:], server.asked[:] = ["cut", "503"], []
+        with pytest.raises(DataError, match=r"seq2_cloudy3\.tar cannot be fetched .* bytes are here, and the same"):
+            server.fetch(out, tries=1)
+        if changed:
+            server.files[PATH] = tar(inside="another")
+        assert server.fetch(out).there == {NAME: 3}
+        assert server.asked[-1][1].startswith("bytes=")
+        assert server.asked[-1][2].startswith('"')
+    # All of it is here, but not unpacked.
+    part = tmp_path / "whole/cold-freiburg/part_a/seq2_cloudy3.tar.part"
+    part.parent.mkdir(parents=True)
+    part.write_bytes(server.files[PATH])
+    assert server.fetch(tmp_path / "whole").there == {NAME: 3}
+    # More than all of it.
+    part = tmp_path / "more/cold-freiburg/part_a/seq2_cloudy3.tar.part"
+    part.parent.mkdir(parents=True)
+    part.write_bytes(server.files[PATH] + bytes(512))
+    assert server.fetch(tmp_path / "more").there == {NAME: 3}
+
+
+LINK = tarfile.TarInfo("seq2_cloudy3/link")
+LINK.type, LINK.linkname = tarfile.SYMTYPE, "/etc/passwd"
+BAD = {
+    "is not a whole tar archive": b"<html>Log in to the network</html>",
+    r"is not a whole tar archive \(unexpected end of data\)": tar()[:100_000],
+    "lacks 1 of the 3 images in its places.lst, the first t2.5": tar(images=IMAGES[:2]),
+    "holds ../evil, which lies outside of its own folder: not used": tar(further=[tarfile.TarInfo("../evil")]),
+    "holds seq2_cloudy3/link, which is neither a file nor a folder": tar(further=[LINK]),
+    "holds no list localization/places.lst": tar(places="places.txt"),
+    r"places\.lst, line 3: expected t<seconds>": tar(listed=[*IMAGES[:2], IMAGES[2][:9]]),
+}
+
+
+@pytest.mark.parametrize("says", BAD)
+def test_a_bad_archive_is_refused_and_leaves_nothing(server, tmp_path, says):
+    server.files[PATH] = BAD[says]
+    out = tmp_path / "a/b/COLD"
+    with pytest.raises(DataError, match=says):
+        server.fetch(out)
+    assert not [path for path in tmp_path.rglob("*") if path.is_file()]
+    server.files[PATH] = tar()
+    assert server.fetch(out).there == {NAME: 3}
+
+
+def test_one_missing_archive_does_not_stop_the_others(server, tmp_path):
+    protocol = Protocol(train=Role(sequences=("freiburg_a_seq2_sunny4", NAME)), query=Role(sequences=NAME))
+    with pytest.raises(DataError, match=r"1 of 2 sequences could not be fetched: http.*sunny4\.tar .* 404 Not Found"):
+        siamloc.data.fetch("cold", protocol, tmp_path, mirror=server.address)
+    found = siamloc.data.fetch("cold", protocol, tmp_path, only_list=True)
+    assert found.table() == f"{NAME}: 3 frames\nfreiburg_a_seq2_sunny4: missing"
+
+
+def test_an_archive_that_lies_there_is_unpacked(tmp_path):
+    archive = tmp_path / "cold-freiburg/part_a/seq2_cloudy3.tar"
+    archive.parent.mkdir(parents=True)
+    archive.write_bytes(tar())
+    assert siamloc.data.fetch("cold", NAME, tmp_path, mirror="http://127.0.0.1:1").there == {NAME: 3}
+    assert archive.is_file()
+
+
+def test_nobody_there(tmp_path):
+    with pytest.raises(DataError, match=r"cannot be fetched \(.*refused.*\): 0 bytes are here"):
+        siamloc.data.fetch("cold", NAME, tmp_path, mirror="http://127.0.0.1:1", tries=1)
+
+
+@pytest.mark.parametrize(
+    ("words", "says"),
+    [
+        ({}, r"no sequences given: name them, as sequences=\[freiburg_a_seq2_cloudy3\]"),
+        ({"sequences": "freiburg_a_seq2_clody3"}, r"no sequence 'freiburg_a_seq2_clody3'; did you mean"),
+        ({"sequences": "*", "mirror": "file:///etc"}, "mirror must be an address such as https"),
+    ],
+)
+def test_what_cannot_be_fetched_is_one_sentence(words, says):
+    with pytest.raises(ConfigError, match=says):
+        siamloc.data.fetch("cold", only_list=True, **words)
+
+
+def test_the_table_has_what_the_protocols_need():
+    names = [one.sequence for one in archives()]
+    assert len([name for name in names if name.startswith("freiburg")]) == 26
+    assert len(set(names)) == len(names)
+    assert [one.folder for one in archives(["ljubljana_a_seq1_sunny9"])] == ["cold-ljubljana/part_a/seq1_sunny9"]
+    assert len(archives(["saarbruecken_*_cloudy2"])) == 4
+
+
+def test_the_command_knows_protocols_by_name(server, tmp_path, capsys):
+    assert main(["fetch", "cold", "protocol=freiburg_cloudy", f"out={tmp_path}", "--list"]) == 0
+    assert capsys.readouterr().out.count("missing") == 5
+    where = [f"out={tmp_path}", f"mirror={server.address}"]
+    assert main(["fetch", "cold", f"sequences=[{NAME}]", *where]) == 0
+    shown = capsys.readouterr()
+    assert f"{NAME}: 3 frames\nnote: " in shown.out
+    assert f"next: siamloc train data=cold data.root={tmp_path} protocol=freiburg" in shown.out
+
+
+@pytest.mark.slow
+def test_two_commands_lead_from_the_server_to_a_trained_network(server, tmp_path, monkeypatch):
+    """All seven drives of the protocol, each of 12 pictures of noise with the database's size."""
+    server.files.clear()
+    noise = np.random.default_rng(0).integers(0, 256, (7, 48, 64, 3), dtype=np.uint8)
+    for place, run in zip(
+        noise, ("cloudy1", "cloudy2", "cloudy3", "night1", "night2", "sunny2", "sunny3"), strict=True
+    ):
+        names = [f"t{time}.0_x{time / 4}_y0.0_a0.0.jpeg" for time in range(12)]
+        picture = cv2.imencode(".jpg", cv2.resize(place, (640, 480)))[1].tobytes()
+        archive = tar(listed=names, images=names, inside=f"seq2_{run}", content=picture)
+        server.files[f"/db/cold-freiburg/part_a/seq2_{run}.tar"] = archive
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("SIAMLOC_CACHE", str(tmp_path / "cache"))
+    assert main(["fetch", "cold", "protocol=freiburg", f"mirror={server.address}"]) == 0
+    small = ["epochs=1", "pairs.epoch_batches=1", "pairs.places=3", "pairs.images=2", "trainer.accelerator=cpu"]
+    words = ["train", "data=cold", "protocol=freiburg", "experiment=modern", *small, "run=run"]
+    assert main([*words, "data.image_size=[32,128]"]) == 0
+    assert (tmp_path / "run/checkpoints/best.ckpt").is_file()
