@@ -16,3 +16,4 @@ from .panorama import (
 )
 from .protocol import Protocol as Protocol, Role as Role
 from .reading import DataSettings as DataSettings, READERS as READERS, read as read
+from .trajectory import Trajectory as Trajectory, read_trajectory as read_trajectory

@@ -13,7 +13,7 @@ _LAYOUT = "<split>/<room>/<image>, such as test_cloudy/KT-A/t1152889564.947_x0.2
 
 
 def read_folder(root: str | Path, *, on_error: str = "skip") -> FrameTable:
-    """Read an image folder.
+    """Read an image folder, <split>/<room>/<image>.jpeg; a split is a sequence.
 
     The split becomes the sequence and the room's folder the room; the split's name may contain the lighting. If all
     images of a split have COLD names, the frames are in order of time, otherwise of room and name; an image without a

@@ -21,7 +21,7 @@ _LARGEST |= dict.fromkeys(("x", "y", *ODOMETRY, *DEVIATIONS), 1e7)
 
 
 def read_manifest(manifest: str | Path, *, on_error: str = "skip") -> FrameTable:
-    """Read a manifest.
+    """Read a manifest, a CSV table with a row for each image.
 
     The first line names the columns, in any order and case: `image`, and any of `x, y` (m), `theta` (rad), `room`,
     `sequence`, `lighting`, `time` (s), `building`, `odom_x, odom_y` (m), `odom_theta` (rad), `deviation` (m) and

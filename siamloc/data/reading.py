@@ -6,22 +6,58 @@ import inspect
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, ClassVar, Literal
+from typing import Any, ClassVar, Literal, get_args
 
-from foundation.calls import typed
-from foundation.settings import Settings, Size, checked
+from foundation.calls import kinds_of, typed
+from foundation.files import plain
+from foundation.settings import Settings, Size, Text, checked, defaults_of, fields_of
 from siamloc.data.cold import read_cold
 from siamloc.data.folder import read_folder
 from siamloc.data.frames import FrameTable
 from siamloc.data.library import PanoramaLibrary
+from siamloc.data.loc360 import read_360loc
 from siamloc.data.manifest import read_manifest
 from siamloc.data.panorama import OmnidirectionalCamera
+from siamloc.data.rawseeds import read_rawseeds
+from siamloc.data.recorded import read_recorded
 from siamloc.errors import ConfigError, Policy, hint
 
-READERS: dict[str, Callable[..., FrameTable]] = {"cold": read_cold, "folder": read_folder, "manifest": read_manifest}
+READERS: dict[str, Callable[..., FrameTable]] = {
+    "cold": read_cold,
+    "manifest": read_manifest,
+    "folder": read_folder,
+    "trajectory": read_recorded,
+    "360loc": read_360loc,
+    "rawseeds": read_rawseeds,
+}
+"""The readers by kind of data. A reader is a function that takes where the data are and returns a `FrameTable`.
 
-_PATHS = ("root", "places", "manifest")
+An entry is all that a kind of data needs. Its parameters, with their annotations and defaults, are the keys `data.KEY`
+on the command line and the keywords of `read`; a relative path becomes absolute if the annotation says `Path`. The
+first line of its docstring is its line in the help.
+"""
+
 _VIRTUAL = (("proc",), ("sys",))  # folders at the root of Linux that hold no files but the system's state
+
+
+def parameters_of(kind: str) -> dict[str, inspect.Parameter]:
+    """Return the parameters of a reader, by name.
+
+    Raises:
+        ConfigError: an unknown kind of data.
+    """
+    if kind not in READERS:
+        raise ConfigError(f"there is no reader for data of kind {kind!r}; {hint(kind, READERS)}")
+    return dict(inspect.signature(READERS[kind]).parameters)
+
+
+def path_keys() -> set[str]:
+    """Return the parameters of all readers that are paths."""
+    return {key for reader in READERS.values() for key, annotation in kinds_of(reader).items() if _is_path(annotation)}
+
+
+def _is_path(annotation: Any) -> bool:
+    return annotation is Path or Path in get_args(annotation)
 
 
 @typed
@@ -29,8 +65,9 @@ def read(kind: str, *, unit: str = "m", name: str = "", **where: Any) -> FrameTa
     """Read the frames of a data set.
 
     Args:
-        kind: "cold" (`siamloc.data.cold.read_cold`), "manifest" (`siamloc.data.manifest.read_manifest`) or "folder"
-            (`siamloc.data.folder.read_folder`).
+        kind: "manifest" (`siamloc.data.manifest.read_manifest`), "cold" (`siamloc.data.cold.read_cold`), "folder"
+            (`siamloc.data.folder.read_folder`), "trajectory" (`siamloc.data.recorded.read_recorded`), "360loc"
+            (`siamloc.data.loc360.read_360loc`) or "rawseeds" (`siamloc.data.rawseeds.read_rawseeds`).
         unit: unit of x and y.
         name: name of the data in results and runs; the name of the file or folder if empty.
         **where: arguments of that reader, such as root=FOLDER.
@@ -47,13 +84,11 @@ def read(kind: str, *, unit: str = "m", name: str = "", **where: Any) -> FrameTa
         >>> import pathlib, tempfile
         >>> folder = pathlib.Path(tempfile.mkdtemp())
         >>> for name in ("a.jpg", "b.jpg", "robot.csv"):
-        ...     _ = (folder / name).write_text("image,x,y\\na.jpg,0,0\\nb.jpg,1,0\\n")
+        ...     _ = (folder / name).write_text("image,x,y\na.jpg,0,0\nb.jpg,1,0\n")
         >>> read("manifest", manifest=folder / "robot.csv")
         FrameTable(2 frames; sequences: (unnamed) 2; rooms: none; lightings: none; positions: all, in m)
     """
-    if kind not in READERS:
-        raise ConfigError(f"there is no reader for data of kind {kind!r}; {hint(kind, READERS)}")
-    parameters = inspect.signature(READERS[kind]).parameters
+    parameters = parameters_of(kind)
     for key in where:
         if key not in parameters:
             raise ConfigError(f"data of kind {kind!r} are not described by {key!r}; {hint(key, parameters)}")
@@ -62,25 +97,27 @@ def read(kind: str, *, unit: str = "m", name: str = "", **where: Any) -> FrameTa
             raise ConfigError(f"data of kind {kind!r} need {key}=...; valid: {', '.join(parameters)}")
     checked(where.get("on_error", "skip"), Policy, "on_error")
     given = {key: value for key, value in where.items() if value is not None}
-    source = {key: str(Path(value).expanduser().absolute()) if key in _PATHS else value for key, value in given.items()}
-    for key in _PATHS:
-        if key in source and Path(source[key]).resolve().parts[1:2] in _VIRTUAL:
+    kinds = kinds_of(READERS[kind])
+    for key, value in given.items():
+        checked(value, kinds.get(key, Any), key)
+    paths = [key for key in given if _is_path(kinds.get(key))]
+    source = {key: plain(value) for key, value in given.items()}
+    source |= {key: str(Path(given[key]).expanduser().absolute()) for key in paths}
+    for key in paths:
+        if Path(source[key]).resolve().parts[1:2] in _VIRTUAL:
             raise ConfigError(f"data.{key}={source[key]} lies in a view of the running system, not in a folder of data")
-    named = name or next((Path(source[key]).stem for key in _PATHS if key in source), kind)
+    named = name or next((Path(source[key]).stem for key in paths), kind)
     return replace(READERS[kind](**given), unit=unit, source={"kind": kind, "name": named, **source})
 
 
 @dataclass(frozen=True)
 class DataSettings(Settings):
-    """Which frames to read, and how their images become panoramas: the settings in `conf/data`.
+    """Which frames to read, and how their images become panoramas: the settings of the group `data`.
 
     Attributes:
-        kind: "cold", "folder" or "manifest".
+        kind: a name in `siamloc.data.READERS`, such as "manifest".
+        where: arguments of the reader, such as `manifest`; as plain values they are keys next to the others.
         name: name of the data in results and runs.
-        manifest: CSV table, for kind "manifest".
-        root: folder, for kind "cold" or "folder".
-        places: one file `places.lst` of poses, for kind "cold", instead of `root`.
-        camera: "omni_cam" or "std_cam", for kind "cold".
         unit: unit of x and y; only used in texts.
         image_size: rows and columns of a panorama.
         circular: whether the columns wrap around; False for ordinary cameras.
@@ -88,7 +125,7 @@ class DataSettings(Settings):
         cache: folder of the decoded panoramas; see `PanoramaLibrary`.
 
     Raises:
-        ConfigError: a value of the wrong type.
+        ConfigError: an unknown key, or a value of the wrong type.
 
     Example:
         >>> DataSettings.of({"kind": "manifest", "manifest": "robot.csv", "image_size": [64, 256]}).image_size
@@ -97,27 +134,66 @@ class DataSettings(Settings):
 
     WHERE: ClassVar[str] = "data"
 
-    kind: Literal["cold", "folder", "manifest"]
+    kind: Text
+    where: Mapping[str, Any]
     name: str = ""
-    manifest: Path | None = None
-    root: Path | None = None
-    places: Path | None = None
-    camera: Literal["omni_cam", "std_cam"] | None = None
     unit: str = "m"
     image_size: Size = (128, 512)
     circular: bool = True
     on_error: Policy = "skip"
     cache: Path | None = None
 
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        checked(self.kind, Literal[tuple(READERS)], "data.kind")  # type: ignore[misc]
+        kinds = kinds_of(READERS[self.kind])
+        where = {key: value for key, value in self.where.items() if value is not None}
+        for key, value in where.items():
+            kind = Path if _is_path(kinds.get(key)) else kinds.get(key, Any)
+            where[key] = checked(value, kind, f"data.{key}")
+        object.__setattr__(self, "where", where)
+
+    @classmethod
+    def of(cls, values: Mapping[str, Any]) -> DataSettings:
+        """Read the settings and the arguments of the reader from one mapping.
+
+        Raises:
+            ConfigError: an unknown key, with the nearest valid one, or a value of the wrong type.
+        """
+        common = [key for key in fields_of(cls) if key != "where"]
+        where = {key: value for key, value in values.items() if key not in common and value is not None}
+        if (kind := values.get("kind")) in READERS:
+            own = [key for key in parameters_of(kind) if key not in common]
+            for key in where:
+                if key not in own:
+                    raise ConfigError(f"unknown key data.{key}: {hint(key, [*common, *own])}")
+        return super().of({**{key: values[key] for key in common if key in values}, "where": where})
+
+    def plain(self) -> dict[str, Any]:
+        """Return the settings and the arguments of the reader in one mapping, which `of` can read."""
+        values = super().plain()
+        where = values.pop("where")
+        return {**values, **where}
+
+    @classmethod
+    def options(cls, kind: str) -> dict[str, Any]:
+        """Return the keys of a kind of data with their defaults; "???" for what has to be given."""
+        common = {"kind": kind, **defaults_of(cls), "name": kind}
+        own = {key: one.default for key, one in parameters_of(kind).items() if key not in common}
+        return {
+            **common,
+            **{key: "???" if default is inspect.Parameter.empty else default for key, default in own.items()},
+        }
+
     def summary(self) -> str:
         """Return the name and location of the data, such as "robot, /data/robot.csv"."""
-        where = self.manifest or self.places or self.root
+        where = next((value for value in self.where.values() if isinstance(value, Path)), None)
         return self.name or self.kind if where is None else f"{self.name or self.kind}, {where.absolute()}"
 
     def read(self) -> FrameTable:
         """Read the frames. See `siamloc.data.read`."""
-        where = {name: getattr(self, name) for name in (*_PATHS, "camera") if getattr(self, name) is not None}
-        return read(self.kind, unit=self.unit, name=self.name, on_error=self.on_error, **where)
+        policy = {"on_error": self.on_error} if "on_error" in parameters_of(self.kind) else {}
+        return read(self.kind, unit=self.unit, name=self.name, **policy, **self.where)
 
     def library(
         self, frames: FrameTable, unwrap: OmnidirectionalCamera | Mapping[str, Any] | None = None

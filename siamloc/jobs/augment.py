@@ -96,7 +96,7 @@ class Preview(DataJob):
         from siamloc import simulate
 
         paths = [str(path) for path in images_named(self.images)]
-        if not paths and (self.data.manifest or self.data.root):
+        if not paths and self.data.where:
             paths = self.data.read().path.tolist()
         panoramas = self.preprocessing.panoramas(paths, self.count) if paths else simulate.panoramas(self.count)
         write_picture(self.out, augment.preview(torch.from_numpy(panoramas)))

@@ -13,6 +13,7 @@ from foundation.files import real_path
 from foundation.settings import Text
 from siamloc import evaluation, maps
 from siamloc.data import FrameTable, PanoramaLibrary, Protocol, Role
+from siamloc.data.reading import parameters_of, path_keys
 from siamloc.errors import ConfigError, SiamlocError, hint
 from siamloc.evaluation import Result
 from siamloc.evaluation.compact_maps import Compact
@@ -143,7 +144,7 @@ class Evaluate(RunJob):
             raise ConfigError(f"{folder} holds results already: choose another out=, or replace them by overwrite=true")
         maps_only = isinstance(self.task, MapMeasures)
         protocol = Protocol(map=self.protocol.map) if maps_only else self.protocol
-        wanted = _frames_measured(protocol, {key: getattr(self.data, key) for key in (*_PLACES, "kind", "camera")})
+        wanted = _frames_measured(protocol, self.data.plain())
         try:
             config = read_results(folder).get("config", {})
             before = _frames_measured(Protocol.of(config.get("protocol") or {}), config.get("data") or {})
@@ -336,16 +337,14 @@ def _size_of(name: str, run: Run) -> list[int] | None:
     return None if size is None else list(size)
 
 
-_PLACES = ("manifest", "root", "places")
-"""Settings of the data that say where they are."""
-
-
 def _frames_measured(protocol: Protocol, data: Mapping[str, Any]) -> dict[str, Any]:
     """Return what decides which frames are located in which map, by the keys that set it."""
     values = {**protocol.plain(), "map": (protocol.train if protocol.map == Role() else protocol.map).plain()}
     wanted = {f"protocol.{key}": _sorted(value) for key, value in values.items() if key not in ("train", "validation")}
-    places = [str(real_path(str(data[key]))) for key in _PLACES if data.get(key) is not None]
-    return {**wanted, "data": [*places, *([data.get("camera", "omni_cam")] if data.get("kind") == "cold" else [])]}
+    reader = parameters_of(data["kind"]) if data else {}
+    where = {key: data[key] for key, one in reader.items() if key in data and data[key] not in (None, one.default)}
+    places = {key: str(real_path(str(value))) for key, value in where.items() if key in path_keys()}
+    return {**wanted, "data": {**where, **places, "on_error": None}}
 
 
 def _sorted(role: Any) -> Any:

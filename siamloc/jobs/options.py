@@ -6,7 +6,7 @@ Hydra gets them through its config store, next to the files in `conf/`.
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
@@ -51,8 +51,8 @@ def options() -> Options:
     return found
 
 
-def summary_of(kind: type) -> str:
-    """Return the first line of a class's docstring."""
+def summary_of(kind: Callable[..., Any]) -> str:
+    """Return the first line of the docstring of a class or function."""
     return (kind.__doc__ or "").strip().partition("\n")[0]
 
 
@@ -64,12 +64,13 @@ def _each(kinds: Mapping[str, type], tag: str = "name", **further: Any) -> dict[
 def _of_data() -> Options:
     from siamloc.data.panorama import HyperbolicMirror, PanoramaView, PolarRing
     from siamloc.data.protocol import Protocol
-    from siamloc.data.reading import DataSettings
+    from siamloc.data.reading import READERS, DataSettings
 
-    data = {key: value for key, value in defaults_of(DataSettings).items() if key not in ("manifest", "root")}
-    of_cold = {key: data.pop(key) for key in ("places", "camera")}
-    kinds = {"manifest": data, "cold": {**data, **of_cold}, "folder": data}
+    kinds = {kind: Option(DataSettings.options(kind), summary_of(reader)) for kind, reader in READERS.items()}
     return {
+        "data": {
+            kind: option for kind, option in kinds.items() if not (config_folder() / f"data/{kind}.yaml").is_file()
+        },
         "unwrap": {
             "none": Option(
                 {"kind": "none"}, "The images are panoramas, or come from an ordinary camera: only resized."
@@ -78,7 +79,7 @@ def _of_data() -> Options:
             **_each({"hyperbolic": HyperbolicMirror}, "kind", top=PanoramaView.top, bottom=PanoramaView.bottom),
         },
         "protocol": {"by_sequence": Option(defaults_of(Protocol), "Roles by the names of sequences, or patterns.")},
-        "settings": {f"data_{kind}": Option(values, "") for kind, values in kinds.items()},
+        "settings": {f"data_{kind}": option for kind, option in kinds.items()},
     }
 
 

@@ -16,9 +16,10 @@ class Prepare(DataJob):
     Reads the frames, summarizes them and any problems with them, and decodes (unwraps, resizes) every image into
     the panorama store, where training and evaluation find them.
 
-        data=manifest|cold|folder   kind of data set
+        data=manifest|cold|folder|trajectory|360loc|rawseeds   kind of data set
         data.manifest=FILE          the CSV, for data=manifest
-        data.root=FOLDER            the folder, for data=cold and data=folder
+        data.root=FOLDER            the folder, for data=cold, folder, 360loc and rawseeds
+        data.images=FOLDER data.poses=FILE   images and poses over time, for data=trajectory
         data.image_size=[128,512]   rows and columns of a panorama
         data.circular=false         for ordinary cameras, whose columns do not wrap around
         unwrap=none|polar|hyperbolic  how omnidirectional images are unwrapped to panoramas

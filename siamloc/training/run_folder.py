@@ -16,6 +16,7 @@ from foundation.settings import leaves
 from siamloc.data.frames import FrameTable
 from siamloc.data.library import PanoramaLibrary
 from siamloc.data.protocol import Protocol
+from siamloc.data.reading import path_keys
 from siamloc.errors import ConfigError
 from siamloc.models.weights import read_checkpoint
 from siamloc.runs import Run
@@ -23,7 +24,7 @@ from siamloc.training.settings import Monitor, Training
 
 # What may differ when a run is resumed: file locations, speed, length of the training.
 _FREE = (
-    *("data.cache", "data.manifest", "data.root", "data.places", "data.name", "data.on_error"),
+    *("data.cache", "data.name", "data.on_error", *(f"data.{key}" for key in path_keys())),
     *("protocol.map", "protocol.query", "protocol.leave_one_out", "protocol.apart"),
     *("training.epochs", "training.workers", "training.augment_where", "training.compile"),
     *("training.checkpoint_every", "training.patience", "training.recall_radius", "views.processes"),

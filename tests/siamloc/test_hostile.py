@@ -35,7 +35,7 @@ def test_a_file_never_takes_the_place_of_a_device_or_a_pipe(tmp_path):
 @pytest.mark.parametrize("stored", ["${oc.env:HOME}", "${nokey}"])
 def test_stored_texts_are_never_looked_up(tmp_path, stored):
     Run(tmp_path).start({"data": {"kind": "manifest", "manifest": stored}}, [])
-    assert composed("map", [f"run={tmp_path}"]).data.manifest == Path(stored)
+    assert composed("map", [f"run={tmp_path}"]).data.where["manifest"] == Path(stored)
 
 
 @pytest.mark.parametrize(

@@ -70,7 +70,7 @@ def test_the_tab_key_completes(tmp_path):
     lines = {
         "siamloc tr": "train ",
         "siamloc augment ": "expand |preview ",
-        "siamloc train data=": "cold|folder|freiburg_sim|manifest",
+        "siamloc train data=": "360loc|cold|folder|freiburg_sim|manifest|rawseeds|trajectory",
         "siamloc train data=folder pairs.l": "pairs.label=",
         "siamloc map model/he": "model/head=",
     }

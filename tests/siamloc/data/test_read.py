@@ -59,9 +59,13 @@ def test_the_source_reads_the_same_frames_from_anywhere(kind, tmp_path, monkeypa
 
 
 def test_data_settings_name_what_is_wrong():
-    with pytest.raises(ConfigError, match=r"data\.kind must be cold or folder or manifest, got 'colt'"):
-        DataSettings(kind="colt")
+    with pytest.raises(ConfigError, match=r"data\.kind must be cold or manifest or folder or .*, got 'colt'"):
+        DataSettings.of({"kind": "colt"})
     with pytest.raises(ConfigError, match=r"unknown key data\.mainfest: did you mean 'manifest'"):
         DataSettings.of({"kind": "manifest", "mainfest": "a.csv"})
-    with pytest.raises(ConfigError, match="are not described by 'root'"):
-        DataSettings(kind="manifest", manifest="a.csv", root="b").read()
+    with pytest.raises(ConfigError, match=r"unknown key data\.root: .*valid: .*manifest"):
+        DataSettings.of({"kind": "manifest", "manifest": "a.csv", "root": "b"})
+    with pytest.raises(ConfigError, match=r"data\.gap must be a number above 0, got -1"):
+        DataSettings.of({"kind": "trajectory", "images": "a", "gap": -1})
+    with pytest.raises(ConfigError, match=r"data\.root must be a path, got 3"):
+        DataSettings.of({"kind": "cold", "root": 3})

@@ -30,11 +30,11 @@ def test_the_only_map_of_a_folder_is_read_once_and_its_settings_are_taken(run, m
     job = Evaluate.of({"run": run})
     assert len(read) == 1
     assert (job.descriptor.name, job.descriptor.parameters["rows"]) == ("thumbnail", 4)
-    assert (job.data.manifest, job.protocol.map.every) == (Path("robot.csv"), 3)
+    assert (job.data.where["manifest"], job.protocol.map.every) == (Path("robot.csv"), 3)
 
 
 def test_data_of_another_kind_replace_those_of_the_map(run):
     job = Evaluate.of({"run": run, "data": {"kind": "folder", "root": "photos"}})
-    assert (job.data.kind, job.data.root, job.data.manifest) == ("folder", Path("photos"), None)
+    assert (job.data.kind, job.data.where) == ("folder", {"root": Path("photos")})
     same = Evaluate.of({"run": run, "data": {"kind": "manifest", "circular": False}})
-    assert (same.data.manifest, same.data.circular) == (Path("robot.csv"), False)
+    assert (same.data.where["manifest"], same.data.circular) == (Path("robot.csv"), False)

@@ -1,0 +1,149 @@
+"""Reader of recordings: a folder of images, and a trajectory in another file, joined by time."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+
+from foundation.settings import Positive
+from siamloc.data.frames import ODOMETRY, FrameTable, image_files, in_capture_order
+from siamloc.data.names import lighting_in
+from siamloc.data.trajectory import Array, Axes, Form, Trajectory, read_trajectory, seconds, text_rows
+from siamloc.errors import DataError, leave_out
+
+_STAMP = re.compile(r"\d+(?:\.\d+)?$")
+_COUNTER = 1e8  # a whole number below it counts images and is no time
+_ANY_DRIVE = {"rgb", "data", "images", "image", "frames", "mav0", "cam0", "cam1", "image_0", "image_2"}
+
+
+def read_recorded(
+    images: str | Path,
+    poses: str | Path | None = None,
+    *,
+    times: str | Path | None = None,
+    odometry: str | Path | None = None,
+    form: Form | None = None,
+    order: Literal["xyzw", "wxyz"] | None = None,
+    axes: Axes | None = None,
+    offset: float = 0.0,
+    gap: Positive = 2.0,
+    sequence: str = "",
+    lighting: str = "",
+    on_error: str = "skip",
+) -> FrameTable:
+    """Read a folder of images with a trajectory in TUM, KITTI or EuRoC form, joined by time.
+
+    Poses are interpolated between the two entries of the trajectory around the time of an image. Images without such
+    entries are left out and reported. A trajectory in KITTI form has a pose for each image.
+
+    Args:
+        images: folder of the images.
+        poses: the trajectory; see `siamloc.data.trajectory.read_trajectory`. Without it frames have no poses.
+        times: list of the images' times: a time on each line, in the order of the names, or a time and a file name, as
+            `rgb.txt` of TUM and `data.csv` of EuRoC. Without it the time is the number at the end of an image's name.
+        odometry: the trajectory by the robot's wheels.
+        form: form of the trajectories; found out if None.
+        order: order of their quaternions, if it is another than that of the form.
+        axes: whose poses they are: "robot", with x ahead and z up, or "camera", with z ahead and y down; "camera" in
+            KITTI form and otherwise "robot" if None.
+        offset: seconds to add to the images' times for those of the trajectories.
+        gap: longest time between two entries, in s, over which poses are interpolated.
+        sequence: name of the drive; the folder's name if empty.
+        lighting: lighting of the drive; the one in its name if empty.
+        on_error: "skip" or "raise", for images without a pose.
+
+    Raises:
+        DataError: a file that cannot be used as it is (with line), names without times, or clocks that differ.
+    """
+    folder = Path(images).expanduser()
+    files, taken = _images(folder, None if times is None else Path(times).expanduser())
+    columns: dict[str, Array] = {"time": taken}
+    given = {"poses": poses, "odometry": odometry}
+    for what, file in given.items():
+        if file is not None:
+            trajectory = read_trajectory(Path(file).expanduser(), form, order)
+            if np.isfinite(trajectory.time).all():
+                found = joined(taken + offset, trajectory, gap, axes or "robot")
+            else:
+                found = _in_order(files, trajectory, axes or "camera")
+            names = ODOMETRY if what == "odometry" else ("x", "y", "theta")
+            columns |= dict(zip(names, found.T, strict=True))
+    name = sequence or next((part for part in reversed(folder.absolute().parts) if part not in _ANY_DRIVE), "")
+    labels = {"sequence": [name] * len(files), "lighting": [lighting or lighting_in(name)] * len(files)}
+    frames = FrameTable(path=[str(file) for file in files], **columns, **labels)  # type: ignore[arg-type]
+    if poses is not None:
+        what = f"images of {folder} were taken outside of {poses}, or in a gap of more than {gap:g} s"
+        leave_out(frames.path[~frames.has_position].tolist(), len(frames), what, on_error)
+        frames = frames.take(frames.has_position)
+    return in_capture_order(frames)
+
+
+def joined(taken: Array, trajectory: Trajectory, gap: float, axes: Axes = "robot") -> Array:
+    """Return the poses in the plane (n, 3) at the times of images (n,), NaN where the trajectory has none.
+
+    Raises:
+        DataError: the images have no times, none was taken during the trajectory, or its frame does not stay upright.
+    """
+    if not np.isfinite(taken).all():
+        raise DataError(
+            "the images have no times: their names do not end in a number of seconds or ns, so give times=FILE, with a "
+            "time on each line"
+        )
+    if taken.max() < trajectory.time[0] or taken.min() > trajectory.time[-1]:
+        raise DataError(
+            f"the images were taken between {taken.min():.3f} and {taken.max():.3f} s, and {trajectory.source} has "
+            f"poses between {trajectory.time[0]:.3f} and {trajectory.time[-1]:.3f} s: these are two clocks; give "
+            f"offset=SECONDS, which is added to the images' times ({trajectory.time[0] - taken.min():.3f} lets both "
+            "begin together)"
+        )
+    return trajectory.at(taken, gap).flat(axes, trajectory)
+
+
+def _in_order(files: Sequence[Path], trajectory: Trajectory, axes: Axes) -> Array:
+    if len(files) != len(trajectory):
+        raise DataError(
+            f"{trajectory.source} holds {len(trajectory)} poses without times, and there are {len(files)} images: "
+            "expected a pose for each"
+        )
+    return trajectory.flat(axes)
+
+
+def _images(folder: Path, times: Path | None) -> tuple[list[Path], Array]:
+    """Return the images of a folder and the times at which they were taken, in s; NaN if unknown."""
+    if not folder.is_dir():
+        raise DataError(f"{folder} is not a folder of images")
+    files = image_files(folder)
+    if not files:
+        raise DataError(f"{folder} holds no images")
+    if times is None:
+        return files, _of_names(files)
+    rows = text_rows(times)
+    if len(rows[0][1]) == 1:
+        if len(rows) != len(files):
+            raise DataError(f"{times} holds {len(rows)} times for {len(files)} images in {folder}: expected one each")
+        return files, _times(times, rows)
+    there = {file.name: file for file in files}
+    listed = [(number, words) for number, words in rows if len(words) > 1 and Path(words[1]).name in there]
+    if not listed:
+        raise DataError(f"{times} names no image of {folder}: expected a time and the name of an image on each line")
+    return [there[Path(words[1]).name] for _, words in listed], _times(times, listed)
+
+
+def _of_names(files: Sequence[Path]) -> Array:
+    stamps = [_STAMP.search(file.stem) for file in files]
+    if all(stamps):
+        numbers = np.array([float(stamp[0]) for stamp in stamps if stamp])
+        if numbers.max() >= _COUNTER or any("." in stamp[0] for stamp in stamps if stamp):
+            return seconds(numbers)
+    return np.full(len(files), np.nan)
+
+
+def _times(path: Path, rows: Sequence[tuple[int, list[str]]]) -> Array:
+    try:
+        return seconds(np.array([words[0] for _, words in rows], dtype=np.float64))
+    except ValueError as error:
+        raise DataError(f"{path} is not a list of times: {error}") from error

@@ -1,0 +1,270 @@
+"""`Trajectory`: poses along time, from a file, between whose entries poses are interpolated.
+
+Three forms of files are read. TUM: `time x y z qx qy qz qw` on each line. KITTI: the upper three rows of a pose's
+matrix, 12 numbers, without a time. EuRoC: a CSV table of a time in ns, x, y, z, qw, qx, qy, qz, and maybe more columns.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from foundation.calls import typed
+from foundation.files import read_text
+from foundation.settings import NotNegative, Positive, shortened
+from siamloc.errors import DataError
+
+Array = NDArray[np.float64]
+Form = Literal["tum", "kitti", "euroc"]
+Axes = Literal["robot", "camera"]
+
+#: The directions ahead and upwards in the frame whose poses are given.
+AXES: dict[str, tuple[Array, Array]] = {
+    "robot": (np.array([1.0, 0, 0]), np.array([0, 0, 1.0])),
+    "camera": (np.array([0, 0, 1.0]), np.array([0, -1.0, 0])),
+}
+_UNITS = ((1e17, 1e-9), (1e14, 1e-6), (1e11, 1e-3))  # from a number this large, times count ns, us and ms
+_UNIT_LENGTH = 0.01  # by which the length of a quaternion may differ from 1
+_LEVEL, _TILTED = (
+    0.98,
+    0.9,
+)  # length of the mean direction upwards of a robot that stays level, and of one that does not
+_COLUMNS = {"tum": 8, "kitti": 12, "euroc": 8}
+
+
+@dataclass(frozen=True, eq=False)
+class Trajectory:
+    """Poses of a frame, such as the robot's, along time.
+
+    Attributes:
+        time: seconds (n,), increasing; NaN if the file holds none.
+        position: in metres (n, 3).
+        quaternion: unit quaternions (n, 4), x, y, z, w, which turn the frame's axes into those of the world.
+        source: the file, for messages.
+    """
+
+    time: Array
+    position: Array
+    quaternion: Array
+    source: str = ""
+
+    def __len__(self) -> int:
+        return len(self.time)
+
+    @classmethod
+    def of(cls, time: Array, position: Array, quaternion: Array, source: str) -> Trajectory:
+        """Make a trajectory of poses in any order of time; of poses with the same time the first is kept.
+
+        Raises:
+            DataError: no poses, a value that is not finite, or a quaternion that is not of unit length.
+        """
+        if not len(position):
+            raise DataError(f"{source} holds no poses")
+        length = np.linalg.norm(quaternion, axis=1)
+        values = np.column_stack([position, length])
+        wrong = ~np.isfinite(values).all(axis=1) | (np.abs(length - 1) > _UNIT_LENGTH)
+        if wrong.any():
+            row = int(wrong.argmax())
+            numbers = " ".join(f"{value:g}" for value in (*position[row], *quaternion[row]))
+            raise DataError(
+                f"{source}: pose {row + 1}, {numbers}, is not three numbers and a quaternion of length 1, but of "
+                f"length {length[row]:.3g}: check the order of the columns"
+            )
+        order = np.arange(len(time))
+        if np.isfinite(time).all():
+            order = np.unique(time, return_index=True)[1]
+        return cls(time[order], position[order], (quaternion / length[:, None])[order], source)
+
+    @classmethod
+    def planar(cls, time: Array, poses: Array, source: str) -> Trajectory:
+        """Make a trajectory of poses in the plane (n, 3): x, y, and heading in rad."""
+        zero, half = np.zeros(len(poses)), poses[:, 2] / 2
+        position = np.column_stack([poses[:, :2], zero])
+        return cls.of(time, position, np.column_stack([zero, zero, np.sin(half), np.cos(half)]), source)
+
+    @typed
+    def at(self, times: Array, gap: Positive = 2.0) -> Trajectory:
+        """Return the poses at some times (m,), in s: positions linear in time, orientations by spherical interpolation.
+
+        Poses are NaN outside of the trajectory, and between two entries more than `gap` seconds apart.
+        """
+        after = np.clip(np.searchsorted(self.time, times), 1, max(len(self) - 1, 1))
+        before = after - 1
+        after = np.minimum(after, len(self) - 1)
+        span = self.time[after] - self.time[before]
+        share = np.divide(times - self.time[before], span, out=np.zeros(len(times)), where=span > 0)[:, None]
+        position = (1 - share) * self.position[before] + share * self.position[after]
+        quaternion = _slerp(self.quaternion[before], self.quaternion[after], share)
+        exact = (times == self.time[before]) | (times == self.time[after])
+        known = (times >= self.time[0]) & (times <= self.time[-1]) & ((span <= gap) | exact)
+        position[~known], quaternion[~known] = np.nan, np.nan
+        return Trajectory(np.asarray(times, dtype=np.float64), position, quaternion, self.source)
+
+    @typed
+    def flat(self, axes: Axes = "robot", whole: Trajectory | None = None) -> Array:
+        """Return the poses in the plane of the ground (n, 3): x, y, and heading in rad, counter-clockwise.
+
+        The direction upwards is that axis of the world to which the frame's own points all the time. Seen from above,
+        x is the world's first axis in the plane, and y lies a quarter turn to its left.
+
+        Args:
+            axes: the frame's axes: "robot" for x ahead and z up, "camera" for z ahead and y down.
+            whole: the trajectory that says which way is up, if these are a few of its poses; this one if None.
+
+        Raises:
+            DataError: the frame does not stay upright.
+        """
+        ahead, up = AXES[axes]
+        mean = _turned((whole or self).quaternion, up).mean(axis=0)
+        if not np.abs(mean).max() >= _TILTED:
+            raise DataError(f"{self.source}: {(whole or self)._why_tilted(axes)}")
+        vertical = int(np.abs(mean).argmax())
+        first, second = [axis for axis in range(3) if axis != vertical]
+        left = np.sign(mean[vertical]) * (-1 if vertical == 1 else 1)
+        forward = _turned(self.quaternion, ahead)
+        heading = np.arctan2(left * forward[:, second], forward[:, first])
+        return np.column_stack([self.position[:, first], left * self.position[:, second], heading])
+
+    def _why_tilted(self, axes: str) -> str:
+        other = next(name for name in AXES if name != axes)
+        rolled = self.quaternion[:, [1, 2, 3, 0]], self.quaternion[:, [3, 0, 1, 2]]
+        if any(_upright(quaternion, AXES[axes][1]) for quaternion in rolled):
+            return "the quaternions are in the other order: give order=wxyz, or order=xyzw if w stands last"
+        if _upright(self.quaternion, AXES[other][1]):
+            return f"the poses are those of a {other}, not of a {axes}: give axes={other}"
+        return f"no axis of the world stays upright, with axes={axes}: the poses do not lie in a plane"
+
+
+def _upright(quaternion: Array, up: Array) -> bool:
+    return bool(np.abs(_turned(quaternion, up).mean(axis=0)).max() > _LEVEL)
+
+
+def _turned(quaternion: Array, vector: Array) -> Array:
+    """Return a vector (3,) turned by each quaternion (n, 4), as (n, 3)."""
+    axis, w = quaternion[:, :3], quaternion[:, 3:]
+    across = 2 * np.cross(axis, vector)
+    return np.asarray(vector + w * across + np.cross(axis, across))
+
+
+def _slerp(first: Array, second: Array, share: Array) -> Array:
+    """Return the orientations (n, 4) at a share (n, 1) of the shorter way between quaternions (n, 4)."""
+    cosine = (first * second).sum(axis=1, keepdims=True)
+    second, cosine = np.where(cosine < 0, -second, second), np.abs(cosine)
+    angle = np.arccos(np.clip(cosine, 0, 1))
+    sine = np.maximum(np.sin(angle), 1e-12)
+    near = angle < 1e-6  # where the arc is straight
+    weights = [np.where(near, part, np.sin(part * angle) / sine) for part in (1 - share, share)]
+    mixed = weights[0] * first + weights[1] * second
+    return np.asarray(mixed / np.linalg.norm(mixed, axis=1, keepdims=True))
+
+
+@typed
+def read_trajectory(
+    file: str | Path,
+    form: Form | None = None,
+    order: Literal["xyzw", "wxyz"] | None = None,
+    tolerance: NotNegative = 0.01,
+) -> Trajectory:
+    """Read a trajectory in TUM, KITTI or EuRoC form.
+
+    Args:
+        file: the file; lines that begin with # are skipped, as is a first line of names.
+        form: its form; if None, KITTI for lines of 12 numbers, EuRoC for numbers between commas, and otherwise TUM.
+        order: order of a quaternion, if it is another than that of the form.
+        tolerance: by which a matrix in KITTI form may differ from a rotation.
+
+    Returns:
+        The poses; times are in s, also of files that count ms, us or ns, and NaN in KITTI form.
+
+    Raises:
+        DataError: the file cannot be read or has another form (with line), or its poses are not poses.
+
+    Example:
+        >>> import tempfile
+        >>> file = Path(tempfile.mkdtemp()) / "groundtruth.txt"
+        >>> _ = file.write_text("# time x y z qx qy qz qw\\n0.0 0 0 0 0 0 0 1\\n1.0 2 0 0 0 0 1 0\\n")
+        >>> read_trajectory(file).at(np.array([0.5])).flat().round(2).tolist()
+        [[1.0, 0.0, 1.57]]
+    """
+    path = Path(file)
+    numbers, commas = read_numbers(path)
+    form = form or ("kitti" if numbers.shape[1] == 12 else "euroc" if commas else "tum")
+    if numbers.shape[1] < _COLUMNS[form] or (form == "kitti" and numbers.shape[1] != 12):
+        raise DataError(
+            f"{path} has {numbers.shape[1]} numbers on a line, and a trajectory in {form} form has {_COLUMNS[form]}: "
+            "give form=tum, kitti or euroc"
+        )
+    if form == "kitti":
+        matrices = numbers.reshape(-1, 3, 4)
+        return Trajectory.of(
+            np.full(len(numbers), np.nan),
+            matrices[:, :, 3],
+            _of_matrices(matrices[:, :, :3], path, tolerance),
+            str(path),
+        )
+    w_first = (order or {"tum": "xyzw", "euroc": "wxyz"}[form]) == "wxyz"
+    quaternion = numbers[:, [5, 6, 7, 4]] if w_first else numbers[:, 4:8]
+    return Trajectory.of(seconds(numbers[:, 0]), numbers[:, 1:4], quaternion, str(path))
+
+
+def seconds(times: Array) -> Array:
+    """Return times since 1970 in s that are given in s, ms, us or ns; smaller numbers are s already."""
+    largest = np.abs(times).max(initial=0)
+    return times * next((factor for least, factor in _UNITS if largest >= least), 1.0)
+
+
+def text_rows(path: Path) -> list[tuple[int, list[str]]]:
+    """Return the line number and the words of each line of a text file that is neither empty nor a comment.
+
+    Raises:
+        DataError: the file cannot be read, or is empty.
+    """
+    try:
+        lines = read_text(path).removeprefix("\ufeff").splitlines()
+    except (OSError, ValueError) as error:
+        raise DataError(f"{path} cannot be read: {getattr(error, 'strerror', None) or error}") from error
+    rows = [(number, line.replace(",", " ").split()) for number, line in enumerate(lines, 1)]
+    rows = [(number, words) for number, words in rows if words and not words[0].startswith("#")]
+    if not rows:
+        raise DataError(f"{path} is empty: expected a line for each entry")
+    return rows
+
+
+def read_numbers(path: Path) -> tuple[Array, bool]:
+    """Return the numbers of a file (n, columns), and whether commas separate them."""
+    rows = text_rows(path)
+    if len(rows) > 1 and not _is_number(rows[0][1][0]):  # a line of names
+        rows = rows[1:]
+    width = len(rows[0][1])
+    for number, words in rows:
+        if len(words) != width or not all(map(_is_number, words)):
+            line = shortened(" ".join(words))
+            raise DataError(
+                f"{path}, line {number}: expected {width} numbers, got {line!r}: it is cut short, or no trajectory"
+            )
+    return np.array([words for _, words in rows], dtype=np.float64), "," in read_text(path)
+
+
+def _is_number(word: str) -> bool:
+    try:
+        float(word)
+    except ValueError:
+        return False
+    return True
+
+
+def _of_matrices(matrices: Array, path: Path, tolerance: float) -> Array:
+    """Return the quaternions (n, 4) of rotation matrices (n, 3, 3)."""
+    from scipy.spatial.transform import Rotation
+
+    off = np.abs(matrices @ matrices.transpose(0, 2, 1) - np.eye(3)).max(axis=(1, 2))
+    wrong = ~(off <= tolerance) | ~(np.linalg.det(matrices) > 0)
+    if wrong.any():
+        raise DataError(
+            f"{path}: the matrix of pose {int(wrong.argmax()) + 1} is not a rotation: it is not in KITTI form"
+        )
+    return np.asarray(Rotation.from_matrix(matrices).as_quat())

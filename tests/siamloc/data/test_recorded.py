@@ -1,0 +1,196 @@
+"""Image folders joined with trajectories by time, and the readers of 360Loc and Rawseeds."""
+
+from __future__ import annotations
+
+import json
+import logging
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+import siamloc.data
+from siamloc.data.recorded import read_recorded
+from siamloc.errors import DataError
+
+START = 1403636580.0
+
+
+def images(folder, names):
+    folder.mkdir(parents=True)
+    for name in names:
+        (folder / name).write_bytes(b"image")
+    return folder
+
+
+def straight(path, start=START, seconds=10, speed=0.5):
+    """A robot that drives along x for some seconds, with an entry each second, in TUM form."""
+    path.write_text("".join(f"{start + t} {speed * t} 0 0 0 0 0 1\n" for t in range(seconds + 1)))
+    return path
+
+
+@pytest.fixture
+def poses(tmp_path):
+    return straight(tmp_path / "groundtruth.txt")
+
+
+@pytest.mark.parametrize(
+    ("name", "digits"), [("{:.6f}.png", 6), ("frame_{:.2f}.jpg", 2), ("{:.0f}000000.png", 0), ("cam-{:.0f}.png", 0)]
+)
+def test_times_in_names(tmp_path, poses, name, digits):
+    """In seconds, ms, us or ns."""
+    names = [name.format(START + t) for t in ((0.5, 2.25) if digits else (1, 3))]
+    frames = siamloc.data.read("trajectory", images=images(tmp_path / "run_night/rgb", names), poses=poses)
+    np.testing.assert_allclose(frames.x, [0.25, 1.125] if digits else [0.5, 1.5], atol=0.005)
+    np.testing.assert_allclose(frames.time - START, [0.5, 2.25] if digits else [1, 3], atol=0.01)
+    assert set(frames.sequence.tolist()) == {"run_night"}
+    assert set(frames.lighting.tolist()) == {"night"}
+    assert siamloc.data.read(**frames.source) == frames
+
+
+def test_offset_odometry_and_frames_without_a_pose(tmp_path, poses, caplog):
+    names = [f"{START + 100 + t}.png" for t in range(-1, 12)]
+    folder = images(tmp_path / "monday", names)
+    wheels = straight(tmp_path / "odometry.txt", start=START - 5, seconds=30, speed=1.0)
+    given = {"images": folder, "poses": poses, "odometry": wheels, "offset": -100.0, "sequence": "one"}
+    with caplog.at_level(logging.WARNING, "siamloc"):
+        frames = siamloc.data.read("trajectory", **given)
+    assert "2 of 13 images of" in caplog.text
+    np.testing.assert_allclose(frames.x, 0.5 * np.arange(11))
+    np.testing.assert_allclose(frames.odom_x, 5 + np.arange(11.0))
+    assert set(frames.sequence.tolist()) == {"one"}
+    with pytest.raises(DataError, match=r"2 of 13 images of .* outside of .*groundtruth\.txt, or in a gap"):
+        siamloc.data.read("trajectory", **given, on_error="raise")
+    with pytest.raises(DataError, match=r"these are two clocks; give offset=SECONDS, .* \(-99\.000 lets both begin"):
+        siamloc.data.read("trajectory", **{**given, "offset": 0.0})
+
+
+@pytest.mark.parametrize("written", ["times", "tum", "euroc"])
+def test_times_in_a_list(tmp_path, poses, written):
+    folder = images(tmp_path / "cam0/data", ["000000.png", "000001.png", "000002.png"])
+    text = {
+        "times": "".join(f"{START + t}\n" for t in range(3)),
+        "tum": f"# color images\n{START + 2} rgb/000002.png\n{START} rgb/000000.png\n",
+        "euroc": f"#timestamp [ns],filename\n{START * 1e9 + 1e9:.0f},000001.png\n",
+    }[written]
+    (tmp_path / "list.txt").write_text(text)
+    frames = read_recorded(folder, poses, times=tmp_path / "list.txt")
+    numbers = {"times": [0, 1, 2], "tum": [0, 2], "euroc": [1]}[written]
+    assert [path[-8:-4] for path in frames.path.tolist()] == [f"000{number}" for number in numbers]
+    np.testing.assert_allclose(frames.x, 0.5 * np.array(numbers))
+
+
+def test_kitti_has_a_pose_for_each_image(tmp_path):
+    """A camera that looks along z of its first pose, drives ahead 2 m and turns right, which is clockwise."""
+    folder = images(tmp_path / "image_0", ["000000.png", "000001.png"])
+    turn = Rotation.from_euler("y", 90, degrees=True).as_matrix()
+    matrices = [np.eye(4)[:3], np.column_stack([turn, [0, 0, 2.0]])]
+    (tmp_path / "00.txt").write_text("".join(" ".join(map(str, one.ravel())) + "\n" for one in matrices))
+    (tmp_path / "times.txt").write_text("0.0\n0.1\n")
+    frames = read_recorded(folder, tmp_path / "00.txt", times=tmp_path / "times.txt")
+    heading = np.exp(1j * frames.theta)
+    np.testing.assert_allclose(np.diff(frames.x + 1j * frames.y), [2 * heading[0]], atol=1e-9)
+    np.testing.assert_allclose(heading[1] / heading[0], -1j, atol=1e-9)
+    assert frames.time.tolist() == [0.0, 0.1]
+    (folder / "000002.png").write_bytes(b"image")
+    with pytest.raises(DataError, match="holds 2 poses without times, and there are 3 images: expected"):
+        read_recorded(folder, tmp_path / "00.txt")
+
+
+@pytest.mark.parametrize(
+    ("names", "more", "says"),
+    [
+        (["000000.png"], {}, "the images have no times: .* give times=FILE"),
+        ([], {}, "holds no images"),
+        (["000000.png"], {"times": "0\n1\n"}, "holds 2 times for 1 images in .*: expected one each"),
+        (["000000.png"], {"times": "0 a.png\n"}, "names no image of .*: expected a time and the name of an image"),
+        (["000000.png"], {"times": "now 000000.png\n"}, "is not a list of times"),
+    ],
+)
+def test_what_cannot_be_joined_is_one_sentence(tmp_path, poses, names, more, says):
+    folder = images(tmp_path / "rgb", names)
+    if more:
+        (tmp_path / "times.txt").write_text(more["times"])
+        more = {"times": tmp_path / "times.txt"}
+    with pytest.raises(DataError, match=says):
+        read_recorded(folder, poses, **more)
+
+
+def test_a_reader_of_ones_own_is_one_function(tmp_path, monkeypatch):
+    """It is known to `read`, to the settings and to the command line, with its own keys."""
+    from siamloc.cli.compose import composed
+    from siamloc.jobs.options import choices, options
+
+    def read_mine(root, *, floor: int = 1):
+        """Read the drives of my robot."""
+        return siamloc.data.FrameTable(path=[f"{root}/a.png"], x=[floor], y=[0])
+
+    monkeypatch.setitem(siamloc.data.READERS, "mine", read_mine)
+    options.cache_clear()
+    try:
+        assert siamloc.data.read("mine", root="r", floor=2).x.tolist() == [2]
+        assert choices("data")["mine"] == "Read the drives of my robot."
+        job = composed("prepare", ["data=mine", "data.root=r", "data.floor=3"])
+        assert job.data.read().x.tolist() == [3]
+    finally:
+        options.cache_clear()
+
+
+@pytest.mark.parametrize("json_only", [False, True])
+def test_360loc(tmp_path, json_only):
+    """Camera to world with COLMAP's axes, in a world whose z points up: looking along +y, then along -x."""
+    looks = [Rotation.from_matrix(m) for m in ([[1, 0, 0], [0, 0, 1], [0, -1, 0]], [[0, 0, -1], [1, 0, 0], [0, -1, 0]])]
+    scene = tmp_path / "360Loc/atrium"
+    (scene / "pose").mkdir(parents=True)
+    for part, sequence, file in (
+        ("mapping", "daytime_360_0", "360_mapping_gt.txt"),
+        ("query_360", "nighttime_360_1", "query_gt_360_night.txt"),
+    ):
+        folder = images(scene / part / sequence / "image", ["0000.jpg", "0001.jpg", "0002.jpg"])
+        matrices, rows = {}, []
+        for number, look in enumerate(looks):
+            name = f"{number:04d}.jpg"
+            x, y, z, w = look.as_quat()
+            rows.append(f"{part}/{sequence}/image/{name} {number} 5.0 1.6 {w} {x} {y} {z}\n")
+            matrix = np.eye(4)
+            matrix[:3, :3], matrix[:3, 3] = look.as_matrix(), [number, 5.0, 1.6]
+            matrices[name] = matrix.tolist()
+        if json_only:
+            (folder.parent / "camera_pose.json").write_text(json.dumps(matrices))
+        else:
+            (scene / "pose" / file).write_text("".join(rows))
+    frames = siamloc.data.read("360loc", root=tmp_path / "360Loc")
+    assert list(frames.rows_by("sequence")) == ["atrium_mapping_daytime_360_0", "atrium_query_nighttime_360_1"]
+    assert frames.lighting.tolist() == ["day"] * 2 + ["night"] * 2
+    np.testing.assert_allclose(frames.xy, [[0, 5], [1, 5]] * 2)
+    np.testing.assert_allclose(frames.theta, [np.pi / 2, np.pi] * 2)
+    assert set(frames.building.tolist()) == {"atrium"}
+    with pytest.raises(DataError, match="has no scene 'hal'; valid: atrium"):
+        siamloc.data.read("360loc", root=tmp_path / "360Loc", scene="hal")
+    with pytest.raises(DataError, match=r"holds no scene of 360Loc: expected <scene>/"):
+        siamloc.data.read("360loc", root=scene / "pose")
+    if not json_only:
+        (scene / "pose/360_mapping_gt.txt").write_text("0000.jpg 1 2 3 1 0 0 0\n")
+        with pytest.raises(DataError, match=r"360_mapping_gt\.txt, line 1: expected SEQUENCE/image/NAME x y z qw"):
+            siamloc.data.read("360loc", root=scene)
+
+
+def test_rawseeds(tmp_path, caplog):
+    for name in ("Bicocca_2009-02-25a", "Bicocca_2009-02-27a"):
+        images(tmp_path / name / "OMNI", [f"OMNI_{START + t}.png" for t in range(4)])
+        truth = "".join(f"{START + t:.6f}, {t}, 2.0, 1.5\n" for t in range(3))
+        (tmp_path / name / f"{name}-GROUNDTRUTH.csv").write_text(truth)
+        wheels = "".join(f"{START + t:.6f},7,11,12,{2 * t},0.5,0.25\n" for t in range(-1, 6))
+        (tmp_path / name / f"{name}-ODOMETRY_XYT.csv").write_text(wheels)
+    with caplog.at_level(logging.WARNING, "siamloc"):
+        frames = siamloc.data.read("rawseeds", root=tmp_path)
+    assert "1 of 4 images of" in caplog.text
+    assert list(frames.rows_by("sequence")) == ["Bicocca_2009-02-25a", "Bicocca_2009-02-27a"]
+    np.testing.assert_allclose(frames.x, [0, 1, 2] * 2)
+    np.testing.assert_allclose(frames.theta, 1.5)
+    np.testing.assert_allclose(frames.odometry, [[0, 0.5, 0.25], [2, 0.5, 0.25], [4, 0.5, 0.25]] * 2, atol=1e-6)
+    (tmp_path / name / f"{name}-GROUNDTRUTH.csv").write_text("1,2\n")
+    with pytest.raises(DataError, match=r"27a-GROUNDTRUTH\.csv has 2 columns, expected at least 4"):
+        siamloc.data.read("rawseeds", root=tmp_path / name)
+    with pytest.raises(DataError, match=r"holds no drive of Rawseeds: expected <drive>/OMNI/OMNI_<seconds>\.png"):
+        siamloc.data.read("rawseeds", root=tmp_path / name / "OMNI")

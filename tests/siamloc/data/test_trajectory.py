@@ -1,0 +1,139 @@
+"""Trajectories as the formats' specifications write them, against scipy's rotations and interpolation."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation, Slerp
+
+import siamloc.data
+from siamloc.data.trajectory import Trajectory, read_trajectory
+from siamloc.errors import ConfigError, DataError
+
+RNG = np.random.default_rng(5)
+TIME = 1305031102.0 + np.cumsum(RNG.uniform(0.02, 0.2, 60))
+HEADING = np.cumsum(RNG.uniform(-0.2, 0.35, 60))
+XY = np.cumsum(RNG.normal(0, 0.1, (60, 2)), axis=0)
+# A camera looks along z, its y points down; the robot's x points ahead, its z up.
+OF_CAMERA = Rotation.from_matrix([[0, 0, 1], [-1, 0, 0], [0, -1, 0]])
+
+
+def turns(axes="robot", sway=0.0):
+    """Rotations from the frame to a world with z up."""
+    upright = Rotation.from_euler("z", HEADING[:, None]) * Rotation.from_rotvec(RNG.normal(0, sway + 1e-12, (60, 3)))
+    return upright if axes == "robot" else upright * OF_CAMERA
+
+
+def lines(*columns, separator=" ", head="# written by the test\n"):
+    rows = np.column_stack(columns)
+    return head + "".join(separator.join(f"{value:.9f}" for value in row) + "\n" for row in rows)
+
+
+def tum(rotations, order=(0, 1, 2, 3)):
+    return lines(TIME, XY, np.full(60, 0.3), rotations.as_quat()[:, order])
+
+
+def euroc(rotations):
+    head = "#timestamp [ns], p_RS_R_x [m], p_RS_R_y [m], p_RS_R_z [m], q_RS_w [], q_RS_x [], q_RS_y [], q_RS_z [], v\n"
+    quaternion = rotations.as_quat()[:, [3, 0, 1, 2]]
+    rows = zip(TIME, np.column_stack([XY, np.full(60, 0.3), quaternion, np.zeros(60)]), strict=True)
+    return head + "".join(f"{round(time * 1e9)},{','.join(f'{v:.9f}' for v in row)}\n" for time, row in rows)
+
+
+def kitti(rotations):
+    poses = np.concatenate([rotations.as_matrix(), np.column_stack([XY, np.full(60, 0.3)])[:, :, None]], axis=2)
+    return lines(poses.reshape(60, 12), head="")
+
+
+def same_heading(found, expected):
+    np.testing.assert_allclose(np.angle(np.exp(1j * (found - expected))), 0, atol=1e-6)
+
+
+@pytest.mark.parametrize("axes", ["robot", "camera"])
+@pytest.mark.parametrize("write", [tum, euroc, kitti])
+def test_each_form_gives_the_poses_that_were_written(tmp_path, write, axes):
+    file = tmp_path / "poses"
+    file.write_text(write(turns(axes)))
+    found = read_trajectory(file)
+    poses = found.flat(axes)
+    np.testing.assert_allclose(poses[:, :2], XY, atol=1e-8)
+    same_heading(poses[:, 2], HEADING)
+    np.testing.assert_allclose(found.time, np.full(60, np.nan) if write is kitti else TIME, atol=1e-6)
+
+
+@pytest.mark.parametrize("world", ["z", "-z", "y", "-y", "x", "-x"])
+def test_whatever_axis_of_the_world_points_up(world):
+    """A robot that turns left and drives ahead does so, seen from above."""
+    axis = np.zeros(3)
+    axis["xyz".index(world[-1])] = -1 if world[0] == "-" else 1
+    to_world = Rotation.align_vectors([axis], [[0, 0, 1.0]])[0]
+    position = to_world.apply(np.column_stack([np.cos(HEADING), np.sin(HEADING), np.zeros(60)]))
+    poses = Trajectory.of(TIME, position, (to_world * turns()).as_quat(), "poses").flat()
+    # It looks away from the centre of a circle, wherever x of the plane lies, and goes around it counter-clockwise.
+    same_heading(poses[:, 2], np.arctan2(poses[:, 1], poses[:, 0]))
+    same_heading(np.diff(poses[:, 2]), np.diff(HEADING))
+
+
+@pytest.mark.parametrize("sway", [0.0, 0.15])
+def test_poses_between_two_entries(sway):
+    rotations = turns(sway=sway)
+    xyz = np.column_stack([XY, np.zeros(60)])
+    given = RNG.permutation(60)  # in any order
+    trajectory = Trajectory.of(TIME[given], xyz[given], -rotations[given].as_quat(), "poses")
+    times = np.sort(RNG.uniform(TIME[0], TIME[-1], 200))
+    found = trajectory.at(times)
+    for axis in range(3):
+        np.testing.assert_allclose(found.position[:, axis], np.interp(times, TIME, xyz[:, axis]), atol=1e-9)
+    apart = (Slerp(TIME, rotations)(times).inv() * Rotation.from_quat(found.quaternion)).magnitude()
+    assert apart.max() < 1e-7
+    np.testing.assert_array_equal(trajectory.at(TIME).position, xyz)
+    outside = trajectory.at(np.array([TIME[0] - 1e-3, TIME[-1] + 1e-3]))
+    assert np.isnan(outside.position).all()
+    assert np.isnan(outside.flat(whole=trajectory)).all()
+
+
+def test_no_pose_inside_of_a_gap():
+    trajectory = Trajectory.planar(np.array([0.0, 1, 4, 5]), np.zeros((4, 3)), "poses")
+    known = np.isfinite(trajectory.at(np.array([0.5, 1, 2, 4, 4.5]), gap=2.0).position[:, 0])
+    assert known.tolist() == [True, True, False, True, True]
+    assert np.isfinite(trajectory.at(np.array([2.0]), gap=3.0).position).all()
+    one = Trajectory.planar(np.array([7.0]), np.array([[1.0, 2, 3]]), "poses")
+    assert one.at(np.array([7.0])).flat().round(9).tolist() == [[1, 2, 3]]
+
+
+BAD = {
+    "is empty": "# nothing\n",
+    "in the other order: give order=wxyz": tum(turns(), order=(3, 0, 1, 2)),
+    "those of a camera, not of a robot: give axes=camera": tum(turns("camera")),
+    "no axis of the world stays upright": tum(Rotation.random(60, rng=np.random.default_rng(0))),
+    r"pose 2, .* is not three numbers and a quaternion of length 1, but of length 1\.04": (
+        "0 0 0 0 0 0 0 1\n1 0 0 0 0.3 0 0 1\n"
+    ),
+    r"pose 1, .* but of length 0: check": "0 0 0 0 0 0 0 0\n",
+    r"line 3: expected 8 numbers, got '1 0 0': it is cut short": "0 0 0 0 0 0 0 1\n1 0 0 0 0 0 0 1\n1 0 0",
+    r"line 2: expected 8 numbers, got '1 0 0 x": "0 0 0 0 0 0 0 1\n1 0 0 x 0 0 0 1\n",
+    "has 4 numbers on a line, and a trajectory in tum form has 8": "0 1 2 3\n",
+    "the matrix of pose 2 is not a rotation": "1 0 0 0 0 1 0 0 0 0 1 0\n1 0 0 0 0 2 0 0 0 0 1 0\n",
+    "is not three numbers and a quaternion": "0 0 nan 0 0 0 0 1\n",
+}
+
+
+@pytest.mark.parametrize("says", BAD)
+def test_what_is_no_trajectory_is_one_sentence(tmp_path, says):
+    file = tmp_path / "poses.txt"
+    file.write_text(BAD[says])
+    with pytest.raises(DataError, match=says):
+        read_trajectory(file).flat()
+
+
+def test_the_other_order_can_be_given(tmp_path):
+    file = tmp_path / "poses.txt"
+    file.write_text(tum(turns(), order=(3, 0, 1, 2)))
+    same_heading(read_trajectory(file, order="wxyz").flat()[:, 2], HEADING)
+    file.write_text(euroc(turns()))
+    with pytest.raises(DataError, match="give order=wxyz, or order=xyzw if w stands last"):
+        read_trajectory(file, order="xyzw").flat()
+    with pytest.raises(DataError, match=r"nowhere\.txt cannot be read: No such file"):
+        read_trajectory(tmp_path / "nowhere.txt")
+    with pytest.raises(ConfigError, match="form must be tum or kitti or euroc"):
+        siamloc.data.read_trajectory(file, "tom")
