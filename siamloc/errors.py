@@ -15,7 +15,7 @@ logger = logging.getLogger("siamloc")
 Policy = Literal["skip", "raise"]
 """What happens to images that cannot be read: they are left out and reported, or the first one is an error."""
 _OURS = ("siamloc", "analytic", "augment", "foundation")
-_EXTRAS = {"embreex": "simulate", "hydra_plugins": "sweeps", "aiohttp": "live"}
+_EXTRAS = {"embreex": "simulate", "hydra_plugins": "sweeps", "aiohttp": "live", "rosbags": "recordings"}
 
 
 def lacking(error: ModuleNotFoundError) -> str | None:

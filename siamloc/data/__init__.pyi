@@ -2,6 +2,7 @@ from .checks import check as check, room_sizes as room_sizes, summary as summary
 from .decoding import Preprocessing as Preprocessing
 from .examples import example as example
 from .expansion import Expanded as Expanded, expand as expand
+from .extracting import Contents as Contents, Extraction as Extraction, contents as contents, extract as extract
 from .fetching import Fetched as Fetched, fetch as fetch
 from .frames import FrameTable as FrameTable, concatenate as concatenate
 from .library import PanoramaLibrary as PanoramaLibrary

@@ -16,6 +16,8 @@ from foundation.calls import typed
 from foundation.settings import Count, Natural, Positive
 from siamloc.errors import ConfigError, DataError, hint
 
+VIDEOS = (".mp4", ".avi", ".mkv", ".mov", ".webm", ".mjpeg", ".mpg")
+"""Endings of the videos that are read."""
 _TEXT = ("path", "room", "sequence", "lighting", "building")
 ODOMETRY = ("odom_x", "odom_y", "odom_theta")
 DEVIATIONS = ("deviation", "theta_deviation")

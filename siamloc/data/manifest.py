@@ -10,6 +10,9 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
+from foundation.files import csv_text
 from foundation.settings import shortened
 from siamloc.data.frames import DEVIATIONS, ODOMETRY, FrameTable, in_capture_order
 from siamloc.errors import DataError, leave_out, logger
@@ -137,3 +140,14 @@ def _frame(file: Path, line: int, names: dict[str, int], cells: list[str]) -> di
                     "cell empty where the value is unknown"
                 )
     return {"path": str(file.parent / image), **frame}
+
+
+def manifest_of(frames: FrameTable, folder: Path) -> str:
+    """Return frames as a manifest for a folder: image paths are relative to it, and empty columns left out."""
+    columns: dict[str, Any] = {"path": [os.path.relpath(path, folder) for path in frames.path.tolist()]}
+    for name in COLUMNS[1:]:
+        values = getattr(frames, name)
+        if (values != "").any() if values.dtype.kind == "U" else np.isfinite(values).any():
+            columns[name] = values.tolist()
+    header = ["image", *list(columns)[1:]]
+    return csv_text([header, *zip(*columns.values(), strict=True)])

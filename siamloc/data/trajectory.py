@@ -6,6 +6,7 @@ matrix, 12 numbers, without a time. EuRoC: a CSV table of a time in ns, x, y, z,
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
@@ -33,6 +34,7 @@ _LEVEL, _TILTED = (
     0.98,
     0.9,
 )  # length of the mean direction upwards of a robot that stays level, and of one that does not
+_NO_GAP = 1e9  # s
 _COLUMNS = {"tum": 8, "kitti": 12, "euroc": 8}
 
 
@@ -139,12 +141,36 @@ class Trajectory:
         return f"no axis of the world stays upright, with axes={axes}: the poses do not lie in a plane"
 
 
+def composed(links: Sequence[Trajectory], source: str) -> Trajectory:
+    """Return the poses of the last frame of a chain in the first one, at the times of the trajectory with most poses.
+
+    Args:
+        links: the poses of each frame in the one before; of a single pose they never change.
+        source: name of the chain for messages.
+    """
+    times = max(links, key=len).time
+    position, quaternion = np.zeros((len(times), 3)), np.tile([0.0, 0, 0, 1], (len(times), 1))
+    for link in links:
+        here = link.at(times, _NO_GAP) if len(link) > 1 else link
+        position = position + _turned(quaternion, here.position)
+        quaternion = _product(quaternion, here.quaternion)
+    known = np.isfinite(position).all(axis=1)
+    return Trajectory.of(times[known], position[known], quaternion[known], source)
+
+
+def _product(first: Array, second: Array) -> Array:
+    """Return the product of quaternions (n, 4) and (n, 4) or (1, 4)."""
+    axis, w = first[:, :3], first[:, 3:]
+    other, v = second[:, :3], second[:, 3:]
+    return np.column_stack([w * other + v * axis + np.cross(axis, other), w * v - (axis * other).sum(axis=1)[:, None]])
+
+
 def _upright(quaternion: Array, up: Array) -> bool:
     return bool(np.abs(_turned(quaternion, up).mean(axis=0)).max() > _LEVEL)
 
 
 def _turned(quaternion: Array, vector: Array) -> Array:
-    """Return a vector (3,) turned by each quaternion (n, 4), as (n, 3)."""
+    """Return a vector (3,), or one for each (n, 3), turned by quaternions (n, 4), as (n, 3)."""
     axis, w = quaternion[:, :3], quaternion[:, 3:]
     across = 2 * np.cross(axis, vector)
     return np.asarray(vector + w * across + np.cross(axis, across))

@@ -2,11 +2,27 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
 
-from siamloc.data import PanoramaLibrary, check, summary
-from siamloc.jobs.job import Say, quiet
+from siamloc.data import PanoramaLibrary, check, contents, extract, summary
+from siamloc.data.extracting import MANIFEST, Contents, Extraction
+from siamloc.jobs.job import Given, Say, quiet
 from siamloc.jobs.run_job import DataJob
+
+
+@dataclass(frozen=True)
+class RecordingKeys(Extraction):
+    """A recording to prepare, and what to take from it.
+
+    Attributes:
+        file: the recording: a ROS bag or a video.
+        out: the folder for its images; if None, the recording is only looked into.
+    """
+
+    file: Path | None = None
+    out: Path | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -25,14 +41,43 @@ class Prepare(DataJob):
         unwrap=none|polar|hyperbolic  how omnidirectional images are unwrapped to panoramas
         data.on_error=raise         stop at the first unreadable image instead of leaving it out
 
+    A recording (a ROS 1 or ROS 2 bag, or a video) is only looked into: what is inside, and the command that
+    extracts it. With recording.out, its images and their manifest are written first:
+
+        drive.bag                   the recording
+        recording.out=FOLDER        where its images and frames.csv go
+        recording.images=TOPIC      and poses=, odometry=: a topic, a frame such as map:base_link, or a file of poses
+        recording.every=5           every fifth image
+        recording.offset=0.2        seconds to add to the times of the images; recording.clock=bag for the recorder's
+
     Example:
         $ siamloc prepare data=manifest data.manifest=my_robot.csv
     """
 
     SHARED = True
+    ALONE = "recording.file"
 
-    def run(self, say: Say = quiet) -> PanoramaLibrary:
-        """Read, decode and check the data; return the panoramas."""
+    recording: RecordingKeys = field(default_factory=RecordingKeys)
+
+    @classmethod
+    def completed(cls, values: dict[str, Any], given: Given) -> dict[str, Any]:
+        """Return the values with the manifest that the recording gets."""
+        recording = values["recording"]
+        if recording.get("file") is None:
+            return values
+        return {**values, "data": {**values["data"], "manifest": str(Path(recording["out"] or "") / MANIFEST)}}
+
+    def run(self, say: Say = quiet) -> PanoramaLibrary | Contents:
+        """Read, decode and check the data; return the panoramas, or the contents of a recording."""
+        if self.recording.file is not None:
+            found = contents(self.recording.file)
+            say(found.describe())
+            if self.recording.out is None:
+                said = " ".join(f"recording.{what}={source}" for what, source in found.proposal.items())
+                out = f"{self.recording.file.stem}_frames"
+                say(f"next: siamloc prepare {self.recording.file} {said} recording.out={out}")
+                return found
+            extract(self.recording.file, self.recording.out, settings=self.recording)
         frames = self.data.read()
         say(summary(frames))
         images = self.data.library(frames, self.unwrap)

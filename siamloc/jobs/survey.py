@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-import os
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import ClassVar
 
-import numpy as np
-
-from foundation.files import csv_text, write_json, write_text
-from siamloc.data import FrameTable, read
-from siamloc.data.manifest import COLUMNS
+from foundation.files import write_json, write_text
+from siamloc.data import read
+from siamloc.data.manifest import manifest_of
 from siamloc.data.protocol import Protocol
 from siamloc.jobs.choices import Device, Folder
 from siamloc.jobs.job import Say, quiet
@@ -79,14 +76,3 @@ class SurveyDrives(DataJob):
         write_json(folder / "survey.json", {"schema": 1, "settings": self.plain(), **found.report()})
         save(survey_picture(found), folder / "survey.png")
         survey_film(found, folder / "survey.gif")
-
-
-def manifest_of(frames: FrameTable, folder: Path) -> str:
-    """Return frames as a manifest for a folder: image paths are relative to it, and empty columns left out."""
-    columns: dict[str, Any] = {"path": [os.path.relpath(path, folder) for path in frames.path.tolist()]}
-    for name in COLUMNS[1:]:
-        values = getattr(frames, name)
-        if (values != "").any() if values.dtype.kind == "U" else np.isfinite(values).any():
-            columns[name] = values.tolist()
-    header = ["image", *list(columns)[1:]]
-    return csv_text([header, *zip(*columns.values(), strict=True)])

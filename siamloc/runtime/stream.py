@@ -18,14 +18,13 @@ from numpy.typing import NDArray
 
 from foundation.calls import typed
 from foundation.files import atomic_path, csv_text, plain
-from siamloc.data.frames import image_files
+from siamloc.data.frames import VIDEOS, image_files
 from siamloc.data.moves import moves
 from siamloc.data.names import NamedPose, parse_name
 from siamloc.errors import ConfigError, DataError
 from siamloc.runtime.localizer import Localizer, Location
 from siamloc.runtime.wheels import UNKNOWN, read_odometry
 
-VIDEOS = {".mp4", ".avi", ".mkv", ".mov", ".webm", ".mjpeg", ".mpg"}
 CAMERA = "camera:"
 _FFMPEG_LEVEL, _FFMPEG_SILENT = "OPENCV_FFMPEG_LOGLEVEL", "-8"
 COLUMNS = (

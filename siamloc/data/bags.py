@@ -1,0 +1,267 @@
+"""`Bag`: the images, poses and frames in a ROS 1 or ROS 2 bag, read without ROS (with the package rosbags)."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from itertools import islice
+from pathlib import Path
+from typing import Any, Literal
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from siamloc.data.trajectory import Trajectory, composed
+from siamloc.errors import DataError, SiamlocError, hint
+
+Clock = Literal["stamp", "bag"]
+Edge = tuple[str, str]
+"""A frame and the frame that its poses are given in: parent, child."""
+
+IMAGES = ("sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage")
+ODOMETRY = ("nav_msgs/msg/Odometry",)
+POSES = tuple(f"geometry_msgs/msg/{name}Stamped" for name in ("Pose", "PoseWithCovariance", "Transform"))
+TRANSFORMS = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
+CALIBRATION = ("sensor_msgs/msg/CameraInfo",)
+KINDS = {
+    **dict.fromkeys(IMAGES, "images"),
+    **dict.fromkeys(ODOMETRY, "odometry"),
+    **dict.fromkeys(POSES, "poses"),
+    **dict.fromkeys(TRANSFORMS, "frames"),
+    **dict.fromkeys(CALIBRATION, "calibration"),
+}
+"""What a topic holds, by the type of its messages."""
+
+# Channels and type of the numbers of a raw image, and how OpenCV turns them into RGB.
+_ENCODINGS: dict[str, tuple[int, str, int | None]] = {
+    "rgb8": (3, "u1", None),
+    "bgr8": (3, "u1", cv2.COLOR_BGR2RGB),
+    "8UC3": (3, "u1", cv2.COLOR_BGR2RGB),
+    "rgba8": (4, "u1", cv2.COLOR_RGBA2RGB),
+    "bgra8": (4, "u1", cv2.COLOR_BGRA2RGB),
+    "mono8": (1, "u1", cv2.COLOR_GRAY2RGB),
+    "8UC1": (1, "u1", cv2.COLOR_GRAY2RGB),
+    "mono16": (1, "u2", cv2.COLOR_GRAY2RGB),
+    "bayer_rggb8": (1, "u1", cv2.COLOR_BayerRGGB2RGB),
+    "bayer_bggr8": (1, "u1", cv2.COLOR_BayerBGGR2RGB),
+    "bayer_gbrg8": (1, "u1", cv2.COLOR_BayerGBRG2RGB),
+    "bayer_grbg8": (1, "u1", cv2.COLOR_BayerGRBG2RGB),
+    "yuv422": (2, "u1", cv2.COLOR_YUV2RGB_UYVY),
+    "yuv422_yuy2": (2, "u1", cv2.COLOR_YUV2RGB_YUY2),
+}
+_FILES = {b"\xff\xd8\xff": ".jpg", b"\x89PNG": ".png"}  # the first bytes of compressed images
+_LOOKED_AT = 2000  # messages of a topic of frames, to know which frames there are
+
+
+class Bag:
+    """A bag that is open inside a `with` block: a file .bag, .db3 or .mcap, or a folder with metadata.yaml.
+
+    Attributes:
+        path: the bag.
+        topics: type and number of the messages of each topic.
+        seconds: time between the first and the last message.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.topics: dict[str, tuple[str, int]] = {}
+        self.seconds = 0.0
+
+    def __enter__(self) -> Bag:
+        from rosbags.highlevel import AnyReader
+        from rosbags.typesys import Stores, get_typestore
+
+        with self._whole():
+            self._reader = AnyReader([self.path], default_typestore=get_typestore(Stores.ROS2_HUMBLE))
+            self._reader.open()
+            self.topics = {name: (str(one.msgtype), one.msgcount) for name, one in self._reader.topics.items()}
+            self.seconds = max(self._reader.duration, 0) / 1e9 if any(count for _, count in self.topics.values()) else 0
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._reader.close()
+
+    def images(self, topic: str, clock: Clock = "stamp") -> Iterator[tuple[int, bytes | NDArray[np.uint8], str]]:
+        """Yield the time in ns of each image of a topic, the image, and the ending of its file.
+
+        An image that is compressed comes as the bytes of its file, others as pixels (rows, columns, 3), RGB.
+
+        Raises:
+            DataError: no such topic, or one without images; an encoding that is not known; or a bag cut short.
+        """
+        for time, message in self._messages(topic, IMAGES, clock):
+            if hasattr(message, "encoding"):
+                yield time, self._pixels(topic, message), ".jpg"
+                continue
+            content = bytes(message.data)
+            ending = next((end for begin, end in _FILES.items() if content.startswith(begin)), None)
+            if ending is None:
+                raise DataError(
+                    f"{self.path}: images of {topic} are compressed as {message.format!r}, expected JPEG or PNG"
+                )
+            yield time, content, ending
+
+    def poses(self, source: str, clock: Clock = "stamp") -> Trajectory:
+        """Return the poses of a topic, or of a frame in another one, such as "map:base_link".
+
+        Raises:
+            DataError: no such topic or frame, a topic of other messages, no poses, or a bag cut short.
+        """
+        if source not in self.topics and ":" in source:
+            parent, _, child = source.partition(":")
+            return self._chained(parent, child)
+        rows = [(time, *_pose(message)) for time, message in self._messages(source, (*ODOMETRY, *POSES), clock)]
+        return _trajectory(rows, f"{self.path}, {source}")
+
+    def frames(self) -> dict[Edge, int]:
+        """Return how often the first messages of the topics of frames give each frame in its parent."""
+        found: dict[Edge, int] = {}
+        for topic in self._named(TRANSFORMS):
+            for _, message in islice(self._messages(topic, TRANSFORMS, "stamp"), _LOOKED_AT):
+                for one in message.transforms:
+                    edge = _edge(one)
+                    found[edge] = found.get(edge, 0) + 1
+        return found
+
+    def calibrations(self) -> dict[str, dict[str, Any]]:
+        """Return the first calibration of each camera as plain values, by topic."""
+        names = ("width", "height", "distortion_model", "d", "k", "r", "p", "D", "K", "R", "P")  # large ones of ROS 1
+        firsts = {topic: next(self._messages(topic, CALIBRATION, "stamp"), None) for topic in self._named(CALIBRATION)}
+        return {
+            topic: {name.lower(): getattr(first[1], name) for name in names if hasattr(first[1], name)}
+            for topic, first in firsts.items()
+            if first is not None
+        }
+
+    def _named(self, types: tuple[str, ...]) -> list[str]:
+        return [name for name, (kind, _) in self.topics.items() if kind in types]
+
+    def _messages(self, topic: str, types: tuple[str, ...], clock: Clock) -> Iterator[tuple[int, Any]]:
+        """Yield the time in ns and the message of each message of a topic."""
+        if topic not in self.topics:
+            raise DataError(f"{self.path} has no topic {topic!r}; {hint(topic, self._named(types) or self.topics)}")
+        if self.topics[topic][0] not in types:
+            raise DataError(
+                f"{self.path}: {topic} holds {self.topics[topic][0]}, expected {' or '.join(types)}; such topics are: "
+                f"{', '.join(self._named(types)) or 'none'}"
+            )
+        with self._whole():
+            connections = [one for one in self._reader.connections if one.topic == topic]
+            for connection, received, raw in self._reader.messages(connections):
+                message = self._reader.deserialize(raw, connection.msgtype)
+                stamp = _stamp(message) if clock == "stamp" and hasattr(message, "header") else 0
+                yield stamp or received, message
+
+    def _chained(self, parent: str, child: str) -> Trajectory:
+        """Return the poses of a frame in one above it, along the frames between the two."""
+        rows: dict[Edge, list[Any]] = {}
+        for topic in self._named(TRANSFORMS):
+            for _, message in self._messages(topic, TRANSFORMS, "stamp"):
+                for one in message.transforms:
+                    rows.setdefault(_edge(one), []).append((_stamp(one), *_pose(one)))
+        above = {lower: upper for upper, lower in rows}
+        path = [child]
+        while path[-1] != parent and path[-1] in above and len(path) <= len(above):
+            path.append(above[path[-1]])
+        if path[-1] != parent or len(path) < 2:
+            known = [f"{upper}:{lower}" for upper, lower in rows]
+            raise DataError(f"{self.path} has no frame {child!r} below {parent!r}; {hint(f'{parent}:{child}', known)}")
+        links = [
+            _trajectory(rows[edge], f"{self.path}, {':'.join(edge)}") for edge in zip(path[1:], path, strict=False)
+        ]
+        return composed(links[::-1], f"{self.path}, {parent}:{child}")
+
+    def _pixels(self, topic: str, message: Any) -> NDArray[np.uint8]:
+        if message.encoding not in _ENCODINGS:
+            raise DataError(
+                f"{self.path}: images of {topic} have the encoding {message.encoding!r}; "
+                f"{hint(message.encoding, _ENCODINGS)}"
+            )
+        channels, kind, code = _ENCODINGS[message.encoding]
+        order = ">" if message.is_bigendian else "<"
+        row = message.width * channels * int(kind[1])
+        raw = np.frombuffer(message.data, dtype=np.uint8)
+        if message.step < row or len(raw) < message.step * message.height:
+            size = f"{message.width} x {message.height} px in {message.encoding}"
+            raise DataError(f"{self.path}: an image of {topic} has {len(raw)} bytes, too few for {size}")
+        rows = raw[: message.step * message.height].reshape(message.height, message.step)[:, :row]
+        pixels = np.ascontiguousarray(rows).view(order + kind).reshape(message.height, message.width, channels)
+        pixels = (pixels >> 8).astype(np.uint8) if kind == "u2" else pixels
+        return np.asarray(pixels if code is None else cv2.cvtColor(pixels, code), dtype=np.uint8)
+
+    @contextmanager
+    def _whole(self) -> Iterator[None]:
+        """Turn the errors of a damaged bag, which come from many libraries, into one sentence."""
+        try:
+            yield
+        except (SiamlocError, ModuleNotFoundError):
+            raise
+        except Exception as error:
+            reason = " ".join(str(error).split()) or type(error).__name__
+            raise DataError(
+                f"{self.path} cannot be read as a ROS bag ({reason.rstrip('.')}): it is damaged or cut short; `rosbag "
+                "reindex` or `ros2 bag reindex` may repair it"
+            ) from error
+
+
+def _stamp(message: Any) -> int:
+    return int(message.header.stamp.sec) * 1_000_000_000 + int(message.header.stamp.nanosec)
+
+
+def _edge(message: Any) -> Edge:
+    return message.header.frame_id.lstrip("/"), message.child_frame_id.lstrip("/")
+
+
+def _pose(message: Any) -> tuple[float, ...]:
+    """Return x, y, z and the quaternion x, y, z, w of a message."""
+    if hasattr(message, "transform"):
+        point, turn = message.transform.translation, message.transform.rotation
+    else:
+        pose = message.pose.pose if hasattr(message.pose, "pose") else message.pose
+        point, turn = pose.position, pose.orientation
+    return point.x, point.y, point.z, turn.x, turn.y, turn.z, turn.w
+
+
+def _trajectory(rows: list[Any], source: str) -> Trajectory:
+    if not rows:
+        raise DataError(f"{source} holds no poses")
+    times = np.array([row[0] for row in rows], dtype=np.int64)
+    values = np.array([row[1:] for row in rows], dtype=np.float64)
+    return Trajectory.of(times / 1e9, values[:, :3], values[:, 3:], source)
+
+
+def proposed(topics: Mapping[str, tuple[str, int]], frames: Mapping[Edge, int]) -> dict[str, str]:
+    """Return the sources that a recording most likely means: "images", "poses" and "odometry", where there are any.
+
+    Images of a camera for all directions come before others, and poses before odometry; a topic of poses, or the robot
+    in the frame "map" or "world".
+    """
+    kinds = {name: KINDS.get(kind, "") for name, (kind, _) in topics.items()}
+    counts = {name: count for name, (_, count) in topics.items() if count}
+
+    def best(kind: str, words: tuple[str, ...]) -> list[str]:
+        names = [name for name in counts if kinds[name] == kind]
+        return sorted(names, key=lambda name: (not any(word in name.lower() for word in words), -counts[name], name))
+
+    def below(*parents: str) -> list[str]:
+        above = {lower: upper for upper, lower in frames}
+        found = []
+        for robot in ("base_footprint", "base_link"):
+            at, seen = robot, {robot}
+            while at in above and above[at] not in seen:
+                at = above[at]
+                seen.add(at)
+                if at in parents:
+                    found.append(f"{at}:{robot}")
+                    break
+        return found
+
+    true = ("truth", "gt", "vicon", "mocap", "amcl", "slam", "pose")
+    wheels = best("odometry", ("wheel", "odom"))
+    candidates = {
+        "images": best("images", ("omni", "360", "pano", "equirect", "fisheye", "theta")),
+        "poses": [*best("poses", true), *below("map", "world"), *(name for name in wheels if "truth" in name)],
+        "odometry": [*(name for name in wheels if "truth" not in name), *below("odom")],
+    }
+    return {what: names[0] for what, names in candidates.items() if names}

@@ -1,0 +1,245 @@
+"""`contents` and `extract`: look into a recording, a ROS bag or a video, and write its images and their manifest."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, ClassVar
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from foundation.calls import OF_FIELDS, takes, typed
+from foundation.files import write_bytes, write_json, write_picture, write_text
+from foundation.settings import Count, Positive, Settings, Text
+from siamloc.data.bags import KINDS, Bag, Clock, proposed
+from siamloc.data.frames import ODOMETRY, VIDEOS, FrameTable
+from siamloc.data.manifest import manifest_of
+from siamloc.data.names import lighting_in
+from siamloc.data.reading import read
+from siamloc.data.recorded import joined
+from siamloc.data.trajectory import Array, Axes, Trajectory, read_trajectory
+from siamloc.errors import ConfigError, DataError, Policy, leave_out
+from siamloc.progress import track
+
+SOURCES = ("images", "poses", "odometry")
+MANIFEST = "frames.csv"
+"""The manifest in the folder of an extracted recording."""
+CALIBRATION = "camera_info.json"
+"""The calibrations of the cameras in a bag, by topic."""
+BAGS = (".bag", ".db3", ".mcap")
+_QUALITY = 95  # of the JPEG files of images that were not compressed
+
+
+@dataclass(frozen=True)
+class Extraction(Settings):
+    """What to take from a recording.
+
+    Attributes:
+        images: topic of the images; that of `contents(file).proposal` if None.
+        poses: topic of poses, a frame in another one such as "map:base_link", or a file with a trajectory; that of the
+            proposal if None, and no poses if "none".
+        odometry: likewise, for the poses by the robot's wheels.
+        axes: whose poses they are; see `siamloc.data.trajectory.Trajectory.flat`.
+        clock: "stamp" for the times that the messages carry, "bag" for those at which they were recorded.
+        offset: seconds to add to the times of the images for those of the poses. The time in a video begins with 0.
+        gap: longest time between two poses, in s, over which poses are interpolated.
+        every: take every k-th image.
+        sequence: name of the drive; the recording's name if empty.
+        on_error: "skip" or "raise", for images without a pose.
+    """
+
+    WHERE: ClassVar[str] = "recording"
+
+    images: Text | None = None
+    poses: Text | None = None
+    odometry: Text | None = None
+    axes: Axes = "robot"
+    clock: Clock = "stamp"
+    offset: float = 0.0
+    gap: Positive = 2.0
+    every: Count = 1
+    sequence: str = ""
+    on_error: Policy = "skip"
+
+
+@dataclass(frozen=True)
+class Contents:
+    """What is inside a recording.
+
+    Attributes:
+        file: the recording.
+        seconds: its length.
+        topics: type and number of the messages of each topic; a video has the one topic "video".
+        frames: frames in others, such as "odom:base_link", that the recording gives poses of.
+        proposal: which of them most likely give the images, poses and odometry.
+    """
+
+    file: Path
+    seconds: float
+    topics: dict[str, tuple[str, int]]
+    frames: tuple[str, ...] = ()
+    proposal: dict[str, str] = field(default_factory=dict)
+
+    def describe(self) -> str:
+        """Return a line for the recording, one for each topic, and one for what is proposed."""
+        width = max(map(len, self.topics), default=0)
+        lines = [f"{self.file}: {self.seconds:.1f} s, {len(self.topics)} topic{'s' * (len(self.topics) != 1)}"]
+        for name, (kind, count) in sorted(self.topics.items()):
+            rate = f", {count / self.seconds:.1f}/s" if self.seconds > 0 and count > 1 else ""
+            used = KINDS.get(kind)
+            lines.append(f"  {name:<{width}}  {count} x {kind}{rate}{f' ({used})' if used else ''}")
+        if self.frames:
+            lines.append(f"  frames: {', '.join(self.frames)}")
+        lacking = [what for what in SOURCES if what not in self.proposal]
+        said = [f"{what}={source}" for what, source in self.proposal.items()] + [f"no {what}" for what in lacking]
+        return "\n".join([*lines, f"proposed: {', '.join(said)}"])
+
+
+class Film:
+    """A video that is open inside a `with` block, with the methods of a `Bag`."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.topics: dict[str, tuple[str, int]] = {}
+
+    def __enter__(self) -> Film:
+        self._film = cv2.VideoCapture(str(self.path))
+        count, self._rate = (self._film.get(key) for key in (cv2.CAP_PROP_FRAME_COUNT, cv2.CAP_PROP_FPS))
+        if not self._film.isOpened() or not self._rate > 0:
+            raise DataError(f"{self.path} cannot be read as a video: it is damaged, or in a format that OpenCV lacks")
+        self.topics = {"video": ("video", max(int(count), 0))}
+        self.seconds = max(count, 0) / self._rate
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._film.release()
+
+    def images(self, topic: str, clock: Clock) -> Iterator[tuple[int, NDArray[np.uint8], str]]:
+        """Yield the time in ns, the pixels (rows, columns, 3), RGB, and the ending of the file of each picture."""
+        number = 0
+        while True:
+            there, picture = self._film.read()
+            if not there:
+                return
+            time = self._film.get(cv2.CAP_PROP_POS_MSEC) / 1e3
+            seconds = time if time > 0 else number / self._rate  # some formats know no times of pictures
+            yield round(seconds * 1e9), np.ascontiguousarray(picture[:, :, ::-1]), ".jpg"
+            number += 1
+
+
+@typed
+def contents(file: str | Path) -> Contents:
+    """Look into a recording: a ROS 1 bag (.bag), a ROS 2 bag (a folder, .db3 or .mcap), or a video.
+
+    Raises:
+        DataError: the file does not exist, cannot be read, or is no recording.
+    """
+    with _opened(Path(file).expanduser()) as source:
+        frames = source.frames() if isinstance(source, Bag) else {}
+        proposal = proposed(source.topics, frames) if isinstance(source, Bag) else {"images": "video"}
+        known = tuple(":".join(edge) for edge in frames)
+        return Contents(source.path, source.seconds, dict(source.topics), known, proposal)
+
+
+@takes(Extraction)
+def extract(file: str | Path, out: str | Path, *, settings: Extraction = OF_FIELDS, **fields: Any) -> FrameTable:
+    """Write the images of a recording into a folder, named by their times in ns, and their manifest, `frames.csv`.
+
+    Images that are there already are not written again, so that an interrupted call goes on.
+
+    Args:
+        file: the recording; see `contents`.
+        out: the folder.
+        settings: an `Extraction`.
+
+    Returns:
+        The frames of the manifest.
+
+    Raises:
+        ConfigError: `poses` or `odometry` that is neither in the recording nor a file.
+        DataError: a recording that cannot be read, without images, or whose poses are of another clock.
+        StorageError: the disk is full or refuses.
+    """
+    path, folder = Path(file).expanduser(), Path(out).expanduser()
+    found = contents(path)
+    sources = {what: getattr(settings, what) or found.proposal.get(what, "none") for what in SOURCES}
+    if sources["images"] == "none":
+        raise DataError(f"{path} holds no images, only {', '.join(found.topics) or 'nothing'}")
+    with _opened(path) as recording:
+        files, times = _write_images(recording, folder, sources["images"], settings)
+        columns = {"time": times}
+        for what, names in (("poses", ("x", "y", "theta")), ("odometry", ODOMETRY)):
+            if (trajectory := _trajectory(recording, what, sources[what], settings)) is not None:
+                columns |= dict(zip(names, _joined(times, trajectory, what, settings).T, strict=True))
+        if isinstance(recording, Bag) and (cameras := recording.calibrations()):
+            write_json(folder / CALIBRATION, cameras)
+    name = settings.sequence or path.stem
+    labels = [[name] * len(files), [lighting_in(name)] * len(files)]
+    frames = FrameTable(path=np.array(files)).with_columns(sequence=labels[0], lighting=labels[1], **columns)
+    if "x" in columns:
+        lacking = frames.path[~frames.has_position].tolist()
+        leave_out(lacking, len(frames), f"images of {path} have no pose", settings.on_error)
+        frames = frames.take(frames.has_position)
+    write_text(folder / MANIFEST, manifest_of(frames, folder))
+    return read("manifest", manifest=folder / MANIFEST)
+
+
+def _opened(path: Path) -> Bag | Film:
+    if not path.exists():
+        raise DataError(f"there is no recording {path}")
+    if path.suffix.lower() in VIDEOS:
+        return Film(path)
+    if path.suffix.lower() in BAGS or (path / "metadata.yaml").is_file():
+        return Bag(path)
+    known = ", ".join((*BAGS, *VIDEOS))
+    raise DataError(
+        f"{path} is no recording: expected a file {known}, or a folder with the metadata.yaml of a ROS 2 bag"
+    )
+
+
+def _write_images(
+    recording: Bag | Film, folder: Path, topic: str, settings: Extraction
+) -> tuple[list[str], NDArray[np.float64]]:
+    """Write every k-th image; return the files and their times in s."""
+    found: dict[int, str] = {}
+    count = recording.topics.get(topic, ("", 0))[1]
+    messages = track(recording.images(topic, settings.clock), count, f"extracting {recording.path.name}")
+    for number, (time, image, ending) in enumerate(messages):
+        if number % settings.every or time in found:
+            continue
+        file = folder / f"{time:019d}{ending}"
+        found[time] = str(file)
+        if not file.is_file():
+            if isinstance(image, bytes):
+                write_bytes(file, image)
+            else:
+                write_picture(file, image, _QUALITY)
+    if not found:
+        raise DataError(f"{recording.path}: {topic} holds no images")
+    order = sorted(found)
+    return [found[time] for time in order], np.array(order, dtype=np.int64) / 1e9
+
+
+def _trajectory(recording: Bag | Film, what: str, source: str, settings: Extraction) -> Trajectory | None:
+    """Return the poses of a topic, a frame or a file; None if there are none."""
+    if source == "none":
+        return None
+    if isinstance(recording, Bag) and (source in recording.topics or (":" in source and not Path(source).exists())):
+        return recording.poses(source, settings.clock)
+    if Path(source).is_file():
+        return read_trajectory(source)
+    raise ConfigError(
+        f"recording.{what}={source} is no topic of {recording.path}, no frame such as map:base_link, and no file"
+    )
+
+
+def _joined(times: Array, trajectory: Trajectory, what: str, settings: Extraction) -> Array:
+    """Return the poses in the plane (n, 3) at the times of the images (n,)."""
+    axes = settings.axes if what == "poses" else "robot"
+    try:
+        return joined(times + settings.offset, trajectory, settings.gap, axes)
+    except DataError as error:
+        raise DataError(f"{error}; if the camera has a clock of its own, clock=bag takes the recorder's") from error

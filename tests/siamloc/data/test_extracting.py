@@ -1,0 +1,347 @@
+"""Recordings: bags written by rosbags, which is another program's code, and videos written by OpenCV."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+import siamloc.data
+from siamloc.cli import main
+from siamloc.errors import ConfigError, DataError, lacking
+
+pytest.importorskip("rosbags", reason="the extra `recordings` is not installed")
+from rosbags import rosbag1, rosbag2
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+START = 1_700_000_000_000_000_000
+FORMS = ("ros1", "sqlite3", "mcap")
+RNG = np.random.default_rng(3)
+PICTURES = [cv2.resize(RNG.integers(0, 256, (6, 8, 3), dtype=np.uint8), (64, 48)) for _ in range(5)]
+
+
+class Written:
+    """A bag that is being written: messages by their types' fields, as ROS names them."""
+
+    def __init__(self, path: Path, form: str) -> None:
+        self.one = form == "ros1"
+        self.types = get_typestore(Stores.ROS1_NOETIC if self.one else Stores.ROS2_HUMBLE)
+        if self.one:
+            frames = "geometry_msgs/TransformStamped[] transforms"
+            self.types.register(get_types_from_msg(frames, "tf2_msgs/msg/TFMessage"))
+        self.path = path.with_suffix(".bag") if self.one else path
+        plugin = {} if self.one else {"version": 9, "storage_plugin": rosbag2.StoragePlugin[form.upper()]}
+        self.writer = (rosbag1 if self.one else rosbag2).Writer(self.path, **plugin)
+        self.connections = {}
+
+    def make(self, name, **fields):
+        kind = self.types.types[name]
+        if name == "std_msgs/msg/Header" and self.one:
+            fields = {"seq": 0, **fields}
+        if name == "sensor_msgs/msg/CameraInfo" and self.one:
+            fields = {key.upper() if len(key) == 1 else key: value for key, value in fields.items()}
+        return kind(**fields)
+
+    def header(self, time, frame=""):
+        sec, nanosec = divmod(time, 1_000_000_000)
+        return self.make("std_msgs/msg/Header", stamp=self.make_time(sec, nanosec), frame_id=frame)
+
+    def make_time(self, sec, nanosec):
+        return self.types.types["builtin_interfaces/msg/Time"](sec=sec, nanosec=nanosec)
+
+    def pose(self, x, y, theta, kind="Pose"):
+        point, vector = ("position", "Point") if kind == "Pose" else ("translation", "Vector3")
+        turn = "orientation" if kind == "Pose" else "rotation"
+        at = self.make(f"geometry_msgs/msg/{vector}", x=float(x), y=float(y), z=0.0)
+        look = self.make("geometry_msgs/msg/Quaternion", x=0.0, y=0.0, z=np.sin(theta / 2), w=np.cos(theta / 2))
+        return self.make(f"geometry_msgs/msg/{kind}", **{point: at, turn: look})
+
+    def covariant(self, pose):
+        return self.make("geometry_msgs/msg/PoseWithCovariance", pose=pose, covariance=np.zeros(36))
+
+    def write(self, topic, name, time, **fields):
+        if topic not in self.connections:
+            self.connections[topic] = self.writer.add_connection(topic, name, typestore=self.types)
+        serialize = self.types.serialize_ros1 if self.one else self.types.serialize_cdr
+        self.writer.write(self.connections[topic], time, serialize(self.make(name, **fields), name))
+
+    def image(self, topic, time, picture, encoding="bgr8", received=None, **fields):
+        rows, columns = picture.shape[:2]
+        values = {"height": rows, "width": columns, "encoding": encoding, "is_bigendian": 0, "step": picture.strides[0]}
+        data = np.frombuffer(picture.tobytes(), dtype=np.uint8)
+        values = {"header": self.header(time), **values, "data": data, **fields}
+        self.write(topic, "sensor_msgs/msg/Image", received or time, **values)
+
+    def odometry(self, topic, time, x, y, theta):
+        zero = self.make("geometry_msgs/msg/Vector3", x=0.0, y=0.0, z=0.0)
+        twist = self.make("geometry_msgs/msg/Twist", linear=zero, angular=zero)
+        twist = self.make("geometry_msgs/msg/TwistWithCovariance", twist=twist, covariance=np.zeros(36))
+        fields = {"child_frame_id": "base_link", "pose": self.covariant(self.pose(x, y, theta)), "twist": twist}
+        self.write(topic, "nav_msgs/msg/Odometry", time, header=self.header(time, "odom"), **fields)
+
+    def transform(self, topic, time, parent, child, x, y, theta):
+        one = self.make(
+            "geometry_msgs/msg/TransformStamped",
+            header=self.header(time, parent),
+            child_frame_id=child,
+            transform=self.pose(x, y, theta, "Transform"),
+        )
+        self.write(topic, "tf2_msgs/msg/TFMessage", time, transforms=[one])
+
+
+def drive(path, form, compressed=False):
+    """Five pictures, one a second; poses at half seconds along a line, odometry on an arc, and frames."""
+    bag = Written(path, form)
+    with bag.writer:
+        for number, picture in enumerate(PICTURES):
+            time = START + number * 1_000_000_000
+            if compressed:
+                fields = {"format": "jpeg", "data": np.frombuffer(jpeg(picture), dtype=np.uint8)}
+                name = "sensor_msgs/msg/CompressedImage"
+                bag.write("/omni/compressed", name, time + 7, header=bag.header(time), **fields)
+            else:
+                bag.image("/omni/image_raw", time, picture, received=time + 200_000_000)
+            bag.image("/front/image_raw", time, picture[:8])
+        for number in range(-1, 11):
+            time = START + number * 500_000_000
+            pose = bag.covariant(bag.pose(number, 2.0, 0.5 + 0.1 * number))
+            kind = "geometry_msgs/msg/PoseWithCovarianceStamped"
+            bag.write("/amcl_pose", kind, time, header=bag.header(time, "map"), pose=pose)
+            bag.odometry("/odom", time, 0.1 * number, 0.0, 0.2 * number)
+            bag.transform("/tf", time, "odom", "base_link", 0.1 * number, 0.0, 0.2 * number)
+        bag.transform("/tf", START, "map", "odom", 10.0, 20.0, np.pi / 2)
+        matrix = np.array([300.0, 0, 32, 0, 300, 24, 0, 0, 1])
+        roi = {"x_offset": 0, "y_offset": 0, "height": 0, "width": 0, "do_rectify": False}
+        fields = {"d": np.array([0.1, 0.2]), "k": matrix, "r": np.eye(3).ravel(), "p": np.zeros(12)}
+        fields |= {"binning_x": 0, "binning_y": 0, "roi": bag.make("sensor_msgs/msg/RegionOfInterest", **roi)}
+        fields |= {"height": 48, "width": 64, "distortion_model": "plumb_bob", "header": bag.header(START)}
+        bag.write("/omni/camera_info", "sensor_msgs/msg/CameraInfo", START, **fields)
+    return bag.path
+
+
+def jpeg(picture):
+    return cv2.imencode(".jpg", picture)[1].tobytes()
+
+
+@pytest.fixture(scope="module")
+def bags(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("bags")
+    return {form: drive(folder / f"night_{form}", form) for form in FORMS}
+
+
+@pytest.mark.parametrize("form", FORMS)
+def test_a_bag_is_read_as_it_was_written(bags, tmp_path, form):
+    found = siamloc.data.contents(bags[form])
+    assert found.topics["/omni/image_raw"] == ("sensor_msgs/msg/Image", 5)
+    assert set(found.frames) == {"odom:base_link", "map:odom"}
+    assert found.proposal == {"images": "/omni/image_raw", "poses": "/amcl_pose", "odometry": "/odom"}
+    assert "/amcl_pose" in found.describe()
+    frames = siamloc.data.extract(bags[form], tmp_path)
+    assert [Path(path).name for path in frames.path.tolist()] == [f"{START + t * 10**9:019d}.jpg" for t in range(5)]
+    np.testing.assert_allclose(frames.xy, [[2 * t, 2] for t in range(5)], atol=1e-6)
+    np.testing.assert_allclose(frames.theta, [0.5 + 0.2 * t for t in range(5)], atol=1e-6)
+    np.testing.assert_allclose(frames.odometry, [[0.2 * t, 0, 0.4 * t] for t in range(5)], atol=1e-6)
+    assert set(frames.sequence.tolist()) == {f"night_{form}"}
+    assert set(frames.lighting.tolist()) == {"night"}
+    for path, picture in zip(frames.path.tolist(), PICTURES, strict=True):
+        assert np.abs(cv2.imread(path).astype(float) - picture).mean() < 6
+    cameras = json.loads((tmp_path / "camera_info.json").read_text())
+    assert cameras["/omni/camera_info"]["k"][0] == 300
+    assert cameras["/omni/camera_info"]["distortion_model"] == "plumb_bob"
+    assert siamloc.data.read("manifest", manifest=tmp_path / "frames.csv") == frames
+
+
+@pytest.mark.parametrize("form", ["ros1", "mcap"])
+def test_compressed_images_are_kept_as_they_are(tmp_path, form):
+    bag = drive(tmp_path / "bag", form, compressed=True)
+    frames = siamloc.data.extract(bag, tmp_path / "out", poses="none", odometry="none", every=2, sequence="monday")
+    assert [Path(path).read_bytes() for path in frames.path.tolist()] == [jpeg(picture) for picture in PICTURES[::2]]
+    assert not frames.has_position.any()
+    assert set(frames.sequence.tolist()) == {"monday"}
+
+
+def test_frames_are_chained(bags, tmp_path):
+    """The robot's way in odom, turned by 90 degrees and moved to (10, 20)."""
+    frames = siamloc.data.extract(bags["sqlite3"], tmp_path, poses="map:base_link", odometry="none")
+    np.testing.assert_allclose(frames.xy, [[10, 20 + 0.2 * t] for t in range(5)], atol=1e-6)
+    turned = np.exp(1j * frames.theta) / [1j * np.exp(0.4j * t) for t in range(5)]
+    np.testing.assert_allclose(turned, 1, atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("encoding", "picture"),
+    [
+        ("rgb8", PICTURES[0][:, :, ::-1]),
+        ("bgra8", np.dstack([PICTURES[0], PICTURES[0][:, :, 0]])),
+        ("mono8", PICTURES[0][:, :, 1]),
+        ("mono16", PICTURES[0][:, :, 1].astype("<u2") << 8),
+        ("yuv422_yuy2", cv2.cvtColor(PICTURES[0], cv2.COLOR_BGR2YUV_YUY2)),
+    ],
+)
+def test_encodings(tmp_path, encoding, picture):
+    """Each row of the picture is followed by bytes that do not count."""
+    raw = np.ascontiguousarray(picture).view(np.uint8).reshape(48, -1)
+    padded = np.pad(raw, ((0, 0), (0, 5)))
+    bag = Written(tmp_path / "bag", "sqlite3")
+    with bag.writer:
+        bag.image("/image", START, padded, encoding, width=64)
+    (path,) = siamloc.data.extract(bag.path, tmp_path / "out").path.tolist()
+    expected = PICTURES[0] if picture.ndim == 3 else np.repeat(PICTURES[0][:, :, 1:2], 3, axis=2)
+    assert np.abs(cv2.imread(path).astype(float) - expected).mean() < 8
+
+
+def test_the_order_of_bayer_patterns(tmp_path):
+    """A picture of one colour shows which pixels are red."""
+    mosaic = np.zeros((48, 64), np.uint8)
+    mosaic[::2, ::2] = 200
+    bag = Written(tmp_path / "bag", "sqlite3")
+    with bag.writer:
+        bag.image("/image", START, mosaic, "bayer_rggb8")
+    (path,) = siamloc.data.extract(bag.path, tmp_path / "out").path.tolist()
+    blue, green, red = cv2.imread(path).reshape(-1, 3).mean(axis=0)
+    assert red > 150 > 40 > max(blue, green)
+
+
+def test_another_clock(tmp_path):
+    """The camera counts from its start; the recorder's times, or an offset, bring both together."""
+    bag = Written(tmp_path / "bag", "sqlite3")
+    with bag.writer:
+        for number in range(4):
+            received = START + number * 10**9
+            bag.image("/image", 5 * 10**9 + number * 10**9, PICTURES[0], received=received)
+            bag.odometry("/odom", received, number, 0, 0)
+    with pytest.raises(DataError, match=r"these are two clocks; give offset=SECONDS.*; if the camera .* clock=bag"):
+        siamloc.data.extract(bag.path, tmp_path / "out")
+    for given in ({"clock": "bag"}, {"offset": START / 1e9 - 5}):
+        frames = siamloc.data.extract(bag.path, tmp_path / "out", **given)
+        np.testing.assert_allclose(frames.odom_x, [0, 1, 2, 3], atol=1e-5)
+
+
+def test_a_bag_cut_short_is_one_sentence(bags, tmp_path):
+    for form, suffix in (("ros1", ".bag"), ("sqlite3", ".db3"), ("mcap", ".mcap")):
+        file = bags[form] if form == "ros1" else next(bags[form].glob(f"*{suffix}"))
+        content = file.read_bytes()
+        for share in (0, 0.3, 0.6, 0.9, 0.99):
+            cut = tmp_path / f"cut{suffix}"
+            cut.write_bytes(content[: int(share * len(content))])
+            try:
+                siamloc.data.extract(cut, tmp_path / f"{form}{share}")
+            except DataError as error:
+                assert str(cut) in str(error)  # noqa: PT017
+            else:
+                assert share > 0.5, f"{form} cut at {share}"
+
+
+def test_messages_that_nobody_knows(tmp_path):
+    bag = Written(tmp_path / "bag", "sqlite3")
+    bag.types.register(get_types_from_msg("float64 warmth", "my_msgs/msg/Oven"))
+    with bag.writer:
+        bag.write("/oven", "my_msgs/msg/Oven", START, warmth=1.0)
+    assert siamloc.data.contents(bag.path).topics == {"/oven": ("my_msgs/msg/Oven", 1)}
+    with pytest.raises(DataError, match="holds no images, only /oven"):
+        siamloc.data.extract(bag.path, tmp_path / "out")
+    with pytest.raises(DataError, match=r"/oven holds my_msgs/msg/Oven, expected sensor_msgs/msg/Image or .*: none"):
+        siamloc.data.extract(bag.path, tmp_path / "out", images="/oven")
+
+
+@pytest.mark.parametrize(
+    ("given", "error", "says"),
+    [
+        ({"images": "/omni/image"}, DataError, "has no topic '/omni/image'; did you mean '/omni/image_raw'"),
+        (
+            {"poses": "/nowhere"},
+            ConfigError,
+            "recording.poses=/nowhere is no topic of .*, no frame such as map:base",
+        ),
+        ({"poses": "map:camera"}, DataError, "has no frame 'camera' below 'map'; .*valid: odom:base_link, map:odom"),
+        ({"poses": "/omni/image_raw"}, DataError, "holds sensor_msgs/msg/Image, expected nav_msgs/msg/Odometry or"),
+        ({"every": 0}, ConfigError, "recording.every must be a whole number from 1"),
+    ],
+)
+def test_what_is_not_in_a_recording(bags, tmp_path, given, error, says):
+    with pytest.raises(error, match=says):
+        siamloc.data.extract(bags["mcap"], tmp_path, **given)
+
+
+def test_bad_images_and_poses(tmp_path):
+    bag = Written(tmp_path / "bag", "sqlite3")
+    with bag.writer:
+        bag.image("/strange", START, PICTURES[0], "bgr10")
+        bag.image("/short", START, PICTURES[0], height=1000)
+        data = {"format": "h264", "data": np.zeros(9, np.uint8)}
+        bag.write("/film", "sensor_msgs/msg/CompressedImage", START, header=bag.header(START), **data)
+        bag.image("/good", START, PICTURES[0])
+        bag.odometry("/odom", START, 0, 0, 0)
+        pose = bag.pose(0, 0, 0)
+        pose.orientation.w = 0.0
+        bag.write("/zero", "geometry_msgs/msg/PoseStamped", START, header=bag.header(START), pose=pose)
+    for given, says in (
+        ({"images": "/strange"}, "have the encoding 'bgr10'; did you mean"),
+        ({"images": "/short"}, "has 9216 bytes, too few for 64 x 1000 px in bgr8"),
+        ({"images": "/film"}, "compressed as 'h264', expected JPEG or PNG"),
+        (
+            {"images": "/good", "poses": "/zero"},
+            "pose 1, 0 0 0 0 0 0 0, is not three numbers and a quaternion",
+        ),
+    ):
+        with pytest.raises(DataError, match=says):
+            siamloc.data.extract(bag.path, tmp_path / "out", **given)
+
+
+def film(path):
+    code = cv2.VideoWriter_fourcc(*("MJPG" if path.suffix == ".avi" else "mp4v"))
+    writer = cv2.VideoWriter(str(path), code, 10, (64, 48))
+    for picture in PICTURES:
+        writer.write(picture)
+    writer.release()
+    return path
+
+
+@pytest.mark.parametrize("ending", [".mp4", ".avi"])
+def test_a_video_with_a_trajectory(tmp_path, ending):
+    """The video begins 2 s after the trajectory."""
+    path = film(tmp_path / f"walk{ending}")
+    poses = tmp_path / "poses.txt"
+    poses.write_text("".join(f"{100 + t} {t} 1 0 0 0 0 1\n" for t in range(5)))
+    assert siamloc.data.contents(path).proposal == {"images": "video"}
+    frames = siamloc.data.extract(path, tmp_path / "out", poses=str(poses), offset=102.0)
+    np.testing.assert_allclose(frames.x, 2 + 0.1 * np.arange(5), atol=1e-3)
+    np.testing.assert_allclose(frames.time, 0.1 * np.arange(5), atol=1e-3)
+    for file, picture in zip(frames.path.tolist(), PICTURES, strict=True):
+        assert np.abs(cv2.imread(file).astype(float) - picture).mean() < 20
+    path.write_bytes(b"no video")
+    with pytest.raises(DataError, match="cannot be read as a video"):
+        siamloc.data.contents(path)
+
+
+def test_the_command_looks_first_and_then_extracts(bags, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("SIAMLOC_CACHE", str(tmp_path / "cache"))
+    assert main(["prepare", str(bags["ros1"])]) == 0
+    shown = capsys.readouterr().out
+    assert "5 x sensor_msgs/msg/Image, " in shown
+    assert not list(tmp_path.iterdir())
+    command = shown.splitlines()[-1].removeprefix("next: siamloc ").split()
+    assert command[-1] == "recording.out=night_ros1_frames"
+    assert main([*command, "data.image_size=[16,32]"]) == 0
+    assert "decoded: 5 panoramas of 16 x 32 px" in capsys.readouterr().out
+    frames = siamloc.data.read("manifest", manifest="night_ros1_frames/frames.csv")
+    assert len(frames) == 5
+    before = {path: path.stat().st_mtime_ns for path in (tmp_path / "night_ros1_frames").glob("*.jpg")}
+    siamloc.data.extract(bags["ros1"], "night_ros1_frames")
+    assert {path: path.stat().st_mtime_ns for path in (tmp_path / "night_ros1_frames").glob("*.jpg")} == before
+    with pytest.raises(DataError, match=r"there is no recording nowhere\.bag"):
+        siamloc.data.contents("nowhere.bag")
+    with pytest.raises(DataError, match=r"is no recording: expected a file \.bag, \.db3"):
+        siamloc.data.contents(tmp_path)
+
+
+def test_without_rosbags_the_extra_is_named(bags, monkeypatch):
+    monkeypatch.setitem(sys.modules, "rosbags.highlevel", None)
+    with pytest.raises(ModuleNotFoundError) as error:
+        siamloc.data.contents(bags["ros1"])
+    assert "pip install '.[recordings]'" in lacking(error.value)
