@@ -162,7 +162,7 @@ class DataSettings(Settings):
         """
         common = [key for key in fields_of(cls) if key != "where"]
         where = {key: value for key, value in values.items() if key not in common and value is not None}
-        if (kind := values.get("kind")) in READERS:
+        if isinstance(kind := values.get("kind"), str) and kind in READERS:
             own = [key for key in parameters_of(kind) if key not in common]
             for key in where:
                 if key not in own:
