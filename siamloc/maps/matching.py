@@ -10,7 +10,8 @@ from analytic.distances import distance as distance_named
 from foundation.calls import typed
 from foundation.settings import Count
 from siamloc.data.moves import wrapped
-from siamloc.maps.reranking import COMPARED, comparison_of, reranked, with_learned
+from siamloc.maps.colours import COMPARED, candidates, in_light_of_map
+from siamloc.maps.reranking import comparison_of, reranked
 from siamloc.maps.search import Retrieval
 from siamloc.maps.visual_map import VisualMap
 
@@ -28,7 +29,8 @@ def match(
 
     If the map's descriptor compares images, such as a network built with relative=True, the first eight are put in
     order anew by a comparison with the query, which changes their distances; see `siamloc.maps.reranking`. If it also
-    describes colours, so are the eight that are nearest without them.
+    describes colours, so are the eight that are nearest without them; and if it describes colours and does not compare,
+    colours count only in the light of the map; see `siamloc.maps.colours`.
 
     Descriptors that are turned into alignment before they are compared ([T] 3.3.4-3.3.6) compute every distance; all
     others are searched as vectors.
@@ -55,19 +57,22 @@ def match(
     """
     if known.aligned:
         return known.aligned_index.search(queries, k, excluded=excluded, within=within)
-    compares = comparison_of(known)
-    if compares is None or queries.orientation is None:
+    compares = None if queries.orientation is None else comparison_of(known)
+    coloured = known.distance == "euclidean" and known.learned_index is not known.index
+    if compares is None and not coloured:
         return known.index.search(queries.position, k, excluded=excluded, within=within)
     left = len(known) if within is None else len(within)
     if excluded is not None and len(queries):
         left = int((~np.asarray(excluded, dtype=bool)).sum(axis=1).min())
     compared = min(COMPARED, left)
-    found = known.index.search(queries.position, max(k, compared), excluded=excluded, within=within)
-    if (learned := known.learned_index) is not known.index:
-        width = learned.width
-        near = learned.search(queries.position[:, :width], compared, excluded=excluded, within=within)
-        found, compared = with_learned(known, queries, found, near.indices), 2 * compared
-    ordered = reranked(known, queries, found, compares, compared)
+    if coloured:
+        found = candidates(known, queries, max(k, compared), excluded=excluded, within=within)
+    else:
+        found = known.index.search(queries.position, max(k, compared), excluded=excluded, within=within)
+    if compares is None:
+        ordered = in_light_of_map(known, queries, found)
+    else:
+        ordered = reranked(known, queries, found, compares, 2 * compared if coloured else compared)
     return Retrieval(ordered.indices[:, :k], ordered.distances[:, :k])
 
 

@@ -8,11 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analytic import Description
+from siamloc.maps.colours import COMPARED
 from siamloc.maps.search import Retrieval
 from siamloc.maps.visual_map import VisualMap
 
-COMPARED = 8
-"""Number of nearest map frames that are compared with a query."""
 _ODDS = -10.0, 5.0  # log odds beyond these count no more: nearer frames differ in their descriptors
 _ODDS_PER_DISTANCE = 25.0  # log odds that weigh as much as a distance of 1 between descriptors
 _NEARNESS = 0.8  # distance between descriptors that weighs as much as 1 between positions
@@ -32,36 +31,6 @@ def comparison_of(known: VisualMap) -> Compares | None:
     """Return the function by which a map's descriptor compares a query with a map frame; None if it cannot."""
     held = known.heading_by_network and known.distance == "euclidean"
     return getattr(known.describes, "compare", None) if held and getattr(known.describes, "compares", False) else None
-
-
-def with_learned(known: VisualMap, queries: Description, found: Retrieval, near: NDArray[np.int64]) -> Retrieval:
-    """Insert, after the 8 nearest map frames of each query, those that are nearest without colours.
-
-    In the light of the map, colours find places whose shapes look alike; in another light they mislead, and the learned
-    part alone finds what a comparison then confirms.
-
-    Args:
-        known: a map of m frames, described with colours; see `siamloc.models.colours`.
-        queries: n descriptions.
-        found: the nearest map frames by learned part and colours together (n, k).
-        near: the nearest map frames by the learned part alone (n, c).
-
-    Returns:
-        (n, k + c), with a distance of infinity where a map frame appears again.
-    """
-    apart = np.empty(near.shape)
-    for at in range(0, len(near), _AT_ONCE):
-        rows = slice(at, at + _AT_ONCE)
-        off = queries.position[rows, None].astype(np.float64) - known.descriptors[near[rows]]
-        apart[rows] = np.sqrt(np.einsum("ijk,ijk->ij", off, off))
-    parts = (found.indices[:, :COMPARED], near, found.indices[:, COMPARED:])
-    indices = np.concatenate(parts, axis=1)
-    distances = np.concatenate([found.distances[:, :COMPARED], apart, found.distances[:, COMPARED:]], axis=1)
-    first = parts[0].shape[1] + near.shape[1]
-    for column in range(first):
-        later = indices[:, column + 1 :] == indices[:, column, None]
-        distances[:, column + 1 :][later] = np.inf
-    return Retrieval(indices, distances)
 
 
 def reranked(

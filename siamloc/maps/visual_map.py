@@ -29,6 +29,8 @@ from siamloc.maps.packing import Precision, all_finite, shares_values
 from siamloc.maps.search import Retrieval, VectorIndex
 from siamloc.models.registry import COLOURS
 
+_SAMPLE = 512  # frames
+
 
 @dataclass(frozen=True, eq=False, repr=False)
 class VisualMap:
@@ -204,6 +206,13 @@ class VisualMap:
     def learned_index(self) -> VectorIndex:
         """The learned part of the descriptors, prepared as `index` is; `index` itself where that is all."""
         return VectorIndex(self.learned, self.distance) if self.identity.get("colours") else self.index
+
+    @cached_property
+    def colour_spacing(self) -> float:
+        """Median distance between a frame's colours and those of the frame most like it, over 512 frames at most."""
+        colours = self.descriptors[:, self.learned.shape[1] :]
+        some = colours[:: -(-len(self) // _SAMPLE)]
+        return float(np.median(VectorIndex(colours).search(some, 2).distances[:, -1]))
 
     @cached_property
     def aligned_index(self) -> AlignedIndex:

@@ -88,6 +88,28 @@ def test_frames_that_are_nearest_without_colours_are_compared_too():
     assert match(known, query, 3).indices.tolist() == found.indices[:, :3].tolist()
 
 
+def test_without_a_comparison_colours_count_in_the_light_of_the_map_alone():
+    """The query is at frame 1 by what is learned, and at frame 9 by colours, which are those of the map or all far."""
+    colours = np.zeros((FRAMES, COLOURS))
+    colours[:, 0] = 0.1 * np.arange(FRAMES)
+    plain = map_of(np.zeros(FRAMES))
+    known = replace(
+        plain,
+        descriptors=np.concatenate([plain.descriptors, colours], axis=1),
+        identity={"colours": True},
+        describes=None,
+    )
+    assert known.colour_spacing == pytest.approx(0.1)
+    for height, weight in ((0.0, 1.0), (0.3, np.exp(-4 * (3 - 2)))):  # of the query's colours above the map's
+        query = np.zeros((1, 1 + COLOURS))
+        query[0, :3] = 0.05, 0.9, height
+        found = match(known, Description(query, np.ones((1, 8, 2), dtype=np.float32)), 3)
+        learned, apart = np.arange(FRAMES) / 20 - 0.05, np.hypot(colours[:, 0] - 0.9, height)
+        whole = np.sqrt(learned**2 + weight * apart**2)
+        assert found.indices[0].tolist() == np.argsort(whole)[:3].tolist()
+        np.testing.assert_allclose(found.distances[0], np.sort(whole)[:3], atol=1e-6)
+
+
 def test_only_the_frames_that_may_be_found_are_compared():
     odds = np.zeros(FRAMES)
     odds[[0, 3, 6]] = 9.0
