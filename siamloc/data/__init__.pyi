@@ -1,3 +1,14 @@
+from .calibration import read_calibration as read_calibration
+from .cameras import (
+    DoubleSphereCamera as DoubleSphereCamera,
+    DualFisheyeCamera as DualFisheyeCamera,
+    EquirectangularCamera as EquirectangularCamera,
+    FisheyeCamera as FisheyeCamera,
+    HyperbolicMirror as HyperbolicMirror,
+    OCamCamera as OCamCamera,
+    UnifiedCamera as UnifiedCamera,
+)
+from .central import CentralCamera as CentralCamera, LensCamera as LensCamera
 from .checks import check as check, room_sizes as room_sizes, summary as summary
 from .decoding import Preprocessing as Preprocessing
 from .examples import example as example
@@ -7,12 +18,12 @@ from .fetching import Fetched as Fetched, fetch as fetch
 from .frames import FrameTable as FrameTable, concatenate as concatenate
 from .library import PanoramaLibrary as PanoramaLibrary
 from .panorama import (
-    HyperbolicMirror as HyperbolicMirror,
     OmnidirectionalCamera as OmnidirectionalCamera,
     PanoramaView as PanoramaView,
     PolarRing as PolarRing,
     azimuth_column as azimuth_column,
     column_azimuth as column_azimuth,
+    seen as seen,
     unwrap as unwrap,
 )
 from .protocol import Protocol as Protocol, Role as Role

@@ -17,6 +17,7 @@ from siamloc.data.decoding import UnreadableImageError, read_image
 from siamloc.data.frames import FrameTable
 from siamloc.data.library import PanoramaLibrary
 from siamloc.data.pairs import diameter
+from siamloc.data.panorama import OmnidirectionalCamera, PanoramaView, seen
 
 _SHORTEST, _LONGEST = 1e-3, 20.0  # m, usual steps between two images of a robot indoors
 _PROBED = 32  # images of a data set that are opened for their size
@@ -241,17 +242,38 @@ def _sizes(frames: FrameTable, images: PanoramaLibrary | None) -> Iterator[str]:
             f"images have different shapes, among those looked at {listed}: they would be resized to one size and look "
             "different for that reason alone. Use one camera and crop for all."
         )
-    if images is None or images.preprocessing.camera is not None or not counts:
+    if images is None or not counts:
         return
     height, width = counts.most_common(1)[0][0]
+    if images.preprocessing.camera is not None:
+        yield from _unseen(images.preprocessing.camera, images.preprocessing.view, (height, width))
+        return
+    if frames.tilt.any():
+        yield (
+            "the robot's roll and pitch are known, but images that are only resized are not levelled: choose their "
+            "camera, such as unwrap=equirectangular."
+        )
     rows, columns = images.image_size
     squeezed = (columns / rows) / (width / height)
     if not 0.67 < squeezed < 1.5:
         yield (
             f"images of {width} x {height} px (columns x rows) are resized to {columns} x {rows} without unwrapping, "
-            "which changes their shape: images of a mirror need unwrap=polar or unwrap=hyperbolic, others an "
-            "image_size of their own shape"
+            "which changes their shape: whole 360-degree pictures need unwrap=equirectangular, images of a mirror or a "
+            "fisheye lens their camera, such as unwrap=polar, others an image_size of their own shape"
             + (", and circular=false if they do not show the full turn." if images.circular else ".")
+        )
+
+
+def _unseen(camera: OmnidirectionalCamera, view: PanoramaView, size: tuple[int, int]) -> Iterator[str]:
+    """Report how much of the panorama the camera does not see."""
+    sees = seen(camera, view, size)
+    if sees.mean() < 0.98:
+        rows = np.degrees(view.row_elevation())[(sees.mean(axis=1) > 0.98)]
+        whole = f"it sees all around from {rows.max():.0f} to {rows.min():.0f}" if len(rows) else "in no row all around"
+        yield (
+            f"the camera does not see {1 - sees.mean():.0%} of a panorama from {view.top:g} to {view.bottom:g} degrees "
+            f"({whole}), which is filled with what is next to it: check unwrap, or choose another unwrap.top and "
+            "unwrap.bottom."
         )
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import struct
+import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,7 +16,8 @@ from numpy.typing import NDArray
 
 from foundation.files import plain
 from foundation.settings import Size, checked
-from siamloc.data.panorama import CAMERAS, OmnidirectionalCamera, PanoramaView, unwrap
+from siamloc.data.cameras import CAMERAS
+from siamloc.data.panorama import OmnidirectionalCamera, PanoramaView, PolarRing, unwrap
 from siamloc.errors import ConfigError, DataError, hint
 
 
@@ -44,56 +46,65 @@ class Preprocessing:
 
     @classmethod
     def checked(
-        cls, image_size: Sequence[int], unwrap: OmnidirectionalCamera | Mapping[str, Any] | None = None
+        cls,
+        image_size: Sequence[int],
+        unwrap: OmnidirectionalCamera | Mapping[str, Any] | None = None,
+        elevations: tuple[float, float] | None = None,
     ) -> Preprocessing:
         """Make the preprocessing from settings.
 
         Args:
             image_size: rows and columns (H, W) of a panorama.
-            unwrap: the camera; or plain values, `kind` none, polar or hyperbolic and the parameters of `PolarRing`, or
-                of `HyperbolicMirror` and the view's `top` and `bottom`. None or "none" to resize what is a panorama.
+            unwrap: the camera; or plain values: `kind`, a name in `CAMERAS`, "calibrated", or "module:Class" for a
+                camera class of your own in a module that is imported; the parameters of the camera, or of
+                `read_calibration` (`file`, `camera` and where it looks); and the view's `top` and `bottom`. None or
+                "none" to resize what is a panorama.
+            elevations: elevations of the panorama's upper and lower edge in degrees, unless `unwrap` has `top` and
+                `bottom`; 30 and -45 if None.
 
         Raises:
             ConfigError: an impossible size, an unknown kind or parameter, or a camera whose parameters cannot be read.
+            DataError: a calibration file that cannot be read.
         """
         size = checked(image_size, Size, "image_size")
+        edges: dict[str, Any] = {} if elevations is None else dict(zip(("top", "bottom"), elevations, strict=True))
         if isinstance(unwrap, Mapping):
             options = dict(unwrap)
             kind = checked(options.pop("kind", "none"), str, "unwrap.kind")
-            if kind not in CAMERAS:
-                raise ConfigError(f"unknown unwrap.kind {kind!r}: {hint(kind, CAMERAS)}")
-            view = PanoramaView(*size, **{key: options.pop(key) for key in ("top", "bottom") if key in options})
-            camera = CAMERAS[kind]
-            if camera is None and options:
+            given = {key: options.pop(key, None) for key in ("top", "bottom")}
+            edges |= {key: value for key, value in given.items() if value is not None}
+            view = PanoramaView(*size, **edges)
+            if kind == "none" and options:
                 raise ConfigError(f"unwrap.kind={kind} has no parameters, got {next(iter(options))!r}: leave it out")
-            return cls(view, None if camera is None else camera.of(options))
+            return cls(view, _calibrated(options) if kind == "calibrated" else _camera(kind, options))
         if unwrap is not None and not (dataclasses.is_dataclass(unwrap) and hasattr(unwrap, "sampling")):
             raise ConfigError(f"a camera must be a dataclass with a method `sampling`, got {unwrap!r}")
-        return cls(PanoramaView(*size), cast("OmnidirectionalCamera | None", unwrap))
+        return cls(PanoramaView(*size, **edges), cast("OmnidirectionalCamera | None", unwrap))
 
     @classmethod
     def of(cls, parameters: Mapping[str, Any]) -> Preprocessing:
         """Make a preprocessing again from what `parameters` returned.
 
         Raises:
-            ConfigError: a custom camera, which cannot be rebuilt from plain values, or missing values.
+            ConfigError: missing values, or a camera of your own whose module is not imported.
         """
-        classes = {camera.__name__ if camera else None: camera for camera in CAMERAS.values()}
         try:
             view = PanoramaView(**{key: value for key, value in parameters.items() if key != "camera"})
-            options = dict(parameters["camera"] or {"kind": None})
-            camera = classes[options.pop("kind")]
+            options = dict(parameters["camera"] or {"kind": "none"})
+            return cls(view, _camera(options.pop("kind"), options))
         except (KeyError, TypeError, ValueError) as error:
-            raise ConfigError(
-                f"these values do not say how images become panoramas, or name a camera of your own: {parameters}"
-            ) from error
-        return cls(view, camera.of(options) if camera else None)
+            raise ConfigError(f"these values do not say how images become panoramas: {parameters} ({error})") from error
+
+    @property
+    def elevations(self) -> tuple[float, float] | None:
+        """Elevations in degrees of the panorama's upper and lower edge; None if those of its rows are not known."""
+        return None if isinstance(self.camera, PolarRing | None) else (self.view.top, self.view.bottom)
 
     def parameters(self) -> dict[str, Any]:
         """Return everything that determines the panorama's pixels, as plain values that `of` reads back."""
         if self.camera is None:
             return {"height": self.view.height, "width": self.view.width, "camera": None}
-        camera = {"kind": type(self.camera).__name__, **dataclasses.asdict(self.camera)}  # type: ignore[call-overload]
+        camera = {"kind": _name(type(self.camera)), **_plain(self.camera)}
         return {**dataclasses.asdict(self.view), "camera": camera}
 
     def unwrap_settings(self) -> dict[str, Any]:
@@ -101,19 +112,24 @@ class Preprocessing:
         if self.camera is None:
             return {"kind": "none"}
         own = type(self.camera)
-        kind = next((kind for kind, camera in CAMERAS.items() if camera is own), own.__name__)
-        options = dataclasses.asdict(self.camera)  # type: ignore[call-overload]
-        return plain({"kind": kind, **options, "top": self.view.top, "bottom": self.view.bottom})
+        kind = next((kind for kind, camera in CAMERAS.items() if camera is own), _name(own))
+        return {"kind": kind, **_plain(self.camera), "top": self.view.top, "bottom": self.view.bottom}
 
-    def panorama(self, path: str | Path) -> NDArray[np.uint8]:
+    def panorama(
+        self, path: str | Path, tilt: NDArray[np.float64] | Sequence[float] | None = None
+    ) -> NDArray[np.uint8]:
         """Read an image and return its panorama (3, H, W), uint8, RGB.
+
+        Args:
+            path: the file; of two pictures of a `DualFisheyeCamera`, the front one.
+            tilt: roll and pitch of the robot in rad, which are taken out; see `PanoramaView.tilted`.
 
         Raises:
             UnreadableImageError: the file is missing, empty, cut short, or not an image.
             ConfigError: the camera does not fit the image.
         """
         try:
-            picture = self._picture(read_image(path))
+            picture = self._picture(self._read(path), tilt)
         except DataError as error:
             raise UnreadableImageError(str(error)) from error
         except cv2.error as error:
@@ -132,22 +148,100 @@ class Preprocessing:
         except UnreadableImageError as error:
             raise DataError(f"{path} cannot be shown: {error}") from error
 
-    def prepare(self, pixels: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    def prepare(
+        self, pixels: NDArray[np.uint8], tilt: NDArray[np.float64] | Sequence[float] | None = None
+    ) -> NDArray[np.uint8]:
         """Return the panorama (3, H, W) of an image in memory (rows, columns, 3); both uint8, RGB.
+
+        Args:
+            pixels: the image; of two pictures of a `DualFisheyeCamera`, both side by side.
+            tilt: as for `panorama`.
 
         Raises:
             ConfigError, DataError: the camera does not fit the image.
         """
-        return np.ascontiguousarray(self._picture(np.ascontiguousarray(pixels)).transpose(2, 0, 1))
+        return np.ascontiguousarray(self._picture(np.ascontiguousarray(pixels), tilt).transpose(2, 0, 1))
 
-    def _picture(self, image: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    def files(self, path: str | Path) -> list[Path]:
+        """Return the files of an image: one, or the two pictures of a `DualFisheyeCamera`."""
+        first, names = Path(path), getattr(self.camera, "second", None)
+        return [first] if names is None else [first, first.with_name(first.name.replace(*names))]
+
+    def _read(self, path: str | Path) -> NDArray[np.uint8]:
+        first, *others = (read_image(file) for file in self.files(path))
+        if any(one.shape != first.shape for one in others):
+            raise DataError(f"its second picture {self.files(path)[1].name} has another size")
+        return np.hstack([first, *others]) if others else first
+
+    def _picture(
+        self, image: NDArray[np.uint8], tilt: NDArray[np.float64] | Sequence[float] | None
+    ) -> NDArray[np.uint8]:
         if self.camera is None:
             size = (self.view.width, self.view.height)
             return np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), dtype=np.uint8)
-        return unwrap(image, self.camera, self.view)
+        view = self.view if tilt is None or not np.any(tilt) else self.view.tilted(*tilt)
+        return unwrap(image, self.camera, view)
+
+
+def _name(kind: type) -> str:
+    """Return the name of a camera class in files: of one's own, with its module."""
+    return kind.__name__ if kind in CAMERAS.values() else f"{kind.__module__}:{kind.__qualname__}"
+
+
+def _plain(camera: Any) -> dict[str, Any]:
+    return cast("dict[str, Any]", plain(dataclasses.asdict(camera)))
+
+
+def _calibrated(options: Mapping[str, Any]) -> OmnidirectionalCamera:
+    from siamloc.data.calibration import read_calibration
+
+    given = {key: value for key, value in options.items() if value is not None}
+    return read_calibration(checked(given.pop("file", None), Path, "unwrap.file"), **given)
+
+
+def _camera(kind: str, options: Mapping[str, Any]) -> OmnidirectionalCamera | None:
+    """Make a camera from its kind, in settings or in files, and its parameters.
+
+    A class of the user's own is taken from a module that is imported already: files must not make siamloc import code.
+    """
+    known = {**CAMERAS, **{one.__name__: one for one in CAMERAS.values() if one is not None}}
+    if kind in known:
+        built_in = known[kind]
+        return None if built_in is None else built_in.of(options)
+    if ":" not in kind:
+        raise ConfigError(f"unknown unwrap.kind {kind!r}: {hint(kind, [*CAMERAS, 'calibrated', 'module:Class'])}")
+    if (own := _imported(kind)) is None:
+        raise ConfigError(
+            f"the camera {kind} is a class of your own: import the module {kind.partition(':')[0]} first, which must "
+            "have this dataclass with a method `sampling`, or give the camera object itself"
+        )
+    try:
+        return cast("OmnidirectionalCamera", own(**{key: _hashable(value) for key, value in options.items()}))
+    except TypeError as error:
+        raise ConfigError(f"the camera {kind} cannot be made from {dict(options)}: {error}") from error
+
+
+def is_known(kind: str) -> bool:
+    """Return whether cameras of a kind, as in `Preprocessing.parameters`, can be made in this process."""
+    return ":" not in kind or _imported(kind) is not None
+
+
+def _imported(kind: str) -> Any:
+    """Return the camera class of a name such as "module:Class"; None if it is not imported, or no such class."""
+    module, _, name = kind.partition(":")
+    found: Any = sys.modules.get(module)
+    for part in name.split("."):
+        found = getattr(found, part, None)
+    is_camera = isinstance(found, type) and dataclasses.is_dataclass(found) and hasattr(found, "sampling")
+    return found if is_camera else None
+
+
+def _hashable(value: Any) -> Any:
+    return tuple(map(_hashable, value)) if isinstance(value, list) else value
 
 
 _LARGEST = 16_384  # pixels per side of an image
+_HEADER = 200_000  # bytes in which a file says its size, after thumbnails
 
 
 def read_image(path: str | Path) -> NDArray[np.uint8]:
@@ -175,6 +269,15 @@ def read_image(path: str | Path) -> NDArray[np.uint8]:
     if image is None:
         raise UnreadableImageError("the file is not an image, or it is damaged")
     return np.asarray(image, dtype=np.uint8)
+
+
+def size_of(path: str | Path) -> tuple[int, int] | None:
+    """Return the rows and columns in the header of a PNG or JPEG file; None for others, or if it cannot be read."""
+    try:
+        with Path(path).open("rb") as file:
+            return _declared_size(file.read(_HEADER))
+    except (OSError, ValueError):
+        return None
 
 
 def _declared_size(data: bytes) -> tuple[int, int] | None:

@@ -126,10 +126,11 @@ def expand(
     turns = headings(len(frames), depth, seed, (decode.view.height, decode.view.width), circular)
     theta = turned_headings(frames.theta, turns)
     pictures = outputs(kind, frames, root, folder, theta)
+    tilts = dict(zip(frames.path.tolist(), frames.tilt, strict=True))
 
     def read(path: Path) -> NDArray[np.uint8]:
         try:
-            return decode.panorama(path)
+            return decode.panorama(path, tilts.get(str(path)))
         except UnreadableImageError as error:
             raise AugmentError(f"{path}: {error}") from error
 

@@ -21,7 +21,9 @@ VIDEOS = (".mp4", ".avi", ".mkv", ".mov", ".webm", ".mjpeg", ".mpg")
 _TEXT = ("path", "room", "sequence", "lighting", "building")
 ODOMETRY = ("odom_x", "odom_y", "odom_theta")
 DEVIATIONS = ("deviation", "theta_deviation")
-_COLUMNS = ("path", "x", "y", "theta", "room", "sequence", "lighting", "time", "building", *ODOMETRY, *DEVIATIONS)
+TILT = ("roll", "pitch")
+_POSED = ("path", "x", "y", "theta", "room", "sequence", "lighting", "time", "building")
+_COLUMNS = (*_POSED, *ODOMETRY, *DEVIATIONS, *TILT)
 _UNKNOWN = {name: "" if name in _TEXT else np.nan for name in _COLUMNS}
 
 
@@ -53,6 +55,8 @@ class FrameTable:
         deviation: standard deviations of x, and of y, in `unit` (n,), such as a survey estimates; missing where
             positions are exact. They count as independent from frame to frame.
         theta_deviation: standard deviations of theta, in radians (n,).
+        roll: tilt about the robot's axis ahead, in radians (n,), positive where its left side is up.
+        pitch: tilt about its axis to the left, in radians (n,), positive where its front is down.
         unit: unit of x and y; only used in texts. Selections keep it, equality ignores it.
         source: the arguments with which `siamloc.data.read(**source)` reads the frames; empty if unknown. Selections
             keep it, equality ignores it.
@@ -84,6 +88,8 @@ class FrameTable:
     odom_theta: NDArray[np.float64] = None  # type: ignore[assignment]
     deviation: NDArray[np.float64] = None  # type: ignore[assignment]
     theta_deviation: NDArray[np.float64] = None  # type: ignore[assignment]
+    roll: NDArray[np.float64] = None  # type: ignore[assignment]
+    pitch: NDArray[np.float64] = None  # type: ignore[assignment]
     unit: str = "m"
     source: Mapping[str, Any] = field(default_factory=dict)
 
@@ -129,6 +135,11 @@ class FrameTable:
     def odometry(self) -> NDArray[np.float64]:
         """Poses by the robot's wheels (n, 3): x, y in `unit` and heading in rad, each drive in a frame of its own."""
         return np.column_stack([getattr(self, name) for name in ODOMETRY])
+
+    @property
+    def tilt(self) -> NDArray[np.float64]:
+        """Roll and pitch in rad (n, 2); 0 where they are unknown."""
+        return np.nan_to_num(np.column_stack([getattr(self, name) for name in TILT]))
 
     @property
     def has_position(self) -> NDArray[np.bool_]:

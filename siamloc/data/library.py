@@ -13,11 +13,11 @@ from numpy.typing import ArrayLike, NDArray
 from foundation.calls import typed
 from foundation.files import read_json
 from foundation.settings import Thousand, shortened
-from siamloc.data.decoding import Preprocessing
+from siamloc.data.decoding import Preprocessing, size_of
 from siamloc.data.frames import FrameTable
 from siamloc.data.panorama import OmnidirectionalCamera
 from siamloc.data.store import Store, open_store
-from siamloc.errors import ConfigError, DataError, FormatError, Policy
+from siamloc.errors import ConfigError, DataError, FormatError, Policy, logger
 
 CACHE = ".siamloc/panoramas"
 
@@ -34,7 +34,10 @@ class PanoramaLibrary:
         cache: folder of the decoded panoramas; the environment variable SIAMLOC_CACHE or `.siamloc/panoramas` if None.
         image_size: rows and columns (H, W) of a panorama.
         unwrap: camera of omnidirectional images, or plain values, such as
-            {"kind": "polar", "inner": 60}. None for panoramas and ordinary images, which are resized by area.
+            {"kind": "polar", "inner": 60}. None for panoramas and ordinary images, which are resized by area. The tilt
+            of the robot, where frames have it, is taken out.
+        elevations: elevations of a panorama's upper and lower edge in degrees, 30 and -45 if None;
+            `PanoramaLibrary(frames, unwrap=camera, **network.view)` makes the panoramas that a network was trained on.
         circular: whether the columns wrap around; False for ordinary cameras.
         on_error: "skip" leaves unreadable images out and reports them, "raise" stops at the first.
         workers: decoding threads; one per core, up to 16, if None.
@@ -69,24 +72,29 @@ class PanoramaLibrary:
         *,
         image_size: Sequence[int] = (128, 512),
         unwrap: OmnidirectionalCamera | Mapping[str, Any] | None = None,
+        elevations: tuple[float, float] | None = None,
         circular: bool = True,
         on_error: Policy = "skip",
         workers: Thousand | None = None,
     ) -> None:
         if len(frames) == 0:
             raise DataError("there are no frames to decode: the table is empty")
-        self.preprocessing = Preprocessing.checked(image_size, unwrap)
+        self.preprocessing = Preprocessing.checked(image_size, unwrap, elevations)
         self.image_size = (self.preprocessing.view.height, self.preprocessing.view.width)
         self.circular = circular
         self._on_error = on_error
         self._cache = Path(cache or os.environ.get("SIAMLOC_CACHE") or CACHE).expanduser().absolute()
         _check_simulated(frames, self.preprocessing)
+        _warn_of_equirectangular(frames, self.preprocessing, circular)
+        tilt = frames.tilt
+        tilted = self.preprocessing.camera is not None and bool(tilt.any())
         self._stores: list[Store] = []
         store_of = np.full(len(frames), -1, dtype=np.int64)
         row_in = np.full(len(frames), -1, dtype=np.int64)
         for number, rows in enumerate(frames.rows_by("sequence").values()):
             paths = frames.path[rows].tolist()
-            store = open_store(paths, self._cache, self.preprocessing, on_error=on_error, workers=workers)
+            tilts = tilt[rows] if tilted else None
+            store = open_store(paths, self._cache, self.preprocessing, tilts=tilts, on_error=on_error, workers=workers)
             self._stores.append(store)
             store_of[rows[store.kept]] = number
             row_in[rows[store.kept]] = np.arange(len(store.kept))
@@ -203,9 +211,21 @@ def _check_simulated(frames: FrameTable, preprocessing: Preprocessing) -> None:
                 f"{folder / 'camera.json'} must be a mapping as `siamloc simulate` writes it next to images, got "
                 f"{shortened(repr(about))}: simulate again, or rename the file if it is your own"
             )
-        fitting = {"panorama": ("none",), "omnidirectional": ("polar", "hyperbolic")}.get(images or "")
+        fitting = {"panorama": ("none",), "omnidirectional": ("polar", "unified", "hyperbolic")}.get(images or "")
         if fitting is not None and kind not in fitting:
             raise ConfigError(
                 f"{folder} holds simulated images of kind {images}, which unwrap={kind} does not fit: "
                 f"use unwrap={fitting[-1]}" + (", or simulate with camera=panorama" if images != "panorama" else "")
             )
+
+
+def _warn_of_equirectangular(frames: FrameTable, preprocessing: Preprocessing, circular: bool) -> None:
+    """Warn if whole equirectangular pictures, ceiling and floor included, are squeezed into panoramas."""
+    view = preprocessing.view
+    size = size_of(frames.path[0]) if circular and preprocessing.camera is None else None
+    if size is not None and size[1] == 2 * size[0] and size[0] >= 256 and view.width > 3 * view.height:
+        logger.warning(
+            "images of %d x %d px look like whole equirectangular pictures, squeezed into panoramas of %d x %d: "
+            "use unwrap=equirectangular (in Python unwrap=EquirectangularCamera()), which shows %g to %g degrees",
+            *(size[1], size[0], view.width, view.height, view.top, view.bottom),
+        )

@@ -14,13 +14,16 @@ import numpy as np
 
 from foundation.files import csv_text
 from foundation.settings import shortened
-from siamloc.data.frames import DEVIATIONS, ODOMETRY, FrameTable, in_capture_order
+from siamloc.data.frames import DEVIATIONS, ODOMETRY, TILT, FrameTable, in_capture_order
+from siamloc.data.moves import euler
 from siamloc.errors import DataError, leave_out, logger
 
-COLUMNS = ("image", "x", "y", "theta", "room", "sequence", "lighting", "time", "building", *ODOMETRY, *DEVIATIONS)
+_POSED = ("image", "x", "y", "theta", "room", "sequence", "lighting", "time", "building")
+COLUMNS = (*_POSED, *ODOMETRY, *DEVIATIONS, *TILT)
 
+_QUATERNION = ("qw", "qx", "qy", "qz")
 _LARGEST = dict.fromkeys(("theta", "time"), sys.float_info.max)
-_LARGEST |= dict.fromkeys(("x", "y", *ODOMETRY, *DEVIATIONS), 1e7)
+_LARGEST |= dict.fromkeys(("x", "y", *ODOMETRY, *DEVIATIONS, *TILT, *_QUATERNION), 1e7)
 
 
 def read_manifest(manifest: str | Path, *, on_error: str = "skip") -> FrameTable:
@@ -28,9 +31,10 @@ def read_manifest(manifest: str | Path, *, on_error: str = "skip") -> FrameTable
 
     The first line names the columns, in any order and case: `image`, and any of `x, y` (m), `theta` (rad), `room`,
     `sequence`, `lighting`, `time` (s), `building`, `odom_x, odom_y` (m), `odom_theta` (rad), `deviation` (m) and
-    `theta_deviation` (rad); others are ignored with a warning. Image paths are relative to the table's folder. An empty
-    number is unknown (NaN); blank lines are skipped. The rows of a sequence whose times are all known are sorted by
-    time; the others keep the order of the table.
+    `theta_deviation` (rad), `roll`, `pitch` (rad), or `qw, qx, qy, qz`, from which `theta`, `roll` and `pitch` follow;
+    others are ignored with a warning. Image paths are relative to the table's folder. An empty number is unknown (NaN);
+    blank lines are skipped. The rows of a sequence whose times are all known are sorted by time; the others keep the
+    order of the table.
 
     Args:
         manifest: the CSV file, in UTF-8.
@@ -109,13 +113,13 @@ def _column_names(file: Path, header: list[str]) -> dict[str, int]:
             f"{file} has no column 'image', only {shortened(', '.join(found))}: name the columns in the first line, "
             f"separated by commas; valid: {', '.join(COLUMNS)}"
         )
-    for name in COLUMNS:
+    for name in (*COLUMNS, *_QUATERNION):
         if found.count(name) > 1:
             raise DataError(f"{file} has {found.count(name)} columns named {name!r}: keep one")
-    ignored = [name for name in found if name and name not in COLUMNS]
+    ignored = [name for name in found if name and name not in (*COLUMNS, *_QUATERNION)]
     if ignored:
         logger.warning("%s: unused columns: %s; valid: %s", file, shortened(", ".join(ignored)), ", ".join(COLUMNS))
-    return {name: found.index(name) for name in COLUMNS if name in found}
+    return {name: found.index(name) for name in (*COLUMNS, *_QUATERNION) if name in found}
 
 
 def _frame(file: Path, line: int, names: dict[str, int], cells: list[str]) -> dict[str, Any]:
@@ -139,6 +143,13 @@ def _frame(file: Path, line: int, names: dict[str, int], cells: list[str]) -> di
                     f"{file}, line {line}, column {name!r}: {cell!r} is not a number up to {largest:.3g}; leave the "
                     "cell empty where the value is unknown"
                 )
+    turned = [frame.pop(name, math.nan) for name in _QUATERNION]
+    if not any(map(math.isnan, turned)):
+        if not 0.99 < (length := math.hypot(*turned)) < 1.01:
+            raise DataError(
+                f"{file}, line {line}: the quaternion {', '.join(_QUATERNION)} has the length {length:.3g}, expected 1"
+            )
+        frame = {**dict(zip((*TILT, "theta"), euler(turned).tolist(), strict=True)), **frame}
     return {"path": str(file.parent / image), **frame}
 
 

@@ -50,6 +50,21 @@ def chained(steps: ArrayLike) -> NDArray[np.float64]:
     return np.column_stack([np.concatenate([[[0.0, 0.0]], np.cumsum(moved, axis=0)]), wrapped(heading)])
 
 
+def euler(quaternions: ArrayLike) -> NDArray[np.float64]:
+    """Return roll, pitch and heading in rad (..., 3) of unit quaternions (..., 4), w x y z, from robot to map.
+
+    Roll is positive where the left side is up, pitch where the front is down: of a robot that looks along x with z up.
+
+    Example:
+        >>> euler([0.5**0.5, 0, 0, 0.5**0.5]).round(3).tolist()
+        [0.0, 0.0, 1.571]
+    """
+    w, x, y, z = np.moveaxis(np.asarray(quaternions, dtype=np.float64), -1, 0)
+    roll = np.arctan2(2 * (w * x + y * z), 1 - 2 * (x**2 + y**2))
+    pitch = np.arcsin(np.clip(2 * (w * y - z * x), -1, 1))
+    return np.stack([roll, pitch, np.arctan2(2 * (w * z + x * y), 1 - 2 * (y**2 + z**2))], axis=-1)
+
+
 def relative(poses: NDArray[np.float64], first: NDArray[np.int64], second: NDArray[np.int64]) -> NDArray[np.float64]:
     """Return some of the poses (n, 3) as seen from others (e, 3): the move from the `first` row to the `second` one."""
     apart = poses[second] - poses[first]

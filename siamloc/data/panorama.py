@@ -1,4 +1,4 @@
-"""From omnidirectional image to panorama: polar unwrapping and the hyperbolic mirror model.
+"""From omnidirectional image to panorama: the view of a panorama, polar unwrapping, and sampling.
 
 Frames of reference. The robot's frame is x forward, y left, z up; azimuth is counter-clockwise seen from above and
 0 straight ahead; elevation is 0 at the horizon and positive upwards. The camera stands upright below its mirror and
@@ -14,8 +14,8 @@ Axes. An image in a file or in memory (`unwrap`, `Localizer.locate`) is (rows, c
 
 from __future__ import annotations
 
-from collections.abc import Hashable
-from dataclasses import dataclass
+from collections.abc import Hashable, Sequence
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Annotated, Any, ClassVar, Protocol
 
@@ -80,15 +80,43 @@ class PanoramaView(Settings):
         flat = np.cos(elevation)
         return np.stack([flat * np.cos(azimuth), flat * np.sin(azimuth), np.sin(elevation)], axis=-1)
 
-
-class OmnidirectionalCamera(Protocol, Hashable):
-    """Anything that knows where each pixel of a panorama lies in the omnidirectional image."""
-
-    def sampling(self, view: PanoramaView, image_size: tuple[int, int]) -> tuple[Array, Array]:
-        """Return where the pixels of a panorama lie in an image: columns (H, W) and rows (H, W).
+    def tilted(self, roll: float, pitch: float) -> PanoramaView:
+        """Return the view that stays level while the robot is tilted: its directions turn against the robot.
 
         Args:
-            view: rows H, columns W and elevations of the panorama.
+            roll: angle in rad about the axis ahead, positive where the left side is up.
+            pitch: angle in rad about the axis to the left, positive where the front is down.
+        """
+        own = {name: getattr(self, name) for name in ("height", "width", "top", "bottom")}
+        return _TiltedView(**own, roll=float(roll), pitch=float(pitch))
+
+
+@dataclass(frozen=True)
+class _TiltedView(PanoramaView):
+    """The level view from a robot that is tilted by `roll` and `pitch`, in rad."""
+
+    roll: float = 0.0
+    pitch: float = 0.0
+
+    def directions(self) -> Array:
+        (sine_r, cosine_r), (sine_p, cosine_p) = ((np.sin(one), np.cos(one)) for one in (self.roll, self.pitch))
+        about_ahead = np.array([[1, 0, 0], [0, cosine_r, -sine_r], [0, sine_r, cosine_r]])
+        about_left = np.array([[cosine_p, 0, sine_p], [0, 1, 0], [-sine_p, 0, cosine_p]])
+        return super().directions() @ about_left @ about_ahead
+
+
+class OmnidirectionalCamera(Protocol, Hashable):
+    """Anything that knows where each pixel of a panorama lies in the omnidirectional image.
+
+    Attributes:
+        wraps: optional; True if the left edge of the image continues at its right edge.
+    """
+
+    def sampling(self, view: PanoramaView, image_size: tuple[int, int]) -> tuple[Array, Array]:
+        """Return where the pixels of a panorama lie in an image: columns (H, W) and rows (H, W), NaN where unseen.
+
+        Args:
+            view: rows H, columns W and elevations of the panorama; its `directions()` are those of its pixels.
             image_size: rows and columns of the omnidirectional image.
         """
         ...
@@ -132,11 +160,14 @@ class PolarRing(Settings):
                 f"the ring from {inner:g} to {outer:g} px is thinner than a pixel: give "
                 f"unwrap.inner and unwrap.outer in pixels of images of {columns} x {rows}"
             )
-        share = (np.arange(view.height) + 0.5) / view.height
+        ahead, left, up = np.moveaxis(view.directions(), -1, 0)
+        high, low = np.tan(np.radians([view.top, view.bottom]))
+        share = (high - up / np.hypot(ahead, left)) / (high - low)
+        share[(share < 0) | (share > 1)] = np.nan
         radius = inner + share * (outer - inner) if self.inside_up else outer - share * (outer - inner)
-        azimuth = column_azimuth(view.width)
+        azimuth = np.arctan2(left, ahead)
         angle = np.radians(self.forward) + (azimuth if self.mirrored else -azimuth)  # clockwise from the upper edge
-        x, y = cx + radius[:, None] * np.sin(angle), cy - radius[:, None] * np.cos(angle)
+        x, y = cx + radius * np.sin(angle), cy - radius * np.cos(angle)
         inside = ((x >= 0) & (x <= columns - 1) & (y >= 0) & (y <= rows - 1)).mean()
         if inside < 0.5:
             raise ConfigError(
@@ -146,115 +177,26 @@ class PolarRing(Settings):
         return x, y
 
 
-@dataclass(frozen=True)
-class HyperbolicMirror(Settings):
-    """A pinhole camera below a hyperbolic mirror with a single viewpoint.
-
-    The mirror is the sheet r(u) = p / (1 - e u_z) around its focus, where u is the unit direction of the scene; the
-    camera is at the other focus, 2 e p / (e^2 - 1) below, and looks up. The mirror's focus is the viewpoint of the
-    panorama. In such a central system the image depends only on the eccentricity: p sets the size in metres.
-
-    Attributes:
-        fx: focal length in pixels along the columns.
-        fy: focal length in pixels along the rows.
-        cx: column of the principal point in pixels.
-        cy: row of the principal point in pixels.
-        eccentricity: e > 1. Nothing above the elevation asin(1 / e) is seen.
-        focal_parameter: p in metres (semi-latus rectum).
-        forward: direction of the robot's front in the image, in degrees clockwise from the image's upper edge.
-        mirrored: False for images that were flipped left to right after they were taken.
-
-    Raises:
-        ConfigError: an eccentricity that is not above 1, a focal parameter or focal length that is not positive, or a
-            panorama that looks higher than the mirror shows.
-    """
-
-    WHERE: ClassVar[str] = "unwrap"
-
-    fx: Positive = 340.0
-    fy: Positive = 340.0
-    cx: float = 319.5
-    cy: float = 239.5
-    eccentricity: Annotated[float, Rule("a number above 1", lambda value: value > 1)] = 1.4
-    focal_parameter: Positive = 0.03
-    forward: float = 0.0
-    mirrored: bool = True
-
-    @property
-    def camera_depth(self) -> float:
-        """Distance in metres of the camera's centre below the mirror's focus."""
-        return 2 * self.eccentricity * self.focal_parameter / (self.eccentricity**2 - 1)
-
-    @property
-    def highest_elevation(self) -> float:
-        """Elevation in rad that the mirror's rim would reach if the mirror were infinite: asin(1 / e)."""
-        return float(np.arcsin(1 / self.eccentricity))
-
-    def project(self, directions: Array) -> Array:
-        """Return the pixels (..., 2), column and row, at which directions (..., 3) of the robot's frame appear.
-
-        Directions need not have unit length; those above `highest_elevation` give NaN.
-        """
-        unit = np.asarray(directions, dtype=np.float64)
-        unit = unit / np.linalg.norm(unit, axis=-1, keepdims=True)
-        denominator = 1 - self.eccentricity * unit[..., 2]
-        reach = self.focal_parameter / np.where(denominator > 0, denominator, np.nan)
-        depth = reach * unit[..., 2] + self.camera_depth
-        side = 1 if self.mirrored else -1
-        right, front = _turned(side * reach * unit[..., 1] / depth, reach * unit[..., 0] / depth, self.forward)
-        return np.stack([self.cx + self.fx * right, self.cy - self.fy * front], axis=-1)
-
-    def back_project(self, pixels: Array) -> Array:
-        """Return the unit directions (..., 3) in the robot's frame that pixels (..., 2) look at.
-
-        Pixels beyond the mirror's asymptote give NaN.
-        """
-        pixels = np.asarray(pixels, dtype=np.float64)
-        right = (pixels[..., 0] - self.cx) / self.fx
-        front = (self.cy - pixels[..., 1]) / self.fy
-        side, ahead = _turned(right, front, -self.forward)
-        left = side if self.mirrored else -side
-        ray = np.stack([ahead, left, np.ones_like(left)], axis=-1)
-        e, p = self.eccentricity, self.focal_parameter
-        a = p / (e**2 - 1)
-        denominator = a * e - a * np.linalg.norm(ray, axis=-1)
-        reach = np.where(denominator > 0, a * p / np.where(denominator > 0, denominator, 1), np.nan)
-        point = reach[..., None] * ray - np.array([0.0, 0.0, self.camera_depth])
-        return point / np.linalg.norm(point, axis=-1, keepdims=True)
-
-    def sampling(self, view: PanoramaView, image_size: tuple[int, int]) -> tuple[Array, Array]:
-        """Return the columns (H, W) and rows (H, W) in the omnidirectional image of a panorama's pixels."""
-        if np.radians(view.top) >= self.highest_elevation:
-            raise ConfigError(
-                f"the panorama looks up to {view.top} degrees, but a mirror of eccentricity {self.eccentricity} "
-                f"shows nothing above {np.degrees(self.highest_elevation):.1f} degrees: lower the view's top"
-            )
-        pixels = self.project(view.directions())
-        return pixels[..., 0], pixels[..., 1]
-
-
-CAMERAS: dict[str, type[PolarRing] | type[HyperbolicMirror] | None] = {
-    "none": None,
-    "polar": PolarRing,
-    "hyperbolic": HyperbolicMirror,
-}
-
-
 @typed
 def unwrap(image: Array, camera: OmnidirectionalCamera, view: PanoramaView | None = None) -> Array:
-    """Unwrap an omnidirectional image into a panorama by bilinear sampling.
+    """Unwrap an omnidirectional image into a panorama.
+
+    The image is sampled bilinearly, at several points in each pixel of a panorama that is coarser than the image.
 
     Args:
         image: (rows, columns) or (rows, columns, 3), uint8.
-        camera: a `PolarRing` or a `HyperbolicMirror`, which knows where the panorama's pixels lie in the image.
+        camera: a `PolarRing`, a `HyperbolicMirror`, a `FisheyeCamera` or another, which knows where the panorama's
+            pixels lie in the image.
         view: size and elevations of the panorama; 128 x 512 if None.
 
     Returns:
-        (H, W) or (H, W, 3), uint8. Pixels whose sample lies outside the image are black.
+        (H, W) or (H, W, 3), uint8. Pixels that the camera does not see (`seen`) show what it sees nearest to them,
+        blurred: a network would take black for something dark.
 
     Columns run clockwise and the middle one looks straight ahead; headings run counter-clockwise, in rad.
 
     Raises:
+        ConfigError: the camera does not fit an image of this size, or sees nothing of the panorama.
         DataError: the image has no pixels or the wrong shape.
 
     Example:
@@ -266,19 +208,96 @@ def unwrap(image: Array, camera: OmnidirectionalCamera, view: PanoramaView | Non
     """
     if image.ndim not in (2, 3) or min(image.shape[:2]) < 2:
         raise DataError(f"an omnidirectional image has shape (rows, columns[, 3]), got {image.shape}")
-    columns, rows = _remap_tables(camera, view or PanoramaView(), image.shape[:2])
-    return cv2.remap(image, columns, rows, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=0)
+    view = view or PanoramaView()
+    tables = _cached_tables if type(view) is PanoramaView else _tables  # every tilt has tables of its own
+    columns, rows, sees = tables(camera, view, image.shape[:2])
+    found = cv2.remap(image, columns, rows, cv2.INTER_LINEAR, borderMode=cv2.BORDER_WRAP)
+    if found.shape[:2] != sees.shape:
+        found = cv2.resize(found, sees.shape[::-1], interpolation=cv2.INTER_AREA)
+    if not sees.all():
+        side = view.height // 4 | 1
+        wide = cv2.copyMakeBorder(found, 0, 0, side, side, cv2.BORDER_WRAP)
+        found[~sees] = cv2.blur(wide, (side, side))[:, side:-side][~sees]
+    return found
 
 
-@lru_cache(maxsize=8)
-def _remap_tables(
+@typed
+def seen(camera: OmnidirectionalCamera, view: PanoramaView, image_size: Sequence[int]) -> Array:
+    """Return which pixels of a panorama the camera sees (H, W), bool.
+
+    Args:
+        camera: the camera.
+        view: size and elevations of the panorama.
+        image_size: rows and columns of the camera's images.
+
+    Raises:
+        ConfigError: as `unwrap`.
+
+    Example:
+        >>> view = PanoramaView(4, 8)
+        >>> seen(PolarRing(centre=(99.5, 60.0), inner=10, outer=70), view, (200, 200)).sum(axis=1).tolist()
+        [7, 8, 8, 8]
+    """
+    rows, columns = image_size
+    found: Array = _tables(camera, view, (rows, columns))[2]
+    return found
+
+
+def finer(camera: OmnidirectionalCamera, view: PanoramaView, image_size: tuple[int, int]) -> PanoramaView:
+    """Return a view with a whole number of points in each pixel, so that it is about as fine as the image."""
+    points = getattr(camera, "points", None)
+    if points is None:
+        columns, rows = camera.sampling(view, image_size)
+        steps = np.hypot(np.diff(columns, axis=1), np.diff(rows, axis=1))
+        steps = steps[np.isfinite(steps)]
+        points = int(np.clip(round(float(np.median(steps))), 1, _FINEST)) if len(steps) else 1
+    return view if points == 1 else replace(view, height=points * view.height, width=points * view.width)
+
+
+_FINEST = 4  # points in a pixel of the panorama, along each of its sides
+_LEAST = 0.02  # share of the panorama that a camera must see
+
+
+def _tables(
     camera: OmnidirectionalCamera, view: PanoramaView, image_size: tuple[int, int]
-) -> tuple[Array, Array]:
+) -> tuple[Array, Array, Array]:
+    """Return the columns and rows of an image to sample (kH, kW), float32, for k x k points in each pixel; and which
+    pixels are seen (H, W). Points that are not seen are moved to the nearest ones that are."""
     columns, rows = camera.sampling(view, image_size)
-    return columns.astype(np.float32), rows.astype(np.float32)
+    sees = _inside(columns, rows, image_size)
+    if sees.mean() < _LEAST:
+        raise ConfigError(
+            f"the camera sees {sees.mean():.0%} of a panorama from {view.top:g} to {view.bottom:g} degrees in an image "
+            f"of {image_size[1]} x {image_size[0]} px: correct its parameters, where it looks, or the view"
+        )
+    if (fine := finer(camera, view, image_size)) is not view:
+        columns, rows = camera.sampling(fine, image_size)
+    columns, rows = _filled(columns, rows, _inside(columns, rows, image_size))
+    if not getattr(camera, "wraps", False):
+        columns = columns.clip(0, image_size[1] - 1)
+    return columns.astype(np.float32), rows.clip(0, image_size[0] - 1).astype(np.float32), sees
 
 
-def _turned(right: Array, front: Array, degrees: float) -> tuple[Array, Array]:
-    """Turn image-plane vectors (right, up) clockwise."""
-    cosine, sine = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
-    return right * cosine + front * sine, front * cosine - right * sine
+_cached_tables = lru_cache(maxsize=8)(_tables)
+
+
+def _inside(columns: Array, rows: Array, image_size: tuple[int, int]) -> Array:
+    """Return which points lie in an image, NaN does not."""
+    found: Array = (np.abs(columns + 0.5 - image_size[1] / 2) <= image_size[1] / 2) & (
+        np.abs(rows + 0.5 - image_size[0] / 2) <= image_size[0] / 2
+    )
+    return found
+
+
+def _filled(columns: Array, rows: Array, known: Array) -> tuple[Array, Array]:
+    """Replace unknown points by the nearest known ones on the panorama, whose left edge continues at the right one."""
+    if known.all():
+        return columns, rows
+    width = known.shape[1]
+    turns = np.tile(np.where(known, 0, 255).astype(np.uint8), 3)
+    _, labels = cv2.distanceTransformWithLabels(turns, cv2.DIST_L2, 5, labelType=cv2.DIST_LABEL_PIXEL)
+    nearest = np.zeros(labels.max() + 1, dtype=np.int64)
+    nearest[labels[turns == 0]] = np.flatnonzero(turns == 0)
+    at = nearest[labels[:, width : 2 * width]]
+    row, column = at // (3 * width), at % (3 * width) % width
+    return columns[row, column], rows[row, column]

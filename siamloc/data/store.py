@@ -20,6 +20,7 @@ from siamloc.errors import DataError, leave_out, logger
 from siamloc.progress import track
 
 VERSION = 1
+_SAMPLING = 2  # version of how panoramas are sampled from the images of cameras
 
 
 @dataclass(frozen=True)
@@ -49,6 +50,7 @@ def open_store(
     cache: str | Path,
     preprocessing: Preprocessing,
     *,
+    tilts: NDArray[np.float64] | None = None,
     on_error: str = "skip",
     workers: int | None = None,
 ) -> Store:
@@ -61,6 +63,7 @@ def open_store(
         paths: images to decode.
         cache: folder of the stores, created if necessary.
         preprocessing: how an image becomes a panorama.
+        tilts: roll and pitch of the robot in rad in each image (n, 2), which are taken out; None if it stayed level.
         on_error: "skip" leaves unreadable images out and reports them, "raise" stops at the first.
         workers: decoding threads; one per core, up to 16, if None.
 
@@ -69,25 +72,28 @@ def open_store(
         DataError: no readable image, or an unreadable image if `on_error` is "raise".
         StorageError: the disk is full or cannot be written to.
     """
-    folder = Path(cache).expanduser().absolute() / _key(paths, preprocessing)
+    folder = Path(cache).expanduser().absolute() / _key(paths, preprocessing, tilts)
     store = _load(folder, len(paths))
     if store is None:
-        store = _build(folder, paths, preprocessing, workers or min(processors(), 16), on_error)
+        store = _build(folder, paths, preprocessing, tilts, workers or min(processors(), 16), on_error)
     faults = [f"{item['path']} ({item['reason']})" for item in store.rejected]
     leave_out(faults, len(paths), "images cannot be read", on_error)
     return store
 
 
-def _key(paths: Sequence[str], preprocessing: Preprocessing) -> str:
-    """Return the name of a store: a hash of the images' names, sizes and times, and of the preprocessing."""
+def _key(paths: Sequence[str], preprocessing: Preprocessing, tilts: NDArray[np.float64] | None) -> str:
+    """Return the name of a store: a hash of the images' names, sizes, times and tilts, and of the preprocessing."""
     files: list[list[Any]] = []
-    for path in paths:
+    for path in (file for one in paths for file in preprocessing.files(one)):
         try:
             status = os.stat(path)  # noqa: PTH116 (tens of thousands of paths)
             files.append([os.path.abspath(path), status.st_size, status.st_mtime_ns])  # noqa: PTH100
         except (OSError, ValueError):
             files.append([os.path.abspath(path), None, None])  # noqa: PTH100
-    return content_key({"version": VERSION, "preprocessing": preprocessing.parameters(), "files": files})
+    held: dict[str, Any] = {"version": VERSION, "preprocessing": preprocessing.parameters(), "files": files}
+    if preprocessing.camera is not None:
+        held |= {"sampling": _SAMPLING, "tilts": None if tilts is None else tilts.tolist()}
+    return content_key(held)
 
 
 def _load(folder: Path, total: int) -> Store | None:
@@ -122,7 +128,14 @@ def _reopened(folder: Path, total: int) -> Store:
     return store
 
 
-def _build(folder: Path, paths: Sequence[str], preprocessing: Preprocessing, workers: int, on_error: str) -> Store:
+def _build(
+    folder: Path,
+    paths: Sequence[str],
+    preprocessing: Preprocessing,
+    tilts: NDArray[np.float64] | None,
+    workers: int,
+    on_error: str,
+) -> Store:
     """Decode the images into a new store, or open the store that another process makes in the meantime."""
     lock = folder.with_name(f".{folder.name}.lock")
     with storage_errors(folder), ExitStack() as stack:
@@ -133,26 +146,33 @@ def _build(folder: Path, paths: Sequence[str], preprocessing: Preprocessing, wor
         store = _load(folder, len(paths))
         if store is None:
             with atomic_folder(folder) as temporary:
-                _write(temporary, paths, preprocessing, workers, on_error)
+                _write(temporary, paths, preprocessing, tilts, workers, on_error)
     return store or _reopened(folder, len(paths))
 
 
-def _write(folder: Path, paths: Sequence[str], preprocessing: Preprocessing, workers: int, on_error: str) -> None:
+def _write(
+    folder: Path,
+    paths: Sequence[str],
+    preprocessing: Preprocessing,
+    tilts: NDArray[np.float64] | None,
+    workers: int,
+    on_error: str,
+) -> None:
     """Fill a folder with panoramas.npy and store.json."""
     size = [preprocessing.view.height, preprocessing.view.width]
     rejected: list[dict[str, Any]] = []
     kept = 0
 
-    def decode(path: str) -> NDArray[np.uint8] | UnreadableImageError:
+    def decode(row: int) -> NDArray[np.uint8] | UnreadableImageError:
         try:
-            return preprocessing.panorama(path)
+            return preprocessing.panorama(paths[row], None if tilts is None else tilts[row])
         except UnreadableImageError as error:
             return error
 
     with (folder / "panoramas.npy").open("wb") as file:
         header = {"descr": "|u1", "fortran_order": False, "shape": (len(paths), 3, *size)}
         np.lib.format.write_array_header_1_0(file, header)
-        decoded = in_order(decode, paths, workers)
+        decoded = in_order(decode, range(len(paths)), workers)
         for row, result in enumerate(track(decoded, len(paths), "decoding images")):
             if isinstance(result, UnreadableImageError):
                 if on_error == "raise":

@@ -62,11 +62,22 @@ def _each(kinds: Mapping[str, type], tag: str = "name", **further: Any) -> dict[
 
 
 def _of_data() -> Options:
-    from siamloc.data.panorama import HyperbolicMirror, PanoramaView, PolarRing
+    from siamloc.data.cameras import CAMERAS
+    from siamloc.data.central import CentralCamera
     from siamloc.data.protocol import Protocol
     from siamloc.data.reading import READERS, DataSettings
 
     kinds = {kind: Option(DataSettings.options(kind), summary_of(reader)) for kind, reader in READERS.items()}
+    cameras = {name: camera for name, camera in CAMERAS.items() if camera is not None}
+    edges = {"top": None, "bottom": None}
+    calibrated = {
+        "kind": "calibrated",
+        "file": "???",
+        "camera": None,
+        **dict.fromkeys(defaults_of(CentralCamera)),
+        **edges,
+    }
+    calibrated.pop("image_size")
     return {
         "data": {
             kind: option for kind, option in kinds.items() if not (config_folder() / f"data/{kind}.yaml").is_file()
@@ -75,8 +86,9 @@ def _of_data() -> Options:
             "none": Option(
                 {"kind": "none"}, "The images are panoramas, or come from an ordinary camera: only resized."
             ),
-            **_each({"polar": PolarRing}, "kind"),
-            **_each({"hyperbolic": HyperbolicMirror}, "kind", top=PanoramaView.top, bottom=PanoramaView.bottom),
+            **_each(cameras, "kind", **edges),
+            "calibrated": Option(calibrated, "The camera of a calibration file of Kalibr, OpenCV, ROS or OCamCalib."),
+            "own": Option({"kind": "???", **edges}, "A camera class of your own, unwrap.kind=module:Class."),
         },
         "protocol": {"by_sequence": Option(defaults_of(Protocol), "Roles by the names of sequences, or patterns.")},
         "settings": {f"data_{kind}": option for kind, option in kinds.items()},

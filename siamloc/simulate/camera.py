@@ -13,7 +13,9 @@ from typing import ClassVar, Literal
 import cv2
 import numpy as np
 
-from siamloc.data.panorama import HyperbolicMirror, PanoramaView
+from siamloc.data.cameras import HyperbolicMirror
+from siamloc.data.central import CentralCamera
+from siamloc.data.panorama import PanoramaView
 from siamloc.simulate.layout import Array, single
 
 #: Height of the viewpoint above the floor in metres.
@@ -74,24 +76,31 @@ class PanoramaCamera:
 
 @dataclass(frozen=True)
 class OmnidirectionalCamera:
-    """A camera below a hyperbolic mirror; its image is a ring with the camera's own reflection in the middle."""
+    """A camera of any model: the camera of data sets, below a hyperbolic mirror, or another with its own image size.
 
-    wraps: ClassVar[bool] = False
+    The image of the mirror is a ring with the camera's own reflection in the middle.
 
-    mirror: HyperbolicMirror = field(default_factory=HyperbolicMirror)
+    Attributes:
+        model: where each pixel looks.
+        shape: rows and columns of the image.
+    """
+
+    model: HyperbolicMirror | CentralCamera = field(default_factory=HyperbolicMirror)
+    shape: tuple[int, int] = (480, 640)
 
     @property
-    def shape(self) -> tuple[int, int]:
-        """Rows and columns of the image."""
-        return 480, 640
+    def wraps(self) -> bool:
+        """Whether the left edge continues at the right one."""
+        return bool(getattr(self.model, "wraps", False))
 
     def pixels(self) -> Pixels:
-        """Return the pixels of the ring that the mirror fills."""
-        return _mirror_pixels(self.mirror)
+        """Return the pixels that show anything, of a mirror those of its ring."""
+        return _pixels_of(self)
 
     def displacement(self, moves: Array, points: Array) -> tuple[Array, Array]:
         """Return how many columns and rows points (n, 3) in m shift in the image if they move by `moves` (n, 3)."""
-        change = np.nan_to_num(self.mirror.project(points + moves) - self.mirror.project(points))
+        after, before = (self.model.project(some, self.shape) for some in (points + moves, points))
+        change = np.nan_to_num(after - before)
         return change[:, 0], change[:, 1]
 
 
@@ -117,19 +126,25 @@ def _panorama_pixels(view: PanoramaView) -> Pixels:
 
 
 @lru_cache(maxsize=4)
-def _mirror_pixels(mirror: HyperbolicMirror) -> Pixels:
-    height, width = OmnidirectionalCamera(mirror).shape
+def _pixels_of(camera: OmnidirectionalCamera) -> Pixels:
+    model, (height, width) = camera.model, camera.shape
     rows, columns = (grid.ravel() for grid in np.mgrid[0:height, 0:width])
-    radius = np.hypot(columns - mirror.cx, rows - mirror.cy)
-    keep = (radius <= _RIM) & (radius >= _BODY)
-    rows, columns = rows[keep], columns[keep]
-    directions = [mirror.back_project(np.stack([columns + dx, rows + dy], axis=1)) for dx, dy in OFFSETS]
+    if isinstance(model, HyperbolicMirror):
+        radius = np.hypot(columns - model.cx, rows - model.cy)
+        keep = (radius <= _RIM) & (radius >= _BODY)
+        rows, columns = rows[keep], columns[keep]
+
+    def seen_at(dx: float, dy: float) -> Array:
+        return model.back_project(np.stack([columns + dx, rows + dy], axis=1), camera.shape)
+
+    directions = [seen_at(dx, dy) for dx, dy in OFFSETS]
     seen = np.isfinite(np.stack(directions)).all(axis=(0, 2))
+    corner = seen_at(0.5, 0.5)[seen]
     rows, columns = rows[seen], columns[seen]
     directions = [direction[seen] for direction in directions]
-    corner = mirror.back_project(np.stack([columns + 0.5, rows + 0.5], axis=1))
     spread = np.sqrt(2) * np.linalg.norm(np.nan_to_num(corner - directions[0]), axis=1)
-    return Pixels(rows, columns, single(directions), spread.astype(np.float32), _vignette(directions[0]))
+    light = _vignette(directions[0]) if isinstance(model, HyperbolicMirror) else np.ones(len(rows), dtype=np.float32)
+    return Pixels(rows, columns, single(directions), spread.astype(np.float32), light)
 
 
 def _vignette(directions: Array) -> Array:

@@ -12,8 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from siamloc.data.decoding import Preprocessing, UnreadableImageError, read_image
-from siamloc.data.panorama import CAMERAS
-from siamloc.errors import SiamlocError
+from siamloc.errors import ConfigError, SiamlocError
 from siamloc.progress import track
 
 Picture = NDArray[np.uint8]
@@ -29,8 +28,8 @@ class Decoder:
     """Reads images as the network or descriptor saw them, and keeps them for the page.
 
     Args:
-        settings: settings of an evaluation; `data.image_size` and `data.unwrap` are used. A custom camera cannot be
-            restored from them: its images are shown as they are.
+        settings: settings of an evaluation; `data.image_size` and `data.unwrap` are used. If a camera of the user's own
+            cannot be made from them, its images are shown as they are.
 
     Attributes:
         missing: what is wrong with each file that could not be read.
@@ -42,7 +41,10 @@ class Decoder:
         data = settings.get("data") or {}
         size, unwrap = data.get("image_size"), data.get("unwrap") or {}
         self.size = (int(size[0]), int(size[1])) if size else _DEFAULT_SIZE
-        self._preprocessing = Preprocessing.checked(self.size, unwrap if unwrap.get("kind") in CAMERAS else None)
+        try:
+            self._preprocessing = Preprocessing.checked(self.size, unwrap or None)
+        except ConfigError:
+            self._preprocessing = Preprocessing.checked(self.size)
         self.missing: dict[str, str] = {}
         self.large: dict[str, str] = {}
         self.place: dict[str, int] = {}

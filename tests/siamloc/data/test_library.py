@@ -124,7 +124,7 @@ def test_impossible_options(frames, tmp_path, options, message):
         {"kind": "none"},
         PolarRing(inner=1, outer=3),
         {"kind": "polar", "inner": 1, "outer": 3, "centre": [8, 4]},
-        {"kind": "hyperbolic", "top": 20.0, "cx": 8.0},
+        {"kind": "hyperbolic", "top": 20.0, "cx": 8.0, "fx": 8.0, "fy": 8.0, "cy": 3.5},
     ],
 )
 def test_the_settings_make_the_same_library_again(frames, tmp_path, unwrap):

@@ -120,7 +120,7 @@ labels = st.text(st.characters(codec="utf-8", exclude_characters="\0"), max_size
 numbers = st.one_of(st.just(math.nan), st.floats(allow_nan=False, allow_infinity=False))
 positions = st.one_of(st.just(math.nan), st.floats(-1e7, 1e7))
 rows = st.fixed_dictionaries(
-    dict.fromkeys(("x", "y", "odom_x", "odom_y", "odom_theta"), positions)
+    dict.fromkeys(("x", "y", "odom_x", "odom_y", "odom_theta", "roll", "pitch"), positions)
     | dict.fromkeys(("deviation", "theta_deviation"), positions.map(abs))
     | dict.fromkeys(("theta", "time"), numbers)
     | dict.fromkeys(("room", "sequence", "lighting", "building"), labels)

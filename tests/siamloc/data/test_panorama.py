@@ -4,7 +4,8 @@ import cv2
 import numpy as np
 import pytest
 
-from siamloc.data.panorama import HyperbolicMirror, PanoramaView, PolarRing, azimuth_column, column_azimuth, unwrap
+from siamloc.data.cameras import HyperbolicMirror
+from siamloc.data.panorama import PanoramaView, PolarRing, azimuth_column, column_azimuth, seen, unwrap
 from siamloc.errors import ConfigError, DataError
 from tests.oracles import mirror as oracle
 
@@ -126,10 +127,19 @@ def test_a_ring_without_numbers_is_the_largest_in_the_image():
     assert panorama[20:].max() == 0
 
 
-def test_what_lies_outside_the_image_is_black():
-    panorama = unwrap(np.full((100, 100), 200, np.uint8), PolarRing(inner=10, outer=80))
-    assert panorama[0].max() == 0
-    assert panorama[-1].min() == 200
+def test_what_lies_outside_the_image_is_known_and_filled_with_what_is_next_to_it():
+    ring, view = PolarRing(inner=10, outer=80), PanoramaView()
+    inside = seen(ring, view, (100, 100))
+    radius = 80 - (np.arange(128) + 0.5) / 128 * 70
+    assert not inside[radius > 49.5 * 2**0.5 + 1].any()
+    assert inside[radius < 49].all()
+    panorama = unwrap(np.full((100, 100), 200, np.uint8), ring)
+    assert panorama.min() == panorama.max() == 200
+    half = np.zeros((100, 100), np.uint8)
+    half[:50] = 200
+    filled = unwrap(half, ring)[0].astype(int)
+    assert filled[256 - 40 : 256 + 40].min() > 180, "ahead"
+    assert filled[[*range(40), *range(-40, 0)]].max() < 20, "behind"
 
 
 @pytest.mark.parametrize(

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from siamloc.data.panorama import HyperbolicMirror, PanoramaView, unwrap
+from siamloc.data.cameras import HyperbolicMirror
+from siamloc.data.panorama import PanoramaView, unwrap
 from siamloc.errors import ConfigError
 from siamloc.simulate import Run, build_scene, render
 from siamloc.simulate.camera import CAMERAS

@@ -1,0 +1,234 @@
+"""`read_calibration`: cameras from the calibration files of Kalibr, OpenCV (and ROS) and OCamCalib."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+
+from foundation.calls import typed
+from foundation.files import read_text
+from foundation.settings import shortened
+from siamloc.data.cameras import (
+    DoubleSphereCamera,
+    DualFisheyeCamera,
+    FisheyeCamera,
+    OCamCamera,
+    UnifiedCamera,
+)
+from siamloc.data.central import CentralCamera
+from siamloc.data.panorama import Array
+from siamloc.errors import ConfigError, DataError, hint
+
+_LONGEST = 1_000_000  # bytes of a calibration file
+_READ = (
+    "Kalibr's omni, ds and pinhole with equidistant distortion, OpenCV's fisheye and omnidir, and OCamCalib are read"
+)
+
+
+@typed
+def read_calibration(path: str | Path, camera: str | Sequence[str] | None = None, **where: Any) -> CentralCamera:
+    """Read the calibration of a camera.
+
+    The form of the file is recognized: a camera chain of Kalibr (YAML), what OpenCV's `FileStorage` wrote (YAML, XML or
+    JSON) with a camera matrix, distortion coefficients, and `xi` for `cv2.omnidir`, ROS's camera info (YAML), or
+    `calib_results.txt` of OCamCalib. Of OpenCV's files, those of the fisheye model must say so by `fisheye_model: 1`,
+    or by the `distortion_model` fisheye or equidistant.
+
+    Args:
+        path: the file.
+        camera: name of the camera in a chain of Kalibr, such as "cam1"; the first if None. Two names make one
+            `DualFisheyeCamera`, turned towards each other as in the chain.
+        **where: where the camera looks: `azimuth`, `elevation`, `roll`, `mirrored` and `fov`, see `CentralCamera`.
+
+    Returns:
+        A `FisheyeCamera`, `UnifiedCamera`, `DoubleSphereCamera`, `OCamCamera` or `DualFisheyeCamera`, for pictures of
+        the size that it was calibrated on.
+
+    Raises:
+        ConfigError: a camera that the file does not have, or an impossible parameter.
+        DataError: a file that cannot be read, or of a model that no omnidirectional camera has.
+    """
+    file = Path(path).expanduser()
+    try:
+        text = read_text(file, _LONGEST)
+    except (OSError, ValueError) as error:
+        raise DataError(
+            f"the calibration {file} cannot be read: {getattr(error, 'strerror', None) or error}"
+        ) from error
+    if re.match(r"\s*#\s*polynomial", text):
+        kind, values = _ocam(file, text)
+        return kind.of({**values, **where})
+    found = _stored(file, text) if re.match(r"\s*(<\?xml|%YAML|\{)", text) else _yaml(file, text)
+    chain = {name: one for name, one in found.items() if isinstance(one, Mapping) and "camera_model" in one}
+    if not chain:
+        if camera is not None:
+            raise ConfigError(f"{file} is of one camera: leave out camera={camera}")
+        kind, values = _opencv(file, found)
+        return kind.of({**values, **where})
+    names = [camera] if isinstance(camera, str) else list(camera or list(chain)[:1])
+    for name in names:
+        if name not in chain:
+            raise ConfigError(f"{file} has no camera {name!r}: {hint(name, chain)}")
+    made = [_kalibr(file, name, chain[name]) for name in names]
+    if len(made) == 1:
+        kind, values = made[0]
+        return kind.of({**values, **where})
+    if len(made) != 2:
+        raise ConfigError(f"one camera or two of {file} make a camera, got {len(made)}: choose of {', '.join(chain)}")
+    (first, one), (second, other) = made
+    turn = _between(file, chain, *names) @ np.diag([-1.0, 1.0, -1.0])  # from the back, which the second angles are from
+    return DualFisheyeCamera.of({"front": first.of(one), "back": second.of({**other, **angles_of(turn)}), **where})
+
+
+def angles_of(axes: Array) -> dict[str, float]:
+    """Return `azimuth`, `elevation` and `roll` in degrees of a camera from its axes.
+
+    Args:
+        axes: right, down and ahead of the camera (3, 3), as rows, in the frame of a camera that looks ahead.
+    """
+    right, _, ahead = np.asarray(axes) @ np.array([[0, -1, 0], [0, 0, -1], [1, 0, 0]])  # to the robot's frame
+    azimuth = float(np.arctan2(ahead[1], ahead[0]))
+    level = np.array([np.sin(azimuth), -np.cos(azimuth), 0.0])
+    below = np.cross(ahead, level)
+    roll = np.arctan2(right @ below, right @ level)
+    elevation = np.arcsin(np.clip(ahead[2], -1, 1))
+    return dict(zip(("azimuth", "elevation", "roll"), np.degrees([azimuth, elevation, roll]).tolist(), strict=True))
+
+
+Made = tuple[type[CentralCamera], dict[str, Any]]
+
+
+def _kalibr(file: Path, name: str, values: Mapping[str, Any]) -> Made:
+    """Return the model and the parameters of a camera of Kalibr."""
+    model, distortion = str(values["camera_model"]), str(values.get("distortion_model", "none"))
+    numbers = _numbers(file, values.get("intrinsics"), f"{name}.intrinsics")
+    bent = _numbers(file, values.get("distortion_coeffs") or [], f"{name}.distortion_coeffs")
+    columns, rows = _numbers(file, values.get("resolution"), f"{name}.resolution", 2)
+    size: dict[str, Any] = {"image_size": (int(rows), int(columns))}
+    counts = {"omni": 5, "ds": 6, "pinhole": 4}
+    if (model, distortion) not in (("omni", "radtan"), ("omni", "none"), ("ds", "none"), ("pinhole", "equidistant")):
+        raise DataError(f"{name} of {file} is of the model {model} with {distortion} distortion: {_READ}")
+    if len(numbers) != counts[model] or len(bent) != (0 if distortion == "none" else 4):
+        raise DataError(
+            f"{name} of {file} has {len(numbers)} intrinsics and {len(bent)} distortion coefficients, and a camera of "
+            f"the model {model} has {counts[model]} and {0 if distortion == 'none' else 4}"
+        )
+    size |= dict(zip(("fx", "fy", "cx", "cy"), numbers[-4:], strict=True))
+    if model == "pinhole":
+        return FisheyeCamera, {**size, "k": bent}
+    if model == "ds":
+        return DoubleSphereCamera, {**size, "xi": numbers[0], "alpha": numbers[1]}
+    return UnifiedCamera, {**size, "xi": numbers[0], "distortion": bent or (0.0,) * 4}
+
+
+def _between(file: Path, chain: Mapping[str, Any], first: str, second: str) -> Array:
+    """Return the axes of the second camera of a chain (3, 3), as rows, in the frame of the first one."""
+    names = list(chain)
+    start, end = sorted((names.index(first), names.index(second)))
+    turn = np.eye(3)
+    for name in names[start + 1 : end + 1]:
+        rows = chain[name].get("T_cn_cnm1")
+        if np.shape(rows) != (4, 4):
+            raise DataError(f"{name} of {file} has no T_cn_cnm1, 4 x 4, so that nobody knows how it is turned")
+        turn = np.asarray(rows, dtype=np.float64)[:3, :3] @ turn
+    return turn if names.index(first) == start else turn.T
+
+
+def _opencv(file: Path, values: Mapping[str, Any]) -> Made:
+    """Return the model and the parameters of a camera of OpenCV or ROS."""
+    matrix = _first(values, "camera_matrix", "K", "cameraMatrix", "intrinsics")
+    if matrix is None:
+        raise DataError(f"{file} holds no camera matrix among {shortened(', '.join(values))}: {_READ}")
+    matrix = _numbers(file, matrix, "the camera matrix", 9)
+    bent = _first(values, "distortion_coefficients", "D", "distCoeffs", "dist_coeffs", "distortion_coeffs")
+    bent = (0.0,) * 4 if bent is None else _numbers(file, bent, "the distortion")
+    found: dict[str, Any] = dict(
+        zip(("fx", "skew", "cx", "fy", "cy"), (matrix[i] for i in (0, 1, 2, 4, 5)), strict=True)
+    )
+    rows, columns = _first(values, "image_height", "height"), _first(values, "image_width", "width")
+    if rows is not None and columns is not None:
+        found["image_size"] = (int(rows), int(columns))
+    xi = values.get("xi")
+    model = str(_first(values, "distortion_model", "camera_model", "model") or "")
+    fisheye = model.lower() in ("fisheye", "equidistant") or bool(values.get("fisheye_model"))
+    if (xi is None and not fisheye) or len(bent) != 4:
+        what = f"the distortion model {model}" if model else "no model"
+        raise DataError(
+            f"{file} names {what} and {len(bent)} distortion coefficients: {_READ} (fisheye_model: 1, or xi, says so); "
+            "pictures of an ordinary camera are not unwrapped, set data.circular=false"
+        )
+    if xi is not None:
+        return UnifiedCamera, {**found, "xi": _numbers(file, xi, "xi", 1)[0], "distortion": bent}
+    return FisheyeCamera, {**found, "k": bent}
+
+
+def _ocam(file: Path, text: str) -> Made:
+    """Return the model and the parameters in a file of OCamCalib: polynomial, inverse, centre, affine and size."""
+    lines = [line.split() for line in text.splitlines() if line.strip() and not line.lstrip().startswith("#")]
+    try:
+        polynomial, _, centre, affine, size = ([float(word) for word in line] for line in lines[:5])
+        (row, column), (c, d, e), (rows, columns) = centre, affine, size
+    except ValueError as error:
+        raise DataError(
+            f"{file} is not whole: OCamCalib writes five lines of numbers, polynomial, inverse polynomial, centre, "
+            "affine parameters and image size"
+        ) from error
+    if len(polynomial) != polynomial[0] + 1 or len(polynomial) < 3:
+        raise DataError(f"{file} announces {polynomial[0]:g} coefficients and lists {len(polynomial) - 1}")
+    size_of = {"image_size": (int(rows), int(columns))}
+    return OCamCamera, {"polynomial": polynomial[1:], "cx": column, "cy": row, "affine": (c, d, e), **size_of}
+
+
+def _yaml(file: Path, text: str) -> dict[str, Any]:
+    import yaml
+
+    try:
+        found = yaml.safe_load(text)
+    except (yaml.YAMLError, ValueError, RecursionError) as error:
+        raise DataError(f"{file} is not YAML: {shortened(' '.join(str(error).split()))}") from error
+    if not isinstance(found, dict):
+        raise DataError(f"{file} is not a calibration file: {_READ}")
+    return {str(name): one.get("data", one) if isinstance(one, dict) else one for name, one in found.items()}
+
+
+def _stored(file: Path, text: str) -> dict[str, Any]:
+    """Return the values that OpenCV's FileStorage wrote, matrices as lists."""
+    try:
+        storage = cv2.FileStorage(text, cv2.FILE_STORAGE_READ | cv2.FILE_STORAGE_MEMORY)
+        found: dict[str, Any] = {}
+        for name in storage.root().keys():  # noqa: SIM118 (a node is not a mapping)
+            node = storage.getNode(name)
+            if node.isMap():
+                found[name] = node.mat().ravel().tolist()
+            elif node.isSeq():
+                found[name] = [node.at(i).real() for i in range(node.size())]
+            else:
+                found[name] = node.string() if node.isString() else node.real()
+    except (cv2.error, SystemError, AttributeError) as error:
+        raise DataError(f"{file} is not whole, OpenCV cannot read it: write it again with cv2.FileStorage") from error
+    return found
+
+
+def _first(values: Mapping[str, Any], *names: str) -> Any:
+    return next((values[name] for name in names if values.get(name) is not None), None)
+
+
+def _numbers(file: Path, values: Any, what: str, count: int | None = None) -> tuple[float, ...]:
+    """Return a list of numbers, flattened.
+
+    Raises:
+        DataError: it is no such list, or of another length.
+    """
+    try:
+        found = tuple(np.asarray(values, dtype=np.float64).ravel().tolist())
+    except (TypeError, ValueError) as error:
+        raise DataError(f"{file}: {what} must be numbers, got {shortened(repr(values))}") from error
+    if not np.isfinite(found).all() or (count is not None and len(found) != count):
+        expected = "finite numbers" if count is None else f"{count} finite numbers"
+        raise DataError(f"{file}: {what} must be {expected}, got {shortened(repr(values))}")
+    return found

@@ -1,0 +1,199 @@
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import pytest
+
+from siamloc.data import DualFisheyeCamera, FisheyeCamera, read_calibration
+from siamloc.data.decoding import Preprocessing
+from siamloc.errors import ConfigError, DataError
+from tests.oracles import cameras as oracle
+
+KALIBR = """\
+cam0:
+  cam_overlaps: [1]
+  camera_model: pinhole
+  distortion_coeffs: [0.0034, 0.0007, -0.0020, 0.0002]
+  distortion_model: equidistant
+  intrinsics: [190.97, 190.97, 254.93, 256.89]
+  resolution: [512, 510]
+  rostopic: /cam0/image_raw
+cam1:
+  T_cn_cnm1:
+  - [-0.99986, 0.0, 0.01674, 0.012]
+  - [0.0, 1.0, 0.0, 0.0]
+  - [-0.01674, 0.0, -0.99986, 0.001]
+  - [0.0, 0.0, 0.0, 1.0]
+  camera_model: omni
+  distortion_coeffs: [-0.12, 0.03, 0.0002, -0.0001]
+  distortion_model: radtan
+  intrinsics: [1.21, 420.5, 421.5, 255.1, 256.2]
+  resolution: [512, 510]
+  rostopic: /cam1/image_raw
+cam2:
+  camera_model: ds
+  distortion_coeffs: []
+  distortion_model: none
+  intrinsics: [-0.18, 0.59, 156.9, 156.8, 254.9, 255.8]
+  resolution: [512, 510]
+cam3:
+  camera_model: eucm
+  distortion_coeffs: []
+  distortion_model: none
+  intrinsics: [0.6, 1.1, 156.9, 156.8, 254.9, 255.8]
+  resolution: [512, 510]
+"""
+OCAM = """\
+#polynomial coefficients for the DIRECT mapping function (ocam_model.ss in MATLAB). These are used by cam2world
+
+5 -6.9696915e+02 0.0 5.3e-04 -1.6e-07 2.1e-10
+
+#polynomial coefficients for the inverse mapping function (ocam_model.invpol in MATLAB). These are used by world2cam
+
+9 1150.1 653.8 -23.9 93.1 66.2 -25.4 15.8 21.7 4.9
+
+#center: "row" and "column", starting from 0 (C convention)
+
+968.4 1293.9
+
+#affine parameters "c", "d", "e"
+
+1.0003 -0.0004 0.0007
+
+#image size: "height" and "width"
+
+1944 2592
+"""
+ROS = """\
+image_width: 640
+image_height: 480
+camera_name: narrow
+camera_matrix:
+  rows: 3
+  cols: 3
+  data: [200.5, 0, 320.1, 0, 201.5, 240.2, 0, 0, 1]
+distortion_model: equidistant
+distortion_coefficients:
+  rows: 1
+  cols: 4
+  data: [0.01, 0.002, -0.001, 0.0003]
+"""
+MATRIX = np.array([[200.5, 0.3, 320.1], [0, 201.5, 240.2], [0, 0, 1]])
+BENT = np.array([0.01, 0.002, -0.001, 0.0003])
+RAYS = np.array([(1, 0.01, 0), (1, 0.3, -0.2), (1, -0.8, 0.4), (0.3, 0.5, 0.4)])
+
+
+def written(path, text):
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+def stored(path, **values):
+    storage = cv2.FileStorage(str(path), cv2.FILE_STORAGE_WRITE)
+    for name, value in values.items():
+        storage.write(name, value)
+    storage.release()
+    return path
+
+
+def agrees(camera, project):
+    expected = [project(*oracle.turned(ray, camera), camera) for ray in RAYS]
+    np.testing.assert_allclose(camera.project(RAYS), expected, atol=0.01)
+
+
+@pytest.mark.parametrize(
+    ("name", "project"), [("cam0", oracle.fisheye), ("cam1", oracle.unified), ("cam2", oracle.double_sphere)]
+)
+def test_a_chain_of_kalibr(tmp_path, name, project):
+    camera = read_calibration(written(tmp_path / "chain.yaml", KALIBR), name, azimuth=5)
+    assert (camera.image_size, camera.azimuth) == ((510, 512), 5)
+    agrees(camera, project)
+    numbers = [float(word) for word in KALIBR.split(f"{name}:")[1].split("intrinsics: [")[1].split("]")[0].split(",")]
+    assert [camera.fx, camera.fy, camera.cx, camera.cy] == numbers[-4:]
+
+
+def test_two_cameras_of_a_chain_are_two_lenses(tmp_path):
+    camera = read_calibration(written(tmp_path / "chain.yaml", KALIBR), ["cam0", "cam1"], azimuth=90)
+    assert isinstance(camera, DualFisheyeCamera)
+    turn = np.array([[-0.99986, 0, 0.01674], [0, 1, 0], [-0.01674, 0, -0.99986]])
+    behind = np.array([(-0.9, 0.1, 0.2), (-1, -0.4, -0.3)])
+    for ray in behind:
+        in_first = np.array([-ray[1], -ray[2], ray[0]])
+        expected = np.array(oracle.unified(*(turn @ in_first), camera.back)) + np.array([512, 0])
+        about_up = np.array([[0, -1, 0], [1, 0, 0], [0, 0, 1]])
+        np.testing.assert_allclose(camera.project(about_up @ ray, (510, 1024)), expected, atol=0.01)
+    assert camera.project(np.array([0, 1, 0]), (510, 1024)) == pytest.approx([254.93, 256.89])
+
+
+@pytest.mark.parametrize("suffix", ["yaml", "xml", "json"])
+def test_files_of_opencv(tmp_path, suffix):
+    about = {"image_width": 640, "image_height": 480, "camera_matrix": MATRIX, "distortion_coefficients": BENT}
+    fisheye = read_calibration(stored(tmp_path / f"a.{suffix}", **about, fisheye_model=1), elevation=90)
+    assert fisheye == FisheyeCamera(
+        fx=200.5, fy=201.5, cx=320.1, cy=240.2, skew=0.3, k=BENT, elevation=90, image_size=(480, 640)
+    )
+    points, _ = cv2.fisheye.distortPoints(np.zeros((1, 1, 2)), MATRIX, BENT.reshape(1, 4), alpha=0.3 / 200.5), None
+    np.testing.assert_allclose(fisheye.project(np.array([0, 0, 1])), points[0, 0], atol=1e-6)
+    omnidir = read_calibration(stored(tmp_path / f"b.{suffix}", K=MATRIX, D=BENT, xi=np.array([[1.3]])))
+    assert (omnidir.xi, omnidir.distortion, omnidir.image_size) == (1.3, tuple(BENT), None)
+    assert read_calibration(stored(tmp_path / f"c.{suffix}", K=MATRIX, D=BENT, xi=1.3)) == omnidir
+
+
+def test_camera_info_of_ros(tmp_path):
+    camera = read_calibration(written(tmp_path / "info.yaml", ROS))
+    assert (camera.image_size, camera.k) == ((480, 640), tuple(BENT))
+    agrees(camera, oracle.fisheye)
+
+
+def test_a_file_of_ocamcalib(tmp_path):
+    camera = read_calibration(written(tmp_path / "calib_results.txt", OCAM))
+    assert (camera.image_size, camera.cx, camera.cy) == ((1944, 2592), 1293.9, 968.4)
+    agrees(camera, oracle.ocam)
+
+
+def test_the_command_line_names_the_file_and_a_run_keeps_the_camera(tmp_path):
+    file = written(tmp_path / "chain.yaml", KALIBR)
+    made = Preprocessing.checked(
+        (64, 256), {"kind": "calibrated", "file": str(file), "camera": "cam1", "elevation": 90, "fov": None}
+    )
+    kept = made.unwrap_settings()
+    assert (kept["kind"], kept["xi"], kept["elevation"], kept["image_size"]) == ("unified", 1.21, 90, [510, 512])
+    assert Preprocessing.checked((64, 256), kept) == made == Preprocessing.of(made.parameters())
+
+
+@pytest.mark.parametrize(
+    ("text", "camera", "error", "message"),
+    [
+        (KALIBR, "cam9", ConfigError, "has no camera 'cam9': .*valid: cam0, cam1"),
+        (KALIBR, "cam3", DataError, "cam3 of .* is of the model eucm with none distortion: Kalibr's omni"),
+        (KALIBR, ["cam0", "cam1", "cam2"], ConfigError, "one camera or two"),
+        (KALIBR, ["cam1", "cam2"], DataError, "cam2 of .* has no T_cn_cnm1"),
+        (KALIBR.replace("190.97, 190.97, ", ""), None, DataError, "has 2 intrinsics and 4 .*pinhole has 4 and 4"),
+        (KALIBR.replace("resolution: [512, 510]", "a: 1", 1), None, DataError, "cam0.resolution must be"),
+        (KALIBR.replace("190.97", "nan", 1), None, DataError, "cam0.intrinsics must be finite numbers"),
+        (ROS.replace("equidistant", "plumb_bob"), None, DataError, "model plumb_bob and 4 .*data.circular=false"),
+        (ROS.replace("equidistant", "rational_polynomial"), "cam0", ConfigError, "is of one camera: leave out"),
+        (ROS.replace("camera_matrix", "matrix"), None, DataError, "holds no camera matrix among image_width"),
+        (ROS.replace("200.5, ", ""), None, DataError, "the camera matrix must be 9 finite numbers"),
+        (OCAM.partition("#affine")[0], None, DataError, "is not whole: OCamCalib writes five lines"),
+        (OCAM.replace("5 -6", "6 -6"), None, DataError, "announces 6 coefficients and lists 5"),
+        ("%YAML:1.0\n---\nK: !!opencv-matrix\n   rows: 3", None, DataError, "is not whole, OpenCV|no camera matrix"),
+        ("a: [1", None, DataError, "is not YAML"),
+        ("just words", None, DataError, "is not a calibration file"),
+        ("", None, DataError, "is not a calibration file"),
+        (KALIBR.replace("-0.12, 0.03", "1e20, 0.03"), "cam1", ConfigError, "unwrap.distortion must be a list of 4"),
+    ],
+)
+def test_calibrations_that_cannot_be_used(tmp_path, text, camera, error, message):
+    with pytest.raises(error, match=message):
+        read_calibration(written(tmp_path / "calibration.yaml", text), camera)
+
+
+def test_files_that_are_not_there(tmp_path):
+    with pytest.raises(DataError, match="cannot be read: No such file"):
+        read_calibration(tmp_path / "none.yaml")
+    (tmp_path / "bytes.yaml").write_bytes(b"\xff\xfe\x00")
+    with pytest.raises(DataError, match="cannot be read"):
+        read_calibration(tmp_path / "bytes.yaml")
+    with pytest.raises(ConfigError, match=r"unwrap.file must be a path"):
+        Preprocessing.checked((64, 256), {"kind": "calibrated"})
