@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
@@ -34,8 +35,8 @@ class DataJob(Job):
 
     Attributes:
         data: the frames to read: the kind of data, its folder or list, and the image size.
-        unwrap: how omnidirectional images become panoramas: `kind`, "none", "polar" or "hyperbolic", and the parameters
-            of the camera.
+        unwrap: how omnidirectional images become panoramas: `kind`, such as "none", "polar" or "fisheye", the
+            parameters of the camera, and the elevations `top` and `bottom` of a panorama.
         protocol: which frames have which role, such as map, queries or training, by sequence, lighting or room.
     """
 
@@ -48,6 +49,16 @@ class DataJob(Job):
     def __post_init__(self) -> None:
         super().__post_init__()
         Preprocessing.checked(self.data.image_size, self.unwrap)
+
+    @classmethod
+    def completed(cls, values: dict[str, Any], given: Given) -> dict[str, Any]:
+        """Return the values; a camera class of the user's own is imported if it was given, and not only stored."""
+        if "unwrap.kind" in given.keys and isinstance(kind := values["unwrap"].get("kind"), str) and ":" in kind:
+            try:
+                import_module(kind.partition(":")[0])
+            except ImportError as error:
+                raise ConfigError(f"unwrap.kind={kind} cannot be imported ({error}): check PYTHONPATH") from error
+        return super().completed(values, given)
 
     @property
     def preprocessing(self) -> Preprocessing:
@@ -115,6 +126,7 @@ class RunJob(DataJob):
     @classmethod
     def completed(cls, values: dict[str, Any], given: Given) -> dict[str, Any]:
         """Return values together with the settings of the run."""
+        values = super().completed(values, given)
         chosen = values["descriptor"]
         if values.get("run") is not None:
             told = cls.REPLACES_MAP or any(key.partition(".")[0] == "descriptor" for key in given.keys)

@@ -87,6 +87,10 @@ def with_settings_of_the_run(
     size = record.get("model", {}).get("image_size") or record.get("data", {}).get("image_size")
     if size is not None and "data" in known and "experiment" not in given.groups and by_network:
         _put(result, "data.image_size", size)
+    edges = (record.get("data") or {}).get("unwrap") or {}
+    for key in ("top", "bottom"):  # of the panoramas that the network was trained on, by any camera
+        if by_network and key in edges and (result.get("unwrap") or {}).get(key, 0) is None:
+            _put(result, f"unwrap.{key}", edges[key])
     for key, value in said.items():
         _put(result, key, value)
     return result

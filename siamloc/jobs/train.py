@@ -54,6 +54,7 @@ class _Training(Learning, Job):
     @classmethod
     def completed(cls, values: dict[str, Any], given: Given) -> dict[str, Any]:
         """Return values together with the settings of the run, if it is resumed."""
+        values = super().completed(values, given)
         if values.get("resume") is True and values.get("run", cls.folder) is not None:
             values = {"run": cls.folder, **values}
             return with_settings_of_the_run(values, given, cls.key_names(), resumed=True)

@@ -77,6 +77,7 @@ def build(
             f"{second.name} cannot find the headings of a map by {by.name}: the descriptors {', '.join(HEADINGS)} can, "
             "in a map whose descriptors are not turned before they are compared"
         )
+    _check_elevations(by, images)
     readable = images.readable(frames)
     if not len(readable):
         raise DataError(f"none of the images of the {len(frames)} map frames could be read")
@@ -136,6 +137,17 @@ def describe(
     clock = Stopwatch() if clock is None else clock
     parts = (_timed(clock, by, heading, batch) for batch in images.batches(frames))
     return parts if progress is None else track(parts, len(frames), progress, size=len)
+
+
+def _check_elevations(by: Descriptor, images: PanoramaLibrary) -> None:
+    """Raise ConfigError if panoramas show other elevations than those that a network was trained on."""
+    wanted, there = getattr(by, "elevations", None), images.preprocessing.elevations
+    if wanted is not None and there is not None and not np.allclose(wanted, there, atol=0.5):
+        raise ConfigError(
+            f"the network was trained on panoramas from {wanted[0]:g} to {wanted[1]:g} degrees of elevation, and these "
+            f"show {there[0]:g} to {there[1]:g}: set unwrap.top={wanted[0]:g} unwrap.bottom={wanted[1]:g} (in Python "
+            "PanoramaLibrary(frames, unwrap=camera, **network.view))"
+        )
 
 
 def _timed(clock: Stopwatch, by: Descriptor, heading: Descriptor | None, batch: NDArray[np.uint8]) -> Description:

@@ -20,6 +20,7 @@ from foundation.calls import typed
 from foundation.files import plain
 from foundation.settings import leaves
 from siamloc.data.frames import FrameTable, concatenate
+from siamloc.data.panorama import PolarRing
 from siamloc.errors import ConfigError, DataError
 from siamloc.maps.aligned import AlignedIndex
 from siamloc.maps.counts import Counts
@@ -416,6 +417,8 @@ class VisualMap:
     def check_images(self, preprocessing: Mapping[str, Any]) -> None:
         """Check that panoramas of queries are made in the same way as panoramas of the map.
 
+        Two cameras whose models know the elevation of each pixel give the same panoramas, and may differ.
+
         Args:
             preprocessing: `images.preprocessing.parameters()` of a library.
 
@@ -424,6 +427,9 @@ class VisualMap:
                 values.
         """
         if "images" in self.identity:
+            cameras = [(one or {}).get("camera") for one in (self.identity["images"], preprocessing)]
+            if all(one is not None and one.get("kind") != PolarRing.__name__ for one in cameras):
+                preprocessing = {**preprocessing, "camera": cameras[0]}
             self.check_describer({**self.identity, "images": preprocessing})
 
     def check_describer(self, identity: Mapping[str, Any]) -> None:

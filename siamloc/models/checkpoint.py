@@ -11,7 +11,7 @@ from torch import Tensor, nn
 from foundation.calls import typed
 from siamloc.errors import ConfigError, DataError, FormatError, SiamlocError
 from siamloc.models.network import Network, build
-from siamloc.models.registry import PRETRAINED
+from siamloc.models.registry import PRETRAINED, PRETRAINED_ELEVATIONS
 from siamloc.models.room_classifier import RoomClassifier
 from siamloc.models.weights import (
     CONTENT_KEY,
@@ -99,6 +99,7 @@ def pretrained(*, circular: bool = True, relative: bool = True) -> Network:
     """
     network = load(PRETRAINED)
     assert isinstance(network, Network)
+    network.settings["elevations"] = list(PRETRAINED_ELEVATIONS)
     if not circular:
         network = _rebuilt(network, circular=False, canonical=False, relative=False)
     elif not relative:

@@ -65,6 +65,12 @@ class NetworkDescriptor(BetweenColumns):
         found = getattr(network_of(self.module), "rooms", None)
         return found if isinstance(found, RoomClassifier) else None
 
+    @property
+    def elevations(self) -> tuple[float, float] | None:
+        """Elevations in degrees of the edges of the panoramas that the network was trained on; None if unknown."""
+        found: tuple[float, float] | None = getattr(network_of(self.module), "view", {}).get("elevations")
+        return found
+
     def classify(self, batch: Any, chunk: int = CHUNK) -> NamedRooms:
         """Name the rooms that images show.
 

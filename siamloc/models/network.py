@@ -51,6 +51,7 @@ def build(
     canonical: bool = False,
     relative: bool = False,
     colours: bool = False,
+    elevations: Sequence[float] | None = None,
 ) -> Network:
     """Make a network that describes panoramas: (B, 3, H, W) in [0, 1] -> (B, D), in training mode on the CPU.
 
@@ -85,6 +86,8 @@ def build(
             `siamloc.models.relative`. For the heads "fourier" and "magnitudes".
         colours: also describe the colours of images, which are not learned: `description` gives 800 more numbers than
             `forward`; see `siamloc.models.colours`.
+        elevations: elevations in degrees of the upper and lower edge of the panoramas that the network is for; those of
+            the first training if None.
 
     Raises:
         ConfigError: unknown names, an image too small for the branch, weights that are not available or do not fit.
@@ -109,6 +112,7 @@ def build(
         "seed": seed,
         "outputs": network.outputs if len(head_widths(head)) == 1 else None,
         **options,
+        **({} if elevations is None else {"elevations": list(elevations)}),
     }
     if weights is not None:
         found = find_weights(branch, weights)
@@ -188,6 +192,12 @@ class Network(nn.Module):
     def outputs(self) -> int:
         """Length D of what `forward` gives, without colours."""
         return self.head.outputs
+
+    @property
+    def view(self) -> dict[str, Any]:
+        """The panoramas that the network is for: arguments of `PanoramaLibrary`, which makes them from any camera."""
+        known = self.settings.get("elevations")
+        return {"image_size": self.image_size, **({} if known is None else {"elevations": tuple(known)})}
 
     @property
     def stages(self) -> list[list[nn.Module]]:

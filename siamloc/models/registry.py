@@ -47,6 +47,9 @@ ROWS, HUES, SATURATIONS, VALUES = 4, 24, 8, 8
 COLOURS = ROWS * (HUES * SATURATIONS + VALUES)
 """Number of values by which a network with colours=True describes the colours, after those that are learned."""
 
+PRETRAINED_ELEVATIONS = (30.0, -45.0)
+"""Elevations in degrees of the upper and the lower edge of these panoramas."""
+
 BRANCHES: dict[str, BranchSpec] = {
     spec.name: spec
     for spec in (

@@ -17,6 +17,7 @@ from siamloc.models.checkpoint import save_weights, without_layer
 from siamloc.models.cross_entropy import CrossEntropyLoss
 from siamloc.models.network import Network
 from siamloc.models.places import BatchLoss, PlaceModule
+from siamloc.models.registry import PRETRAINED_ELEVATIONS
 from siamloc.pretraining.settings import RECIPE, ViewSettings
 from siamloc.pretraining.view_batches import ViewDataModule
 from siamloc.runs import Run
@@ -93,6 +94,7 @@ def pretrain(
     elif changes:
         raise ConfigError(f"settings= has all fields: give {', '.join(changes)} in it, or leave it out")
     places = _check(settings, views, network)
+    network.settings["elevations"] = list(PRETRAINED_ELEVATIONS)
     if isinstance(loss, CrossEntropyLoss):
         raise ConfigError(
             "loss=cross_entropy learns the rooms of one building by name, and pretraining takes one building after "

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any, Literal
@@ -11,11 +11,12 @@ from typing import Any, Literal
 from foundation.calls import typed
 from foundation.files import check_version, file_hash, read_json
 from foundation.settings import Count, misfit
-from siamloc.data.decoding import Preprocessing
+from siamloc.data.decoding import Preprocessing, is_known
 from siamloc.errors import ConfigError, FormatError
 from siamloc.maps import CoarseLayer, ErrorModel, Refinement, VisualMap
 from siamloc.maps.heading import is_analytic
 from siamloc.maps.packing import Precision
+from siamloc.runtime.own_camera import SampledCamera
 from siamloc.runtime.thumbnails import read_thumbnails
 
 FORMAT = "siamloc-bundle"
@@ -28,7 +29,8 @@ REFINEMENT = "refinement.json"
 RELATIVE = "relative.onnx"
 LAYER, COARSE = "layer.npz", "coarse_map.npz"
 THUMBNAILS = "thumbnails.npz"
-PARTS = (MODEL, MAP, ERRORS, REFINEMENT, RELATIVE, LAYER, COARSE, THUMBNAILS)
+CAMERA = "camera.npz"
+PARTS = (MODEL, MAP, ERRORS, REFINEMENT, RELATIVE, LAYER, COARSE, THUMBNAILS, CAMERA)
 _READERS: dict[str, Callable[[Path], Any]] = {
     MAP: VisualMap.load,
     ERRORS: ErrorModel.load,
@@ -36,6 +38,7 @@ _READERS: dict[str, Callable[[Path], Any]] = {
     LAYER: CoarseLayer.load,
     COARSE: VisualMap.load,
     THUMBNAILS: read_thumbnails,
+    CAMERA: SampledCamera.load,
 }
 _FINER = {"interpolate": "between", "relative": "by comparison with"}
 _KEYS: dict[str, Any] = {
@@ -182,8 +185,12 @@ class Bundle:
             if not _holds(path / name) or file_hash(path / name) != digest:
                 raise FormatError(f"{path}/{name} is missing or not the file the bundle was written with: export again")
         try:
-            preprocessing = Preprocessing.of(about["preprocessing"])
-        except (ConfigError, TypeError) as error:
+            if CAMERA in about["sha256"] and not is_known(about["preprocessing"]["camera"]["kind"]):
+                level = Preprocessing.of({**about["preprocessing"], "camera": None})
+                preprocessing = replace(level, camera=SampledCamera.load(path / CAMERA))
+            else:
+                preprocessing = Preprocessing.of(about["preprocessing"])
+        except (ConfigError, TypeError, KeyError) as error:
             raise FormatError(f"{described} is altered in preprocessing ({error}): export again") from error
         return cls(path, about, preprocessing)
 

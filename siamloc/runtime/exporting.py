@@ -13,7 +13,7 @@ import numpy as np
 from analytic import Descriptor
 from foundation.calls import typed
 from foundation.files import atomic_folder, file_hash, plain, read_json, write_json
-from siamloc.data.decoding import Preprocessing
+from siamloc.data.decoding import Preprocessing, size_of
 from siamloc.errors import ConfigError, SiamlocError
 from siamloc.maps import Built, CoarseLayer, HierarchicalSearch, LayerSearch, VisualMap, match
 from siamloc.maps.describing import descriptor_from
@@ -23,6 +23,7 @@ from siamloc.maps.reranking import comparison_of
 from siamloc.runtime import bundle as files
 from siamloc.runtime.bundle import Bundle
 from siamloc.runtime.localizer import Localizer
+from siamloc.runtime.own_camera import SampledCamera
 from siamloc.runtime.precision import CALIBRATION, Measured, measured, smallest, spread
 from siamloc.runtime.thumbnails import save_thumbnails
 
@@ -89,8 +90,8 @@ def export(
 
     Raises:
         ConfigError: the folder holds files other than a bundle's, the map was made by another descriptor, something was
-            learned on or built over another map, poses are to be refined by a network that does not compare, panoramas
-            cannot be made from plain values, required images are not given, or the descriptor cannot be exported.
+            learned on or built over another map, poses are to be refined by a network that does not compare, the camera
+            is of a class that is not imported, required images are not given, or the descriptor cannot be exported.
         SiamlocError: the bundle differs from the original.
         StorageError: the disk is full or cannot be written to.
     """
@@ -125,7 +126,11 @@ def export(
         given = as_descriptor(on_cpu(given.module), None)  # as the robot computes
     known = None if known is None else replace(known, describes=given)
     parts: dict[str, Any] = {files.MAP: known, files.ERRORS: errors, files.REFINEMENT: refinement}
-    parts |= {files.LAYER: layer, files.COARSE: coarse_map}
+    parts |= {
+        files.LAYER: layer,
+        files.COARSE: coarse_map,
+        files.CAMERA: _own_camera(parameters, preprocessing, known, images),
+    }
     made = _Ingredients(about, given, parts, images, thumbnails)
     with atomic_folder(folder) as fresh:
         if precision == "auto":
@@ -333,8 +338,32 @@ def _described_alike(
     parameters = plain(held if preprocessing is None else preprocessing.parameters())
     if known is not None:
         known.check_describer({**identity, "images": parameters} if held is not None else identity)
-    Preprocessing.of(parameters)  # a custom camera cannot be made from plain values, and is an error here
     return identity, parameters
+
+
+def _own_camera(
+    parameters: Mapping[str, Any],
+    given: Preprocessing | None,
+    known: VisualMap | None,
+    images: PanoramaLibrary | None,
+) -> SampledCamera | None:
+    """Return where the panorama's pixels lie in the pictures of a camera of the user's own; None for a built-in camera.
+
+    Raises:
+        ConfigError: the camera's class is not imported, or the size of its pictures is unknown.
+    """
+    given = images.preprocessing if given is None and images is not None else given
+    made = Preprocessing.of(parameters) if given is None else given
+    if made.camera is None or ":" not in parameters["camera"]["kind"]:
+        return None
+    tables = [one.frames for one in (images, known) if one is not None]
+    size = next((size for frames in tables for path in frames.path[:1] if (size := size_of(path)) is not None), None)
+    if size is None:
+        raise ConfigError(
+            "the bundle holds a camera of your own for pictures of one size, and there is no PNG or JPEG of a frame to "
+            "know it from: give images="
+        )
+    return SampledCamera.of(made.camera, made.view, size)
 
 
 def _check_replaceable(path: Path) -> None:

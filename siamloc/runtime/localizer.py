@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -15,7 +15,8 @@ from numpy.typing import ArrayLike, NDArray
 from analytic import Description
 from foundation.calls import typed
 from foundation.settings import Count
-from siamloc.data.decoding import UnreadableImageError
+from siamloc.data.decoding import Preprocessing, UnreadableImageError
+from siamloc.data.panorama import OmnidirectionalCamera
 from siamloc.errors import ConfigError, DataError, FormatError
 from siamloc.maps import (
     ErrorModel,
@@ -131,6 +132,7 @@ class Localizer:
         threads: number of onnxruntime threads; onnxruntime chooses if None.
         providers: onnxruntime's execution providers in order of preference, such as ("CUDAExecutionProvider",
             "CPUExecutionProvider").
+        camera: another camera than the bundle's, as `PanoramaLibrary` takes it; its panoramas show the same view.
 
     Raises:
         FormatError: not a bundle, an altered one, or one of another version.
@@ -147,8 +149,13 @@ class Localizer:
         threads: Count | None = None,
         providers: Sequence[str] = ("CPUExecutionProvider",),
         hierarchical: bool | None = None,
+        camera: OmnidirectionalCamera | Mapping[str, Any] | None = None,
     ) -> None:
         self._top, self.bundle = top, Bundle.open(bundle_path)
+        if camera is not None:
+            view = self.bundle.preprocessing.view
+            other = Preprocessing.checked(self.bundle.image_size, camera, (view.top, view.bottom))
+            self.bundle = replace(self.bundle, preprocessing=other)
         known: VisualMap | None = self.bundle.load(MAP)
         if known is None:
             raise ConfigError(f"{bundle_path} holds no map: run `siamloc map`, then `siamloc export` again")
@@ -201,6 +208,7 @@ class Localizer:
         tracker: Tracker | None = None,
         seen: Callable[[NDArray[np.uint8]], None] | None = None,
         motion: ArrayLike | None = None,
+        tilt: ArrayLike | None = None,
     ) -> Location:
         """Locate an image: a file, or pixels (rows, columns, 3) RGB uint8 as they come from the camera.
 
@@ -213,14 +221,16 @@ class Localizer:
             motion: how the robot moved since the last image that the tracker got, as its wheels tell, seen from itself
                 at that image (3,): distances ahead and to the left in the map's unit, and turn to the left in rad; NaN
                 if unknown.
+            tilt: roll and pitch of the robot in rad (2,), which are taken out of the image of a camera; see
+                `siamloc.data.PanoramaView.tilted`.
 
         Raises:
             ConfigError: a motion without a tracker.
-            DataError: the image cannot be read, is empty, or has another shape; or a motion of another form.
+            DataError: the image cannot be read, is empty, or has another shape; or a motion or tilt of another form.
         """
         start = time.perf_counter()
         _check_motion(tracker, motion)
-        panorama = self._panorama(image)
+        panorama = self._panorama(image, tilt)
         if seen is not None:
             seen(panorama)
         return self._located(panorama, self.describe(panorama[None]), tracker, motion, start)
@@ -372,7 +382,10 @@ class Localizer:
             pose = pose.widened(self._refinement.widening)
         return pose, expected, lost
 
-    def _panorama(self, image: Any) -> NDArray[np.uint8]:
+    def _panorama(self, image: Any, tilt: ArrayLike | None = None) -> NDArray[np.uint8]:
+        angles = None if tilt is None else np.asarray(tilt, dtype=np.float64)
+        if angles is not None and not (angles.shape == (2,) and np.isfinite(angles).all()):
+            raise DataError(f"a tilt is roll and pitch in rad, two numbers, got {tilt!r}")
         pixels = None if isinstance(image, (str, Path)) else np.asarray(image)
         if pixels is not None and pixels.size == 0:
             raise DataError("the image is empty: the camera returned no data")
@@ -380,7 +393,7 @@ class Localizer:
             raise DataError(f"an image has shape (rows, columns, 3) and dtype uint8, got {pixels.shape} {pixels.dtype}")
         make = self.bundle.preprocessing
         try:
-            return make.panorama(image) if pixels is None else make.prepare(pixels)
+            return make.panorama(image, angles) if pixels is None else make.prepare(pixels, angles)
         except (UnreadableImageError, ConfigError) as error:  # damaged, or too small for the camera's ring
             what = image if pixels is None else f"an image of {pixels.shape[0]} x {pixels.shape[1]}"
             raise DataError(f"{what} cannot be located: {error}") from error

@@ -100,6 +100,7 @@ def locate_all(
         seen: called with each panorama (3, H, W), uint8, RGB, before it is located.
         odometry: how the robot moved from image to image, for `track`: a manifest, or any CSV table with the columns
             `image`, `odom_x`, `odom_y` (in the map's unit) and `odom_theta` (rad); paths are relative to its folder.
+            With the columns `roll` and `pitch` (rad), the tilt of the robot is taken out of the images.
 
     Yields:
         The outcome for each image, in order.
@@ -122,9 +123,9 @@ def locate_all(
             tracker.reset()
             last = UNKNOWN
         here = wheels.get(abspath(name), UNKNOWN)  # noqa: PTH100
-        motion = moves([last, here])[1] if wheels else None
+        motion = moves([last[:3], here[:3]])[1] if wheels else None
         try:
-            location = localizer.locate(image, tracker, seen, motion)
+            location = localizer.locate(image, tracker, seen, motion, here[3:])
             last = here
             yield Located(name, location, pose=pose)
         except DataError as error:

@@ -1,4 +1,4 @@
-"""Read the wheel odometry of the images that a robot locates."""
+"""Read the wheel odometry and the tilt of the images that a robot locates."""
 
 from __future__ import annotations
 
@@ -13,16 +13,19 @@ from siamloc.data.frames import FrameTable
 from siamloc.data.manifest import read_rows
 from siamloc.errors import DataError
 
-UNKNOWN: NDArray[np.float64] = np.full(3, np.nan)
+UNKNOWN: NDArray[np.float64] = np.array([np.nan] * 3 + [0.0] * 2)
 UNKNOWN.flags.writeable = False
 
 
 def read_odometry(table: str | Path) -> dict[str, NDArray[np.float64]]:
-    """Read the poses that a robot computed from its wheels, x, y and heading in rad (3,), by the path of the image.
+    """Read the poses that a robot computed from its wheels, and its tilt (5,), by the path of the image.
+
+    They are x, y and heading in rad, NaN if unknown, and roll and pitch in rad, 0 if unknown.
 
     Args:
-        table: a manifest, or any CSV table with the columns `image`, `odom_x`, `odom_y` and `odom_theta`; paths are
-            relative to its folder. Without a column `sequence`, each folder of images is a drive.
+        table: a manifest, or any CSV table with the columns `image`, `odom_x`, `odom_y` and `odom_theta`, and perhaps
+            `roll` and `pitch`; paths are relative to its folder. Without a column `sequence`, each folder of images is
+            a drive.
 
     Raises:
         DataError: the table cannot be read, has no odometry, or has it in degrees.
@@ -34,4 +37,5 @@ def read_odometry(table: str | Path) -> dict[str, NDArray[np.float64]]:
         raise DataError(f"{file} has no row with all of odom_x, odom_y and odom_theta: a robot is tracked by them")
     for finding in wrong_odometry(frames):
         raise DataError(f"{file}: {finding}")
-    return {abspath(path): pose for path, pose in zip(frames.path.tolist(), frames.odometry, strict=True)}  # noqa: PTH100
+    held = np.column_stack([frames.odometry, frames.tilt])
+    return {abspath(path): row for path, row in zip(frames.path.tolist(), held, strict=True)}  # noqa: PTH100

@@ -28,6 +28,7 @@ from siamloc.models.checkpoint import check_architecture, load
 from siamloc.models.cross_entropy import CrossEntropyLoss
 from siamloc.models.losses import ContrastiveLoss
 from siamloc.models.module import NetworkModule
+from siamloc.models.network import Network
 from siamloc.models.places import BatchLoss, PlaceModule
 from siamloc.models.siamese import Loss, SiameseModule
 from siamloc.runs import Run
@@ -150,6 +151,8 @@ def fit(
     learned = train if adapting is None else adapting.learned
     data, module = _parts(network, images, learned, validated, loss, change, settings)
     width = check_network(network, images.batch([0]), images.circular, unit=getattr(module.loss, "unit_length", False))
+    if isinstance(network, Network) and (elevations := images.preprocessing.elevations) is not None:
+        network.settings["elevations"] = list(elevations)
     if isinstance(module.loss, CrossEntropyLoss):
         module.loss.open(rooms_of(train), width, settings.seed)
     about = {
