@@ -8,7 +8,7 @@ import numpy as np
 
 from siamloc.data import FrameTable
 from siamloc.maps.loops import Loops, Reason
-from siamloc.maps.pose_graph import Edges, Solution
+from siamloc.maps.pose_graph import Edges, PoseGraph, Solution
 from siamloc.maps.surveying import Survey
 
 
@@ -28,4 +28,6 @@ def a_survey(folder: Path = Path()) -> Survey:
     odometry = np.column_stack([np.arange(n), np.zeros((n, 2))])
     drive = np.repeat([0, 1], 6)
     solution = Solution(np.zeros((n, 3)), 1.0, np.ones(2), np.zeros(2), np.ones(7), 0.0)
-    return Survey(frames, np.tile(np.eye(3), (n, 1, 1)), 0.01, loops, steps, odometry, drive, solution, "odometry")
+    wheels = steps.take(slice(0, 3))  # of monday
+    graph = PoseGraph(steps, wheels, drive, np.empty(0, np.int64))
+    return Survey(frames, np.tile(np.eye(3), (n, 1, 1)), 0.01, loops, graph, odometry, solution, "odometry")

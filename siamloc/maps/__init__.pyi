@@ -8,6 +8,7 @@ from .hierarchy import (
     HierarchicalSearch as HierarchicalSearch,
     LayerSearch as LayerSearch,
 )
+from .live_survey import LiveSurvey as LiveSurvey
 from .maintenance import Update as Update, update as update
 from .matching import frame_distances as frame_distances, headings as headings, match as match
 from .motion import motions as motions

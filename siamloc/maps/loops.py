@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import Enum
 
 import numpy as np
@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from foundation.columns import Rows
 from siamloc.data.moves import composed, relative, wrapped
-from siamloc.maps.pose_graph import Array
+from siamloc.maps.pose_graph import Array, Edges
 from siamloc.maps.refinement import FREEDOM
 
 _NEIGHBOURHOOD = 3  # frames on either side within which loops must agree
@@ -65,6 +65,11 @@ class Loops(Rows):
     def counts(self) -> dict[str, int]:
         """Return the number of loops of each reason, by its name in small letters."""
         return {reason.name.lower(): int((self.reason == reason).sum()) for reason in Reason}
+
+
+def edges_of(loops: Loops) -> Edges:
+    """Return loops as edges of a pose graph."""
+    return Edges(loops.first, loops.second, loops.pose, loops.information)
 
 
 def candidates(
@@ -150,13 +155,30 @@ def judged(
         least_odds: log odds from which on two images were taken near each other.
     """
     pose, information, odds = compare(first, second)
-    reason = np.full(len(first), Reason.UNLIKE, dtype=object)
-    loops = Loops(first, second, pose, information, odds, reason, np.zeros(len(first)))
-    alike = np.flatnonzero(odds >= least_odds)
-    counts = agreeing(loops.take(alike), poses, drive)
-    reason[alike] = Reason.ALONE
-    reason[alike[counts >= _AGREE]] = Reason.ACCEPTED
-    return loops
+    return agreed(loops_of(Edges(first, second, pose, information), odds, least_odds), poses, drive)
+
+
+def loops_of(edges: Edges, odds: Array, least_odds: float) -> Loops:
+    """Return compared frames as loops that no other loop agrees with so far."""
+    reason = np.full(len(odds), Reason.UNLIKE, dtype=object)
+    reason[odds >= least_odds] = Reason.ALONE
+    return Loops(edges.first, edges.second, edges.pose, edges.information, odds, reason, np.zeros(len(odds)))
+
+
+def agreed(loops: Loops, poses: Array, drive: NDArray[np.int64], last: int | None = None) -> Loops:
+    """Return loops (p) of which those are accepted that were alone, and with which enough others agree.
+
+    Args:
+        loops: loops with their reasons so far.
+        poses: (n, 3), as for `agreeing`.
+        drive: (n,) number of the drive of each frame.
+        last: only loops to this frame, and those beside it, are judged; all if None.
+    """
+    alike = (loops.reason != Reason.UNLIKE) & (last is None or loops.second >= last - _NEIGHBOURHOOD)
+    rows, reason = np.flatnonzero(alike), loops.reason.copy()
+    enough = rows[agreeing(loops.take(rows), poses, drive) >= _AGREE]
+    reason[enough[reason[enough] == Reason.ALONE]] = Reason.ACCEPTED
+    return replace(loops, reason=reason)
 
 
 def judged_again(loops: Loops, found: Array) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:

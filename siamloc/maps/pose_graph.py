@@ -26,7 +26,7 @@ SHARED = 25.0
 SCALE, WHEEL_SCALE = 0.15, 0.03  # standard deviations of the logarithms of the scales
 GYRO_BIAS = np.radians(1.0)  # standard deviation, rad per unit of distance
 _FIXED = 1e8  # information of a pose that is given
-_ROUNDS, _SMALL = 60, 1e-5
+_SMALL = 1e-5  # m or rad: a solution that moves by less has converged
 _AT_ONCE = 1 << 21  # values of a third of the columns of the inverse
 
 
@@ -94,7 +94,7 @@ class Solution:
     cost: float
 
 
-def solve(graph: PoseGraph, start: Array, freedom: float = FREEDOM) -> Solution:
+def solve(graph: PoseGraph, start: Array, freedom: float = FREEDOM, rounds: int = 60) -> Solution:
     """Return the most likely poses, beginning at start poses (n, 3); those of fixed frames are kept.
 
     With many degrees of freedom, errors have nearly a normal distribution: no measurement is weighted down, so that
@@ -109,7 +109,7 @@ def solve(graph: PoseGraph, start: Array, freedom: float = FREEDOM) -> Solution:
     """
     state = _State.of(graph, start)
     damping, system = 1e-4, _System(graph, state, freedom)
-    for _ in range(_ROUNDS):
+    for _ in range(rounds):
         step = system.step(damping)
         moved = state.moved(step)
         tried = _System(graph, moved, freedom)

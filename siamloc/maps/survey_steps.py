@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -16,7 +17,8 @@ from siamloc.progress import track
 
 ODDS = float(np.log(19))
 """Log odds from which on two images count as taken near each other: a probability of 95 %."""
-_BEFORE = (1, 2, 3, 5)  # frames back that each frame is compared with
+BEFORE = (1, 2, 3, 5)
+"""How many frames before it each frame is compared with."""
 _DOUBTED = 100.0  # the information of a step between images that are not alike is divided by this
 _AT_ONCE = 2048  # pairs to compare
 _SHARE, _TURN = 0.03, np.radians(0.5)  # deviation of odometry: as a share of the way, and per square root of the way
@@ -53,8 +55,8 @@ def compared_steps(compared: Pairs, drive: NDArray[np.int64]) -> tuple[Edges, Ar
         but the first, as seen from the frame before it, NaN between drives; and which of them are certain (n - 1,).
     """
     n = len(drive)
-    first = np.concatenate([np.arange(n - back) for back in _BEFORE])
-    second = np.concatenate([np.arange(back, n) for back in _BEFORE])
+    first = np.concatenate([np.arange(n - back) for back in BEFORE])
+    second = np.concatenate([np.arange(back, n) for back in BEFORE])
     same = drive[first] == drive[second]
     first, second = first[same], second[same]
     pose, information, odds = compared(first, second)
@@ -62,9 +64,14 @@ def compared_steps(compared: Pairs, drive: NDArray[np.int64]) -> tuple[Edges, Ar
     seen, certain = np.full((n - 1, 3), np.nan), np.zeros(n - 1, dtype=bool)
     seen[first[next_one]] = pose[next_one]
     certain[first[next_one]] = odds[next_one] >= ODDS
-    information = np.where((odds < ODDS)[:, None, None], information / _DOUBTED, information)
-    kept = next_one | (odds >= ODDS)
-    return Edges(first[kept], second[kept], pose[kept], information[kept]), seen, certain
+    return trusted(Edges(first, second, pose, information), odds), seen, certain
+
+
+def trusted(steps: Edges, odds: Array) -> Edges:
+    """Return the steps (e) between images that are alike by their log odds, and all to the next frame, if doubted."""
+    doubted = odds < ODDS
+    information = np.where(doubted[:, None, None], steps.information / _DOUBTED, steps.information)
+    return replace(steps, information=information).take((steps.second == steps.first + 1) | ~doubted)
 
 
 def odometry_of(values: ArrayLike, count: int) -> Array:

@@ -7,6 +7,7 @@ poses of all frames are those of a graph of all these measurements, see `siamloc
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
@@ -20,7 +21,7 @@ from siamloc.data.frames import ODOMETRY, FrameTable
 from siamloc.data.moves import relative, wrapped
 from siamloc.errors import ConfigError, DataError
 from siamloc.maps.describing import build, descriptor_from
-from siamloc.maps.loops import Loops, Reason, candidates, judged, judged_again
+from siamloc.maps.loops import Loops, Reason, candidates, edges_of, judged, judged_again
 from siamloc.maps.pose_graph import Array, Edges, PoseGraph, Solution, covariances, of_shape, solve
 from siamloc.maps.reranking import scaled
 from siamloc.maps.survey_start import anchored, brought_together, check_anchors
@@ -67,14 +68,13 @@ class Survey:
     """Surveyed frames (n) and what they follow from.
 
     Attributes:
-        frames: the frames with the surveyed x, y and theta, and their deviations.
+        frames: the frames with the surveyed x, y and theta, their deviations, and the odometry that was given.
         covariance: (n, 3, 3) covariance of x, y and theta given the poses of the anchors; without them after the best
             rigid motion and scale.
         scale_deviation: standard deviation of the scale, as a share; 0 if anchors fix it.
         loops: all loops that were considered, with the reason why each is used or not; rows count in `frames`.
-        steps: compared frames that follow each other.
-        odometry: (n, 3) the odometry that was used, each drive from its own first frame; NaN where there is none.
-        drive: (n,) number of the drive of each frame.
+        graph: what was measured, without loops: compared frames that follow each other, and odometry if it is used.
+        odometry: (n, 3) the odometry that was given, each drive from its own first frame; NaN where there is none.
         solution: scales, gyro biases and weights.
         fixed_by: "anchors", "odometry" or "pictures": what fixes the scale. Only anchors fix position and direction of
             the whole; without them the first frame lies at 0 and looks along x.
@@ -85,9 +85,8 @@ class Survey:
     covariance: Array
     scale_deviation: float
     loops: Loops
-    steps: Edges
+    graph: PoseGraph
     odometry: Array
-    drive: NDArray[np.int64]
     solution: Solution
     fixed_by: str
     notes: tuple[str, ...] = ()
@@ -98,8 +97,8 @@ class Survey:
     def summary(self) -> str:
         """Say in a line how many frames were surveyed, by how many loops, and what fixes their scale."""
         way = sum(
-            float(np.hypot(*np.diff(self.frames.xy[self.drive == one], axis=0).T).sum())
-            for one in range(int(self.drive.max()) + 1)
+            float(np.hypot(*np.diff(self.frames.xy[rows], axis=0).T).sum())
+            for rows in self.frames.rows_by("sequence").values()
         )
         counts = self.loops.counts()
         refused = sum(counts.values()) - counts["accepted"]
@@ -111,23 +110,31 @@ class Survey:
         )
 
     def report(self) -> dict[str, Any]:
-        """Return figures as plain values: frames, loops by reason, scales, biases, residuals and notes."""
-        found = relative(self.solution.poses, self.steps.first, self.steps.second)
-        off = found[:, :2] * self.solution.scale - self.steps.pose[:, :2]
+        """Return figures as plain values: frames, loops by reason, scales, biases, residuals and notes.
+
+        Drives without odometry are not in `odometry`.
+        """
+        steps, wheels = self.graph.pictures, self.graph.wheels
+        found = relative(self.solution.poses, steps.first, steps.second)
+        off = found[:, :2] * self.solution.scale - steps.pose[:, :2]
         residual, deviation = np.hypot(off[:, 0], off[:, 1]), self.frames.deviation
         drives = [name or "(unnamed)" for name in self.frames.rows_by("sequence")]
-        wheels = zip(drives, self.solution.wheel_scale.tolist(), self.solution.gyro_bias.tolist(), strict=True)
+        known = np.unique(self.graph.drive[wheels.first]).tolist()
+        odometry = {
+            drives[one]: {"length": self.solution.wheel_scale[one], "gyro_bias": self.solution.gyro_bias[one]}
+            for one in known
+        }
         return {
             "frames": len(self.frames),
             "drives": drives,
             "scale_from": self.fixed_by,
             "scale_deviation": self.scale_deviation,
             "loops": self.loops.counts(),
-            "steps": len(self.steps),
+            "steps": len(steps),
             "residual_of_steps": {"median": float(np.median(residual)), "p95": float(np.quantile(residual, 0.95))},
             "deviation": {"median": float(np.median(deviation)), "largest": float(deviation.max())},
             "length_of_comparisons": self.solution.scale,
-            "odometry": {name: {"length": length, "gyro_bias": bias} for name, length, bias in wheels},
+            "odometry": odometry,
             "notes": list(self.notes),
         }
 
@@ -179,12 +186,7 @@ def survey(
     check_anchors(frames, anchors)
     for finding in wrong_odometry(frames.with_columns(**dict(zip(ODOMETRY, wheels.T, strict=True)))):
         raise DataError(f"the odometry of a survey cannot be used: {finding}")
-    described = descriptor_from(network, circular=images.circular)
-    if not (getattr(described, "compares", False) and getattr(described, "tells_heading", False)):
-        raise ConfigError(
-            "a survey needs a network that compares panoramas: take pretrained, or a network with the head fourier or "
-            "magnitudes that was built and trained with relative=True"
-        )
+    described = comparing_descriptor(network, images.circular)
     known = build(described, images, frames, progress=progress)
     if len(known) < len(frames):  # images that cannot be read
         kept = set(known.frames.identities())
@@ -196,7 +198,7 @@ def survey(
     notes: list[str] = []
     parts = known.turning().orientation
     assert parts is not None
-    compared = comparing(described.compare, scaled(parts), progress)  # type: ignore[attr-defined]
+    compared = comparing(described.compare, scaled(parts), progress)
     steps, seen, certain = compared_steps(compared, drive)
     moved = odometry_steps(wheels, seen, certain, drive, names, notes)
     start = start_of(moved, seen, drive)
@@ -206,16 +208,32 @@ def survey(
     loops = judged(first, second, compared, start, drive, ODDS)
     start = brought_together(start, loops, drive, names, notes)
     fixed, start = anchored(start, drive, frames, anchors)
-    graph = PoseGraph(steps, wheel_edges(moved), drive, fixed)
-    graph, solution, loops = _solved(graph, loops, start)
+    return concluded(frames, PoseGraph(steps, wheel_edges(moved), drive, fixed), loops, start, wheels, notes)
+
+
+def concluded(
+    frames: FrameTable, graph: PoseGraph, loops: Loops, start: Array, odometry: Array, notes: Sequence[str] = ()
+) -> Survey:
+    """Return the survey that follows from measurements.
+
+    Args:
+        frames: the frames (n).
+        graph: steps and odometry.
+        loops: judged loops.
+        start: start poses (n, 3), with the given poses of the anchors.
+        odometry: (n, 3) as it was given.
+        notes: sentences about parts of the data that are not used.
+    """
+    notes, drive = list(notes), graph.drive
+    whole, solution, loops = _solved(graph, loops, start)
     if not loops.accepted.any():
         found = "contradict all other measurements" if (loops.reason == Reason.CONTRADICTED).any() else "were not found"
         notes.append(f"loops {found}: drift is not undone; a drive that visits places again has loops")
-    by = "anchors" if len(fixed) > 1 else "odometry" if np.isfinite(moved).any() else "pictures"
+    by = "anchors" if len(graph.fixed) > 1 else "odometry" if len(graph.wheels) else "pictures"
     x, y, theta = solution.poses.T
-    covariance, scale_deviation = covariances(graph, solution), 0.0
+    covariance, scale_deviation = covariances(whole, solution), 0.0
     if by != "anchors":
-        covariance, scale_deviation = of_shape(covariance, graph, solution)
+        covariance, scale_deviation = of_shape(covariance, whole, solution)
     variances = np.einsum("nii->ni", covariance)
     surveyed = frames.with_columns(
         x=x,
@@ -223,19 +241,34 @@ def survey(
         theta=wrapped(theta),
         deviation=np.sqrt(variances[:, :2].mean(axis=1)),  # the root of the mean variance of x and y
         theta_deviation=np.sqrt(variances[:, 2]),
+        **dict(zip(ODOMETRY, odometry.T, strict=True)),
     )
     return Survey(
         replace(surveyed, unit="m"),
         covariance,
         scale_deviation,
         loops,
-        steps,
-        from_own_start(wheels, drive),
-        drive,
+        graph,
+        from_own_start(odometry, drive),
         solution,
         by,
         tuple(notes),
     )
+
+
+def comparing_descriptor(network: Descriptor | nn.Module | str, circular: bool) -> Any:
+    """Return a network as a descriptor that compares panoramas and gives headings.
+
+    Raises:
+        ConfigError: a network that does not.
+    """
+    described = descriptor_from(network, circular=circular)
+    if not (getattr(described, "compares", False) and getattr(described, "tells_heading", False)):
+        raise ConfigError(
+            "a survey needs a network that compares panoramas: take pretrained, or a network with the head fourier or "
+            "magnitudes that was built and trained with relative=True"
+        )
+    return described
 
 
 def _check_lengths(frames: FrameTable) -> None:
@@ -265,8 +298,7 @@ def _solved(graph: PoseGraph, loops: Loops, start: Array) -> tuple[PoseGraph, So
     reason, steps, starts, may_return = loops.reason.copy(), graph.pictures, [start], True
     while True:
         used = np.flatnonzero(reason == Reason.ACCEPTED)
-        edges = Edges(loops.first[used], loops.second[used], loops.pose[used], loops.information[used])
-        graph = replace(graph, pictures=Edges.concatenate([steps, edges]))
+        graph = replace(graph, pictures=Edges.concatenate([steps, edges_of(loops.take(used))]))
         if starts[0] is start:  # a robust solution that begins far off may take what is right for wrong
             starts.append(solve(graph, start, _ROUGHLY).poses)
         solution = min((solve(graph, one) for one in starts), key=lambda one: one.cost)

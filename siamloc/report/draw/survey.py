@@ -83,7 +83,8 @@ def _driven(found: Survey) -> list[NDArray[np.uint8]]:
     axes.set(ylim=(xy[:, 1].min() - margin, xy[:, 1].max() + margin))
     closed = LineCollection([], colors=_LOOP, linewidths=0.6, alpha=0.35)
     axes.add_collection(closed)
-    paths = [axes.plot([], [], color=_colour(number), linewidth=1.2)[0] for number in range(int(found.drive.max()) + 1)]
+    drive = found.graph.drive
+    paths = [axes.plot([], [], color=_colour(number), linewidth=1.2)[0] for number in range(int(drive.max()) + 1)]
     (robot,) = axes.plot([], [], "o", color=INK, markersize=7)
     (tail,) = axes.plot([], [], color=INK, linewidth=2.2)
     pictures: list[NDArray[np.uint8]] = []
@@ -91,9 +92,9 @@ def _driven(found: Survey) -> list[NDArray[np.uint8]]:
         here = loops.second <= last
         closed.set_segments(list(np.stack([xy[loops.first[here]], xy[loops.second[here]]], axis=1)))
         for number, line in enumerate(paths):
-            rows = np.flatnonzero((found.drive == number) & (np.arange(len(xy)) <= last))
+            rows = np.flatnonzero((drive == number) & (np.arange(len(xy)) <= last))
             line.set_data(*xy[rows].T)
-        behind = np.flatnonzero(found.drive[: last + 1] == found.drive[last])[-_BEHIND:]
+        behind = np.flatnonzero(drive[: last + 1] == drive[last])[-_BEHIND:]
         tail.set_data(*xy[behind].T)
         robot.set_data(*xy[[last]].T)
         axes.set_title(f"{last + 1} frames, {int(here.sum())} loops")

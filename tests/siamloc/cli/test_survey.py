@@ -42,6 +42,7 @@ def test_the_command_writes_what_the_next_commands_read(tmp_path, monkeypatch, c
     figures = read_json(out / "survey.json")
     assert figures["loops"] == {"accepted": 2, "unlike": 0, "alone": 1, "contradicted": 1}
     assert figures["settings"]["survey"]["alike"] == 5
+    assert list(figures["odometry"]) == ["monday"], "tuesday has none"
     lines = (out / "surveyed.csv").read_text().splitlines()
     assert lines[0] == "image,x,y,theta,sequence,deviation,theta_deviation"
     assert lines[1].startswith("../data/monday/0.png,4.0,0.0,")

@@ -8,11 +8,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from analytic import Description
 from analytic.descriptors.thumbnail import Thumbnail
 from siamloc.data import FrameTable, PanoramaLibrary, concatenate
 from siamloc.data.moves import chained, composed, relative, wrapped
 from siamloc.errors import ConfigError, DataError
-from siamloc.maps import VisualMap, survey
+from siamloc.maps import LiveSurvey, VisualMap, survey
 
 
 class Panoramas(PanoramaLibrary):
@@ -31,6 +32,11 @@ class TrueComparison(Thumbnail):
         self.poses, self.scale, self.noise, self.mirrored = poses, scale, noise, mirrored
         self.rng = np.random.default_rng(seed)
 
+    def describe(self, batch):
+        """A panorama whose first pixel is the number of the frame."""
+        rows = batch[:, 0, 0, 0].astype(int)
+        return Description(places_of(self.poses)[rows], numbered(rows))
+
     def compare(self, queries, known):
         second, first = (np.rint(one[:, 0, 0] / one[:, 1, 0]).astype(int) - 2 for one in (queries, known))
         pose = relative(self.poses, first, second)
@@ -42,6 +48,18 @@ class TrueComparison(Thumbnail):
         sure = 1 / max(self.noise, 0.01) ** 2
         information = np.tile(np.diag([sure, sure, 4 * sure]), (len(pose), 1, 1))
         return pose, information, np.where(apart < 2.5, 5.0, -5.0)
+
+
+def numbered(rows) -> np.ndarray:
+    """Orientation parts that hold the numbers of frames."""
+    parts = np.ones((len(rows), 8, 2), dtype=np.float16)
+    parts[:, 0, 0] = 2 + np.array(rows)
+    return parts
+
+
+def places_of(poses) -> np.ndarray:
+    """Descriptors that are positions."""
+    return np.column_stack([poses[:, :2], np.zeros(len(poses))])
 
 
 def eights(rounds=3, per_round=30, turned=0.0) -> np.ndarray:
@@ -74,13 +92,10 @@ def surveyed(monkeypatch):
             ]
         )
         true = np.concatenate(list(drives.values()))
-        places = np.column_stack([true[:, :2], np.zeros(len(true))])
 
         def built(network, images, frames, progress):
             rows = [table.identities().index(key) for key in frames.identities()]
-            parts = np.ones((len(rows), 8, 2), dtype=np.float16)
-            parts[:, 0, 0] = 2 + np.array(rows)
-            made = VisualMap(places[rows], frames, orientation=parts, heading={"name": "network"})
+            made = VisualMap(places_of(true)[rows], frames, orientation=numbered(rows), heading={"name": "network"})
             return replace(made, describes=network)
 
         monkeypatch.setattr(sys.modules["siamloc.maps.surveying"], "build", built)
@@ -164,7 +179,7 @@ def test_drives_are_brought_together(surveyed):
     drives = {"monday": eights(2), "tuesday": np.add(eights(2)[::-1], [0.05, 0.1, np.pi]), "night": eights(1)}
     found, true, _ = surveyed(drives)
     assert off(found, true) < 0.08
-    assert found.drive.tolist() == [0] * 60 + [1] * 60 + [2] * 30
+    assert found.graph.drive.tolist() == [0] * 60 + [1] * 60 + [2] * 30
     assert list(found.report()["odometry"]) == ["monday", "tuesday", "night"]
     with pytest.raises(DataError, match="no places were found that elsewhere and monday have in common"):
         surveyed({"monday": eights(2), "elsewhere": np.add(eights(2), [50.0, 0, 0])})
@@ -276,3 +291,33 @@ def test_a_survey_needs_a_network_that_compares(monkeypatch, surveyed):
     monkeypatch.setattr(TrueComparison, "compares", False)
     with pytest.raises(ConfigError, match="needs a network that compares panoramas"):
         surveyed({"monday": eights()})
+
+
+@pytest.mark.parametrize("wheeled", [True, False])
+def test_a_survey_goes_on_frame_by_frame(surveyed, wheeled):
+    poses, known = eights(rounds=3), 45
+    wheels = drifting(poses)
+    before, _, _ = surveyed({"monday": poses[:known]}, odometry=wheels[:known] if wheeled else False, scale=0.95)
+    network = TrueComparison(poses, 0.95, 0.02)
+    held = VisualMap(
+        places_of(poses[:known]), before.frames, orientation=numbered(range(known)), heading={"name": "network"}
+    )
+    live = LiveSurvey(network, before, replace(held, describes=network))
+    off_by = []
+    for row in range(known, len(poses)):
+        pose = live.add(np.full((3, 1, 1), row, np.uint8), f"{row}.png", odometry=wheels[row] if wheeled else None)
+        np.testing.assert_array_equal(live.poses[-1], pose)
+        first = relative(poses, np.array([0]), np.array([row]))[0]
+        shown = relative(live.poses, np.array([0]), np.array([row]))[0]
+        off_by.append(np.hypot(*(shown - first)[:2]))
+    assert np.mean(off_by) < (0.1 if wheeled else 0.2)  # by odometry alone 0.8
+    found = live.survey()
+    whole, true, _ = surveyed({"monday": poses}, odometry=wheels if wheeled else False, scale=0.95)
+    assert off(found, true, scaled=True) < max(0.03, 1.5 * off(whole, true, scaled=True))
+    assert len(found.frames) == len(live) == 90
+    assert found.frames.path[-1] == "89.png"
+    assert found.loops.accepted.sum() > 0.8 * whole.loops.accepted.sum()
+    assert found.fixed_by == ("odometry" if wheeled else "pictures")
+    assert list(found.report()["odometry"]) == (["monday"] if wheeled else [])
+    with pytest.raises(DataError, match="needs the map of its frames"):
+        LiveSurvey(network, whole, held)

@@ -1,0 +1,194 @@
+"""`LiveSurvey`: a survey to which a robot adds frames while it drives."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from foundation.calls import typed
+from siamloc.data.frames import concatenate
+from siamloc.data.moves import composed
+from siamloc.errors import DataError
+from siamloc.maps.loops import Loops, agreed, edges_of, loops_of
+from siamloc.maps.pose_graph import Array, Edges, PoseGraph, solve
+from siamloc.maps.reranking import scaled
+from siamloc.maps.survey_steps import (
+    BEFORE,
+    ODDS,
+    odometry_of,
+    odometry_steps,
+    start_of,
+    trusted,
+    wheel_edges,
+)
+from siamloc.maps.surveying import Survey, SurveySettings, comparing_descriptor, concluded
+from siamloc.maps.visual_map import VisualMap
+
+if TYPE_CHECKING:
+    from torch import nn
+
+    from analytic import Descriptor
+
+_WINDOW = 30  # frames whose poses a new frame changes at once
+_ROUNDS = 6  # of the solution of a window, which begins near its end
+
+
+class LiveSurvey:
+    """Add frames to the last drive of a survey, one by one, in some milliseconds each beside describing.
+
+    A new frame is compared with the frames just before it and with those that look alike, as in `survey`. Then the
+    poses of the last 30 frames follow by least squares, with all older ones as they are: a robot that comes back to a
+    known place has its pose there at once. What drifted on the way is mended by `survey`, which solves the whole and
+    takes seconds for a thousand frames.
+
+    Args:
+        network: the network of the survey.
+        found: the survey.
+        known: its map, `siamloc.maps.build(network, images, found.frames)`.
+        settings: how loops are searched.
+
+    Raises:
+        ConfigError: a network that does not compare panoramas.
+        DataError: a map of other frames.
+
+    Example:
+        >>> live = siamloc.maps.LiveSurvey("pretrained", found, known)  # doctest: +SKIP
+        >>> x, y, theta = live.add(panorama, "0421.jpg", odometry=(4.1, 0.2, 1.57))  # doctest: +SKIP
+        >>> found = live.survey()  # doctest: +SKIP
+    """
+
+    _poses: Array
+    _odometry: Array
+    _way: Array
+    _drive: NDArray[np.int64]
+    _steps: Edges
+    _wheels: Edges
+    _loops: Loops
+    _paths: list[str]
+
+    @typed
+    def __init__(
+        self,
+        network: Descriptor | nn.Module | str,
+        found: Survey,
+        known: VisualMap,
+        *,
+        settings: SurveySettings | None = None,
+    ) -> None:
+        self._network = comparing_descriptor(network, circular=True)
+        self._settings = SurveySettings() if settings is None else settings
+        parts = known.turning().orientation
+        if parts is None or known.frames.identities() != found.frames.identities():
+            raise DataError("a live survey needs the map of its frames: give build(network, images, found.frames)")
+        self._descriptors, self._parts = _Growing(known.descriptors), _Growing(scaled(parts))
+        self._continue(found)
+
+    def __len__(self) -> int:
+        return len(self._poses)
+
+    @property
+    def poses(self) -> Array:
+        """Poses of all frames (n, 3): x, y and heading in rad."""
+        return self._poses.copy()
+
+    @typed
+    def add(self, panorama: NDArray[np.uint8], path: str, *, odometry: ArrayLike | None = None) -> Array:
+        """Add a frame, and return its pose (3,): x, y and heading in rad.
+
+        Args:
+            panorama: (3, H, W), as a `PanoramaLibrary` gives it.
+            path: the file of the image.
+            odometry: x, y and heading by the robot's wheels, in the frame of the drive's odometry; None if unknown.
+
+        Raises:
+            DataError: odometry that is not three numbers.
+        """
+        wheels = odometry_of(np.full((1, 3), np.nan) if odometry is None else np.asarray(odometry)[None], 1)
+        n, description = len(self), self._network.describe(panorama[None])
+        parts = scaled(description.orientation)
+        before = n - np.array(BEFORE)
+        before = before[(before >= 0) & (self._drive[before] == self._drive[-1])]
+        rows, close = np.concatenate([before, self._alike(description.position[0])]), len(before)
+        pose, information, odds = self._network.compare(np.repeat(parts, len(rows), axis=0), self._parts.rows[rows])
+        edges = Edges(rows, np.full(len(rows), n), pose, information)
+        # As the robot moved since the last frame, by odometry if it has any.
+        pair = np.zeros(2, dtype=np.int64)
+        self._odometry = np.concatenate([self._odometry, wheels])
+        moved = odometry_steps(self._odometry[-2:], pose[:1], odds[:1] >= ODDS, pair, [""], [])
+        rolled = wheel_edges(moved)
+        start = composed(self._poses[-1:], start_of(moved, pose[:1], pair)[1:])
+        self._steps = Edges.concatenate([self._steps, trusted(edges.take(slice(close)), odds[:close])])
+        rolled = replace(rolled, first=rolled.first + n - 1, second=rolled.second + n - 1)
+        self._wheels = Edges.concatenate([self._wheels, rolled])
+        self._way = np.append(self._way, self._way[-1] + np.hypot(*(start - self._poses[-1:])[0, :2]))
+        self._poses, self._drive = np.concatenate([self._poses, start]), np.append(self._drive, self._drive[-1])
+        self._descriptors.append(description.position)
+        self._parts.append(parts)
+        self._paths.append(path)
+        loops = loops_of(edges.take(slice(close, None)), odds[close:], ODDS)
+        self._loops = agreed(Loops.concatenate([self._loops, loops]), self._poses, self._drive, n)
+        self._solve()
+        return np.array(self._poses[-1])
+
+    def survey(self) -> Survey:
+        """Solve for all frames at once, and return the survey."""
+        old = self._found.frames
+        new = old.take([len(old) - 1] * len(self._paths)).with_columns(
+            path=self._paths, time=[np.nan] * len(self._paths)
+        )
+        frames = concatenate([old, new])
+        graph = PoseGraph(self._steps, self._wheels, self._drive, self._found.graph.fixed)
+        self._continue(concluded(frames, graph, self._loops, self._poses, self._odometry, self._found.notes))
+        return self._found
+
+    def _continue(self, found: Survey) -> None:
+        self._found, self._loops, self._paths = found, found.loops, []
+        self._steps, self._wheels, self._drive = found.graph.pictures, found.graph.wheels, found.graph.drive
+        self._odometry, self._poses = found.frames.odometry, found.solution.poses.copy()
+        self._way = np.cumsum(np.hypot(*np.diff(self._poses[:, :2], axis=0, prepend=self._poses[:1, :2]).T))
+
+    def _alike(self, descriptor: NDArray[np.float32]) -> NDArray[np.int64]:
+        """Return the frames that look most like a descriptor (D,), except those just before it."""
+        unlike = self._descriptors.squares - 2 * self._descriptors.rows @ descriptor
+        unlike[(self._drive == self._drive[-1]) & (self._way[-1] - self._way < self._settings.apart)] = np.inf
+        best = np.argpartition(unlike, min(self._settings.alike, len(unlike) - 1))[: self._settings.alike]
+        return best[np.isfinite(unlike[best])]
+
+    def _solve(self) -> None:
+        """Improve the poses of the last frames, with all others, the scales and the biases as they are."""
+        begin, found, drive = max(0, len(self) - _WINDOW), self._found.solution, self._drive[-1]
+        used = edges_of(self._loops.take((self._loops.second >= begin) & self._loops.accepted))
+        pictures = Edges.concatenate([self._steps.take(self._steps.second >= begin), used])
+        wheels = self._wheels.take(self._wheels.second >= begin)
+        turned = np.hypot(wheels.pose[:, 0], wheels.pose[:, 1]) * found.gyro_bias[drive]
+        wheels = replace(wheels, pose=wheels.pose / [*[found.wheel_scale[drive]] * 2, 1] - np.outer(turned, [0, 0, 1]))
+        pictures = replace(pictures, pose=pictures.pose / [found.scale, found.scale, 1])
+        every = np.unique(np.concatenate([pictures.first, pictures.second, wheels.first, wheels.second]))
+        here = {name: np.searchsorted(every, getattr(pictures, name)) for name in ("first", "second")}
+        there = {name: np.searchsorted(every, getattr(wheels, name)) for name in ("first", "second")}
+        fixed = np.flatnonzero((every < begin) | np.isin(every, self._found.graph.fixed))
+        one_drive = np.zeros(len(every), dtype=np.int64)
+        graph = PoseGraph(replace(pictures, **here), replace(wheels, **there), one_drive, fixed)
+        self._poses[every] = solve(graph, self._poses[every], rounds=_ROUNDS).poses
+
+
+class _Growing:
+    """An array (n, ...) that grows without being copied for each row; `squares` are the squared lengths of its rows."""
+
+    def __init__(self, rows: NDArray[np.float32]) -> None:
+        self._held, self._count = np.array(rows, dtype=np.float32), len(rows)
+        self.squares = np.square(self._held.reshape(len(rows), -1)).sum(axis=1)
+
+    @property
+    def rows(self) -> NDArray[np.float32]:
+        return self._held[: self._count]
+
+    def append(self, row: NDArray[np.float32]) -> None:
+        if self._count == len(self._held):
+            self._held = np.concatenate([self._held, np.empty_like(self._held)])
+        self._held[self._count] = row[0]
+        self._count += 1
+        self.squares = np.append(self.squares, np.square(row).sum())
