@@ -17,8 +17,15 @@ _VOTERS = 500  # loops at most that are compared with each other for that
 _PLACE = 10  # frames of a place: a meeting at a single place is told
 
 
-def brought_together(start: Array, loops: Loops, drive: NDArray[np.int64], names: list[str], notes: list[str]) -> Array:
-    """Return start poses (n, 3) with each drive moved to where most of its loops to the drives before it agree.
+def brought_together(
+    start: Array,
+    loops: Loops,
+    drive: NDArray[np.int64],
+    names: list[str],
+    notes: list[str],
+    placed: set[int],
+) -> Array:
+    """Return start poses (n, 3) with each drive moved to where most of its loops to placed drives agree.
 
     Args:
         start: start poses (n, 3), each drive in a frame of its own.
@@ -26,13 +33,15 @@ def brought_together(start: Array, loops: Loops, drive: NDArray[np.int64], names
         drive: number of the drive of each frame (n,).
         names: names of the drives.
         notes: gets a sentence about each drive that meets the others at a single place.
+        placed: numbers of the drives that are where they belong, such as those with anchors.
 
     Raises:
         DataError: a drive that no loops connect with the others.
     """
     start, used = start.copy(), loops.take(loops.accepted)
     here, there = drive[used.first], drive[used.second]
-    placed, waiting = {0}, set(range(1, len(names)))
+    placed = set(placed)
+    waiting, known_name = set(range(len(names))) - placed, names[min(placed)] or "(unnamed)"
     while waiting:
         tried = []
         for number in waiting:
@@ -46,8 +55,8 @@ def brought_together(start: Array, loops: Loops, drive: NDArray[np.int64], names
         if votes < _MEETING:
             lost = ", ".join(names[one] or "(unnamed)" for one in sorted(waiting))
             raise DataError(
-                f"no places were found that {lost} and {names[0] or '(unnamed)'} have in common: survey drives "
-                "apart that never meet, or give one more drive that connects them"
+                f"no places were found that {lost} and {known_name} have in common: survey drives apart that never "
+                "meet, give one more drive that connects them, or anchors in each"
             )
         if places == 1:
             notes.append(f"drive {names[number] or '(unnamed)'} meets the others at a single place: check that it does")
@@ -102,9 +111,9 @@ def check_anchors(frames: FrameTable, anchors: FrameTable | None) -> None:
 def anchored(
     start: Array, drive: NDArray[np.int64], frames: FrameTable, anchors: FrameTable | None
 ) -> tuple[NDArray[np.int64], Array]:
-    """Return the rows of the anchors, and start poses (n, 3) moved to them.
+    """Return the rows of the anchors, and start poses (n, 3) with each drive that has anchors moved to them.
 
-    All drives are moved together to the first anchor; then each drive is bent so that its anchors have their poses.
+    A drive is moved to its first anchor, and then bent so that all its anchors have their poses.
 
     Args:
         start: start poses (n, 3).
@@ -119,14 +128,15 @@ def anchored(
     held = anchors.take(there)
     fixed = np.array([rows[key] for key in held.identities()], dtype=np.int64)
     true = np.column_stack([held.xy, held.theta])
-    origin = composed(true[:1], inverse(start[fixed[:1]]))
-    start = composed(np.tile(origin, (len(start), 1)), start)
+    start = start.copy()
     for number in np.unique(drive[fixed]):
         mine = np.flatnonzero(drive[fixed] == number)
         mine = mine[np.argsort(fixed[mine])]
+        frame = np.flatnonzero(drive == number)
+        origin = composed(true[mine[:1]], inverse(start[fixed[mine[:1]]]))
+        start[frame] = composed(np.tile(origin, (len(frame), 1)), start[frame])
         off = true[mine] - start[fixed[mine]]
         off[:, 2] = np.unwrap(wrapped(off[:, 2]))
-        frame = np.flatnonzero(drive == number)
         start[frame] += np.column_stack([np.interp(frame, fixed[mine], one) for one in off.T])
     start[fixed, :2] = true[:, :2]
     return fixed, start

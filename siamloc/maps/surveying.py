@@ -206,8 +206,9 @@ def survey(
     way = np.hypot(*np.diff(start[:, :2], axis=0, prepend=start[:1, :2]).T)
     first, second = candidates(known.learned, np.cumsum(way), drive, settings.apart, settings.alike)
     loops = judged(first, second, compared, start, drive, ODDS)
-    start = brought_together(start, loops, drive, names, notes)
     fixed, start = anchored(start, drive, frames, anchors)
+    placed = set(drive[fixed].tolist()) or {0}
+    start = brought_together(start, loops, drive, names, notes, placed)
     return concluded(frames, PoseGraph(steps, wheel_edges(moved), drive, fixed), loops, start, wheels, notes)
 
 

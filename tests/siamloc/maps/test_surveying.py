@@ -185,6 +185,21 @@ def test_drives_are_brought_together(surveyed):
         surveyed({"monday": eights(2), "elsewhere": np.add(eights(2), [50.0, 0, 0])})
 
 
+def test_drives_that_never_meet_are_placed_by_anchors(surveyed):
+    drives = {"monday": eights(2), "elsewhere": np.add(eights(2, turned=1.0), [50.0, 0, 0]), "night": eights(1)}
+    rows = [5, 50, 60 + 10, 60 + 40]  # of the first two drives
+    true = np.concatenate(list(drives.values()))[rows]
+    anchors = FrameTable(
+        path=["monday/5.png", "monday/50.png", "elsewhere/10.png", "elsewhere/40.png"],
+        sequence=["monday"] * 2 + ["elsewhere"] * 2, x=true[:, 0], y=true[:, 1], theta=true[:, 2],
+    )  # fmt: skip
+    found, every, _ = surveyed(drives, anchors=anchors)
+    assert np.hypot(*(found.frames.xy - every[:, :2]).T).mean() < 0.05
+    np.testing.assert_allclose(found.frames.xy[rows], true[:, :2], atol=1e-12)
+    with pytest.raises(DataError, match=r"elsewhere and monday have in common.*anchors in each"):
+        surveyed(drives, anchors=anchors.take([0, 1]))
+
+
 def test_a_wrong_loop_is_refused(surveyed, monkeypatch):
     poses = eights()
     wrong = TrueComparison.compare
