@@ -309,7 +309,8 @@ def _with_pairs(
     """Return the result with pairs of queries judged by the distance of their descriptors, if they are a network's.
 
     The limit is half the margin of the loss that the network was trained with; without a margin, as after training on
-    batches of places, it is the limit that best separates pairs of map frames.
+    batches of places, it is the limit that best separates pairs of map frames. Colours, which the light changes, do not
+    count.
     """
     if not hasattr(known.descriptor, "margin"):
         skipped["room_pairs"] = f"{known.descriptor.name} has no margin by which to judge pairs"
@@ -328,6 +329,7 @@ def _with_pairs(
     first, second = np.sort([queries.lighting[pairs.first], queries.lighting[pairs.second]], axis=0)
     lighting = np.where(first == second, first, np.char.add(np.char.add(first, " and "), second))
     labels = {"first": queries.path[pairs.first], "second": queries.path[pairs.second]}
+    vectors = vectors[:, : known.learned.shape[1]]
     judged = room_retrieval.evaluate_pairs(
         vectors[pairs.first], vectors[pairs.second], pairs.same, margin, 0.5, lighting, labels
     )
@@ -341,6 +343,6 @@ def _margin_of_map(known: VisualMap, wanted: PairSettings, seed: int) -> float:
         SiamlocError: the map frames have no such pairs.
     """
     labelled = known.frames.room != ""
-    frames, vectors = known.frames.take(labelled), known.descriptors[labelled].astype(np.float64)
+    frames, vectors = known.frames.take(labelled), known.learned[labelled].astype(np.float64)
     pairs = PairSampler(frames, wanted, seed=seed).epoch(0)
     return fitted_margin(np.linalg.norm(vectors[pairs.first] - vectors[pairs.second], axis=1), pairs.same)

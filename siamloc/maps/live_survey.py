@@ -83,7 +83,7 @@ class LiveSurvey:
         parts = known.turning().orientation
         if parts is None or known.frames.identities() != found.frames.identities():
             raise DataError("a live survey needs the map of its frames: give build(network, images, found.frames)")
-        self._descriptors, self._parts = _Growing(known.descriptors), _Growing(scaled(parts))
+        self._descriptors, self._parts = _Growing(known.learned), _Growing(scaled(parts))
         self._continue(found)
 
     def __len__(self) -> int:
@@ -109,9 +109,10 @@ class LiveSurvey:
         wheels = odometry_of(np.full((1, 3), np.nan) if odometry is None else np.asarray(odometry)[None], 1)
         n, description = len(self), self._network.describe(panorama[None])
         parts = scaled(description.orientation)
+        learned = description.position[:, : self._descriptors.rows.shape[1]]
         before = n - np.array(BEFORE)
         before = before[(before >= 0) & (self._drive[before] == self._drive[-1])]
-        rows, close = np.concatenate([before, self._alike(description.position[0])]), len(before)
+        rows, close = np.concatenate([before, self._alike(learned[0])]), len(before)
         pose, information, odds = self._network.compare(np.repeat(parts, len(rows), axis=0), self._parts.rows[rows])
         edges = Edges(rows, np.full(len(rows), n), pose, information)
         # As the robot moved since the last frame, by odometry if it has any.
@@ -125,7 +126,7 @@ class LiveSurvey:
         self._wheels = Edges.concatenate([self._wheels, rolled])
         self._way = np.append(self._way, self._way[-1] + np.hypot(*(start - self._poses[-1:])[0, :2]))
         self._poses, self._drive = np.concatenate([self._poses, start]), np.append(self._drive, self._drive[-1])
-        self._descriptors.append(description.position)
+        self._descriptors.append(learned)
         self._parts.append(parts)
         self._paths.append(path)
         loops = loops_of(edges.take(slice(close, None)), odds[close:], ODDS)

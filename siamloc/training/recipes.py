@@ -89,7 +89,7 @@ class Recipe:
 
 _PHOTOGRAPHS = Recipe(
     image_size=(96, 128),
-    model={"branch": "panoresnet", "head": "flat", "normalize": "local_brightness"},
+    model={"branch": "panoresnet", "head": "flat", "normalize": "local_brightness", "colours": True},
     loss={"name": "soft_contrastive", "sigma": 1.0},
     augmentation={
         "name": "photographs",
