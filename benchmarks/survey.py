@@ -29,7 +29,8 @@ import siamloc
 from benchmarks.building import LIGHTINGS
 from benchmarks.report import Report, hardware, parser
 from siamloc.data import FrameTable, PanoramaLibrary
-from siamloc.data.moves import composed, relative, wrapped
+from siamloc.data.moves import relative, wrapped
+from siamloc.evaluation.metrics import aligned_trajectory
 from siamloc.maps import Survey
 from siamloc.models.registry import PRETRAINED_SIZE
 from siamloc.simulate.odometry import odometry
@@ -103,7 +104,7 @@ def figures(found: Survey, drive: FrameTable, wheels: NDArray[np.float64] | None
     seen = relative(true, found.loops.first, found.loops.second)
     off = np.hypot(*(found.loops.pose - seen)[:, :2].T)
     wrong = found.loops.accepted & (off > _WRONG)
-    aligned, scaled = onto(given, true), onto(given, true, scaled=True)
+    aligned, scaled = aligned_trajectory(given, true), aligned_trajectory(given, true, scale=True)
     scale = float(np.ptp(scaled[:, 0]) / max(np.ptp(aligned[:, 0]), 1e-9))
     return {
         "mean": _off(aligned, true),
@@ -112,14 +113,14 @@ def figures(found: Survey, drive: FrameTable, wheels: NDArray[np.float64] | None
         "scale": scale,
         "wrong_weight": float(found.loops.weight[wrong].max(initial=0.0)),
         "loops": float(found.loops.accepted.sum()),
-        **({} if wheels is None else {"odometry": _off(onto(wheels, true), true)}),
+        **({} if wheels is None else {"odometry": _off(aligned_trajectory(wheels, true), true)}),
     }
 
 
 def located(images: PanoramaLibrary, frames: FrameTable, drive: FrameTable, found: Survey) -> dict[str, Any]:
     """Return mean errors of other drives in the map of true poses and in the surveyed one, nearest and refined."""
     true = np.column_stack([drive.xy, drive.theta])
-    x, y, theta = onto(np.column_stack([found.frames.xy, found.frames.theta]), true).T
+    x, y, theta = aligned_trajectory(np.column_stack([found.frames.xy, found.frames.theta]), true).T
     maps = {"true": drive, "surveyed": drive.with_columns(x=x, y=y, theta=theta)}
     known = {name: siamloc.maps.build("pretrained", images, one, progress=False) for name, one in maps.items()}
     result: dict[str, Any] = {}
@@ -132,19 +133,6 @@ def located(images: PanoramaLibrary, frames: FrameTable, drive: FrameTable, foun
             errors = {"nearest": held.frames.xy[nearest.indices[:, 0]], "refined": refined.xy}
             result.setdefault(light, {})[name] = {way: _off(xy, asked.xy) for way, xy in errors.items()}
     return result
-
-
-def onto(given: NDArray[np.float64], true: NDArray[np.float64], scaled: bool = False) -> NDArray[np.float64]:
-    """Return poses (n, 3) after the rigid motion, and scale, that bring their positions closest to the true ones."""
-    middle, wanted = given[:, :2].mean(axis=0), true[:, :2].mean(axis=0)
-    one, other = given[:, :2] - middle, true[:, :2] - wanted
-    cross = one.T @ other
-    angle = np.arctan2(cross[0, 1] - cross[1, 0], cross[0, 0] + cross[1, 1])
-    moved = composed(np.tile([0.0, 0.0, angle], (len(one), 1)), np.column_stack([one, given[:, 2]]))
-    if scaled:
-        moved[:, :2] *= (moved[:, :2] * other).sum() / np.square(one).sum()
-    moved[:, :2] += wanted
-    return moved
 
 
 def judge(report: Report, name: str, row: dict[str, Any]) -> None:

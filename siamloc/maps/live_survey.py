@@ -42,7 +42,7 @@ class LiveSurvey:
     A new frame is compared with the frames just before it and with those that look alike, as in `survey`. Then the
     poses of the last 30 frames follow by least squares, with all older ones as they are: a robot that comes back to a
     known place has its pose there at once. What drifted on the way is mended by `survey`, which solves the whole and
-    takes seconds for a thousand frames.
+    takes seconds for hundreds of frames.
 
     Args:
         network: the network of the survey.

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
+
 
 def localization_error(estimated, true) -> list[float]:
     return [math.dist(a, b) for a, b in zip(estimated, true, strict=True)]
@@ -73,3 +75,31 @@ def confusion(true, predicted, labels) -> list[list[int]]:
 
 def heading_error(estimated, true) -> list[float]:
     return [abs(math.atan2(math.sin(a - b), math.cos(a - b))) for a, b in zip(estimated, true, strict=True)]
+
+
+def absolute_trajectory_error(estimated, true, scale):
+    """Distances after Umeyama's alignment, by a singular value decomposition of 2 x 2 matrices."""
+    x, y = estimated[:, :2].T, true[:, :2].T
+    mx, my = x.mean(axis=1, keepdims=True), y.mean(axis=1, keepdims=True)
+    u, d, vt = np.linalg.svd((y - my) @ (x - mx).T / x.shape[1])
+    sign = np.diag([1.0, np.sign(np.linalg.det(u) * np.linalg.det(vt))])
+    rotation = u @ sign @ vt
+    size = np.trace(np.diag(d) @ sign) / (x - mx).var(axis=1).sum() if scale else 1.0
+    moved = size * rotation @ x + my - size * rotation @ mx
+    return np.linalg.norm(moved - y, axis=0)
+
+
+def relative_trajectory_error(estimated, true, delta):
+    """Distances and angles of (Q_i^-1 Q_j)^-1 (P_i^-1 P_j), with homogeneous matrices."""
+
+    def matrix(pose):
+        x, y, theta = pose
+        return np.array([[np.cos(theta), -np.sin(theta), x], [np.sin(theta), np.cos(theta), y], [0, 0, 1]])
+
+    apart, angles = [], []
+    for i in range(len(true) - delta):
+        p, q = (np.linalg.inv(matrix(one[i])) @ matrix(one[i + delta]) for one in (estimated, true))
+        error = np.linalg.inv(q) @ p
+        apart.append(np.hypot(error[0, 2], error[1, 2]))
+        angles.append(abs(np.arctan2(error[1, 0], error[0, 0])))
+    return np.array(apart), np.array(angles)

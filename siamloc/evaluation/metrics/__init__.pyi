@@ -21,3 +21,8 @@ from .rooms import (
     pair_dissimilarity as pair_dissimilarity,
     pair_threshold_curve as pair_threshold_curve,
 )
+from .trajectory import (
+    absolute_trajectory_error as absolute_trajectory_error,
+    aligned_trajectory as aligned_trajectory,
+    relative_trajectory_error as relative_trajectory_error,
+)

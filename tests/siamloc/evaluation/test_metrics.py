@@ -141,6 +141,33 @@ XY = [[0.0, 0.0]]
 NAN = [[0.0, math.nan]]
 
 
+@pytest.mark.parametrize("scale", [False, True])
+@pytest.mark.parametrize("seed", range(3))
+def test_errors_of_trajectories_equal_those_of_matrices(seed: int, scale: bool) -> None:
+    rng = np.random.default_rng(seed)
+    true = np.cumsum(rng.normal(size=(20, 3)), axis=0)
+    bent = true + 0.3 * rng.normal(size=true.shape)
+    turn = rng.uniform(-np.pi, np.pi)
+    bent[:, :2] = 0.7 * bent[:, :2] @ [[np.cos(turn), np.sin(turn)], [-np.sin(turn), np.cos(turn)]] + [5.0, -3.0]
+    bent[:, 2] += turn
+    np.testing.assert_allclose(
+        metrics.absolute_trajectory_error(bent, true, scale=scale), oracle.absolute_trajectory_error(bent, true, scale)
+    )
+    for delta in (1, 4):
+        for one, other in zip(
+            metrics.relative_trajectory_error(bent, true, delta),
+            oracle.relative_trajectory_error(bent, true, delta),
+            strict=True,
+        ):
+            np.testing.assert_allclose(one, other, atol=1e-12)
+    found = metrics.aligned_trajectory(true * [2, 2, 1], true, scale=True)
+    np.testing.assert_allclose(np.exp(1j * found[:, 2]), np.exp(1j * true[:, 2]))
+    np.testing.assert_allclose(found[:, :2], true[:, :2], atol=1e-12)
+
+
+POSES = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [1.0, 1.0, 1.0]])
+
+
 @pytest.mark.parametrize(
     ("call", "error", "message"),
     [
@@ -163,6 +190,14 @@ NAN = [[0.0, math.nan]]
         (lambda: metrics.confusion_matrix(["a"], ["b"], ["a"]), DataError, "labels 'b' are not among a"),
         (lambda: metrics.confusion_matrix(["a"], ["a"], ["a", "a"]), DataError, "must differ"),
         (lambda: metrics.heading_error([0.0], [0.0, 1.0]), DataError, "got 1 and 2"),
+        (
+            lambda: metrics.aligned_trajectory([[0.0, 0.0]], [[0.0, 0.0, 0.0]]),
+            DataError,
+            "estimated poses must have shape",
+        ),
+        (lambda: metrics.aligned_trajectory(POSES[:1], POSES), DataError, "at least one, got 1 and 3"),
+        (lambda: metrics.aligned_trajectory(POSES * 0, POSES), DataError, "positions are all the same"),
+        (lambda: metrics.relative_trajectory_error(POSES, POSES, 3), DataError, "a delta from 1 to 2, got 3"),
     ],
 )
 def test_errors(call, error: type[Exception], message: str) -> None:
