@@ -1,5 +1,4 @@
 from .coarse import CoarseLayer as CoarseLayer, UNASSIGNED as UNASSIGNED
-from .counts import Counts as Counts
 from .describing import build as build, describe as describe
 from .error_model import ErrorModel as ErrorModel
 from .grouping import Built as Built, WAYS as WAYS, group as group
@@ -8,12 +7,14 @@ from .hierarchy import (
     HierarchicalSearch as HierarchicalSearch,
     LayerSearch as LayerSearch,
 )
+from .history import History as History
 from .live_survey import LiveSurvey as LiveSurvey
 from .maintenance import Update as Update, update as update
 from .matching import frame_distances as frame_distances, headings as headings, match as match
 from .motion import motions as motions
 from .pose_filter import PoseFilter as PoseFilter
 from .ranking import NodeRanking as NodeRanking
+from .reasons import Reason as Reason
 from .refinement import (
     RefinedPoses as RefinedPoses,
     Refinement as Refinement,

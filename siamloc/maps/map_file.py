@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from foundation.arrays import read_headed, write_arrays
 from siamloc.data.frames import FrameTable
 from siamloc.errors import FormatError
-from siamloc.maps.counts import Counts
+from siamloc.maps.history import History
 from siamloc.maps.packing import Precision, packed, shares_values, unpacked
 
 Map = TypeVar("Map")
@@ -47,8 +47,8 @@ def write_map(path: str | Path, known: Any, precision: Precision) -> None:
         header["orientation"] = list(known.orientation.shape)
         if not shares_values(known.orientation, known.descriptors):
             arrays["orientation"] = known.orientation
-    if any(array.any() for array in vars(known.counts).values()):
-        arrays |= vars(known.counts)
+    if known.history.confirmed.any() or known.history.contradicted.any():
+        arrays |= {f"history_{name}": column for name, column in vars(known.history).items()}
     # Columns without any value are left out: `FrameTable` fills them in.
     columns = known.frames.columns().items()
     arrays.update({f"frame_{name}": column for name, column in columns if (column == column).any()})
@@ -84,9 +84,10 @@ def read_map(path: str | Path, kind: Callable[..., Map]) -> Map:
         if orientation is None and header.get("orientation") is not None:
             orientation = descriptors.reshape(header["orientation"])
         frames, heading = FrameTable(**columns, unit=header["unit"]), header.get("heading")
-        counts = Counts(arrays["confirmed"], arrays["contradicted"]) if "confirmed" in arrays else None
+        told = {name.removeprefix("history_"): array for name, array in arrays.items() if name.startswith("history_")}
+        history = History(**told) if told else None
         values = {name: header[name] for name in _PLAIN}
-        known = kind(descriptors, frames, **values, orientation=orientation, heading=heading, counts=counts)
+        known = kind(descriptors, frames, **values, orientation=orientation, heading=heading, history=history)
         announced = (header.get("frames"), header.get("width"))
         if descriptors.shape != announced:
             raise ValueError(f"it announces descriptors {announced} and holds {descriptors.shape}")

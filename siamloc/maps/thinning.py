@@ -28,35 +28,38 @@ _AT_ONCE = 64  # frames whose descriptors are compared with all others
 
 @dataclass(frozen=True)
 class Budget(Settings):
-    """How large a map may be; without limits if both are None.
+    """How large a map may be; without limits if all are None.
 
     Attributes:
+        frames: number of frames.
         per_square_metre: number of frames in any square of a grid, one unit of the positions wide.
         megabytes: size of descriptors and orientation parts in float32, as in memory; a saved map may be smaller.
     """
 
     WHERE = "update"
 
+    frames: Count | None = None
     per_square_metre: Count | None = None
     megabytes: Positive | None = None
 
-    def frames(self, known: VisualMap) -> int | None:
-        """Return how many frames of a map `megabytes` allows; None if any number.
+    def most(self, known: VisualMap) -> int | None:
+        """Return how many frames of a map `frames` and `megabytes` allow; None if any number.
 
         Raises:
             ConfigError: not even one.
         """
         if self.megabytes is None:
-            return None
+            return self.frames
         each = known.bytes / len(known)
         if (most := int(self.megabytes * 1e6 / each)) < 1:
             raise ConfigError(f"megabytes={self.megabytes:g} holds no frame of {each / 1e6:.3g} MB: give more")
-        return most
+        return most if self.frames is None else min(most, self.frames)
 
 
 class BudgetFields(TypedDict, total=False):
     """Keyword arguments with the names and types of the fields of `Budget`, for type checkers."""
 
+    frames: int | None
     per_square_metre: int | None
     megabytes: float | None
 
@@ -85,7 +88,7 @@ def thin(known: VisualMap, *, settings: Budget = OF_FIELDS, **fields: Unpack[Bud
 
     Args:
         known: the map.
-        settings: both limits in one object, instead of one keyword each.
+        settings: all limits in one object, instead of one keyword each.
 
     Raises:
         ConfigError: a limit that is not positive, or too small for one frame.
@@ -100,7 +103,7 @@ def thin(known: VisualMap, *, settings: Budget = OF_FIELDS, **fields: Unpack[Bud
     if not known.frames.has_position.all():
         raise DataError("a map frame has no position: thin(known.placed()) leaves those out")
     reason = np.full(len(known), Reason.KEPT, dtype=object)
-    most, per_cell = settings.frames(known), settings.per_square_metre
+    most, per_cell = settings.most(known), settings.per_square_metre
     _, building = np.unique(known.frames.building, return_inverse=True)
     squares = np.column_stack([building, np.floor(known.frames.xy)])
     _, cell, in_cell = np.unique(squares, axis=0, return_inverse=True, return_counts=True)
@@ -114,7 +117,7 @@ def thin(known: VisualMap, *, settings: Budget = OF_FIELDS, **fields: Unpack[Bud
             in_cell[cell[row]] -= 1
         return over
 
-    confirmed, contradicted = known.counts.confirmed, known.counts.contradicted
+    confirmed, contradicted = known.history.confirmed, known.history.contradicted
     for row in np.argsort(-contradicted, kind="stable")[: np.count_nonzero(contradicted)].tolist():
         forget(row, Reason.UNRECOGNIZED)
     reach, widest = _REACH, float(np.ptp(known.frames.xy, axis=0).sum()) + _REACH

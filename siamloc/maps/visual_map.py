@@ -23,8 +23,8 @@ from siamloc.data.frames import FrameTable, concatenate
 from siamloc.data.panorama import PolarRing
 from siamloc.errors import ConfigError, DataError
 from siamloc.maps.aligned import AlignedIndex
-from siamloc.maps.counts import Counts
 from siamloc.maps.heading import NetworkHeading, described, descriptor_of, halved, heading_descriptor, is_analytic
+from siamloc.maps.history import History
 from siamloc.maps.map_file import read_map, write_map
 from siamloc.maps.packing import Precision, all_finite, shares_values
 from siamloc.maps.search import Retrieval, VectorIndex
@@ -44,18 +44,18 @@ class VisualMap:
             became panoramas, as plain values.
         distance: how descriptors are compared: a name in `analytic.DISTANCES`.
         unit: unit of x and y; the frames' unit if None.
-        made: what the frames were read from, as plain values; for reference only.
+        made: what the frames were read from, and what updates need, as plain values.
         orientation: (n, K, F) orientation parts that give the headings, read-only; in half precision those that
             `heading` describes, see `siamloc.maps.heading.halved`; None if there are none.
         heading: identity of what computed the orientation parts, if it was not an analytic descriptor together with the
             descriptors: {"name": "network"} for the network that describes the map, or another descriptor's.
         describes: the descriptor, ready to describe queries; not saved. Use `descriptor`, which creates an analytic one
             from the identity, or `with_descriptor`.
-        counts: how often drives recognized the frames, see `siamloc.maps.update`; zeros if None.
+        history: what drives said about the frames, see `siamloc.maps.update`; that of a new map if None.
 
     Raises:
-        DataError: no frames, a different number of descriptors, orientation parts or counts than frames, or values that
-            are not finite.
+        DataError: no frames, a different number of descriptors, orientation parts or rows of history than frames, or
+            values that are not finite.
         ConfigError: an unknown distance, or one that is meaningless for so few values.
 
     Example:
@@ -75,7 +75,7 @@ class VisualMap:
     orientation: NDArray[Any] | None = None
     heading: dict[str, Any] | None = None
     describes: Descriptor | None = None
-    counts: Counts = None  # type: ignore[assignment]
+    history: History = None  # type: ignore[assignment]
 
     def __post_init__(self) -> None:
         values = np.asarray(self.descriptors)
@@ -106,10 +106,10 @@ class VisualMap:
             orientation = _checked_orientation(self.orientation, descriptors, halved=self.heading is not None)
             object.__setattr__(self, "orientation", orientation)
         object.__setattr__(self, "identity", plain(dict(self.identity)))
-        if self.counts is None:
-            object.__setattr__(self, "counts", Counts.none(len(self)))
-        if len(self.counts) != len(self):
-            raise DataError(f"a map needs one count per frame, got {len(self.counts)} for {len(self)} frames")
+        if self.history is None:
+            object.__setattr__(self, "history", History.none(len(self)))
+        if len(self.history) != len(self):
+            raise DataError(f"a map needs one row of history per frame, got {len(self.history)} for {len(self)} frames")
 
     def __len__(self) -> int:
         return len(self.descriptors)
@@ -222,7 +222,7 @@ class VisualMap:
 
     @cached_property
     def digest(self) -> str:
-        """A hash of descriptors, distance, frames and identity, without orientation parts and counts."""
+        """A hash of descriptors, distance, frames and identity, without orientation parts and history."""
         digest = hashlib.sha256(json.dumps([self.identity, self.distance], sort_keys=True).encode())
         digest.update("\0".join([*self.frames.path.tolist(), *self.frames.place.tolist()]).encode())
         for array in (self.descriptors, self.frames.xy):
@@ -237,8 +237,8 @@ class VisualMap:
         if orientation is not None:
             shared = shares_values(orientation, self.descriptors)
             orientation = descriptors.reshape(-1, *orientation.shape[1:]) if shared else orientation[key]
-        frames, counts = self.frames.take(key), self.counts.take(key)
-        return replace(self, descriptors=descriptors, frames=frames, orientation=orientation, counts=counts)
+        frames, history = self.frames.take(key), self.history.take(key)
+        return replace(self, descriptors=descriptors, frames=frames, orientation=orientation, history=history)
 
     def without(self, frames: FrameTable | ArrayLike) -> VisualMap:
         """Return the map without some frames, given as a table, such as `known.frames.select(...)`, by row or by mask.
@@ -286,7 +286,7 @@ class VisualMap:
             "descriptors": description.position,
             "frames": frames,
             "orientation": parts,
-            "counts": None,
+            "history": None,
         }
         return self.merge(replace(self, **own))
 
@@ -313,8 +313,8 @@ class VisualMap:
         descriptors = np.concatenate([self.descriptors, other.descriptors])
         frames = concatenate([self.frames, other.frames])
         made = {**self.made, "sequences": list(frames.rows_by("sequence")), "frames": len(frames)}
-        counts = Counts.concatenate([self.counts, other.counts])
-        return replace(self, descriptors=descriptors, frames=frames, orientation=parts, made=made, counts=counts)
+        history = History.concatenate([self.history, other.history])
+        return replace(self, descriptors=descriptors, frames=frames, orientation=parts, made=made, history=history)
 
     def placed(self) -> VisualMap:
         """Return the map with only the frames that have a position: the map itself if all have one.

@@ -7,7 +7,7 @@ import pytest
 
 from siamloc.data import FrameTable
 from siamloc.errors import ConfigError, DataError
-from siamloc.maps import Counts, VisualMap, thin
+from siamloc.maps import History, VisualMap, thin
 from siamloc.maps.thinning import near
 from tests.siamloc.maps.conftest import placed, plain_map
 
@@ -38,17 +38,17 @@ def test_the_light_with_few_frames_outlives_the_frames_that_crowd():
 
 
 def test_what_was_contradicted_goes_first_the_most_often_first():
-    counts = Counts(np.array([0, 9, 0, 0, 0]), np.array([0, 2, 0, 1, 3]))
-    known = replace(plain_map(np.arange(5.0)[:, None]), counts=counts)
+    history = History([0, 9, 0, 0, 0], [0, 2, 0, 1, 3], [np.nan] * 5)
+    known = replace(plain_map(np.arange(5.0)[:, None]), history=history)
     frame = known.bytes / len(known) / 1e6
     assert names(thin(known, megabytes=3 * frame)) == ["KEPT", "UNRECOGNIZED", "KEPT", "KEPT", "UNRECOGNIZED"]
     assert names(thin(known, megabytes=frame))[2] == "REDUNDANT", "however far apart"
     found = thin(known, megabytes=2 * frame)
-    np.testing.assert_array_equal(found.known.counts.confirmed, [0, 0])
+    np.testing.assert_array_equal(found.known.history.confirmed, [0, 0])
 
 
 def test_of_two_alike_frames_the_one_confirmed_more_often_stays():
-    known = VisualMap([[0.0], [0.1]], placed([(0, 0), (0.1, 0)]), counts=Counts(np.array([1, 2]), np.zeros(2, int)))
+    known = VisualMap([[0.0], [0.1]], placed([(0, 0), (0.1, 0)]), history=History([1, 2], [0, 0], [np.nan] * 2))
     assert names(thin(known, per_square_metre=1)) == ["REDUNDANT", "KEPT"]
 
 

@@ -12,7 +12,7 @@ import pytest
 import analytic
 from siamloc.data.frames import FrameTable
 from siamloc.errors import ConfigError, DataError, FormatError
-from siamloc.maps import Counts, VisualMap
+from siamloc.maps import History, VisualMap
 
 IDENTITY = {"name": "network", "branch": {"name": "vgg16", "weights": None}, "width": 3}
 
@@ -63,16 +63,16 @@ def test_a_map_knows_its_descriptor(tmp_path: Path) -> None:
 def test_frames_join_and_leave_a_map_with_their_counts(tmp_path: Path) -> None:
     known = make_map()
     more = replace(known.frames, path=np.array([f"new/{i}.jpeg" for i in range(6)]), sequence=np.array(["night"] * 6))
-    known = replace(known, counts=Counts(np.arange(6), 2 * np.arange(6)))
+    known = replace(known, history=History(np.arange(6), 2 * np.arange(6), np.full(6, 0.5)))
     grown = known.add(more, analytic.Description(np.ones((6, 3))))
     np.testing.assert_array_equal(grown.descriptors[6:], np.ones((6, 3)))
-    assert grown.counts.confirmed.tolist() == [0, 1, 2, 3, 4, 5, 0, 0, 0, 0, 0, 0]
+    assert grown.history.confirmed.tolist() == [0, 1, 2, 3, 4, 5, 0, 0, 0, 0, 0, 0]
     grown.save(tmp_path / "map.npz")
     grown = VisualMap.load(tmp_path / "map.npz")
     left = grown.without(grown.frames.select(sequence="night")).without([0])
     assert left.frames == known.frames.take(slice(1, None))
-    assert left.counts.contradicted.tolist() == [2, 4, 6, 8, 10]
-    assert left.without(left.frames.x > 1e9).counts.confirmed.tolist() == [1, 2, 3, 4, 5]
+    assert left.history.contradicted.tolist() == [2, 4, 6, 8, 10]
+    assert left.without(left.frames.x > 1e9).history.confirmed.tolist() == [1, 2, 3, 4, 5]
     with pytest.raises(DataError, match=r"6 frames are in both maps, such as .*new/0.jpeg: leave them out of one"):
         grown.add(more, analytic.Description(np.ones((6, 3))))
     with pytest.raises(DataError, match="6 of 6 frames to leave out are not in the map"):

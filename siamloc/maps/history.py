@@ -1,0 +1,45 @@
+"""`History`: what the drives that updated a map said about its frames."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+
+import numpy as np
+from numpy.typing import NDArray
+
+from foundation.columns import Rows
+
+
+@dataclass(frozen=True, eq=False)
+class History(Rows):
+    """What drives said about each of the n frames of a map, see `siamloc.maps.update`; read-only.
+
+    Attributes:
+        confirmed: (n,) number of drives that recognized the frame.
+        contradicted: (n,) number of drives that passed the frame and did not recognize it, since the last that did.
+        change: (n,) how unlike the frame the last drive that passed it looked there: the smallest distance between
+            their descriptors, as a multiple of the usual distance between neighbours in the map; NaN if unknown.
+
+    Raises:
+        ValueError: columns of other lengths, or numbers of drives that are not whole numbers from 0.
+    """
+
+    confirmed: NDArray[np.int64]
+    contradicted: NDArray[np.int64]
+    change: NDArray[np.float64]
+
+    def __post_init__(self) -> None:
+        for one in fields(self):
+            column = np.array(getattr(self, one.name))
+            if column.shape != (len(self.confirmed),):
+                raise ValueError(f"{one.name} has shape {column.shape}, not that of {len(self.confirmed)} frames")
+            if one.name != "change" and (column.dtype.kind not in "iu" or (column < 0).any()):
+                raise ValueError(f"{one.name} must be whole numbers from 0")
+            column = column.astype(np.float64 if one.name == "change" else np.int64)
+            column.flags.writeable = False
+            object.__setattr__(self, one.name, column)
+
+    @classmethod
+    def none(cls, n: int) -> History:
+        """Return the history of n frames that no drive has passed."""
+        return cls(np.zeros(n, dtype=np.int64), np.zeros(n, dtype=np.int64), np.full(n, np.nan))
