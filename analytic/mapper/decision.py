@@ -36,6 +36,7 @@ class Reason(str, Enum):
     NODES_MERGED = "two nodes are too alike"
     REASSIGNED = "it is more similar to another node"
     MAINTAINED = "it shows another appearance of a known node"
+    FORGOTTEN = "its place does not look so any more"
 
 
 @dataclass(frozen=True)
@@ -43,7 +44,7 @@ class Change:
     """A change of the map apart from the frame that was added.
 
     Attributes:
-        reason: NEW_NODE, NODE_PARKED, PARKED_FORGOTTEN, NODES_MERGED or REASSIGNED.
+        reason: NEW_NODE, NODE_PARKED, PARKED_FORGOTTEN, NODES_MERGED, REASSIGNED, MAINTAINED or FORGOTTEN.
         node: the node that was created, parked, forgotten or kept, or that frames moved to; None if frames lost it.
         frames: numbers of the frames that the change affects.
         scores: measured numbers and the limit, by name.
@@ -169,6 +170,6 @@ def _apply(labels: list[int], event: Mapping[str, Any]) -> None:
         if reason is Reason.NODES_MERGED:
             gone = change["scores"]["gone"]
             labels[:] = [change["node"] if label == gone else label for label in labels]
-        elif reason in (Reason.NEW_NODE, Reason.REASSIGNED, Reason.MAINTAINED):
+        elif reason in (Reason.NEW_NODE, Reason.REASSIGNED, Reason.MAINTAINED, Reason.FORGOTTEN):
             for frame in change["frames"]:
-                labels[frame] = change["node"]
+                labels[frame] = NONE if reason is Reason.FORGOTTEN else change["node"]

@@ -33,7 +33,7 @@ class State:
         pending: the consecutive frames without a node up to the last one.
         next_id: id that the next node will get; ids are never used twice.
         changes: changes made while a frame was added.
-        calls: number of successful calls of `add` and `maintain`.
+        calls: number of successful calls of `add`, `maintain` and `forget`.
     """
 
     rules: Parameters

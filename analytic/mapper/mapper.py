@@ -16,13 +16,14 @@ from analytic.descriptors.base import Description, Descriptor, check_alike
 from analytic.errors import AnalyticError
 from analytic.linear_algebra import one_thread
 from analytic.mapper import graph, storage
-from analytic.mapper.decision import Decision, Location, header, line_of
+from analytic.mapper.decision import Decision, Location, Reason, header, line_of
 from analytic.mapper.growth import State
 from analytic.mapper.node import Node
 from analytic.mapper.parameters import Parameters
 from analytic.mapper.steps import locate, maintain, step
 from foundation.files import plain
 
+_READ_ONLY = "this map was loaded for queries and is read-only: load it with extend=True to add frames"
 LARGEST_VALUE = 1e38
 LARGEST_POSITION = 4096  # numbers: beyond, the covariance of a single node takes more than 128 MiB
 
@@ -85,7 +86,7 @@ class IncrementalMapper:
 
     @property
     def events(self) -> tuple[str, ...]:
-        """The log: a header, then a line of JSON for each call of `add` or `maintain`."""
+        """The log: a header, then a line of JSON for each call of `add`, `maintain` or `forget`."""
         return tuple(self._lines[: 1 + self._state.calls])
 
     def labels(self) -> Integers:
@@ -153,6 +154,30 @@ class IncrementalMapper:
         self._commit(draft, decision, poses)
         return decision
 
+    def forget(self, frames: Sequence[int]) -> list[int]:
+        """Let frames leave their nodes, because their place does not look so any more; their numbers stay.
+
+        Args:
+            frames: numbers of frames.
+
+        Returns:
+            The frames that left. The frames of a node that would be left with fewer than `smallest_node` stay in it.
+
+        Raises:
+            AnalyticError: a frame that the map does not have, or a map that is read-only.
+        """
+        if not self.extendable:
+            raise AnalyticError(_READ_ONLY)
+        if unknown := [frame for frame in frames if not 0 <= frame < len(self)]:
+            raise AnalyticError(f"the map has no frame {unknown[0]!r}: it has {len(self)}")
+        if not len(frames):
+            return []
+        draft = self._state.copy()
+        gone = draft.leave(frames)
+        draft.note(Reason.FORGOTTEN, None, gone)
+        self._commit(draft, Decision(None, Reason.FORGOTTEN, {}, len(self) - 1, draft.changes), [])
+        return gone
+
     def locate(self, description: Description) -> Location:
         """Find the node and the most similar frame of one image. The map does not change.
 
@@ -210,9 +235,7 @@ class IncrementalMapper:
     def _checked(self, description: Description, count: int | None, extending: bool = False) -> Description:
         """Check a description and return a copy that the map can keep, without an orientation part that is not used."""
         if extending and not self.extendable:
-            raise AnalyticError(
-                "this map was loaded for queries and is read-only: load it with extend=True to add frames"
-            )
+            raise AnalyticError(_READ_ONLY)
         if not isinstance(description, Description):
             raise AnalyticError(
                 f"the mapper takes what a descriptor's describe() returns, got {type(description).__name__}"

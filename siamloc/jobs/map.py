@@ -19,13 +19,13 @@ from siamloc.jobs.run_job import RunJob, files_in
 from siamloc.jobs.stored import map_places, titles_of
 from siamloc.jobs.sweep import of_layer, own_folder, swept
 from siamloc.maps import Built, VisualMap
-from siamloc.maps.maintenance import Evidence
+from siamloc.maps.maintenance import Maintenance
 from siamloc.runs import Run
 
 
 @dataclass(frozen=True)
-class Drives(Evidence):
-    """The drives that maintain a map, and how much evidence calls for an update.
+class Drives(Maintenance):
+    """The drives that maintain a map, one after the other, and how much evidence calls for an update.
 
     Attributes:
         sequences: names or shell patterns of the drives; a map is made instead of maintained if there are none.
@@ -58,10 +58,12 @@ class MapFrames(RunJob):
         build=incremental|spectral|som|sample|rooms
                                         also group the frames into nodes, and write that coarse layer
         build.nodes=40 build.y=1.5      its parameters; `siamloc map build=... --cfg job` lists them
-        update.sequences=[tuesday]      maintain the map instead: find where it is out of date on drives whose positions
-                                        are known, and add their frames there; with build=NAME, to its nodes too
-        update.contradicted=15          out of date: 15 of update.window=20 frames in a row are located more than
-                                        update.radius=1 away
+        update.sequences=[tuesday]      maintain the map instead, by drives whose positions are known: frames join it
+                                        where it is out of date, and frames that several drives contradict leave it;
+                                        with build=NAME, its nodes follow. Draws staleness.png: where the building
+                                        has changed
+        update.growth=1.5               up to 1.5 times as many frames; update.per_square_metre=12, update.megabytes=5
+        update.contradicted=3           out of date: 3 of update.window=5 frames in a row contradict the map
         -m descriptor.bins=8,16         a sweep: each map in its own folder, evaluation/hog/descriptor.bins-8, where an
                                         evaluation of the same sweep finds it
 
@@ -116,6 +118,9 @@ class MapFrames(RunJob):
 
     def _maintained(self, say: Say) -> VisualMap:
         """Maintain the saved map, and the saved nodes over it if a build is named."""
+        from siamloc.report.draw.look import save
+        from siamloc.report.draw.staleness import staleness_picture
+
         path, built, label = map_places(self.here, self.titles)[0], None, self.descriptor.title
         known = VisualMap.load(path, self.make_descriptor())
         folder = own_folder(self.here.layer(label, self.build.title), self.titles, of_layer)
@@ -137,16 +142,22 @@ class MapFrames(RunJob):
             )
         drives = replace(self, protocol=Protocol(map=Role(sequences=self.update.sequences)))
         images, roles = drives.open_roles("map", known=known)
-        found = maps.update(known, images, roles["map"], built=built, settings=self.update)
-        say(found.summary())
-        if found.added.any():
+        settings = Maintenance.of({key: value for key, value in self.update.plain().items() if key != "sequences"})
+        before = known.digest
+        for name, rows in roles["map"].rows_by("sequence").items():
+            found = maps.update(known, images, roles["map"].take(rows), built=built, settings=settings)
+            known, built = found.known, found.built
+            say(f"{name}: {found.summary()}" if name else found.summary())
+        if known.digest != before:
             # Removed first and written last: an interruption leaves no nodes next to a map that they do not fit.
             (folder / "layer.npz").unlink(missing_ok=True)
-            found.known.save(path)
-            if found.built is not None:
-                found.built.save(folder)
-            self.here.record_written([path, *(files_in(folder) if built is not None else [])])
-        return found.known
+        known.save(path)
+        save(staleness_picture(found), path.with_name("staleness.png"))
+        if built is not None and known.digest != before:
+            built.save(folder)
+        written = [path, path.with_name("staleness.png")]
+        self.here.record_written([*written, *(files_in(folder) if built is not None else [])])
+        return known
 
     def _changed(self) -> str:
         """Return the parameters of the descriptor that are not those of its option, as words of the command line."""

@@ -9,7 +9,7 @@ from .hierarchy import (
 )
 from .history import History as History
 from .live_survey import LiveSurvey as LiveSurvey
-from .maintenance import Update as Update, update as update
+from .maintenance import Maintenance as Maintenance, Update as Update, update as update
 from .matching import frame_distances as frame_distances, headings as headings, match as match
 from .motion import motions as motions
 from .pose_filter import PoseFilter as PoseFilter

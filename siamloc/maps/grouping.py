@@ -146,7 +146,10 @@ class Built:
             write_json(folder / "placing.json", placing)
             if self.mapper is not None:
                 self.mapper.save(folder / "mapper.npz")
-                write_text(folder / "events.jsonl", "".join(f"{line}\n" for line in self.mapper.events))
+                if "frames" in self.layer.made:  # its frames are other than those of the map: some were forgotten
+                    (folder / "events.jsonl").unlink(missing_ok=True)
+                else:
+                    write_text(folder / "events.jsonl", "".join(f"{line}\n" for line in self.mapper.events))
                 self.mapper.graph().to_json(folder / "graph.json")
             self.layer.save(folder / "layer.npz")
 

@@ -1,22 +1,26 @@
-"""Map maintenance ([T] 1.2): `update` finds where a located drive shows that a map is out of date, and mends it."""
+"""Map maintenance ([T] 1.2): `update` lets a map follow its building, by a drive whose positions are known."""
 
 from __future__ import annotations
 
-from copy import deepcopy
+from collections import Counter
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, TypedDict
+from typing import TYPE_CHECKING, Any, TypedDict
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from foundation.calls import OF_FIELDS, takes
-from foundation.settings import Count, Positive, Settings
+from foundation.settings import Count, Positive, Share
 from siamloc.data.frames import FrameTable, concatenate
 from siamloc.errors import ConfigError, DataError
-from siamloc.maps.coarse import CoarseLayer
 from siamloc.maps.describing import build
+from siamloc.maps.evidence import Judged, enough_of, judged, map_reasons, repeated, usual_distance
+from siamloc.maps.following import followed, left_by, nodes_of, numbers_of
 from siamloc.maps.grouping import Built
+from siamloc.maps.history import History
 from siamloc.maps.matching import match
+from siamloc.maps.reasons import GONE, JOINED, Reason, among
+from siamloc.maps.thinning import Budget, thin
 from siamloc.maps.visual_map import VisualMap
 
 if TYPE_CHECKING:
@@ -24,112 +28,163 @@ if TYPE_CHECKING:
 
     from siamloc.data.library import PanoramaLibrary
 
+_REPEATS = 0.6  # share of the usual distance up to which two frames that would join show almost the same
+_ELSEWHERE = (Reason.NEW_PLACE, Reason.BEYOND, Reason.UNSURE, Reason.HELD)
+UPKEEP = "upkeep"
+"""Key of `VisualMap.made` under which a map keeps what its next update needs."""
+
 
 @dataclass(frozen=True)
-class Evidence(Settings):
-    """How much evidence calls for an update of a map.
+class Maintenance(Budget):
+    """How much evidence changes a map, and how large it may become.
 
     Attributes:
         radius: distance within which frames show the same place, in the unit of the positions.
+        usual: share of the map frames that differ from their most similar neighbour by less than a frame of the drive
+            has to differ from the map to contradict it; if None, only frames located elsewhere do.
         contradicted: number of contradicting frames in a window that call for an update; at most `window`.
         window: number of consecutive frames of the drive that are judged together, of those taken in known places.
+        forget: number of drives in a row that do not recognize a map frame until it is forgotten; never if None.
+        extend: whether frames taken where the map has none are added.
+        certain: largest standard deviation of a position that is used, in the unit of the positions.
+        growth: largest number of frames, as a multiple of those that the map had before its first update and of those
+            of new places; without limit if None.
     """
 
     WHERE = "update"
 
     radius: Positive = 1.0
-    contradicted: Count = 15
-    window: Count = 20
+    usual: Share | None = 0.95
+    contradicted: Count = 3
+    window: Count = 5
+    forget: Count | None = 3
+    extend: bool = True
+    certain: Positive = 0.25
+    growth: Positive | None = 1.5
 
     def __post_init__(self) -> None:
         super().__post_init__()
         if self.contradicted > self.window:
             raise ConfigError(f"contradicted={self.contradicted} frames cannot be among window={self.window}: lower it")
+        if self.growth is not None and self.growth < 1:
+            raise ConfigError(f"growth={self.growth:g} would shrink a map that nothing contradicts: give 1 or more")
 
 
-class EvidenceFields(TypedDict, total=False):
-    """Keyword arguments with the names and types of the fields of `Evidence`, for type checkers."""
+class MaintenanceFields(TypedDict, total=False):
+    """Keyword arguments with the names and types of the fields of `Maintenance`, for type checkers."""
 
     radius: float
+    usual: float | None
     contradicted: int
     window: int
+    forget: int | None
+    extend: bool
+    certain: float
+    growth: float | None
+    frames: int | None
+    per_square_metre: int | None
+    megabytes: float | None
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Update:
-    """What a located drive says about a map, and the map after maintenance.
+    """What a drive says about a map, and the map after maintenance.
 
     Attributes:
-        known: the map with the frames that were added; the map as it was if none were.
+        known: the map after the update: the frames that stay, followed by those that joined it.
         built: the nodes over the frames of `known`; None if no nodes were given.
+        before: the map before (m frames), with its history after the drive.
+        map_reason: (m,) of `Reason`: why each frame of `before` stays or leaves.
         drive: the n readable frames of the drive, in their order.
-        known_place: (n,) whether a frame was taken in a place of the map: within the radius of a map frame.
-        contradicted: (n,) whether a frame taken in a known place was located in another place.
-        outdated: (n,) whether a frame was taken where the map is out of date.
-        added: (n,) whether a frame was added to the map: the frames of `outdated`, except groups with fewer frames in a
-            node of an incremental map than a mode needs (`smallest_node`).
+        reason: (n,) of `Reason`: why each frame of the drive joined the map, or did not.
+        contradicted: (n,) whether a frame taken in a known place was located elsewhere, or is unlike the map there.
         window: number of frames in known places without which a map is not judged.
     """
 
     known: VisualMap
     built: Built | None
+    before: VisualMap
+    map_reason: NDArray[np.object_]
     drive: FrameTable
-    known_place: NDArray[np.bool_]
+    reason: NDArray[np.object_]
     contradicted: NDArray[np.bool_]
-    outdated: NDArray[np.bool_]
-    added: NDArray[np.bool_]
     window: int
 
+    @property
+    def added(self) -> NDArray[np.bool_]:
+        """Which frames of the drive joined the map (n,)."""
+        return among(self.reason, JOINED)
+
+    @property
+    def forgotten(self) -> NDArray[np.bool_]:
+        """Which frames of the map before left it (m,)."""
+        return among(self.map_reason, GONE)
+
+    @property
+    def known_place(self) -> NDArray[np.bool_]:
+        """Which frames of the drive were taken in places of the map, with certain positions (n,)."""
+        return ~among(self.reason, _ELSEWHERE)
+
     def summary(self) -> str:
-        """Return one line about the places of the drive, the evidence, and the frames added."""
-        known, added, left = self.known_place.sum(), self.added.sum(), (self.outdated & ~self.added).sum()
-        text = f"update: {known} of {len(self.drive)} frames in known places, "
-        text += f"{self.contradicted.sum()} of them located elsewhere; "
-        if known < self.window:
-            return f"{text}too few frames in known places to judge the map, at least window={self.window} are needed"
-        if not added + left:
-            return f"{text}the map is up to date"
-        text += f"{added} added, where the map is out of date"
-        return f"{text}; {left} left out, fewer in their node than smallest_node" if left else text
+        """Return one line about the evidence, and about the frames that joined the map and left it."""
+        known, joined = int(self.known_place.sum()), Counter(self.reason[self.added].tolist())
+        text = f"update: {self.contradicted.sum()} of {known} frames in known places contradict the map"
+        if joined[Reason.NEW_PLACE]:
+            text += f", {joined[Reason.NEW_PLACE]} show new places"
+        if known < self.window and not joined:
+            return f"{text}: too few to judge the map, at least window={self.window} are needed"
+        text += f"; {self.added.sum()} joined the map, {self.forgotten.sum()} left it, {len(self.known)} are in it"
+        few = int((self.reason == Reason.FEW).sum())
+        if not (self.added.any() or self.forgotten.any() or few):
+            return f"{text}: the map is up to date"
+        return f"{text}; {few} left out, fewer in their node than smallest_node" if few else text
 
 
-@takes(Evidence)
+@takes(Maintenance)
 def update(
     known: VisualMap,
     images: PanoramaLibrary,
     drive: FrameTable,
     *,
+    deviation: ArrayLike | None = None,
     built: Built | None = None,
     progress: bool = True,
-    settings: Evidence = OF_FIELDS,
-    **fields: Unpack[EvidenceFields],
+    settings: Maintenance = OF_FIELDS,
+    **fields: Unpack[MaintenanceFields],
 ) -> Update:
-    """Find where a map is out of date, on a drive whose positions are known, and add the drive's frames there.
+    """Find where a map is out of date, on a drive whose positions are known, and let the map follow.
 
-    A frame contradicts the map if it was taken within `radius` of a map frame and is located farther away than that.
-    The map is out of date where `contradicted` of `window` consecutive frames contradict the map, counting only frames
-    taken in known places; all frames of such windows are added. The counts are those with which [T] 4.6 decides, from
-    frames that are in no node, that a map needs a new node; in a place that the map has, they call for another
-    appearance of it instead. A single frame is no evidence, because a person in view is enough to mislocate it.
+    A frame of the drive contradicts the map if it was taken within `radius` of a map frame and is located farther away
+    than that, or differs from all map frames within `radius` more than neighbours in the map usually do. The map is out
+    of date where `contradicted` of `window` consecutive frames contradict it; a single frame is no evidence, because a
+    person in view is enough. There, the frames that contradict it join the map, and so do frames of new places, except
+    those that look like a frame that has just joined.
 
-    An added frame belongs to the node of the nearest map frame. In an incremental map, the mapper locates the frames of
-    the drive, and the frames added to a node become another mode of it (`IncrementalMapper.maintain`); groups smaller
-    than a mode needs are left out.
+    A drive recognizes a map frame if one of its frames, taken within half the radius of it, resembles it more than all
+    map frames beyond the radius; see `Reason` for what follows. Frames that are not recognized several times in a row
+    are forgotten, unless the drives were driven in another light. If the map becomes larger than it may be, frames are
+    forgotten as by `siamloc.maps.thin`.
+
+    A frame that joins belongs to the node of the nearest map frame. In an incremental map, the mapper locates the
+    frames of the drive, and whole stretches join, as another mode of their node (`IncrementalMapper.maintain`), since
+    a mode needs many frames; frames of new places do not. With contradicted=15, window=20 and usual=None, the counts
+    are those with which [T] 4.6 decides, from frames that are in no node, that a map needs a new node.
 
     Args:
         known: a map whose frames all have positions; it is not changed.
         images: panoramas of the drive.
-        drive: frames with positions in the map's coordinates, in capture order.
+        drive: n frames of one drive with positions in the map's coordinates, in capture order.
+        deviation: (n,) standard deviation of each position, such as `Survey.deviation`, NaN where it is unknown;
+            all positions are certain if None.
         built: nodes over the map's frames. Nodes of an incremental map need their mapper, as `siamloc.maps.group`
             returns it, able to grow.
         progress: whether to show the progress of describing the drive.
         settings: all settings in one object, instead of one keyword each.
 
     Raises:
-        ConfigError: more frames to be contradicted than a window has, or an image size or descriptor other than the
-            map's.
-        DataError: a frame without a position, positions in two units, nodes over another map, or an incremental map
-            without its mapper.
+        ConfigError: a setting out of range, or an image size or descriptor other than the map's.
+        DataError: a map frame without a position, no frame of the drive with a certain one, positions in two units,
+            nodes over another map, or an incremental map without its mapper.
         AnalyticError: a mapper that is read-only.
 
     Example:
@@ -141,64 +196,162 @@ def update(
         >>> int(found.known_place.sum()), int(found.added.sum())  # tuesday looks as monday did
         (40, 0)
     """
-    from scipy.spatial import cKDTree
+    concatenate([known.frames, drive])  # refuses positions in two units
+    sure = drive.has_position
+    if deviation is not None:
+        spread = np.asarray(deviation, dtype=np.float64)
+        if spread.shape != (len(drive),):
+            raise DataError(f"{len(drive)} frames of the drive need a deviation each, got shape {spread.shape}")
+        sure = sure & (spread <= settings.certain)
+    keys, held = drive.identities(), set(known.frames.identities())
+    new = np.array([key not in held for key in keys], dtype=bool)
+    if not (sure & new).any():
+        raise DataError(
+            f"of {len(drive)} frames of the drive, {int((~sure).sum())} have no certain position, and the others are "
+            "in the map already: locate the drive first, for example with siamloc.maps.survey"
+        )
+    part = drive.take(sure & new)
+    found = updated(
+        known,
+        build(known.descriptor, images, part, heading=known.heading_descriptor, progress=progress),
+        built=built,
+        settings=settings,
+    )
+    used = set(found.drive.identities())
+    readable = np.array([key in used for key in keys]) | ~(sure & new)
+    reason = np.full(len(drive), Reason.UNSURE, dtype=object)
+    reason[sure] = Reason.HELD
+    reason, contradicted, now = reason[readable], np.zeros(readable.sum(), dtype=bool), (sure & new)[readable]
+    reason[now], contradicted[now] = found.reason, found.contradicted
+    return replace(found, drive=drive.take(readable), reason=reason, contradicted=contradicted)
 
-    both = concatenate([known.frames, drive])  # refuses positions in two units
-    if lacking := int((~both.has_position).sum()):
-        raise DataError(f"{lacking} of the {len(both)} frames of map and drive have no position: leave them out")
-    labels, mapper = np.zeros(len(known), dtype=np.int64), None
+
+def updated(
+    known: VisualMap, drive: VisualMap, *, built: Built | None = None, settings: Maintenance | None = None
+) -> Update:
+    """Update a map as `update` does, by a drive that is described and whose positions are all certain; needs no torch.
+
+    Raises:
+        DataError, AnalyticError: as `update`.
+    """
+    settings = Maintenance() if settings is None else settings
+    if lacking := int((~known.frames.has_position).sum()):
+        raise DataError(f"{lacking} of the {len(known)} map frames have no position: leave them out, known.placed()")
     if built is not None:
         built.check_map(known)
-        labels, mapper = built.layer.labels, built.mapper
-        if mapper is None and "ids" in built.layer.made:
+        if built.mapper is None and "ids" in built.layer.made:
             raise DataError("an incremental map is updated with its mapper, which a layer read from a file lacks")
-    described = build(known.descriptor, images, drive, heading=known.heading_descriptor, progress=progress)
-    if mapper is None:
-        located = match(known, described.turning()).indices[:, 0]
+    upkeep = _upkeep(known, settings)
+    found = judged(known, drive, settings.radius)
+    reason, contradicted = _joining(known, drive, found, built, upkeep["usual"], settings)
+    before, map_reason = _told(known, drive, found, upkeep, settings)
+    upkeep["frames"] += int((reason == Reason.NEW_PLACE).sum())
+    _thin(before, map_reason, drive, reason, upkeep["frames"], settings)
+    mapper, node = None, np.zeros(len(drive), dtype=np.int64)
+    if built is not None:
+        node = nodes_of(built.layer, known.frames, drive.frames)
+    if built is not None and built.mapper is not None:
+        leaving = np.flatnonzero(among(map_reason, GONE))
+        mapper, left = left_by(built, leaving)
+        map_reason[np.setdiff1d(leaving, left)] = Reason.NEEDED
+        joined = among(reason, JOINED)
+        size = np.bincount(node[joined], minlength=len(built.layer))
+        reason[joined & (size[node] < mapper.parameters.smallest_node)] = Reason.FEW
+    kept, rows = np.flatnonzero(~among(map_reason, GONE)), np.flatnonzero(among(reason, JOINED))
+    if mapper is not None:
+        rows = rows[np.argsort(node[rows], kind="stable")]  # as the mapper counts them
+    after = before if len(kept) == len(before) else before.take(kept)
+    after = after.merge(drive.take(rows)) if len(rows) else after
+    after = replace(after, made={**after.made, UPKEEP: upkeep})
+    if built is not None and after.digest != known.digest:
+        built = followed(built, after, kept, node[rows], mapper)
+    return Update(after, built, before, map_reason, drive.frames, reason, contradicted, settings.window)
+
+
+def _upkeep(known: VisualMap, settings: Maintenance) -> dict[str, Any]:
+    """Return what a map keeps for its updates: its frames, the usual distance, and the drives that were counted."""
+    upkeep = {"frames": len(known), "drives": [], "usual": None, "learned": None, **known.made.get(UPKEEP, {})}
+    how = [settings.usual, settings.radius]
+    if upkeep["learned"] != how:  # learned once: frames that join are unlike their neighbours by choice
+        distance = None if settings.usual is None else usual_distance(known, settings.radius, settings.usual)
+        upkeep |= {"usual": distance, "learned": how}
+    return upkeep
+
+
+def _joining(
+    known: VisualMap,
+    drive: VisualMap,
+    found: Judged,
+    built: Built | None,
+    usual: float | None,
+    settings: Maintenance,
+) -> tuple[NDArray[np.object_], NDArray[np.bool_]]:
+    """Return why each frame of a drive (n,) joins the map or not, and which contradict it (n,)."""
+    mapper = None if built is None else built.mapper
+    if built is None or mapper is None:
+        located = match(known, drive.turning()).indices[:, 0]
     else:
-        frames = (described.description.take(slice(row, row + 1)) for row in range(len(described)))
-        located = np.array([mapper.locate(frame).frame for frame in frames])
-    xy, in_nodes = described.frames.xy, np.flatnonzero(labels >= 0)
-    distance, nearest = cKDTree(known.frames.xy[in_nodes]).query(xy)
-    node, in_place = labels[in_nodes[nearest]], distance <= settings.radius
-    mislocated = in_place & (np.linalg.norm(known.frames.xy[located] - xy, axis=1) > settings.radius)
-    outdated, added = np.zeros(len(described), dtype=bool), np.zeros(len(described), dtype=bool)
-    outdated[in_place] = _outdated(mislocated[in_place], settings)
-    smallest = 1 if mapper is None else mapper.parameters.smallest_node
-    groups = {int(one): np.flatnonzero(outdated & (node == one)) for one in np.unique(node[outdated])}
-    groups = {one: rows for one, rows in groups.items() if len(rows) >= smallest}
-    if groups:
-        order = np.concatenate(list(groups.values()))
-        added[order], known = True, known.merge(described.take(order))
-        if built is not None:
-            built = _taught(built, known, {one: described.take(rows) for one, rows in groups.items()})
-    return Update(known, built, described.frames, in_place, mislocated, outdated, added, settings.window)
+        row_of = np.zeros(len(mapper), dtype=np.int64)
+        row_of[numbers_of(built.layer)] = np.arange(len(known))
+        frames = (drive.description.take(slice(row, row + 1)) for row in range(len(drive)))
+        located = row_of[[mapper.locate(frame).frame for frame in frames]]
+    known_place = found.away <= settings.radius
+    off = np.linalg.norm(known.frames.xy[located] - drive.frames.xy, axis=1)
+    contradicts = (off > settings.radius) | (known.frames.building[located] != drive.frames.building)
+    if usual is not None:
+        contradicts |= found.unlike > usual
+    contradicts &= known_place
+    outdated = np.zeros(len(drive), dtype=bool)
+    outdated[known_place] = enough_of(contradicts[known_place], settings.contradicted, settings.window)
+    stretches = usual is None or mapper is not None
+    reason = np.full(len(drive), Reason.EXPLAINED, dtype=object)
+    reason[contradicts] = Reason.ALONE
+    reason[outdated & (contradicts | stretches)] = Reason.ADDED
+    reason[~known_place] = Reason.NEW_PLACE if settings.extend and mapper is None else Reason.BEYOND
+    if not stretches and (rows := np.flatnonzero(among(reason, JOINED))).size:
+        assert usual is not None
+        reason[rows[repeated(drive.take(rows), settings.radius, _REPEATS * usual)]] = Reason.REPEATED
+    return reason, contradicts
 
 
-def _outdated(mislocated: NDArray[np.bool_], settings: Evidence) -> NDArray[np.bool_]:
-    """Return which of the n frames taken in known places lie in a window with enough mislocated frames."""
-    if len(mislocated) < settings.window:
-        return np.zeros(len(mislocated), dtype=bool)
-    window = np.ones(settings.window, dtype=np.int64)
-    enough = np.convolve(mislocated, window, "valid") >= settings.contradicted
-    return np.convolve(enough, window) > 0
+def _told(
+    known: VisualMap, drive: VisualMap, found: Judged, upkeep: dict[str, Any], settings: Maintenance
+) -> tuple[VisualMap, NDArray[np.object_]]:
+    """Return a map with the history after a drive, and why each of its frames (m,) stays or is forgotten.
 
-
-def _taught(built: Built, known: VisualMap, groups: dict[int, VisualMap]) -> Built:
-    """Return nodes over an updated map, whose last frames are those added to each node in turn."""
-    layer, mapper = built.layer, deepcopy(built.mapper)
-    labels = np.concatenate([layer.labels, *(np.full(len(part), node) for node, part in groups.items())])
-    for node, part in groups.items():
-        poses = np.column_stack([part.frames.xy, part.frames.theta])
-        frames = [pose.tolist() if np.isfinite(pose).all() else None for pose in poses]
-        if mapper is not None:
-            mapper.maintain(layer.made["ids"][node], part.description, frames)
-    more = len(labels) - len(layer.labels)
-    return replace(
-        built,
-        layer=replace(CoarseLayer.of_labels(known, labels, layer.names, layer.made), classifier=layer.classifier),
-        seconds=built.seconds if len(built.seconds) == 1 else np.append(built.seconds, np.full(more, np.nan)),
-        map_digest=known.digest,
-        reasons=(*built.reasons, *["MAINTAINED"] * more) if built.reasons else (),
-        mapper=mapper,
+    A drive that the map counted before is not counted again.
+    """
+    reason = map_reasons(known, found, drive.frames.lighting.tolist())
+    drives = [name for name in drive.frames.rows_by("sequence") if name]
+    if drives and set(drives) <= set(upkeep["drives"]):
+        return known, reason
+    upkeep["drives"] = [*dict.fromkeys([*upkeep["drives"], *drives])]
+    old, confirmed = known.history, reason == Reason.CONFIRMED
+    history = History(
+        old.confirmed + confirmed,
+        np.where(confirmed, 0, old.contradicted + (reason == Reason.CONTRADICTED)),
+        np.where(found.passed, found.changed / (upkeep["usual"] or np.nan), old.change),
     )
+    if settings.forget is not None:
+        reason[(reason == Reason.CONTRADICTED) & (history.contradicted >= settings.forget)] = Reason.FORGOTTEN
+    return replace(known, history=history), reason
+
+
+def _thin(
+    before: VisualMap,
+    map_reason: NDArray[np.object_],
+    drive: VisualMap,
+    reason: NDArray[np.object_],
+    frames: int,
+    settings: Maintenance,
+) -> None:
+    """Set the reasons of the frames of map and drive that a budget leaves no room for."""
+    limits = [settings.frames, None if settings.growth is None else int(settings.growth * frames)]
+    most = min((limit for limit in limits if limit is not None), default=None)
+    kept, rows = np.flatnonzero(~among(map_reason, GONE)), np.flatnonzero(among(reason, JOINED))
+    whole = before.take(kept)
+    whole = whole.merge(drive.take(rows)) if len(rows) else whole
+    found = thin(whole, frames=most, per_square_metre=settings.per_square_metre, megabytes=settings.megabytes).reason
+    gone = found != Reason.KEPT
+    map_reason[kept[gone[: len(kept)]]] = found[: len(kept)][gone[: len(kept)]]
+    reason[rows[gone[len(kept) :]]] = found[len(kept) :][gone[len(kept) :]]

@@ -44,6 +44,30 @@ def test_maintenance_is_in_the_log():
     assert line["poses"][3] == "night 3"
 
 
+def test_what_is_forgotten_leaves_its_node_and_is_in_the_log(tmp_path):
+    mapper = mapped(25)
+    before, smallest = mapper.labels(), mapper.parameters.smallest_node
+    gone = mapper.forget([3, 4])
+    assert gone == [3, 4]
+    after = mapper.labels()
+    assert (np.flatnonzero(before != after) == [3, 4]).all()
+    assert (after[[3, 4]] == -1).all()
+    assert not {3, 4} & {frame for node in mapper.nodes for frame in node.frames}
+    assert np.array_equal(replay(mapper.events), after)
+    assert json.loads(mapper.events[-1])["reason"] == "FORGOTTEN"
+    assert mapper.locate(WORLD.at(POSES[3:4])).frame not in (3, 4)
+    node = mapper.nodes[0]
+    assert mapper.forget(node.frames[: len(node) - smallest + 1]) == [], "the node would be too small"
+    assert mapper.forget([]) == []
+    mapper.save(tmp_path / "mapper.npz")
+    again = type(mapper).load(tmp_path / "mapper.npz", mapper.descriptor)
+    assert np.array_equal(again.labels(), after)
+    with pytest.raises(AnalyticError, match="is read-only"):
+        again.forget([5])
+    with pytest.raises(AnalyticError, match="the map has no frame 25: it has 25"):
+        mapper.forget([25])
+
+
 @pytest.mark.parametrize(
     ("events", "says"),
     [

@@ -1,0 +1,143 @@
+"""What a drive with known positions says about a map: `judged` compares its frames with the map frames nearby."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from siamloc.maps.matching import frame_distances
+from siamloc.maps.reasons import Reason
+from siamloc.maps.search import slices
+from siamloc.maps.thinning import near
+from siamloc.maps.visual_map import VisualMap
+
+_AT_ONCE = 64  # frames of a drive that are compared with all map frames
+_FEWEST = 10  # map frames with a neighbour, from which the usual distance is learned
+_SOME = 0.25  # share of the map frames that a drive recognizes at least, if it was driven in their light
+_PRIOR = 10  # map frames that the share of the whole map counts for in the share of a drive
+
+
+@dataclass(frozen=True, eq=False)
+class Judged:
+    """The frames of a drive (n) and of a map (m), compared.
+
+    Attributes:
+        nearest: (n,) the map frame taken nearest to each frame of the drive.
+        away: (n,) its distance; infinite if the map has no frame in that building.
+        unlike: (n,) descriptor distance to the most similar map frame within the radius; infinite if there is none.
+        recognized: (m,) whether a frame taken near a map frame resembles it more than all map frames elsewhere.
+        passed: (m,) whether the drive has a frame near the map frame.
+        changed: (m,) descriptor distance from the map frame to the most similar of those; infinite if there is none.
+    """
+
+    nearest: NDArray[np.int64]
+    away: NDArray[np.float64]
+    unlike: NDArray[np.float64]
+    recognized: NDArray[np.bool_]
+    passed: NDArray[np.bool_]
+    changed: NDArray[np.float64]
+
+
+def judged(known: VisualMap, drive: VisualMap, radius: float) -> Judged:
+    """Compare the frames of a drive with those of a map.
+
+    Args:
+        known: a map of m frames with positions.
+        drive: n frames with positions, described as the map was.
+        radius: distance within which frames show the same place. A frame passes the map frames within half of it, and
+            map frames beyond it are elsewhere.
+    """
+    n, m = len(drive), len(known)
+    nearest, away, unlike = np.zeros(n, dtype=np.int64), np.zeros(n), np.zeros(n)
+    recognized, passed, changed = np.zeros(m, dtype=bool), np.zeros(m, dtype=bool), np.full(m, np.inf)
+    for part in slices(n, _AT_ONCE):
+        rows = np.arange(n)[part]
+        alike = frame_distances(known, drive.turning(rows))
+        apart = np.linalg.norm(drive.frames.xy[rows, None] - known.frames.xy, axis=2)
+        apart[drive.frames.building[rows, None] != known.frames.building] = np.inf
+        elsewhere = np.where(apart > radius, alike, np.inf).min(axis=1, keepdims=True)
+        close = apart <= radius / 2
+        passed |= close.any(axis=0)
+        np.minimum(changed, np.where(close, alike, np.inf).min(axis=0), out=changed)
+        recognized |= (close & (alike < elsewhere)).any(axis=0)
+        nearest[part], away[part] = apart.argmin(axis=1), apart.min(axis=1)
+        unlike[part] = np.where(apart <= radius, alike, np.inf).min(axis=1)
+    return Judged(nearest, away, unlike, recognized, passed, changed)
+
+
+def usual_distance(known: VisualMap, radius: float, share: float) -> float | None:
+    """Learn how much the neighbours in a map differ: None for a map whose frames have too few neighbours.
+
+    Args:
+        known: the map.
+        radius: distance within which frames are neighbours.
+        share: share of the frames whose most similar neighbour of the same drive is at most this far from them.
+
+    Returns:
+        The distance between descriptors.
+    """
+    nearest = np.full(len(known), np.inf)
+    for rows, others, _ in near(known.frames, known.frames, radius, _AT_ONCE):
+        same = (rows != others) & (known.frames.sequence[rows] == known.frames.sequence[others])
+        if same.any():
+            which, row = np.unique(rows[same], return_inverse=True)
+            alike = frame_distances(known, known.turning(which))[row, others[same]]
+            np.minimum.at(nearest, rows[same], alike)
+    nearest = nearest[np.isfinite(nearest)]
+    return None if len(nearest) < _FEWEST else float(np.quantile(nearest, share))
+
+
+def enough_of(evidence: NDArray[np.bool_], least: int, window: int) -> NDArray[np.bool_]:
+    """Return which of n consecutive frames lie in a window in which at least some frames hold evidence."""
+    if len(evidence) < window:
+        return np.zeros(len(evidence), dtype=bool)
+    ones = np.ones(window, dtype=np.int64)
+    enough = np.convolve(evidence, ones, "valid") >= least
+    return np.asarray(np.convolve(enough, ones) > 0)
+
+
+def repeated(drive: VisualMap, radius: float, usual: float) -> NDArray[np.bool_]:
+    """Return which frames of a drive (n,) an earlier frame that is not repeated itself shows, taken one by one."""
+    alike: list[set[int]] = [set() for _ in range(len(drive))]
+    for rows, others, _ in near(drive.frames, drive.frames, radius, _AT_ONCE):
+        before = others < rows
+        rows, others = rows[before], others[before]
+        if len(rows):
+            which, row = np.unique(rows, return_inverse=True)
+            close = frame_distances(drive, drive.turning(which))[row, others] <= usual
+            for one, other in zip(rows[close].tolist(), others[close].tolist(), strict=True):
+                alike[one].add(other)
+    new: set[int] = set()
+    for number, shown in enumerate(alike):
+        if not shown & new:
+            new.add(number)
+    return np.array([row not in new for row in range(len(drive))], dtype=bool)
+
+
+def map_reasons(known: VisualMap, found: Judged, lightings: Iterable[str]) -> NDArray[np.object_]:
+    """Say for each frame of a map (m,) whether a drive recognized it.
+
+    A frame that was not recognized is contradicted only if the drive was driven in its light: not if both lights have
+    names that differ, nor if the drive recognized less than a quarter of the frames that joined the map on the same
+    drive, where the share of the whole map counts as ten more frames.
+
+    Args:
+        known: the map.
+        found: how it compares with the drive.
+        lightings: names of the light of the drive's frames.
+    """
+    reason = np.full(len(known), Reason.KEPT, dtype=object)
+    reason[found.passed & ~found.recognized] = Reason.CONTRADICTED
+    reason[found.recognized] = Reason.CONFIRMED
+    overall = found.recognized.sum() / max(found.passed.sum(), 1)
+    other = np.zeros(len(known), dtype=bool)
+    for rows in known.frames.rows_by("sequence").values():
+        share = (found.recognized[rows].sum() + _PRIOR * overall) / (found.passed[rows].sum() + _PRIOR)
+        other[rows] = share < _SOME
+    if named := set(lightings) - {""}:
+        other |= ~np.isin(known.frames.lighting, ["", *named])
+    reason[(reason == Reason.CONTRADICTED) & other] = Reason.OTHER_LIGHT
+    return reason

@@ -1,0 +1,45 @@
+"""The picture of a map's staleness shows where it was contradicted, and what joined and left it."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from siamloc.data import FrameTable
+from siamloc.maps import History, Reason, Update, VisualMap
+from siamloc.report.draw.staleness import staleness, staleness_picture
+
+FRAMES = FrameTable(path=[f"{i}.png" for i in range(6)], x=[0.2, 0.4, 1.2, 1.4, 5.2, 5.4], y=[0.5] * 6)
+KNOWN = VisualMap(
+    np.eye(6), FRAMES, history=History([1, 1, 1, 0, 0, 0], [0, 0, 0, 1, 0, 0], [0.5, 0.7, 1.0, 1.5, np.nan, np.nan])
+)
+
+
+def dots(figure):
+    return {one.get_label(): one.get_offsets().tolist() for one in figure.axes[0].collections[1:]}
+
+
+def test_squares_show_the_mean_change_of_the_frames_that_were_passed():
+    assert staleness(KNOWN)[:4].tolist() == [0.5, 0.7, 1.0, 2.0], "a contradicted frame counts at least 2"
+    figure = staleness_picture(KNOWN)
+    tiles = figure.axes[0].collections[0]
+    np.testing.assert_allclose(tiles.get_array(), [0.6, 1.5])
+    np.testing.assert_allclose([path.vertices[0] for path in tiles.get_paths()], [[0, 0], [1, 0]])
+    assert dots(figure)["contradicted"] == [[1.4, 0.5]]
+    assert len(dots(figure)["map frame"]) == 5
+
+
+def test_an_update_shows_what_joined_and_left():
+    drive = FrameTable(path=["a.png", "b.png"], x=[1.0, 1.1], y=[0.4, 0.4])
+    left, joined = [Reason.KEPT] * 3 + [Reason.FORGOTTEN] + [Reason.KEPT] * 2, [Reason.ADDED, Reason.EXPLAINED]
+    reasons = (np.array(one, dtype=object) for one in (left, joined))
+    map_reason, reason = reasons
+    found = Update(KNOWN, None, KNOWN, map_reason, drive, reason, np.ones(2, bool), 5)
+    shown = dots(staleness_picture(found))
+    assert shown["left the map"] == [[1.4, 0.5]]
+    assert shown["joined the map"] == [[1.0, 0.4]]
+
+
+def test_a_map_that_no_drive_passed_has_no_squares():
+    figure = staleness_picture(replace(KNOWN, history=None))
+    assert not len(figure.axes[0].collections[0].get_paths())
+    assert figure.rendered("svg")
