@@ -103,12 +103,18 @@ def headings(known: VisualMap, queries: Description, found: Retrieval, count: in
 
 
 @typed
-def frame_distances(known: VisualMap, queries: Description) -> NDArray[np.float64]:
+def frame_distances(known: VisualMap, queries: Description, *, colours: bool = True) -> NDArray[np.float64]:
     """Return the distances (n, m) of queries to all map frames, with the map's distance.
+
+    Args:
+        known: a map of m frames.
+        queries: n descriptions by the map's descriptor.
+        colours: False compares only what is learned of descriptors with colours; see `siamloc.models.colours`.
 
     Raises:
         AnalyticError: descriptions that cannot be compared.
     """
     if known.aligned:
         return known.aligned_index.distances(queries)
-    return distance_named(known.distance)(queries.position, known.descriptors)
+    held = known.descriptors if colours else known.learned
+    return distance_named(known.distance)(queries.position[:, : held.shape[1]], held)

@@ -142,7 +142,7 @@ def _alike(known: VisualMap, reach: float) -> NDArray[np.int64]:
         rows, others = rows[once], others[once]
         if len(rows):
             which, row = np.unique(rows, return_inverse=True)
-            apart.append(frame_distances(known, known.description.take(which))[row, others])
+            apart.append(frame_distances(known, known.description.take(which), colours=False)[row, others])
             pairs.append(np.column_stack([rows, others]))
     if not pairs:
         return np.empty((0, 2), dtype=np.int64)

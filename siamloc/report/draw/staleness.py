@@ -40,7 +40,7 @@ def staleness_picture(found: Update | VisualMap) -> Picture:
     Args:
         found: an update, or a map that was updated.
     """
-    update = found if hasattr(found, "before") else None
+    update: Any = found if hasattr(found, "before") else None
     known: Any = found if update is None else update.before
     frames, stale = known.frames, staleness(known)
     side = max(_LEAST, float(np.ptp(frames.xy, axis=0).max()) / _CELLS)
