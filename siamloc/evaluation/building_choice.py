@@ -74,7 +74,7 @@ def buildings(
         Session(candidates[building], images, wanted.take(wanted.building == building), protocol=protocol)
     _check_one_distance(candidates)
     chosen = {} if layers is None else _layers_of(candidates, layers)
-    vectors = [one.representatives for one in chosen.values()] or [one.descriptors for one in candidates.values()]
+    vectors = [one.representatives for one in chosen.values()] or [one.learned for one in candidates.values()]
     names = [one.names for one in chosen.values()] or [one.frames.path for one in candidates.values()]
     apart, rows, clock = [], [], Stopwatch()
     for part in session.parts_of(first, wanted, f"the queries, {session.name}", clock):
@@ -184,7 +184,7 @@ def _nearest(
     between = analytic.distance(one.distance)
     apart, rows = np.empty(len(queries)), np.empty(len(queries), dtype=np.int64)
     for block in row_slices(len(queries), len(vectors)):
-        distances = between(queries.position[block], vectors)
+        distances = between(queries.position[block, : vectors.shape[1]], vectors)
         apart[block], rows[block] = distances.min(axis=1), distances.argmin(axis=1)
     return apart, rows
 

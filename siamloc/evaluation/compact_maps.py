@@ -199,7 +199,7 @@ def _located(
         layer = CoarseLayer.of_labels(known, labels)
         positions, numbers = layer.positions, layer.representatives.size
         index = VectorIndex(layer.representatives, known.distance)
-        nearest = _nearest(lambda: index.search(described.position, 1), clock, len(described))
+        nearest = _nearest(lambda: index.search(described.position[:, : index.width], 1), clock, len(described))
     with clock.of("descend", len(described)):
         frame = _inside(known, layer, labels, described, nearest)
     error = localization_error(positions[nearest], queries.xy)
@@ -273,6 +273,6 @@ def _compactness(known: VisualMap, clusters: VisualMap, labels: NDArray[np.int64
 
     return {
         "silhouette": silhouette(known.frames.xy, labels),
-        "descriptor_silhouette": math.nan if clusters.aligned else silhouette(clusters.descriptors, labels),
+        "descriptor_silhouette": math.nan if clusters.aligned else silhouette(clusters.learned, labels),
         "inertia": measures.moment_of_inertia(known.frames.xy, labels),
     }

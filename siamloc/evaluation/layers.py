@@ -94,7 +94,7 @@ def mapping(
     measures = {
         **mapping_measures(columns, settings.closure_radius, settings.closure_gap),
         "unit": known.unit,
-        "descriptor_silhouette": math.nan if known.aligned else silhouette(known.descriptors, layer.labels),
+        "descriptor_silhouette": math.nan if known.aligned else silhouette(known.learned, layer.labels),
         "bytes": {"representatives": layer.representatives.nbytes, "descriptors": known.descriptors.nbytes},
     }
     data = known.made.get("data", {})

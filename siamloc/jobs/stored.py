@@ -187,8 +187,9 @@ def _kept(
     if "branch" in model:
         head = {"name": model["head"], "outputs": model.get("outputs")}
         kept |= {"model.branch.name": model["branch"], "model.head": head}
-        keys = ("circular", "normalize", "canonical", "relative", "colours")
+        keys = ("circular", "normalize", "canonical", "relative")
         kept |= {f"model.{key}": model[key] for key in keys if key in model}
+        kept["model.colours"] = model.get("colours", False)
     if resumed and training:
         loss = {key: value for key, value in (record.get("loss") or {}).items() if key != "class"}
         kept |= {

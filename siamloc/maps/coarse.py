@@ -97,7 +97,7 @@ class CoarseLayer:
         from analytic.clustering import positions, representatives
 
         labels = np.asarray(labels, dtype=np.int64)
-        means = representatives(known.descriptors, labels).astype(np.float32)
+        means = representatives(known.learned, labels).astype(np.float32)
         return cls(
             labels=labels,
             representatives=means,

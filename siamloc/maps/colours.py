@@ -1,4 +1,4 @@
-"""Search by learned numbers and colours, where colours count only in the light of the map."""
+"""Search by what is learned and by colours, where colours count only in the light of the map."""
 
 from __future__ import annotations
 
@@ -6,18 +6,39 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from analytic import Description
+from analytic.distances import distance as distance_named
 from foundation.settings import Count
-from siamloc.maps.search import Retrieval
+from siamloc.maps.search import Retrieval, slices
 from siamloc.maps.visual_map import VisualMap
 
-COMPARED = 8
-"""Number of the nearest map frames, with and without colours, that are looked at again."""
-_SAME_LIGHT = 2.0  # times as far as map frames from each other: colours seen in the light of the map
+_SAME_LIGHT = 2.0  # times the spacing of the map's colours
 _FADES = 4.0
+_PAIRS_AT_ONCE = 1 << 22
 _AT_ONCE = 256  # queries
 
 
-def candidates(
+def light_distances(known: VisualMap, queries: Description) -> NDArray[np.float64]:
+    """Compute distances to all map frames, in which colours count the less, the less the light is that of the map.
+
+    Where the colours of a query are at least h from those of all map frames, and the map's have the spacing s (see
+    `VisualMap.colour_spacing`), the squared distance between colours counts exp(-4 (h / s - 2)) times if h > 2 s, and
+    once otherwise.
+
+    Args:
+        known: a map of m frames, described with colours and compared by Euclidean distance.
+        queries: n descriptions.
+
+    Returns:
+        (n, m).
+    """
+    euclidean, width = distance_named("euclidean"), known.learned.shape[1]
+    learned = euclidean(queries.position[:, :width], known.learned)
+    colours = euclidean(queries.position[:, width:], known.descriptors[:, width:])
+    light = colours.min(axis=1, keepdims=True, initial=np.inf) / known.colour_spacing
+    return np.sqrt(learned**2 + np.exp(-_FADES * np.maximum(light - _SAME_LIGHT, 0)) * colours**2)
+
+
+def nearest_in_light(
     known: VisualMap,
     queries: Description,
     k: Count,
@@ -25,63 +46,42 @@ def candidates(
     excluded: ArrayLike | None = None,
     within: NDArray[np.int64] | None = None,
 ) -> Retrieval:
-    """Find the nearest map frames of each query, and those that are nearest by the learned part alone.
+    """Find the k nearest map frames by `light_distances`; arguments as for `siamloc.maps.match`."""
+    rows = np.arange(len(known)) if within is None else within
+    mask = None if excluded is None else np.asarray(excluded, dtype=bool)
+    indices, distances = np.zeros((len(queries), k), dtype=np.int64), np.zeros((len(queries), k))
+    for part in slices(len(queries), _PAIRS_AT_ONCE // len(known)):
+        apart = light_distances(known, queries.take(part))
+        if mask is not None:
+            apart[mask[part]] = np.inf
+        order = apart[:, rows].argsort(axis=1, kind="stable")[:, :k]
+        indices[part] = rows[order]
+        distances[part] = np.take_along_axis(apart, indices[part], 1)
+    return Retrieval(indices, distances)
+
+
+def with_learned(known: VisualMap, queries: Description, found: Retrieval, near: NDArray[np.int64]) -> Retrieval:
+    """Insert, before the map frames that are nearest with colours, those that are nearest by the learned part alone.
 
     In the light of the map, colours find places whose shapes look alike; in another light they mislead, and the learned
     part alone finds the place.
 
     Args:
-        known: a map of m frames, described with colours; see `siamloc.models.colours`.
+        known: a map described with colours.
         queries: n descriptions.
-        k: number of map frames to find with colours; as many are found without, at most 8.
-        excluded: as for `siamloc.maps.match`.
-        within: as for `siamloc.maps.match`.
+        found: the nearest map frames with colours (n, k).
+        near: rows of the nearest map frames by the learned part (n, c).
 
     Returns:
-        (n, k + c): the first c with colours, the c without, then the others, with a distance of infinity where a map
-        frame appears again.
+        (n, c + k), with a distance of infinity where a map frame appears again.
     """
-    found = known.index.search(queries.position, k, excluded=excluded, within=within)
-    learned, c = known.learned_index, min(COMPARED, k)
-    near = learned.search(queries.position[:, : learned.width], c, excluded=excluded, within=within).indices
-    apart = np.hypot(*_distances(known, queries, near))
-    indices = np.concatenate([found.indices[:, :c], near, found.indices[:, c:]], axis=1)
-    distances = np.concatenate([found.distances[:, :c], apart, found.distances[:, c:]], axis=1)
-    for column in range(2 * c):
+    apart = np.empty(near.shape)
+    for part in slices(len(near), _AT_ONCE):
+        off = queries.position[part, None].astype(np.float64) - known.descriptors[near[part]]
+        apart[part] = np.linalg.norm(off, axis=2)
+    indices = np.concatenate([near, found.indices], axis=1)
+    distances = np.concatenate([apart, found.distances], axis=1)
+    for column in range(near.shape[1]):
         again = indices[:, column + 1 :] == indices[:, column, None]
         distances[:, column + 1 :][again] = np.inf
     return Retrieval(indices, distances)
-
-
-def in_light_of_map(known: VisualMap, queries: Description, found: Retrieval) -> Retrieval:
-    """Put candidates in order with less weight for colours, the less the light of the map a query was taken in.
-
-    The map's frames have a typical distance s between the colours of neighbours: the median over the frames of that to
-    the nearest other frame. With the smallest distance h of a query's colours to those of its candidates, the squared
-    distance between colours counts exp(-4 (h / s - 2)) times where h > 2 s.
-
-    Args:
-        known: a map described with colours.
-        queries: n descriptions.
-        found: from `candidates`.
-    """
-    learned, colours = _distances(known, queries, found.indices)
-    light = colours.min(axis=1, keepdims=True) / max(known.colour_spacing, 1e-12)
-    weight = np.exp(-_FADES * np.maximum(light - _SAME_LIGHT, 0))
-    distances = np.where(np.isinf(found.distances), np.inf, np.sqrt(learned**2 + weight * colours**2))
-    order = distances.argsort(axis=1, kind="stable")
-    return Retrieval(np.take_along_axis(found.indices, order, 1), np.take_along_axis(distances, order, 1))
-
-
-def _distances(
-    known: VisualMap, queries: Description, rows: NDArray[np.int64]
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the distances (n, k) of queries to map frames (n, k): of the learned parts, and of the colours."""
-    learned, colours = np.empty(rows.shape), np.empty(rows.shape)
-    width = known.learned_index.width
-    for at in range(0, len(rows), _AT_ONCE):
-        part = slice(at, at + _AT_ONCE)
-        off = queries.position[part, None].astype(np.float64) - known.descriptors[rows[part]]
-        learned[part] = np.linalg.norm(off[..., :width], axis=2)
-        colours[part] = np.linalg.norm(off[..., width:], axis=2)
-    return learned, colours

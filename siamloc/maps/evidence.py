@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from siamloc.maps.matching import frame_distances
+from siamloc.maps.matching import learned_distances
 from siamloc.maps.reasons import Reason
 from siamloc.maps.search import slices
 from siamloc.maps.thinning import near
@@ -55,7 +55,7 @@ def judged(known: VisualMap, drive: VisualMap, radius: float) -> Judged:
     recognized, passed, changed = np.zeros(m, dtype=bool), np.zeros(m, dtype=bool), np.full(m, np.inf)
     for part in slices(n, _AT_ONCE):
         rows = np.arange(n)[part]
-        alike = frame_distances(known, drive.turning(rows), colours=False)
+        alike = learned_distances(known, drive.turning(rows))
         apart = np.linalg.norm(drive.frames.xy[rows, None] - known.frames.xy, axis=2)
         apart[drive.frames.building[rows, None] != known.frames.building] = np.inf
         elsewhere = np.where(apart > radius, alike, np.inf).min(axis=1, keepdims=True)
@@ -84,7 +84,7 @@ def usual_distance(known: VisualMap, radius: float, share: float) -> float | Non
         same = (rows != others) & (known.frames.sequence[rows] == known.frames.sequence[others])
         if same.any():
             which, row = np.unique(rows[same], return_inverse=True)
-            alike = frame_distances(known, known.turning(which), colours=False)[row, others[same]]
+            alike = learned_distances(known, known.turning(which))[row, others[same]]
             np.minimum.at(nearest, rows[same], alike)
     nearest = nearest[np.isfinite(nearest)]
     return None if len(nearest) < _FEWEST else float(np.quantile(nearest, share))
@@ -107,7 +107,7 @@ def repeated(drive: VisualMap, radius: float, usual: float) -> NDArray[np.bool_]
         rows, others = rows[before], others[before]
         if len(rows):
             which, row = np.unique(rows, return_inverse=True)
-            close = frame_distances(drive, drive.turning(which), colours=False)[row, others] <= usual
+            close = learned_distances(drive, drive.turning(which))[row, others] <= usual
             for one, other in zip(rows[close].tolist(), others[close].tolist(), strict=True):
                 alike[one].add(other)
     new: set[int] = set()

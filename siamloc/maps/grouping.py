@@ -254,9 +254,9 @@ def _clustered(known: VisualMap, settings: Settings, made: dict[str, Any], seed:
             "descriptor"
         )
     if isinstance(settings, SelfOrganizing):
-        return CoarseLayer.of_labels(known, clustering.som(known.descriptors, settings.grid, seed=seed), made=made)
+        return CoarseLayer.of_labels(known, clustering.som(known.learned, settings.grid, seed=seed), made=made)
     parameters = settings.plain()
-    labels = clustering.spectral(known.descriptors, parameters.pop("nodes"), seed=seed, **parameters)
+    labels = clustering.spectral(known.learned, parameters.pop("nodes"), seed=seed, **parameters)
     return CoarseLayer.of_labels(known, labels, made=made)
 
 

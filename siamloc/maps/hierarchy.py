@@ -156,13 +156,14 @@ class HierarchicalSearch:
         if by == "vote":
             found = match(self.coarse, queries, self._settings.neighbours)
             return rank_by_vote(found, self.layer.labels, candidates)
+        learned = queries.position[:, : self.coarse.learned.shape[1]]
         if by == "classifier":
             assert self.layer.classifier is not None
-            return rank_by_classifier(queries.position, self.layer.classifier, candidates)
+            return rank_by_classifier(learned, self.layer.classifier, candidates)
         if self._representatives is None:
             self._representatives = VectorIndex(self.layer.representatives, self.coarse.distance)
         ratio = self._settings.ratio
-        return rank_by_representatives(queries.position, self._representatives, candidates, ratio=ratio)
+        return rank_by_representatives(learned, self._representatives, candidates, ratio=ratio)
 
     @typed
     def search(self, queries: Description | ArrayLike, ranking: NodeRanking, k: Count = 1) -> HierarchicalRetrieval:

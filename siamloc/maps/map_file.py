@@ -6,6 +6,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, TypeVar
 
+import numpy as np
 from numpy.typing import NDArray
 
 from foundation.arrays import read_headed, write_arrays
@@ -53,7 +54,9 @@ def write_map(path: str | Path, known: Any, precision: Precision) -> None:
     columns = known.frames.columns().items()
     arrays.update({f"frame_{name}": column for name, column in columns if (column == column).any()})
     if precision != "float32":
-        arrays = {**arrays, **packed("descriptors", known.descriptors, precision)}
+        arrays = {**arrays, **packed("descriptors", known.learned, precision)}
+        if known.has_colours:  # with a scale of their own, since their largest numbers are larger
+            arrays |= packed("colours", known.descriptors[:, known.learned.shape[1] :], precision)
         if "orientation" in arrays:
             arrays.update(packed("orientation", arrays["orientation"], "float16"))
     write_arrays(path, header, arrays)
@@ -71,9 +74,11 @@ def read_map(path: str | Path, kind: Callable[..., Map]) -> Map:
     """
     header, arrays = read_headed(path, _FORMAT, _VERSION, "build the map again")
     try:
-        for name in ("descriptors", "orientation"):
+        for name in ("descriptors", "orientation", "colours"):
             if f"{name}_scale" in arrays:
                 arrays[name] = unpacked(arrays[name], arrays.pop(f"{name}_scale"))
+        if "colours" in arrays:
+            arrays["descriptors"] = np.concatenate([arrays["descriptors"], arrays.pop("colours")], axis=1)
         for name in {"descriptors", "orientation", "heading"} & set(arrays):
             arrays[name].flags.writeable = False  # nothing else refers to it
         columns: dict[str, Any] = {

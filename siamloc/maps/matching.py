@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -10,9 +12,9 @@ from analytic.distances import distance as distance_named
 from foundation.calls import typed
 from foundation.settings import Count
 from siamloc.data.moves import wrapped
-from siamloc.maps.colours import COMPARED, candidates, in_light_of_map
-from siamloc.maps.reranking import comparison_of, reranked
-from siamloc.maps.search import Retrieval
+from siamloc.maps.colours import light_distances, nearest_in_light, with_learned
+from siamloc.maps.reranking import COMPARED, comparison_of, reranked
+from siamloc.maps.search import Retrieval, check_excluded
 from siamloc.maps.visual_map import VisualMap
 
 
@@ -30,7 +32,7 @@ def match(
     If the map's descriptor compares images, such as a network built with relative=True, the first eight are put in
     order anew by a comparison with the query, which changes their distances; see `siamloc.maps.reranking`. If it also
     describes colours, so are the eight that are nearest without them; and if it describes colours and does not compare,
-    colours count only in the light of the map; see `siamloc.maps.colours`.
+    colours count only in the light of the map, with Euclidean distances; see `siamloc.maps.colours`.
 
     Descriptors that are turned into alignment before they are compared ([T] 3.3.4-3.3.6) compute every distance; all
     others are searched as vectors.
@@ -58,21 +60,22 @@ def match(
     if known.aligned:
         return known.aligned_index.search(queries, k, excluded=excluded, within=within)
     compares = None if queries.orientation is None else comparison_of(known)
-    coloured = known.distance == "euclidean" and known.learned_index is not known.index
-    if compares is None and not coloured:
-        return known.index.search(queries.position, k, excluded=excluded, within=within)
     left = len(known) if within is None else len(within)
-    if excluded is not None and len(queries):
-        left = int((~np.asarray(excluded, dtype=bool)).sum(axis=1).min())
-    compared = min(COMPARED, left)
-    if coloured:
-        found = candidates(known, queries, max(k, compared), excluded=excluded, within=within)
-    else:
-        found = known.index.search(queries.position, max(k, compared), excluded=excluded, within=within)
+    k = min(k, left)
+    if excluded is not None:
+        check_excluded(excluded, (len(queries), len(known)), k)
+        left = int((~np.asarray(excluded, dtype=bool)).sum(axis=1).min(initial=left))
     if compares is None:
-        ordered = in_light_of_map(known, queries, found)
-    else:
-        ordered = reranked(known, queries, found, compares, 2 * compared if coloured else compared)
+        in_light = known.has_colours and known.distance == "euclidean"
+        search = nearest_in_light if in_light else _by_distance
+        return search(known, queries, k, excluded=excluded, within=within)
+    compared = min(COMPARED, left)
+    found = _by_distance(known, queries, max(k, compared), excluded=excluded, within=within)
+    if known.has_colours:
+        learned = queries.position[:, : known.learned.shape[1]]
+        near = known.learned_index.search(learned, compared, excluded=excluded, within=within).indices
+        found, compared = with_learned(known, queries, found, near), 2 * compared
+    ordered = reranked(known, queries, found, compares, compared)
     return Retrieval(ordered.indices[:, :k], ordered.distances[:, :k])
 
 
@@ -103,18 +106,28 @@ def headings(known: VisualMap, queries: Description, found: Retrieval, count: in
 
 
 @typed
-def frame_distances(known: VisualMap, queries: Description, *, colours: bool = True) -> NDArray[np.float64]:
+def frame_distances(known: VisualMap, queries: Description) -> NDArray[np.float64]:
     """Return the distances (n, m) of queries to all map frames, with the map's distance.
 
-    Args:
-        known: a map of m frames.
-        queries: n descriptions by the map's descriptor.
-        colours: False compares only what is learned of descriptors with colours; see `siamloc.models.colours`.
+    With Euclidean distances, colours count only in the light of the map; see `siamloc.maps.colours`.
 
     Raises:
         AnalyticError: descriptions that cannot be compared.
     """
     if known.aligned:
         return known.aligned_index.distances(queries)
-    held = known.descriptors if colours else known.learned
-    return distance_named(known.distance)(queries.position[:, : held.shape[1]], held)
+    if known.has_colours and known.distance == "euclidean":
+        return light_distances(known, queries)
+    return distance_named(known.distance)(queries.position, known.descriptors)
+
+
+@typed
+def learned_distances(known: VisualMap, queries: Description) -> NDArray[np.float64]:
+    """Return the distances (n, m) of queries to all map frames, as `frame_distances` does, but without colours."""
+    if known.aligned:
+        return known.aligned_index.distances(queries)
+    return distance_named(known.distance)(queries.position[:, : known.learned.shape[1]], known.learned)
+
+
+def _by_distance(known: VisualMap, queries: Description, k: int, **which: Any) -> Retrieval:
+    return known.index.search(queries.position, k, **which)

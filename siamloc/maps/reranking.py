@@ -8,10 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analytic import Description
-from siamloc.maps.colours import COMPARED
 from siamloc.maps.search import Retrieval
 from siamloc.maps.visual_map import VisualMap
 
+COMPARED = 8
+"""Number of nearest map frames that are compared with a query."""
 _ODDS = -10.0, 5.0  # log odds beyond these count no more: nearer frames differ in their descriptors
 _ODDS_PER_DISTANCE = 25.0  # log odds that weigh as much as a distance of 1 between descriptors
 _NEARNESS = 0.8  # distance between descriptors that weighs as much as 1 between positions
@@ -33,9 +34,7 @@ def comparison_of(known: VisualMap) -> Compares | None:
     return getattr(known.describes, "compare", None) if held and getattr(known.describes, "compares", False) else None
 
 
-def reranked(
-    known: VisualMap, queries: Description, found: Retrieval, compares: Compares, compared: int = COMPARED
-) -> Retrieval:
+def reranked(known: VisualMap, queries: Description, found: Retrieval, compares: Compares, compared: int) -> Retrieval:
     """Put the nearest map frames of each query in order anew.
 
     Distances between descriptors tell which places look alike; a comparison of two images tells whether both were taken

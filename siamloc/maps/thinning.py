@@ -13,7 +13,7 @@ from foundation.calls import OF_FIELDS, takes
 from foundation.settings import Count, Positive, Settings
 from siamloc.data.frames import FrameTable
 from siamloc.errors import ConfigError, DataError
-from siamloc.maps.matching import frame_distances
+from siamloc.maps.matching import learned_distances
 from siamloc.maps.reasons import Reason
 from siamloc.maps.search import slices
 from siamloc.maps.visual_map import VisualMap
@@ -142,7 +142,7 @@ def _alike(known: VisualMap, reach: float) -> NDArray[np.int64]:
         rows, others = rows[once], others[once]
         if len(rows):
             which, row = np.unique(rows, return_inverse=True)
-            apart.append(frame_distances(known, known.description.take(which), colours=False)[row, others])
+            apart.append(learned_distances(known, known.description.take(which))[row, others])
             pairs.append(np.column_stack([rows, others]))
     if not pairs:
         return np.empty((0, 2), dtype=np.int64)

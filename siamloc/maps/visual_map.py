@@ -31,6 +31,7 @@ from siamloc.maps.search import Retrieval, VectorIndex
 from siamloc.models.registry import COLOURS
 
 _SAMPLE = 512  # frames
+_SAME_COLOURS = 1e-6  # distance of colours that differ by rounding alone, as those of turned copies
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -97,6 +98,11 @@ class VisualMap:
                 f"{self.frames.path[bad[0]]}: look at the model and at this image"
             )
         _check_distance(self.distance, descriptors.shape[1])
+        if self.has_colours and descriptors.shape[1] <= COLOURS:
+            raise DataError(
+                f"a map with colours needs descriptors of more than {COLOURS} numbers, and these have "
+                f"{descriptors.shape[1]}"
+            )
         object.__setattr__(self, "descriptors", descriptors)
         if self.unit is None:
             object.__setattr__(self, "unit", self.frames.unit)
@@ -196,24 +202,31 @@ class VisualMap:
         return VectorIndex(self.descriptors, self.distance)
 
     @property
-    def learned(self) -> NDArray[np.float32]:
-        """What a network learned to describe of the frames: the descriptors without colours, where they have any.
+    def has_colours(self) -> bool:
+        """Whether descriptors end with colours, which are not learned; see `siamloc.models.colours`."""
+        return bool(self.identity.get("colours"))
 
-        See `siamloc.models.colours`.
-        """
-        return self.descriptors[:, : self.width - COLOURS] if self.identity.get("colours") else self.descriptors
+    @property
+    def learned(self) -> NDArray[np.float32]:
+        """What is learned of the descriptors, without colours (n, D): what means, nodes and filters are made of."""
+        return self.descriptors[:, :-COLOURS] if self.has_colours else self.descriptors
 
     @cached_property
     def learned_index(self) -> VectorIndex:
         """The learned part of the descriptors, prepared as `index` is; `index` itself where that is all."""
-        return VectorIndex(self.learned, self.distance) if self.identity.get("colours") else self.index
+        return VectorIndex(self.learned, self.distance) if self.has_colours else self.index
 
     @cached_property
     def colour_spacing(self) -> float:
-        """Median distance between a frame's colours and those of the frame most like it, over 512 frames at most."""
+        """Median distance from the colours of a frame to the most similar other colours in the map.
+
+        Of 512 frames at most; infinite if all frames have the same colours.
+        """
         colours = self.descriptors[:, self.learned.shape[1] :]
-        some = colours[:: -(-len(self) // _SAMPLE)]
-        return float(np.median(VectorIndex(colours).search(some, 2).distances[:, -1]))
+        apart = DISTANCES["euclidean"](colours[:: -(-len(self) // _SAMPLE)], colours)
+        nearest = np.where(apart > _SAME_COLOURS, apart, np.inf).min(axis=1)
+        finite = nearest[np.isfinite(nearest)]
+        return float(np.median(finite)) if len(finite) else np.inf
 
     @cached_property
     def aligned_index(self) -> AlignedIndex:

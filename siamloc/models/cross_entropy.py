@@ -88,8 +88,6 @@ class CrossEntropyLoss(nn.Module):
     def scores(self, descriptors: Tensor) -> Tensor:
         """Return the scores (N, r) of r rooms for descriptors (N, D); their softmax gives the probabilities.
 
-        Colours after the D learned numbers are not read.
-
         Raises:
             ConfigError: there is no class layer yet.
         """
@@ -98,7 +96,7 @@ class CrossEntropyLoss(nn.Module):
                 "loss=cross_entropy has no rooms to name yet: train with siamloc.training.fit (siamloc train), which "
                 "takes them from the frames, or call its open(rooms, width)"
             )
-        return self.layer(descriptors[:, : self.layer.in_features].float()) / self.temperature
+        return self.layer(descriptors.float()) / self.temperature
 
     def accuracy(self, descriptors: Tensor, room: Tensor) -> Tensor:
         """Return the share of descriptors (N, D) with a room that are named correctly; NaN if none has a room.

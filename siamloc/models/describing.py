@@ -204,6 +204,12 @@ def describing(module: nn.Module) -> Callable[[Tensor], tuple[Tensor, ...]]:
     return network.description if type(network) is Network else lambda images: (module(images),)
 
 
+def learned(module: nn.Module, position: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Return the learned part (n, D) of position parts that a module described, without colours if it has any."""
+    network = network_of(module)
+    return position[:, : network.outputs] if type(network) is Network and network.colours is not None else position
+
+
 def orienting(module: nn.Module) -> Network | None:
     """Return the `Network` of a module if it gives orientation parts, else None.
 

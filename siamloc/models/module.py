@@ -17,7 +17,6 @@ from siamloc.models.describing import (
     as_float,
     checked_descriptors,
     comparing,
-    describing,
     identity_of,
     margin_of,
     orienting,
@@ -183,10 +182,9 @@ class NetworkModule(LightningModule):
         Raises:
             DataError: a batch that does not say which frames belong to the map.
         """
-        images = as_float(batch["images"])
-        found, *parts = describing(self.network)(images)
-        compared = parts[0] if self.comparing_network is not None else None
-        self._drive.add(batch, checked_descriptors(found, len(images)), compared)
+        images, network = as_float(batch["images"]), self.comparing_network
+        found, parts = (self.network(images), None) if network is None else network.with_orientation(images)
+        self._drive.add(batch, checked_descriptors(found, len(images)), parts)
 
     def drive_figures(self) -> dict[str, Tensor]:
         """Search the queries of the validation drive in the map and return the figures; empty without queries.

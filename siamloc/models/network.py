@@ -102,9 +102,8 @@ def build(
     rows, columns = size = checked(image_size, Size, "image_size")
     norm = branch_spec(branch).normalize if normalize is None else normalize
     options: dict[str, Any] = {"circular": circular, "normalize": norm, "canonical": canonical, "relative": relative}
-    options["colours"] = colours
     with torch.device("meta"):
-        network = Network(branch, head, size, outputs, **options)
+        network = Network(branch, head, size, outputs, colours=colours, **options)
     network.to_empty(device="cpu")
     _initialize(network, seed)
     network.settings |= {
@@ -112,6 +111,7 @@ def build(
         "seed": seed,
         "outputs": network.outputs if len(head_widths(head)) == 1 else None,
         **options,
+        **({"colours": True} if colours else {}),
         **({} if elevations is None else {"elevations": list(elevations)}),
     }
     if weights is not None:

@@ -27,7 +27,7 @@ from siamloc.data.library import PanoramaLibrary
 from siamloc.data.places import PlaceSettings
 from siamloc.errors import ConfigError, DataError
 from siamloc.models.checkpoint import load
-from siamloc.models.describing import as_descriptor
+from siamloc.models.describing import as_descriptor, learned
 from siamloc.models.network_stages import comparing_weights
 from siamloc.models.weights import read_checkpoint
 from siamloc.runs import Run
@@ -150,7 +150,8 @@ class Adapting:
         errors = {}
         for share in _SHARES:
             network.load_state_dict(_mean(self.before, after, share))
-            similarity = as_descriptor(network, None).describe(queries).position @ _described(network, images, known).T
+            described = learned(network, as_descriptor(network, None).describe(queries).position)
+            similarity = described @ _described(network, images, known).T
             errors[share] = float(np.abs(known.x[similarity.argmax(axis=1)] - asked.x).mean())
         best = min(_SHARES, key=lambda share: errors[share])
         network.load_state_dict(kept := _mean(self.before, after, best))
@@ -206,10 +207,10 @@ def steps_of(descriptors: NDArray[np.float32]) -> NDArray[np.int64]:
 
 
 def _described(network: nn.Module, images: PanoramaLibrary, frames: FrameTable) -> NDArray[np.float32]:
-    """Return the descriptors (n, D) of frames."""
+    """Return what the network learned to describe of frames (n, D)."""
     descriptor, rows = as_descriptor(network, None), images.rows(frames)
     parts = [rows[start : start + _AT_ONCE] for start in range(0, len(rows), _AT_ONCE)]
-    return np.concatenate([descriptor.describe(images.batch(part)).position for part in parts])
+    return learned(network, np.concatenate([descriptor.describe(images.batch(part)).position for part in parts]))
 
 
 def _weights(network: nn.Module) -> dict[str, Tensor]:

@@ -17,9 +17,8 @@ from siamloc.data.library import PanoramaLibrary
 from siamloc.data.places import PlaceSettings
 from siamloc.errors import ConfigError, DataError, SiamlocError, leave_out
 from siamloc.models.cross_entropy import CrossEntropyLoss
-from siamloc.models.describing import NetworkDescriptor, comparing, network_of
+from siamloc.models.describing import NetworkDescriptor, comparing, learned
 from siamloc.models.module import name_of
-from siamloc.models.network import Network
 from siamloc.models.origins import Origins
 from siamloc.models.places import BatchLoss
 from siamloc.models.siamese import Loss
@@ -207,8 +206,7 @@ def check_network(network: nn.Module, image: NDArray[np.uint8], circular: bool, 
         shape = " x ".join(map(str, image.shape[1:]))
         first_line = (str(error).strip() or type(error).__name__).splitlines()[0]
         raise DataError(f"the network cannot take panoramas of {shape}: {first_line}") from error
-    if isinstance(trained := network_of(network), Network):
-        descriptor = descriptor[:, : trained.outputs]  # colours are not learned
+    descriptor = learned(network, descriptor)
     length = float((descriptor.astype("float64") ** 2).sum() ** 0.5)
     if unit and abs(length - 1) > _UNIT_ROUNDING:
         raise ConfigError(

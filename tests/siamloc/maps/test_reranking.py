@@ -10,7 +10,7 @@ import pytest
 from analytic import Description
 from analytic.descriptors.thumbnail import Thumbnail
 from siamloc.data import FrameTable
-from siamloc.maps import VisualMap, match
+from siamloc.maps import VisualMap, frame_distances, match
 from siamloc.models.registry import COLOURS
 
 FRAMES = 12
@@ -86,6 +86,9 @@ def test_frames_that_are_nearest_without_colours_are_compared_too():
     assert found.indices[0].tolist() == np.argsort(whole, kind="stable").tolist()
     np.testing.assert_allclose(found.distances[0], np.sort(whole), atol=1e-6)
     assert match(known, query, 3).indices.tolist() == found.indices[:, :3].tolist()
+    assert match(known, query, 2 * FRAMES).indices.tolist() == found.indices.tolist()
+    assert match(known, query, 5, within=np.array([1, 6])).indices.tolist() == [[1, 6], [1, 6]]
+    assert sorted(match(known.take([0, 1, 2]), query, 5).indices[0].tolist()) == [0, 1, 2]
 
 
 def test_without_a_comparison_colours_count_in_the_light_of_the_map_alone():
@@ -103,10 +106,17 @@ def test_without_a_comparison_colours_count_in_the_light_of_the_map_alone():
     for height, weight in ((0.0, 1.0), (0.3, np.exp(-4 * (3 - 2)))):  # of the query's colours above the map's
         query = np.zeros((1, 1 + COLOURS))
         query[0, :3] = 0.05, 0.9, height
-        found = match(known, Description(query, np.ones((1, 8, 2), dtype=np.float32)), 3)
         learned, apart = np.arange(FRAMES) / 20 - 0.05, np.hypot(colours[:, 0] - 0.9, height)
+        description = Description(query, np.ones((1, 8, 2), dtype=np.float32))
         whole = np.sqrt(learned**2 + weight * apart**2)
+        np.testing.assert_allclose(frame_distances(known, description)[0], whole, atol=1e-6)
+        found = match(known, description, 3)
         assert found.indices[0].tolist() == np.argsort(whole)[:3].tolist()
+        assert match(known, description, 2 * FRAMES).indices[0].tolist() == np.argsort(whole).tolist()
+        rows = np.array([2, 3, 7])
+        assert match(known, description, 5, within=rows).indices[0].tolist() == rows[np.argsort(whole[rows])].tolist()
+        excluded = np.arange(FRAMES)[None] == found.indices[0, 0]
+        assert match(known, description, 1, excluded=excluded).indices.tolist() == [[found.indices[0, 1]]]
         np.testing.assert_allclose(found.distances[0], np.sort(whole)[:3], atol=1e-6)
 
 

@@ -60,14 +60,7 @@ def test_what_was_trained_stands_in_plain_values(trained):
         "format": 2,
         "model": {
             **{"branch": "vgg11_bn", "head": "fc500_100_10", "image_size": [32, 64], "outputs": None, "weights": None},
-            **{
-                "seed": 7,
-                "circular": False,
-                "normalize": "channels",
-                "canonical": False,
-                "relative": False,
-                "colours": False,
-            },
+            **{"seed": 7, "circular": False, "normalize": "channels", "canonical": False, "relative": False},
         },
         "loss": {"class": "ContrastiveLoss", "margin": 1.5},
         "optimizer": {**Optimizer().plain(), "momentum": 0.5},
