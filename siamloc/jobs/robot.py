@@ -34,6 +34,7 @@ class Robot(Job):
         odometry: table of the robot's odometry, for `track`; see `siamloc.runtime.locate_all`.
         threads: number of onnxruntime threads; onnxruntime chooses if None.
         hierarchical: search the coarse layer first; if None, whenever the bundle has one.
+        collect: folder that keeps the images that were located well; see `siamloc.runtime.Localizer`.
     """
 
     BY_HYDRA = False
@@ -46,6 +47,19 @@ class Robot(Job):
     odometry: Path | None = None
     threads: Threads | None = None
     hierarchical: bool | None = None
+    collect: Path | None = None
+
+    @property
+    def bundle_folder(self) -> Path:
+        """The folder of the bundle.
+
+        Raises:
+            ConfigError: neither a bundle nor a run is given.
+        """
+        bundle = Run(self.folder).bundle if self.bundle is None and self.folder is not None else self.bundle
+        if bundle is None:
+            raise ConfigError(f"no bundle and no run given: give bundle=FOLDER, or {suggested_run('give run=FOLDER')}")
+        return bundle
 
     def localizer(self) -> Localizer:
         """Open the bundle and return its localizer; refuse a job without images.
@@ -53,14 +67,13 @@ class Robot(Job):
         Raises:
             ConfigError: neither a bundle nor a run is given, or no images.
         """
-        bundle = Run(self.folder).bundle if self.bundle is None and self.folder is not None else self.bundle
-        if bundle is None:
-            raise ConfigError(f"no bundle and no run given: give bundle=FOLDER, or {suggested_run('give run=FOLDER')}")
+        bundle = self.bundle_folder
         from siamloc.runtime import Localizer
         from siamloc.runtime.stream import named
 
         named(self.images)  # refused before the bundle is loaded
-        return Localizer(bundle, top=self.top, threads=self.threads, hierarchical=self.hierarchical)
+        more = {"hierarchical": self.hierarchical, "collect": self.collect}
+        return Localizer(bundle, top=self.top, threads=self.threads, **more)
 
 
 @dataclass(frozen=True)
@@ -82,6 +95,8 @@ class Localize(Robot):
         on_error=skip|raise      skip images that cannot be read, or stop at the first one
         threads=2                number of onnxruntime threads
         hierarchical=false       search the whole map even if the bundle has a coarse layer
+        collect=FOLDER           keep the images that were located well
+        update=true              then update the map of the bundle by all images in that folder; also without images=
 
     Example:
         $ siamloc localize run=runs/vgg16 images=[photo.jpeg]
@@ -90,6 +105,7 @@ class Localize(Robot):
     format: Literal["table", "jsonl", "csv"] = "table"
     out: Path | None = None
     on_error: Literal["skip", "raise"] = "skip"
+    update: bool = False
 
     @property
     def target(self) -> Path | None:
@@ -106,6 +122,22 @@ class Localize(Robot):
             DataError: no image can be read.
             KeyboardInterrupt: after the last line, if the user stopped it.
         """
+        if self.update and self.collect is None:
+            raise ConfigError("an update needs the images that the robot collected: give collect=FOLDER")
+        count = self._located(say) if self.images or not self.update else 0
+        if self.update:
+            assert self.collect is not None
+            from siamloc.runtime import update
+
+            updates = update(self.bundle_folder, self.collect)
+            for found in updates:
+                say(f"{found.drive.sequence[0]}: {found.summary()}")
+            if not updates:
+                say(f"update: all drives in {self.collect} were counted before")
+        return count
+
+    def _located(self, say: Say) -> int:
+        """Locate the images, and return the number of located images."""
         localizer = self.localizer()
         from siamloc.runtime import locate_all, written
         from siamloc.runtime.stream import LINES
@@ -161,6 +193,7 @@ class Watch(Robot):
         run=FOLDER           or the run whose bundle is used
         track=true           follow the robot from image to image
         odometry=robot.csv   by its wheels, as for localize
+        collect=FOLDER       keep the images that were located well, as for localize
         fps=5                images per second at most, 0 for full speed; cameras keep their own rate
         port=8000            0 picks a free port
         host=127.0.0.1       0.0.0.0 lets everybody on the network watch

@@ -292,16 +292,15 @@ class VisualMap:
             >>> known.add(FrameTable(path=["c.png"]), Description(np.array([[1.0, 1.0]])))
             VisualMap(3 frames, 2 numbers each, compared by euclidean)
         """
+        return self.merge(self.like(frames, description))
+
+    def like(self, frames: FrameTable, description: Description) -> VisualMap:
+        """Return the map of other frames (n) that were described as those of this map; see `add`."""
         parts = description.orientation if self.orientation is not None else None
         if parts is not None and self.heading is not None:
             parts = halved(self.heading_by, parts)
-        own: dict[str, Any] = {
-            "descriptors": description.position,
-            "frames": frames,
-            "orientation": parts,
-            "history": None,
-        }
-        return self.merge(replace(self, **own))
+        own: dict[str, Any] = {"frames": frames, "orientation": parts, "history": None}
+        return replace(self, descriptors=description.position, **own)
 
     def merge(self, other: VisualMap) -> VisualMap:
         """Return the map of the frames of this map, followed by the frames of another map.

@@ -5,3 +5,4 @@ from .localizer import Candidate as Candidate, Localizer as Localizer, Location 
 from .onnx_model import export_onnx as export_onnx, parity as parity
 from .precision import precision_table as precision_table
 from .stream import Located as Located, locate_all as locate_all, written as written
+from .updating import update as update

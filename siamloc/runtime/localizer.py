@@ -37,6 +37,7 @@ from siamloc.maps import (
 from siamloc.maps.sequence_filter import spacing_of
 from siamloc.memory import returned_memory
 from siamloc.runtime.bundle import COARSE, ERRORS, LAYER, MAP, REFINEMENT, Bundle
+from siamloc.runtime.collecting import MOST, Collector
 from siamloc.runtime.describing import Describer, analytic_descriptor
 
 Tracker = PoseFilter | SequenceFilter
@@ -128,6 +129,9 @@ class Localizer:
     Args:
         bundle_path: the bundle's folder.
         top: how many candidates a location lists.
+        collect: folder in which panoramas that were located well are kept with their poses, for
+            `siamloc.runtime.update`; none are kept if None.
+        most: number of pictures in that folder; the oldest are removed for others.
         hierarchical: whether to search the coarse layer first; if None, only if the bundle has one.
         threads: number of onnxruntime threads; onnxruntime chooses if None.
         providers: onnxruntime's execution providers in order of preference, such as ("CUDAExecutionProvider",
@@ -136,8 +140,8 @@ class Localizer:
 
     Raises:
         FormatError: not a bundle, an altered one, or one of another version.
-        ConfigError: a bundle without a map, or without the requested coarse layer, top or threads below 1, or a
-            provider that this onnxruntime lacks.
+        ConfigError: a bundle without a map, or without the requested coarse layer, top, threads or most below 1, a
+            provider that this onnxruntime lacks, or a bundle that cannot say which images were located well.
     """
 
     @typed
@@ -150,6 +154,8 @@ class Localizer:
         providers: Sequence[str] = ("CPUExecutionProvider",),
         hierarchical: bool | None = None,
         camera: OmnidirectionalCamera | Mapping[str, Any] | None = None,
+        collect: str | Path | None = None,
+        most: Count = MOST,
     ) -> None:
         self._top, self.bundle = top, Bundle.open(bundle_path)
         if camera is not None:
@@ -169,6 +175,14 @@ class Localizer:
         if self._refinement is not None and self._refinement.method == "relative" and not self._describer.compares:
             raise FormatError(
                 f"{bundle_path} says that poses are refined by comparison, but holds no network for it: export again"
+            )
+        headed = self.map.orientation is not None
+        self._collector = None if collect is None else Collector(collect, most, headed)
+        told = self._errors is not None or (self._refinement is not None and self._refinement.method == "relative")
+        if collect is not None and not (told and self._placed is not None):
+            raise ConfigError(
+                f"{bundle_path} cannot say which images were located well: export it with an error model or refined "
+                "poses, or leave collect out"
             )
         looked_at = [one.neighbours for one in (self._errors, self._refinement) if one is not None]
         self._wanted = max(self._top, *looked_at, 1)
@@ -310,7 +324,7 @@ class Localizer:
         xy, theta = (
             (known.frames.xy[row], headings(known, query, found)[:, 0]) if pose is None else (pose.xy[0], pose.theta)
         )
-        return Location(
+        location = Location(
             x=float(xy[0]),
             y=float(xy[1]),
             theta=float(theta[0]),
@@ -322,6 +336,9 @@ class Localizer:
             covariance=covariance,
             agreement=math.nan if pose is None else float(pose.agreement[0]),
         )
+        if self._collector is not None:
+            self._collector.take(panorama, location, tracker is not None)
+        return location
 
     @typed
     def describe(self, panoramas: NDArray[np.uint8]) -> Description:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -51,12 +52,18 @@ def save_thumbnails(path: str | Path, images: PanoramaLibrary, frames: FrameTabl
     """
     readable = set(images.readable(frames).identities())
     rows = [row for row, key in enumerate(frames.identities()) if key in readable]
-    pictures = [b""] * len(frames)
+    pictures: list[bytes | None] = [None] * len(frames)
     panoramas = (panorama for batch in images.batches(frames.take(rows)) for panorama in batch)
     for row, panorama in zip(rows, panoramas, strict=True):
         pictures[row] = jpeg(panorama)
-    ends = np.cumsum([len(picture) for picture in pictures], dtype=np.int64)
-    write_arrays(path, {}, {"jpeg": np.frombuffer(b"".join(pictures), dtype=np.uint8), "ends": ends})
+    write_thumbnails(path, pictures)
+
+
+def write_thumbnails(path: str | Path, pictures: Sequence[bytes | None]) -> None:
+    """Write thumbnails in the form in which `read_thumbnails` returns them to one npz file, atomically."""
+    whole = [picture or b"" for picture in pictures]
+    ends = np.cumsum([len(picture) for picture in whole], dtype=np.int64)
+    write_arrays(path, {}, {"jpeg": np.frombuffer(b"".join(whole), dtype=np.uint8), "ends": ends})
 
 
 def jpeg(panorama: NDArray[np.uint8], columns: int = _COLUMNS) -> bytes:

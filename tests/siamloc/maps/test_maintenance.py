@@ -282,7 +282,7 @@ def test_what_cannot_be_updated_is_refused(known, drives, tmp_path):
 def test_the_command_maintains_the_saved_map_and_its_nodes(drives, tmp_path, capsys):
     words = ["data=manifest", f"data.manifest={drives[0] / 'manifest.csv'}", f"data.image_size=[{ROWS},{COLUMNS}]"]
     common = ["descriptor=hog", f"run={tmp_path / 'run'}", "build=incremental"]
-    counts = ["update.contradicted=15", "update.window=20", "update.usual=null"]
+    counts = ["update.contradicted=15", "update.window=20", "update.usual=null", "update.growth=null"]
     saved, layer = tmp_path / "run/evaluation/hog/map.npz", tmp_path / "run/layers/hog-incremental/layer.npz"
     asked = refused(capsys, "map", *common, "update.sequences=[changed]")
     assert f"no map yet in {saved}: `siamloc map run={tmp_path / 'run'} descriptor=hog` makes one" in asked

@@ -1,0 +1,114 @@
+"""`Collector`: keeps the pictures of a robot that were located well, for an update of its map."""
+
+from __future__ import annotations
+
+import math
+import threading
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from foundation.files import storage_errors, write_picture
+from siamloc.data.frames import FrameTable
+from siamloc.data.names import NamedPose, format_name, parse_name
+from siamloc.errors import DataError
+
+if TYPE_CHECKING:
+    from siamloc.runtime.localizer import Location
+
+MOST = 2000
+"""Number of pictures in a folder, by default."""
+_CERTAIN = 0.25  # largest standard deviation of a position, in the unit of the map
+_AGREEMENT = 0.5  # least agreement on a pose about which nothing else is known
+_APART, _TURNED = 0.1, math.radians(20)  # by how much pictures differ, in the unit of the map and in rad
+
+
+class Collector:
+    """Keeps panoramas with their poses in a folder: `<folder>/<start of the drive>/<time and pose>.png`.
+
+    A picture is kept if its position is certain: its standard deviation, or else its expected error, is at most 0.25,
+    and the robot is followed by a tracker or not lost. It is taken at least 0.1 or 20 degrees away from the one before.
+
+    Args:
+        folder: the folder; each collector begins another drive in it.
+        most: number of pictures in the folder; the oldest are removed for others.
+        headings: whether the map gives headings; without, they are 0 in the names of the files.
+    """
+
+    def __init__(self, folder: str | Path, most: int = MOST, headings: bool = True) -> None:
+        self.folder, self.most, self.headings = Path(folder), most, headings
+        self.drive = self.folder / time.strftime("drive-%Y%m%d-%H%M%S")
+        self._held = sorted(pictures(self.folder), key=_time)
+        self._last: tuple[float, float, float] | None = None
+        self._lock = threading.Lock()
+
+    def take(self, panorama: NDArray[np.uint8], location: Location, tracked: bool) -> Path | None:
+        """Keep a panorama (3, H, W), uint8, RGB, if it was located well; return its file, None if it is not kept.
+
+        Raises:
+            StorageError: the disk is full or cannot be written to.
+        """
+        pose = location.x, location.y, location.theta if self.headings else 0.0
+        if not _certain(location, tracked) or not all(map(math.isfinite, pose)):
+            return None
+        with self._lock:
+            if self._last is not None:
+                x, y, theta = self._last
+                turned = abs(math.remainder(pose[2] - theta, 2 * math.pi))
+                if math.hypot(pose[0] - x, pose[1] - y) < _APART and turned < _TURNED:
+                    return None
+            path = self.drive / format_name(NamedPose(time.time(), *pose), ".png")
+            write_picture(path, np.ascontiguousarray(panorama.transpose(1, 2, 0)))
+            self._last = pose
+            self._held.append(path)
+            while len(self._held) > self.most:
+                oldest = self._held.pop(0)
+                with storage_errors(oldest):
+                    oldest.unlink(missing_ok=True)
+            return path
+
+
+def _certain(location: Location, tracked: bool) -> bool:
+    if location.covariance is not None:
+        (xx, _), (_, yy) = location.covariance
+        deviation = math.sqrt((xx + yy) / 2)
+    else:
+        deviation = location.error_m
+    if not deviation <= _CERTAIN:  # NaN is not
+        return False
+    return tracked or location.lost is False or (location.lost is None and location.agreement >= _AGREEMENT)
+
+
+def collected(folder: str | Path) -> list[FrameTable]:
+    """Return the pictures that collectors kept in a folder, a table of frames with poses and times for each drive.
+
+    Raises:
+        DataError: there is no such folder, or it holds no picture.
+    """
+    folder = Path(folder)
+    if not folder.is_dir():
+        raise DataError(f"{folder} is not a folder: give the one in which a Localizer(..., collect=folder) collected")
+    drives: dict[str, list[Path]] = {}
+    for path in sorted(pictures(folder), key=_time):
+        drives.setdefault(path.parent.name, []).append(path)
+    if not drives:
+        raise DataError(f"{folder} holds no picture that was located well: let the robot drive longer")
+    return [FrameTable.from_rows([_row(path) for path in paths]) for _, paths in sorted(drives.items())]
+
+
+def _row(path: Path) -> dict[str, Any]:
+    pose = parse_name(path.name)
+    return {"path": str(path), "sequence": path.parent.name, **({} if pose is None else pose._asdict())}
+
+
+def pictures(folder: Path) -> list[Path]:
+    """Return the files of a folder of drives that a collector wrote."""
+    return [path for path in folder.glob("*/*.png") if parse_name(path.name) is not None]
+
+
+def _time(path: Path) -> float:
+    pose = parse_name(path.name)
+    return 0.0 if pose is None else pose.time

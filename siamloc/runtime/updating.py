@@ -1,0 +1,156 @@
+"""`update`: let the map in a bundle follow the building, by pictures that the robot collected; needs no torch."""
+
+from __future__ import annotations
+
+import shutil
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from analytic import Description
+from foundation.calls import OF_FIELDS, takes
+from foundation.files import atomic_folder, file_hash, write_json
+from siamloc.data.decoding import read_image
+from siamloc.data.frames import FrameTable
+from siamloc.errors import DataError, SiamlocError
+from siamloc.maps import Built, CoarseLayer, VisualMap
+from siamloc.maps.maintenance import UPKEEP, Maintenance, MaintenanceFields, Update, updated
+from siamloc.runtime import bundle as files
+from siamloc.runtime.collecting import collected
+from siamloc.runtime.describing import analytic_descriptor
+from siamloc.runtime.localizer import Localizer
+from siamloc.runtime.thumbnails import jpeg, write_thumbnails
+
+if TYPE_CHECKING:
+    from typing_extensions import Unpack
+
+_AT_ONCE = 16  # panoramas that are described together
+
+
+@takes(Maintenance)
+def update(
+    bundle: str | Path,
+    folder: str | Path,
+    *,
+    settings: Maintenance = OF_FIELDS,
+    **fields: Unpack[MaintenanceFields],
+) -> list[Update]:
+    """Update the map of a bundle by the drives that `Localizer(bundle, collect=folder)` collected.
+
+    The map follows as by `siamloc.maps.update`, and so do its coarse layer and its thumbnails; the expected errors and
+    the refinement stay as they were learned. The old bundle is replaced only once the new one is complete and was
+    opened. A drive that the map counted before is left out. A frame that joins gets the room of the nearest map frame.
+
+    Args:
+        bundle: folder of the bundle.
+        folder: folder of the collected pictures, which stay.
+        settings: all settings in one object, instead of one keyword each.
+
+    Returns:
+        An update for each drive; none if the bundle stays as it was.
+
+    Raises:
+        FormatError: not a bundle, or an altered one.
+        ConfigError: a bundle without a map, or a setting out of range.
+        DataError: no collected pictures, pictures of another size, or a map frame without a position.
+        StorageError: the disk is full or cannot be written to.
+
+    Example:
+        >>> updates = siamloc.runtime.update("bundle", "collected")  # doctest: +SKIP
+    """
+    localizer = Localizer(bundle)
+    known, held = localizer.map, localizer.bundle
+    layer: CoarseLayer | None = held.load(files.LAYER)
+    built = None
+    if layer is not None:  # the robot has no mapper: frames join the node of the nearest map frame
+        made = {key: value for key, value in layer.made.items() if key not in ("ids", "frames")}
+        built = Built(replace(layer, made=made), np.zeros(1), known.digest)
+    parts = _Parts(localizer)
+    updates = []
+    for drive in collected(folder):
+        if set(drive.sequence.tolist()) <= set(known.made.get(UPKEEP, {}).get("drives", [])):
+            continue
+        panoramas = _read(drive, held.image_size)
+        described = [localizer.describe(panoramas[at : at + _AT_ONCE]) for at in range(0, len(panoramas), _AT_ONCE)]
+        drive = _in_rooms(known, drive)
+        found = updated(known, known.like(drive, Description.concatenate(described)), built=built, settings=settings)
+        parts.follow(found, panoramas[found.added])
+        known, built = found.known, found.built
+        updates.append(found)
+    if updates:
+        parts.write(Path(bundle), known, built)
+    return updates
+
+
+class _Parts:
+    """The parts of a bundle that have a row for each map frame, besides the map itself."""
+
+    def __init__(self, localizer: Localizer) -> None:
+        self.bundle = localizer.bundle
+        self.thumbnails: list[bytes | None] | None = self.bundle.load(files.THUMBNAILS)
+        coarse: VisualMap | None = self.bundle.load(files.COARSE)
+        if coarse is not None:
+            parts = coarse.description.orientation
+            coarse = coarse.with_descriptor(analytic_descriptor(coarse.identity, self.bundle, coarse.width, parts))
+        self.coarse = coarse
+
+    def follow(self, found: Update, joined: NDArray[np.uint8]) -> None:
+        """Let the rows of frames leave that left the map, and rows of panoramas (k, 3, H, W) join."""
+        kept = np.flatnonzero(~found.forgotten)
+        if self.thumbnails is not None:
+            self.thumbnails = [*(self.thumbnails[row] for row in kept.tolist()), *map(jpeg, joined)]
+        if self.coarse is not None:
+            self.coarse = self.coarse.take(kept)
+            if len(joined):
+                self.coarse = self.coarse.add(found.drive.take(found.added), self.coarse.describe(joined))
+
+    def write(self, path: Path, known: VisualMap, built: Built | None) -> None:
+        """Write the bundle with another map, in place of the old one."""
+        about = dict(self.bundle.about)
+        with atomic_folder(path.absolute()) as fresh:
+            for name in self.bundle.files:
+                shutil.copyfile(self.bundle.path / name, fresh / name)
+            changed: dict[str, Any] = {files.MAP: known, files.COARSE: self.coarse}
+            for name, part in changed.items():
+                if part is not None:
+                    part.save(fresh / name, about["precision"])
+            if built is not None:
+                layer = built.layer
+                if self.coarse is not None:
+                    means = CoarseLayer.of_labels(self.coarse, layer.labels, layer.names).representatives
+                    layer = replace(layer, representatives=means)
+                layer.save(fresh / files.LAYER)
+            for name in {files.ERRORS, files.REFINEMENT} & set(self.bundle.files):
+                replace(self.bundle.load(name), map_digest=known.placed().digest).save(fresh / name)
+            if self.thumbnails is not None:
+                write_thumbnails(fresh / files.THUMBNAILS, self.thumbnails)
+            about["sha256"] = {name: file_hash(fresh / name) for name in self.bundle.files}
+            write_json(fresh / files.DESCRIPTION, about)
+            if len(Localizer(fresh).map) != len(known):
+                raise SiamlocError(f"the updated bundle of {path} cannot be read back: the old one stays")
+
+
+def _read(drive: FrameTable, size: tuple[int, int]) -> NDArray[np.uint8]:
+    """Return the collected panoramas of a drive (n, 3, H, W), uint8, RGB."""
+    found = []
+    for path in drive.path.tolist():
+        picture = read_image(path)
+        if picture.shape[:2] != size:
+            (rows, columns), (height, width) = picture.shape[:2], size
+            raise DataError(
+                f"{path} is {rows} x {columns} px, and the bundle's panoramas {height} x {width}: give a folder that "
+                "this bundle collected"
+            )
+        found.append(picture[..., ::-1].transpose(2, 0, 1))
+    return np.stack(found)
+
+
+def _in_rooms(known: VisualMap, drive: FrameTable) -> FrameTable:
+    """Return a drive with rooms and building of the nearest map frames, and with headings if the map has any."""
+    nearest = [int(np.nanargmin(np.square(known.frames.xy - xy).sum(axis=1))) for xy in drive.xy]
+    near = known.frames.take(nearest)
+    theta = drive.theta if known.orientation is not None else np.full(len(drive), np.nan)
+    return replace(drive.with_columns(room=near.room, building=near.building, theta=theta), unit=known.frames.unit)

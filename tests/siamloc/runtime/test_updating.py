@@ -1,0 +1,191 @@
+"""The robot collects what it located well, and updates its bundle by that, without torch or scipy."""
+
+from __future__ import annotations
+
+import math
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+from unittest.mock import patch
+
+import cv2
+import numpy as np
+import pytest
+
+import analytic
+from siamloc.data import PanoramaLibrary
+from siamloc.errors import ConfigError, DataError
+from siamloc.jobs.robot import Localize
+from siamloc.maps import ErrorModel, LayerSearch, group
+from siamloc.runtime import Bundle, Localizer, Location, export, update
+from siamloc.runtime.collecting import Collector, collected
+from tests.siamloc.runtime.conftest import SIZE, batch, drive, mapped
+
+HOG = analytic.descriptor("hog", rows=4)
+TOLD = ErrorModel("ratio", 1.0, 5, (0.0, 1.0), (0.05, 0.2), 24, lost_above=0.15)
+
+
+def painted(pictures, seed=0):
+    """The pictures of a flat whose right half was painted over."""
+    paint = np.random.default_rng(seed).integers(0, 256, (4, 8, 3)).astype(np.uint8)
+    changed = pictures.copy()
+    changed[:, :, 64:] = cv2.resize(paint, (64, 32), interpolation=cv2.INTER_NEAREST)
+    return changed
+
+
+@pytest.fixture(scope="module")
+def images(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("images")
+    pictures, frames = drive(0)
+    paths = [str(folder / f"{number}.png") for number in range(len(frames))]
+    for path, picture in zip(paths, pictures, strict=True):
+        cv2.imwrite(path, picture[..., ::-1])
+    return PanoramaLibrary(frames.with_columns(path=paths), folder / "cache", image_size=SIZE)
+
+
+@pytest.fixture
+def bundle(images, tmp_path):
+    known = replace(mapped(HOG), frames=images.frames)
+    errors = ErrorModel(**{**vars(TOLD), "map_digest": known.digest})
+    coarse = replace(mapped(analytic.descriptor("hog", rows=2)), frames=images.frames)
+    layer = group(coarse, "rooms")
+    search = LayerSearch(candidates=2)
+    more = {"layer": layer.layer, "coarse_map": coarse, "search": search, "images": images, "thumbnails": True}
+    return export(HOG, known, tmp_path / "bundle", errors=errors, **more).path
+
+
+def located(x=0.0, y=0.0, theta=0.0, **more):
+    values = {"room": "", "error_m": 0.1, "lost": False, "candidates": (), "ms": 1.0}
+    return Location(x=x, y=y, theta=theta, **{**values, **more})
+
+
+def kept_by(collector, pictures, frames):
+    for picture, x, y, theta in zip(batch(pictures), frames.x, frames.y, frames.theta, strict=True):
+        collector.take(picture, located(x, y, theta), tracked=False)
+    return collected(collector.folder)[-1]
+
+
+def test_only_pictures_that_were_located_well_are_kept(tmp_path):
+    collector, picture = Collector(tmp_path, most=3), np.zeros((3, 4, 8), np.uint8)
+
+    def kept(tracked=False, **more):
+        return collector.take(picture, located(**more), tracked) is not None
+
+    sure, unsure = ((0.01, 0.0), (0.0, 0.01)), ((0.1, 0.0), (0.0, 0.1))
+    assert not kept(error_m=math.nan)
+    assert not kept(error_m=0.3)
+    assert not kept(x=math.nan)
+    assert not kept(theta=math.nan)
+    assert not kept(lost=True)
+    assert not kept(covariance=unsure)
+    assert not kept(lost=None)
+    assert kept()
+    assert not kept(x=0.05), "almost the same place"
+    assert kept(x=0.05, theta=0.5)
+    assert kept(x=1, lost=True, covariance=sure, tracked=True)
+    assert kept(x=2, lost=None, covariance=sure, agreement=0.9)
+    (found,) = collected(tmp_path)
+    np.testing.assert_allclose(found.x, [0.05, 1, 2], err_msg="the oldest picture is gone")
+    np.testing.assert_allclose(found.theta, [0.5, 0, 0])
+    assert (np.diff(found.time) > 0).all()
+    assert len(Collector(tmp_path)._held) == 3
+
+
+def test_headings_that_a_map_does_not_give_are_0(tmp_path):
+    collector = Collector(tmp_path / "seen", headings=False)
+    assert collector.take(np.zeros((3, 4, 8), np.uint8), located(theta=math.nan), tracked=False) is not None
+    assert collected(tmp_path / "seen")[0].theta.tolist() == [0.0]
+
+
+def test_a_localizer_collects_panoramas_as_it_describes_them(bundle, tmp_path):
+    pictures, frames = drive(0)
+    localizer = Localizer(bundle, collect=tmp_path / "seen")
+    locations = [localizer.locate(picture) for picture in pictures]
+    assert not any(location.lost for location in locations)
+    (found,) = collected(tmp_path / "seen")
+    assert 10 < len(found) <= len(frames)
+    assert np.array_equal(cv2.imread(str(found.path[0]))[..., ::-1], pictures[0])
+
+
+def test_the_map_and_all_that_has_its_frames_follow(bundle, tmp_path):
+    pictures, frames = drive(1)
+    before, old = Localizer(bundle), {name: (bundle / name).read_bytes() for name in ("map.npz", "bundle.json")}
+    assert kept_by(Collector(tmp_path / "seen"), painted(pictures), frames) is not None
+    with (
+        patch("siamloc.runtime.updating.write_thumbnails", side_effect=KeyboardInterrupt),
+        pytest.raises(KeyboardInterrupt),
+    ):
+        update(bundle, tmp_path / "seen", growth=None)
+    assert {name: (bundle / name).read_bytes() for name in old} == old, "the old bundle is whole"
+    assert [path.name for path in bundle.parent.iterdir() if "tmp" in path.name] == []
+    (found,) = update(bundle, tmp_path / "seen", growth=None)
+    after, opened = Localizer(bundle), Bundle.open(bundle)
+    assert found.added.sum() > 10
+    assert len(after.map) == len(before.map) + found.added.sum()
+    assert after.map.history.confirmed.any()
+    assert set(after.map.frames.room) == set(before.map.frames.room)
+    joined = after.map.frames.take(slice(len(before.map), None))
+    nearest = np.argmin(
+        np.hypot(joined.x[:, None] - before.map.frames.x, joined.y[:, None] - before.map.frames.y), axis=1
+    )
+    np.testing.assert_array_equal(joined.room, before.map.frames.room[nearest])
+    layer, coarse = opened.load("layer.npz"), opened.load("coarse_map.npz")
+    assert len(layer.labels) == len(coarse) == len(after.map)
+    np.testing.assert_array_equal(layer.names[layer.labels], after.map.frames.room)
+    np.testing.assert_allclose(layer.representatives[0], coarse.descriptors[layer.labels == 0].mean(axis=0), rtol=1e-5)
+    np.testing.assert_array_equal(coarse.frames.xy, after.map.frames.xy)
+    thumbnails = opened.load("thumbnails.npz")
+    assert len(thumbnails) == len(after.map)
+    shown = cv2.imdecode(np.frombuffer(thumbnails[-1], np.uint8), cv2.IMREAD_COLOR)[..., ::-1]
+    last = painted(pictures)[np.flatnonzero(found.added)[-1]]
+    assert np.abs(shown.astype(float) - last).mean() < 20
+    assert opened.load("error_model.json").learned_on(after.map)
+    asked = painted(pictures)[found.added][0]
+    assert after.locate(asked).candidates[0].distance < before.locate(asked).candidates[0].distance
+    assert update(bundle, tmp_path / "seen") == [], "each drive counts once"
+
+
+def test_an_update_needs_numpy_opencv_and_onnxruntime_alone(bundle, tmp_path):
+    kept_by(Collector(tmp_path / "seen"), painted(drive(1)[0]), drive(1)[1])
+    code = f"""
+import sys
+for name in ("torch", "torchvision", "lightning", "scipy", "sklearn", "pandas", "hydra", "omegaconf", "onnx", "rich"):
+    sys.modules[name] = None
+from siamloc.runtime import update
+(found,) = update({str(bundle)!r}, {str(tmp_path / "seen")!r}, growth=1.25)
+print(len(found.known), found.added.sum())
+"""
+    root = Path(__file__).parents[3]
+    done = subprocess.run([sys.executable, "-W", "error", "-c", code], capture_output=True, text=True, cwd=root)
+    assert done.returncode == 0, done.stderr
+    frames, added = map(int, done.stdout.split())
+    assert frames == len(Localizer(bundle).map) == 30
+    assert added > 0
+
+
+def test_the_command_updates_what_was_collected(bundle, tmp_path):
+    kept_by(Collector(tmp_path / "seen"), painted(drive(1)[0]), drive(1)[1])
+    lines = list[str]()
+    job = {"bundle": str(bundle), "collect": str(tmp_path / "seen"), "update": True}
+    Localize.of(job).run(lines.append)
+    assert len(lines) == 1
+    assert "joined the map" in lines[0]
+    Localize.of(job).run(lines.append)
+    assert lines[1].endswith("were counted before")
+    with pytest.raises(ConfigError, match="give collect=FOLDER"):
+        Localize.of({"bundle": str(bundle), "update": True}).run()
+
+
+def test_what_cannot_be_collected_or_updated_is_refused(bundle, tmp_path):
+    with pytest.raises(DataError, match="nowhere is not a folder"):
+        update(bundle, tmp_path / "nowhere")
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(DataError, match="holds no picture that was located well"):
+        update(bundle, tmp_path / "empty")
+    Collector(tmp_path / "other").take(np.zeros((3, 4, 8), np.uint8), located(), tracked=False)
+    with pytest.raises(DataError, match="is 4 x 8 px, and the bundle's panoramas 32 x 128"):
+        update(bundle, tmp_path / "other")
+    plain = export(HOG, mapped(HOG), tmp_path / "plain").path
+    with pytest.raises(ConfigError, match="cannot say which images were located well"):
+        Localizer(plain, collect=tmp_path / "seen")
