@@ -35,14 +35,14 @@ def read_calibration(path: str | Path, camera: str | Sequence[str] | None = None
     """Read the calibration of a camera.
 
     The form of the file is recognized: a camera chain of Kalibr (YAML), what OpenCV's `FileStorage` wrote (YAML, XML or
-    JSON) with a camera matrix, distortion coefficients, and `xi` for `cv2.omnidir`, ROS's camera info (YAML), or
-    `calib_results.txt` of OCamCalib. Of OpenCV's files, those of the fisheye model must say so by `fisheye_model: 1`,
-    or by the `distortion_model` fisheye or equidistant.
+    JSON) with a camera matrix, distortion coefficients, and `xi` for `cv2.omnidir`, ROS's camera info (YAML, or the
+    `camera_info.json` of a recording, with its topics), or `calib_results.txt` of OCamCalib. Of OpenCV's files, those
+    of the fisheye model must say so by `fisheye_model: 1`, or by the `distortion_model` fisheye or equidistant.
 
     Args:
         path: the file.
-        camera: name of the camera in a chain of Kalibr, such as "cam1"; the first if None. Two names make one
-            `DualFisheyeCamera`, turned towards each other as in the chain.
+        camera: name of the camera in a chain of Kalibr, such as "cam1", or its topic; the first if None. Two names
+            make one `DualFisheyeCamera`, turned towards each other as in the chain.
         **where: where the camera looks: `azimuth`, `elevation`, `roll`, `mirrored` and `fov`, see `CentralCamera`.
 
     Returns:
@@ -63,8 +63,8 @@ def read_calibration(path: str | Path, camera: str | Sequence[str] | None = None
     if re.match(r"\s*#\s*polynomial", text):
         kind, values = _ocam(file, text)
         return kind.of({**values, **where})
-    found = _stored(file, text) if re.match(r"\s*(<\?xml|%YAML|\{)", text) else _yaml(file, text)
-    chain = {name: one for name, one in found.items() if isinstance(one, Mapping) and "camera_model" in one}
+    found = _stored(file, text) if re.match(r"\s*(<\?xml|%YAML)", text) else _yaml(file, text)
+    chain = {name: one for name, one in found.items() if isinstance(one, Mapping) and {"camera_model", "k"} & set(one)}
     if not chain:
         if camera is not None:
             raise ConfigError(f"{file} is of one camera: leave out camera={camera}")
@@ -74,7 +74,7 @@ def read_calibration(path: str | Path, camera: str | Sequence[str] | None = None
     for name in names:
         if name not in chain:
             raise ConfigError(f"{file} has no camera {name!r}: {hint(name, chain)}")
-    made = [_kalibr(file, name, chain[name]) for name in names]
+    made = [(_opencv if "k" in chain[name] else _kalibr)(file, chain[name], name) for name in names]
     if len(made) == 1:
         kind, values = made[0]
         return kind.of({**values, **where})
@@ -103,7 +103,7 @@ def angles_of(axes: Array) -> dict[str, float]:
 Made = tuple[type[CentralCamera], dict[str, Any]]
 
 
-def _kalibr(file: Path, name: str, values: Mapping[str, Any]) -> Made:
+def _kalibr(file: Path, values: Mapping[str, Any], name: str) -> Made:
     """Return the model and the parameters of a camera of Kalibr."""
     model, distortion = str(values["camera_model"]), str(values.get("distortion_model", "none"))
     numbers = _numbers(file, values.get("intrinsics"), f"{name}.intrinsics")
@@ -139,13 +139,13 @@ def _between(file: Path, chain: Mapping[str, Any], first: str, second: str) -> A
     return turn if names.index(first) == start else turn.T
 
 
-def _opencv(file: Path, values: Mapping[str, Any]) -> Made:
+def _opencv(file: Path, values: Mapping[str, Any], name: str = "the camera") -> Made:
     """Return the model and the parameters of a camera of OpenCV or ROS."""
-    matrix = _first(values, "camera_matrix", "K", "cameraMatrix", "intrinsics")
+    matrix = _first(values, "camera_matrix", "K", "k", "cameraMatrix", "intrinsics")
     if matrix is None:
         raise DataError(f"{file} holds no camera matrix among {shortened(', '.join(values))}: {_READ}")
     matrix = _numbers(file, matrix, "the camera matrix", 9)
-    bent = _first(values, "distortion_coefficients", "D", "distCoeffs", "dist_coeffs", "distortion_coeffs")
+    bent = _first(values, "distortion_coefficients", "D", "d", "distCoeffs", "dist_coeffs", "distortion_coeffs")
     bent = (0.0,) * 4 if bent is None else _numbers(file, bent, "the distortion")
     found: dict[str, Any] = dict(
         zip(("fx", "skew", "cx", "fy", "cy"), (matrix[i] for i in (0, 1, 2, 4, 5)), strict=True)
@@ -159,8 +159,8 @@ def _opencv(file: Path, values: Mapping[str, Any]) -> Made:
     if (xi is None and not fisheye) or len(bent) != 4:
         what = f"the distortion model {model}" if model else "no model"
         raise DataError(
-            f"{file} names {what} and {len(bent)} distortion coefficients: {_READ} (fisheye_model: 1, or xi, says so); "
-            "pictures of an ordinary camera are not unwrapped, set data.circular=false"
+            f"{name} of {file} has {what} and {len(bent)} distortion coefficients: {_READ} (fisheye_model: 1, or xi, "
+            "says so); pictures of an ordinary camera are not unwrapped, set data.circular=false"
         )
     if xi is not None:
         return UnifiedCamera, {**found, "xi": _numbers(file, xi, "xi", 1)[0], "distortion": bent}

@@ -15,7 +15,7 @@ from foundation.calls import OF_FIELDS, takes, typed
 from foundation.files import write_bytes, write_json, write_picture, write_text
 from foundation.settings import Count, Positive, Settings, Text
 from siamloc.data.bags import KINDS, Bag, Clock, proposed
-from siamloc.data.frames import ODOMETRY, VIDEOS, FrameTable
+from siamloc.data.frames import ODOMETRY, TILT, VIDEOS, FrameTable
 from siamloc.data.manifest import manifest_of
 from siamloc.data.names import lighting_in
 from siamloc.data.reading import read
@@ -171,9 +171,9 @@ def extract(file: str | Path, out: str | Path, *, settings: Extraction = OF_FIEL
     with _opened(path) as recording:
         files, times = _write_images(recording, folder, sources["images"], settings)
         columns = {"time": times}
-        for what, names in (("poses", ("x", "y", "theta")), ("odometry", ODOMETRY)):
+        for what, names in (("poses", ("x", "y", "theta", *TILT)), ("odometry", ODOMETRY)):
             if (trajectory := _trajectory(recording, what, sources[what], settings)) is not None:
-                columns |= dict(zip(names, _joined(times, trajectory, what, settings).T, strict=True))
+                columns |= dict(zip(names, _joined(times, trajectory, what, settings).T, strict=False))
         if isinstance(recording, Bag) and (cameras := recording.calibrations()):
             write_json(folder / CALIBRATION, cameras)
     name = settings.sequence or path.stem
@@ -237,7 +237,7 @@ def _trajectory(recording: Bag | Film, what: str, source: str, settings: Extract
 
 
 def _joined(times: Array, trajectory: Trajectory, what: str, settings: Extraction) -> Array:
-    """Return the poses in the plane (n, 3) at the times of the images (n,)."""
+    """Return the poses in the plane, roll and pitch (n, 5) at the times of the images (n,)."""
     axes = settings.axes if what == "poses" else "robot"
     try:
         return joined(times + settings.offset, trajectory, settings.gap, axes)

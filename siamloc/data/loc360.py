@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from foundation.settings import shortened
-from siamloc.data.frames import FrameTable, image_files
+from siamloc.data.frames import TILT, FrameTable, image_files
 from siamloc.data.trajectory import Array, Trajectory, text_rows
 from siamloc.errors import DataError, hint, leave_out
 
@@ -59,11 +59,11 @@ def _scene(folder: Path) -> Iterator[dict[str, Any]]:
                 values = np.array(list(own.values()))
                 source = f"the poses of {sequence}"
                 trajectory = Trajectory.of(np.full(len(own), np.nan), values[:, :3], values[:, 3:], source)
-                poses = dict(zip(own, trajectory.flat("camera"), strict=True))
+                poses = dict(zip(own, trajectory.tilted("camera"), strict=True))
             light = next((light for word, light in _LIGHTINGS.items() if word in sequence.name), "")
             labels = {"sequence": f"{name}_{called}_{sequence.name}", "building": name, "lighting": light}
             for image in image_files(sequence / "image"):
-                pose = dict(zip(("x", "y", "theta"), poses.get(image.name, ()), strict=False))
+                pose = dict(zip(("x", "y", "theta", *TILT), poses.get(image.name, ()), strict=False))
                 yield {"path": str(image), **labels, **pose}
 
 

@@ -48,11 +48,11 @@ def read_rawseeds(
 def _drive(folder: Path, camera: str, truth: str, gap: float, on_error: str) -> FrameTable:
     name = folder.absolute().name
     frames = read_recorded(folder / camera, sequence=name, on_error=on_error)
-    x, y, theta = joined(frames.time, _table(folder, f"-{truth}.csv", _TRUTH), gap).T
+    x, y, theta = joined(frames.time, _table(folder, f"-{truth}.csv", _TRUTH), gap)[:, :3].T
     columns: dict[str, Array] = {"x": x, "y": y, "theta": theta}
     if any(folder.glob("*-ODOMETRY_XYT.csv")):
         wheels = joined(frames.time, _table(folder, "-ODOMETRY_XYT.csv", _WHEELS), gap)
-        columns |= dict(zip(ODOMETRY, wheels.T, strict=True))
+        columns |= dict(zip(ODOMETRY, wheels.T, strict=False))
     frames = frames.with_columns(**columns, building=[name.partition("_")[0]] * len(frames))
     lacking = frames.path[~frames.has_position].tolist()
     leave_out(lacking, len(frames), f"images of {folder} have no true pose", on_error)

@@ -10,7 +10,7 @@ from typing import Literal
 import numpy as np
 
 from foundation.settings import Positive
-from siamloc.data.frames import ODOMETRY, FrameTable, image_files, in_capture_order
+from siamloc.data.frames import ODOMETRY, TILT, FrameTable, image_files, in_capture_order
 from siamloc.data.names import lighting_in
 from siamloc.data.trajectory import Array, Axes, Form, Trajectory, read_trajectory, seconds, text_rows
 from siamloc.errors import DataError, leave_out
@@ -70,8 +70,8 @@ def read_recorded(
                 found = joined(taken + offset, trajectory, gap, axes or "robot")
             else:
                 found = _in_order(files, trajectory, axes or "camera")
-            names = ODOMETRY if what == "odometry" else ("x", "y", "theta")
-            columns |= dict(zip(names, found.T, strict=True))
+            names = ODOMETRY if what == "odometry" else ("x", "y", "theta", *TILT)
+            columns |= dict(zip(names, found.T, strict=False))
     name = sequence or next((part for part in reversed(folder.absolute().parts) if part not in _ANY_DRIVE), "")
     labels = {"sequence": [name] * len(files), "lighting": [lighting or lighting_in(name)] * len(files)}
     frames = FrameTable(path=[str(file) for file in files], **columns, **labels)  # type: ignore[arg-type]
@@ -83,7 +83,7 @@ def read_recorded(
 
 
 def joined(taken: Array, trajectory: Trajectory, gap: float, axes: Axes = "robot") -> Array:
-    """Return the poses in the plane (n, 3) at the times of images (n,), NaN where the trajectory has none.
+    """Return the poses in the plane, roll and pitch (n, 5) at the times of images (n,), NaN where there is no pose.
 
     Raises:
         DataError: the images have no times, none was taken during the trajectory, or its frame does not stay upright.
@@ -100,7 +100,7 @@ def joined(taken: Array, trajectory: Trajectory, gap: float, axes: Axes = "robot
             f"offset=SECONDS, which is added to the images' times ({trajectory.time[0] - taken.min():.3f} lets both "
             "begin together)"
         )
-    return trajectory.at(taken, gap).flat(axes, trajectory)
+    return trajectory.at(taken, gap).tilted(axes, trajectory)
 
 
 def _in_order(files: Sequence[Path], trajectory: Trajectory, axes: Axes) -> Array:
@@ -109,7 +109,7 @@ def _in_order(files: Sequence[Path], trajectory: Trajectory, axes: Axes) -> Arra
             f"{trajectory.source} holds {len(trajectory)} poses without times, and there are {len(files)} images: "
             "expected a pose for each"
         )
-    return trajectory.flat(axes)
+    return trajectory.tilted(axes)
 
 
 def _images(folder: Path, times: Path | None) -> tuple[list[Path], Array]:

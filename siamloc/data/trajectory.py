@@ -34,6 +34,7 @@ _LEVEL, _TILTED = (
     0.98,
     0.9,
 )  # length of the mean direction upwards of a robot that stays level, and of one that does not
+_EXACTLY = 1e-6  # rad
 _NO_GAP = 1e9  # s
 _COLUMNS = {"tum": 8, "kitti": 12, "euroc": 8}
 
@@ -120,16 +121,33 @@ class Trajectory:
         Raises:
             DataError: the frame does not stay upright.
         """
-        ahead, up = AXES[axes]
-        mean = _turned((whole or self).quaternion, up).mean(axis=0)
-        if not np.abs(mean).max() >= _TILTED:
-            raise DataError(f"{self.source}: {(whole or self)._why_tilted(axes)}")
-        vertical = int(np.abs(mean).argmax())
+        upwards = (whole or self)._upwards(axes)
+        vertical = int(np.abs(upwards).argmax())
         first, second = [axis for axis in range(3) if axis != vertical]
-        left = np.sign(mean[vertical]) * (-1 if vertical == 1 else 1)
-        forward = _turned(self.quaternion, ahead)
+        left = upwards[vertical] * (-1 if vertical == 1 else 1)
+        forward = _turned(self.quaternion, AXES[axes][0])
         heading = np.arctan2(left * forward[:, second], forward[:, first])
         return np.column_stack([self.position[:, first], left * self.position[:, second], heading])
+
+    def tilted(self, axes: Axes = "robot", whole: Trajectory | None = None) -> Array:
+        """Return the poses in the plane with roll and pitch in rad (n, 5), as `FrameTable` has them; see `flat`.
+
+        Roll and pitch are NaN for a frame that is always exactly level: nobody measured them.
+        """
+        ahead, up = AXES[axes]
+        inverse = self.quaternion * np.array([-1, -1, -1, 1])
+        seen = _turned(inverse, (whole or self)._upwards(axes)) @ np.stack([ahead, np.cross(up, ahead), up], axis=1)
+        tilt = np.column_stack([np.arctan2(seen[:, 1], seen[:, 2]), -np.arcsin(seen[:, 0].clip(-1, 1))])
+        if not (np.abs(tilt) > _EXACTLY).any():
+            tilt[:] = np.nan
+        return np.column_stack([self.flat(axes, whole), tilt])
+
+    def _upwards(self, axes: Axes) -> Array:
+        """Return the axis of the world (3,), or its opposite, to which the frame's own direction upwards points."""
+        mean = _turned(self.quaternion, AXES[axes][1]).mean(axis=0)
+        if not np.abs(mean).max() >= _TILTED:
+            raise DataError(f"{self.source}: {self._why_tilted(axes)}")
+        return np.asarray(np.where(np.abs(mean) == np.abs(mean).max(), np.sign(mean), 0.0))
 
     def _why_tilted(self, axes: str) -> str:
         other = next(name for name in AXES if name != axes)

@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+import json
+
 import cv2
 import numpy as np
 import pytest
@@ -143,6 +145,22 @@ def test_camera_info_of_ros(tmp_path):
     camera = read_calibration(written(tmp_path / "info.yaml", ROS))
     assert (camera.image_size, camera.k) == ((480, 640), tuple(BENT))
     agrees(camera, oracle.fisheye)
+
+
+def test_the_camera_info_of_a_recording(tmp_path):
+    own = {
+        "width": 640,
+        "height": 480,
+        "distortion_model": "equidistant",
+        "d": BENT.tolist(),
+        "k": MATRIX.ravel().tolist(),
+    }
+    topics = {"/front/camera_info": {**own, "distortion_model": "plumb_bob"}, "/omni/camera_info": own}
+    file = written(tmp_path / "camera_info.json", json.dumps(topics))
+    camera = read_calibration(file, "/omni/camera_info")
+    assert (camera.image_size, camera.k, camera.skew) == ((480, 640), tuple(BENT), 0.3)
+    with pytest.raises(DataError, match=r"/front/camera_info of .* has the distortion model plumb_bob"):
+        read_calibration(file)
 
 
 def test_a_file_of_ocamcalib(tmp_path):

@@ -45,6 +45,17 @@ def kitti(rotations):
     return lines(poses.reshape(60, 12), head="")
 
 
+@pytest.mark.parametrize("axes", ["robot", "camera"])
+def test_roll_and_pitch_are_those_of_the_frame(tmp_path, axes):
+    roll, pitch = RNG.uniform(-0.2, 0.2, (2, 60))
+    tilted = Rotation.from_euler("ZYX", np.column_stack([HEADING, pitch, roll]))
+    (tmp_path / "poses").write_text(tum(tilted if axes == "robot" else tilted * OF_CAMERA))
+    poses = read_trajectory(tmp_path / "poses").tilted(axes)
+    np.testing.assert_allclose(poses[:, 3:], np.column_stack([roll, pitch]), atol=1e-6)
+    level = Trajectory.planar(TIME, np.column_stack([XY, HEADING]), "level")
+    assert np.isnan(level.tilted()[:, 3:]).all()
+
+
 def same_heading(found, expected):
     np.testing.assert_allclose(np.angle(np.exp(1j * (found - expected))), 0, atol=1e-6)
 
