@@ -38,7 +38,8 @@ class Prepare(DataJob):
         data.images=FOLDER data.poses=FILE   images and poses over time, for data=trajectory
         data.image_size=[128,512]   rows and columns of a panorama
         data.circular=false         for ordinary cameras, whose columns do not wrap around
-        unwrap=none|polar|hyperbolic  how omnidirectional images are unwrapped to panoramas
+        unwrap=none|equirectangular|dual_fisheye|polar|calibrated|...   the camera, whose images become panoramas
+        unwrap.file=camchain.yaml   its calibration, for unwrap=calibrated
         data.on_error=raise         stop at the first unreadable image instead of leaving it out
 
     A recording (a ROS 1 or ROS 2 bag, or a video) is only looked into: what is inside, and the command that
@@ -62,6 +63,7 @@ class Prepare(DataJob):
     @classmethod
     def completed(cls, values: dict[str, Any], given: Given) -> dict[str, Any]:
         """Return the values with the manifest that the recording gets."""
+        values = super().completed(values, given)
         recording = values["recording"]
         if recording.get("file") is None:
             return values
