@@ -72,8 +72,9 @@ class Robot(Job):
         from siamloc.runtime.stream import named
 
         named(self.images)  # refused before the bundle is loaded
-        more = {"hierarchical": self.hierarchical, "collect": self.collect}
-        return Localizer(bundle, top=self.top, threads=self.threads, **more)
+        return Localizer(
+            bundle, top=self.top, threads=self.threads, hierarchical=self.hierarchical, collect=self.collect
+        )
 
 
 @dataclass(frozen=True)
