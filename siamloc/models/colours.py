@@ -1,4 +1,4 @@
-"""Colours of an image as numbers beside the learned ones: histograms, as those of the analytic descriptor `hsv`."""
+"""Colours of an image as numbers alongside the learned ones: histograms, as in the analytic descriptor `hsv`."""
 
 from __future__ import annotations
 
@@ -6,10 +6,11 @@ import torch
 from torch import Tensor, nn
 
 from siamloc.errors import ConfigError
-from siamloc.models.registry import HUES, ROWS, SATURATIONS, VALUES
+from siamloc.models.registry import HUES, BANDS, SATURATIONS, VALUES
 
 WEIGHT = 1.25
 """Weight of the squared distance between colours; that between learned numbers, which have unit length, has 1."""
+_OF_VALUES = 0.25  # weight of the values in a band; that of hues and saturations is 1
 _TIE = 1e-4  # of a bin; an 8-bit value is exactly on an edge, or further from it than this
 
 
@@ -33,15 +34,15 @@ class Colours(nn.Module):
 
     def __init__(self, image_size: tuple[int, int]) -> None:
         super().__init__()
-        if image_size[0] % ROWS:
+        if image_size[0] % BANDS:
             raise ConfigError(
-                f"colours=true describes {ROWS} bands of equal height, and the images have {image_size[0]} rows: take "
-                f"a multiple of {ROWS}, or set model.colours=false (from Python colours=False)"
+                f"colours=true describes {BANDS} bands of equal height, and the images have {image_size[0]} rows: take "
+                f"a multiple of {BANDS}, or set model.colours=false (from Python colours=False)"
             )
 
     def forward(self, panorama: Tensor) -> Tensor:
         """Return (B, 800) for panoramas (B, 3, H, W), floating point in [0, 1]."""
-        bands = panorama.float().unflatten(2, (ROWS, -1)).flatten(3)  # (B, 3, rows, pixels)
+        bands = panorama.float().unflatten(2, (BANDS, -1)).flatten(3)  # (B, 3, rows, pixels)
         red, green, blue = bands.unbind(1)
         value = bands.amax(1)
         chroma = value - bands.amin(1)
@@ -52,8 +53,8 @@ class Colours(nn.Module):
         hues = _one_hot(_bins(hue, HUES).remainder(HUES), HUES)
         both = hues.mT @ _one_hot(_bins(saturation, SATURATIONS), SATURATIONS)  # sums of ones, exact in any order
         brightness = _one_hot(_bins(value, VALUES), VALUES).sum(2)
-        counts = torch.cat([both.flatten(2), brightness / 4], dim=2)
-        return (counts * (WEIGHT / (1.25 * ROWS * bands.shape[3]))).sqrt().flatten(1)
+        counts = torch.cat([both.flatten(2), _OF_VALUES * brightness], dim=2)
+        return (counts * (WEIGHT / ((1 + _OF_VALUES) * BANDS * bands.shape[3]))).sqrt().flatten(1)
 
 
 def _bins(share: Tensor, count: int) -> Tensor:

@@ -43,8 +43,8 @@ PRETRAINED = Path(__file__).parent / "shipped" / "panoramas.safetensors"
 PRETRAINED_SIZE = (64, 256)
 """Rows and columns of the panoramas for these weights."""
 
-ROWS, HUES, SATURATIONS, VALUES = 4, 24, 8, 8
-COLOURS = ROWS * (HUES * SATURATIONS + VALUES)
+BANDS, HUES, SATURATIONS, VALUES = 4, 24, 8, 8
+COLOURS = BANDS * (HUES * SATURATIONS + VALUES)
 """Number of values by which a network with colours=True describes the colours, after those that are learned."""
 
 PRETRAINED_ELEVATIONS = (30.0, -45.0)

@@ -11,6 +11,7 @@ import siamloc
 from siamloc.errors import ConfigError
 from siamloc.models import build
 from siamloc.models.colours import WEIGHT, Colours
+from siamloc.models.describing import learned
 from siamloc.models.registry import COLOURS
 
 SIZE = (16, 32)
@@ -64,3 +65,27 @@ def test_a_class_layer_reads_what_is_learned_alone() -> None:
     rooms = siamloc.models.room_classifier.RoomClassifier(["a", "b"], np.eye(2), [0.0, 0.0])
     learned = np.array([[0.0, 1.0]])
     np.testing.assert_array_equal(rooms.scores(np.pad(learned, ((0, 0), (0, COLOURS)))), rooms.scores(learned))
+
+
+def test_what_is_learned_is_cut_from_a_description() -> None:
+    plain, coloured = (build("simple1", "gem", SIZE, seed=3, colours=given).eval() for given in (False, True))
+    images = pixels()
+    positions = [siamloc.models.as_descriptor(one, device="cpu").describe(images).position for one in (plain, coloured)]
+    np.testing.assert_array_equal(learned(coloured, positions[1]), positions[0])
+    assert learned(plain, positions[0]) is positions[0]
+
+
+def test_int8_keeps_the_learned_numbers_of_a_map_as_without_colours(tmp_path) -> None:
+    rng = np.random.default_rng(1)
+    numbers = rng.normal(size=(4, 32)).astype(np.float32) / 32**0.5
+    colours = Colours(SIZE)(as_tensor(pixels(2))).numpy()
+    frames = siamloc.data.FrameTable(path=[f"{n}.png" for n in range(4)])
+    maps = [
+        siamloc.maps.VisualMap(numbers, frames),
+        siamloc.maps.VisualMap(np.hstack([numbers, colours]), frames, {"colours": True}),
+    ]
+    for number, known in enumerate(maps):
+        known.save(tmp_path / f"{number}.npz", "int8")
+    plain, coloured = (siamloc.maps.VisualMap.load(tmp_path / f"{number}.npz") for number in range(2))
+    np.testing.assert_array_equal(coloured.learned, plain.descriptors)
+    np.testing.assert_allclose(coloured.descriptors[:, 32:], colours, atol=colours.max() / 254 + 1e-6)
