@@ -6,7 +6,7 @@ import torch
 from torch import Tensor, nn
 
 from siamloc.errors import ConfigError
-from siamloc.models.registry import HUES, BANDS, SATURATIONS, VALUES
+from siamloc.models.registry import BANDS, HUES, SATURATIONS, VALUES
 
 WEIGHT = 1.25
 """Weight of the squared distance between colours; that between learned numbers, which have unit length, has 1."""
