@@ -57,6 +57,7 @@ def survey_picture(found: Survey) -> Picture:
         handles.append(axes.plot([], [], color=_REFUSED, linewidth=0.8)[0])
         labels.append("loop refused as contradicting")
     figure.legend(handles, labels, loc="outside lower center", ncols=min(len(labels), 4))
+    figure.draw_without_rendering()  # the layout of panels with equal axes is only right the second time
     return figure
 
 
