@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import logging
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -134,6 +135,15 @@ def test_a_reader_of_ones_own_is_one_function(tmp_path, monkeypatch):
         assert job.data.read().x.tolist() == [3]
     finally:
         options.cache_clear()
+
+
+def test_360loc_comes_with_its_camera():
+    from siamloc.cli.compose import composed
+
+    job = composed("prepare", ["data=360loc", "data.root=r"])
+    assert job.unwrap["kind"] == "equirectangular"
+    assert job.data.where == {"root": Path("r")}
+    assert composed("prepare", ["data=360loc", "data.root=r", "unwrap=none"]).unwrap["kind"] == "none"
 
 
 @pytest.mark.parametrize("json_only", [False, True])
