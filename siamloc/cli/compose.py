@@ -16,7 +16,7 @@ from omegaconf import DictConfig, OmegaConf
 from foundation.settings import merged, shortened
 from siamloc.cli.help import job_of
 from siamloc.cli.words import values_of
-from siamloc.errors import ConfigError, SiamlocError, check_known, hint
+from siamloc.errors import ConfigError, DataError, SiamlocError, check_known, hint
 from siamloc.jobs.job import Given, Job
 from siamloc.jobs.options import choices, config_folder, groups, option, options
 from siamloc.jobs.sweep import Sweep
@@ -33,6 +33,8 @@ _HYDRA = (
     "hydra.output_subdir=null",
     "hydra.job.chdir=false",
 )
+_OF_A_READER = re.compile(r"(?<![\w./])(form|order|axes|offset|times|clock|on_error)=(?=[A-Za-z])")
+"""Arguments that the messages of readers name, and which are keys of a group here."""
 _NAME = "siamloc"
 """Name of the configuration of a command, which `_register` composes."""
 _print = partial(print, flush=True)
@@ -308,6 +310,9 @@ def _explained(error: Exception, words: list[str], kind: type[Job]) -> Exception
                 option(group, name)
             except ConfigError as wrong:
                 return wrong
+    if isinstance(error, DataError) and "data" in kind.GROUPS:
+        group = "recording" if any(word.startswith("recording.") for word in words) else "data"
+        return type(error)(_OF_A_READER.sub(rf"{group}.\1=", str(error)))
     text = " ".join(str(error).split())
     index = re.search(r"invalid literal for int\(\) .*'(\w+)'", text) if type(error) is ValueError else None
     if index and (keys := [key for key in map(_key, words) if f".{index[1]}" in key]):  # a key inside a list

@@ -51,6 +51,8 @@ _ENCODINGS: dict[str, tuple[int, str, int | None]] = {
     "yuv422_yuy2": (2, "u1", cv2.COLOR_YUV2RGB_YUY2),
 }
 _FILES = {b"\xff\xd8\xff": ".jpg", b"\x89PNG": ".png"}  # the first bytes of compressed images
+_NOT_OF_THE_ROBOT = ("goal", "initialpose", "target")  # in topics of poses where someone wants the robot to be
+_FEW = 10  # messages: a topic with fewer is not the poses along a drive
 _LOOKED_AT = 2000  # messages of a topic of frames, to know which frames there are
 
 
@@ -109,8 +111,8 @@ class Bag:
             DataError: no such topic or frame, a topic of other messages, no poses, or a bag cut short.
         """
         if source not in self.topics and ":" in source:
-            parent, _, child = source.partition(":")
-            return self._chained(parent, child)
+            parent, child = (name.lstrip("/") for name in source.split(":", 1))
+            return self._chained(parent, child, clock)
         rows = [(time, *_pose(message)) for time, message in self._messages(source, (*ODOMETRY, *POSES), clock)]
         return _trajectory(rows, f"{self.path}, {source}")
 
@@ -153,13 +155,17 @@ class Bag:
                 stamp = _stamp(message) if clock == "stamp" and hasattr(message, "header") else 0
                 yield stamp or received, message
 
-    def _chained(self, parent: str, child: str) -> Trajectory:
+    def _chained(self, parent: str, child: str, clock: Clock) -> Trajectory:
         """Return the poses of a frame in one above it, along the frames between the two."""
         rows: dict[Edge, list[Any]] = {}
         for topic in self._named(TRANSFORMS):
-            for _, message in self._messages(topic, TRANSFORMS, "stamp"):
+            for received, message in self._messages(topic, TRANSFORMS, clock):
                 for one in message.transforms:
-                    rows.setdefault(_edge(one), []).append((_stamp(one), *_pose(one)))
+                    row = ((_stamp(one) if clock == "stamp" else 0) or received, *_pose(one))
+                    if topic.endswith("tf_static"):  # the last one holds for all times, however often it is repeated
+                        rows[_edge(one)] = [row]
+                    else:
+                        rows.setdefault(_edge(one), []).append(row)
         above = {lower: upper for upper, lower in rows}
         path = [child]
         while path[-1] != parent and path[-1] in above and len(path) <= len(above):
@@ -234,8 +240,8 @@ def _trajectory(rows: list[Any], source: str) -> Trajectory:
 def proposed(topics: Mapping[str, tuple[str, int]], frames: Mapping[Edge, int]) -> dict[str, str]:
     """Return the sources that a recording most likely means: "images", "poses" and "odometry", where there are any.
 
-    Images of a camera for all directions come before others, and poses before odometry; a topic of poses, or the robot
-    in the frame "map" or "world".
+    Images of a camera for all directions come before others. Poses are those of a topic that is named after a source of
+    true poses, else the robot in the frame "map" or "world", else those of another topic with poses along a drive.
     """
     kinds = {name: KINDS.get(kind, "") for name, (kind, _) in topics.items()}
     counts = {name: count for name, (_, count) in topics.items() if count}
@@ -257,11 +263,17 @@ def proposed(topics: Mapping[str, tuple[str, int]], frames: Mapping[Edge, int]) 
                     break
         return found
 
-    true = ("truth", "gt", "vicon", "mocap", "amcl", "slam", "pose")
+    true = ("truth", "gt", "vicon", "mocap", "amcl", "slam")
+    poses = [
+        name
+        for name in best("poses", (*true, "pose"))
+        if counts[name] >= _FEW and not any(word in name.lower() for word in _NOT_OF_THE_ROBOT)
+    ]
+    named = [name for name in poses if any(word in name.lower() for word in true)]
     wheels = best("odometry", ("wheel", "odom"))
     candidates = {
         "images": best("images", ("omni", "360", "pano", "equirect", "fisheye", "theta")),
-        "poses": [*best("poses", true), *below("map", "world"), *(name for name in wheels if "truth" in name)],
+        "poses": [*named, *below("map", "world"), *poses, *(name for name in wheels if "truth" in name)],
         "odometry": [*(name for name in wheels if "truth" not in name), *below("odom")],
     }
     return {what: names[0] for what, names in candidates.items() if names}

@@ -20,7 +20,7 @@ from siamloc.data.manifest import manifest_of
 from siamloc.data.names import lighting_in
 from siamloc.data.reading import read
 from siamloc.data.recorded import joined
-from siamloc.data.trajectory import Array, Axes, Trajectory, read_trajectory
+from siamloc.data.trajectory import Array, Axes, Form, Order, Trajectory, read_trajectory
 from siamloc.errors import ConfigError, DataError, Policy, leave_out
 from siamloc.progress import track
 
@@ -42,6 +42,8 @@ class Extraction(Settings):
         poses: topic of poses, a frame in another one such as "map:base_link", or a file with a trajectory; that of the
             proposal if None, and no poses if "none".
         odometry: likewise, for the poses by the robot's wheels.
+        form: form of the files with trajectories; found out if None. See `siamloc.data.trajectory.read_trajectory`.
+        order: order of their quaternions, if it is another than that of the form.
         axes: whose poses they are; see `siamloc.data.trajectory.Trajectory.flat`.
         clock: "stamp" for the times that the messages carry, "bag" for those at which they were recorded.
         offset: seconds to add to the times of the images for those of the poses. The time in a video begins with 0.
@@ -56,6 +58,8 @@ class Extraction(Settings):
     images: Text | None = None
     poses: Text | None = None
     odometry: Text | None = None
+    form: Form | None = None
+    order: Order | None = None
     axes: Axes = "robot"
     clock: Clock = "stamp"
     offset: float = 0.0
@@ -169,10 +173,11 @@ def extract(file: str | Path, out: str | Path, *, settings: Extraction = OF_FIEL
     if sources["images"] == "none":
         raise DataError(f"{path} holds no images, only {', '.join(found.topics) or 'nothing'}")
     with _opened(path) as recording:
+        given = {what: _trajectory(recording, what, sources[what], settings) for what in SOURCES[1:]}
         files, times = _write_images(recording, folder, sources["images"], settings)
         columns = {"time": times}
         for what, names in (("poses", ("x", "y", "theta", *TILT)), ("odometry", ODOMETRY)):
-            if (trajectory := _trajectory(recording, what, sources[what], settings)) is not None:
+            if (trajectory := given[what]) is not None:
                 columns |= dict(zip(names, _joined(times, trajectory, what, settings).T, strict=False))
         if isinstance(recording, Bag) and (cameras := recording.calibrations()):
             write_json(folder / CALIBRATION, cameras)
@@ -224,22 +229,35 @@ def _write_images(
 
 
 def _trajectory(recording: Bag | Film, what: str, source: str, settings: Extraction) -> Trajectory | None:
-    """Return the poses of a topic, a frame or a file; None if there are none."""
+    """Return the poses of a topic, a frame or a file; None if there are none.
+
+    Raises:
+        DataError: poses that cannot be used, before any image is written.
+    """
     if source == "none":
         return None
-    if isinstance(recording, Bag) and (source in recording.topics or (":" in source and not Path(source).exists())):
-        return recording.poses(source, settings.clock)
-    if Path(source).is_file():
-        return read_trajectory(source)
-    raise ConfigError(
-        f"recording.{what}={source} is no topic of {recording.path}, no frame such as map:base_link, and no file"
-    )
+    file = Path(source).expanduser()
+    if isinstance(recording, Bag) and (source in recording.topics or (":" in source and not file.exists())):
+        found = recording.poses(source, settings.clock)
+    elif file.is_file():
+        found = read_trajectory(file, settings.form, settings.order)
+    else:
+        raise ConfigError(
+            f"recording.{what}={source} is no topic of {recording.path}, no frame such as map:base_link, and no file"
+        )
+    found.flat(_axes(what, settings))
+    return found
 
 
 def _joined(times: Array, trajectory: Trajectory, what: str, settings: Extraction) -> Array:
     """Return the poses in the plane, roll and pitch (n, 5) at the times of the images (n,)."""
-    axes = settings.axes if what == "poses" else "robot"
     try:
-        return joined(times + settings.offset, trajectory, settings.gap, axes)
+        return joined(times + settings.offset, trajectory, settings.gap, _axes(what, settings))
     except DataError as error:
+        if settings.clock == "bag":
+            raise
         raise DataError(f"{error}; if the camera has a clock of its own, clock=bag takes the recorder's") from error
+
+
+def _axes(what: str, settings: Extraction) -> Axes:
+    return settings.axes if what == "poses" else "robot"

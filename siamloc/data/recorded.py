@@ -5,14 +5,13 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Literal
 
 import numpy as np
 
 from foundation.settings import Positive
 from siamloc.data.frames import ODOMETRY, TILT, FrameTable, image_files, in_capture_order
 from siamloc.data.names import lighting_in
-from siamloc.data.trajectory import Array, Axes, Form, Trajectory, read_trajectory, seconds, text_rows
+from siamloc.data.trajectory import Array, Axes, Form, Order, Trajectory, read_trajectory, seconds, text_rows
 from siamloc.errors import DataError, leave_out
 
 _STAMP = re.compile(r"\d+(?:\.\d+)?$")
@@ -27,7 +26,7 @@ def read_recorded(
     times: str | Path | None = None,
     odometry: str | Path | None = None,
     form: Form | None = None,
-    order: Literal["xyzw", "wxyz"] | None = None,
+    order: Order | None = None,
     axes: Axes | None = None,
     offset: float = 0.0,
     gap: Positive = 2.0,

@@ -21,6 +21,7 @@ from siamloc.errors import DataError
 
 Array = NDArray[np.float64]
 Form = Literal["tum", "kitti", "euroc"]
+Order = Literal["xyzw", "wxyz"]
 Axes = Literal["robot", "camera"]
 
 #: The directions ahead and upwards in the frame whose poses are given.
@@ -210,7 +211,7 @@ def _slerp(first: Array, second: Array, share: Array) -> Array:
 def read_trajectory(
     file: str | Path,
     form: Form | None = None,
-    order: Literal["xyzw", "wxyz"] | None = None,
+    order: Order | None = None,
     tolerance: NotNegative = 0.01,
 ) -> Trajectory:
     """Read a trajectory in TUM, KITTI or EuRoC form.

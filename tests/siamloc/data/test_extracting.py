@@ -12,6 +12,7 @@ import pytest
 
 import siamloc.data
 from siamloc.cli import main
+from siamloc.data.bags import proposed
 from siamloc.errors import ConfigError, DataError, lacking
 
 pytest.importorskip("rosbags", reason="the extra `recordings` is not installed")
@@ -83,14 +84,14 @@ class Written:
         fields = {"child_frame_id": "base_link", "pose": self.covariant(self.pose(x, y, theta)), "twist": twist}
         self.write(topic, "nav_msgs/msg/Odometry", time, header=self.header(time, "odom"), **fields)
 
-    def transform(self, topic, time, parent, child, x, y, theta):
+    def transform(self, topic, time, parent, child, x, y, theta, received=None):
         one = self.make(
             "geometry_msgs/msg/TransformStamped",
             header=self.header(time, parent),
             child_frame_id=child,
             transform=self.pose(x, y, theta, "Transform"),
         )
-        self.write(topic, "tf2_msgs/msg/TFMessage", time, transforms=[one])
+        self.write(topic, "tf2_msgs/msg/TFMessage", received or time, transforms=[one])
 
 
 def drive(path, form, compressed=False):
@@ -219,6 +220,63 @@ def test_another_clock(tmp_path):
     for given in ({"clock": "bag"}, {"offset": START / 1e9 - 5}):
         frames = siamloc.data.extract(bag.path, tmp_path / "out", **given)
         np.testing.assert_allclose(frames.odom_x, [0, 1, 2, 3], atol=1e-5)
+
+
+@pytest.mark.parametrize("form", FORMS)
+def test_the_poses_along_a_drive_are_proposed(tmp_path, form):
+    """Not where somebody sent the robot, nor a topic that says little; frames with static ones that are repeated."""
+    bag = Written(tmp_path / "bag", form)
+    with bag.writer:
+        bag.image("/image", START, PICTURES[0])
+        for number in range(12):
+            received = START + number * 10**9
+            for topic in (
+                "/goal_pose",
+                "/initialpose",
+                "/target",
+                "/arm_pose",
+                *(["/some_pose"] if number < 9 else []),
+            ):
+                header = bag.header(received, "map")
+                name = "geometry_msgs/msg/PoseStamped"
+                bag.write(topic, name, received, header=header, pose=bag.pose(0, 0, 0))
+            bag.transform("/tf", received, "map", "base_link", number, 0, 0)
+            bag.transform("/tf_static", received, "base_link", "camera", 0.5 if number > 3 else 9.0, 0, 0)
+    assert siamloc.data.contents(bag.path).proposal["poses"] == "map:base_link"
+    # The stamps of the frames are the recorder's times here; every repetition moves nothing.
+    frames = siamloc.data.extract(bag.path, tmp_path / "out", poses="/map:/camera")
+    np.testing.assert_allclose(frames.x, [0.5])
+    topics = {"/goal_pose": ("geometry_msgs/msg/PoseStamped", 99), "/arm_pose": ("geometry_msgs/msg/PoseStamped", 12)}
+    assert proposed(topics, {}) == {"poses": "/arm_pose"}
+    topics["/ground_truth"] = ("geometry_msgs/msg/PoseStamped", 10)
+    assert proposed(topics, {("map", "base_link"): 5})["poses"] == "/ground_truth"
+
+
+def test_frames_by_the_clock_of_the_recorder(tmp_path):
+    """The robot counts from its start, also in the frames."""
+    bag = Written(tmp_path / "bag", "sqlite3")
+    with bag.writer:
+        for number in range(4):
+            received, stamp = START + number * 10**9, (5 + number) * 10**9
+            bag.image("/image", stamp + 77 * 10**9, PICTURES[0], received=received)
+            bag.transform("/tf", stamp, "map", "base_link", number, 0, 0, received=received)
+    frames = siamloc.data.extract(bag.path, tmp_path / "out", poses="map:base_link", clock="bag")
+    np.testing.assert_allclose(frames.x, [0, 1, 2, 3], atol=1e-5)
+    with pytest.raises(DataError, match="two clocks") as error:
+        siamloc.data.extract(bag.path, tmp_path / "out", poses="map:base_link", clock="bag", offset=1e6)
+    assert "clock=bag" not in str(error.value)
+
+
+def test_poses_are_looked_at_before_images_are_written(bags, tmp_path, monkeypatch, capsys):
+    monkeypatch.setenv("HOME", str(tmp_path))
+    rows = [(START / 1e9 - 1 + t, t, 0, 0, np.cos(0.6 * t), 0, 0, np.sin(0.6 * t)) for t in range(8)]
+    (tmp_path / "poses.txt").write_text("".join(" ".join(map(str, row)) + "\n" for row in rows))
+    out = tmp_path / "out"
+    assert main(["prepare", str(bags["mcap"]), f"recording.out={out}", f"recording.poses={tmp_path}/poses.txt"])
+    assert "recording.order=wxyz, or recording.order=xyzw" in capsys.readouterr().err
+    assert not out.exists()
+    frames = siamloc.data.extract(bags["mcap"], out, poses="~/poses.txt", order="wxyz")
+    np.testing.assert_allclose(frames.x, 1 + np.arange(5.0), atol=1e-5)
 
 
 def test_a_bag_cut_short_is_one_sentence(bags, tmp_path):
