@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 import tarfile
 import time
 from collections.abc import Iterator, Sequence
@@ -17,7 +18,7 @@ from urllib.request import Request, urlopen
 from foundation.calls import typed
 from foundation.files import atomic_folder, file_hash, read_text, scratch_folder, storage_errors, write_text
 from foundation.locks import alone
-from foundation.settings import Count, Positive
+from foundation.settings import Count, Positive, shortened
 from siamloc.data.archives import ADDRESS, Archive, archives
 from siamloc.data.cold import CAMERAS, read_list
 from siamloc.data.protocol import ROLES, Protocol
@@ -33,6 +34,10 @@ _BLOCK = 1 << 18
 
 class _Broken(Exception):
     """A connection that ended early; the next attempt continues."""
+
+
+class _Unreachable(DataError):
+    """No attempt reached the server at all: it will not answer for other files either."""
 
 
 @dataclass(frozen=True)
@@ -100,14 +105,20 @@ def fetch(
     lost: dict[str, str] = {}
     if not only_list and (absent := [one for one in wanted if _count(folder / one.folder) is None]):
         with alone(folder):
+            unreachable = ""
             for one in absent:
+                if unreachable and not (folder / f"{one.folder}.tar").is_file():
+                    lost[one.sequence] = unreachable
+                    continue
                 try:
                     _obtain(one, folder, f"{mirror.rstrip('/')}/{one.folder}.tar", keep, timeout, tries)
                 except DataError as error:  # the others may still be there
                     lost[one.sequence] = str(error)
+                    unreachable = str(error) if isinstance(error, _Unreachable) else ""
     found = _inventory(folder, wanted)
     if lost:
-        what = f"{len(lost)} of {len(wanted)} sequences could not be fetched: " if len(wanted) > 1 else ""
+        names = shortened(", ".join(lost), 200)
+        what = f"{len(lost)} of {len(wanted)} sequences could not be fetched ({names}): " if len(wanted) > 1 else ""
         raise DataError(f"{what}{next(iter(lost.values()))}")
     return found
 
@@ -167,7 +178,7 @@ def _load(address: str, part: Path, name: str, timeout: float, tries: int) -> No
     Raises:
         DataError: the server refuses, or several attempts in a row bring nothing.
     """
-    failed, before = 0, _size(part)
+    failed, before, answered = 0, _size(part), False
     while True:
         try:
             _attempt(address, part, name, timeout)
@@ -178,16 +189,19 @@ def _load(address: str, part: Path, name: str, timeout: float, tries: int) -> No
                     f"{address} cannot be fetched: the server answers {error.code} {error.reason}; give the address "
                     "of a mirror, or correct the table in siamloc/data/archives.py"
                 ) from error
-            reason = f"the server answers {error.code} {error.reason}"
+            answered, reason = True, f"the server answers {error.code} {error.reason}"
         except (_Broken, URLError, HTTPException, TimeoutError, ConnectionError) as error:
+            answered |= not isinstance(error, URLError)
             reason = str(getattr(error, "reason", error)) or "the connection broke"
         failed = 0 if _size(part) > before else failed + 1
         before = _size(part)
         if failed >= tries:
-            raise DataError(
+            raise (DataError if answered else _Unreachable)(
                 f"{address} cannot be fetched ({reason}): {before:,} bytes are here, and the same command continues"
             )
-        time.sleep(min(2.0**failed - 1, _LONGEST_PAUSE))
+        pause = min(2.0**failed - 1, _LONGEST_PAUSE)
+        print(f"fetching {name}: {reason}; trying again in {pause:.0f} s", file=sys.stderr, flush=True)
+        time.sleep(pause)
 
 
 def _attempt(address: str, part: Path, name: str, timeout: float) -> None:
@@ -231,10 +245,17 @@ def _attempt(address: str, part: Path, name: str, timeout: float) -> None:
 def _megabytes(response: BinaryIO, file: BinaryIO) -> Iterator[int]:
     """Copy a response to a file, and yield how many full megabytes each piece completes."""
     done = 0
-    while block := response.read1(_BLOCK):  # type: ignore[attr-defined]
+    while block := _read(response):
         file.write(block)
         yield (done + len(block)) // 1_000_000 - done // 1_000_000
         done += len(block)
+
+
+def _read(response: BinaryIO) -> bytes:
+    try:
+        return response.read1(_BLOCK)  # type: ignore[attr-defined, no-any-return]
+    except OSError as error:  # not one of the disk
+        raise _Broken(error.strerror or str(error) or "the connection broke") from error
 
 
 def _size(path: Path) -> int:

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import errno
 import hashlib
 import io
 import tarfile
 import threading
 import time
 from functools import partial
+from http.client import HTTPResponse
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from urllib.error import URLError
 
 import cv2
 import numpy as np
@@ -180,7 +183,10 @@ def test_a_bad_archive_is_refused_and_leaves_nothing(server, tmp_path, says):
 
 def test_one_missing_archive_does_not_stop_the_others(server, tmp_path):
     protocol = Protocol(train=Role(sequences=("freiburg_a_seq2_sunny4", NAME)), query=Role(sequences=NAME))
-    with pytest.raises(DataError, match=r"1 of 2 sequences could not be fetched: http.*sunny4\.tar .* 404 Not Found"):
+    with pytest.raises(
+        DataError,
+        match=r"1 of 2 sequences could not be fetched \(freiburg_a_seq2_sunny4\): http.*sunny4\.tar .* 404 Not Found",
+    ):
         siamloc.data.fetch("cold", protocol, tmp_path, mirror=server.address)
     found = siamloc.data.fetch("cold", protocol, tmp_path, only_list=True)
     assert found.table() == f"{NAME}: 3 frames\nfreiburg_a_seq2_sunny4: missing"
@@ -197,6 +203,38 @@ def test_an_archive_that_lies_there_is_unpacked(tmp_path):
 def test_nobody_there(tmp_path):
     with pytest.raises(DataError, match=r"cannot be fetched \(.*refused.*\): 0 bytes are here"):
         siamloc.data.fetch("cold", NAME, tmp_path, mirror="http://127.0.0.1:1", tries=1)
+
+
+def test_a_host_that_nobody_reaches_is_not_asked_for_each_sequence(tmp_path, monkeypatch, capsys):
+    asked = []
+
+    def unreachable(request, timeout):
+        asked.append(request.full_url)
+        raise URLError("Name or service not known")
+
+    monkeypatch.setattr(fetching, "urlopen", unreachable)
+    monkeypatch.setattr(fetching, "_LONGEST_PAUSE", 0.0)
+    lying = tmp_path / "cold-freiburg/part_a/seq2_cloudy2.tar"  # unpacked all the same
+    lying.parent.mkdir(parents=True)
+    lying.write_bytes(tar(inside="seq2_cloudy2"))
+    names = [NAME, "freiburg_a_seq2_sunny4"]
+    with pytest.raises(DataError, match=rf"2 of 3 sequences could not be fetched \({', '.join(names)}\): http"):
+        siamloc.data.fetch("cold", [*names, "freiburg_a_seq2_cloudy2"], tmp_path, tries=3)
+    assert len(asked) == 3
+    assert (lying.parent / "seq2_cloudy2/localization/places.lst").is_file()
+    assert capsys.readouterr().err.count(f"fetching {NAME}: Name or service not known; trying again in 0 s") == 2
+
+
+def test_an_error_of_the_network_is_not_one_of_the_disk(server, tmp_path, monkeypatch):
+    read1, fails = HTTPResponse.read1, [OSError(errno.EHOSTUNREACH, "No route to host"), OSError(errno.EIO, "TLS")]
+
+    def unsteady(self, n=-1):
+        if fails:
+            raise fails.pop()
+        return read1(self, n)
+
+    monkeypatch.setattr(HTTPResponse, "read1", unsteady)
+    assert server.fetch(tmp_path).there == {NAME: 3}
 
 
 @pytest.mark.parametrize(
