@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from siamloc.data.trajectory import Trajectory, composed
-from siamloc.errors import DataError, SiamlocError, hint
+from siamloc.errors import DataError, SiamlocError, hint, lacking
 
 Clock = Literal["stamp", "bag"]
 Edge = tuple[str, str]
@@ -71,8 +71,11 @@ class Bag:
         self.seconds = 0.0
 
     def __enter__(self) -> Bag:
-        from rosbags.highlevel import AnyReader
-        from rosbags.typesys import Stores, get_typestore
+        try:
+            from rosbags.highlevel import AnyReader
+            from rosbags.typesys import Stores, get_typestore
+        except ModuleNotFoundError as error:
+            raise ModuleNotFoundError(lacking(error), name=error.name) from error
 
         with self._whole():
             self._reader = AnyReader([self.path], default_typestore=get_typestore(Stores.ROS2_HUMBLE))

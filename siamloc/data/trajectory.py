@@ -285,11 +285,12 @@ def read_numbers(path: Path) -> tuple[Array, bool]:
     if len(rows) > 1 and not _is_number(rows[0][1][0]):  # a line of names
         rows = rows[1:]
     width = len(rows[0][1])
+    expected = f"{width} numbers" if _is_number(rows[0][1][0]) else "lines of numbers, 8 or 12 for a trajectory"
     for number, words in rows:
         if len(words) != width or not all(map(_is_number, words)):
             line = shortened(" ".join(words))
             raise DataError(
-                f"{path}, line {number}: expected {width} numbers, got {line!r}: it is cut short, or no trajectory"
+                f"{path}, line {number}: expected {expected}, got {line!r}: it is cut short, or no trajectory"
             )
     return np.array([words for _, words in rows], dtype=np.float64), "," in read_text(path)
 

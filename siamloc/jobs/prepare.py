@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -75,9 +76,9 @@ class Prepare(DataJob):
             found = contents(self.recording.file)
             say(found.describe())
             if self.recording.out is None:
-                said = " ".join(f"recording.{what}={source}" for what, source in found.proposal.items())
-                out = f"{self.recording.file.stem}_frames"
-                say(f"next: siamloc prepare {self.recording.file} {said} recording.out={out}")
+                given = [f"recording.{what}={source}" for what, source in found.proposal.items()]
+                out = f"recording.out={self.recording.file.stem}_frames"
+                say(f"next: {shlex.join(['siamloc', 'prepare', str(self.recording.file), *given, out])}")
                 return found
             extract(self.recording.file, self.recording.out, settings=self.recording)
         frames = self.data.read()

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import shlex
+import shutil
 import sys
 from pathlib import Path
 
@@ -385,6 +387,10 @@ def test_the_command_looks_first_and_then_extracts(bags, tmp_path, monkeypatch, 
     assert not list(tmp_path.iterdir())
     command = shown.splitlines()[-1].removeprefix("next: siamloc ").split()
     assert command[-1] == "recording.out=night_ros1_frames"
+    spaced = shutil.copy(bags["ros1"], tmp_path / "my drive.bag")
+    assert main(["prepare", str(spaced)]) == 0
+    assert shlex.split(capsys.readouterr().out.splitlines()[-1])[3] == str(spaced)
+    spaced.unlink()
     assert main([*command, "data.image_size=[16,32]"]) == 0
     assert "decoded: 5 panoramas of 16 x 32 px" in capsys.readouterr().out
     frames = siamloc.data.read("manifest", manifest="night_ros1_frames/frames.csv")
@@ -402,4 +408,5 @@ def test_without_rosbags_the_extra_is_named(bags, monkeypatch):
     monkeypatch.setitem(sys.modules, "rosbags.highlevel", None)
     with pytest.raises(ModuleNotFoundError) as error:
         siamloc.data.contents(bags["ros1"])
+    assert "pip install '.[recordings]'" in str(error.value)
     assert "pip install '.[recordings]'" in lacking(error.value)
