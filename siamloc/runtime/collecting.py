@@ -6,7 +6,7 @@ import math
 import threading
 import time
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,9 +15,7 @@ from foundation.files import storage_errors, write_picture
 from siamloc.data.frames import FrameTable
 from siamloc.data.names import NamedPose, format_name, parse_name
 from siamloc.errors import DataError
-
-if TYPE_CHECKING:
-    from siamloc.runtime.localizer import Location
+from siamloc.runtime.location import Location
 
 MOST = 2000
 """Number of pictures in a folder, by default."""

@@ -22,7 +22,8 @@ from siamloc.data.frames import VIDEOS, image_files
 from siamloc.data.moves import moves
 from siamloc.data.names import NamedPose, parse_name
 from siamloc.errors import ConfigError, DataError
-from siamloc.runtime.localizer import Localizer, Location
+from siamloc.runtime.localizer import Localizer
+from siamloc.runtime.location import Location
 from siamloc.runtime.wheels import UNKNOWN, read_odometry
 
 CAMERA = "camera:"
