@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from dataclasses import dataclass
 from typing import ClassVar, Literal
 
@@ -11,6 +12,7 @@ from siamloc.data.fetching import Fetched, fetch
 from siamloc.data.protocol import Protocol
 from siamloc.jobs.choices import Folder
 from siamloc.jobs.job import Job, Say, quiet
+from siamloc.jobs.options import choices, option
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -59,5 +61,8 @@ class Fetch(Job):
         for note in found.notes:
             say(f"note: {note}")
         if not found.missing:
-            say(f"next: siamloc train data=cold data.root={found.folder} protocol=freiburg experiment=modern")
+            known = {name: Protocol.of(option("protocol", name).values) for name in choices("protocol")}
+            for name in [name for name, one in known.items() if not self.sequences and one == self.protocol][:1]:
+                root = shlex.quote(f"data.root={found.folder}")
+                say(f"next: siamloc train data=cold {root} protocol={name} experiment=modern")
         return found

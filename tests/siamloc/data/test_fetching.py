@@ -260,12 +260,20 @@ def test_the_table_has_what_the_protocols_need():
 
 def test_the_command_knows_protocols_by_name(server, tmp_path, capsys):
     assert main(["fetch", "cold", "protocol=freiburg_cloudy", f"out={tmp_path}", "--list"]) == 0
-    assert capsys.readouterr().out.count("missing") == 5
+    missing = [line.removesuffix(": missing") for line in capsys.readouterr().out.splitlines() if "missing" in line]
+    assert len(missing) == 5
     where = [f"out={tmp_path}", f"mirror={server.address}"]
     assert main(["fetch", "cold", f"sequences=[{NAME}]", *where]) == 0
     shown = capsys.readouterr()
     assert f"{NAME}: 3 frames\nnote: " in shown.out
-    assert f"next: siamloc train data=cold data.root={tmp_path} protocol=freiburg" in shown.out
+    assert "next:" not in shown.out, "no protocol was given"
+    for one in archives(missing):
+        places = tmp_path / one.folder / "localization/places.lst"
+        places.parent.mkdir(parents=True, exist_ok=True)
+        places.write_text(f"{IMAGES[0]} CR-A\n")
+    assert main(["fetch", "cold", "protocol=freiburg_cloudy", *where]) == 0
+    shown = capsys.readouterr()
+    assert f"next: siamloc train data=cold data.root={tmp_path} protocol=freiburg_cloudy experiment" in shown.out
 
 
 @pytest.mark.slow
