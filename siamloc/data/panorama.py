@@ -210,7 +210,9 @@ def unwrap(image: Array, camera: OmnidirectionalCamera, view: PanoramaView | Non
         raise DataError(f"an omnidirectional image has shape (rows, columns[, 3]), got {image.shape}")
     view = view or PanoramaView()
     tables = _cached_tables if type(view) is PanoramaView else _tables  # every tilt has tables of its own
-    columns, rows, sees = tables(camera, view, image.shape[:2])
+    columns, rows, sees, size = tables(camera, view, image.shape[:2])
+    if size != image.shape[:2]:
+        image = cv2.resize(image, size[::-1], interpolation=cv2.INTER_AREA)
     found = cv2.remap(image, columns, rows, cv2.INTER_LINEAR, borderMode=cv2.BORDER_WRAP)
     if found.shape[:2] != sees.shape:
         found = cv2.resize(found, sees.shape[::-1], interpolation=cv2.INTER_AREA)
@@ -248,10 +250,15 @@ def finer(camera: OmnidirectionalCamera, view: PanoramaView, image_size: tuple[i
     points = getattr(camera, "points", None)
     if points is None:
         columns, rows = camera.sampling(view, image_size)
-        steps = np.hypot(np.diff(columns, axis=1), np.diff(rows, axis=1))
-        steps = steps[np.isfinite(steps)]
-        points = int(np.clip(round(float(np.median(steps))), 1, _FINEST)) if len(steps) else 1
+        points = min(max(round(_step(columns, rows)), 1), _FINEST)
     return view if points == 1 else replace(view, height=points * view.height, width=points * view.width)
+
+
+def _step(columns: Array, rows: Array) -> float:
+    """Return the distance in an image between neighbouring points in a row of the panorama; 1 if none are seen."""
+    steps = np.hypot(np.diff(columns, axis=1), np.diff(rows, axis=1))
+    steps = steps[np.isfinite(steps)]
+    return float(np.median(steps)) if len(steps) else 1.0
 
 
 _FINEST = 4  # points in a pixel of the panorama, along each of its sides
@@ -260,9 +267,10 @@ _LEAST = 0.02  # share of the panorama that a camera must see
 
 def _tables(
     camera: OmnidirectionalCamera, view: PanoramaView, image_size: tuple[int, int]
-) -> tuple[Array, Array, Array]:
-    """Return the columns and rows of an image to sample (kH, kW), float32, for k x k points in each pixel; and which
-    pixels are seen (H, W). Points that are not seen are moved to the nearest ones that are."""
+) -> tuple[Array, Array, Array, tuple[int, int]]:
+    """Return the columns and rows of an image to sample (kH, kW), float32, for k x k points in each pixel; which pixels
+    are seen (H, W); and the size to which the image is shrunk before, since points that lie more than a pixel apart
+    would alias. Points that are not seen are moved to the nearest ones that are."""
     columns, rows = camera.sampling(view, image_size)
     sees = _inside(columns, rows, image_size)
     if sees.mean() < _LEAST:
@@ -272,10 +280,16 @@ def _tables(
         )
     if (fine := finer(camera, view, image_size)) is not view:
         columns, rows = camera.sampling(fine, image_size)
-    columns, rows = _filled(columns, rows, _inside(columns, rows, image_size))
+    inside = _inside(columns, rows, image_size)
+    shrink = max(1, int(_step(columns, rows)))
+    height, width = (max(2, round(side / shrink)) for side in image_size)
+    if shrink > 1:
+        columns = (columns + 0.5) * (width / image_size[1]) - 0.5
+        rows = (rows + 0.5) * (height / image_size[0]) - 0.5
+    columns, rows = _filled(columns, rows, inside)
     if not getattr(camera, "wraps", False):
-        columns = columns.clip(0, image_size[1] - 1)
-    return columns.astype(np.float32), rows.clip(0, image_size[0] - 1).astype(np.float32), sees
+        columns = columns.clip(0, width - 1)
+    return columns.astype(np.float32), rows.clip(0, height - 1).astype(np.float32), sees, (height, width)
 
 
 _cached_tables = lru_cache(maxsize=8)(_tables)

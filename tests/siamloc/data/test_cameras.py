@@ -289,3 +289,16 @@ def test_a_camera_says_what_it_is_asked():
         FisheyeCamera(fx=100).project(np.eye(3))
     assert FisheyeCamera(fx=100, image_size=SIZE).project(np.eye(3)).shape == (3, 2)
     assert isinstance(FISHEYE, CentralCamera)
+
+
+def test_a_picture_much_finer_than_the_panorama_does_not_alias():
+    """Stripes that a picture of 5760 px shows, and a panorama of 256 columns cannot, become their mean."""
+    stripes = np.where(np.arange(5760) % 6 < 3, 0, 255).astype(np.uint8)
+    found = unwrap(
+        np.tile(stripes, (96, 1)), EquirectangularCamera(highest=1.5, lowest=-1.5), PanoramaView(4, 256, 1, -1)
+    )
+    assert np.abs(found.astype(float) - 127.5).max() < 16
+    edge = np.tile(np.where(np.arange(5760) < 2880, 0, 255).astype(np.uint8), (96, 1))
+    found = unwrap(edge, EquirectangularCamera(highest=1.5, lowest=-1.5), PanoramaView(4, 256, 1, -1))
+    assert (found[:, 4:124] == 0).all()
+    assert (found[:, 132:-4] == 255).all()
