@@ -4,13 +4,8 @@ from __future__ import annotations
 
 import math
 import time
-<<<<<<< ours
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
-=======
-from collections.abc import Callable, Sequence
 from dataclasses import replace
->>>>>>> theirs
 from pathlib import Path
 from typing import Any
 
