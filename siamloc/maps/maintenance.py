@@ -193,8 +193,10 @@ def update(
         >>> monday, tuesday = (images.frames.select(sequence=day) for day in ("monday", "tuesday"))
         >>> known = siamloc.maps.build("hog", images, monday, progress=False)
         >>> found = update(known, images, tuesday, progress=False)
-        >>> int(found.known_place.sum()), int(found.added.sum())  # tuesday looks as monday did
-        (40, 0)
+        >>> len(found.known) == len(known) + sum(found.added.tolist()) - sum(found.forgotten.tolist())
+        True
+        >>> int(found.known.history.confirmed.max())
+        1
     """
     concatenate([known.frames, drive])  # refuses positions in two units
     sure = drive.has_position

@@ -12,7 +12,8 @@ from siamloc.jobs.options import choices, config_folder, groups, option
 @pytest.mark.slow
 @pytest.mark.parametrize("override", [f"{group}={option}" for group in groups() for option in choices(group)])
 def test_every_option_of_every_group_composes(override):
-    where = ["data.manifest=x"] if override == "data=manifest" else ["data.root=x"]
+    given = {"data=manifest": ["data.manifest=x"], "data=trajectory": ["data.images=x", "data.poses=y"]}
+    where = given.get(override, ["data.root=x"])
     data = [] if override.startswith("data=") else ["data=folder"]
     measured = override.startswith(("descriptor", "heading", "build", "task"))
     usual = ["descriptor=hog"] if measured and not override.startswith("descriptor") else []
