@@ -8,7 +8,6 @@ from siamloc.errors import ConfigError
 from siamloc.jobs import Evaluate, MapFrames, Prepare, Pretrain, Preview, Report, SurveyDrives, Train
 from siamloc.jobs.options import choices, config_folder, groups, option
 
-
 CALIBRATION = """\
 image_width: 640
 image_height: 480
@@ -22,12 +21,13 @@ distortion_coefficients: {rows: 1, cols: 4, data: [0, 0, 0, 0]}
 @pytest.mark.parametrize("override", [f"{group}={option}" for group in groups() for option in choices(group)])
 def test_every_option_of_every_group_composes(override, tmp_path):
     (tmp_path / "camera.yaml").write_text(CALIBRATION)
-    given = {"data=manifest": ["data.manifest=x"], "data=trajectory": ["data.images=x", "data.poses=y"]}
+    given = {
+        "data=manifest": ["data.manifest=x"],
+        "data=trajectory": ["data.images=x", "data.poses=y"],
+        "unwrap=calibrated": ["data.root=x", f"unwrap.file={tmp_path / 'camera.yaml'}"],
+        "unwrap=own": ["data.root=x", "unwrap.kind=siamloc.data.panorama:PolarRing"],
+    }
     where = given.get(override, ["data.root=x"])
-    where += {
-        "unwrap=calibrated": [f"unwrap.file={tmp_path / 'camera.yaml'}"],
-        "unwrap=own": ["unwrap.kind=siamloc.data.panorama:PolarRing"],
-    }.get(override, [])
     data = [] if override.startswith("data=") else ["data=folder"]
     measured = override.startswith(("descriptor", "heading", "build", "task"))
     usual = ["descriptor=hog"] if measured and not override.startswith("descriptor") else []
