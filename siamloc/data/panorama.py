@@ -237,8 +237,8 @@ def seen(camera: OmnidirectionalCamera, view: PanoramaView, image_size: Sequence
 
     Example:
         >>> view = PanoramaView(4, 8)
-        >>> seen(PolarRing(centre=(99.5, 60.0), inner=10, outer=70), view, (200, 200)).sum(axis=1).tolist()
-        [7, 8, 8, 8]
+        >>> seen(PolarRing(centre=(99.5, 55.0), inner=10, outer=70), view, (200, 200)).sum(axis=1).tolist()
+        [6, 8, 8, 8]
     """
     rows, columns = image_size
     found: Array = _tables(camera, view, (rows, columns))[2]

@@ -84,7 +84,7 @@ def read(kind: str, *, unit: str = "m", name: str = "", **where: Any) -> FrameTa
         >>> import pathlib, tempfile
         >>> folder = pathlib.Path(tempfile.mkdtemp())
         >>> for name in ("a.jpg", "b.jpg", "robot.csv"):
-        ...     _ = (folder / name).write_text("image,x,y\na.jpg,0,0\nb.jpg,1,0\n")
+        ...     _ = (folder / name).write_text("image,x,y\\na.jpg,0,0\\nb.jpg,1,0\\n")
         >>> read("manifest", manifest=folder / "robot.csv")
         FrameTable(2 frames; sequences: (unnamed) 2; rooms: none; lightings: none; positions: all, in m)
     """
