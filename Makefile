@@ -4,7 +4,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 JOBS ?= 2
 
-.PHONY: install demo test test-all lint docs clean
+.PHONY: install demo test test-all lint docs dist clean
 
 install: $(VENV)/.installed-test
 
@@ -26,6 +26,13 @@ lint: $(VENV)/.installed-test
 # The site, in site/: it opens from the disk and loads nothing from elsewhere.
 docs: $(VENV)/.installed-test
 	NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --quiet --strict
+
+# The files of a release, in dist/, checked as an index would check them. They hold no tests and no pages.
+dist: | $(VENV)/bin/python
+	rm -rf dist
+	$(BIN)/python -m pip install --quiet --constraint constraints.txt 'build>=1.2' 'twine>=6'
+	$(BIN)/python -m build --quiet
+	$(BIN)/python -m twine check --strict dist/*
 
 # A stamp remembers that the packages are there; it is older than its reasons when they change.
 $(VENV)/bin/python:

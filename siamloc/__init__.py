@@ -15,6 +15,6 @@ Importing the package loads neither torch nor lightning; each subpackage loads w
 
 from siamloc.lazy import lazy
 
-__version__ = "0.1.0"
+__version__ = "0.2.0"
 
 __getattr__, __dir__, __all__ = lazy(__name__, __file__)

@@ -15,7 +15,15 @@ logger = logging.getLogger("siamloc")
 Policy = Literal["skip", "raise"]
 """What happens to images that cannot be read: they are left out and reported, or the first one is an error."""
 _OURS = ("siamloc", "analytic", "augment", "foundation")
-_EXTRAS = {"embreex": "simulate", "hydra_plugins": "sweeps", "aiohttp": "live", "rosbags": "recordings"}
+EXTRAS = {
+    "onnxruntime": "robot",
+    "aiohttp": "live",
+    **dict.fromkeys(("torch", "torchvision", "lightning", "hydra", "scipy", "sklearn", "matplotlib", "onnx"), "train"),
+    "embreex": "simulate",
+    "hydra_plugins": "sweeps",
+    "rosbags": "recordings",
+}
+"""The extra that installs a module; modules that are not listed come with the extra `train`."""
 
 
 def lacking(error: ModuleNotFoundError) -> str | None:
@@ -23,7 +31,7 @@ def lacking(error: ModuleNotFoundError) -> str | None:
     package = (error.name or "").partition(".")[0]
     if package in _OURS:
         return None
-    return f"this needs {package}, which is not installed here: {installing(_EXTRAS.get(package, 'train'))}"
+    return f"this needs {package}, which is not installed here: {installing(EXTRAS.get(package, 'train'))}"
 
 
 def installing(extra: str) -> str:

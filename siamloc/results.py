@@ -7,10 +7,8 @@ from __future__ import annotations
 
 import csv
 import datetime
-import platform
 import sys
 from collections.abc import Callable, Mapping
-from importlib import metadata
 from pathlib import Path
 from typing import Any
 
@@ -19,8 +17,8 @@ from numpy.typing import NDArray
 
 from foundation.calls import typed
 from foundation.files import check_version, csv_text, read_json, write_json, write_text
-from siamloc import __version__
 from siamloc.errors import ConfigError, DataError, FormatError, hint
+from siamloc.versions import versions as versions_of
 
 Columns = dict[str, NDArray[Any]]
 UNLABELLED = "(unlabelled)"
@@ -198,14 +196,7 @@ def by_label(
 
 def versions() -> dict[str, str]:
     """Return the software versions that results depend on; torch only if it is loaded."""
-    found = {"python": platform.python_version(), "siamloc": __version__, "numpy": np.__version__}
-    distributions = {"opencv": "opencv-python-headless", **({"torch": "torch"} if "torch" in sys.modules else {})}
-    for package, distribution in distributions.items():
-        try:
-            found[package] = metadata.version(distribution)
-        except metadata.PackageNotFoundError:
-            found[package] = "unknown"
-    return found
+    return versions_of(["numpy", "opencv", *(["torch"] if "torch" in sys.modules else [])])
 
 
 def tables_of(folder: str | Path) -> set[str]:

@@ -12,7 +12,6 @@ from collections.abc import Sequence
 from contextlib import suppress
 from functools import partial
 
-from siamloc import __version__
 from siamloc.cli.help import COMMANDS, command_help, job_of, overview
 from siamloc.cli.words import values_of
 from siamloc.errors import ConfigError, SiamlocError, hint, lacking
@@ -55,7 +54,7 @@ def _dispatch(words: list[str]) -> int:
         print(overview())
         return 0
     if words[0] in ("-V", "--version"):
-        print(f"siamloc {__version__}")
+        print(_versions())
         return 0
     if words[0] == "completion":
         from siamloc.cli.completion import completion
@@ -81,6 +80,13 @@ def _dispatch(words: list[str]) -> int:
         overrides = [_with_key(key, word) for word in overrides]
     run(command, overrides)
     return 0
+
+
+def _versions() -> str:
+    from siamloc.versions import versions
+
+    found = versions()
+    return "\n".join([f"siamloc {found.pop('siamloc')}", *(f"{name} {version}" for name, version in found.items())])
 
 
 def _with_key(key: str, word: str) -> str:
