@@ -33,6 +33,7 @@ class Robot(Job):
         track: follow the robot from image to image; each folder, video and camera is a drive.
         odometry: table of the robot's odometry, for `track`; see `siamloc.runtime.locate_all`.
         threads: number of onnxruntime threads; onnxruntime chooses if None.
+        providers: onnxruntime's execution providers in order of preference; see `siamloc.runtime.Localizer`.
         hierarchical: search the coarse layer first; if None, whenever the bundle has one.
         collect: folder that keeps the images that were located well; see `siamloc.runtime.Localizer`.
     """
@@ -46,6 +47,7 @@ class Robot(Job):
     track: bool = False
     odometry: Path | None = None
     threads: Threads | None = None
+    providers: tuple[Text, ...] | None = None
     hierarchical: bool | None = None
     collect: Path | None = None
 
@@ -72,9 +74,17 @@ class Robot(Job):
         from siamloc.runtime.stream import named
 
         named(self.images)  # refused before the bundle is loaded
-        return Localizer(
-            bundle, top=self.top, threads=self.threads, hierarchical=self.hierarchical, collect=self.collect
+        localizer = Localizer(
+            bundle,
+            top=self.top,
+            threads=self.threads,
+            providers=self.providers,
+            hierarchical=self.hierarchical,
+            collect=self.collect,
         )
+        if self.providers or localizer.providers not in ((), ("CPUExecutionProvider",)):
+            _note(f"images are described by {' and '.join(localizer.providers) or 'numpy and OpenCV'}")
+        return localizer
 
 
 @dataclass(frozen=True)
@@ -95,6 +105,7 @@ class Localize(Robot):
         out=FILE                 write a .csv or .jsonl file, too; locations.csv by default with format=table
         on_error=skip|raise      skip images that cannot be read, or stop at the first one
         threads=2                number of onnxruntime threads
+        providers=[CUDAExecutionProvider,CPUExecutionProvider]   by default a GPU or OpenVINO where onnxruntime has it
         hierarchical=false       search the whole map even if the bundle has a coarse layer
         collect=FOLDER           keep the images that were located well
         update=true              then update the map of the bundle by all images in that folder; also without images=

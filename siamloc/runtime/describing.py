@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -17,7 +18,16 @@ from siamloc.maps import VisualMap
 from siamloc.maps.heading import descriptor_of
 from siamloc.runtime.bundle import MODEL, RELATIVE, Bundle
 
+logger = logging.getLogger("siamloc")
+
 CPU = "CPUExecutionProvider"
+PROVIDERS = ("CUDAExecutionProvider", "OpenVINOExecutionProvider", CPU)
+"""Execution providers that are used without being asked for, in order of preference, where onnxruntime has them."""
+# A network of one operation, y = max(x, 0): shows whether a provider works.
+_SMALLEST = bytes.fromhex(
+    "08083a330a0c0a0178120179220452656c751201675a0f0a0178120a0a08080112040a020802620f0a0179120a0a08080112040a02080242040a00"
+    "1011"
+)
 
 
 class Describer:
@@ -27,9 +37,10 @@ class Describer:
         bundle: the bundle.
         known: the bundle's map.
         threads: number of onnxruntime threads; onnxruntime chooses if None.
-        providers: onnxruntime's execution providers in order of preference.
+        providers: onnxruntime's execution providers in order of preference; None as for `session_of`.
 
     Attributes:
+        providers: the execution providers in use, in order; empty if numpy and OpenCV describe the images.
         known: the map, with the analytic descriptor that made it, or with this object in place of the network.
         identity: identity of the descriptor that made the map.
 
@@ -40,11 +51,12 @@ class Describer:
 
     aligned = False
 
-    def __init__(self, bundle: Bundle, known: VisualMap, threads: int | None, providers: Sequence[str]) -> None:
+    def __init__(self, bundle: Bundle, known: VisualMap, threads: int | None, providers: Sequence[str] | None) -> None:
         self._session, self._relative = (
             session_of(bundle.path / name, threads, providers) if name in bundle.files else None
             for name in (MODEL, RELATIVE)
         )
+        self.providers = () if self._session is None else tuple(self._session.get_providers())
         self._size, self.identity = bundle.image_size, known.identity
         if self._session is not None:
             known = replace(known, describes=self)  # type: ignore[arg-type]
@@ -91,13 +103,31 @@ class Describer:
         return pose.astype(np.float64), information.astype(np.float64), match.astype(np.float64)
 
 
-def session_of(path: str | Path, threads: int | None = None, providers: Sequence[str] = (CPU,)) -> Any:
-    """Open an ONNX file with onnxruntime.
+def working_providers() -> dict[str, bool]:
+    """Try the execution providers of `PROVIDERS` that onnxruntime has, and return whether each one computes here.
+
+    onnxruntime names all providers that it was built with, also those whose device or libraries are missing.
+
+    Raises:
+        ModuleNotFoundError: onnxruntime is not installed.
+
+    Example:
+        >>> working_providers()["CPUExecutionProvider"]
+        True
+    """
+    import onnxruntime
+
+    there = onnxruntime.get_available_providers()
+    return {one: one in _session(_SMALLEST, None, (one,)).get_providers() for one in PROVIDERS if one in there}
+
+
+def session_of(path: str | Path, threads: int | None = None, providers: Sequence[str] | None = (CPU,)) -> Any:
+    """Open an ONNX file with onnxruntime, and warn if a provider does not work here.
 
     Args:
         path: path of the file.
         threads: number of threads; onnxruntime's own choice if None.
-        providers: execution providers in order of preference.
+        providers: execution providers in order of preference; if None, those of `PROVIDERS` that onnxruntime has.
 
     Raises:
         ConfigError: a provider that this onnxruntime lacks.
@@ -106,19 +136,33 @@ def session_of(path: str | Path, threads: int | None = None, providers: Sequence
     import onnxruntime
 
     there = onnxruntime.get_available_providers()
-    for provider in providers:
+    wanted = [one for one in PROVIDERS if one in there] if providers is None else list(providers)
+    for provider in wanted:
         if provider not in there:
             raise ConfigError(f"this onnxruntime has no provider {provider!r}: {hint(provider, there)}")
-    options = onnxruntime.SessionOptions()
-    options.log_severity_level = 3
-    options.enable_mem_pattern = False  # a block for all steps of an image costs memory and saves no time
-    options.intra_op_num_threads = threads or 0
     try:
-        return onnxruntime.InferenceSession(str(path), options, providers=list(providers))
+        session = _session(str(path), threads, wanted)
     except Exception as error:  # onnxruntime's exceptions have no common base
         raise FormatError(
             f"{path} is not an ONNX file that onnxruntime can run ({type(error).__name__}): export again"
         ) from error
+    used = session.get_providers()
+    if lost := [one for one in wanted if one not in used]:
+        logger.warning(
+            "%s does not work here, and %s computes instead: `siamloc doctor` shows what works; providers=[%s] is "
+            "without this warning", " and ".join(lost), " and ".join(used), ",".join(used)
+        )  # fmt: skip
+    return session
+
+
+def _session(network: str | bytes, threads: int | None, providers: Sequence[str]) -> Any:
+    import onnxruntime
+
+    options = onnxruntime.SessionOptions()
+    options.log_severity_level = 3
+    options.enable_mem_pattern = False  # a block for all steps of an image costs memory and saves no time
+    options.intra_op_num_threads = threads or 0
+    return onnxruntime.InferenceSession(network, options, providers=list(providers))
 
 
 def analytic_descriptor(

@@ -68,7 +68,8 @@ class Localizer:
         hierarchical: whether to search the coarse layer first; if None, only if the bundle has one.
         threads: number of onnxruntime threads; onnxruntime chooses if None.
         providers: onnxruntime's execution providers in order of preference, such as ("CUDAExecutionProvider",
-            "CPUExecutionProvider").
+            "CPUExecutionProvider"); if None, a GPU or OpenVINO before the processor, where onnxruntime has them. A
+            provider that does not work here is a warning, and the next one computes.
         camera: another camera than the bundle's, as `PanoramaLibrary` takes it; its panoramas show the same view.
 
     Raises:
@@ -84,7 +85,7 @@ class Localizer:
         bundle_path: str | Path,
         top: Count = 3,
         threads: Count | None = None,
-        providers: Sequence[str] = ("CPUExecutionProvider",),
+        providers: Sequence[str] | None = None,
         hierarchical: bool | None = None,
         camera: OmnidirectionalCamera | Mapping[str, Any] | None = None,
         collect: str | Path | None = None,
@@ -123,6 +124,11 @@ class Localizer:
             match(one, one.description.take(slice(0, 1)))  # prepares it here, not with the first image
         if self._search is not None:
             self._search.rank(self._search.coarse.description.take(slice(0, 1)))
+
+    @property
+    def providers(self) -> tuple[str, ...]:
+        """The execution providers of onnxruntime in use, in order; empty if numpy and OpenCV describe the images."""
+        return self._describer.providers
 
     @property
     def unit(self) -> str:
