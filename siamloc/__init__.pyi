@@ -9,6 +9,7 @@ from . import (
     simulate as simulate,
     training as training,
 )
+from .checkup import Checkup as Checkup, doctor as doctor
 from .errors import SiamlocError as SiamlocError
 
 __version__: str

@@ -21,12 +21,12 @@ PIP = (sys.executable, "-m", "pip", "--disable-pip-version-check", "--quiet")
 
 @pytest.fixture(scope="module")
 def robot(tmp_path_factory):
-    """Return a way to run Python with nothing but the wheel and its dependencies."""
+    """Return a way to run Python with nothing but the wheel, its dependencies and those of the extra `robot`."""
     folder = tmp_path_factory.mktemp("robot")
     subprocess.run([*PIP, "wheel", "--no-deps", "--wheel-dir", folder, ROOT], check=True)
     (wheel,) = folder.glob("siamloc-*.whl")
     constraints = ["--constraint", ROOT / "constraints.txt"]
-    subprocess.run([*PIP, "install", "--target", folder / "packages", *constraints, wheel], check=True)
+    subprocess.run([*PIP, "install", "--target", folder / "packages", *constraints, f"{wheel}[robot]"], check=True)
 
     def run(*arguments):
         environment = {**os.environ, "PYTHONPATH": str(folder / "packages")}
@@ -84,3 +84,12 @@ def test_what_is_lacking_is_said_with_what_brings_it(robot):
     assert (Path(done.stdout.strip()) / "runtime/assets/live.html").is_file(), done.stderr
     done = robot("-c", "import siamloc; siamloc.models.build")
     assert "this needs torch, which is not installed here: run pip install '.[train]' in" in done.stderr
+
+
+@pytest.mark.slow
+def test_the_doctor_of_a_robot_says_what_it_has_and_lacks(robot):
+    done = robot("-m", "siamloc", "doctor")
+    assert done.returncode == 0, done.stderr
+    assert "CPUExecutionProvider works" in done.stdout
+    assert "lacks torch, torchvision" in done.stdout
+    assert "self-test     hog described a picture" in done.stdout

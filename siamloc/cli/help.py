@@ -27,6 +27,7 @@ COMMANDS = {
     "reproduce": ("jobs.reproduce.Reproduce", "reproduce a published table or figure"),
     "augment expand": ("jobs.augment.Expand", "write an augmented data set in the input's own layout"),
     "augment preview": ("jobs.augment.Preview", "draw every effect at several strengths on one sheet"),
+    "doctor": ("jobs.doctor.Doctor", "show what is installed, what it lets you do, and whether it works"),
     "demo": ("cli.demo.Demo", "run the whole workflow on a small made-up building"),
 }
 """The class of each command's job inside `siamloc`, and one line about it; loaded when the command is used."""
@@ -50,7 +51,7 @@ def overview() -> str:
         "siamloc <command> --help          the keys of a command, with an example\n"
         "siamloc <command> --cfg job       the whole configuration (not for localize and live)\n"
         "siamloc completion bash|zsh|fish  complete commands, groups and keys with the tab key\n"
-        "siamloc --version\n\n"
+        "siamloc --version                 its version, and those that a report of a bug needs\n\n"
         "--debug shows the traceback of an error."
     )
 

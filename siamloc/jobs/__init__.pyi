@@ -1,4 +1,5 @@
 from .augment import Expand as Expand, Preview as Preview
+from .doctor import Doctor as Doctor
 from .evaluate import Evaluate as Evaluate
 from .export import Export as Export
 from .fetch import Fetch as Fetch
