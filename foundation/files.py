@@ -57,7 +57,7 @@ def atomic_path(path: str | Path) -> Iterator[Path]:
         temporary.touch(exist_ok=False)
         try:
             yield temporary
-            with temporary.open("rb") as file:
+            with temporary.open("r+b") as file:  # Windows flushes only what can be written
                 os.fsync(file.fileno())
             temporary.replace(path)
         except BaseException:
@@ -147,6 +147,8 @@ def _is_left(name: str) -> bool:
         return False
     if int(match["process"]) == os.getpid():  # an earlier process had the same number
         return True
+    if os.name == "nt":  # signal 0 is Ctrl-C there
+        return False
     try:
         os.kill(int(match["process"]), 0)  # sends nothing
     except OSError as error:

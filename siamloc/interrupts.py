@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import _thread
 import signal
 import sys
 import threading
@@ -28,7 +29,10 @@ def hear_again() -> None:
     def press() -> None:
         main = threading.main_thread().ident
         if main is not None and signal.getsignal(signal.SIGINT) is stop_once:
-            signal.pthread_kill(main, signal.SIGINT)
+            if hasattr(signal, "pthread_kill"):  # ends a wait of the system, too
+                signal.pthread_kill(main, signal.SIGINT)
+            else:
+                _thread.interrupt_main()
 
     def hook(ignored: Any) -> None:
         pressed = issubclass(ignored.exc_type, KeyboardInterrupt)

@@ -7,7 +7,7 @@ from siamloc.errors import ConfigError, hint
 
 _BASH = """\
 _siamloc() {
-    local line="${COMP_LINE:0:COMP_POINT}" IFS=$'\\n'
+    local line="${COMP_LINE:0:$COMP_POINT}" IFS=$'\\n'
     local word="${line##* }"
     COMPREPLY=($(siamloc completion query "$line" 2>/dev/null))
     # Where "=" ends a word for the shell, it replaces only what follows it.

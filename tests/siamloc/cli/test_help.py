@@ -62,9 +62,19 @@ def test_the_module_answers_within_five_seconds():
     assert "usage: siamloc" in shown.stdout
 
 
-@pytest.mark.skipif(shutil.which("bash") is None, reason="needs bash")
-def test_the_tab_key_completes(tmp_path):
+ASKED = {
+    "bash": "COMP_LINE='{0}'; COMP_POINT={1}; _siamloc; (IFS='|'; echo \"${{COMPREPLY[*]}}\")\n",
+    "zsh": "COMP_LINE='{0}'; COMP_POINT={1}; _siamloc; (IFS='|'; echo \"${{COMPREPLY[*]}}\")\n",
+    "fish": "string join '|' (complete --do-complete '{0}')\n",
+}
+"""How each shell is asked for its candidates, without a terminal."""
+
+
+@pytest.mark.parametrize("shell", ASKED)
+def test_the_tab_key_completes(shell, tmp_path):
     """By the script that users load."""
+    if shutil.which(shell) is None:
+        pytest.skip(f"needs {shell}")
     (tmp_path / "siamloc").write_text(f'#!/bin/sh\nexec {sys.executable} -m siamloc "$@"\n')
     (tmp_path / "siamloc").chmod(0o755)
     lines = {
@@ -74,9 +84,9 @@ def test_the_tab_key_completes(tmp_path):
         "siamloc train data=folder pairs.l": "pairs.label=",
         "siamloc map model/he": "model/head=",
     }
-    asked = "COMP_LINE='{0}'; COMP_POINT={1}; _siamloc; (IFS='|'; echo \"${{COMPREPLY[*]}}\")\n"
-    script = 'eval "$(siamloc completion bash)"\n' + "".join(asked.format(line, len(line)) for line in lines)
+    load = "siamloc completion fish | source\n" if shell == "fish" else f'eval "$(siamloc completion {shell})"\n'
+    script = load + "".join(ASKED[shell].format(line, len(line)) for line in lines)
     path = f"{tmp_path}:{os.environ['PATH']}"
-    done = subprocess.run(["bash", "-c", script], capture_output=True, text=True, env={**os.environ, "PATH": path})
+    done = subprocess.run([shell, "-c", script], capture_output=True, text=True, env={**os.environ, "PATH": path})
     assert done.returncode == 0, done.stderr
     assert done.stdout.split("\n")[:-1] == list(lines.values())
