@@ -20,6 +20,7 @@ from siamloc.errors import ConfigError, DataError, SiamlocError, check_known, hi
 from siamloc.jobs.job import Given, Job
 from siamloc.jobs.options import choices, config_folder, groups, option, options
 from siamloc.jobs.sweep import Sweep
+from siamloc.models.registry import is_backbone
 from siamloc.runs import runs_in
 
 OF_SWEEPS = ("map", "evaluate")
@@ -37,6 +38,7 @@ _OF_A_READER = re.compile(r"(?<![\w./])(form|order|axes|offset|times|clock|on_er
 """Arguments that the messages of readers name, and which are keys of a group here."""
 _NAME = "siamloc"
 """Name of the configuration of a command, which `_register` composes."""
+_BRANCH = "model/branch"
 _print = partial(print, flush=True)
 
 
@@ -48,12 +50,12 @@ def run(command: str, words: list[str]) -> None:
     """
     kind = job_of(command)
     _check_words(words)
-    given = words = [_network_of_a_run(word) for word in words]
+    given = words = [_as_meant(word, kind) for word in words]
     words = _sweep(command, words) if {"-m", "--multirun"} & set(words) else words
     words = _flags_first([*_HYDRA, *words])
     import hydra
 
-    _register(kind)
+    _register(kind, words)
     failed: list[Exception] = []
 
     def job(config: DictConfig) -> None:
@@ -92,7 +94,7 @@ def composed(command: str, words: list[str]) -> Job:
     if not kind.BY_HYDRA:
         return kind.of(values_of(words, kind))
     _check_words(words)
-    words = [_network_of_a_run(word) for word in words]
+    words = [_as_meant(word, kind) for word in words]
     try:
         return _made(kind, compose_values(kind, words), words)
     except Exception as error:
@@ -103,7 +105,7 @@ def compose_values(kind: type[Job], words: list[str]) -> DictConfig:
     """Return the settings of a job composed by Hydra; the state of a running Hydra job is restored afterwards."""
     from hydra import compose as hydra_compose
 
-    with _initialized(kind):
+    with _initialized(kind, words):
         return hydra_compose(_NAME, overrides=words)
 
 
@@ -112,12 +114,12 @@ def completed(kind: type[Job], line: str) -> list[str]:
     from hydra.core.global_hydra import GlobalHydra
     from hydra.plugins.completion_plugin import DefaultCompletionPlugin
 
-    with _initialized(kind):
+    with _initialized(kind, []):
         return DefaultCompletionPlugin(GlobalHydra.instance().config_loader())._query(_NAME, line)
 
 
 @contextmanager
-def _initialized(kind: type[Job]) -> Iterator[None]:
+def _initialized(kind: type[Job], words: list[str]) -> Iterator[None]:
     """Let Hydra know the configuration of a job, and restore the state of any running Hydra job afterwards."""
     from hydra import initialize, initialize_config_dir
     from hydra.core.global_hydra import GlobalHydra
@@ -125,7 +127,7 @@ def _initialized(kind: type[Job]) -> Iterator[None]:
 
     state = Singleton.get_state()
     GlobalHydra.instance().clear()
-    _register(kind)
+    _register(kind, words)
     folder = _path(kind)
     try:
         with initialize_config_dir(folder, version_base="1.3") if folder else initialize(None, version_base="1.3"):
@@ -142,9 +144,6 @@ def _made(kind: type[Job], config: DictConfig, words: list[str]) -> Job:
     """
     keys = [_key(word) for word in words if not word.startswith("-")]
     chosen = [key for key in keys if kind.GROUPS and key in groups()]
-    for key in keys:
-        if "." in key and key.replace(".", "/") in kind.GROUPS:
-            raise ConfigError(f"{key} is chosen from files: write {key.replace('.', '/')}=NAME, with a slash")
     values: Any = OmegaConf.to_container(config, resolve=True)
     check_known(values, {key for one in together(kind) for key in one.key_names()}, "")
     own = {key: value for key, value in values.items() if key in kind.key_names()}
@@ -160,8 +159,11 @@ def together(kind: type[Job]) -> list[type[Job]]:
     return [job_of(name) for name in ("prepare", "train", "map", "evaluate", "export")] if kind.SHARED else [kind]
 
 
-def _register(kind: type[Job]) -> None:
-    """Give Hydra the configuration of a job: its defaults, and the options of its groups from the registries."""
+def _register(kind: type[Job], words: list[str]) -> None:
+    """Give Hydra the configuration of a job: its defaults, and the options of its groups from the registries.
+
+    Networks that siamloc does not define, such as timm/resnet18, become options if the words name them.
+    """
     from hydra.core.config_store import ConfigStore
 
     store = ConfigStore.instance()
@@ -179,6 +181,12 @@ def _register(kind: type[Job]) -> None:
         for name, entry in inside.items():
             package = "_global_" if group == "experiment" else None
             store.store(name, OmegaConf.create(entry.node()), group=group, package=package)
+    named = [name for word in words if _key(word) == _BRANCH for name in word.partition("=")[2].split(",")]
+    for name in (one.strip("'\" ") for one in named):
+        if is_backbone(name):
+            folder, _, last = f"{_BRANCH}/{name}".rpartition("/")
+            node = OmegaConf.create(option(_BRANCH, name).node())
+            store.store(last, node, group=folder, package=_BRANCH.replace("/", "."))
 
 
 def _path(kind: type[Job]) -> str | None:
@@ -275,9 +283,14 @@ def _check_words(words: list[str]) -> None:
             ) from error
 
 
-def _network_of_a_run(word: str) -> str:
-    """Read `descriptor=FOLDER` as the trained network of that run, and several folders as a sweep over networks."""
+def _as_meant(word: str, kind: type[Job]) -> str:
+    """Read `model.branch=NAME` as the choice `model/branch=NAME`, and `descriptor=FOLDER` as the network of that run.
+
+    Several folders are a sweep over networks.
+    """
     key, _, value = word.partition("=")
+    if "." in key and key.replace(".", "/") in kind.GROUPS:
+        return f"{key.replace('.', '/')}={value}"
     folders = [folder.strip("'\"") for folder in value.split(",")]
     if key != "descriptor" or not all((Path(folder) / "run.json").is_file() for folder in folders):
         return word

@@ -11,7 +11,15 @@ from typing import Annotated, Any, ClassVar, Literal, TypeVar
 
 from foundation.settings import Count, Natural, Rule, Settings, Share, Text, Workers, checked, fields_of
 from siamloc.errors import ConfigError, check_known, hint
-from siamloc.models.registry import LOSSES, NORMALIZATIONS, Contrastive, Outputs, branch_spec, head_widths
+from siamloc.models.registry import (
+    LOSSES,
+    NORMALIZATIONS,
+    Contrastive,
+    Outputs,
+    branch_spec,
+    head_widths,
+    is_backbone,
+)
 
 Kind = TypeVar("Kind", bound="Choice")
 Folder = Annotated[str, Rule("the name of a folder", lambda value: bool(value.strip()))]
@@ -189,8 +197,9 @@ class Branch(Settings):
     """The branch of a network.
 
     Attributes:
-        name: a name in `siamloc.models.registry.BRANCHES`, such as "panoresnet".
-        weights: imagenet or siamloc, or the path of a run or of a file of weights; random if None.
+        name: a name in `siamloc.models.registry.BRANCHES`, such as "panoresnet"; or timm/NAME, torchvision/NAME or
+            package.module:factory.
+        weights: imagenet, siamloc, cached or download, or the path of a run or of a file of weights; random if None.
     """
 
     WHERE = "model.branch"
@@ -240,7 +249,12 @@ class Model(Settings):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        branch_spec(self.branch.name)
+        if is_backbone(self.branch.name):
+            from siamloc.models.backbones import check_backbone
+
+            check_backbone(self.branch.name)
+        else:
+            branch_spec(self.branch.name)
         head_widths(self.head.name, self.head.outputs)
         if self.normalize is not None and self.normalize not in NORMALIZATIONS:
             raise ConfigError(f"unknown normalization {self.normalize!r}: {hint(self.normalize, NORMALIZATIONS)}")
@@ -257,6 +271,7 @@ class TrainerKeys(Settings):
     """Arguments of Lightning's Trainer, which itself checks the arguments that are no fields of this class.
 
     Attributes:
+        logger: where curves and settings go: tensorboard, csv, wandb, mlflow, a list of them, or false.
         further: other arguments of Lightning's Trainer.
     """
 
@@ -268,6 +283,7 @@ class TrainerKeys(Settings):
     strategy: Text | None = "auto"
     precision: Text | Literal[16, 32, 64] | None = "32-true"
     log_every_n_steps: Natural = 10
+    logger: Text | tuple[Text, ...] | Literal[False] = "tensorboard"
     further: Mapping[str, Any] = field(default_factory=dict)
 
     @classmethod

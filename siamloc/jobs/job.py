@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, is_dataclass
+from importlib import import_module
 from typing import Any, ClassVar, TypeVar
 
 from foundation.settings import Settings, Text, checked, defaults_of, fields_of, leaves, merged
@@ -96,7 +97,20 @@ class Job(Settings):
 
     @classmethod
     def completed(cls, values: dict[str, Any], given: Given) -> dict[str, Any]:
-        """Return the values together with the values that follow from them, such as the settings of a run."""
+        """Return the values together with the values that follow from them, such as the settings of a run.
+
+        The module of a camera class or a network of the user's own is imported if it was given, and not only stored.
+        """
+        for key in ("unwrap.kind", "model.branch", "model.branch.name"):
+            own: Any = values
+            for part in key.split("."):
+                own = own.get(part) if isinstance(own, Mapping) else None
+            own = own.get("name") if key == "model.branch" and isinstance(own, Mapping) else own
+            if key in (*given.keys, *given.groups) and isinstance(own, str) and ":" in own:
+                try:
+                    import_module(own.partition(":")[0])
+                except ImportError as error:
+                    raise ConfigError(f"{key}={own} cannot be imported ({error}): check PYTHONPATH") from error
         return values
 
     @classmethod

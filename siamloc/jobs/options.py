@@ -17,6 +17,7 @@ import yaml
 from foundation.settings import complaint, defaults_of, merged
 from siamloc.errors import ConfigError, hint
 from siamloc.jobs.choices import parameters_of
+from siamloc.models.registry import is_backbone
 
 
 @dataclass(frozen=True)
@@ -222,6 +223,8 @@ def option(group: str, name: str) -> Option:
     """
     if name in options().get(group, {}):
         return options()[group][name]
+    if group == "model/branch" and is_backbone(name):
+        return Option({"name": name, "weights": None}, "A network that siamloc does not define.")
     path = config_folder() / group / f"{name}.yaml"
     if not path.is_file():
         raise ConfigError(f"unknown {group} {name!r}: {hint(name, choices(group))}")

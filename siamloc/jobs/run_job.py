@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
@@ -49,16 +48,6 @@ class DataJob(Job):
     def __post_init__(self) -> None:
         super().__post_init__()
         Preprocessing.checked(self.data.image_size, self.unwrap)
-
-    @classmethod
-    def completed(cls, values: dict[str, Any], given: Given) -> dict[str, Any]:
-        """Return the values; a camera class of the user's own is imported if it was given, and not only stored."""
-        if "unwrap.kind" in given.keys and isinstance(kind := values["unwrap"].get("kind"), str) and ":" in kind:
-            try:
-                import_module(kind.partition(":")[0])
-            except ImportError as error:
-                raise ConfigError(f"unwrap.kind={kind} cannot be imported ({error}): check PYTHONPATH") from error
-        return super().completed(values, given)
 
     @property
     def preprocessing(self) -> Preprocessing:

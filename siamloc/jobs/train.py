@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, ClassVar
@@ -87,7 +88,8 @@ class _Training(Learning, Job):
 
     def target(self, data: str) -> Path:
         """Return the folder that the training writes into."""
-        names = [data, self.model.branch.name, self.model.head.name, f"seed{self.seed}"]
+        branch = re.sub("[/:]", "-", self.model.branch.name)
+        names = [data, branch, self.model.head.name, f"seed{self.seed}"]
         folder = Path("runs") / "-".join(names) if self.folder is None else Path(self.folder)
         return folder / sweep_suffix() if sweep_suffix() else folder
 
@@ -109,9 +111,12 @@ class Train(_Training, DataJob):
                                           photographs for images of an ordinary camera; rooms for such images with
                                           room labels. You can still change any key
         model/branch=vgg16                the convolutional part of the network; all groups are listed below
+        model/branch=timm/NAME            a network of timm; or torchvision/NAME; or package.module:factory, a function
+                                          or class of your own that gives a network
         model/head=fc500_500_5            what makes a descriptor of its features
         model.circular=true               the network wraps around the azimuth
-        model.branch.weights=siamloc      start from pretrained weights; or imagenet, or the path of a run or a file
+        model.branch.weights=siamloc      start from pretrained weights; or imagenet, or the path of a run or a file;
+                                          cached or download for the published weights of timm and torchvision
         model.normalize=local             remove lighting from the image first; or channels, image, local_brightness,
                                           local_and_colours
         pairs=room|distance|in_batch      pairs with binary labels (room) or metric labels (distance); in_batch uses all
@@ -154,8 +159,8 @@ class Train(_Training, DataJob):
         validated = self.protocol.validation.sequences is not None
         loss, trainer = self.make_loss(), self.trainer.plain()
         check_trainer(trainer)  # before any image is decoded
+        network = models.build(**self.model.arguments(), image_size=self.data.image_size, seed=self.seed)
         images, roles = self.open_roles("train", *(["validation"] if validated else []))
-        network = models.build(**self.model.arguments(), image_size=images.image_size, seed=self.seed)
         run = training.fit(
             network,
             images,

@@ -69,6 +69,21 @@ class Branch(nn.Module):
             with torch.no_grad():
                 buffer.copy_(torch.tensor(list(values), dtype=buffer.dtype, device="cpu").view(1, 3, 1, 1))
 
+    def shapes(self, image_size: tuple[int, int]) -> list[tuple[int, int, int]]:
+        """Return channels, rows and columns after each layer at an image size (H, W).
+
+        Raises:
+            ConfigError: an image too small for the branch.
+        """
+        feature_shape(self.name, image_size, self.circular)
+        return layer_shapes(self.name, image_size, self.circular)
+
+    @property
+    def stages(self) -> list[list[nn.Module]]:
+        """The layers by resolution; see `layers_by_stage`."""
+        layers = iter(self.features)
+        return [[next(layers) for _ in range(count)] for count in layers_by_stage(self.name, self.circular)]
+
     def forward(self, panorama: Tensor) -> Tensor:
         """Return the features of panoramas (B, 3, H, W) in [0, 1]."""
         return self.features(self.normalized(panorama))
@@ -116,23 +131,18 @@ def feature_shape(name: str, image_size: tuple[int, int], circular: bool = False
     return shape
 
 
-@lru_cache(maxsize=64)
-def finer_features(
-    name: str, image_size: tuple[int, int], circular: bool = True, channels: int = 3
-) -> tuple[int, tuple[int, int, int]] | None:
+def finer_features(branch: Branch, image_size: tuple[int, int]) -> tuple[int, tuple[int, int, int]] | None:
     """Return where a branch has features with at least twice as many columns as its output.
 
     Args:
-        name: a name in `BRANCHES`.
+        branch: the branch.
         image_size: rows and columns of the images.
-        circular: whether the columns wrap around.
-        channels: channels of the normalized images, see `channels_of`.
 
     Returns:
         The number of layers up to the last features with so many columns, 0 for the image itself; and the channels,
         rows and columns of these features. None if not even the image has so many columns.
     """
-    found = [(channels, *image_size), *layer_shapes(name, image_size, circular)]
+    found = [(channels_of(branch.normalize), *image_size), *branch.shapes(image_size)]
     finer = [number for number, one in enumerate(found) if one[2] >= 2 * found[-1][2]]
     return (finer[-1], found[finer[-1]]) if finer else None
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from copy import deepcopy
 from pathlib import Path
 from typing import Any
 
@@ -143,7 +144,8 @@ def without_layer(network: Network) -> Network:
 
 def _rebuilt(network: Network, **changes: Any) -> Network:
     """Make a network that differs in some arguments of `build`; branch and comparing part keep their weights."""
-    made = build(**{**network.settings, "weights": None, **changes})
+    own = {} if "branch" in network.settings else {"branch": deepcopy(network.branch.features)}
+    made = build(**{**own, **network.settings, "weights": None, **changes})
     for part in ("branch", "orientation", "relative"):
         if part == "branch" or made.relative is not None:
             made.get_submodule(part).load_state_dict(network.get_submodule(part).state_dict())

@@ -13,21 +13,12 @@ from torch import Tensor, nn
 from foundation.calls import typed
 from foundation.settings import Seed, Size, checked
 from siamloc.errors import ConfigError, DataError
-from siamloc.models.branch import (
-    IMAGENET_MEAN,
-    IMAGENET_STD,
-    Branch,
-    ResidualBlock,
-    channels_of,
-    feature_shape,
-    finer_features,
-    layer_shapes,
-    layers_by_stage,
-)
+from siamloc.models.backbones import Backbone, make_backbone
+from siamloc.models.branch import IMAGENET_MEAN, IMAGENET_STD, Branch, ResidualBlock, finer_features
 from siamloc.models.colours import Colours
 from siamloc.models.heads import Fourier, GeneralizedMean, Head, Magnitudes, make_head
 from siamloc.models.orientation import VALUES, Canonical, Orientation
-from siamloc.models.registry import Normalization, branch_spec, head_widths
+from siamloc.models.registry import Normalization, branch_spec, head_widths, is_backbone
 from siamloc.models.relative import RelativePose
 from siamloc.models.room_classifier import RoomClassifier
 from siamloc.models.weights import fill, find_weights, state_hash
@@ -39,7 +30,7 @@ RESIDUAL = 0.1  # initial share of the two convolutions in the output of a resid
 
 @typed
 def build(
-    branch: str,
+    branch: str | nn.Module,
     head: str,
     image_size: Sequence[int] = (128, 512),
     weights: str | PathLike[str] | Run | None = None,
@@ -62,14 +53,19 @@ def build(
     descriptors start with a length of about 1, so that distances start on the scale of the margin whatever D is.
 
     Args:
-        branch: a name in `BRANCHES`.
+        branch: a name in `BRANCHES`; "timm/NAME" or "torchvision/NAME" for a network of these libraries;
+            "package.module:factory" for a function or class of your own, of a module that is imported, which gives a
+            network without arguments; or the network itself, a module (B, 3, H, W) -> features (B, C, h, w) or
+            (B, C), which is changed in place. See `siamloc.models.backbones.Backbone`.
         head: a name in `HEADS`.
         image_size: (H, W) of the panoramas in pixels.
         weights: None for random weights; "imagenet" or the name of a torchvision weight enum such as
             "IMAGENET1K_V1" for a pre-trained branch; the path of a state dict (.pth, .safetensors) of this network or
             of a torchvision network with this branch; "siamloc" for the network that ships with siamloc, see
             `siamloc.models.pretrained`; or a run, its folder or a checkpoint. For a run, the best checkpoint is
-            used: all of it if head and image size agree, otherwise only the branch, as a printed note says.
+            used: all of it if head and image size agree, otherwise only the branch, as a printed note says. For a
+            network of timm or torchvision also "cached", its published weights in the cache of this machine, or
+            "download", which fetches them first.
         seed: seed of the random weights.
         outputs: length D of a descriptor, for the heads "flat", "gem", "bands" and "fourier", 256 if None; and for
             "magnitudes", 2048 if None, or fewer if small images have fewer magnitudes.
@@ -78,7 +74,8 @@ def build(
             the weights say otherwise. "image": give each image zero mean and unit variance, whatever its exposure.
             "local": give the surroundings of each pixel zero mean and unit contrast, whatever light falls there;
             "local_brightness": the same, but colours stay. "local_and_colours": "local", and three channels in which
-            the colours of large surfaces stay, for the branches of ours. If None, the default of the branch.
+            the colours of large surfaces stay, for the branches of ours. If None, the default of the branch; of a
+            network of timm or torchvision "channels", with the mean and deviation of its model card.
         canonical: first turn each panorama, by less than the width of one feature column, so that turning the robot by
             whole columns of the panorama changes nothing; see `siamloc.models.orientation`. For circular=True and a
             head that discards the direction: "fourier", "magnitudes", "gem" or "bands".
@@ -100,12 +97,23 @@ def build(
         torch.Size([2, 5])
     """
     rows, columns = size = checked(image_size, Size, "image_size")
-    norm = branch_spec(branch).normalize if normalize is None else normalize
+    name = branch if isinstance(branch, str) else type(branch).__qualname__
+    ours = isinstance(branch, str) and not is_backbone(branch)
+    norm = normalize or (branch_spec(name).normalize if ours else "channels")
     options: dict[str, Any] = {"circular": circular, "normalize": norm, "canonical": canonical, "relative": relative}
+    found = None if weights is None else find_weights(name, weights)
+    part: str | Backbone = name
+    if not ours:
+        own = None if found is None or found.of_a_network else found.state
+        part = make_backbone(branch, size, circular, norm, seed, own)
     with torch.device("meta"):
-        network = Network(branch, head, size, outputs, colours=colours, **options)
-    network.to_empty(device="cpu")
+        network = Network(part, head, size, outputs, colours=colours, **options)
+    for child in network.children():
+        if child is not part:
+            child.to_empty(device="cpu")
     _initialize(network, seed)
+    if not isinstance(branch, str):
+        del network.settings["branch"]
     network.settings |= {
         "weights": None if weights is None else fspath(weights.folder if isinstance(weights, Run) else weights),
         "seed": seed,
@@ -114,9 +122,8 @@ def build(
         **({"colours": True} if colours else {}),
         **({} if elevations is None else {"elevations": list(elevations)}),
     }
-    if weights is not None:
-        found = find_weights(branch, weights)
-        fill(network, found, f"{branch} + {head} at {rows} x {columns}")
+    if found is not None and (ours or found.of_a_network):
+        fill(network, found, f"{name} + {head} at {rows} x {columns}")
         if found.mean is not None and found.std is not None:
             network.branch.normalize_with(found.mean, found.std)
     return network
@@ -126,7 +133,7 @@ class Network(nn.Module):
     """A network of a branch and a head; made by `build`.
 
     Args:
-        branch: a name in `BRANCHES`.
+        branch: a name in `BRANCHES`, or a branch.
         head: a name in `HEADS`.
         image_size: (H, W) in pixels.
         outputs: length of a descriptor, for heads with a choice.
@@ -155,7 +162,7 @@ class Network(nn.Module):
     @typed
     def __init__(
         self,
-        branch: str,
+        branch: str | Branch,
         head: str,
         image_size: tuple[int, int],
         outputs: int | None = None,
@@ -166,16 +173,16 @@ class Network(nn.Module):
         colours: bool = False,
     ) -> None:
         super().__init__()
-        shape = feature_shape(branch, image_size, circular)
         self.image_size = image_size
-        self.settings: dict[str, Any] = {"branch": branch, "head": head, "image_size": list(image_size)}
+        self.branch = Branch(branch, circular, normalize) if isinstance(branch, str) else branch
+        self.settings: dict[str, Any] = {"branch": self.branch.name, "head": head, "image_size": list(image_size)}
+        shape = self.branch.shapes(image_size)[-1]
         self.grid = shape[1:]
-        self.branch = Branch(branch, circular, normalize)
         self.head = make_head(head, shape, outputs)
-        self.canonical = _canonical(branch, self.head, image_size, circular) if canonical else None
+        self.canonical = _canonical(self.branch, self.head, image_size) if canonical else None
         self.orientation: Orientation | None = None
         by_column = (circular or relative) and isinstance(self.head, _BY_FREQUENCY)
-        finer = finer_features(branch, image_size, circular, channels_of(normalize)) if by_column else None
+        finer = finer_features(self.branch, image_size) if by_column else None
         if finer is not None and shape[2] > 1:
             turned = image_size[1] if canonical else None
             self.orientation = Orientation(*finer, (2 * shape[1], 2 * shape[2]), turned, relative)
@@ -202,12 +209,10 @@ class Network(nn.Module):
     @property
     def stages(self) -> list[list[nn.Module]]:
         """The parts with weights, stage by stage: the layers of the branch by resolution, then the head."""
-        layers = iter(self.branch.features)
-        counts = layers_by_stage(self.branch.name, self.branch.circular)
         above: list[nn.Module] = [part for part in (self.head, self.orientation, self.relative) if part is not None]
         last = [part for part in above if next(part.parameters(), None) is not None]
         head = [last] if last else []
-        return [*([next(layers) for _ in range(count)] for count in counts), *head]
+        return [*self.branch.stages, *head]
 
     @property
     def identity(self) -> dict[str, Any]:
@@ -282,33 +287,37 @@ class Network(nn.Module):
             raise DataError(f"the network needs floating point in [0, 1], got {panorama.dtype}: divide by 255 first")
 
 
-def _canonical(branch: str, head: Head, image_size: tuple[int, int], circular: bool) -> Canonical:
+def _canonical(branch: Branch, head: Head, image_size: tuple[int, int]) -> Canonical:
     """Return the module that turns panoramas to their canonical direction.
 
     Raises:
         ConfigError: a head for which that is meaningless, or columns that the layers do not divide evenly.
     """
-    if not circular or not isinstance(head, (*_BY_FREQUENCY, GeneralizedMean)):
+    if not branch.circular or not isinstance(head, (*_BY_FREQUENCY, GeneralizedMean)):
         raise ConfigError(
             "model.canonical=true (from Python canonical=True) needs model.circular=true and a head that forgets how "
-            f"far the robot has turned, fourier, magnitudes, gem or bands: here circular={circular}, and the head is "
-            f"{head.name}; set model.canonical=false"
+            f"far the robot has turned, fourier, magnitudes, gem or bands: here circular={branch.circular}, and the "
+            f"head is {head.name}; set model.canonical=false"
         )
-    widths = [image_size[1], *(columns for _, _, columns in layer_shapes(branch, image_size, circular=True))]
+    widths = [image_size[1], *(columns for _, _, columns in branch.shapes(image_size))]
     if any(wide % narrow for wide, narrow in pairwise(widths)):
         raise ConfigError(
             "model.canonical=true (from Python canonical=True) needs columns that all layers divide evenly, and the "
-            f"{image_size[1]} of the panorama become {', '.join(map(str, dict.fromkeys(widths[1:])))} in {branch}: "
-            "take a power of 2, or set model.canonical=false"
+            f"{image_size[1]} of the panorama become {', '.join(map(str, dict.fromkeys(widths[1:])))} in "
+            f"{branch.name}: take a power of 2, or set model.canonical=false"
         )
     return Canonical(image_size[1] // widths[-1])
 
 
 def _initialize(network: Network, seed: int) -> None:
     generator = torch.Generator().manual_seed(seed)
-    network.branch.normalize_with(IMAGENET_MEAN, IMAGENET_STD)
+    parts = list(network.children())
+    if isinstance(network.branch, Backbone):  # which has its own initialization
+        parts.remove(network.branch)
+    else:
+        network.branch.normalize_with(IMAGENET_MEAN, IMAGENET_STD)
     last = [None, *(module for module in network.head.modules() if isinstance(module, nn.Linear))][-1]
-    for module in network.modules():
+    for module in nn.ModuleList(parts).modules():
         if isinstance(module, nn.BatchNorm2d):
             module.reset_parameters()
         elif isinstance(module, (nn.Conv1d, nn.Conv2d, nn.Linear)):

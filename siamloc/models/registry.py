@@ -327,6 +327,19 @@ LOSSES: dict[str, tuple[type[Settings], str]] = {
 """The losses over batches of places by name: the class of their parameters, and their own class in `siamloc.models`."""
 
 
+BACKBONES = {
+    "timm/NAME": "A network of timm, such as timm/resnet18.",
+    "torchvision/NAME": "A network of torchvision for classes, such as torchvision/resnet18.",
+    "package.module:factory": "A network of your own, which a function or class gives without arguments.",
+}
+"""Names of branches that siamloc does not define, with one line each for the help; see `siamloc.models.backbones`."""
+
+
+def is_backbone(name: str) -> bool:
+    """Return whether a name has the form of a branch that siamloc does not define."""
+    return "/" in name or ":" in name
+
+
 def branch_spec(name: str) -> BranchSpec:
     """Look up a branch by its name.
 
@@ -334,7 +347,7 @@ def branch_spec(name: str) -> BranchSpec:
         ConfigError: an unknown name.
     """
     if name not in BRANCHES:
-        raise ConfigError(f"unknown branch {name!r}: {hint(name, BRANCHES)}")
+        raise ConfigError(f"unknown branch {name!r}: {hint(name, BRANCHES)}; or {', '.join(BACKBONES)}")
     return BRANCHES[name]
 
 

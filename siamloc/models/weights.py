@@ -16,11 +16,11 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
-from augment.torchvision_compat import ensure_torchvision
 from foundation.files import atomic_path, check_version, parsed_json
-from siamloc.errors import ConfigError, FormatError, hint
+from siamloc.errors import ConfigError, FormatError
 from siamloc.models.heads import GeneralizedMean, Magnitudes
-from siamloc.models.registry import BRANCHES, PRETRAINED, branch_spec
+from siamloc.models.hub import timm_file, torchvision_weights
+from siamloc.models.registry import BRANCHES, PRETRAINED
 from siamloc.runs import Run
 
 CONTENT_KEY = "siamloc"
@@ -52,6 +52,11 @@ class Weights:
     mean: list[float] | None = None
     std: list[float] | None = None
     model: Mapping[str, Any] | None = None
+
+    @property
+    def of_a_network(self) -> bool:
+        """Whether these are weights of a network of siamloc, and not of a branch alone."""
+        return self.model is not None or any(key.startswith("branch.") for key in self.state)
 
 
 def read_checkpoint(path: str | Path, mmap: bool = False) -> dict[str, Any]:
@@ -220,9 +225,9 @@ def find_weights(branch: str, weights: str | PathLike[str] | Run) -> Weights:
     """Find weights for a branch by their name or path.
 
     Args:
-        branch: a name in `BRANCHES`.
-        weights: "imagenet", the name of a torchvision weight enum, "siamloc", a path, or a run; see
-            `siamloc.models.build`.
+        branch: name of the branch.
+        weights: "imagenet", the name of a torchvision weight enum, "cached", "download", "siamloc", a path, or a run;
+            see `siamloc.models.build`.
 
     Raises:
         ConfigError: an unknown name, a failed download, or a run without a checkpoint.
@@ -241,7 +246,7 @@ def find_weights(branch: str, weights: str | PathLike[str] | Run) -> Weights:
         raise ConfigError(
             f"there is no file and no run at {weights}, from which weights were asked for: check the path"
         )
-    return _imagenet(branch, weights)
+    return _published(branch, weights)
 
 
 def fill(network: nn.Module, weights: Weights, what: str) -> None:
@@ -260,7 +265,7 @@ def fill(network: nn.Module, weights: Weights, what: str) -> None:
     """
     if weights.model is not None:
         target, state = _of_training(network, weights, weights.model, what)
-    elif any(key.startswith("branch.") for key in weights.state):
+    elif weights.of_a_network:
         target, state = network, _comparing_as_here(network, weights.state, keep=True)
     else:
         target, state = _of_torchvision(network, weights)
@@ -300,7 +305,7 @@ def _of_training(
             f"the weights of {weights.origin} are of a module of your own, {model.get('class')}, and not of {what}: "
             "load them with siamloc.models.load(..., network=...)"
         )
-    if model["branch"] != here["branch"]:
+    if model["branch"] != here.get("branch"):
         raise ConfigError(
             f"the weights of {weights.origin} are of another architecture than {what}: their branch is "
             f"{model['branch']}"
@@ -332,27 +337,15 @@ def _comparing_as_here(network: nn.Module, state: Mapping[str, Tensor], keep: bo
     return {**{name: value for name, value in state.items() if not compares(name)}, **own}
 
 
-def _imagenet(branch: str, name: str) -> Weights:
-    if branch_spec(branch).kind != "torchvision":
-        trained = ", ".join(spec.name for spec in BRANCHES.values() if spec.kind == "torchvision")
+def _published(branch: str, name: str) -> Weights:
+    """Return published weights of a network of torchvision or timm by their name."""
+    if branch.startswith("timm/"):
+        file = timm_file(branch.removeprefix("timm/"), name)
+        return replace(read_weights(file), origin=f"the published weights of {branch}")
+    ours = [spec.name for spec in BRANCHES.values() if spec.kind == "torchvision"]
+    if branch not in ours and not branch.startswith("torchvision/"):
         raise ConfigError(
             f"the branch {branch!r} has no weights called {name!r}: give none or a path "
-            f"(ImageNet weights exist for {trained})"
+            f"(ImageNet weights exist for {', '.join(ours)}, torchvision/NAME)"
         )
-    ensure_torchvision()
-    from torchvision import models
-
-    enum = models.get_model_weights(branch)
-    members = {"imagenet": enum.DEFAULT, **{member.name.lower(): member for member in enum}}
-    if (member := members.get(name.lower())) is None:
-        valid = ["imagenet", *(member.name for member in enum)]
-        raise ConfigError(f"unknown weights {name!r} for the branch {branch!r}: {hint(name, valid)}, or a path")
-    try:
-        state = member.get_state_dict(progress=False, check_hash=True, weights_only=True)
-    except (OSError, RuntimeError) as error:
-        raise ConfigError(
-            f"the weights {member} could not be downloaded from {member.url}: fetch the file elsewhere and give its "
-            f"path, or use weights=null"
-        ) from error
-    preset = member.transforms()
-    return Weights(state, str(member), preset.mean, preset.std)
+    return Weights(*torchvision_weights(branch.removeprefix("torchvision/"), name))

@@ -19,12 +19,14 @@ from siamloc.errors import StorageError
 from siamloc.models.describing import margin_of
 from siamloc.models.places import PlaceModule
 from siamloc.runs import Run, higher_is_better
+from siamloc.training.loggers import files_logged
 from siamloc.training.pace import Pace
 
 ensure_torchvision()
 from lightning.fabric.plugins import TorchCheckpointIO  # noqa: E402
 from lightning.pytorch import Callback, LightningModule, Trainer  # noqa: E402
 from lightning.pytorch.callbacks import Checkpoint, ModelCheckpoint, WeightAveraging  # noqa: E402
+from lightning.pytorch.loggers import TensorBoardLogger  # noqa: E402
 
 _SAID = (
     *("train/loss", "train/accuracy", "train/active", "train/relative"),
@@ -154,21 +156,21 @@ class Curves(Checkpoint):
         self._run, self._monitor, self._pace, self._patience = run, monitor, pace, patience
         self._rows: list[dict[str, float]] = []
         self._start = (0.0, 0)
-        self._events_before = set(run.tensorboard.glob("events.*"))
+        self._logged_before = files_logged(run)
 
     def on_train_start(self, trainer: Trainer, pl_module: LightningModule) -> None:
-        """Record the start time, the first epoch, and the file that the TensorBoard logger opened."""
+        """Record the start time, the first epoch, and the files that the loggers opened."""
         self._start = (time.monotonic(), trainer.current_epoch)
         trainer.should_stop |= self._stale()
-        self._record_events(trainer)
+        self._record_logged(trainer)
 
     def on_exception(self, trainer: Trainer, pl_module: LightningModule, exception: BaseException) -> None:
-        """Record the file of the TensorBoard logger if the training ends before its first step."""
-        self._record_events(trainer)
+        """Record the files of the loggers if the training ends early."""
+        self._record_logged(trainer)
 
-    def _record_events(self, trainer: Trainer) -> None:
+    def _record_logged(self, trainer: Trainer) -> None:
         if trainer.is_global_zero:
-            self._run.record_written(set(self._run.tensorboard.glob("events.*")) - self._events_before)
+            self._run.record_written(files_logged(self._run) - self._logged_before)
 
     def on_train_epoch_end(self, trainer: Trainer, pl_module: LightningModule) -> None:
         """Write the figures of the epoch as a row of the file."""
@@ -183,7 +185,8 @@ class Curves(Checkpoint):
             self._warn(trainer, pl_module, values)
 
     def on_train_end(self, trainer: Trainer, pl_module: LightningModule) -> None:
-        """Print a summary, unless the training was interrupted."""
+        """Record the files of the loggers, and print a summary, unless the training was interrupted."""
+        self._record_logged(trainer)
         early = self._stale() and len(self._rows) < (trainer.max_epochs or 0)
         if not trainer.is_global_zero or not (early or trainer.current_epoch >= (trainer.max_epochs or 0)):
             return
@@ -198,7 +201,9 @@ class Curves(Checkpoint):
             parts.append(f"{self._pace.waiting:.0%} of the time waiting for data")
         checkpoint = self._run.checkpoints / ("last.ckpt" if best is None else "best.ckpt")
         self._tell(trainer, ", ".join(parts))
-        self._tell(trainer, f"checkpoint: {checkpoint}; curves: tensorboard --logdir {self._run.tensorboard}")
+        board = any(isinstance(logger, TensorBoardLogger) for logger in trainer.loggers)
+        curves = f"tensorboard --logdir {self._run.tensorboard}" if board else str(self._run.metrics)
+        self._tell(trainer, f"checkpoint: {checkpoint}; curves: {curves}")
 
     def state_dict(self) -> dict[str, Any]:
         """Return the rows so far, for the checkpoint."""

@@ -43,6 +43,7 @@ from siamloc.training.checks import (
     monitored,
     usable,
 )
+from siamloc.training.loggers import log_settings
 from siamloc.training.pair_batches import PairDataModule
 from siamloc.training.place_batches import PlaceDataModule, rooms_of, validation_drive
 from siamloc.training.run_folder import (
@@ -237,6 +238,7 @@ def learn(
             for text in notes:
                 print(f"note: {text}", file=sys.stderr)
             print(f"training {name} on {what}, epochs: {settings.epochs}, into {run.folder}", file=sys.stderr)
+        log_settings(lightning.loggers, used)
         start = last if resume and last.is_file() else None
         with computing(module, settings, trainer):
             _train(lightning, module, data, run, start)

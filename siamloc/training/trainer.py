@@ -24,13 +24,13 @@ from siamloc.runs import Run
 from siamloc.training.batch_norm import OneBatch
 from siamloc.training.callbacks import AtomicCheckpoints, Curves, MovingAverage, checkpoint_callbacks
 from siamloc.training.guard import FiniteGuard
+from siamloc.training.loggers import check_loggers, loggers_of
 from siamloc.training.pace import Pace
 from siamloc.training.settings import Training
 from siamloc.training.stopping import StepCheckpoints
 
 ensure_torchvision()
 from lightning.pytorch import Callback, LightningModule, Trainer  # noqa: E402
-from lightning.pytorch.loggers import TensorBoardLogger  # noqa: E402
 from lightning.pytorch.plugins import LayerSync  # noqa: E402
 
 TRAINER: Mapping[str, Any] = {"accelerator": "auto", "devices": 1, "log_every_n_steps": 10}
@@ -43,7 +43,7 @@ OF_STEPS = ("accumulate_grad_batches", "limit_train_batches", "max_steps")
 
 
 def run_trainer(run: Run, settings: Training, further: Mapping[str, Any] | None, monitor: str | None) -> Trainer:
-    """Make the trainer of a run: checkpoints, curves and TensorBoard files go to the run's folder.
+    """Make the trainer of a run: checkpoints, curves and the files of its loggers go to the run's folder.
 
     Args:
         run: the run.
@@ -56,6 +56,7 @@ def run_trainer(run: Run, settings: Training, further: Mapping[str, Any] | None,
         ConfigError: arguments that Lightning refuses, or that siamloc sets itself.
     """
     options = dict(further or {})
+    loggers = loggers_of(run, options.pop("logger", "tensorboard"))
     pace = Pace()
     guard = FiniteGuard()
     own_callbacks = [_Seeds(settings.seed), guard, pace, Curves(run, monitor, pace, settings.patience)]
@@ -71,7 +72,7 @@ def run_trainer(run: Run, settings: Training, further: Mapping[str, Any] | None,
     own: dict[str, Any] = {
         "max_epochs": settings.epochs,
         "default_root_dir": run.folder,
-        "logger": TensorBoardLogger(run.folder, name="tensorboard", version=""),
+        "logger": loggers,
         "callbacks": [*callbacks, *checkpoint_callbacks(run.checkpoints, monitor), steps],
         "plugins": [*plugins, AtomicCheckpoints()],
         "num_sanity_val_steps": 0,
@@ -96,6 +97,7 @@ def check_trainer(further: Mapping[str, Any] | None) -> Trainer:
     Raises:
         ConfigError: arguments that Lightning refuses.
     """
+    check_loggers((further or {}).get("logger", "tensorboard"))
     own = dict.fromkeys(("logger", "enable_checkpointing", "enable_progress_bar", "enable_model_summary"), False)
     with quiet():
         return _made({name: value for name, value in (further or {}).items() if name not in own}, own)

@@ -1,0 +1,82 @@
+"""Where the curves and the settings of a training go: TensorBoard, CSV, Weights & Biases or MLflow, by Lightning."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+
+from augment.torchvision_compat import ensure_torchvision
+from siamloc.errors import ConfigError, hint
+from siamloc.runs import Run
+
+ensure_torchvision()
+from lightning.pytorch.loggers import CSVLogger, Logger, MLFlowLogger, TensorBoardLogger, WandbLogger  # noqa: E402
+
+LOGGERS = ("tensorboard", "csv", "wandb", "mlflow")
+"""Names of the loggers, and of their folders in a run."""
+_PACKAGES = {"wandb": ("wandb",), "mlflow": ("mlflow",)}  # the others are always there
+
+
+def check_loggers(chosen: Any) -> list[str | Logger]:
+    """Return a choice of loggers as a list.
+
+    Args:
+        chosen: a name in `LOGGERS`, a logger of Lightning, or a list of them; False for none.
+
+    Raises:
+        ConfigError: something else, or a logger whose package is not installed.
+    """
+    listed = [] if chosen is False else list(chosen) if isinstance(chosen, list | tuple) else [chosen]
+    for one in listed:
+        if isinstance(one, Logger):
+            continue
+        if one not in LOGGERS:
+            raise ConfigError(f"unknown trainer.logger {one!r}: {hint(str(one), LOGGERS)}, or false for none")
+        if missing := [package for package in _PACKAGES.get(one, ()) if find_spec(package) is None]:
+            raise ConfigError(f"trainer.logger={one} needs the package {missing[0]}: pip install 'siamloc[{one}]'")
+    return listed
+
+
+def loggers_of(run: Run, chosen: Any) -> list[Logger]:
+    """Make the loggers of a run, which write into its folder.
+
+    Weights & Biases and MLflow take their server from their own variables, such as WANDB_MODE=offline and
+    MLFLOW_TRACKING_URI; without the latter, MLflow writes into the folder of the run.
+
+    Args:
+        run: the run.
+        chosen: as for `check_loggers`.
+
+    Raises:
+        ConfigError: as `check_loggers`.
+    """
+    return [one if isinstance(one, Logger) else _made(one, run.folder) for one in check_loggers(chosen)]
+
+
+def _made(name: str, folder: Path) -> Logger:
+    if name == "tensorboard":
+        return TensorBoardLogger(folder, name="tensorboard", version="", default_hp_metric=False)
+    if name == "csv":
+        return CSVLogger(folder, name="csv", version="")
+    title = folder.absolute().name
+    if name == "wandb":
+        project = os.environ.get("WANDB_PROJECT", "siamloc")
+        folder.mkdir(parents=True, exist_ok=True)
+        return WandbLogger(name=title, project=project, save_dir=folder)
+    server = os.environ.get("MLFLOW_TRACKING_URI")
+    return MLFlowLogger("siamloc", run_name=title, tracking_uri=server, save_dir=str(folder.absolute() / "mlflow"))
+
+
+def log_settings(loggers: list[Logger], used: Mapping[str, Any]) -> None:
+    """Give loggers the resolved settings of a training, as in the record of its run."""
+    for logger in loggers:
+        logger.log_hyperparams({key: value for key, value in used.items() if key != "frames"})
+
+
+def files_logged(run: Run) -> set[Path]:
+    """Return the files that loggers have written into a run."""
+    found = [path for name in LOGGERS for path in (run.folder / name).rglob("*")]
+    return {path for path in found if path.is_file() and not path.is_symlink()}
