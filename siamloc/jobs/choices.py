@@ -93,6 +93,25 @@ class DescriptorChoice(Choice):
     LABELLED = True
 
 
+@dataclass(frozen=True)
+class Frozen(Settings):
+    """A network as it is published, as a descriptor.
+
+    Attributes:
+        branch: the network, as for `siamloc.models.build`, such as timm/vit_small_patch14_dinov2.
+        weights: its weights, as there.
+        head: a head without weights of its own.
+        circular: whether its convolutions wrap around the azimuth.
+    """
+
+    WHERE = "descriptor"
+
+    branch: Text
+    weights: Text | None = "cached"
+    head: Literal["magnitudes"] = "magnitudes"
+    circular: bool = False
+
+
 class Heading(Choice):
     """The descriptor that estimates headings for a network that cannot."""
 
@@ -107,7 +126,8 @@ def _checks(where: str) -> Mapping[str, Check]:
         from siamloc.maps.grouping import WAYS
 
         return {"none": _only(where), **{name: way.of for name, way in WAYS.items()}}
-    networks = {"network": _only(where, "run"), **dict.fromkeys(("untrained", "pretrained"), _only(where))}
+    plain = dict.fromkeys(("untrained", "pretrained"), _only(where))
+    networks = {"network": _only(where, "run"), "frozen": Frozen.of, **plain}
     return {**(networks if where == "descriptor" else {"none": _only(where)}), **_analytic(where)}
 
 

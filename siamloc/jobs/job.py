@@ -101,7 +101,7 @@ class Job(Settings):
 
         The module of a camera class or a network of the user's own is imported if it was given, and not only stored.
         """
-        for key in ("unwrap.kind", "model.branch", "model.branch.name"):
+        for key in ("unwrap.kind", "model.branch", "model.branch.name", "descriptor.branch"):
             own: Any = values
             for part in key.split("."):
                 own = own.get(part) if isinstance(own, Mapping) else None

@@ -16,7 +16,7 @@ import yaml
 
 from foundation.settings import complaint, defaults_of, merged
 from siamloc.errors import ConfigError, hint
-from siamloc.jobs.choices import parameters_of
+from siamloc.jobs.choices import Frozen, parameters_of
 from siamloc.models.registry import is_backbone
 
 
@@ -138,6 +138,7 @@ def _of_maps() -> Options:
             "network": Option({"name": "network", "run": None}, "The trained network of a run."),
             "untrained": Option({"name": "untrained"}, "The network of the run with its initial weights."),
             "pretrained": Option({"name": "pretrained"}, "The network that ships with siamloc; needs no run."),
+            "frozen": Option({"name": "frozen", "branch": "???", **defaults_of(Frozen)}, summary_of(Frozen)),
             **{name: Option({"name": name, **own}, summary_of(type(descriptor(name)))) for name, own in values.items()},
         },
         "heading": {

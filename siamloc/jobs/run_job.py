@@ -18,7 +18,7 @@ from siamloc.data.library import PanoramaLibrary
 from siamloc.data.protocol import Protocol
 from siamloc.data.reading import DataSettings
 from siamloc.errors import ConfigError
-from siamloc.jobs.choices import OF_A_RUN, Build, DescriptorChoice, Device, Folder, Heading, Model
+from siamloc.jobs.choices import OF_A_RUN, Build, DescriptorChoice, Device, Folder, Frozen, Heading, Model
 from siamloc.jobs.job import Given, Job, Say
 from siamloc.jobs.stored import descriptor_of, only_map, with_settings_of_the_run
 from siamloc.models.registry import PRETRAINED_SIZE
@@ -160,6 +160,9 @@ class RunJob(DataJob):
         if chosen.name == "pretrained":
             self._check_size(PRETRAINED_SIZE, "the network that ships with siamloc")
             return models.as_descriptor(models.pretrained(circular=self.data.circular), self.device)
+        if chosen.name == "frozen":
+            network = models.build(image_size=self.data.image_size, **Frozen.of(chosen.parameters).plain())
+            return models.as_descriptor(network, self.device)
         trained = Run(Path(chosen.parameters["run"])) if chosen.parameters.get("run") else self.here
         network = models.load(trained, which="untrained" if chosen.name == "untrained" else self.checkpoint)
         self._check_architecture(network, trained, own=trained == self.here)

@@ -2,6 +2,7 @@ from .batch_losses import MetricCalibratedLoss as MetricCalibratedLoss, SoftCont
 from .checkpoint import load as load, pretrained as pretrained, save_weights as save_weights
 from .cross_entropy import CrossEntropyLoss as CrossEntropyLoss
 from .describing import NetworkDescriptor as NetworkDescriptor, as_descriptor as as_descriptor
+from .distillation import DistillationLoss as DistillationLoss
 from .losses import ContrastiveLoss as ContrastiveLoss
 from .near_and_far import (
     CircleLoss as CircleLoss,

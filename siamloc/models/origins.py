@@ -27,6 +27,7 @@ class Origins:
             in rad; None if positions and headings are exact. They count as independent from frame to frame.
         overlap: (N, N) share of the surfaces that two images have in common, from 0 to 1: 0 between buildings, NaN
             where unknown; None if it is unknown for all images.
+        taught: (N, T) descriptors of the images by the teacher of a `DistillationLoss`; None for other losses.
     """
 
     xy: Tensor
@@ -36,6 +37,7 @@ class Origins:
     theta: Tensor | None = None
     overlap: Tensor | None = None
     deviation: Tensor | None = None
+    taught: Tensor | None = None
 
     def distances(self) -> Tensor:
         """Return the distances between images (N, N): infinite between buildings, NaN where a position is unknown.

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from functools import partial
 
 import torch
@@ -72,6 +73,8 @@ class PlaceModule(NetworkModule):
     def training_step(self, batch: Mapping[str, Tensor], batch_index: int) -> Tensor:
         """Return the loss of a batch of places."""
         origins = _origins(batch)
+        if callable(teach := getattr(self.loss, "teach", None)):
+            origins = replace(origins, taught=teach(as_float(batch["images"])))
         found, orientation = self._described(batch)
         descriptors = checked_descriptors(found, len(batch["images"]))
         mine = origins, descriptors.detach()
@@ -140,7 +143,7 @@ class PlaceModule(NetworkModule):
         def gathered(value: Tensor, grads: bool = False) -> Tensor:
             return self.all_gather(value, sync_grads=grads).flatten(0, 1)  # type: ignore[union-attr]
 
-        names = [*_KEYS[1:], *(["deviation"] if origins.deviation is not None else [])]
+        names = [*_KEYS[1:], *(name for name in ("deviation", "taught") if getattr(origins, name) is not None)]
         fields = {name: gathered(getattr(origins, name)) for name in names}
         if origins.overlap is not None:  # the processes have different buildings
             fields["overlap"] = torch.block_diag(*gathered(origins.overlap).split(len(descriptors)))

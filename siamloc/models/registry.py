@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal, get_args
 
-from foundation.settings import Natural, NotNegative, Positive, Rule, Settings, Share, checked
+from foundation.settings import Natural, NotNegative, Positive, Rule, Settings, Share, Size, Text, checked
 from siamloc.errors import ConfigError, hint
 
 Normalization = Literal["channels", "image", "local", "local_brightness", "local_and_colours"]
@@ -304,6 +304,24 @@ class CrossEntropy(Settings):
 
 
 @dataclass(frozen=True)
+class Distillation(Settings):
+    """Images as alike as a larger network finds them, without labels (`DistillationLoss`).
+
+    Attributes:
+        teacher: the larger network: "siamloc" for the one that ships with siamloc, a run or a file of weights, or
+            timm/NAME or torchvision/NAME.
+        weights: weights of a network of timm or torchvision, see `siamloc.models.build`.
+        image_size: rows and columns to which images are scaled for a network of timm or torchvision.
+    """
+
+    WHERE = "loss"
+
+    teacher: Text = "siamloc"
+    weights: Text | None = "cached"
+    image_size: Size = (112, 448)
+
+
+@dataclass(frozen=True)
 class Contrastive(Settings):
     """Pairs of images: near ones alike, others apart by a margin ([T] eq. 5.1).
 
@@ -322,6 +340,7 @@ LOSSES: dict[str, tuple[type[Settings], str]] = {
     "triplet": (Triplet, "near_and_far.TripletLoss"),
     "circle": (Circle, "near_and_far.CircleLoss"),
     "multi_similarity": (MultiSimilarity, "near_and_far.MultiSimilarityLoss"),
+    "distillation": (Distillation, "distillation.DistillationLoss"),
     "cross_entropy": (CrossEntropy, "cross_entropy.CrossEntropyLoss"),
 }
 """The losses over batches of places by name: the class of their parameters, and their own class in `siamloc.models`."""

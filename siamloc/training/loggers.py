@@ -77,6 +77,8 @@ def log_settings(loggers: list[Logger], used: Mapping[str, Any]) -> None:
 
 
 def files_logged(run: Run) -> set[Path]:
-    """Return the files that loggers have written into a run."""
+    """Return the files in the folders of the loggers that the run's record does not list."""
+    known = set(run.load_record()["written"]) if run.record.is_file() else set()
     found = [path for name in LOGGERS for path in (run.folder / name).rglob("*")]
-    return {path for path in found if path.is_file() and not path.is_symlink()}
+    files = {path for path in found if path.is_file() and not path.is_symlink()}
+    return {path for path in files if path.relative_to(run.folder).as_posix() not in known}

@@ -1,0 +1,76 @@
+"""Where curves and settings go: each logger writes into the run, and a missing one is named."""
+
+from __future__ import annotations
+
+import csv
+
+import pytest
+
+from siamloc.errors import ConfigError
+from siamloc.training import fit, loggers
+from siamloc.training.loggers import check_loggers
+from tests.siamloc.training.conftest import SETTINGS, network
+
+
+@pytest.fixture
+def train(images, drives, tmp_path):
+    """Train a run with a logger; twice, since a run that replaces another one must remove its files."""
+
+    def train(logger):
+        quick = {"accelerator": "cpu", "logger": logger, "log_every_n_steps": 2}
+        for _ in range(2):
+            run = fit(
+                network(), images, drives[0], run=tmp_path / "run", epochs=2, trainer=quick, overwrite=True, **SETTINGS
+            )
+        return run
+
+    return train
+
+
+def test_unknown_and_missing_loggers_are_named(monkeypatch):
+    with pytest.raises(ConfigError, match=r"unknown trainer.logger 'board': valid: tensorboard, csv, wandb, mlflow"):
+        check_loggers("board")
+    monkeypatch.setattr(loggers, "find_spec", lambda package: None)
+    for name in ("wandb", "mlflow"):
+        with pytest.raises(ConfigError, match=rf"pip install 'siamloc\[{name}\]'"):
+            check_loggers([name])
+    assert check_loggers(False) == []
+    assert check_loggers("csv") == ["csv"]
+
+
+def test_csv_holds_the_curves_and_the_settings(train):
+    run = train("csv")
+    rows = list(csv.DictReader((run.folder / "csv" / "metrics.csv").open()))
+    logged = [float(row["train/loss"]) for row in rows if row.get("train/loss")]
+    assert logged == pytest.approx(run.curves()["train/loss"].tolist())
+    assert "learning_rate: 0.001" in (run.folder / "csv" / "hparams.yaml").read_text()
+    assert not run.tensorboard.exists()
+    assert {"csv/metrics.csv", "csv/hparams.yaml"} <= set(run.load_record()["written"])
+
+
+def test_tensorboard_gets_the_settings_and_none_writes_nothing(train):
+    assert "branch: simple1" in (train(["tensorboard"]).tensorboard / "hparams.yaml").read_text()
+    run = train(False)
+    assert not any((run.folder / name).exists() for name in ("tensorboard", "csv"))
+    assert len(run.curves()["epoch"]) == 2
+
+
+@pytest.mark.slow
+def test_weights_and_biases_offline(train, monkeypatch):
+    pytest.importorskip("wandb")
+    monkeypatch.setenv("WANDB_MODE", "offline")
+    run = train("wandb")
+    assert list((run.folder / "wandb").glob("offline-run-*/*.wandb"))
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("ignore")  # of MLflow about itself
+def test_mlflow_in_the_folder_of_the_run(train, monkeypatch):
+    mlflow = pytest.importorskip("mlflow")
+    monkeypatch.delenv("MLFLOW_TRACKING_URI", raising=False)
+    run = train("mlflow")
+    client = mlflow.MlflowClient(loggers.loggers_of(run, "mlflow")[0]._tracking_uri)
+    (experiment,) = [one for one in client.search_experiments() if one.name == "siamloc"]
+    found = client.search_runs([experiment.experiment_id])[0]
+    assert found.data.params["model/branch"] == "simple1"
+    assert found.data.metrics["train/loss"] == pytest.approx(run.curves()["train/loss"][-1])
