@@ -17,6 +17,7 @@ from .extracting import Contents as Contents, Extraction as Extraction, contents
 from .fetching import Fetched as Fetched, fetch as fetch
 from .frames import FrameTable as FrameTable, concatenate as concatenate
 from .library import PanoramaLibrary as PanoramaLibrary
+from .mounting import Mounting as Mounting
 from .panorama import (
     OmnidirectionalCamera as OmnidirectionalCamera,
     PanoramaView as PanoramaView,

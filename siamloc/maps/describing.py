@@ -12,8 +12,10 @@ from analytic import DESCRIPTORS, Description, Descriptor, descriptor
 from analytic.errors import known
 from foundation.calls import typed
 from siamloc.data.frames import FrameTable
-from siamloc.errors import ConfigError, DataError
+from siamloc.data.mounting import Mounting
+from siamloc.errors import ConfigError, DataError, logger
 from siamloc.maps.heading import HEADINGS, NetworkHeading, described, halved
+from siamloc.maps.mounting import estimate
 from siamloc.maps.visual_map import VisualMap
 from siamloc.progress import track
 from siamloc.stopwatch import Stopwatch
@@ -33,10 +35,14 @@ def build(
     heading: Descriptor | str | None = None,
     distance: str | None = None,
     device: str | None = "auto",
+    mounting: Mounting | None = None,
     made: Mapping[str, Any] | None = None,
     progress: bool = True,
 ) -> VisualMap:
     """Describe frames and return the map in which queries are searched.
+
+    A network that compares images is used to estimate how the camera is mounted (`find_mounting`); the map then takes
+    that into account whenever it describes panoramas or refines poses.
 
     Args:
         described_by: a network (B, 3, H, W) -> (B, D), any descriptor, or the name of an analytic one such as "hog".
@@ -47,6 +53,7 @@ def build(
         distance: how descriptors are compared, a name in `analytic.DISTANCES`; the descriptor's default if None.
         device: where a network computes: "auto" is the GPU if torch finds one, see `siamloc.models.as_descriptor`; a
             network stays where it is if None.
+        mounting: how the camera is mounted; estimated if None, and `Mounting()` for straight ahead.
         made: further plain values for reference (`VisualMap.made`).
         progress: whether to show the progress.
 
@@ -82,7 +89,19 @@ def build(
     if not len(readable):
         raise DataError(f"none of the images of the {len(frames)} map frames could be read")
     what = "describing the map" if progress else None
-    found = Description.concatenate(list(describe(by, images, readable, heading=second, progress=what)))
+
+    def descriptions(mounting: Mounting | None) -> Description:
+        return Description.concatenate(
+            list(describe(by, images, readable, heading=second, mounting=mounting, progress=what))
+        )
+
+    found = descriptions(mounting)
+    if mounting is None and second is None and images.circular and getattr(by, "compares", False):
+        assert found.orientation is not None
+        estimated = estimate(readable, found.orientation, by.compare)  # type: ignore[attr-defined]
+        if (mounting := estimated.mounting) != Mounting():
+            logger.warning("the camera is not mounted straight, which the map makes up for: %s", estimated.summary())
+            found = descriptions(mounting)
     turning, orientation = second, found.orientation
     if by.name == NetworkHeading.name and second is None:
         wanted = images.circular if by.tells_heading else getattr(by, "compares", False)
@@ -90,6 +109,7 @@ def build(
         orientation = None if turning is None else orientation
     if turning is not None and orientation is not None:
         orientation = halved(turning, orientation)
+    made = {**(made or {}), **({} if mounting in (None, Mounting()) else {"mounting": mounting.plain()})}
     data = {**readable.source, **images.settings()}
     return VisualMap(
         found.position,
@@ -97,7 +117,7 @@ def build(
         {**by.identity, "images": images.preprocessing.parameters()},
         by.default_distance if distance is None else distance,
         unit=readable.unit,
-        made={"data": data, "sequences": list(readable.rows_by("sequence")), "frames": len(readable), **(made or {})},
+        made={"data": data, "sequences": list(readable.rows_by("sequence")), "frames": len(readable), **made},
         orientation=orientation,
         heading=None if turning is None or orientation is None else turning.identity,
         describes=by,
@@ -111,6 +131,7 @@ def describe(
     frames: FrameTable,
     *,
     heading: Descriptor | None = None,
+    mounting: Mounting | None = None,
     progress: str | None = None,
     clock: Stopwatch | None = None,
 ) -> Iterator[Description]:
@@ -124,6 +145,7 @@ def describe(
         images: panoramas of the frames.
         frames: n frames, all readable.
         heading: a second descriptor, whose orientation parts are used; that of the map if `by` is a map.
+        mounting: how the camera is mounted, straight if None; that of the map if `by` is a map.
         progress: label of the progress bar; None to show nothing.
         clock: measures the time spent on describing, without decoding, as its step "describe".
 
@@ -132,10 +154,10 @@ def describe(
     """
     if isinstance(by, VisualMap):
         by.check_images(images.preprocessing.parameters())
-        heading = by.heading_descriptor
+        heading, mounting = by.heading_descriptor, by.mounting
         by = by.descriptor
     clock = Stopwatch() if clock is None else clock
-    parts = (_timed(clock, by, heading, batch) for batch in images.batches(frames))
+    parts = (_timed(clock, by, heading, batch, mounting) for batch in images.batches(frames))
     return parts if progress is None else track(parts, len(frames), progress, size=len)
 
 
@@ -150,9 +172,15 @@ def _check_elevations(by: Descriptor, images: PanoramaLibrary) -> None:
         )
 
 
-def _timed(clock: Stopwatch, by: Descriptor, heading: Descriptor | None, batch: NDArray[np.uint8]) -> Description:
+def _timed(
+    clock: Stopwatch,
+    by: Descriptor,
+    heading: Descriptor | None,
+    batch: NDArray[np.uint8],
+    mounting: Mounting | None,
+) -> Description:
     with clock.of("describe", len(batch)):
-        return described(by, heading, batch)
+        return described(by, heading, batch, mounting)
 
 
 def descriptor_from(by: Descriptor | nn.Module | str, *, circular: bool, device: str | None = "auto") -> Descriptor:

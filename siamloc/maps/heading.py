@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from analytic import DESCRIPTORS, Description, Descriptor, ImageDescriptor, descriptor
 from analytic.descriptors.between_columns import BetweenColumns
+from siamloc.data.mounting import Mounting
 from siamloc.errors import ConfigError, DataError
 from siamloc.maps.packing import all_finite, packed
 
@@ -101,13 +102,18 @@ class NetworkHeading(BetweenColumns):
         raise ConfigError("orientation parts by a network come from the network: describe images with known.describe")
 
 
-def described(by: Descriptor, heading: Descriptor | None, batch: ArrayLike) -> Description:
+def described(
+    by: Descriptor, heading: Descriptor | None, batch: ArrayLike, mounting: Mounting | None = None
+) -> Description:
     """Describe images with one descriptor, with the orientation parts of a second descriptor if one is given.
 
     Args:
         by: gives the position parts, and the orientation parts without a second descriptor.
         heading: the second descriptor, None if there is none.
         batch: images (B, 3, H, W) as both descriptors take them.
+        mounting: how the camera that took them is mounted, which is taken out first; straight if None.
     """
+    if mounting is not None and mounting != Mounting():
+        batch = mounting.straight(np.asarray(batch))
     found = by.describe(batch)
     return found if heading is None else Description(found.position, heading.describe(batch).orientation)

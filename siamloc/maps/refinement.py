@@ -186,14 +186,15 @@ def _refined(known: VisualMap, parts: NDArray[np.float32], rows: NDArray[np.int6
     about = np.linalg.inv(axes @ spread[..., :2, :2] @ axes.swapaxes(-1, -2))
     odds = np.where(usable, match.reshape(n, count), -np.inf)
     probability = 1 / (1 + np.exp(-odds))
-    at = xy + (axes @ pose[..., :2, None])[..., 0]
+    at = xy + known.mounting.offset(theta) + (axes @ pose[..., :2, None])[..., 0]
     most_likely, weight, share = _most_likely(at, about, probability)
     turned = theta + pose[..., 2]
     weight_of_turn = weight / spread[..., 2, 2]
     heading = np.arctan2((weight_of_turn * np.sin(turned)).sum(axis=1), (weight_of_turn * np.cos(turned)).sum(axis=1))
     nothing = np.logical_not(usable.any(axis=1))
+    robot = most_likely - known.mounting.offset(heading)
     return RefinedPoses(
-        np.where(nothing[:, None], known.frames.xy[rows[:, 0]], most_likely),
+        np.where(nothing[:, None], known.frames.xy[rows[:, 0]], robot),
         np.where(nothing, np.nan, heading),
         (weight[..., None, None] * about).sum(axis=1),
         share.mean(axis=1),

@@ -20,6 +20,7 @@ from foundation.calls import typed
 from foundation.files import plain
 from foundation.settings import leaves
 from siamloc.data.frames import FrameTable, concatenate
+from siamloc.data.mounting import Mounting
 from siamloc.data.panorama import PolarRing
 from siamloc.errors import ConfigError, DataError
 from siamloc.maps.aligned import AlignedIndex
@@ -184,7 +185,12 @@ class VisualMap:
         Raises:
             ConfigError: the map holds no descriptor, see `descriptor`.
         """
-        return described(self.descriptor, self.heading_descriptor, batch)
+        return described(self.descriptor, self.heading_descriptor, batch, self.mounting)
+
+    @cached_property
+    def mounting(self) -> Mounting:
+        """How the camera is mounted; panoramas are described as if it looked straight ahead."""
+        return Mounting.of(self.made.get("mounting", {}))
 
     @property
     def aligned(self) -> bool:

@@ -81,6 +81,7 @@ class Describer:
         expected = (3, *self._size)
         if panoramas.dtype != np.uint8 or panoramas.ndim != 4 or panoramas.shape[1:] != expected:
             raise DataError(f"a panorama has shape {expected} and dtype uint8, got {panoramas.shape} {panoramas.dtype}")
+        panoramas = self.known.mounting.straight(panoramas)
         if self._session is None:
             found = self.known.descriptor.describe(panoramas)
             position, orientation = found.position, found.orientation

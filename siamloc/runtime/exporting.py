@@ -170,7 +170,7 @@ class _Ingredients:
         about["sha256"] = {file: file_hash(fresh / file) for file in files.PARTS if (fresh / file).is_file()}
         write_json(fresh / files.DESCRIPTION, {"parity": _UNKNOWN, **about})  # to be opened, and compared
         if known is not None:
-            apart = _check_alike(fresh, self.given, known, precision, self.images)
+            apart = _check_alike(fresh, known, precision, self.images)
             if module is None or precision != "float32":
                 write_json(fresh / files.DESCRIPTION, {**about, "parity": {**about.get("parity", {}), **apart}})
 
@@ -214,7 +214,7 @@ class _Ingredients:
 
 
 def _check_alike(
-    folder: Path, original: Descriptor, known: VisualMap, precision: Precision, images: PanoramaLibrary | None
+    folder: Path, known: VisualMap, precision: Precision, images: PanoramaLibrary | None
 ) -> dict[str, Any]:
     """Open the written bundle as the robot does, and compare it with the original.
 
@@ -233,7 +233,7 @@ def _check_alike(
     panoramas = np.random.default_rng(0).integers(0, 256, (_TRIED, 3, rows, columns), dtype=np.uint8)
     if precision != "float32" and images is not None:
         panoramas = spread(images, known.frames, _TRIED)[0]
-    asked, answered = original.describe(panoramas), localizer.describe(panoramas)
+    asked, answered = known.describe(panoramas), localizer.describe(panoramas)
     expected, got = asked.position, answered.position
     apart, norm = np.linalg.norm(got - expected, axis=1), np.linalg.norm(expected, axis=1)
     if not np.isfinite(got).all():

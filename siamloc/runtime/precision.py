@@ -110,7 +110,7 @@ def measured(bundle: Path, original: Descriptor, panoramas: NDArray[np.uint8], x
     localizer = Localizer(bundle)
     localizer.locate_panorama(panoramas[0])  # the first is slower
     found = [localizer.locate_panorama(panorama) for panorama in panoramas]
-    expected = original.describe(panoramas).position
+    expected = original.describe(localizer.map.mounting.straight(panoramas)).position
     apart = localizer.describe(panoramas).position - expected
     errors = np.hypot(*(np.array([[one.x, one.y] for one in found]) - xy).T)
     known = localizer.map.frames.xy
