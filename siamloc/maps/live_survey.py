@@ -12,6 +12,7 @@ from foundation.calls import typed
 from siamloc.data.frames import concatenate
 from siamloc.data.moves import composed
 from siamloc.errors import DataError
+from siamloc.maps.heading import described
 from siamloc.maps.loops import Loops, agreed, edges_of, loops_of
 from siamloc.maps.pose_graph import Array, Edges, PoseGraph, solve
 from siamloc.maps.reranking import scaled
@@ -83,6 +84,7 @@ class LiveSurvey:
         parts = known.turning().orientation
         if parts is None or known.frames.identities() != found.frames.identities():
             raise DataError("a live survey needs the map of its frames: give build(network, images, found.frames)")
+        self._mounting = known.mounting
         self._descriptors, self._parts = _Growing(known.learned), _Growing(scaled(parts))
         self._continue(found)
 
@@ -107,7 +109,7 @@ class LiveSurvey:
             DataError: odometry that is not three numbers.
         """
         wheels = odometry_of(np.full((1, 3), np.nan) if odometry is None else np.asarray(odometry)[None], 1)
-        n, description = len(self), self._network.describe(panorama[None])
+        n, description = len(self), described(self._network, None, panorama[None], self._mounting)
         parts = scaled(description.orientation)
         learned = description.position[:, : self._descriptors.rows.shape[1]]
         before = n - np.array(BEFORE)

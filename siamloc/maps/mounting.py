@@ -69,6 +69,8 @@ class MountingEstimate:
     @property
     def mounting(self) -> Mounting:
         """The mounting to correct for: nothing of what is unknown, and no yaw too small to matter."""
+        if np.isnan(self.yaw):
+            return Mounting()
         yaw = self.yaw if abs(self.yaw) > max(STRAIGHT, 2 * self.yaw_deviation) else 0.0
         apart = np.hypot(*self.offset) > max(NEAR, 2 * max(self.offset_deviation))
         ahead, left = self.offset if apart else (0.0, 0.0)
@@ -144,7 +146,7 @@ def estimate(frames: FrameTable, parts: NDArray[Any], compares: Compares) -> Mou
     yaw_off, *off = np.sqrt((len(others) - 1) / len(others) * (apart**2).sum(axis=0)).tolist()
     if left_over > _FITS or np.degrees(yaw_off) > _CERTAIN:
         reason = "how the camera moves in the images does not follow from the poses: check them, and the headings"
-        return MountingEstimate(mirrored=mirrored, pairs=len(first), reasons=(reason, *reasons))
+        return MountingEstimate(pairs=len(first), reasons=(reason,))
     return MountingEstimate(
         float(np.degrees(whole[0])),
         float(np.degrees(yaw_off)),

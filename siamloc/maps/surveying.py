@@ -187,11 +187,12 @@ def survey(
     for finding in wrong_odometry(frames.with_columns(**dict(zip(ODOMETRY, wheels.T, strict=True)))):
         raise DataError(f"the odometry of a survey cannot be used: {finding}")
     described = comparing_descriptor(network, images.circular)
-    known = build(described, images, frames, progress=progress)
+    rolled = frames.with_columns(x=wheels[:, 0], y=wheels[:, 1], theta=wheels[:, 2])  # tells the camera's mounting
+    known = build(described, images, rolled, progress=progress)
     if len(known) < len(frames):  # images that cannot be read
         kept = set(known.frames.identities())
-        wheels = wheels[[key in kept for key in frames.identities()]]
-        frames = known.frames
+        left = [key in kept for key in frames.identities()]
+        frames, wheels = frames.take(left), wheels[left]
         _check_lengths(frames)
     names = list(frames.rows_by("sequence"))
     drive = np.array([names.index(name) for name in frames.sequence.tolist()], dtype=np.int64)
