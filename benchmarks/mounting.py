@@ -52,7 +52,7 @@ def main() -> None:
     for name, mounting in MOUNTINGS.items():
         tables = [_stored(options.data / name.replace(" ", "_") / drive, *drives[drive], mounting) for drive in drives]
         images = PanoramaLibrary(siamloc.data.concatenate(tables), options.data / "cache", image_size=(64, 256))
-        found = siamloc.maps.find_mounting(by, images, tables[0])
+        found = siamloc.data.find_mounting(by, images, tables[0])
         known = siamloc.maps.build(by, images, tables[0], progress=False)
         unaware = siamloc.maps.build(by, images, tables[0], mounting=Mounting(), progress=False)
         off = (found.yaw - mounting.yaw + 180) % 360 - 180

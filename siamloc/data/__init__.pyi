@@ -17,7 +17,7 @@ from .extracting import Contents as Contents, Extraction as Extraction, contents
 from .fetching import Fetched as Fetched, fetch as fetch
 from .frames import FrameTable as FrameTable, concatenate as concatenate
 from .library import PanoramaLibrary as PanoramaLibrary
-from .mounting import Mounting as Mounting
+from .mounting import Mounting as Mounting, MountingEstimate as MountingEstimate, find_mounting as find_mounting
 from .panorama import (
     OmnidirectionalCamera as OmnidirectionalCamera,
     PanoramaView as PanoramaView,

@@ -1,15 +1,44 @@
-"""`Mounting`: how a camera is mounted on its robot, and panoramas turned back to look straight ahead."""
+"""How a camera is mounted on its robot: `Mounting`, and `find_mounting`, which learns it from a drive with known poses.
+
+Seen from one image, the camera at yaw Y and offset o from the robot's centre moves by u if the robot moves by t and
+turns by D: R(Y) u = t + (R(D) - 1) o, the hand-eye equation in the plane.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Any, ClassVar
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from analytic import Descriptor
 from foundation.calls import typed
 from foundation.settings import Settings
+from siamloc.data.frames import FrameTable
+from siamloc.data.library import PanoramaLibrary
+from siamloc.data.moves import relative, wrapped
+from siamloc.errors import ConfigError
+
+Array = NDArray[np.float64]
+
+STRAIGHT = 2.0
+"""Degrees of yaw that are left as they are: they cost next to nothing, and an estimate may be off by as much."""
+NEAR = 0.03
+"""Offset of the camera that is left as it is, in the unit of the positions."""
+_REACHES = (0.0, 0.4, 0.8, 1.6)  # moves to the first frame that is this far along the drive, in the unit of x and y
+_FARTHEST = 4.0  # longest move
+_MOST = 400  # pairs of frames
+_FEWEST = 20  # pairs, of those that turn as well
+_TURNS = np.radians(15)  # a pair turns from here on
+_AGREE = 0.9  # share of the turns that must tell the same direction of columns
+_FITS = 0.5  # largest part of the moves that may remain unexplained
+_CERTAIN = 2.0  # largest deviation of a yaw, in degrees
+_PARTS = 8  # parts of the drive, each of which is left out once to learn the deviations
+_ROUNDS = 5
+_WORST = 0.02  # by which a comparison may be off however certain it says it is, in the unit of x and y
 
 
 @dataclass(frozen=True)
@@ -48,3 +77,194 @@ class Mounting(Settings):
         """Return where the camera is from that point (..., 2), along the axes of the map, at headings (...) in rad."""
         cosine, sine = np.cos(theta), np.sin(theta)
         return np.stack([cosine * self.ahead - sine * self.left, sine * self.ahead + cosine * self.left], axis=-1)
+
+
+@dataclass(frozen=True)
+class MountingEstimate:
+    """How a camera is mounted, with standard deviations, and the reasons for what is unknown.
+
+    Attributes:
+        yaw: how far the panorama's middle looks to the left of the heading, in degrees; NaN if unknown.
+        yaw_deviation: its standard deviation, in degrees.
+        mirrored: whether columns run counter-clockwise; None if unknown.
+        offset: where the camera is ahead and to the left of the robot's centre, in the unit of the positions; NaN if
+            unknown.
+        offset_deviation: standard deviation of each, in that unit.
+        pairs: number of pairs of images compared.
+        reasons: a sentence for what is unknown.
+    """
+
+    yaw: float = np.nan
+    yaw_deviation: float = np.nan
+    mirrored: bool | None = None
+    offset: tuple[float, float] = (np.nan, np.nan)
+    offset_deviation: tuple[float, float] = (np.nan, np.nan)
+    pairs: int = 0
+    reasons: tuple[str, ...] = ()
+
+    @property
+    def mounting(self) -> Mounting:
+        """The mounting to correct for: nothing of what is unknown, and no yaw too small to matter."""
+        if np.isnan(self.yaw):
+            return Mounting()
+        yaw = self.yaw if abs(self.yaw) > max(STRAIGHT, 2 * self.yaw_deviation) else 0.0
+        apart = np.hypot(*self.offset) > max(NEAR, 2 * max(self.offset_deviation))
+        ahead, left = self.offset if apart else (0.0, 0.0)
+        return Mounting(round(yaw, 2), bool(self.mirrored), round(ahead, 3), round(left, 3))
+
+    def summary(self, unit: str = "m") -> str:
+        """Return what is known, and the reasons for the rest, in one line."""
+        side = "left" if self.yaw > 0 else "right"
+        found = []
+        if np.isfinite(self.yaw):
+            found.append(f"it looks {abs(self.yaw):.1f} +- {self.yaw_deviation:.1f} degrees {side} of the heading")
+        if self.mirrored:
+            found.append("its panoramas are mirrored")
+        if self.mounting.ahead or self.mounting.left:
+            (ahead, left), (one, other) = self.offset, self.offset_deviation
+            found.append(
+                f"it is {ahead:.2f} +- {one:.2f} {unit} ahead and {left:.2f} +- {other:.2f} {unit} to the left of the "
+                "point whose poses are given"
+            )
+        return "; ".join([*found, *self.reasons])
+
+
+@typed
+def find_mounting(described_by: Descriptor, images: PanoramaLibrary, frames: FrameTable) -> MountingEstimate:
+    """Estimate how the camera is mounted, from the images and poses of a drive.
+
+    The network says for pairs of images how the camera moved and turned, the poses say how the robot did.
+    `siamloc.maps.build` does the same with the frames of a map, and takes the result into account.
+
+    Args:
+        described_by: a network that compares, `siamloc.models.as_descriptor(siamloc.models.pretrained())`.
+        images: panoramas of the frames.
+        frames: frames with positions and headings in capture order, close together.
+
+    Raises:
+        ConfigError: a descriptor that does not compare.
+
+    Example:
+        >>> by = siamloc.models.as_descriptor(siamloc.models.pretrained())  # doctest: +SKIP
+        >>> siamloc.data.find_mounting(by, images, frames).yaw  # doctest: +SKIP
+        30.2
+    """
+    if not getattr(described_by, "compares", False):
+        raise ConfigError(f"{described_by.name} does not compare images: take the network that ships with siamloc")
+    readable = images.readable(frames)
+    used = readable.take(np.unique(np.concatenate(_pairs(readable))))
+    size = getattr(getattr(described_by, "module", None), "image_size", None) or images.image_size
+    found = [described_by.describe(_resized(batch, size)).orientation for batch in images.batches(used)]
+    parts = np.concatenate(found) if len(used) else np.zeros((0, 1, 1))  # type: ignore[arg-type]
+    return estimate(used, parts, described_by.compare)  # type: ignore[attr-defined]
+
+
+def estimate(
+    frames: FrameTable, parts: NDArray[Any], compares: Callable[..., tuple[Array, Array, Array]]
+) -> MountingEstimate:
+    """Estimate how the camera is mounted, from the orientation parts (n, K, F) of n frames; see `find_mounting`.
+
+    Args:
+        frames: frames in capture order.
+        parts: their orientation parts.
+        compares: compares orientation parts, see `siamloc.maps.reranking.Compares`.
+    """
+    first, second = _pairs(frames)
+    if not len(first):
+        return MountingEstimate(reasons=("no successive frames with headings are near each other",))
+    pose, information, match = compares(*(np.asarray(parts[rows], dtype=np.float32) for rows in (second, first)))
+    known = match > 0
+    first, second, pose, information = first[known], second[known], pose[known], information[known]
+    if len(first) < _FEWEST:
+        reason = f"only {len(first)} pairs of successive images can be compared, and {_FEWEST} are needed"
+        return MountingEstimate(pairs=len(first), reasons=(reason,))
+    poses = np.column_stack([frames.xy, frames.theta])
+    moved = relative(poses, first, second)
+    mirrored, reasons = _mirrored(moved[:, 2], pose[:, 2])
+    seen = pose[:, :2] * (1, -1 if mirrored else 1)
+    turns = int((np.abs(moved[:, 2]) > _TURNS).sum()) >= _FEWEST
+    weight = 1 / (np.trace(np.linalg.inv(information)[:, :2, :2], axis1=1, axis2=2) / 2 + _WORST**2)
+    whole, left_over = _solved(moved, seen, weight, turns)
+    part = first * _PARTS // (first.max() + 1)
+    rest = [part != one for one in np.unique(part)]
+    others = np.array([_solved(moved[rows], seen[rows], weight[rows], turns)[0] for rows in rest])
+    apart = others - whole
+    apart[:, 0] = wrapped(apart[:, 0])
+    yaw_off, *off = np.sqrt((len(others) - 1) / len(others) * (apart**2).sum(axis=0)).tolist()
+    if left_over > _FITS or np.degrees(yaw_off) > _CERTAIN:
+        reason = "how the camera moves in the images does not follow from the poses: check them, and the headings"
+        return MountingEstimate(pairs=len(first), reasons=(reason,))
+    return MountingEstimate(
+        float(np.degrees(whole[0])),
+        float(np.degrees(yaw_off)),
+        mirrored,
+        (float(whole[1]), float(whole[2])) if turns else (np.nan, np.nan),
+        (off[0], off[1]) if turns else (np.nan, np.nan),
+        len(first),
+        reasons,
+    )
+
+
+def _resized(batch: NDArray[np.uint8], size: tuple[int, int]) -> NDArray[np.uint8]:
+    """Return panoramas (B, 3, H, W) of the size that a network takes."""
+    if batch.shape[2:] == tuple(size):
+        return batch
+    made = [cv2.resize(one.transpose(1, 2, 0), size[::-1], interpolation=cv2.INTER_AREA) for one in batch]
+    return np.stack(made).transpose(0, 3, 1, 2)
+
+
+def _pairs(frames: FrameTable) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Return rows of pairs of frames of one drive, near each other, in both orders.
+
+    Both orders, because a network that always says the same, whatever it sees, must not pass for a constant yaw.
+    """
+    found = [np.zeros((0, 2), dtype=np.int64)]
+    for rows in frames.rows_by("sequence").values():
+        rows = rows[np.isfinite(frames.theta[rows]) & frames.has_position[rows]]
+        steps = np.hypot(np.diff(frames.x[rows]), np.diff(frames.y[rows]))
+        along = np.concatenate([np.zeros(min(len(rows), 1)), np.cumsum(steps)])
+        for reach in _REACHES:
+            after = np.maximum(np.searchsorted(along, along + reach), np.arange(len(rows)) + 1)
+            inside = after < len(rows)
+            found.append(np.column_stack([rows[inside], rows[after[inside]]]))
+    pairs = np.unique(np.concatenate(found), axis=0)
+    near = np.hypot(*(frames.xy[pairs[:, 1]] - frames.xy[pairs[:, 0]]).T) < _FARTHEST
+    pairs = pairs[near]
+    pairs = pairs[:: max(1, -(-len(pairs) // (_MOST // 2)))]
+    first, second = np.concatenate([pairs, pairs[:, ::-1]]).T
+    return first, second
+
+
+def _mirrored(turned: Array, seen: Array) -> tuple[bool | None, tuple[str, ...]]:
+    """Return whether images turn against the headings, and the reason if that is not known."""
+    turns = np.abs(turned) > _TURNS
+    if turns.sum() < _FEWEST:
+        return None, ("the drive hardly turns: whether panoramas are mirrored, and the camera's offset, are unknown",)
+    turned, seen = turned[turns], seen[turns]
+    share = float((np.abs(wrapped(seen - turned)) < np.abs(wrapped(seen + turned))).mean())
+    if max(share, 1 - share) >= _AGREE:
+        return share < 0.5, ()
+    reason = f"{share:.0%} of the turns in the images agree with the headings: whether they are mirrored is unknown"
+    return None, (reason,)
+
+
+def _solved(moved: Array, seen: Array, weight: Array, turns: bool) -> tuple[Array, float]:
+    """Return the yaw in rad and the camera's offset (3,), and the part of the moves that these do not explain.
+
+    Least squares on `scale R(yaw) seen - (R(turn) - 1) offset = moved`, reweighted so that wrong comparisons do not
+    count; the scale takes any unit of the positions.
+    """
+    (x, y), cosine, sine = seen.T, np.cos(moved[:, 2]) - 1, np.sin(moved[:, 2])
+    columns = np.stack([[x, -y, -cosine, sine], [y, x, -sine, -cosine]]).transpose(2, 0, 1)  # (p, 2, 4)
+    columns = columns if turns else columns[..., :2]
+    trust = np.ones(len(seen))
+    for _ in range(_ROUNDS):
+        root = np.sqrt(weight * trust)[:, None]
+        left, right = (columns * root[..., None]).reshape(-1, columns.shape[2]), (moved[:, :2] * root).ravel()
+        solution = np.linalg.lstsq(left, right, rcond=None)[0]
+        off = np.hypot(*(columns @ solution - moved[:, :2]).T)
+        trust = 1 / (1 + (off / max(2 * float(np.median(off)), 1e-9)) ** 2)
+    length = np.hypot(moved[:, 0], moved[:, 1])
+    offset = solution[2:] if turns else np.zeros(2)
+    left_over = float(np.median(off) / max(float(np.median(length)), 1e-9))
+    return np.array([np.arctan2(solution[1], solution[0]), *offset]), left_over

@@ -12,7 +12,6 @@ from .live_survey import LiveSurvey as LiveSurvey
 from .maintenance import Maintenance as Maintenance, Update as Update, update as update
 from .matching import frame_distances as frame_distances, headings as headings, match as match
 from .motion import motions as motions
-from .mounting import MountingEstimate as MountingEstimate, find_mounting as find_mounting
 from .pose_filter import PoseFilter as PoseFilter
 from .ranking import NodeRanking as NodeRanking
 from .reasons import Reason as Reason

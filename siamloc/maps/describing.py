@@ -12,10 +12,9 @@ from analytic import DESCRIPTORS, Description, Descriptor, descriptor
 from analytic.errors import known
 from foundation.calls import typed
 from siamloc.data.frames import FrameTable
-from siamloc.data.mounting import Mounting
+from siamloc.data.mounting import Mounting, estimate
 from siamloc.errors import ConfigError, DataError, logger
 from siamloc.maps.heading import HEADINGS, NetworkHeading, described, halved
-from siamloc.maps.mounting import estimate
 from siamloc.maps.visual_map import VisualMap
 from siamloc.progress import track
 from siamloc.stopwatch import Stopwatch
@@ -41,8 +40,8 @@ def build(
 ) -> VisualMap:
     """Describe frames and return the map in which queries are searched.
 
-    A network that compares images is used to estimate how the camera is mounted (`find_mounting`); the map then takes
-    that into account whenever it describes panoramas or refines poses.
+    A network that compares images also estimates how the camera is mounted, as `siamloc.data.find_mounting` does; the
+    map takes that into account whenever it describes panoramas or refines poses.
 
     Args:
         described_by: a network (B, 3, H, W) -> (B, D), any descriptor, or the name of an analytic one such as "hog".

@@ -12,7 +12,6 @@ from foundation.calls import typed
 from siamloc.data.frames import concatenate
 from siamloc.data.moves import composed
 from siamloc.errors import DataError
-from siamloc.maps.heading import described
 from siamloc.maps.loops import Loops, agreed, edges_of, loops_of
 from siamloc.maps.pose_graph import Array, Edges, PoseGraph, solve
 from siamloc.maps.reranking import scaled
@@ -109,7 +108,7 @@ class LiveSurvey:
             DataError: odometry that is not three numbers.
         """
         wheels = odometry_of(np.full((1, 3), np.nan) if odometry is None else np.asarray(odometry)[None], 1)
-        n, description = len(self), described(self._network, None, panorama[None], self._mounting)
+        n, description = len(self), self._network.describe(self._mounting.straight(panorama)[None])
         parts = scaled(description.orientation)
         learned = description.position[:, : self._descriptors.rows.shape[1]]
         before = n - np.array(BEFORE)

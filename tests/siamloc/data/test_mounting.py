@@ -1,7 +1,13 @@
+from __future__ import annotations
+
 import numpy as np
 import pytest
 
-from siamloc.data import Mounting, azimuth_column, column_azimuth
+import siamloc
+from analytic import descriptor
+from siamloc.data import FrameTable, Mounting, MountingEstimate, azimuth_column, column_azimuth
+from siamloc.data.mounting import estimate
+from siamloc.data.moves import relative, wrapped
 from siamloc.errors import ConfigError
 
 WIDTH = 72
@@ -34,3 +40,105 @@ def test_the_camera_s_offset_turns_with_the_robot():
 def test_wrong_values_are_refused():
     with pytest.raises(ConfigError, match=r"mounting\.yaw must be a number, got 'left'"):
         Mounting.of({"yaw": "left"})
+
+
+def drive(n: int = 80, turns: bool = True) -> FrameTable:
+    """A drive along an eight, or straight on, with steps of about 0.2 m."""
+    at = np.linspace(0, 2 * np.pi, n, endpoint=False)
+    x, y = (2 * np.sin(at), 1.5 * np.sin(2 * at)) if turns else (0.2 * np.arange(n), np.zeros(n))
+    theta = np.arctan2(np.gradient(y), np.gradient(x))
+    return FrameTable(path=[f"{row}.png" for row in range(n)], x=x, y=y, theta=theta)
+
+
+def estimated(frames: FrameTable, mounting: Mounting, noise: float = 0.03, says=None) -> MountingEstimate:
+    """Estimate the mounting from comparisons by a camera that is mounted so; parts hold the numbers of the frames."""
+    camera = np.column_stack([frames.xy + mounting.offset(frames.theta), frames.theta + np.radians(mounting.yaw)])
+    rng = np.random.default_rng(0)
+
+    def compares(queries, known):
+        first, second = (one[:, 0, 0].astype(int) for one in (known, queries))
+        pose = relative(camera, first, second) * ([1, -1, -1] if mounting.mirrored else [1, 1, 1])
+        pose += rng.normal(0, noise, pose.shape)
+        return pose, np.tile(np.eye(3) / noise**2, (len(pose), 1, 1)), np.ones(len(pose))
+
+    parts = np.arange(len(frames), dtype=np.float32)[:, None, None]
+    return estimate(frames, parts, says or compares)
+
+
+@pytest.mark.parametrize(
+    "mounting", [Mounting(), Mounting(30), Mounting(-120, True), Mounting(180, ahead=0.3, left=-0.1)]
+)
+def test_a_mounting_is_found_from_noisy_comparisons(mounting):
+    found = estimated(drive(), mounting)
+    apart = np.degrees(wrapped(np.radians(found.yaw - mounting.yaw)))
+    assert abs(apart) < min(1, 4 * found.yaw_deviation), found
+    assert found.mirrored is mounting.mirrored
+    assert np.allclose(found.offset, (mounting.ahead, mounting.left), atol=0.02)
+    assert found.reasons == ()
+
+
+def test_deviations_are_as_large_as_the_errors():
+    off = [estimated(drive(60 + n), Mounting(40), noise=0.1) for n in range(30)]
+    share = np.mean([abs(one.yaw - 40) < 2 * one.yaw_deviation for one in off])
+    assert share > 0.8, "95 % of normal errors, fewer because deviations are themselves estimated"
+
+
+def test_what_does_not_matter_is_left_as_it_is():
+    assert estimated(drive(), Mounting(1, ahead=0.01)).mounting == Mounting()
+    assert estimated(drive(), Mounting(30)).mounting.yaw == pytest.approx(30, abs=1)
+
+
+def test_a_drive_that_never_turns_tells_only_the_yaw():
+    found = estimated(drive(turns=False), Mounting(30, ahead=0.3))
+    assert abs(found.yaw - 30) < 1
+    assert found.mirrored is None
+    assert np.isnan(found.offset).all()
+    assert (
+        "the drive hardly turns: whether panoramas are mirrored, and the camera's offset, are unknown" in found.reasons
+    )
+    assert found.mounting.mirrored is False
+
+
+def test_a_network_that_always_says_the_same_does_not_pass_for_a_yaw():
+    def constant(queries, known):
+        n = len(queries)
+        return np.tile([0.2, 0.2, 0.0], (n, 1)), np.tile(np.eye(3) * 100, (n, 1, 1)), np.ones(n)
+
+    found = estimated(drive(turns=False), Mounting(), says=constant)
+    assert np.isnan(found.yaw)
+    assert found.mounting == Mounting()
+    assert found.reasons[0].startswith("how the camera moves in the images does not follow from the poses")
+
+
+def test_wrong_headings_do_not_pass_for_a_yaw():
+    frames = drive()
+    found = estimated(frames.with_columns(theta=np.zeros(len(frames))), Mounting())
+    assert found.mounting == Mounting()
+
+
+def test_pictures_that_cannot_be_compared_say_so():
+    def nowhere(queries, known):
+        n = len(queries)
+        return np.zeros((n, 3)), np.tile(np.eye(3), (n, 1, 1)), -np.ones(n)
+
+    assert estimated(drive(), Mounting(), says=nowhere).reasons[0].startswith("only 0 pairs of successive images")
+    unposed = FrameTable(path=["1.png", "2.png"])
+    assert estimated(unposed, Mounting()).reasons == ("no successive frames with headings are near each other",)
+
+
+def test_positions_in_another_unit_tell_the_yaw_too():
+    frames = drive()
+    found = estimated(frames.with_columns(x=frames.x * 1.1, y=frames.y * 1.1), Mounting(30))
+    assert abs(found.yaw - 30) < 1
+
+
+def test_a_summary_names_what_is_known():
+    found = estimated(drive(), Mounting(30, True, ahead=0.3))
+    assert found.summary().startswith(("it looks 30.", "it looks 29."))
+    assert "its panoramas are mirrored; it is 0.3" in found.summary()
+
+
+def test_only_networks_that_compare_are_taken():
+    images = siamloc.data.example()
+    with pytest.raises(ConfigError, match="hog does not compare images: take the network that ships with siamloc"):
+        siamloc.data.find_mounting(descriptor("hog"), images, images.frames)
