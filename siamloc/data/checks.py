@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from analytic import Descriptor
 from foundation.calls import typed
 from foundation.files import file_hash
 from siamloc.data.decoding import UnreadableImageError, read_image
@@ -18,6 +19,7 @@ from siamloc.data.frames import FrameTable
 from siamloc.data.library import PanoramaLibrary
 from siamloc.data.pairs import diameter
 from siamloc.data.panorama import OmnidirectionalCamera, PanoramaView, seen
+from siamloc.data.picture_checks import drive_faults
 
 _SHORTEST, _LONGEST = 1e-3, 20.0  # m, usual steps between two images of a robot indoors
 _PROBED = 32  # images of a data set that are opened for their size
@@ -26,16 +28,21 @@ _TURN = 2 * np.pi
 
 
 @typed
-def check(frames: FrameTable, images: PanoramaLibrary | None = None) -> list[str]:
+def check(
+    frames: FrameTable, images: PanoramaLibrary | None = None, described_by: Descriptor | None = None
+) -> list[str]:
     """Check a data set for faults that go unnoticed until the results are poor.
 
     Checked are headings (degrees instead of radians, clockwise, x and y exchanged), odometry (degrees), missing
     positions and labels, steps that no robot indoors makes, jumps and stops of a drive, times, the sizes of the images,
-    and duplicate images.
+    and duplicate images. With panoramas, each drive is also checked for exposure, blur, seams, missing parts of the
+    turn, a horizon that is not level, the robot's own picture, mirrored images, and poses of other times than the
+    images; with a network, for how the camera is mounted.
 
     Args:
         frames: the data set.
         images: the panoramas of the data set, if decoded: their size is then compared with the size of the image files.
+        described_by: a network that compares, for `find_mounting`; None to leave that out.
 
     Returns:
         A sentence for each fault, with the remedy; an empty list if there is no fault.
@@ -47,7 +54,8 @@ def check(frames: FrameTable, images: PanoramaLibrary | None = None) -> list[str
         'theta looks like degrees: 7 of 8 headings lie beyond one turn, up to 315. Give radians (multiply by pi / 180).'
     """
     found = [*wrong_headings(frames), *wrong_odometry(frames), *_missing(frames), *_drives(frames)]
-    return [*found, *_sizes(frames, images), *_copies(frames)]
+    pictures = [] if images is None else _pictures(frames, images, described_by)
+    return [*found, *_sizes(frames, images), *_copies(frames), *pictures]
 
 
 @typed
@@ -275,6 +283,13 @@ def _unseen(camera: OmnidirectionalCamera, view: PanoramaView, size: tuple[int, 
             f"({whole}), which is filled with what is next to it: check unwrap, or choose another unwrap.top and "
             "unwrap.bottom."
         )
+
+
+def _pictures(frames: FrameTable, images: PanoramaLibrary, described_by: Descriptor | None) -> Iterator[str]:
+    """Look at the panoramas of each drive."""
+    for name, rows in frames.rows_by("sequence").items():
+        for fault in drive_faults(images.readable(frames.take(rows)), images, described_by):
+            yield f"sequence {name or '(unnamed)'}: {fault}."
 
 
 def _copies(frames: FrameTable) -> Iterator[str]:

@@ -12,7 +12,8 @@ from foundation.settings import Positive
 from siamloc.data.frames import ODOMETRY, TILT, FrameTable, image_files, in_capture_order
 from siamloc.data.names import lighting_in
 from siamloc.data.trajectory import Array, Axes, Form, Order, Trajectory, read_trajectory, seconds, text_rows
-from siamloc.errors import DataError, leave_out
+from siamloc.data.trajectory_checks import doubts
+from siamloc.errors import DataError, leave_out, logger
 
 _STAMP = re.compile(r"\d+(?:\.\d+)?$")
 _COUNTER = 1e8  # a whole number below it counts images and is no time
@@ -65,6 +66,8 @@ def read_recorded(
     for what, file in given.items():
         if file is not None:
             trajectory = read_trajectory(Path(file).expanduser(), form, order)
+            for doubt in doubts(trajectory, axes or ("robot" if np.isfinite(trajectory.time).all() else "camera")):
+                logger.warning("%s", doubt)
             if np.isfinite(trajectory.time).all():
                 found = joined(taken + offset, trajectory, gap, axes or "robot")
             else:

@@ -126,7 +126,7 @@ class Trajectory:
         vertical = int(np.abs(upwards).argmax())
         first, second = [axis for axis in range(3) if axis != vertical]
         left = upwards[vertical] * (-1 if vertical == 1 else 1)
-        forward = _turned(self.quaternion, AXES[axes][0])
+        forward = turned(self.quaternion, AXES[axes][0])
         heading = np.arctan2(left * forward[:, second], forward[:, first])
         return np.column_stack([self.position[:, first], left * self.position[:, second], heading])
 
@@ -137,7 +137,7 @@ class Trajectory:
         """
         ahead, up = AXES[axes]
         inverse = self.quaternion * np.array([-1, -1, -1, 1])
-        seen = _turned(inverse, (whole or self)._upwards(axes)) @ np.stack([ahead, np.cross(up, ahead), up], axis=1)
+        seen = turned(inverse, (whole or self)._upwards(axes)) @ np.stack([ahead, np.cross(up, ahead), up], axis=1)
         tilt = np.column_stack([np.arctan2(seen[:, 1], seen[:, 2]), -np.arcsin(seen[:, 0].clip(-1, 1))])
         if not (np.abs(tilt) > _EXACTLY).any():
             tilt[:] = np.nan
@@ -145,7 +145,7 @@ class Trajectory:
 
     def _upwards(self, axes: Axes) -> Array:
         """Return the axis of the world (3,), or its opposite, to which the frame's own direction upwards points."""
-        mean = _turned(self.quaternion, AXES[axes][1]).mean(axis=0)
+        mean = turned(self.quaternion, AXES[axes][1]).mean(axis=0)
         if not np.abs(mean).max() >= _TILTED:
             raise DataError(f"{self.source}: {self._why_tilted(axes)}")
         return np.asarray(np.where(np.abs(mean) == np.abs(mean).max(), np.sign(mean), 0.0))
@@ -171,7 +171,7 @@ def composed(links: Sequence[Trajectory], source: str) -> Trajectory:
     position, quaternion = np.zeros((len(times), 3)), np.tile([0.0, 0, 0, 1], (len(times), 1))
     for link in links:
         here = link.at(times, _NO_GAP) if len(link) > 1 else link
-        position = position + _turned(quaternion, here.position)
+        position = position + turned(quaternion, here.position)
         quaternion = _product(quaternion, here.quaternion)
     known = np.isfinite(position).all(axis=1)
     return Trajectory.of(times[known], position[known], quaternion[known], source)
@@ -185,10 +185,10 @@ def _product(first: Array, second: Array) -> Array:
 
 
 def _upright(quaternion: Array, up: Array) -> bool:
-    return bool(np.abs(_turned(quaternion, up).mean(axis=0)).max() > _LEVEL)
+    return bool(np.abs(turned(quaternion, up).mean(axis=0)).max() > _LEVEL)
 
 
-def _turned(quaternion: Array, vector: Array) -> Array:
+def turned(quaternion: Array, vector: Array) -> Array:
     """Return a vector (3,), or one for each (n, 3), turned by quaternions (n, 4), as (n, 3)."""
     axis, w = quaternion[:, :3], quaternion[:, 3:]
     across = 2 * np.cross(axis, vector)

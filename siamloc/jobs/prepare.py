@@ -72,6 +72,8 @@ class Prepare(DataJob):
 
     def run(self, say: Say = quiet) -> PanoramaLibrary | Contents:
         """Read, decode and check the data; return the panoramas, or the contents of a recording."""
+        from siamloc import models
+
         if self.recording.file is not None:
             found = contents(self.recording.file)
             say(found.describe())
@@ -86,6 +88,7 @@ class Prepare(DataJob):
         images = self.data.library(frames, self.unwrap)
         rows, columns = images.image_size
         say(f"decoded: {len(images)} panoramas of {rows} x {columns} px in {images.settings()['cache']}")
-        for finding in check(frames, images):
+        network = models.as_descriptor(models.pretrained(), "cpu") if images.circular else None
+        for finding in check(frames, images, network):
             say(f"note: {finding}")
         return images

@@ -1,0 +1,141 @@
+from __future__ import annotations
+
+import re
+
+import cv2
+import numpy as np
+import pytest
+
+from siamloc.data import FrameTable, MountingEstimate, PanoramaLibrary, check, column_azimuth
+from siamloc.data.moves import wrapped
+from siamloc.data.picture_checks import direction, mounted, picture_faults, time_offset, turns_seen
+
+N, H, W = 60, 32, 128
+THETA = 1.2 * np.sin(np.arange(N) / 5)
+
+
+def texture(seed: int) -> np.ndarray:
+    """A texture (H, W) of large and small things that continues at its edges."""
+    noise = np.random.default_rng(seed).normal(0, 1, (H, 3 * W))
+    noise[:, :W] = noise[:, 2 * W :] = noise[:, W : 2 * W]
+    large, small = (size * cv2.GaussianBlur(noise, (0, 0), sigma) for size, sigma in ((250, 4), (12, 0.6)))
+    return (large + small)[:, W : 2 * W]
+
+
+def drive() -> np.ndarray:
+    """Panoramas (n, 3, H, W) of a robot that turns by THETA, in surroundings that change every ten frames."""
+    light = -60 * np.tanh(np.linspace(-3, 3, H))[:, None]  # from the ceiling to the floor
+    textures = [texture(seed) for seed in range(N // 10 + 1)]
+    found = []
+    for row, theta in enumerate(THETA):
+        at, share = divmod(row / 10, 1)
+        mixed = (1 - share) * textures[int(at)] + share * textures[int(at) + 1] + 128 + light
+        found.append(np.roll(mixed, round(theta * W / (2 * np.pi)), axis=1))
+    grey = np.stack(found).clip(0, 255).astype(np.uint8)
+    return np.repeat(grey[:, None], 3, axis=1)
+
+
+def each(panoramas: np.ndarray, change) -> np.ndarray:
+    return np.stack([change(one.transpose(1, 2, 0)).transpose(2, 0, 1) for one in panoramas])
+
+
+def blurred(panoramas):
+    wide = np.concatenate([panoramas] * 3, axis=3)
+    return each(wide, lambda one: cv2.GaussianBlur(one, (0, 0), 2.5))[..., W : 2 * W]
+
+
+def cut(panoramas):
+    return each(panoramas[..., 12:], lambda one: cv2.resize(np.ascontiguousarray(one), (W, H)))
+
+
+def without_a_part(panoramas):
+    panoramas[..., 100:] = 0
+    return panoramas
+
+
+def with_robot(panoramas):
+    panoramas[:, :, 28:, 40:90] = panoramas[0, :, 28:, 40:90]
+    return panoramas
+
+
+def tilted(panoramas):
+    """Things on the left appear 1.5 rows lower: about 4 degrees."""
+    x, y = np.meshgrid(np.arange(W, dtype=np.float32), np.arange(H, dtype=np.float32))
+    y = (y - 1.5 * np.sin(column_azimuth(W))[None]).astype(np.float32)
+    replicate = cv2.BORDER_REPLICATE
+    return each(
+        panoramas, lambda one: cv2.remap(np.ascontiguousarray(one), x, y, cv2.INTER_LINEAR, borderMode=replicate)
+    )
+
+
+@pytest.mark.parametrize(
+    ("fault", "says"),
+    [
+        (lambda one: one // 30, "60 of 60 images are more than 40% black: use a longer exposure"),
+        (lambda one: np.clip(one.astype(int) * 4, 0, 255).astype(np.uint8), "more than 40% white: use a shorter"),
+        (blurred, "60 of 60 images are blurred"),
+        (cut, "there is a seam where the panoramas begin and end"),
+        (lambda one: np.concatenate([one[..., :30], one[..., 40:], one[..., -10:]], axis=3), "a seam at column 30"),
+        (without_a_part, "79 degrees of the panoramas show nothing, around -141 degrees"),
+        (with_robot, "5% of the panorama, in rows 28 to 31 of 32, never change: the robot sees itself"),
+        (tilted, "the horizon is not level: things appear about [345] degrees lower on the left"),
+    ],
+)
+def test_each_fault_of_pictures_is_named(fault, says):
+    found = [text for text in picture_faults(fault(drive()), True) if text is not None]
+    assert sum(bool(re.search(says, text)) for text in found) == 1, found
+
+
+def test_nothing_is_said_about_pictures_as_they_should_be():
+    assert not any(picture_faults(drive(), True))
+    assert not any(picture_faults(drive(), False))
+
+
+def test_turns_are_those_of_the_headings():
+    off = wrapped(turns_seen(drive()) - np.diff(THETA))
+    assert np.abs(off).max() < 1.1 * 2 * np.pi / W, "the drive turns by whole columns"
+
+
+def test_images_that_turn_against_the_headings_are_recognized():
+    seen, turned = turns_seen(drive()), np.diff(THETA)
+    assert direction(seen, turned) is None
+    assert "images turn against the headings" in (direction(turns_seen(drive()[..., ::-1]), turned) or "")
+    assert direction(seen, 0 * turned) is None, "of a drive that never turns nothing is known"
+
+
+@pytest.mark.parametrize("late", [-0.4, 0.3])
+def test_poses_of_other_times_are_recognized(late):
+    time = np.arange(N) * 0.2
+    theta = 1.2 * np.sin((time - late) / 1.0)
+    seen = turns_seen(drive())
+    assert time_offset(seen, time, THETA) is None
+    said = time_offset(seen, time, theta)
+    assert said is not None
+    stated = float(re.search(r"Add ([-+.0-9]+) s", said)[1])
+    assert stated == pytest.approx(late, abs=0.05), "headings of whole columns"
+    assert time_offset(seen, np.full(N, np.nan), theta) is None
+
+
+def test_a_mounting_is_named_only_if_it_matters():
+    assert mounted(MountingEstimate(0.4, 0.3, False, (0.0, 0.0), (0.01, 0.01), 100)) is None
+    said = mounted(MountingEstimate(-30.0, 0.3, True, (0.0, 0.0), (0.01, 0.01), 100))
+    assert said is not None
+    assert said.startswith(
+        "the camera's mounting: it looks 30.0 +- 0.3 degrees right of the heading; its panoramas are"
+    )
+    assert mounted(MountingEstimate(reasons=("no poses",))) is None
+    assert "check them" in (mounted(MountingEstimate(pairs=50, reasons=("check them",))) or "")
+
+
+def test_check_looks_at_the_pictures_of_each_drive(tmp_path):
+    for name, panoramas in (("good", drive()), ("mirrored", drive()[..., ::-1])):
+        for row, one in enumerate(panoramas):
+            cv2.imwrite(str(tmp_path / f"{name}_{row:03d}.png"), one.transpose(1, 2, 0))
+    paths = sorted(str(path) for path in tmp_path.glob("*.png"))
+    x = np.tile(np.cumsum(0.2 * np.cos(THETA)), 2)
+    y = np.tile(np.cumsum(0.2 * np.sin(THETA)), 2)
+    sequence = ["good"] * N + ["mirrored"] * N
+    frames = FrameTable(path=paths, x=x, y=y, theta=np.tile(THETA, 2), sequence=sequence)
+    found = check(frames, PanoramaLibrary(frames, tmp_path / "cache", image_size=(H, W)))
+    (said,) = [one for one in found if one.startswith("sequence")]
+    assert said.startswith("sequence mirrored: images turn against the headings: they are mirrored")
