@@ -29,4 +29,5 @@ from .panorama import (
 )
 from .protocol import Protocol as Protocol, Role as Role
 from .reading import DataSettings as DataSettings, READERS as READERS, read as read
+from .ring import RingFit as RingFit, find_centres as find_centres, find_ring as find_ring
 from .trajectory import Trajectory as Trajectory, read_trajectory as read_trajectory

@@ -1,0 +1,160 @@
+"""Find the ring of a mirror in the pictures of a drive: what moves in them is the scene, all else the camera's own.
+
+The pixels inside the mirror change along a drive. What lies around the mirror, the robot's own parts and the camera's
+reflection in the middle do not, except with the light. So the standard deviation over the pictures is a noisy picture
+of the ring. A circle that separates it best gives a start; edges along rays from its centre, to a part of a pixel, and
+a robust fit give the rims.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from foundation.calls import typed
+from siamloc.data.decoding import UnreadableImageError, read_image
+from siamloc.data.panorama import PolarRing
+from siamloc.data.rims import changes, guess, inner_rim, moved, outer_rim, shifts
+from siamloc.errors import ConfigError, DataError
+
+Array = NDArray[Any]
+
+LEAST = 4
+"""Fewest pictures of a drive that show what moves."""
+_MOST = 30  # pictures that are looked at
+_SIDE = 800  # pixels of a picture's longer side; larger pictures are shrunk for the search
+_SHAKES = 0.3  # pixels; centres that move more are lined up first
+_OFF = 1.5  # pixels by which a picture's own radius may differ
+
+
+@dataclass(frozen=True)
+class RingFit:
+    """The ring that `find_ring` found.
+
+    Attributes:
+        ring: centre and radii, in pixels of the given pictures; its other values are the defaults.
+        deviation: standard deviation of the rim's points from the outer circle, in pixels.
+        around: share of the directions in which the outer rim was found.
+        pictures: number of pictures that were looked at.
+        shakes: whether the centre moves from picture to picture (`find_centres`); `ring` then has the mean centre.
+    """
+
+    ring: PolarRing
+    deviation: float
+    around: float
+    pictures: int
+    shakes: bool = False
+
+    def describe(self) -> str:
+        """Say in one line what was found, and how well."""
+        (x, y), inner, outer = self.ring.centre or (0.0, 0.0), self.ring.inner or 0.0, self.ring.outer or 0.0
+        return (
+            f"ring around ({x:.1f}, {y:.1f}) from {inner:.1f} to {outer:.1f} px, by what changes in {self.pictures} "
+            f"pictures: its rim shows in {self.around:.0%} of the directions, {self.deviation:.1f} px off a circle"
+        )
+
+
+@typed
+def find_ring(images: Array | Sequence[Any]) -> RingFit:
+    """Find the ring of a camera below a mirror from a few pictures of one drive.
+
+    Ten pictures or more, some metres apart, in changing surroundings are good; up to 30, spread over those given, are
+    looked at. The mirror may be off the picture's centre, and parts of the robot may hide some of it.
+
+    Args:
+        images: files, or arrays (rows, columns, 3) or (rows, columns), uint8, of one size.
+
+    Raises:
+        DataError: too few pictures, pictures of different sizes or that cannot be read, pictures that are all alike, or
+            no ring that is sure: no circle, or one that the picture's edge cuts.
+
+    Example:
+        >>> rng, (y, x) = np.random.default_rng(0), np.mgrid[0:120, 0:160]
+        >>> inside = (abs(np.hypot(x - 82, y - 58) - 30) < 20)[..., None]
+        >>> pictures = [np.where(inside, rng.integers(0, 255, (120, 160, 3)), 9).astype(np.uint8) for _ in range(9)]
+        >>> ring = find_ring(pictures).ring
+        >>> [round(value) for value in (*ring.centre, ring.outer)]
+        [82, 58, 50]
+    """
+    if len(images) < LEAST:
+        raise DataError(f"a ring is found from {LEAST} pictures of a drive or more, got {len(images)}")
+    chosen = np.linspace(0, len(images) - 1, min(len(images), _MOST)).round().astype(int)
+    size = _grey(images[0]).shape
+    scale = min(1.0, _SIDE / max(size))
+    pictures = np.stack([_small(_grey(images[number], size), scale) for number in chosen.tolist()])
+    y, x = np.mgrid[0 : pictures.shape[1], 0 : pictures.shape[2]]
+    corners = abs(2 * x / x.max() - 1) + abs(2 * y / y.max() - 1) > 1.7
+    moving = changes(pictures, corners)
+    centre, outer, deviation, around = outer_rim(moving, *guess(moving))
+    grown = float(np.median(shifts(pictures, centre, outer)[:, 2]))
+    off = shifts(pictures, centre, outer + grown)[:, :2]
+    shakes = float(off.std(axis=0).max()) > _SHAKES
+    if shakes:
+        pictures = np.stack([moved(picture, -shift) for picture, shift in zip(pictures, off, strict=True)])
+    radius = np.hypot(x - centre[0], y - centre[1])
+    moving = changes(pictures, (radius < 0.04 * outer) | (radius > 1.04 * outer))
+    if shakes:
+        centre, outer, deviation, around = outer_rim(moving, centre, outer)
+    inner = inner_rim(moving, centre, outer)
+    drive = centre + off.mean(axis=0) * shakes
+    if min(*drive, x.max() - drive[0], y.max() - drive[1]) < outer - 1:
+        raise DataError(
+            f"the edge of the picture cuts the ring around ({drive[0] / scale:.0f}, {drive[1] / scale:.0f}) of "
+            f"{outer / scale:.0f} px: give its centre and radii, since they cannot be measured"
+        )
+    middle_x, middle_y = ((drive + 0.5) / scale - 0.5).tolist()
+    ring = PolarRing(centre=(middle_x, middle_y), inner=inner / scale, outer=outer / scale)
+    return RingFit(ring, deviation / scale, around, len(chosen), shakes)
+
+
+@typed
+def find_centres(images: Array | Sequence[Any], ring: PolarRing) -> Array:
+    """Find the centre of the ring in each picture, for a camera that shakes against its mirror.
+
+    Args:
+        images: as for `find_ring`.
+        ring: the ring of the drive, as `find_ring` returns it.
+
+    Returns:
+        Column and row of each centre in pixels (n, 2); NaN where it is not sure, or more than 8 px off.
+
+    Raises:
+        DataError: a picture that cannot be read.
+        ConfigError: a ring without centre or outer radius.
+    """
+    if ring.centre is None or ring.outer is None:
+        raise ConfigError("find_centres needs a ring with centre and outer radius, as `find_ring` returns it")
+    centre = np.array(ring.centre)
+    found = np.stack([shifts(_grey(image)[None], centre, ring.outer)[0] for image in images])
+    return np.where(abs(found[:, 2:]) < _OFF, centre + found[:, :2], np.nan)
+
+
+def _grey(image: str | Path | Array, size: tuple[int, ...] | None = None) -> Array:
+    """Return a picture as (rows, columns), float32."""
+    if isinstance(image, str | Path):
+        try:
+            found = read_image(image)
+        except UnreadableImageError as error:
+            raise DataError(f"{image} cannot be read: {error}") from error
+    else:
+        found = np.asarray(image)
+    if found.ndim not in (2, 3) or min(found.shape[:2]) < 40:
+        raise DataError(f"a picture of a ring has shape (rows, columns, 3), from 40 pixels a side, got {found.shape}")
+    grey = found.astype(np.float32)
+    grey = grey.mean(axis=2) if grey.ndim == 3 else grey
+    if size is not None and grey.shape != size:
+        raise DataError(f"the pictures of a drive have one size, got {size[::-1]} and {grey.shape[::-1]} px")
+    return grey
+
+
+def _small(picture: Array, scale: float) -> Array:
+    if scale == 1:
+        return picture
+    size = (round(picture.shape[1] * scale), round(picture.shape[0] * scale))
+    return cv2.resize(picture, size, interpolation=cv2.INTER_AREA)

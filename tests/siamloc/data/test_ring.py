@@ -1,0 +1,77 @@
+import cv2
+import numpy as np
+import pytest
+
+from siamloc.data import find_centres, find_ring
+from siamloc.errors import ConfigError, DataError
+
+INNER, OUTER = 22.0, 88.0
+
+
+def drive(count=12, centre=(151.3, 108.6), outer=OUTER, shakes=0.0, scene=1.0, struts=True, size=(220, 300)):
+    """Paint the pictures of a drive, and return them with the centre in each."""
+    rng = np.random.default_rng(5)
+    y, x = np.mgrid[0 : size[0], 0 : size[1]]
+    centres = np.array(centre) + shakes * rng.uniform(-1, 1, (count, 2))
+    pictures = []
+    for cx, cy in centres:
+        radius = np.hypot(x - cx, y - cy)
+        share = np.clip(outer + 0.5 - radius, 0, 1) * np.clip(radius - INNER + 0.5, 0, 1)
+        if struts:
+            share[(abs(y - cy) < 5) & (x < cx)] = 0
+        paint = cv2.GaussianBlur(rng.uniform(0, 255, size).astype(np.float32), (0, 0), 4)
+        paint = 120 + scene * 8 * (paint - paint.mean())
+        picture = paint * share + 25 * (1 - share) * (1 + 0.3 * (radius < 9))
+        picture = cv2.GaussianBlur(picture, (0, 0), 0.8) * rng.uniform(0.9, 1.1) + rng.normal(0, 2, size)
+        pictures.append(picture.clip(0, 255).astype(np.uint8))
+    return np.stack(pictures), centres
+
+
+def test_a_ring_off_centre_with_a_strut_is_found():
+    pictures, centres = drive()
+    found = find_ring(pictures)
+    assert np.hypot(*(np.array(found.ring.centre) - centres[0])) < 0.3
+    assert abs(found.ring.outer - OUTER) < 0.5
+    assert abs(found.ring.inner - INNER) < 1.5
+    assert not found.shakes
+    assert found.pictures == 12
+    assert 0.8 < found.around <= 1
+    assert "ring around (151." in found.describe()
+
+
+def test_files_and_colours_and_large_pictures_give_the_same_ring(tmp_path):
+    pictures, centres = drive(8)
+    large = [cv2.cvtColor(cv2.resize(one, None, fx=4, fy=4), cv2.COLOR_GRAY2BGR) for one in pictures]
+    paths = [tmp_path / f"{number}.png" for number in range(len(large))]
+    for path, one in zip(paths, large, strict=True):
+        cv2.imwrite(str(path), one)
+    ring = find_ring(paths).ring
+    np.testing.assert_allclose((np.array(ring.centre) + 0.5) / 4 - 0.5, centres[0], atol=0.5)
+    assert abs(ring.outer / 4 - OUTER) < 1
+
+
+def test_a_centre_that_shakes_is_measured_in_each_picture():
+    pictures, centres = drive(shakes=3.0)
+    found = find_ring(pictures)
+    assert found.shakes
+    np.testing.assert_allclose(found.ring.centre, centres.mean(axis=0), atol=0.3)
+    np.testing.assert_allclose(find_centres(pictures, found.ring), centres, atol=0.5)
+    with pytest.raises(ConfigError, match="a ring with centre and outer radius"):
+        find_centres(pictures, type(found.ring)())
+
+
+@pytest.mark.parametrize(
+    ("pictures", "words"),
+    [
+        (lambda: drive(3)[0], "from 4 pictures of a drive or more, got 3"),
+        (lambda: drive(8, scene=0.0)[0][:1].repeat(8, axis=0), "all alike"),
+        (lambda: drive(12, centre=(151.3, 70.0))[0], "the edge of the picture cuts the ring"),
+        (lambda: np.random.default_rng(0).integers(0, 255, (9, 120, 160)).astype(np.uint8), "no circle"),
+        (lambda: [*drive(4)[0], np.zeros((50, 60), np.uint8)], "have one size"),
+        (lambda: np.zeros((6, 9, 9), np.uint8), "from 40 pixels a side"),
+        (lambda: ["nowhere.png"] * 5, "nowhere.png cannot be read"),
+    ],
+)
+def test_what_is_not_sure_is_refused(pictures, words):
+    with pytest.raises(DataError, match=words):
+        find_ring(pictures())
