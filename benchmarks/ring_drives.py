@@ -25,7 +25,6 @@ Array = NDArray[Any]
 VIEW = PanoramaView(160, 512, top=40, bottom=-72)
 LIGHTINGS = ("cloudy", "night", "sunny")
 FRAMES = 24  # of a clip, 3.5 m and more
-_STILL = 0.4  # m, a clip with fewer metres is no drive
 _SIZES = ((480, 640), (480, 640), (600, 800), (720, 720), (480, 752), (768, 1024))
 
 
@@ -74,10 +73,10 @@ class Mirror:
         return np.tan(np.interp(radius, (reach / reach[0] * self.outer)[::-1], elevation[::-1]))
 
 
-def clips(count: int, cache: Path) -> list[Clip]:
-    """Render clips of drives, a night among three, or read them from a folder."""
+def clips(count: int, cache: Path, only: int | None = None) -> list[Clip]:
+    """Render clips of drives, a night among three, or read them from a folder; all of them, or `only` one."""
     found = []
-    for number in range(count):
+    for number in range(count) if only is None else [only]:
         path = cache / f"clip_{number:03d}.npz"
         if not path.is_file():
             cache.mkdir(parents=True, exist_ok=True)
@@ -91,11 +90,6 @@ def clips(count: int, cache: Path) -> list[Clip]:
         with np.load(path, allow_pickle=False) as kept:
             found.append(Clip(kept["panoramas"], kept["poses"]))
     return found
-
-
-def travelled(poses: Array) -> float:
-    """Return the metres that a robot drives through poses (n, 3)."""
-    return float(np.hypot(*np.diff(poses[:, :2], axis=0).T).sum())
 
 
 def draw_mirror(rng: np.random.Generator) -> Mirror:

@@ -11,6 +11,7 @@ import numpy as np
 from foundation.settings import Positive, Rule, Settings
 from siamloc.data.central import Angle, CentralCamera, ImageSize, LensCamera, inverse, rises_to
 from siamloc.data.panorama import Array, PanoramaView, PolarRing
+from siamloc.data.presets import AutoRing, ColdRing
 from siamloc.errors import ConfigError
 
 
@@ -392,6 +393,8 @@ class HyperbolicMirror(Settings):
 CAMERAS: dict[str, type[PolarRing] | type[HyperbolicMirror] | type[CentralCamera] | None] = {
     "none": None,
     "polar": PolarRing,
+    "auto": AutoRing,
+    "cold": ColdRing,
     "hyperbolic": HyperbolicMirror,
     "unified": UnifiedCamera,
     "double_sphere": DoubleSphereCamera,

@@ -194,7 +194,8 @@ def read_list(path: Path) -> list[dict[str, Any]]:
         pose = parse_name(words[0])
         if len(words) != 2 or pose is None or "\0" in words[1]:
             raise DataError(
-                f"{path}, line {number}: expected t<seconds>_x<metres>_y<metres>_a<radians>.jpeg and a room code, "
+                f"{path}, line {number}: expected t<seconds>_x<metres>_y<metres>_a<radians>.jpeg, or t<seconds>.jpeg, "
+                "and a room code, "
                 f"got {line.strip()[:120]!r}"
             )
         if words[0] in frames:
@@ -211,6 +212,6 @@ def _unlisted(folder: Path, on_error: str) -> list[dict[str, Any]]:
     if not poses:
         raise DataError(f"{folder} holds no images, and there is no list of rooms next to it")
     nameless = [name for name, pose in poses.items() if pose is None]
-    leave_out(nameless, len(poses), f"images of {folder} carry no pose in their names", on_error)
+    leave_out(nameless, len(poses), f"images of {folder} carry no time in their names", on_error)
     logger.info("%s has no list of rooms: its %d frames carry none", folder.parent, len(poses) - len(nameless))
     return [{"image": name, "room": "", **pose._asdict()} for name, pose in poses.items() if pose is not None]

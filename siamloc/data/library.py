@@ -16,6 +16,7 @@ from foundation.settings import Thousand, shortened
 from siamloc.data.decoding import Preprocessing, size_of
 from siamloc.data.frames import FrameTable
 from siamloc.data.panorama import OmnidirectionalCamera
+from siamloc.data.ring import fitted
 from siamloc.data.store import Store, open_store
 from siamloc.errors import ConfigError, DataError, FormatError, Policy, logger
 
@@ -48,6 +49,7 @@ class PanoramaLibrary:
         image_size: rows and columns (H, W).
         circular: whether the columns wrap around.
         preprocessing: reads an image and makes a panorama of it, with image size and camera.
+        cameras: the camera of each drive, by sequence: of an `AutoRing`, the ring that its pictures show.
 
     Raises:
         ConfigError: a size, camera, number of workers or policy that makes no sense, or an `unwrap` that does not fit
@@ -89,12 +91,15 @@ class PanoramaLibrary:
         tilt = frames.tilt
         tilted = self.preprocessing.camera is not None and bool(tilt.any())
         self._stores: list[Store] = []
+        self.cameras: dict[str, OmnidirectionalCamera | None] = {}
         store_of = np.full(len(frames), -1, dtype=np.int64)
         row_in = np.full(len(frames), -1, dtype=np.int64)
-        for number, rows in enumerate(frames.rows_by("sequence").values()):
+        for number, (sequence, rows) in enumerate(frames.rows_by("sequence").items()):
             paths = frames.path[rows].tolist()
             tilts = tilt[rows] if tilted else None
-            store = open_store(paths, self._cache, self.preprocessing, tilts=tilts, on_error=on_error, workers=workers)
+            own = fitted(self.preprocessing, paths)
+            self.cameras[sequence] = own.camera
+            store = open_store(paths, self._cache, own, tilts=tilts, on_error=on_error, workers=workers)
             self._stores.append(store)
             store_of[rows[store.kept]] = number
             row_in[rows[store.kept]] = np.arange(len(store.kept))
@@ -211,7 +216,8 @@ def _check_simulated(frames: FrameTable, preprocessing: Preprocessing) -> None:
                 f"{folder / 'camera.json'} must be a mapping as `siamloc simulate` writes it next to images, got "
                 f"{shortened(repr(about))}: simulate again, or rename the file if it is your own"
             )
-        fitting = {"panorama": ("none",), "omnidirectional": ("polar", "unified", "hyperbolic")}.get(images or "")
+        mirrors = ("polar", "auto", "unified", "hyperbolic")
+        fitting = {"panorama": ("none",), "omnidirectional": mirrors}.get(images or "")
         if fitting is not None and kind not in fitting:
             raise ConfigError(
                 f"{folder} holds simulated images of kind {images}, which unwrap={kind} does not fit: "

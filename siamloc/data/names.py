@@ -1,6 +1,6 @@
 """Parse COLD's names: an image's name holds its time and pose, a folder's its sequence, building and lighting.
 
-Images are called `t<seconds>_x<metres>_y<metres>_a<radians>.jpeg`.
+Images are called `t<seconds>_x<metres>_y<metres>_a<radians>.jpeg`, and `t<seconds>.jpeg` where no pose is known.
 """
 
 from __future__ import annotations
@@ -16,7 +16,8 @@ BUILDINGS = ("freiburg", "ljubljana", "saarbruecken")
 
 _NUMBER = r"[-+]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][-+]?[0-9]+)?"
 _NAME = re.compile(
-    rf"t(?P<time>{_NUMBER})_x(?P<x>{_NUMBER})_y(?P<y>{_NUMBER})_a(?P<theta>{_NUMBER})\.(?:jpe?g|png)", re.IGNORECASE
+    rf"t(?P<time>{_NUMBER})(?:_x(?P<x>{_NUMBER})_y(?P<y>{_NUMBER})_a(?P<theta>{_NUMBER}))?\.(?:jpe?g|png)",
+    re.IGNORECASE,
 )
 _SEQUENCE = re.compile(
     rf"(?:(?P<place>.+?)[_-])?(?P<run>seq_?[0-9]+[_-]?(?:{'|'.join(LIGHTINGS)})[0-9]*(?:_month[0-9]+)?)"
@@ -26,12 +27,12 @@ _SHORT_PART = re.compile(r"(?P<building>.+)[_-](?P<part>[ab])")
 
 
 class NamedPose(NamedTuple):
-    """Time in s, position in m and heading in rad that a COLD image name holds."""
+    """Time in s, position in m and heading in rad that a COLD image name holds; NaN without a pose."""
 
     time: float
-    x: float
-    y: float
-    theta: float
+    x: float = math.nan
+    y: float = math.nan
+    theta: float = math.nan
 
 
 def parse_name(name: str) -> NamedPose | None:
@@ -43,8 +44,8 @@ def parse_name(name: str) -> NamedPose | None:
     match = _NAME.fullmatch(name)
     if match is None:
         return None
-    pose = NamedPose(**{key: float(value) for key, value in match.groupdict().items()})
-    return pose if all(math.isfinite(value) for value in pose) else None
+    given = {key: float(value) for key, value in match.groupdict().items() if value is not None}
+    return NamedPose(**given) if all(map(math.isfinite, given.values())) else None
 
 
 def format_name(pose: NamedPose, suffix: str = ".jpeg") -> str:

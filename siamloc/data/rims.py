@@ -179,7 +179,7 @@ def inner_rim(moving: Array, centre: Array, outer: float) -> float:
     level = means.mean(axis=0)
     last = np.array([level[at : at + round(0.1 * outer / step)].min() for at in range(len(level))])
     lasting = last[wide + 2 * gap :] - level[: -wide - 2 * gap]  # the edge of something still is a ridge only
-    score = np.minimum(np.clip(rises, -1, 2).mean(axis=0), lasting)
+    score = np.clip(rises, -1, 2).mean(axis=0) * (lasting > _RISE)
     at = int(score.argmax())
     if score[at] < _RISE:
         raise DataError("no inner rim that is sure: nothing round stands still in the middle of the ring")
@@ -187,8 +187,8 @@ def inner_rim(moving: Array, centre: Array, outer: float) -> float:
     at += wide + gap  # the middle between both means
     floor = variance[:, at - wide - gap : at - gap].mean(axis=1)
     excess = np.sqrt((variance - floor[:, None]).clip(0))
-    plateau = excess[:, at + gap : at + gap + wide].mean(axis=1)
-    near = slice(at - wide, at + wide)
+    plateau = excess[:, at + wide : at + 2 * wide].mean(axis=1)  # the logarithm rises before the change itself
+    near = slice(at - wide, at + wide + gap)
     shares = excess[sure, near] / plateau[sure, None].clip(1e-6)
     inwards, outwards = np.minimum.accumulate(shares[:, ::-1], axis=1)[:, ::-1], np.maximum.accumulate(shares, axis=1)
     edges = [np.interp(0.5, one.clip(0, 1), radii[near]) for one in (*inwards, *outwards)]

@@ -9,7 +9,7 @@ a robust fit give the rims.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -18,10 +18,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from foundation.calls import typed
-from siamloc.data.decoding import UnreadableImageError, read_image
-from siamloc.data.panorama import PolarRing
+from siamloc.data.decoding import Preprocessing, UnreadableImageError, read_image
+from siamloc.data.panorama import PanoramaView, PolarRing, unwrap
+from siamloc.data.presets import AutoRing
 from siamloc.data.rims import changes, guess, inner_rim, moved, outer_rim, shifts
-from siamloc.errors import ConfigError, DataError
+from siamloc.errors import ConfigError, DataError, logger
 
 Array = NDArray[Any]
 
@@ -30,6 +31,9 @@ LEAST = 4
 _MOST = 30  # pictures that are looked at
 _SIDE = 800  # pixels of a picture's longer side; larger pictures are shrunk for the search
 _SHAKES = 0.3  # pixels; centres that move more are lined up first
+_NEAR = 15.0  # pixels from a given ring within which a drive's own ring replaces it
+_INK = (0, 140, 255)  # BGR, as files are read
+_BORDER = 12  # pixels next to a drawn panorama
 _OFF = 1.5  # pixels by which a picture's own radius may differ
 
 
@@ -133,6 +137,69 @@ def find_centres(images: Array | Sequence[Any], ring: PolarRing) -> Array:
     centre = np.array(ring.centre)
     found = np.stack([shifts(_grey(image)[None], centre, ring.outer)[0] for image in images])
     return np.where(abs(found[:, 2:]) < _OFF, centre + found[:, :2], np.nan)
+
+
+def fitted(preprocessing: Preprocessing, paths: Sequence[str]) -> Preprocessing:
+    """Return how the pictures of one drive become panoramas: an `AutoRing` gets the ring that the drive shows.
+
+    A ring that was given stays where the drive shows none that is sure, or only one that is far from it.
+
+    Raises:
+        DataError: no ring was given, and the drive shows none that is sure.
+    """
+    given = preprocessing.camera
+    if not isinstance(given, AutoRing):
+        return preprocessing
+    folder = Path(paths[0]).parent
+    known = given.centre is not None and given.inner is not None and given.outer is not None
+    try:
+        found = find_ring(_readable(paths))
+    except DataError as error:
+        if not known:
+            raise DataError(f"unwrap=auto finds no ring in {folder}: {error}") from error
+        logger.info("%s: the given ring stays (%s)", folder, error)
+        return preprocessing
+    ring = found.ring
+    if known and (off := _apart(given, ring)) > _NEAR:
+        logger.warning("%s: %s; the given one is %.0f px off and stays", folder, found.describe(), off)
+        return preprocessing
+    logger.info("%s: %s", folder, found.describe())
+    return replace(preprocessing, camera=replace(given, centre=ring.centre, inner=ring.inner, outer=ring.outer))
+
+
+def draw_ring(picture: Array, ring: PolarRing, view: PanoramaView | None = None) -> Array:
+    """Draw a ring on a picture (rows, columns, 3), uint8, BGR, and its panorama to the right of it."""
+    shown, thickness = np.ascontiguousarray(picture).copy(), max(1, round(max(picture.shape) / 320))
+    if ring.centre is None or ring.inner is None or ring.outer is None:
+        raise ConfigError("draw_ring needs a ring with centre and radii, as `find_ring` returns it")
+    x, y = (round(16 * value) for value in ring.centre)
+    for radius in (ring.inner, ring.outer):
+        cv2.circle(shown, (x, y), round(16 * radius), _INK, thickness, cv2.LINE_AA, shift=4)
+    cv2.drawMarker(shown, (x // 16, y // 16), _INK, cv2.MARKER_CROSS, 8 * thickness, thickness)
+    panorama = unwrap(picture, ring, view)
+    wide = round(panorama.shape[1] * picture.shape[0] / 2 / panorama.shape[0])
+    right = np.full((picture.shape[0], wide + 2 * _BORDER, 3), 255, np.uint8)
+    top = (picture.shape[0] - picture.shape[0] // 2) // 2
+    size = (wide, picture.shape[0] // 2)
+    right[top : top + size[1], _BORDER : _BORDER + wide] = cv2.resize(panorama, size, interpolation=cv2.INTER_AREA)
+    return np.hstack([shown, right])
+
+
+def _readable(paths: Sequence[str]) -> list[Array]:
+    """Return up to `_MOST` pictures of a drive, spread over it; those that cannot be read are left out."""
+    pictures = []
+    for number in np.linspace(0, len(paths) - 1, min(len(paths), _MOST)).round().astype(int).tolist():
+        try:
+            pictures.append(read_image(paths[number]))
+        except UnreadableImageError:
+            continue
+    return pictures
+
+
+def _apart(given: PolarRing, ring: PolarRing) -> float:
+    """Return by how many pixels two rings differ, in centre or radius."""
+    pairs = zip((*given.centre, given.inner, given.outer), (*ring.centre, ring.inner, ring.outer), strict=True)  # type: ignore[misc]
+    return max(abs(one - other) for one, other in pairs)  # type: ignore[operator]
 
 
 def _grey(image: str | Path | Array, size: tuple[int, ...] | None = None) -> Array:

@@ -7,7 +7,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from siamloc.data import PanoramaLibrary, check, contents, extract, summary
+from foundation.files import write_picture
+from siamloc.data import AutoRing, PanoramaLibrary, check, contents, draw_ring, extract, summary
+from siamloc.data.decoding import read_image
 from siamloc.data.extracting import MANIFEST, Contents, Extraction
 from siamloc.jobs.job import Given, Say, quiet
 from siamloc.jobs.run_job import DataJob
@@ -40,6 +42,7 @@ class Prepare(DataJob):
         data.image_size=[128,512]   rows and columns of a panorama
         data.circular=false         for ordinary cameras, whose columns do not wrap around
         unwrap=none|equirectangular|dual_fisheye|polar|calibrated|...   the camera, whose images become panoramas
+        unwrap=auto                 the ring of a mirror, found in the pictures of each drive; drawn for a look at it
         unwrap.file=camchain.yaml   its calibration, for unwrap=calibrated
         data.on_error=raise         stop at the first unreadable image instead of leaving it out
 
@@ -88,7 +91,24 @@ class Prepare(DataJob):
         images = self.data.library(frames, self.unwrap)
         rows, columns = images.image_size
         say(f"decoded: {len(images)} panoramas of {rows} x {columns} px in {images.settings()['cache']}")
+        _show_rings(images, say)
         network = models.as_descriptor(models.pretrained(), "cpu") if images.circular else None
         for finding in check(frames, images, network):
             say(f"note: {finding}")
         return images
+
+
+def _show_rings(images: PanoramaLibrary, say: Say) -> None:
+    """Say which ring was found in each drive, and draw it."""
+    for drive, camera in images.cameras.items():
+        if not isinstance(camera, AutoRing):
+            continue
+        given = camera == images.preprocessing.camera
+        x, y = camera.centre or (0.0, 0.0)
+        path = Path(images.settings()["cache"]) / f"ring_{drive.replace('/', '_') or 'drive'}.png"
+        picture = read_image(images.frames.select(sequence=drive).path[0])
+        write_picture(path, draw_ring(picture, camera, images.preprocessing.view)[..., ::-1])
+        say(
+            f"ring: {'as given' if given else 'found'} in {drive or 'the drive'}, unwrap.centre=[{x:.1f},{y:.1f}] "
+            f"unwrap.inner={camera.inner:.1f} unwrap.outer={camera.outer:.1f}; see {path}"
+        )

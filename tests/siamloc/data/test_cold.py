@@ -170,6 +170,14 @@ def test_one_list_is_read_by_its_file(tmp_path, where):
     assert table == siamloc.data.read("cold", root=folder)
 
 
+def test_frames_without_a_pose_are_kept(tmp_path):
+    folder = make_sequence(tmp_path / "ljubljana/seq1_cloudy1", LIST + "t4.5.jpeg CR-A\n")
+    (folder / "omni_cam" / "t4.5.jpeg").write_bytes(b"image")
+    for table in (siamloc.data.read("cold", root=tmp_path), siamloc.data.read("cold", root=folder)):
+        assert table.has_position.tolist() == [True, True, True, False]
+        assert table.time[-1] == 4.5
+
+
 def test_the_other_camera(tmp_path):
     folder = make_sequence(tmp_path / "seq2_cloudy1")
     make_sequence(folder, None, camera="std_cam")
@@ -180,7 +188,7 @@ def test_the_other_camera(tmp_path):
 @pytest.mark.parametrize(
     ("case", "kept", "says"),
     [
-        ("calibration", IMAGES, "1 of 4 images of .* carry no pose in their names, the first: calibration.png"),
+        ("calibration", IMAGES, "1 of 4 images of .* carry no time in their names, the first: calibration.png"),
         ("missing", [IMAGES[0], IMAGES[2]], f"1 of 3 images listed in .* do not exist, the first: .*{IMAGES[1]}"),
         ("camera", IMAGES, "1 of 2 sequences have no folder omni_cam, .* the first: .*seq2_cloudy2"),
     ],

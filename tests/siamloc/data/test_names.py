@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -34,6 +35,12 @@ def test_numbers_in_shortest_form_are_read_back_exactly(time, x, y, theta):
 )
 def test_names_of_the_database(name, pose):
     assert parse_name(name) == pose
+
+
+def test_a_name_without_a_pose_gives_the_time():
+    found = parse_name("t1152889564.947042.jpeg")
+    assert found.time == 1152889564.947042
+    np.testing.assert_array_equal(found[1:], [np.nan] * 3)
 
 
 @pytest.mark.parametrize(

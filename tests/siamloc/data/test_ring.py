@@ -2,7 +2,7 @@ import cv2
 import numpy as np
 import pytest
 
-from siamloc.data import find_centres, find_ring
+from siamloc.data import AutoRing, ColdRing, FrameTable, PanoramaLibrary, draw_ring, find_centres, find_ring, unwrap
 from siamloc.errors import ConfigError, DataError
 
 INNER, OUTER = 22.0, 88.0
@@ -75,3 +75,60 @@ def test_a_centre_that_shakes_is_measured_in_each_picture():
 def test_what_is_not_sure_is_refused(pictures, words):
     with pytest.raises(DataError, match=words):
         find_ring(pictures())
+
+
+def table(folder, pictures, name="monday"):
+    paths = [folder / f"{name}-{number}.png" for number in range(len(pictures))]
+    for path, picture in zip(paths, pictures, strict=True):
+        cv2.imwrite(str(path), picture)
+    return FrameTable(path=paths, sequence=[name] * len(paths))
+
+
+def test_a_library_unwraps_each_drive_by_its_own_ring(tmp_path):
+    pictures, centres = drive(8)
+    images = PanoramaLibrary(
+        table(tmp_path, pictures), tmp_path / "cache", image_size=(32, 128), unwrap={"kind": "auto"}
+    )
+    ring = images.cameras["monday"]
+    np.testing.assert_allclose(ring.centre, centres[0], atol=0.3)
+    assert images.preprocessing.camera == AutoRing()
+    expected = unwrap(cv2.cvtColor(pictures[0], cv2.COLOR_GRAY2BGR), ring, images.preprocessing.view)
+    np.testing.assert_array_equal(images.batch([0])[0], expected.transpose(2, 0, 1))
+    drawn = draw_ring(cv2.cvtColor(pictures[0], cv2.COLOR_GRAY2BGR), ring)
+    assert drawn.shape[0] == 220
+    assert (drawn[:, :300] != pictures[0][..., None]).any()
+    with pytest.raises(ConfigError, match="not in single ones"):
+        unwrap(pictures[0], AutoRing())
+
+
+@pytest.mark.parametrize(("centre", "corrected"), [((155.0, 105.0), True), ((120.0, 108.0), False)])
+def test_a_given_ring_is_corrected_only_by_one_near_it(tmp_path, centre, corrected):
+    pictures, centres = drive(8)
+    given = AutoRing(centre=centre, inner=25.0, outer=80.0, forward=30.0)
+    images = PanoramaLibrary(table(tmp_path, pictures), tmp_path / "cache", image_size=(32, 128), unwrap=given)
+    ring = images.cameras["monday"]
+    assert ring.forward == 30.0
+    np.testing.assert_allclose(ring.centre, centres[0] if corrected else centre, atol=0.3)
+
+
+def test_a_drive_without_a_ring_keeps_the_given_one_or_is_refused(tmp_path):
+    still = table(tmp_path, drive(6)[0][:1].repeat(6, axis=0))
+    given = AutoRing(centre=(150.0, 110.0), inner=20.0, outer=80.0)
+    images = PanoramaLibrary(still, tmp_path / "cache", image_size=(32, 128), unwrap=given)
+    assert images.cameras["monday"] == given
+    with pytest.raises(DataError, match=r"unwrap=auto finds no ring in .*all alike"):
+        PanoramaLibrary(still, tmp_path / "cache", image_size=(32, 128), unwrap=AutoRing())
+
+
+def test_the_ring_of_the_database_begins_at_the_right_and_runs_counter_clockwise():
+    """Column 0 looks where the picture's right is, a quarter of the width later at its top; the outer rim is on top."""
+    picture = np.zeros((480, 640, 3), np.uint8)
+    picture[:, 450:] = 255
+    panorama = unwrap(picture, ColdRing())
+    assert panorama[0, 0].min() > 200
+    assert panorama[-1, 0].max() < 50
+    picture[:] = 0
+    picture[:120] = 255
+    panorama = unwrap(picture, ColdRing())
+    assert panorama[0, 128].min() > 200
+    assert panorama[0, 384].max() < 50
