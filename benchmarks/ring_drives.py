@@ -140,7 +140,7 @@ def draw_pictures(rng: np.random.Generator, panoramas: Array, mirror: Mirror) ->
             cv2.INTER_LINEAR,
         ).astype(np.float32)
         shift = centre - mirror.centre
-        move = np.float32([[1, 0, shift[0]], [0, 1, shift[1]]])
+        move = np.array([[1, 0, shift[0]], [0, 1, shift[1]]], dtype=np.float32)
         hide, paint = (
             cv2.warpAffine(one, move, (columns, rows), borderMode=cv2.BORDER_REPLICATE) for one in (parts, own)
         )

@@ -229,5 +229,5 @@ def _edge_shift(slope: Array, radii: Array, outer: float, angle: Array, shift: A
 
 def moved(picture: Array, shift: Array) -> Array:
     """Return a picture that is shifted by some columns and rows."""
-    move = np.float32([[1, 0, shift[0]], [0, 1, shift[1]]])
+    move = np.array([[1, 0, shift[0]], [0, 1, shift[1]]], dtype=np.float32)
     return cv2.warpAffine(picture, move, picture.shape[::-1], borderMode=cv2.BORDER_REPLICATE)
