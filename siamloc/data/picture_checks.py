@@ -28,7 +28,7 @@ _DARK, _BRIGHT, _SHARE = 8, 247, 0.4  # grey values that are no longer told apar
 _SMOOTH = 0.3  # see `blur`: 0.25 if neighbouring differences are proportional to the distance
 _STILL, _OWN = 0.12, 0.02  # change over time of the robot's own picture, in usual ones, and its share of the panorama
 _LEVEL = 2.0  # degrees
-_TURNS, _STRAY = np.radians(5), np.radians(6)  # what counts as a turn, and what as a wrong measurement
+_TURNS, _STRAY = np.radians(5), np.radians(10)  # what counts as a turn, and what as a wrong measurement
 _FEWEST = 10  # frames, and turns
 _LOOKED_AT, _IN_A_ROW = 64, 300  # frames, and those in which turns are measured
 
@@ -136,6 +136,7 @@ def horizon(grey: Array) -> str | None:
     mean = mean - mean.mean(axis=0)
     usual = mean.mean(axis=1)
     slope = np.gradient(usual)
+    slope -= slope.mean()  # sides may be brighter than others, which is no shift
     lower = -(mean - usual[:, None]).T @ slope / max(float(slope @ slope), 1e-6)  # rows, of each column
     azimuth = column_azimuth(len(lower))
     first = 2 * (lower * np.exp(-1j * azimuth)).mean()
