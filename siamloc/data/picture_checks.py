@@ -48,9 +48,11 @@ def drive_faults(frames: FrameTable, images: PanoramaLibrary, described_by: Desc
     if images.circular:
         part = frames.take(slice(0, _IN_A_ROW))
         seen = turns_seen(images.batch(images.rows(part)))
-        found += [direction(seen, wrapped(np.diff(part.theta))), time_offset(seen, part.time, part.theta)]
-        if described_by is not None:
-            found.append(mounted(find_mounting(described_by, images, frames), frames.unit))
+        found.append(time_offset(seen, part.time, part.theta))
+        mounting = MountingEstimate() if described_by is None else find_mounting(described_by, images, frames)
+        found.append(mounted(mounting, frames.unit))
+        if mounting.mirrored is None:
+            found.append(direction(seen, wrapped(np.diff(part.theta))))
     return [fault for fault in found if fault is not None]
 
 
