@@ -53,6 +53,14 @@ def test_the_map_finds_the_mounting_and_keeps_it(robots):
     assert found.yaw == pytest.approx(MOUNTED.yaw, abs=1)
 
 
+def test_panoramas_of_another_size_tell_the_mounting_too(drives, tmp_path):
+    images = PanoramaLibrary(drives["mounted"], tmp_path, image_size=(128, 512))
+    network = siamloc.models.as_descriptor(siamloc.models.pretrained())
+    found = siamloc.data.find_mounting(network, images, drives["mounted"])
+    assert found.mirrored
+    assert found.yaw == pytest.approx(MOUNTED.yaw, abs=1)
+
+
 def test_the_robot_answers_as_with_a_straight_camera(drives, robots):
     errors: dict[str, list[float]] = {name: [] for name in robots}
     for name, robot in robots.items():
