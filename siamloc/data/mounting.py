@@ -26,8 +26,8 @@ Array = NDArray[np.float64]
 
 STRAIGHT = 2.0
 """Degrees of yaw that are left as they are: they cost next to nothing, and an estimate may be off by as much."""
-NEAR = 0.03
-"""Offset of the camera that is left as it is, in the unit of the positions."""
+NEAR = 0.08
+"""Offset of the camera that is left as it is, in the unit of the positions: comparisons are biased by half as much."""
 _REACHES = (0.0, 0.4, 0.8, 1.6)  # moves to the first frame that is this far along the drive, in the unit of x and y
 _FARTHEST = 4.0  # longest move
 _MOST = 400  # pairs of frames
@@ -108,7 +108,7 @@ class MountingEstimate:
         if np.isnan(self.yaw):
             return Mounting()
         yaw = self.yaw if abs(self.yaw) > max(STRAIGHT, 2 * self.yaw_deviation) else 0.0
-        apart = np.hypot(*self.offset) > max(NEAR, 2 * max(self.offset_deviation))
+        apart = np.hypot(*self.offset) > max(NEAR, 3 * max(self.offset_deviation))
         ahead, left = self.offset if apart else (0.0, 0.0)
         return Mounting(round(yaw, 2), bool(self.mirrored), round(ahead, 3), round(left, 3))
 
