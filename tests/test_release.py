@@ -72,6 +72,26 @@ def test_the_model_card_begins_with_what_model_hubs_read():
     assert text.startswith("# Model card")
 
 
+@pytest.mark.parametrize("path", sorted((ROOT / "containers").glob("*.Dockerfile")), ids=lambda path: path.stem)
+def test_containers_install_extras_that_exist_for_an_ordinary_user_and_check_themselves(path):
+    lines = path.read_text(encoding="utf-8").splitlines()
+    (extras,) = re.findall(r"'/source\[([\w,-]+)\]'", path.read_text(encoding="utf-8"))
+    declared = re.findall(
+        r"^([\w-]+) = \[", read("pyproject.toml").partition("optional-dependencies]")[2], re.MULTILINE
+    )
+    assert set(extras.split(",")) <= set(declared)
+    last = lines[max(i for i, line in enumerate(lines) if line.startswith("FROM ")) :]
+    assert last.index("USER siamloc") < last.index("RUN siamloc doctor")
+    assert not [line for line in last if re.search("gcc|build-essential|pip install", line)]
+
+
+def test_the_sources_of_a_container_are_what_the_wheel_is_built_from():
+    sent = {line[1:] for line in read(".dockerignore").splitlines() if line.startswith("!")}
+    assert all((ROOT / name).exists() for name in sent)
+    packages = re.search(r"wheel\]\npackages = \[(.*)\]", read("pyproject.toml"))[1]
+    assert {*re.findall(r'"(\w+)"', packages), "conf", "README.md", "LICENSE", "pyproject.toml"} <= sent
+
+
 @pytest.mark.slow
 def test_torch_hub_loads_the_shipped_network_from_a_folder(tmp_path):
     code = f"""

@@ -1,6 +1,6 @@
 """A ROS 2 node that locates the images of a camera: sensor_msgs/Image in, geometry_msgs/PoseWithCovarianceStamped out.
 
-It needs ROS 2 with rclpy, and siamloc as installed by `pip install .` in its folder, without torch.
+It needs ROS 2 with rclpy, and siamloc as installed by `pip install ".[robot]"` in its folder, without torch.
 
     python localizer_node.py --ros-args -p bundle:=robot -r image:=/camera/image_raw -r pose:=/siamloc/pose
 """

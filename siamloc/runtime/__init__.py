@@ -3,7 +3,7 @@
     siamloc.runtime.export(network, known, "runs/robot/bundle")
     siamloc.runtime.Localizer("runs/robot/bundle").locate("photo.jpeg")
 
-Importing this package does not load torch; the robot needs only numpy, opencv and onnxruntime.
+Importing this package does not load torch; the robot needs only numpy, opencv and, for networks, onnxruntime.
 """
 
 from siamloc.lazy import lazy
