@@ -4,6 +4,8 @@
 #   docker run --rm --volume "$PWD/bundle:/bundle:ro" --volume "$PWD/photos:/photos:ro" siamloc-robot \
 #     localize bundle=/bundle 'images=[/photos]' format=jsonl
 # With a page: --publish 127.0.0.1:8000:8000 siamloc-robot live bundle=/bundle 'images=[/photos]' host=0.0.0.0
+# The commands were run one by one in a root of Debian 12 made by debootstrap (amd64), not yet by docker itself; for arm64
+# it was only checked that all packages have wheels.
 FROM debian:bookworm-slim AS build
 RUN apt-get update && apt-get install --yes --no-install-recommends python3 python3-venv
 COPY . /source

@@ -4,6 +4,7 @@
 #   docker build --file containers/train.Dockerfile --tag siamloc .
 #   docker run --rm --gpus all --shm-size 8g --volume "$PWD:/work" --user "$(id -u):$(id -g)" siamloc \
 #     train data=manifest data.manifest=robot.csv run=runs/robot
+# Not yet built: it differs from robot.Dockerfile, whose commands were run, by the extra alone.
 FROM debian:bookworm-slim AS build
 RUN apt-get update && apt-get install --yes --no-install-recommends python3 python3-venv
 COPY . /source

@@ -13,7 +13,7 @@ HIDDEN = """
 import builtins, io, os, pathlib, signal, sys, warnings
 
 sys.modules.update(dict.fromkeys(["fcntl", "resource", "pwd", "grp", "termios"]))
-for module, name in ((os, "sched_getaffinity"), (os, "register_at_fork"), (os, "fork"), (signal, "pthread_kill")):
+for module, name in ((os, "sched_getaffinity"), (os, "fork"), (signal, "pthread_kill")):
     delattr(module, name) if hasattr(module, name) else None
 
 
@@ -49,7 +49,7 @@ if __name__ == "__main__":
     network = siamloc.models.build("simple1", "flat", image_size=(16, 64))
     siamloc.training.fit(
         network, images, monday, run="run", epochs=1, batch_size=4, workers=1,
-        trainer={"accelerator": "cpu"}, augment="thesis",
+        trainer={"accelerator": "cpu"}, augmentation="thesis",
     )
     known = siamloc.maps.build(network, images, monday, progress=False)
     print(siamloc.evaluation.localization(known, images, tuesday).measures["error"]["mean"])
