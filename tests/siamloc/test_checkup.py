@@ -46,7 +46,7 @@ def test_a_robot_describes_by_hog_and_is_told_what_lacks(without, capsys):
     found = checkup.doctor()
     assert (found.described, found.problems, dict(found.providers)) == ("hog", (), {})
     assert found.missing["simulate"] == ("torch", "embreex")
-    assert found.missing["live"] == ("onnxruntime",), "it runs networks, too"
+    assert found.missing["live"] == (), "onnxruntime comes by any of the robot's extras"
     assert "lacks onnxruntime: run pip install '.[robot]'" in found.text()
     assert main(["doctor"]) == 0
     assert found.text() in capsys.readouterr().out
