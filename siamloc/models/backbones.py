@@ -249,7 +249,7 @@ def _timm_features(network: Any, example: Tensor) -> nn.Module:
             if all(one.ndim == 4 for one in made.maps(example)):
                 network.prune_intermediate_layers(1, prune_norm=False, prune_head=True)
                 return made
-        except (AssertionError, RuntimeError):  # no norm layer for maps, or no maps
+        except Exception:  # no norm layer for maps, or no maps; each network says so by another error
             continue
     network.reset_classifier(0)
     return nn.Sequential(nn.Sequential(network, _OnePixel()))
@@ -293,7 +293,7 @@ class _Tokens(nn.Module):
 
     def forward(self, images: Tensor) -> Tensor:
         tokens = self.network.conv_proj(images).flatten(2).transpose(1, 2)
-        first = self.network.class_token.expand(len(tokens), -1, -1)
+        first = self.network.class_token.expand(tokens.shape[0], -1, -1)
         tokens = self.network.encoder(torch.cat([first, tokens], dim=1))[:, 1:]
         return tokens.transpose(1, 2).unflatten(2, self.grid)
 

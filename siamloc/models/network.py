@@ -21,7 +21,7 @@ from siamloc.models.orientation import VALUES, Canonical, Orientation
 from siamloc.models.registry import Normalization, branch_spec, head_widths, is_backbone
 from siamloc.models.relative import RelativePose
 from siamloc.models.room_classifier import RoomClassifier
-from siamloc.models.weights import fill, find_weights, state_hash
+from siamloc.models.weights import Weights, fill, find_weights, state_hash
 from siamloc.runs import Run
 
 _BY_FREQUENCY = (Fourier, Magnitudes)  # heads that discard how far the robot has turned; `Orientation` keeps it
@@ -99,11 +99,13 @@ def build(
     rows, columns = size = checked(image_size, Size, "image_size")
     name = branch if isinstance(branch, str) else type(branch).__qualname__
     ours = isinstance(branch, str) and not is_backbone(branch)
-    norm = normalize or (branch_spec(name).normalize if ours else "channels")
+    usual = branch_spec(name).normalize if ours else "channels"
+    norm = usual if normalize is None else normalize
     options: dict[str, Any] = {"circular": circular, "normalize": norm, "canonical": canonical, "relative": relative}
-    found = None if weights is None else find_weights(name, weights)
     part: str | Backbone = name
-    if not ours:
+    found: Weights | None = None
+    if not ours:  # the network itself loads its own weights
+        found = None if weights is None else find_weights(name, weights)
         own = None if found is None or found.of_a_network else found.state
         part = make_backbone(branch, size, circular, norm, seed, own)
     with torch.device("meta"):
@@ -122,6 +124,8 @@ def build(
         **({"colours": True} if colours else {}),
         **({} if elevations is None else {"elevations": list(elevations)}),
     }
+    if weights is not None and ours:
+        found = find_weights(name, weights)
     if found is not None and (ours or found.of_a_network):
         fill(network, found, f"{name} + {head} at {rows} x {columns}")
         if found.mean is not None and found.std is not None:

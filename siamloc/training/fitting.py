@@ -238,7 +238,7 @@ def learn(
             for text in notes:
                 print(f"note: {text}", file=sys.stderr)
             print(f"training {name} on {what}, epochs: {settings.epochs}, into {run.folder}", file=sys.stderr)
-        log_settings(lightning.loggers, used)
+        log_settings(lightning.loggers, plain(used))
         start = last if resume and last.is_file() else None
         with computing(module, settings, trainer):
             _train(lightning, module, data, run, start)

@@ -33,7 +33,7 @@ ensure_torchvision()
 from lightning.pytorch import Callback, LightningModule, Trainer  # noqa: E402
 from lightning.pytorch.plugins import LayerSync  # noqa: E402
 
-TRAINER: Mapping[str, Any] = {"accelerator": "auto", "devices": 1, "log_every_n_steps": 10}
+TRAINER: Mapping[str, Any] = {"accelerator": "auto", "devices": 1, "log_every_n_steps": 10, "logger": "tensorboard"}
 """Default arguments of `lightning.Trainer` in `fit`."""
 _LAUNCHED = {"MASTER_ADDR", "SLURM_JOB_ID", "LSB_JOBID", "TORCHELASTIC_RUN_ID", "OMPI_COMM_WORLD_SIZE"}
 """Environment variables set by the launchers of several machines."""
@@ -56,7 +56,7 @@ def run_trainer(run: Run, settings: Training, further: Mapping[str, Any] | None,
         ConfigError: arguments that Lightning refuses, or that siamloc sets itself.
     """
     options = dict(further or {})
-    loggers = loggers_of(run, options.pop("logger", "tensorboard"))
+    loggers = loggers_of(run, options.pop("logger", TRAINER["logger"]))
     pace = Pace()
     guard = FiniteGuard()
     own_callbacks = [_Seeds(settings.seed), guard, pace, Curves(run, monitor, pace, settings.patience)]
@@ -97,7 +97,7 @@ def check_trainer(further: Mapping[str, Any] | None) -> Trainer:
     Raises:
         ConfigError: arguments that Lightning refuses.
     """
-    check_loggers((further or {}).get("logger", "tensorboard"))
+    check_loggers({**TRAINER, **(further or {})}["logger"])
     own = dict.fromkeys(("logger", "enable_checkpointing", "enable_progress_bar", "enable_model_summary"), False)
     with quiet():
         return _made({name: value for name, value in (further or {}).items() if name not in own}, own)
@@ -117,7 +117,7 @@ def _made(options: Mapping[str, Any], own: Mapping[str, Any]) -> Trainer:
         fast = torch.cuda.is_bf16_supported(including_emulation=False) if gpu else torch.cpu._is_avx512_bf16_supported()
         options["precision"] = "bf16-mixed" if fast else "32-true"
     try:
-        return Trainer(**options, **own)
+        return Trainer(**{**options, **own})
     except Exception as error:  # Lightning and the device backends may raise anything
         reason = " ".join(str(error).split()) or type(error).__name__
         sentence = f"the trainer cannot be set up with these trainer keys: {reason}"

@@ -24,6 +24,7 @@ def test_every_option_of_every_group_composes(override, tmp_path):
     given = {
         "data=manifest": ["data.manifest=x"],
         "data=trajectory": ["data.images=x", "data.poses=y"],
+        "descriptor=frozen": ["descriptor.branch=torchvision/resnet18"],
         "unwrap=calibrated": ["data.root=x", f"unwrap.file={tmp_path / 'camera.yaml'}"],
         "unwrap=own": ["data.root=x", "unwrap.kind=siamloc.data.panorama:PolarRing"],
     }
@@ -68,6 +69,15 @@ def test_a_broken_file_of_an_option_is_named(group, content, says, tmp_path, mon
                 "data": {"kind": "manifest", "name": "manifest", "manifest": "x"},
                 **{"loss": "triplet", "pairs": "in_batch", "model": {"branch": "simple1", "circular": True}},
                 "augment": {**option("augment", "thesis").values, "where": "gpu"},
+            },
+        ),
+        (
+            "train",
+            "data.manifest=x model.branch=torchvision/resnet18 model.branch.weights=cached trainer.logger=csv",
+            Train,
+            {
+                **{"data": {"kind": "manifest", "name": "manifest", "manifest": "x"}, "trainer": {"logger": "csv"}},
+                "model": {"branch": {"name": "torchvision/resnet18", "weights": "cached"}},
             },
         ),
         ("report", "runs=[a,b]", Report, {"runs": ["a", "b"]}),

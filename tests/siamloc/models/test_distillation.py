@@ -74,6 +74,7 @@ def test_the_shipped_network_teaches_by_default():
     assert loss.teach(torch.rand(2, 3, *SIZE)).shape[0] == 2
 
 
+@pytest.mark.filterwarnings("ignore:You defined a `validation_step`")
 def test_a_student_comes_nearer_to_its_teacher():
     generator = torch.Generator().manual_seed(0)
     images = torch.rand(12, 3, 4, 8, generator=generator).repeat_interleave(4, 2).repeat_interleave(8, 3)

@@ -28,7 +28,7 @@ def train(images, drives, tmp_path):
 
 
 def test_unknown_and_missing_loggers_are_named(monkeypatch):
-    with pytest.raises(ConfigError, match=r"unknown trainer.logger 'board': valid: tensorboard, csv, wandb, mlflow"):
+    with pytest.raises(ConfigError, match=r"unknown trainer.logger 'board': did you mean 'tensorboard'\?"):
         check_loggers("board")
     monkeypatch.setattr(loggers, "find_spec", lambda package: None)
     for name in ("wandb", "mlflow"):
@@ -40,7 +40,7 @@ def test_unknown_and_missing_loggers_are_named(monkeypatch):
 
 def test_csv_holds_the_curves_and_the_settings(train):
     run = train("csv")
-    rows = list(csv.DictReader((run.folder / "csv" / "metrics.csv").open()))
+    rows = csv.DictReader((run.folder / "csv" / "metrics.csv").read_text().splitlines())
     logged = [float(row["train/loss"]) for row in rows if row.get("train/loss")]
     assert logged == pytest.approx(run.curves()["train/loss"].tolist())
     assert "learning_rate: 0.001" in (run.folder / "csv" / "hparams.yaml").read_text()
