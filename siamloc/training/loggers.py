@@ -65,9 +65,24 @@ def _made(name: str, folder: Path) -> Logger:
     if name == "wandb":
         project = os.environ.get("WANDB_PROJECT", "siamloc")
         folder.mkdir(parents=True, exist_ok=True)
-        return WandbLogger(name=title, project=project, save_dir=folder)
-    server = os.environ.get("MLFLOW_TRACKING_URI")
-    return MLFlowLogger("siamloc", run_name=title, tracking_uri=server, save_dir=str(folder.absolute() / "mlflow"))
+        return _Wandb(name=title, project=project, save_dir=folder)
+    if server := os.environ.get("MLFLOW_TRACKING_URI"):
+        return MLFlowLogger("siamloc", run_name=title, tracking_uri=server)
+    here = folder.absolute() / "mlflow"
+    here.mkdir(parents=True, exist_ok=True)
+    return MLFlowLogger(
+        "siamloc", run_name=title, tracking_uri=f"sqlite:///{here / 'mlflow.db'}", artifact_location=str(here / "files")
+    )
+
+
+class _Wandb(WandbLogger):
+    """Weights & Biases for one training: the next one in the same process gets a run of its own."""
+
+    def finalize(self, status: str) -> None:
+        super().finalize(status)
+        if self._experiment is not None:
+            self._experiment.finish()
+            self._experiment = None
 
 
 def log_settings(loggers: list[Logger], used: Mapping[str, Any]) -> None:
