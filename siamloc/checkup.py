@@ -25,9 +25,12 @@ COMMANDS = {
     "simulate": ("demo", "pretrain", "simulate"),
     "sweeps": ("-m hydra/launcher=joblib",),
     "recordings": ("prepare FILE.bag",),
+    "timm": ("train model.branch=timm/NAME",),
+    "wandb": ("train trainer.logger=wandb",),
+    "mlflow": ("train trainer.logger=mlflow",),
 }
 """What each extra is for."""
-_BASES = {"simulate": "train", "sweeps": "train", "recordings": "train"}
+_BASES = dict.fromkeys(("simulate", "sweeps", "recordings", "timm", "wandb", "mlflow"), "train")
 # Some entries of what the known picture is described by, computed once, and how far others may be from them.
 _NETWORK = {0: 0.014456, 712: 0.033819, 1176: 0.121093, 1884: -0.119783, 2246: 0.118354, 2645: 0.136942}
 _HOG = {0: 0.757930, 1: 0.341794, 3: 1.303485, 5: 10.832738}

@@ -22,6 +22,10 @@ EXTRAS = {
     "embreex": "simulate",
     "hydra_plugins": "sweeps",
     "rosbags": "recordings",
+    "timm": "timm",
+    "huggingface_hub": "timm",
+    "wandb": "wandb",
+    "mlflow": "mlflow",
 }
 """The extra that installs a module; modules that are not listed come with the extra `train`."""
 

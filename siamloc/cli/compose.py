@@ -184,9 +184,9 @@ def _register(kind: type[Job], words: list[str]) -> None:
     named = [name for word in words if _key(word) == _BRANCH for name in word.partition("=")[2].split(",")]
     for name in (one.strip("'\" ") for one in named):
         if is_backbone(name):
-            folder, _, last = f"{_BRANCH}/{name}".rpartition("/")
-            node = OmegaConf.create(option(_BRANCH, name).node())
-            store.store(last, node, group=folder, package=_BRANCH.replace("/", "."))
+            folder, _, leaf = f"{_BRANCH}/{name}".rpartition("/")
+            package = _BRANCH.replace("/", ".")
+            store.store(leaf, OmegaConf.create(option(_BRANCH, name).node()), group=folder, package=package)
 
 
 def _path(kind: type[Job]) -> str | None:

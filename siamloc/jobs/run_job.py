@@ -161,8 +161,8 @@ class RunJob(DataJob):
             self._check_size(PRETRAINED_SIZE, "the network that ships with siamloc")
             return models.as_descriptor(models.pretrained(circular=self.data.circular), self.device)
         if chosen.name == "frozen":
-            network = models.build(image_size=self.data.image_size, **Frozen.of(chosen.parameters).plain())
-            return models.as_descriptor(network, self.device)
+            frozen = models.build(image_size=self.data.image_size, **Frozen.of(chosen.parameters).plain())
+            return models.as_descriptor(frozen, self.device)
         trained = Run(Path(chosen.parameters["run"])) if chosen.parameters.get("run") else self.here
         network = models.load(trained, which="untrained" if chosen.name == "untrained" else self.checkpoint)
         self._check_architecture(network, trained, own=trained == self.here)

@@ -70,8 +70,8 @@ class DistillationLoss(ScheduledLoss):
         if origins.taught is None:
             raise DataError("distillation needs the teacher's descriptors: give origins with taught=loss.teach(images)")
         with torch.autocast(device_type=descriptors.device.type, enabled=False):
-            rows = (_rows(one.float()) for one in (descriptors, origins.taught))
-            return 1 - F.cosine_similarity(*rows, dim=1).mean()
+            learned, taught = (_rows(one.float()) for one in (descriptors, origins.taught))
+            return 1 - F.cosine_similarity(learned, taught, dim=1).mean()
 
     def lacks(self, origins: Origins) -> str | None:
         """Return what a batch lacks for this loss, in words: three images."""
