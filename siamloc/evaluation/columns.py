@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from siamloc.data.frames import FrameTable
 from siamloc.evaluation.metrics import confusion_matrix, heading_error
 from siamloc.maps.error_model import ErrorModel
-from siamloc.maps.refinement import RefinedPoses
+from siamloc.maps.joining import RefinedPoses
 from siamloc.maps.search import Retrieval
 from siamloc.maps.visual_map import VisualMap
 from siamloc.results import Columns, by_label

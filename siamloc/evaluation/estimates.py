@@ -18,9 +18,10 @@ from siamloc.evaluation.metrics import localization_error
 from siamloc.evaluation.result import Result
 from siamloc.evaluation.session import Search, Session
 from siamloc.maps.error_model import ErrorModel
+from siamloc.maps.joining import RefinedPoses
 from siamloc.maps.motion import motions
 from siamloc.maps.pose_filter import PoseFilter
-from siamloc.maps.refinement import RefinedPoses, Refinement
+from siamloc.maps.refinement import Refinement
 from siamloc.maps.sequence_filter import MotionModel, SequenceFilter, temperature_of_map, tune_filter
 from siamloc.maps.visual_map import VisualMap
 from siamloc.results import FURTHER, Columns

@@ -8,6 +8,7 @@ from .hierarchy import (
     LayerSearch as LayerSearch,
 )
 from .history import History as History
+from .joining import RefinedPoses as RefinedPoses
 from .live_survey import LiveSurvey as LiveSurvey
 from .maintenance import Maintenance as Maintenance, Update as Update, update as update
 from .matching import frame_distances as frame_distances, headings as headings, match as match
@@ -15,12 +16,7 @@ from .motion import motions as motions
 from .pose_filter import PoseFilter as PoseFilter
 from .ranking import NodeRanking as NodeRanking
 from .reasons import Reason as Reason
-from .refinement import (
-    RefinedPoses as RefinedPoses,
-    Refinement as Refinement,
-    interpolate_poses as interpolate_poses,
-    refine as refine,
-)
+from .refinement import Refinement as Refinement, interpolate_poses as interpolate_poses, refine as refine
 from .search import Retrieval as Retrieval, VectorIndex as VectorIndex
 from .sequence_filter import (
     MotionModel as MotionModel,

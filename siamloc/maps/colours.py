@@ -64,24 +64,26 @@ def with_learned(known: VisualMap, queries: Description, found: Retrieval, near:
     """Insert, before the map frames that are nearest with colours, those that are nearest by the learned part alone.
 
     In the light of the map, colours find places whose shapes look alike; in another light they mislead, and the learned
-    part alone finds the place.
+    part alone finds the place. So do the means of the distances with colours and without, which the first 2 c map
+    frames get.
 
     Args:
         known: a map described with colours.
         queries: n descriptions.
-        found: the nearest map frames with colours (n, k).
+        found: the nearest map frames with colours (n, k), c or more.
         near: rows of the nearest map frames by the learned part (n, c).
 
     Returns:
         (n, c + k), with a distance of infinity where a map frame appears again.
     """
-    apart = np.empty(near.shape)
-    for part in slices(len(near), _AT_ONCE):
-        off = queries.position[part, None].astype(np.float64) - known.descriptors[near[part]]
-        apart[part] = np.linalg.norm(off, axis=2)
     indices = np.concatenate([near, found.indices], axis=1)
-    distances = np.concatenate([apart, found.distances], axis=1)
-    for column in range(near.shape[1]):
+    distances = np.concatenate([np.empty(near.shape), found.distances], axis=1)
+    count, width = near.shape[1], known.learned.shape[1]
+    for part in slices(len(near), _AT_ONCE):
+        off = queries.position[part, None].astype(np.float64) - known.descriptors[indices[part, : 2 * count]]
+        learned = np.linalg.norm(off[..., :width], axis=2)
+        distances[part, : 2 * count] = (learned + np.linalg.norm(off, axis=2)) / 2
+    for column in range(count):
         again = indices[:, column + 1 :] == indices[:, column, None]
         distances[:, column + 1 :][again] = np.inf
     return Retrieval(indices, distances)

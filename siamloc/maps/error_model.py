@@ -16,7 +16,7 @@ from siamloc.maps.learned import Learned
 from siamloc.maps.search import Retrieval
 
 if TYPE_CHECKING:
-    from siamloc.maps.refinement import RefinedPoses
+    from siamloc.maps.joining import RefinedPoses
 
 _GROUP = 25  # validation queries behind each value of the model, at least
 _FEWEST = 10

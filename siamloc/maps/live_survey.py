@@ -12,9 +12,9 @@ from foundation.calls import typed
 from siamloc.data.frames import concatenate
 from siamloc.data.moves import composed
 from siamloc.errors import DataError
+from siamloc.maps.comparing import scaled
 from siamloc.maps.loops import Loops, agreed, edges_of, loops_of
 from siamloc.maps.pose_graph import Array, Edges, PoseGraph, solve
-from siamloc.maps.reranking import scaled
 from siamloc.maps.survey_steps import (
     BEFORE,
     ODDS,

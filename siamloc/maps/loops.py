@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from foundation.columns import Rows
 from siamloc.data.moves import composed, relative, wrapped
+from siamloc.maps.joining import FREEDOM
 from siamloc.maps.pose_graph import Array, Edges
-from siamloc.maps.refinement import FREEDOM
 
 _NEIGHBOURHOOD = 3  # frames on either side within which loops must agree
 _AGREE = 2  # number of other loops that must agree with a loop

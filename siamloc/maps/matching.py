@@ -13,7 +13,8 @@ from foundation.calls import typed
 from foundation.settings import Count
 from siamloc.data.moves import wrapped
 from siamloc.maps.colours import light_distances, nearest_in_light, with_learned
-from siamloc.maps.reranking import COMPARED, comparison_of, reranked
+from siamloc.maps.comparing import comparison_of
+from siamloc.maps.reranking import COMPARED, reranked
 from siamloc.maps.search import Retrieval, check_excluded
 from siamloc.maps.visual_map import VisualMap
 

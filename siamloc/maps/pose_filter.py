@@ -20,8 +20,8 @@ from foundation.calls import typed
 from foundation.settings import Positive, Probability
 from siamloc.data.moves import wrapped
 from siamloc.errors import DataError
+from siamloc.maps.joining import FREEDOM, RefinedPoses
 from siamloc.maps.motion import motion_or_none, motions_of
-from siamloc.maps.refinement import FREEDOM, RefinedPoses
 
 _STORIES = 5
 _STRAY = 0.15  # density of poses that are wrong, per square unit of the positions

@@ -17,7 +17,7 @@ from scipy.sparse.linalg import splu
 
 from foundation.columns import Rows
 from siamloc.data.moves import relative, wrapped
-from siamloc.maps.refinement import FREEDOM
+from siamloc.maps.joining import FREEDOM
 
 Array = NDArray[np.float64]
 

@@ -1,47 +1,35 @@
-"""Put the nearest map frames of a query in order anew, by comparing each of them with the query."""
+"""Put the nearest map frames of a query in order again, by comparing each of them with the query."""
 
 from __future__ import annotations
-
-from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import NDArray
 
 from analytic import Description
-from siamloc.maps.search import Retrieval
+from siamloc.maps.comparing import Compared, Compares, compare_with
+from siamloc.maps.joining import joined
+from siamloc.maps.search import Retrieval, slices
 from siamloc.maps.visual_map import VisualMap
 
 COMPARED = 8
 """Number of nearest map frames that are compared with a query."""
-_ODDS = -10.0, 5.0  # log odds beyond these count no more: nearer frames differ in their descriptors
-_ODDS_PER_DISTANCE = 25.0  # log odds that weigh as much as a distance of 1 between descriptors
-_NEARNESS = 0.8  # distance between descriptors that weighs as much as 1 between positions
-_NEAR = 1.0  # a certain match is preferred for being nearer than this, in the unit of the positions
+_ODDS = -2.0, 4.0  # log odds beyond these count no more
+_ODDS_PER_DISTANCE = 30.0  # log odds that weigh as much as a distance of 1 between descriptors
+_NEARNESS = 2.0  # distance between descriptors that weighs as much as 1 between positions
+_AWAY = 2.0  # largest distance between positions that counts, in their unit
+_JOINED = 3  # map frames whose answers are joined to a pose
 _AT_ONCE = 256  # queries
-
-Compares = Callable[
-    [NDArray[np.float32], NDArray[np.float32]], tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]
-]
-"""Compares orientation parts of queries (n, K, F) with those of as many map frames (n, K, F). Returns pose (n, 3):
-the displacement ahead and to the left as seen from the map frame's robot, and how far the query's robot is turned left,
-in rad; the inverse of the scale matrix of a t-distribution with 4 degrees of freedom (n, 3, 3), the information; and
-the log odds (n,) that the images were taken near each other."""
-
-
-def comparison_of(known: VisualMap) -> Compares | None:
-    """Return the function by which a map's descriptor compares a query with a map frame; None if it cannot."""
-    held = known.heading_by_network and known.distance == "euclidean"
-    return getattr(known.describes, "compare", None) if held and getattr(known.describes, "compares", False) else None
 
 
 def reranked(known: VisualMap, queries: Description, found: Retrieval, compares: Compares, compared: int) -> Retrieval:
-    """Put the nearest map frames of each query in order anew.
+    """Put the nearest map frames of each query in order again.
 
-    Distances between descriptors tell which places look alike; a comparison of two images tells whether both were taken
-    near each other, which is more certain where map frames stand metres apart, and how far apart, which is more exact
-    where they stand closely. With the log odds o of that, limited to -10 ... 5, and the length r of the displacement,
-    limited to 1 and taken as 1 where o < 5, a map frame at distance d gets the distance d + (5 - o) / 25 + 0.8 r. Map
-    frames after those compared get the distance d + 1.4, as if they showed another place.
+    Distances between descriptors tell which places look alike; comparing two images tells whether both were taken near
+    each other, and then where. If a comparison is certain, with log odds of 4 or more, the answers of the three best
+    map frames are joined to a pose, and map frames near it are preferred. With the log odds o, limited to -2 ... 4, and
+    the distance p from that pose, limited to 2, a map frame at distance d gets the distance d + (4 - o) / 30 + 2 p.
+    Without that pose, as in a map without headings, p is the distance that a map frame's own certain answer tells, and
+    2 for all others. Map frames after those compared get the distance d + 4.2, as other places.
 
     Args:
         known: a map of m frames, with the orientation parts that are compared.
@@ -50,34 +38,25 @@ def reranked(known: VisualMap, queries: Description, found: Retrieval, compares:
         compares: compares orientation parts.
         compared: number of map frames to compare, from the first.
     """
-    parts, rows = queries.orientation, found.indices[:, :compared]
+    parts, distances = queries.orientation, found.distances + _doubt(np.array(_ODDS[0])) + _NEARNESS * _AWAY
     assert parts is not None
-    starts = range(0, len(rows), _AT_ONCE)
-    of_compared = [_doubts(known, parts[at : at + _AT_ONCE], rows[at : at + _AT_ONCE], compares) for at in starts]
-    doubts = np.full(found.distances.shape, _doubt(np.array(_ODDS[0]), np.array(_NEAR)))
-    doubts[:, : rows.shape[1]] = np.concatenate([rows[:0].astype(np.float64), *of_compared])
-    distances = found.distances + doubts
+    for part in slices(len(found.indices), _AT_ONCE):
+        answers = compare_with(known, parts[part], found.indices[part, :compared], compares)
+        distances[part, :compared] = _judged(known, found.distances[part, :compared], answers)
     order = distances.argsort(axis=1, kind="stable")
     return Retrieval(np.take_along_axis(found.indices, order, 1), np.take_along_axis(distances, order, 1))
 
 
-def _doubts(
-    known: VisualMap, parts: NDArray[np.float32], rows: NDArray[np.int64], compares: Compares
-) -> NDArray[np.float64]:
-    """Return what to add to the distances (n, K) between queries with these parts and map frames (n, K)."""
-    held = known.turning(rows.ravel()).orientation
-    assert held is not None
-    pose, _, odds = compares(np.repeat(scaled(parts), rows.shape[1], axis=0), scaled(held))
-    return _doubt(odds, np.hypot(pose[:, 0], pose[:, 1])).reshape(rows.shape)
+def _judged(known: VisualMap, distances: NDArray[np.float64], answers: Compared) -> NDArray[np.float64]:
+    """Return what becomes of the distances (n, k) of map frames by their answers."""
+    judged = distances + _doubt(answers.match)
+    pose = joined(known, answers.take(judged.argsort(axis=1, kind="stable")[:, :_JOINED]))
+    away = np.linalg.norm(known.frames.xy[answers.rows] - pose.xy[:, None], axis=2)
+    here = known.frames.building[answers.rows] == known.frames.building[pose.frame, None]
+    placed = here & np.isfinite(away) & (pose.match >= _ODDS[1])[:, None]
+    alone = np.where(answers.match >= _ODDS[1], np.hypot(answers.pose[..., 0], answers.pose[..., 1]), _AWAY)
+    return judged + _NEARNESS * np.minimum(np.where(placed, away, alone), _AWAY)
 
 
-def _doubt(odds: NDArray[np.float64], apart: NDArray[np.float64]) -> NDArray[np.float64]:
-    least, certain = _ODDS
-    near = np.where(odds >= certain, np.minimum(apart, _NEAR), _NEAR)
-    return (certain - odds.clip(least, certain)) / _ODDS_PER_DISTANCE + _NEARNESS * near
-
-
-def scaled(parts: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Return orientation parts scaled to a mean square of 1 each, as maps keep them only up to a scale."""
-    size = np.sqrt(np.mean(np.square(parts, dtype=np.float64), axis=(1, 2), keepdims=True))
-    return (parts / np.maximum(size, 1e-12)).astype(np.float32)
+def _doubt(odds: NDArray[np.float64]) -> NDArray[np.float64]:
+    return (_ODDS[1] - odds.clip(*_ODDS)) / _ODDS_PER_DISTANCE

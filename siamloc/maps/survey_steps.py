@@ -10,9 +10,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from siamloc.data.moves import chained, moves, relative
 from siamloc.errors import DataError
+from siamloc.maps.comparing import Compares
 from siamloc.maps.loops import Pairs
 from siamloc.maps.pose_graph import Array, Edges
-from siamloc.maps.reranking import Compares
 from siamloc.progress import track
 
 ODDS = float(np.log(19))

@@ -20,10 +20,10 @@ from siamloc.data.checks import wrong_odometry
 from siamloc.data.frames import ODOMETRY, FrameTable
 from siamloc.data.moves import relative, wrapped
 from siamloc.errors import ConfigError, DataError
+from siamloc.maps.comparing import scaled
 from siamloc.maps.describing import build, descriptor_from
 from siamloc.maps.loops import Loops, Reason, candidates, edges_of, judged, judged_again
 from siamloc.maps.pose_graph import Array, Edges, PoseGraph, Solution, covariances, of_shape, solve
-from siamloc.maps.reranking import scaled
 from siamloc.maps.survey_start import anchored, brought_together, check_anchors
 from siamloc.maps.survey_steps import (
     ODDS,

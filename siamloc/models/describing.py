@@ -144,7 +144,7 @@ class NetworkDescriptor(BetweenColumns):
         pairs = zip(*(torch.tensor(one).split(chunk) for one in (queries, known)), strict=True)
         with evaluating(relative):
             parts = [relative(*(_uploaded(one, like).to(like.dtype) for one in pair)) for pair in pairs]
-            pose, information, match = _fetched([torch.cat(one) for one in zip(*parts, strict=True)])
+            pose, information, match, _ = _fetched([torch.cat(one) for one in zip(*parts, strict=True)])
         return pose.double().numpy(), information.double().numpy(), match.double().numpy()
 
     def pairwise(

@@ -10,6 +10,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
+from siamloc.models.alignment import CHANNELS, GROUPS, Alignment
 from siamloc.models.origins import Origins
 
 REACH = 8.0
@@ -18,13 +19,14 @@ SHARED = 0.04
 """Smallest visual overlap of two images for a comparison, where it is known: walls may stand between near images."""
 FREEDOM = 4.0
 """Degrees of freedom of the t-distribution of errors; `siamloc.maps.refine`, which joins answers, assumes the same."""
-_GROUPS, _SHIFTS, _WIDTH = 8, 5, 128
+_SHIFTS, _WIDTH = 5, 128
 _TURN = 10.0  # turns count in tenths of a radian, about the size of displacements
 _PRIOR = 0.5  # information of each coordinate before any column is considered: a deviation of 1.4 m
 _GAIN = 10.0
 _MOST = 6.0  # largest logarithm of the factor on the summed information
 _RANKS = (0, 4, 10)  # an image is compared with these of its nearest ones in a batch
 _ELSEWHERE = (1.0, 3.0, REACH)  # and, beyond each of these distances, with the most similar one
+_SUREST = 8.0  # largest log probability, and difference of two, that counts
 _ALIGNED = 2.0  # columns: a query whose turn is off by more cannot be compared
 _AHEAD = 0.5  # rad: two images of an ordinary camera that are turned by more share too little
 _FIELD = math.pi / 2  # assumed field of view of an ordinary camera, whose lens is unknown
@@ -40,19 +42,28 @@ class Relative(NamedTuple):
             rad.
         match: (B,) log odds that the images were taken within `REACH` of each other, show some of the same surfaces,
             and are turned alike.
+        turns: (B, K) log probability of each turn of the query, by whole columns, to bring it to the map frame's
+            direction; (B, 1), of the only one, if the columns are not a full turn.
     """
 
     pose: Tensor
     information: Tensor
     match: Tensor
+    turns: Tensor
+
+    @property
+    def steps(self) -> Tensor:
+        """Number of columns (B,) by which each query was turned to be compared."""
+        return self.turns.argmax(dim=1)
 
 
 class RelativePose(nn.Module):
     """Compare the orientation parts of a query and a map frame.
 
-    The query's columns are first turned to the best fit with the map frame, by whole columns. Then each column of the
-    map frame is compared with its surroundings in the query: from another position, things appear shifted, by an angle
-    that shows the movement across the line of sight. From that, each column votes for a displacement along and across
+    The query's columns are first turned to the map frame's direction, by whole columns; see `Alignment`. Then each
+    column of the map frame is compared with its surroundings in the query, and with all of it by the alignment's
+    features: from another position, things appear shifted, by an angle that shows the movement across the line of
+    sight. From that, each column votes for a displacement along and across
     its own line of sight and for the rest of the turn, with an information matrix. The votes are rotated into the map
     frame's axes and summed like independent measurements. Together they may carry less information than that, for
     example if two places look alike; a factor estimated from all columns accounts for it. By construction, turning a
@@ -76,7 +87,6 @@ class RelativePose(nn.Module):
         (torch.Size([2, 3]), torch.Size([2, 3, 3]), torch.Size([2]))
     """
 
-    places: Tensor
     windows: Tensor
     axes: Tensor
     entries: Tensor
@@ -87,12 +97,15 @@ class RelativePose(nn.Module):
         self.columns = columns
         self.circular = circular
         self.shifts = min(_SHIFTS, (columns - 1) // 2)
-        inputs = 2 * values + _GROUPS * (2 * self.shifts + 1)
+        inputs = 2 * values + GROUPS * (2 * self.shifts + 1)
         self.first = nn.Conv1d(inputs, _WIDTH, 3)
         self.more = nn.ModuleList(nn.Conv1d(_WIDTH, _WIDTH, 3) for _ in range(3))
         self.votes = nn.Conv1d(_WIDTH, 9, 1)
         self.whole = nn.Linear(_WIDTH, 2)
-        self.register_buffer("places", torch.empty(columns, columns, dtype=torch.int64), persistent=False)
+        self.alignment = Alignment(columns) if circular else None
+        if circular:
+            self.far = nn.Conv1d(CHANNELS * columns, _WIDTH, 1, bias=False)
+            self.sure = nn.Linear(2, 2, bias=False)
         windows = torch.empty(2 * self.shifts + 1, columns, dtype=torch.int64)
         self.register_buffer("windows", windows, persistent=False)
         self.register_buffer("axes", torch.empty(columns, 3, 3), persistent=False)
@@ -105,7 +118,6 @@ class RelativePose(nn.Module):
         field = 2 * math.pi if self.circular else _FIELD
         azimuth = -(column + 0.5 - self.columns / 2).double() * (field / self.columns)
         with torch.no_grad():
-            self.places.copy_((column - column[:, None]) % self.columns)
             shift = torch.arange(len(self.windows))[:, None] - self.shifts
             beside = column + shift
             self.windows.copy_(beside % self.columns if self.circular else beside + self.shifts)
@@ -119,18 +131,28 @@ class RelativePose(nn.Module):
             self.scales.copy_(units[:, None] * units * _GAIN)
             for layer in (self.votes, self.whole):
                 layer.weight *= 0.1
+            if self.alignment is not None:
+                self.alignment.reset()
+                for layer in (self.far, self.sure):
+                    layer.weight.zero_()
 
-    def forward(self, query: Tensor, known: Tensor, steps: Tensor | None = None) -> Relative:
+    def forward(self, query: Tensor, known: Tensor) -> Relative:
         """Estimate the poses of queries relative to map frames.
 
         Args:
             query: orientation parts (B, K, F).
             known: orientation parts of the map frames (B, K, F), one for each query.
-            steps: number of columns by which each query is turned first (B,); determined by correlation if None.
         """
-        if steps is None:
-            steps = self.steps(query, known)
-        votes, whole = self._votes(_turned(query, steps), known)
+        if self.alignment is None:
+            features, turns = None, torch.zeros_like(query[:, :1, 0])
+        else:
+            features, turns = self.alignment(query, known)
+        steps = turns.argmax(dim=1)
+        votes, whole = self._votes(_turned(query, steps), known, None if features is None else _from(features, steps))
+        if self.alignment is not None:
+            best, second = turns.topk(2, dim=1).values.unbind(dim=1)
+            sure = torch.stack([best, best - second], dim=1)
+            whole = whole + self.sure(sure.clamp(-_SUREST, _SUREST))
         vector = (self.axes @ votes[:, :3].permute(0, 2, 1)[..., None])[..., 0].sum(dim=1)
         lower = F.pad(votes[:, 3:], (0, 0, 0, 1)).index_select(1, self.entries)  # triangular: the seventh row is zero
         factors = self.axes @ lower.transpose(1, 2).unflatten(2, (3, 3))
@@ -139,29 +161,26 @@ class RelativePose(nn.Module):
         pose = (_inverse(information) @ vector[..., None])[..., 0]
         turn = _wrap(pose[:, 2] / _TURN - steps * (2 * math.pi / self.columns))
         known_together = whole[:, 1].clamp(-_MOST, _MOST).exp()[:, None, None]
-        return Relative(
-            torch.cat([pose[:, :2], turn[:, None]], dim=1), information * known_together * self.scales, whole[:, 0]
-        )
+        pose = torch.cat([pose[:, :2], turn[:, None]], dim=1)
+        return Relative(pose, information * known_together * self.scales, whole[:, 0], turns)
 
-    def steps(self, query: Tensor, known: Tensor) -> Tensor:
-        """Return the number of columns (B,) by which queries must turn to correlate best with map frames.
+    def _votes(self, seen: Tensor, known: Tensor, features: Tensor | None = None) -> tuple[Tensor, Tensor]:
+        """Return the votes (B, 9, K); and from all columns the odds of a match and their joint information (B, 2).
 
-        It is 0 if the columns are not a full turn.
+        Args:
+            seen: orientation parts of the queries (B, K, F), turned to the map frames' direction.
+            known: orientation parts of the map frames (B, K, F).
+            features: the alignment's features (B, C, K, K), by map column and turn from that direction.
         """
-        if not self.circular:
-            return torch.zeros_like(query[:, 0, 0], dtype=torch.int64)
-        products = known @ query.mT  # (B, K, K): column j of the map frame, column i of the query
-        shifted = products.gather(2, self.places.mT.expand(products.shape[0], -1, -1))  # i = j - step
-        return shifted.sum(dim=1).argmax(dim=1)
-
-    def _votes(self, seen: Tensor, known: Tensor) -> tuple[Tensor, Tensor]:
-        """Return the votes (B, 9, K); and from all columns the odds of a match and their joint information (B, 2)."""
         padded = seen if self.circular else F.pad(seen, (0, 0, self.shifts, self.shifts))
         around = padded.index_select(1, self.windows.flatten()).unflatten(1, self.windows.shape)  # (B, S, K, F)
-        compared = (known[:, None] * around).unflatten(3, (_GROUPS, -1)).mean(dim=4)  # (B, S, K, G)
+        compared = (known[:, None] * around).unflatten(3, (GROUPS, -1)).mean(dim=4)  # (B, S, K, G)
         compared = compared.transpose(2, 3).flatten(1, 2)
         both = torch.cat([known, seen], dim=2).transpose(1, 2)
-        found = F.relu(self.first(self._padded(torch.cat([compared, both], dim=1), 1)))
+        found = self.first(self._padded(torch.cat([compared, both], dim=1), 1))
+        if features is not None:
+            found = found + self.far(features.transpose(2, 3).flatten(1, 2))
+        found = F.relu(found)
         for layer in self.more:
             found = found + F.relu(layer(self._padded(found, 1)))
         return self.votes(found), self.whole(found.mean(dim=2))
@@ -215,9 +234,10 @@ def relative_loss(
 
     The loss is the negative log likelihood: of a t-distribution for the pose, which a few large errors do not dominate,
     and of whether the images can be compared, that is, were taken within reach of each other, have a visual overlap of
-    `SHARED` or more where it is known, and are turned alike: by their correlation, or, if the columns are not a full
+    `SHARED` or more where it is known, and are turned alike: by their alignment, or, if the columns are not a full
     turn, by their headings. Where poses have deviations, their variance is added to that of the estimate: uncertain
-    poses teach less, and the network does not take their errors for its own. The error is NaN if no two images can be
+    poses teach less, and the network does not take their errors for its own. The turns of the pairs within reach are
+    learned by cross entropy. The error is NaN if no two images can be
     compared.
 
     Args:
@@ -240,11 +260,13 @@ def relative_loss(
     ahead = cosine * apart[:, 0] + sine * apart[:, 1]
     left = cosine * apart[:, 1] - sine * apart[:, 0]
     turn = theta[query] - theta[known]
-    with torch.no_grad():
-        column = 2 * math.pi / relative.columns
-        steps = relative.steps(orientation[query], orientation[known])
-        near &= (_wrap(turn + steps * column) / column).abs() <= (_ALIGNED if relative.circular else _AHEAD / column)
-    found = (compare or relative)(orientation[query], orientation[known], steps)
+    column = 2 * math.pi / relative.columns
+    found = (compare or relative)(orientation[query], orientation[known])
+    turned = (
+        (_turn_loss(found.turns, -turn / column) * near).sum() / near.sum().clamp(min=1) if relative.circular else 0
+    )
+    most = _ALIGNED if relative.circular else _AHEAD / column
+    near = near & ((_wrap(turn + found.steps * column) / column).abs() <= most)
     information = found.information
     if origins.deviation is not None:
         information = _blurred(information, ahead, left, *(origins.deviation[one].square() for one in (query, known)))
@@ -256,7 +278,17 @@ def relative_loss(
     weight, target = (each.to(found.match.dtype) for each in (counts, near))
     match = F.binary_cross_entropy_with_logits(found.match, target, weight, reduction="sum")
     off_by = torch.linalg.vector_norm(error[:, :2].detach(), dim=1)
-    return (pose * near).sum() / count.clamp(min=1) + match / counts.sum().clamp(min=1), (off_by * near).sum() / count
+    loss = (pose * near).sum() / count.clamp(min=1) + match / counts.sum().clamp(min=1) + turned
+    return loss, (off_by * near).sum() / count
+
+
+def _turn_loss(turns: Tensor, steps: Tensor) -> Tensor:
+    """Return the cross entropy (P,) of log probabilities of turns (P, K), where a turn (P,) lies between two columns."""
+    before = steps.floor()
+    share = steps - before
+    first, second = ((before.long() + more) % turns.shape[1] for more in (0, 1))
+    one, other = (turns.gather(1, column[:, None])[:, 0] for column in (first, second))
+    return -(1 - share) * one - share * other
 
 
 def _blurred(information: Tensor, ahead: Tensor, left: Tensor, query: Tensor, known: Tensor) -> Tensor:
@@ -288,6 +320,13 @@ def _turned(values: Tensor, steps: Tensor) -> Tensor:
     column = torch.arange(values.shape[1], device=values.device)
     source = (column - steps[:, None]) % values.shape[1]
     return values.gather(1, source[..., None].expand_as(values))
+
+
+def _from(features: Tensor, steps: Tensor) -> Tensor:
+    """Return features (B, C, K, K), by column and turn, in which turns count from a turn of each image (B,)."""
+    column = torch.arange(features.shape[3], device=features.device)
+    source = (column + steps[:, None]) % features.shape[3]
+    return features.gather(3, source[:, None, None].expand_as(features))
 
 
 def _inverse(matrix: Tensor) -> Tensor:

@@ -19,7 +19,7 @@ from siamloc.maps import Built, CoarseLayer, HierarchicalSearch, LayerSearch, Vi
 from siamloc.maps.describing import descriptor_from
 from siamloc.maps.heading import is_analytic
 from siamloc.maps.packing import PRECISIONS, Precision
-from siamloc.maps.reranking import comparison_of
+from siamloc.maps.comparing import comparison_of
 from siamloc.runtime import bundle as files
 from siamloc.runtime.bundle import Bundle
 from siamloc.runtime.localizer import Localizer

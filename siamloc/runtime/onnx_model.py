@@ -221,7 +221,7 @@ class _Compared(nn.Module):
         self.relative = relative
 
     def forward(self, query: torch.Tensor, known: torch.Tensor) -> tuple[torch.Tensor, ...]:
-        return tuple(self.relative(query, known))
+        return tuple(self.relative(query, known))[: len(OUTPUTS)]
 
 
 @contextmanager

@@ -12,7 +12,7 @@ from analytic.descriptors.thumbnail import Thumbnail
 from siamloc.data import FrameTable
 from siamloc.errors import ConfigError, DataError
 from siamloc.maps import RefinedPoses, Retrieval, VisualMap, refine
-from siamloc.maps.refinement import _most_likely as most_likely
+from siamloc.maps.joining import _most_likely as most_likely
 
 THETA = np.array([0.3, -2.0, 3.0, 1.0])
 XY = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [8.0, 8.0]])

@@ -1,4 +1,4 @@
-"""The nearest map frames are put in order anew by a comparison."""
+"""The nearest map frames are put in order again by a comparison."""
 
 from __future__ import annotations
 
@@ -24,13 +24,13 @@ class Compares(Thumbnail):
     def __init__(self, odds, apart=None):
         super().__init__()
         self.odds = np.asarray(odds, dtype=float)
-        self.apart = np.full(len(self.odds), 3.0) if apart is None else np.asarray(apart, dtype=float)
+        self.apart = np.full(len(self.odds), 1.0) if apart is None else np.asarray(apart, dtype=float)
 
     def compare(self, queries, known):
         np.testing.assert_allclose((known**2).mean(axis=(1, 2)), 1, rtol=1e-3)
         rows = np.rint(known[:, 0, 0] / known[:, 1, 0]).astype(int) - 2
         pose = np.outer(self.apart[rows], [0.6, -0.8, 0.0])
-        return pose, np.zeros((len(rows), 3, 3)), self.odds[rows]
+        return pose, np.tile(100.0 * np.eye(3), (len(rows), 1, 1)), self.odds[rows]
 
 
 def map_of(odds, apart=None, **changes) -> VisualMap:
@@ -46,29 +46,36 @@ QUERY = Description(np.zeros((2, 1)), np.ones((2, 8, 2), dtype=np.float32))
 
 
 def test_distances_grow_with_the_doubts_of_the_comparison():
-    odds = [-20.0, 5.0, 0.0, -1.0, 10.0, 2.0, -3.0, 5.0, 50.0, 50.0, 50.0, 50.0]
+    odds = [-20.0, 4.0, 0.0, -1.5, 10.0, 2.0, -3.0, 4.0, 50.0, 50.0, 50.0, 50.0]
     found = match(map_of(odds), QUERY, FRAMES)
     distances = np.arange(FRAMES) / 20
-    distances[:8] += (5 - np.clip(odds[:8], -10, 5)) / 25
-    distances[8:] += 0.6  # not compared
-    distances += 0.8  # none is certain and within 1 m
+    distances[:8] += (4 - np.clip(odds[:8], -2, 4)) / 30
+    distances[8:] += 0.2  # not compared
+    distances += np.where(np.isin(np.arange(FRAMES), [1, 4, 7]), 2, 4)  # certain answers tell 1 m
     expected = sorted(range(FRAMES), key=lambda row: distances[row])
     assert found.indices.tolist() == [expected, expected]
     np.testing.assert_allclose(found.distances[0], distances[expected], atol=1e-6)
-    assert expected[:3] == [1, 4, 2]
+    assert expected[:3] == [1, 4, 7]
     fewer = match(map_of(odds), QUERY, 2)
-    assert fewer.indices.tolist() == [[1, 4], [1, 4]]
+    assert fewer.indices.tolist() == [expected[:2], expected[:2]]
 
 
-def test_of_certain_matches_the_nearest_is_preferred():
-    odds = np.where(np.arange(FRAMES) == 3, 4.9, 20.0)
-    apart = [0.9, 0.3, 0.6, 0.0, *[2.0] * (FRAMES - 4)]
-    found = match(map_of(odds, apart), QUERY, FRAMES)
-    distances = np.arange(FRAMES) / 20 + 0.8 * np.minimum(apart, 1.0)
-    distances[3] = 3 / 20 + 0.1 / 25 + 0.8
-    distances[8:] += 0.6
-    assert found.indices[0, :3].tolist() == [1, 2, 0]
-    np.testing.assert_allclose(found.distances[0], np.sort(distances), atol=1e-6)
+@pytest.mark.parametrize("certain", [True, False])
+def test_the_frame_next_to_the_pose_is_preferred_if_a_comparison_is_certain(certain):
+    odds = np.full(FRAMES, 3.9)
+    odds[1] = 9.0 if certain else 3.9
+    plain = map_of(odds, np.full(FRAMES, 3.0))
+    facing = np.full(FRAMES, np.arctan2(0.8, 0.6))  # all answers then lie ahead along x
+    known = replace(plain, frames=plain.frames.with_columns(theta=facing, x=np.arange(FRAMES) * 0.01 + 4))
+    known = replace(known, frames=known.frames.with_columns(x=np.where(np.arange(FRAMES) == 6, 7.0, known.frames.x)))
+    found = match(known, QUERY, FRAMES)
+    pose = 7.01  # of the best three frames, from 4.00, 4.01 and 4.02
+    near = np.minimum(np.abs(known.frames.x - pose), 2) if certain else np.full(FRAMES, 2.0)
+    near[8:] = 2.0
+    distances = np.arange(FRAMES) / 20 + (4 - np.minimum(odds, 4)) / 30 + 2 * near
+    distances[8:] = np.arange(8, FRAMES) / 20 + 0.2 + 4
+    assert found.indices[0, 0] == (6 if certain else 1 if odds[1] > 4 else 0)
+    np.testing.assert_allclose(found.distances[0], np.sort(distances), atol=0.01)
 
 
 def test_frames_that_are_nearest_without_colours_are_compared_too():
@@ -81,8 +88,9 @@ def test_frames_that_are_nearest_without_colours_are_compared_too():
     query = replace(QUERY, position=np.zeros((2, 1 + COLOURS)))
     assert known.search(query.position, 8).indices[0].tolist() == list(range(4, FRAMES))
     found = match(known, query, FRAMES)
-    whole = np.hypot(np.arange(FRAMES) / 20, colours[:, 0]) + 0.6 + 0.8
-    whole[1] = np.hypot(0.05, 1.0) + 0.8 * 0.1
+    shape = np.arange(FRAMES) / 20
+    whole = (shape + np.hypot(shape, colours[:, 0])) / 2 + 0.2 + 4
+    whole[1] -= 0.2 + 2 * (2 - 0.1)
     assert found.indices[0].tolist() == np.argsort(whole, kind="stable").tolist()
     np.testing.assert_allclose(found.distances[0], np.sort(whole), atol=1e-6)
     assert match(known, query, 3).indices.tolist() == found.indices[:, :3].tolist()

@@ -12,7 +12,7 @@ from torch import Tensor
 
 import siamloc
 from siamloc.errors import ConfigError, DataError
-from siamloc.maps import refinement
+from siamloc.maps import joining
 from siamloc.models import as_descriptor, build
 from siamloc.models.checkpoint import without_layer
 from siamloc.models.network import Network
@@ -66,7 +66,7 @@ def test_turning_the_query_adds_to_the_turn_alone(network):
     torch.testing.assert_close(after.pose[:, :2], before.pose[:, :2], rtol=1e-4, atol=1e-5)
     turned = torch.remainder(after.pose[:, 2] - before.pose[:, 2] - 3 * COLUMN + math.pi, 2 * math.pi) - math.pi
     torch.testing.assert_close(turned, torch.zeros(4), rtol=0, atol=1e-4)
-    torch.testing.assert_close(network.relative.steps(query.roll(3, dims=1), known), torch.full((4,), COLUMNS - 3))
+    torch.testing.assert_close(after.steps, torch.full((4,), COLUMNS - 3))
 
 
 def test_images_of_an_ordinary_camera_are_not_turned_and_their_outer_columns_are_not_neighbours(ahead):
@@ -77,10 +77,7 @@ def test_images_of_an_ordinary_camera_are_not_turned_and_their_outer_columns_are
     reach = ahead.relative.shifts + 4  # the windows, and four layers
     assert torch.equal(before[..., : COLUMNS - 1 - reach], after[..., : COLUMNS - 1 - reach])
     assert not torch.equal(before[..., -1], after[..., -1])
-    assert not ahead.relative.steps(query.roll(3, dims=1), query).any()
-    unturned = torch.zeros(4, dtype=torch.int64)
-    for one, other in zip(ahead.relative(query, known), ahead.relative(query, known, unturned), strict=True):
-        assert torch.equal(one, other)
+    assert not ahead.relative(query.roll(3, dims=1), query).steps.any()
 
 
 def test_a_network_of_ordinary_images_compares_them_and_gives_no_heading(ahead):
@@ -98,7 +95,7 @@ def test_a_network_of_ordinary_images_compares_them_and_gives_no_heading(ahead):
 
 
 def test_the_errors_have_the_distribution_that_the_answers_are_joined_by():
-    assert FREEDOM == refinement.FREEDOM
+    assert FREEDOM == joining.FREEDOM
 
 
 def test_the_inverse_is_the_inverse():
@@ -143,17 +140,22 @@ def test_images_are_compared_with_near_ones_and_with_other_places_that_look_alik
 def loss_of_a_list(relative: RelativePose, orientation: Tensor, where: Origins, descriptors: Tensor) -> Tensor:
     """`relative_loss` of the pairs that count alone, one by one."""
     query, known, counts = compared(where, descriptors)
-    poses, matches = [], []
+    poses, matches, turns = [], [], []
     for i, j in zip(query[counts].tolist(), known[counts].tolist(), strict=True):
         x, y = where.xy[i] - where.xy[j]
         cosine, sine = where.theta[j].cos(), where.theta[j].sin()
         turn = where.theta[i] - where.theta[j]
         found = relative(orientation[i : i + 1], orientation[j : j + 1])
-        steps = relative.steps(orientation[i : i + 1], orientation[j : j + 1])
-        off = torch.remainder(turn + steps * COLUMN + math.pi, 2 * math.pi) - math.pi
+        off = torch.remainder(turn + found.steps * COLUMN + math.pi, 2 * math.pi) - math.pi
         most = 2 * COLUMN if relative.circular else 0.5
-        near = torch.hypot(x, y) <= REACH and where.building[i] == where.building[j] and abs(off) <= most
+        near = torch.hypot(x, y) <= REACH and where.building[i] == where.building[j]
         near &= where.overlap is None or not where.overlap[i, j] < SHARED
+        if near and relative.circular:
+            between = -turn.item() / COLUMN
+            at = math.floor(between) % COLUMNS, (math.floor(between) + 1) % COLUMNS
+            share = between - math.floor(between)
+            turns.append(-(1 - share) * found.turns[0, at[0]] - share * found.turns[0, at[1]])
+        near &= bool(abs(off) <= most)
         sign = 1.0 if near else -1.0
         matches.append(-torch.nn.functional.logsigmoid(sign * found.match[0]))
         if near:
@@ -168,7 +170,8 @@ def loss_of_a_list(relative: RelativePose, orientation: Tensor, where: Origins, 
                 information = (information.inverse() + blur).inverse()
             squared = error @ information @ error
             poses.append(0.5 * (FREEDOM + 3) * (1 + squared / FREEDOM).log() - 0.5 * information.logdet())
-    return torch.stack(poses).mean() + torch.stack(matches).mean()
+    learned = torch.stack(poses).mean() + torch.stack(matches).mean()
+    return learned + torch.stack(turns).mean() if turns else learned
 
 
 def seen_from(given: Tensor) -> Tensor:

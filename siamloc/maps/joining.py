@@ -1,0 +1,187 @@
+"""The most likely pose of a query, from the answers of the map frames that it was compared with."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from foundation.columns import Rows
+from siamloc.errors import DataError
+from siamloc.maps.comparing import Compared
+from siamloc.maps.visual_map import VisualMap
+
+FREEDOM = 4.0  # degrees of freedom of the t-distribution described by the information
+STRAY = 1.0  # density of answers that are wrong, per square unit of the positions
+_ROUNDS = 6
+_STILL = 1e-4  # units: a search that moves by less has converged
+_NOTHING = 1e-12  # determinants of information below this count as zero
+
+
+@dataclass(frozen=True, eq=False)
+class RefinedPoses(Rows):
+    """Poses of n queries, finer than the map's spacing.
+
+    Attributes:
+        xy: (n, 2), in the unit of the positions; the map frame's own position if nothing could be compared.
+        theta: (n,) in rad, in (-pi, pi]; NaN if nothing could be compared.
+        information: (n, 2, 2) inverse of the scale matrix of x and y in a t-distribution with 4 degrees of freedom;
+            zeros if nothing could be compared. Errors of the answers for a query are correlated: see `widening`.
+        agreement: (n,) share of the answers that agree on the pose, from 0 to 1.
+        frame: (n,) the map frame whose answer has the largest weight.
+        match: (n,) logarithm of the odds that a map frame was taken near the query, the largest of all compared frames;
+            minus infinity if nothing could be compared.
+
+    Poses from `interpolate_poses` have no information, their agreement is the share of map frames used, and their match
+    is NaN.
+    """
+
+    xy: NDArray[np.float64]
+    theta: NDArray[np.float64]
+    information: NDArray[np.float64]
+    agreement: NDArray[np.float64]
+    frame: NDArray[np.int64]
+    match: NDArray[np.float64]
+
+    def squared(self, xy: ArrayLike) -> NDArray[np.float64]:
+        """Return squared distances (n,) from true positions (n, 2), weighted by the information; NaN if it is zero."""
+        apart = np.asarray(xy, dtype=np.float64) - self.xy
+        told = self.information.any(axis=(1, 2))
+        return np.where(told, np.einsum("ni,nij,nj->n", apart, self.information, apart), np.nan)
+
+    def inside(self, xy: ArrayLike, share: float = 0.9) -> NDArray[np.float64]:
+        """Return which true positions (n, 2) lie in the ellipse with the probability `share` (n,): 1, 0 or NaN."""
+        squared = self.squared(xy)
+        return np.where(np.isnan(squared), np.nan, squared <= _limit(share))
+
+    def widening(self, xy: ArrayLike, share: float = 0.9) -> float:
+        """Learn how much wider the ellipses must be, from true positions (n, 2) of a drive used for nothing else.
+
+        Returns:
+            The factor on squared distances, for `widened`, with which `share` of the true positions lie in the
+            ellipses.
+
+        Raises:
+            DataError: fewer than 10 positions.
+        """
+        squared = self.squared(xy)
+        squared = squared[np.isfinite(squared)]
+        if len(squared) < 10:
+            raise DataError(f"the ellipses are learned from 10 refined validation frames or more, got {len(squared)}")
+        return float(np.quantile(squared, share) / _limit(share))
+
+    def widened(self, factor: float) -> RefinedPoses:
+        """Return the poses with ellipses enlarged by a factor on squared distances."""
+        return replace(self, information=self.information / factor)
+
+    def covariance(self) -> NDArray[np.float64]:
+        """Return the covariances of x and y (n, 2, 2), in squared units of the positions; NaN without information."""
+        told = np.asarray(self.information.any(axis=(1, 2)))[:, None, None]
+        held = np.where(told, self.information, np.eye(2))
+        return np.where(told, np.linalg.inv(held) * FREEDOM / (FREEDOM - 2), np.nan)
+
+
+def joined(known: VisualMap, compared: Compared) -> RefinedPoses:
+    """Join the answers of k map frames for each of n queries to the most likely poses; see `refine`."""
+    rows, pose, information, match = compared
+    n = len(rows)
+    theta, xy = known.frames.theta[rows], known.frames.xy[rows]
+    building = known.frames.building[rows]
+    usable = np.asarray(np.isfinite(theta) & np.isfinite(xy).all(axis=2) & (building == building[:, :1]))
+    theta, xy = np.where(usable, theta, 0.0), np.where(usable[..., None], xy, 0.0)
+    axes = _turns(theta)
+    spread = np.linalg.inv(information)
+    about = np.linalg.inv(axes @ spread[..., :2, :2] @ axes.swapaxes(-1, -2))
+    odds = np.where(usable, match, -np.inf)
+    probability = 1 / (1 + np.exp(-odds))
+    at = xy + known.mounting.offset(theta) + (axes @ pose[..., :2, None])[..., 0]
+    most_likely, weight, share = _most_likely(at, about, probability)
+    turned = theta + pose[..., 2]
+    weight_of_turn = weight / spread[..., 2, 2]
+    heading = np.arctan2((weight_of_turn * np.sin(turned)).sum(axis=1), (weight_of_turn * np.cos(turned)).sum(axis=1))
+    nothing = np.logical_not(usable.any(axis=1))
+    robot = most_likely - known.mounting.offset(heading)
+    return RefinedPoses(
+        np.where(nothing[:, None], known.frames.xy[rows[:, 0]], robot),
+        np.where(nothing, np.nan, heading),
+        (weight[..., None, None] * about).sum(axis=1),
+        share.mean(axis=1),
+        rows[np.arange(n), share.argmax(axis=1)],
+        odds.max(axis=1),
+    )
+
+
+class _Answers(NamedTuple):
+    """Answers of k map frames for n queries, (n, k) each: position, entries of information, height of density."""
+
+    x: NDArray[np.float64]
+    y: NDArray[np.float64]
+    xx: NDArray[np.float64]
+    xy: NDArray[np.float64]
+    yy: NDArray[np.float64]
+    height: NDArray[np.float64]
+
+
+def _most_likely(
+    at: NDArray[np.float64], about: NDArray[np.float64], probability: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    """Return the most likely points (n, 2) given k answers (n, k, 2), and the answers' weights and shares (n, k).
+
+    The search starts from each answer and reweights iteratively: each round takes the mean of the answers, weighted by
+    their information and by how likely each is, at the point of the round before, not to be a stray one. The best of
+    the points found is returned.
+
+    A robot processes one query at a time, where numpy's call overhead exceeds the computation, so 2 x 2 matrices are
+    written out by their entries.
+    """
+    n, k = probability.shape
+    middle = at[:, :1]
+    x, y = (at - middle)[..., 0], (at - middle)[..., 1]
+    xx, xy, yy = about[..., 0, 0], about[..., 0, 1], about[..., 1, 1]
+    answers = _Answers(x, y, xx, xy, yy, probability * np.sqrt(xx * yy - xy * xy) / (2 * np.pi))
+    summed = np.stack([xx, xy, yy, xx * x + xy * y, xy * x + yy * y], axis=2)
+    points = at - middle  # (n, k, 2): current point of the search from each answer
+    arrived = np.zeros((n, k, 1), dtype=bool)
+    for _ in range(_ROUNDS):
+        weight, _, _ = _weighed(points, answers)
+        sums = weight @ summed
+        a, b, c, right, up = (sums[..., one] for one in range(5))
+        size = a * c - b * b
+        moved = np.stack([c * right - b * up, a * up - b * right], axis=2) / np.maximum(size, _NOTHING)[..., None]
+        moved = np.where((size > _NOTHING)[..., None], moved, points)
+        moving = np.abs(moved - points).max(axis=2, keepdims=True) >= _STILL
+        points = np.where(arrived, points, moved)  # so that a query alone has the same result as in a batch
+        arrived |= ~moving
+        if arrived.all():
+            break
+    weight, share, density = _weighed(points, answers)
+    likely = np.log(density + STRAY).sum(axis=2)
+    best = np.arange(len(at)), likely.argmax(axis=1)
+    return points[best] + middle[:, 0], weight[best], share[best]
+
+
+def _weighed(points: NDArray[np.float64], answers: _Answers) -> tuple[NDArray[np.float64], ...]:
+    """Return the weights, the shares and the densities (n, s, k) of the answers at points (n, s, 2).
+
+    A share is the probability that an answer is not a stray one. The weight is the share, reduced with the
+    answer's distance from the point.
+    """
+    dx, dy = points[..., :1] - answers.x[:, None], points[..., 1:] - answers.y[:, None]
+    squared = (answers.xx[:, None] * dx + 2 * answers.xy[:, None] * dy) * dx + answers.yy[:, None] * dy * dy
+    near = 1 / (1 + squared / FREEDOM)
+    density = answers.height[:, None] * near ** ((FREEDOM + 2) / 2)
+    share = density / (density + STRAY)
+    return share * near, share, density
+
+
+def _limit(share: float) -> float:
+    """Return the squared distance that contains this share of a t-distribution in the plane."""
+    return FREEDOM * float((1 - share) ** (-2 / FREEDOM) - 1)
+
+
+def _turns(theta: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the matrices (..., 2, 2) that turn a robot's axes into those of the building."""
+    cosine, sine = np.cos(theta), np.sin(theta)
+    return np.stack([np.stack([cosine, -sine], axis=-1), np.stack([sine, cosine], axis=-1)], axis=-2)
