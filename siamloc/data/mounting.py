@@ -26,7 +26,7 @@ Array = NDArray[np.float64]
 
 STRAIGHT = 2.0
 """Degrees of yaw that are left as they are: they cost next to nothing, and an estimate may be off by as much."""
-NEAR = 0.08
+NEAR = 0.15
 """Offset of the camera that is left as it is, in the unit of the positions: comparisons are biased by half as much."""
 _REACHES = (0.0, 0.4, 0.8, 1.6)  # moves to the first frame that is this far along the drive, in the unit of x and y
 _FARTHEST = 4.0  # longest move

@@ -79,12 +79,11 @@ class DistillationLoss(ScheduledLoss):
 
 
 def _rows(descriptors: Tensor) -> Tensor:
-    """Return the similarities (N, N - 1) of each image with the others, minus their mean."""
+    """Return the similarities (N, N) of each image with the others, minus their mean; 0 with itself."""
     unit = F.normalize(descriptors, dim=1)
-    count = len(unit)
-    others = ~torch.eye(count, dtype=torch.bool, device=unit.device)
-    rows = (unit @ unit.T)[others].view(count, count - 1)
-    return rows - rows.mean(dim=1, keepdim=True)
+    others = 1 - torch.eye(len(unit), dtype=unit.dtype, device=unit.device)
+    rows = unit @ unit.T * others
+    return (rows - rows.sum(dim=1, keepdim=True) / (len(unit) - 1)) * others
 
 
 def _teacher(settings: Distillation) -> nn.Module:

@@ -19,7 +19,7 @@ from siamloc.models.registry import LOSSES
 from tests.oracles import mined_losses
 from tests.oracles.soft_contrastive import soft_contrastive_loss
 
-OF_PLACES = [name for name in LOSSES if name != "cross_entropy"]  # which considers rooms only, image by image
+OF_PLACES = [name for name in LOSSES if name not in ("cross_entropy", "distillation")]  # of rooms, and of a teacher
 
 
 def origins(xy, building=None, room=None, overlap=None):
