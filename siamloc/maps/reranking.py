@@ -53,8 +53,9 @@ def _judged(known: VisualMap, distances: NDArray[np.float64], answers: Compared)
     pose = joined(known, answers.take(judged.argsort(axis=1, kind="stable")[:, :_JOINED]))
     away = np.linalg.norm(known.frames.xy[answers.rows] - pose.xy[:, None], axis=2)
     here = known.frames.building[answers.rows] == known.frames.building[pose.frame, None]
-    placed = here & np.isfinite(away) & (pose.match >= _ODDS[1])[:, None]
-    alone = np.where(answers.match >= _ODDS[1], np.hypot(answers.pose[..., 0], answers.pose[..., 1]), _AWAY)
+    certain = answers.match >= _ODDS[1]
+    placed = here & np.isfinite(away) & (certain.any(axis=1) & np.isfinite(pose.theta))[:, None]
+    alone = np.where(certain, np.hypot(answers.pose[..., 0], answers.pose[..., 1]), _AWAY)
     return judged + _NEARNESS * np.minimum(np.where(placed, away, alone), _AWAY)
 
 
