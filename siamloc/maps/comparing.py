@@ -36,8 +36,8 @@ class Compared(NamedTuple):
 
     def take(self, places: NDArray[np.int64]) -> Compared:
         """Return the comparisons at some places of each query's row (n, c)."""
-        query = np.arange(len(places))[:, None]
-        return Compared(*(values[query, places] for values in self))
+        at = np.arange(len(places))[:, None], places
+        return Compared(self.rows[at], self.pose[at], self.information[at], self.match[at])
 
 
 def comparison_of(known: VisualMap) -> Compares | None:

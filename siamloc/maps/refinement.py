@@ -18,7 +18,7 @@ from siamloc.maps.comparing import Compares, compare_with
 from siamloc.maps.joining import RefinedPoses, joined
 from siamloc.maps.learned import Learned
 from siamloc.maps.matching import headings
-from siamloc.maps.search import Retrieval
+from siamloc.maps.search import Retrieval, slices
 from siamloc.maps.visual_map import VisualMap
 
 OUTPUTS = ("pose", "information", "match")
@@ -96,8 +96,8 @@ def refine(
     if not (np.isfinite(known.frames.theta) & known.frames.has_position).any():
         raise DataError("no map frame has a heading: refining needs the column theta, in rad")
     rows = found.indices[:, : min(k, found.indices.shape[1])]
-    slices = [slice(start, start + _AT_ONCE) for start in range(0, len(rows), _AT_ONCE)]
-    return RefinedPoses.concatenate([joined(known, compare_with(known, parts[at], rows[at], compares)) for at in slices])
+    answers = (compare_with(known, parts[at], rows[at], compares) for at in slices(len(rows), _AT_ONCE))
+    return RefinedPoses.concatenate([joined(known, one) for one in answers])
 
 
 def check_compares(known: VisualMap) -> None:

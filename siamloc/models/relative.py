@@ -283,7 +283,7 @@ def relative_loss(
 
 
 def _turn_loss(turns: Tensor, steps: Tensor) -> Tensor:
-    """Return the cross entropy (P,) of log probabilities of turns (P, K), where a turn (P,) lies between two columns."""
+    """Return the cross entropy (P,) of log probabilities of turns (P, K), if a turn (P,) lies between two columns."""
     before = steps.floor()
     share = steps - before
     first, second = ((before.long() + more) % turns.shape[1] for more in (0, 1))

@@ -16,10 +16,10 @@ from foundation.files import atomic_folder, file_hash, plain, read_json, write_j
 from siamloc.data.decoding import Preprocessing, size_of
 from siamloc.errors import ConfigError, SiamlocError
 from siamloc.maps import Built, CoarseLayer, HierarchicalSearch, LayerSearch, VisualMap, match
+from siamloc.maps.comparing import comparison_of
 from siamloc.maps.describing import descriptor_from
 from siamloc.maps.heading import is_analytic
 from siamloc.maps.packing import PRECISIONS, Precision
-from siamloc.maps.comparing import comparison_of
 from siamloc.runtime import bundle as files
 from siamloc.runtime.bundle import Bundle
 from siamloc.runtime.localizer import Localizer
