@@ -1,0 +1,178 @@
+"""From ROS messages to arrays, and from locations to ROS messages: functions without a node."""
+
+from __future__ import annotations
+
+import array
+import math
+from collections.abc import Iterable
+
+import cv2
+import numpy as np
+from builtin_interfaces.msg import Time
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from geometry_msgs.msg import PoseWithCovarianceStamped, Quaternion, TransformStamped
+from nav_msgs.msg import Odometry
+from numpy.typing import NDArray
+from sensor_msgs.msg import CompressedImage, Image
+from std_msgs.msg import Header
+
+from siamloc.data.moves import composed, euler, inverse
+from siamloc.errors import DataError
+from siamloc.runtime import Location
+
+CHANNELS = {"rgb8": [0, 1, 2], "bgr8": [2, 1, 0], "rgba8": [0, 1, 2], "bgra8": [2, 1, 0], "mono8": [0, 0, 0]}
+"""Where red, green and blue are in a pixel, by the encoding of a raw image."""
+
+UNKNOWN = 1e6  # variance of what an image does not tell: z, roll, pitch, and coordinates that the bundle lacks
+_NANO = 1_000_000_000
+
+
+def pixels(message: Image | CompressedImage) -> NDArray[np.uint8]:
+    """Return the image of a message (rows, columns, 3), RGB, without any padding of its rows.
+
+    Raises:
+        DataError: an encoding that is not in `CHANNELS`, fewer bytes than the size says, or a damaged file.
+    """
+    data = np.frombuffer(message.data, dtype=np.uint8)
+    if isinstance(message, CompressedImage):
+        image = cv2.imdecode(data, cv2.IMREAD_COLOR) if len(data) else None
+        if image is None:
+            raise DataError(f"a compressed image of {len(data)} bytes in the format {message.format!r} is damaged")
+        return np.ascontiguousarray(image[:, :, ::-1])
+    if message.encoding not in CHANNELS:
+        raise DataError(f"images are encoded as {', '.join(CHANNELS)}, got {message.encoding!r}: convert them first")
+    depth = {"mono8": 1, "rgba8": 4, "bgra8": 4}.get(message.encoding, 3)
+    if len(data) != message.height * message.step or message.step < message.width * depth:
+        raise DataError(
+            f"an image of {message.height} x {message.width} in {message.encoding} with {message.step} bytes a row "
+            f"cannot have {len(data)} bytes"
+        )
+    rows = data.reshape(message.height, message.step)[:, : message.width * depth]
+    image = rows.reshape(message.height, message.width, depth)
+    return np.ascontiguousarray(image[:, :, CHANNELS[message.encoding]])
+
+
+def seconds(stamp: Time) -> float:
+    """Return a time in s."""
+    return stamp.sec + stamp.nanosec / _NANO
+
+
+def later(stamp: Time, by: float) -> Time:
+    """Return the time `by` seconds after another one."""
+    sec, nanosec = divmod(stamp.sec * _NANO + stamp.nanosec + round(by * _NANO), _NANO)
+    return Time(sec=sec, nanosec=nanosec)
+
+
+def known(location: Location) -> bool:
+    """Whether a location says where the robot is: it is not lost, and its map frame has a position."""
+    return not location.lost and not math.isnan(location.x)
+
+
+def pose_message(location: Location, header: Header, heading_deviation: float) -> PoseWithCovarianceStamped:
+    """Return a location as a pose in the frame of the header.
+
+    The covariance is 6 x 6, row by row, of x, y, z and the turns about x, y, z, all in the header's frame. Where the
+    bundle gives only an expected error, half its square is the variance of x and that of y.
+
+    Args:
+        location: where the image was taken.
+        header: time of the image, and the map's frame.
+        heading_deviation: standard deviation of the heading, in rad.
+    """
+    message, spread = PoseWithCovarianceStamped(header=header), np.diag(np.full(6, UNKNOWN))
+    pose = message.pose.pose
+    pose.position.x, pose.position.y = location.x, location.y
+    if location.covariance is not None:
+        spread[:2, :2] = location.covariance
+    elif not math.isnan(location.error_m):
+        spread[[0, 1], [0, 1]] = location.error_m**2 / 2
+    if not math.isnan(location.theta):
+        pose.orientation = turned(location.theta)
+        spread[5, 5] = heading_deviation**2
+    message.pose.covariance = spread.ravel()
+    return message
+
+
+def turned(heading: float) -> Quaternion:
+    """Return the quaternion of a heading in rad."""
+    return Quaternion(x=0.0, y=0.0, z=math.sin(heading / 2), w=math.cos(heading / 2))
+
+
+def odometry_pose(message: Odometry) -> NDArray[np.float64]:
+    """Return x, y and heading of a robot (3,), in m and rad, in the frame of its odometry."""
+    pose = message.pose.pose
+    turn = pose.orientation
+    heading = euler([turn.w, turn.x, turn.y, turn.z])[2]
+    return np.array([pose.position.x, pose.position.y, heading])
+
+
+def pose_at(time: float, known: Iterable[tuple[float, NDArray]], gap: float) -> NDArray[np.float64]:
+    """Return the pose (3,) of a robot at a time, between the poses that its odometry gave.
+
+    Args:
+        time: in s.
+        known: times in s, increasing, and the poses at these times: x, y, and heading in rad.
+        gap: the pose is NaN if none of these times is as near as this, in s.
+    """
+    table = np.array([(when, *pose) for when, pose in known]).reshape(-1, 4)
+    if not (np.abs(table[:, 0] - time) <= gap).any():
+        return np.full(3, np.nan)
+    table[:, 3] = np.unwrap(table[:, 3])
+    return np.array([np.interp(time, table[:, 0], column) for column in table[:, 1:].T])
+
+
+def map_to_odom(location: Location, odometry: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the pose (3,) of the odometry's frame in the map: the robot, one step back along its odometry.
+
+    Args:
+        location: where the robot is in the map.
+        odometry: where it is by its odometry at the same time (3,): x, y, and heading in rad.
+
+    Returns:
+        x, y, and heading in rad; NaN where the location or the odometry is unknown.
+    """
+    robot = np.array([[location.x, location.y, location.theta]])
+    return composed(robot, inverse(odometry[None]))[0]
+
+
+def transform_message(pose: NDArray[np.float64], header: Header, child: str) -> TransformStamped:
+    """Return the pose (3,) of a frame, the child, in the frame of the header as a transform."""
+    message = TransformStamped(header=header, child_frame_id=child)
+    shift = message.transform.translation
+    shift.x, shift.y = float(pose[0]), float(pose[1])
+    message.transform.rotation = turned(float(pose[2]))
+    return message
+
+
+def match_message(jpeg: bytes, header: Header) -> CompressedImage:
+    """Return the picture of a map frame, a JPEG file, as a message."""
+    return CompressedImage(header=header, format="jpeg", data=array.array("B", jpeg))
+
+
+def diagnostic_message(stamp: Time, bundle: str, location: Location | None, fault: str = "") -> DiagnosticArray:
+    """Return how an image was located: OK if the robot is known, WARN if it is lost, ERROR for an unusable image.
+
+    Args:
+        stamp: time of the image.
+        bundle: name of the bundle.
+        location: where the image was taken; None if it cannot be used.
+        fault: why it cannot be used.
+    """
+    status = DiagnosticStatus(name="siamloc: localization", hardware_id=bundle)
+    if location is None:
+        status.level, status.message = DiagnosticStatus.ERROR, fault
+    elif known(location):
+        status.level, status.message = DiagnosticStatus.OK, "located"
+    else:
+        status.level, status.message = DiagnosticStatus.WARN, "lost" if location.lost else "no position in the map"
+    if location is not None:
+        told = {
+            "lost": {None: "unknown"}.get(location.lost, str(location.lost).lower()),
+            "expected error [m]": f"{location.error_m:.3f}",
+            "agreement": f"{location.agreement:.2f}",
+            "room": location.room,
+            "nearest map frame": location.candidates[0].image,
+            "time [ms]": f"{location.ms:.1f}",
+        }
+        status.values = [KeyValue(key=key, value=value) for key, value in told.items()]
+    return DiagnosticArray(header=Header(stamp=stamp), status=[status])
