@@ -97,7 +97,7 @@ class PanoramaLibrary:
         for number, (sequence, rows) in enumerate(frames.rows_by("sequence").items()):
             paths = frames.path[rows].tolist()
             tilts = tilt[rows] if tilted else None
-            own = fitted(self.preprocessing, paths)
+            own = fitted(self.preprocessing, paths, self._cache)
             self.cameras[sequence] = own.camera
             store = open_store(paths, self._cache, own, tilts=tilts, on_error=on_error, workers=workers)
             self._stores.append(store)

@@ -1,13 +1,14 @@
-"""How a camera is mounted on its robot: `Mounting`, and `find_mounting`, which learns it from a drive with known poses.
+"""How a camera is mounted on its robot: `Mounting`, and `find_mounting`, which learns it from a drive.
 
 Seen from one image, the camera at yaw Y and offset o from the robot's centre moves by u if the robot moves by t and
-turns by D: R(Y) u = t + (R(D) - 1) o, the hand-eye equation in the plane.
+turns by D: R(Y) u = t + (R(D) - 1) o, the hand-eye equation in the plane. Without poses, t is taken to be straight
+ahead, along an arc.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
 import cv2
@@ -17,9 +18,11 @@ from numpy.typing import NDArray
 from analytic import Descriptor
 from foundation.calls import typed
 from foundation.settings import Settings
+from siamloc.data.drive_pairs import ahead, near_pairs, successive_pairs, travel
 from siamloc.data.frames import FrameTable
 from siamloc.data.library import PanoramaLibrary
 from siamloc.data.moves import relative, wrapped
+from siamloc.data.panorama import PolarRing
 from siamloc.errors import ConfigError
 
 Array = NDArray[np.float64]
@@ -28,15 +31,17 @@ STRAIGHT = 2.0
 """Degrees of yaw that are left as they are: they cost next to nothing, and an estimate may be off by as much."""
 NEAR = 0.15
 """Offset of the camera that is left as it is, in the unit of the positions: comparisons are biased by half as much."""
-_REACHES = (0.0, 0.4, 0.8, 1.6)  # moves to the first frame that is this far along the drive, in the unit of x and y
-_FARTHEST = 4.0  # longest move
-_MOST = 400  # pairs of frames
-_FEWEST = 20  # pairs, of those that turn as well
+CERTAIN = 2.0
+"""Largest deviation of a yaw that a map makes up for, in degrees."""
+_FEWEST = 12  # pairs, of those that turn as well
 _TURNS = np.radians(15)  # a pair turns from here on
-_AGREE = 0.9  # share of the turns that must tell the same direction of columns
+_TURNED = np.radians(2)  # least mean turn that the images and the headings have in common, in either direction
+_AGREE = 0.8  # share of these turns that must tell the same direction of columns
 _FITS = 0.5  # largest part of the moves that may remain unexplained
-_CERTAIN = 2.0  # largest deviation of a yaw, in degrees
+_STATED = 10.0  # largest deviation of a yaw that is stated, in degrees
 _PARTS = 8  # parts of the drive, each of which is left out once to learn the deviations
+_HARDLY_TURNS = "the drive hardly turns: whether panoramas are mirrored, and the camera's offset, are unknown"
+_UNPOSED = "whether panoramas are mirrored, and the camera's offset, are unknown without poses"
 _ROUNDS = 5
 _WORST = 0.02  # by which a comparison may be off however certain it says it is, in the unit of x and y
 
@@ -102,10 +107,23 @@ class MountingEstimate:
     pairs: int = 0
     reasons: tuple[str, ...] = ()
 
+    def ring(self, used: PolarRing) -> PolarRing:
+        """Return the ring that makes panoramas whose middle looks ahead, from the ring that made the given ones.
+
+        Example:
+            >>> MountingEstimate(yaw=30, mirrored=True).ring(PolarRing(forward=90, mirrored=True))
+            PolarRing(centre=None, inner=None, outer=None, forward=120.0, mirrored=False, inside_up=False)
+        """
+        if np.isnan(self.yaw):
+            return used
+        turned = self.yaw if bool(self.mirrored) == used.mirrored else -self.yaw
+        forward = round(used.forward + turned, 1) % 360
+        return replace(used, forward=forward, mirrored=used.mirrored is not bool(self.mirrored))
+
     @property
     def mounting(self) -> Mounting:
-        """The mounting to correct for: nothing of what is unknown, and no yaw too small to matter."""
-        if np.isnan(self.yaw):
+        """The mounting to correct for: nothing of what is unknown or uncertain, and no yaw too small to matter."""
+        if not self.yaw_deviation <= CERTAIN:
             return Mounting()
         yaw = self.yaw if abs(self.yaw) > max(STRAIGHT, 2 * self.yaw_deviation) else 0.0
         apart = np.hypot(*self.offset) > max(NEAR, 3 * max(self.offset_deviation))
@@ -133,13 +151,14 @@ class MountingEstimate:
 def find_mounting(described_by: Descriptor, images: PanoramaLibrary, frames: FrameTable) -> MountingEstimate:
     """Estimate how the camera is mounted, from the images and poses of a drive.
 
-    The network says for pairs of images how the camera moved and turned, the poses say how the robot did.
+    The network says for pairs of images how the camera moved and turned, the poses say how the robot did. Without
+    headings, the robot is taken to look where it drives; without positions, only the yaw is known.
     `siamloc.maps.build` does the same with the frames of a map, and takes the result into account.
 
     Args:
         described_by: a network that compares, `siamloc.models.as_descriptor(siamloc.models.pretrained())`.
         images: panoramas of the frames.
-        frames: frames with positions and headings in capture order, close together.
+        frames: frames in capture order, close together.
 
     Raises:
         ConfigError: a descriptor that does not compare.
@@ -152,15 +171,18 @@ def find_mounting(described_by: Descriptor, images: PanoramaLibrary, frames: Fra
     if not getattr(described_by, "compares", False):
         raise ConfigError(f"{described_by.name} does not compare images: take the network that ships with siamloc")
     readable = images.readable(frames)
-    used = readable.take(np.unique(np.concatenate(_pairs(readable))))
+    if not np.isfinite(readable.theta).any():
+        readable = readable.with_columns(theta=travel(readable))
+    posed = bool(np.isfinite(readable.theta).any())
+    used = readable.take(np.unique(np.concatenate(near_pairs(readable) if posed else successive_pairs(readable))))
     size = getattr(getattr(described_by, "module", None), "image_size", None) or images.image_size
     found = [described_by.describe(_resized(batch, size)).orientation for batch in images.batches(used)]
     parts = np.concatenate(found) if len(used) else np.zeros((0, 1, 1))  # type: ignore[arg-type]
-    return estimate(used, parts, described_by.compare)  # type: ignore[attr-defined]
+    return estimate(used, parts, described_by.compare, posed)  # type: ignore[attr-defined]
 
 
 def estimate(
-    frames: FrameTable, parts: NDArray[Any], compares: Callable[..., tuple[Array, Array, Array]]
+    frames: FrameTable, parts: NDArray[Any], compares: Callable[..., tuple[Array, Array, Array]], posed: bool = True
 ) -> MountingEstimate:
     """Estimate how the camera is mounted, from the orientation parts (n, K, F) of n frames; see `find_mounting`.
 
@@ -168,8 +190,9 @@ def estimate(
         frames: frames in capture order.
         parts: their orientation parts.
         compares: compares orientation parts, see `siamloc.maps.reranking.Compares`.
+        posed: whether the poses are known; if not, the robot is taken to drive ahead.
     """
-    first, second = _pairs(frames)
+    first, second = near_pairs(frames) if posed else successive_pairs(frames)
     if not len(first):
         return MountingEstimate(reasons=("no successive frames with headings are near each other",))
     pose, information, match = compares(*(np.asarray(parts[rows], dtype=np.float32) for rows in (second, first)))
@@ -178,11 +201,14 @@ def estimate(
     if len(first) < _FEWEST:
         reason = f"only {len(first)} pairs of successive images can be compared, and {_FEWEST} are needed"
         return MountingEstimate(pairs=len(first), reasons=(reason,))
-    poses = np.column_stack([frames.xy, frames.theta])
-    moved = relative(poses, first, second)
-    mirrored, reasons = _mirrored(moved[:, 2], pose[:, 2])
+    if posed:
+        moved = relative(np.column_stack([frames.xy, frames.theta]), first, second)
+        share = _agreeing(moved[:, 2], pose[:, 2])
+        turns = int((np.abs(moved[:, 2]) > _TURNS).sum()) >= _FEWEST
+    else:
+        moved, share, turns = ahead(pose, second > first), np.nan, False
+    mirrored = None if np.isnan(share) else share < 0.5
     seen = pose[:, :2] * (1, -1 if mirrored else 1)
-    turns = int((np.abs(moved[:, 2]) > _TURNS).sum()) >= _FEWEST
     weight = 1 / (np.trace(np.linalg.inv(information)[:, :2, :2], axis1=1, axis2=2) / 2 + _WORST**2)
     whole, left_over = _solved(moved, seen, weight, turns)
     part = first * _PARTS // (first.max() + 1)
@@ -191,8 +217,9 @@ def estimate(
     apart = others - whole
     apart[:, 0] = wrapped(apart[:, 0])
     yaw_off, *off = np.sqrt((len(others) - 1) / len(others) * (apart**2).sum(axis=0)).tolist()
-    if left_over > _FITS or np.degrees(yaw_off) > _CERTAIN:
-        reason = "how the camera moves in the images does not follow from the poses: check them, and the headings"
+    if left_over > _FITS or np.degrees(yaw_off) > _STATED or max(share, 1 - share) < _AGREE:
+        check = "does not follow from the poses: check them, and the headings"
+        reason = f"how the camera moves in the images {check if posed else 'is not ahead, in one direction'}"
         return MountingEstimate(pairs=len(first), reasons=(reason,))
     return MountingEstimate(
         float(np.degrees(whole[0])),
@@ -201,7 +228,7 @@ def estimate(
         (float(whole[1]), float(whole[2])) if turns else (np.nan, np.nan),
         (off[0], off[1]) if turns else (np.nan, np.nan),
         len(first),
-        reasons,
+        () if mirrored is not None else (_HARDLY_TURNS if posed else _UNPOSED,),
     )
 
 
@@ -213,39 +240,11 @@ def _resized(batch: NDArray[np.uint8], size: tuple[int, int]) -> NDArray[np.uint
     return np.stack(made).transpose(0, 3, 1, 2)
 
 
-def _pairs(frames: FrameTable) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return rows of pairs of frames of one drive, near each other, in both orders.
-
-    Both orders, because a network that always says the same, whatever it sees, must not pass for a constant yaw.
-    """
-    found = [np.zeros((0, 2), dtype=np.int64)]
-    for rows in frames.rows_by("sequence").values():
-        rows = rows[np.isfinite(frames.theta[rows]) & frames.has_position[rows]]
-        steps = np.hypot(np.diff(frames.x[rows]), np.diff(frames.y[rows]))
-        along = np.concatenate([np.zeros(min(len(rows), 1)), np.cumsum(steps)])
-        for reach in _REACHES:
-            after = np.maximum(np.searchsorted(along, along + reach), np.arange(len(rows)) + 1)
-            inside = after < len(rows)
-            found.append(np.column_stack([rows[inside], rows[after[inside]]]))
-    pairs = np.unique(np.concatenate(found), axis=0)
-    near = np.hypot(*(frames.xy[pairs[:, 1]] - frames.xy[pairs[:, 0]]).T) < _FARTHEST
-    pairs = pairs[near]
-    pairs = pairs[:: max(1, -(-len(pairs) // (_MOST // 2)))]
-    first, second = np.concatenate([pairs, pairs[:, ::-1]]).T
-    return first, second
-
-
-def _mirrored(turned: Array, seen: Array) -> tuple[bool | None, tuple[str, ...]]:
-    """Return whether images turn against the headings, and the reason if that is not known."""
-    turns = np.abs(turned) > _TURNS
-    if turns.sum() < _FEWEST:
-        return None, ("the drive hardly turns: whether panoramas are mirrored, and the camera's offset, are unknown",)
-    turned, seen = turned[turns], seen[turns]
-    share = float((np.abs(wrapped(seen - turned)) < np.abs(wrapped(seen + turned))).mean())
-    if max(share, 1 - share) >= _AGREE:
-        return share < 0.5, ()
-    reason = f"{share:.0%} of the turns in the images agree with the headings: whether they are mirrored is unknown"
-    return None, (reason,)
+def _agreeing(turned: Array, seen: Array) -> float:
+    """Return the share of turns in the images that agree with those of the headings; NaN if there are hardly any."""
+    common = np.abs(wrapped(seen + turned)) - np.abs(wrapped(seen - turned))  # 2 min(|seen|, |turned|), or minus that
+    whole = float(np.abs(common).mean())
+    return np.nan if whole / 2 < _TURNED else float((1 + common.mean() / whole) / 2)
 
 
 def _solved(moved: Array, seen: Array, weight: Array, turns: bool) -> tuple[Array, float]:

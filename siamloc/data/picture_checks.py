@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from analytic import Descriptor
 from siamloc.data.frames import FrameTable
 from siamloc.data.library import PanoramaLibrary
-from siamloc.data.mounting import Mounting, MountingEstimate, find_mounting
+from siamloc.data.mounting import CERTAIN, Mounting, MountingEstimate, find_mounting
 from siamloc.data.moves import wrapped
 from siamloc.data.panorama import column_azimuth
 
@@ -49,7 +49,8 @@ def drive_faults(frames: FrameTable, images: PanoramaLibrary, described_by: Desc
         part = frames.take(slice(0, _IN_A_ROW))
         seen = turns_seen(images.batch(images.rows(part)))
         found.append(time_offset(seen, part.time, part.theta))
-        mounting = MountingEstimate() if described_by is None else find_mounting(described_by, images, frames)
+        compared = described_by is not None and frames.has_position.any()
+        mounting = find_mounting(described_by, images, frames) if compared else MountingEstimate()
         found.append(mounted(mounting, frames.unit))
         if mounting.mirrored is None:
             found.append(direction(seen, wrapped(np.diff(part.theta))))
@@ -66,9 +67,11 @@ def picture_faults(panoramas: NDArray[np.uint8], circular: bool) -> list[str | N
 
 def mounted(found: MountingEstimate, unit: str = "m") -> str | None:
     """Say how a camera is mounted that does not look straight ahead, or whose moves do not fit the poses."""
-    if found.mounting == Mounting() and (np.isfinite(found.yaw) or not found.pairs):
+    straight = found.mounting == Mounting()
+    if straight and (found.yaw_deviation <= CERTAIN or not found.pairs):
         return None
-    return f"the camera's mounting: {found.summary(unit)}; a map by a network that compares images makes up for it"
+    remedy = "" if straight else "; a map by a network that compares images makes up for it"
+    return f"the camera's mounting: {found.summary(unit)}{remedy}"
 
 
 def exposure(grey: Array) -> str | None:

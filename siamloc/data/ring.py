@@ -18,10 +18,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from foundation.calls import typed
+from foundation.files import read_json, storage_errors, write_json
 from siamloc.data.decoding import Preprocessing, UnreadableImageError, read_image
 from siamloc.data.panorama import PanoramaView, PolarRing, unwrap
 from siamloc.data.presets import AutoRing
 from siamloc.data.rims import changes, guess, inner_rim, moved, outer_rim, shifts
+from siamloc.data.store import store_key
 from siamloc.errors import ConfigError, DataError, logger
 
 Array = NDArray[Any]
@@ -34,6 +36,7 @@ _SHAKES = 0.3  # pixels; centres that move more are lined up first
 _NEAR = 15.0  # pixels from a given ring within which a drive's own ring replaces it
 _INK = (0, 140, 255)  # BGR, as files are read
 _BORDER = 12  # pixels next to a drawn panorama
+_VERSION = 1  # of how a ring is found
 _OFF = 1.5  # pixels by which a picture's own radius may differ
 
 
@@ -139,17 +142,31 @@ def find_centres(images: Array | Sequence[Any], ring: PolarRing) -> Array:
     return np.where(abs(found[:, 2:]) < _OFF, centre + found[:, :2], np.nan)
 
 
-def fitted(preprocessing: Preprocessing, paths: Sequence[str]) -> Preprocessing:
+def fitted(preprocessing: Preprocessing, paths: Sequence[str], cache: Path) -> Preprocessing:
     """Return how the pictures of one drive become panoramas: an `AutoRing` gets the ring that the drive shows.
 
-    A ring that was given stays where the drive shows none that is sure, or only one that is far from it.
+    A ring that was given stays where the drive shows none that is sure, or only one that is far from it. The ring is
+    kept in the cache, as long as the pictures and the given ring stay the same.
 
     Raises:
         DataError: no ring was given, and the drive shows none that is sure.
+        StorageError: the disk is full or cannot be written to.
     """
     given = preprocessing.camera
     if not isinstance(given, AutoRing):
         return preprocessing
+    kept = cache / f"{store_key(paths, preprocessing)}.ring{_VERSION}.json"
+    if kept.is_file():
+        return replace(preprocessing, camera=type(given).of(read_json(kept)))
+    ring = _of_drive(given, paths)
+    with storage_errors(kept):
+        cache.mkdir(parents=True, exist_ok=True)
+        write_json(kept, ring.plain())
+    return replace(preprocessing, camera=ring)
+
+
+def _of_drive(given: AutoRing, paths: Sequence[str]) -> AutoRing:
+    """Return the ring that the pictures of a drive show, or the given one."""
     folder = Path(paths[0]).parent
     known = given.centre is not None and given.inner is not None and given.outer is not None
     try:
@@ -158,13 +175,13 @@ def fitted(preprocessing: Preprocessing, paths: Sequence[str]) -> Preprocessing:
         if not known:
             raise DataError(f"unwrap=auto finds no ring in {folder}: {error}") from error
         logger.info("%s: the given ring stays (%s)", folder, error)
-        return preprocessing
+        return given
     ring = found.ring
     if known and (off := _apart(given, ring)) > _NEAR:
         logger.warning("%s: %s; the given one is %.0f px off and stays", folder, found.describe(), off)
-        return preprocessing
+        return given
     logger.info("%s: %s", folder, found.describe())
-    return replace(preprocessing, camera=replace(given, centre=ring.centre, inner=ring.inner, outer=ring.outer))
+    return replace(given, centre=ring.centre, inner=ring.inner, outer=ring.outer)
 
 
 def draw_ring(picture: Array, ring: PolarRing, view: PanoramaView | None = None) -> Array:

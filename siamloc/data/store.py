@@ -72,7 +72,7 @@ def open_store(
         DataError: no readable image, or an unreadable image if `on_error` is "raise".
         StorageError: the disk is full or cannot be written to.
     """
-    folder = Path(cache).expanduser().absolute() / _key(paths, preprocessing, tilts)
+    folder = Path(cache).expanduser().absolute() / store_key(paths, preprocessing, tilts)
     store = _load(folder, len(paths))
     if store is None:
         store = _build(folder, paths, preprocessing, tilts, workers or min(processors(), 16), on_error)
@@ -81,7 +81,7 @@ def open_store(
     return store
 
 
-def _key(paths: Sequence[str], preprocessing: Preprocessing, tilts: NDArray[np.float64] | None) -> str:
+def store_key(paths: Sequence[str], preprocessing: Preprocessing, tilts: NDArray[np.float64] | None = None) -> str:
     """Return the name of a store: a hash of the images' names, sizes, times and tilts, and of the preprocessing."""
     files: list[list[Any]] = []
     for path in (file for one in paths for file in preprocessing.files(one)):
