@@ -253,8 +253,8 @@ def _sizes(frames: FrameTable, images: PanoramaLibrary | None) -> Iterator[str]:
     if images is None or not counts:
         return
     height, width = counts.most_common(1)[0][0]
-    if images.preprocessing.camera is not None:
-        yield from _unseen(images.preprocessing.camera, images.preprocessing.view, (height, width))
+    if (camera := next(iter(images.cameras.values()))) is not None:
+        yield from _unseen(camera, images.preprocessing.view, (height, width))
         return
     if frames.tilt.any():
         yield (

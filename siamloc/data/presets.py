@@ -14,7 +14,7 @@ class AutoRing(PolarRing):
     """A ring whose centre and radii a `PanoramaLibrary` finds in the pictures of each drive (`find_ring`).
 
     Values that are given are kept where the pictures do not surely show a ring near them. Which way the robot faces in
-    the picture, and whether it is mirrored, has to be given.
+    the picture, and whether it is mirrored, is as given: `find_mounting` says what it should be.
     """
 
     def sampling(self, view: PanoramaView, image_size: tuple[int, int]) -> tuple[Array, Array]:
@@ -36,7 +36,8 @@ class ColdRing(AutoRing):
     """The ring of the COLD database, in its pictures of 640 x 480, corrected by those of each drive.
 
     The values come from papers and code of people who worked with the data: nothing of them could be checked against
-    the archives, least of all where the robot's front is. Correct them here, in this one place.
+    the archives, least of all where the robot's front is, which `siamloc prepare data=cold` finds. Correct them here,
+    in this one place.
     """
 
     centre: tuple[float, float] | None = (331.0, 240.0)

@@ -185,13 +185,19 @@ def _of_drive(given: AutoRing, paths: Sequence[str]) -> AutoRing:
 
 
 def draw_ring(picture: Array, ring: PolarRing, view: PanoramaView | None = None) -> Array:
-    """Draw a ring on a picture (rows, columns, 3), uint8, BGR, and its panorama to the right of it."""
+    """Draw a ring and its front on a picture (rows, columns, 3), uint8, BGR, and its panorama to the right of it."""
     shown, thickness = np.ascontiguousarray(picture).copy(), max(1, round(max(picture.shape) / 320))
     if ring.centre is None or ring.inner is None or ring.outer is None:
         raise ConfigError("draw_ring needs a ring with centre and radii, as `find_ring` returns it")
     x, y = (round(16 * value) for value in ring.centre)
     for radius in (ring.inner, ring.outer):
         cv2.circle(shown, (x, y), round(16 * radius), _INK, thickness, cv2.LINE_AA, shift=4)
+    front = np.radians(ring.forward)
+    start, tip = (
+        (round(x + 16 * radius * np.sin(front)), round(y - 16 * radius * np.cos(front)))
+        for radius in (ring.inner, ring.outer)
+    )
+    cv2.arrowedLine(shown, start, tip, _INK, thickness, cv2.LINE_AA, shift=4, tipLength=0.1)
     cv2.drawMarker(shown, (x // 16, y // 16), _INK, cv2.MARKER_CROSS, 8 * thickness, thickness)
     panorama = unwrap(picture, ring, view)
     wide = round(panorama.shape[1] * picture.shape[0] / 2 / panorama.shape[0])

@@ -7,8 +7,11 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
+from analytic import Descriptor
 from foundation.files import write_picture
-from siamloc.data import AutoRing, PanoramaLibrary, check, contents, draw_ring, extract, summary
+from siamloc.data import AutoRing, PanoramaLibrary, check, contents, draw_ring, extract, find_mounting, summary
 from siamloc.data.decoding import read_image
 from siamloc.data.extracting import MANIFEST, Contents, Extraction
 from siamloc.jobs.job import Given, Say, quiet
@@ -42,7 +45,7 @@ class Prepare(DataJob):
         data.image_size=[128,512]   rows and columns of a panorama
         data.circular=false         for ordinary cameras, whose columns do not wrap around
         unwrap=none|equirectangular|dual_fisheye|polar|calibrated|...   the camera, whose images become panoramas
-        unwrap=auto                 the ring of a mirror, found in the pictures of each drive; drawn for a look at it
+        unwrap=auto                 the ring of a mirror, found in the pictures of each drive, and where its front is
         unwrap.file=camchain.yaml   its calibration, for unwrap=calibrated
         data.on_error=raise         stop at the first unreadable image instead of leaving it out
 
@@ -91,24 +94,34 @@ class Prepare(DataJob):
         images = self.data.library(frames, self.unwrap)
         rows, columns = images.image_size
         say(f"decoded: {len(images)} panoramas of {rows} x {columns} px in {images.settings()['cache']}")
-        _show_rings(images, say)
         network = models.as_descriptor(models.pretrained(), "cpu") if images.circular else None
-        for finding in check(frames, images, network):
+        rings = network is not None and _show_rings(images, network, say)
+        for finding in check(frames, images, None if rings else network):
             say(f"note: {finding}")
         return images
 
 
-def _show_rings(images: PanoramaLibrary, say: Say) -> None:
-    """Say which ring was found in each drive, and draw it."""
-    for drive, camera in images.cameras.items():
-        if not isinstance(camera, AutoRing):
-            continue
-        given = camera == images.preprocessing.camera
-        x, y = camera.centre or (0.0, 0.0)
+def _show_rings(images: PanoramaLibrary, network: Descriptor, say: Say) -> bool:
+    """Say for each drive which ring was found, and where its front is; draw it. Return whether there are rings."""
+    rings = {drive: ring for drive, ring in images.cameras.items() if isinstance(ring, AutoRing)}
+    for drive, ring in rings.items():
+        frames = images.frames.select(sequence=drive)
+        mounted = find_mounting(network, images, frames)
+        proposed = mounted.ring(ring)
+        x, y = ring.centre or (0.0, 0.0)
         path = Path(images.settings()["cache"]) / f"ring_{drive.replace('/', '_') or 'drive'}.png"
-        picture = read_image(images.frames.select(sequence=drive).path[0])
-        write_picture(path, draw_ring(picture, camera, images.preprocessing.view)[..., ::-1])
+        picture = read_image(frames.path[0])
+        write_picture(path, draw_ring(picture, proposed, images.preprocessing.view)[..., ::-1])
+        given = ring == images.preprocessing.camera
         say(
             f"ring: {'as given' if given else 'found'} in {drive or 'the drive'}, unwrap.centre=[{x:.1f},{y:.1f}] "
-            f"unwrap.inner={camera.inner:.1f} unwrap.outer={camera.outer:.1f}; see {path}"
+            f"unwrap.inner={ring.inner:.1f} unwrap.outer={ring.outer:.1f}; see {path}"
         )
+        deviation = "" if np.isnan(mounted.yaw) else f" +- {mounted.yaw_deviation:.1f} degrees"
+        front = "as given" if np.isnan(mounted.yaw) else "found"
+        side = "as given" if mounted.mirrored is None else "found"
+        say(
+            f"direction: unwrap.forward={proposed.forward:.1f} {front}{deviation}, "
+            f"unwrap.mirrored={str(proposed.mirrored).lower()} {side}{''.join('; ' + why for why in mounted.reasons)}"
+        )
+    return bool(rings)

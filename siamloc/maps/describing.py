@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -110,10 +111,11 @@ def build(
         orientation = halved(turning, orientation)
     made = {**(made or {}), **({} if mounting in (None, Mounting()) else {"mounting": mounting.plain()})}
     data = {**readable.source, **images.settings()}
+    camera = images.cameras[str(readable.sequence[0])]
     return VisualMap(
         found.position,
         readable,
-        {**by.identity, "images": images.preprocessing.parameters()},
+        {**by.identity, "images": replace(images.preprocessing, camera=camera).parameters()},
         by.default_distance if distance is None else distance,
         unit=readable.unit,
         made={"data": data, "sequences": list(readable.rows_by("sequence")), "frames": len(readable), **made},

@@ -33,6 +33,7 @@ from siamloc.maps.search import Retrieval, VectorIndex
 from siamloc.models.registry import COLOURS
 
 _RINGS = {kind.__name__ for kind in (PolarRing, AutoRing, ColdRing)}  # whose rows have no known elevations
+_FOUND = {"centre", "inner", "outer"}  # values of an `AutoRing` that may differ from drive to drive
 _SAMPLE = 512  # frames
 _SAME_COLOURS = 1e-6  # distance of colours that differ by rounding alone, as those of turned copies
 
@@ -437,7 +438,8 @@ class VisualMap:
     def check_images(self, preprocessing: Mapping[str, Any]) -> None:
         """Check that panoramas of queries are made in the same way as panoramas of the map.
 
-        Two cameras whose models know the elevation of each pixel give the same panoramas, and may differ.
+        Two cameras whose models know the elevation of each pixel give the same panoramas, and may differ. So may rings
+        that each drive's own pictures show.
 
         Args:
             preprocessing: `images.preprocessing.parameters()` of a library.
@@ -448,7 +450,8 @@ class VisualMap:
         """
         if "images" in self.identity:
             cameras = [(one or {}).get("camera") for one in (self.identity["images"], preprocessing)]
-            if all(one is not None and one.get("kind") not in _RINGS for one in cameras):
+            modelled = all(one is not None and one.get("kind") not in _RINGS for one in cameras)
+            if modelled or _found_alike(*cameras):
                 preprocessing = {**preprocessing, "camera": cameras[0]}
             self.check_describer({**self.identity, "images": preprocessing})
 
@@ -521,6 +524,13 @@ def _checked_orientation(orientation: Any, descriptors: NDArray, *, halved: bool
         raise DataError("a map's orientation parts hold values that are not finite: look at the images")
     array.flags.writeable = False
     return array
+
+
+def _found_alike(one: dict[str, Any] | None, other: dict[str, Any] | None) -> bool:
+    """Return whether two cameras are rings that are found in the pictures of each drive, with the same direction."""
+    if one is None or other is None or one.get("kind") not in (AutoRing.__name__, ColdRing.__name__):
+        return False
+    return {key: one[key] for key in one.keys() - _FOUND} == {key: other[key] for key in other.keys() - _FOUND}
 
 
 def _differences(ours: Mapping[str, Any], theirs: Mapping[str, Any]) -> str:

@@ -1,11 +1,22 @@
 from __future__ import annotations
 
+import cv2
 import numpy as np
 import pytest
 
 import siamloc
 from analytic import descriptor
-from siamloc.data import FrameTable, Mounting, MountingEstimate, azimuth_column, column_azimuth
+from siamloc.data import (
+    FrameTable,
+    Mounting,
+    MountingEstimate,
+    PanoramaView,
+    PolarRing,
+    azimuth_column,
+    column_azimuth,
+    unwrap,
+)
+from siamloc.data.drive_pairs import travel
 from siamloc.data.mounting import estimate
 from siamloc.data.moves import relative, wrapped
 from siamloc.errors import ConfigError
@@ -50,7 +61,7 @@ def drive(n: int = 80, turns: bool = True) -> FrameTable:
     return FrameTable(path=[f"{row}.png" for row in range(n)], x=x, y=y, theta=theta)
 
 
-def estimated(frames: FrameTable, mounting: Mounting, noise: float = 0.03, says=None) -> MountingEstimate:
+def estimated(frames: FrameTable, mounting: Mounting, noise: float = 0.03, says=None, posed=True) -> MountingEstimate:
     """Estimate the mounting from comparisons by a camera that is mounted so; parts hold the numbers of the frames."""
     camera = np.column_stack([frames.xy + mounting.offset(frames.theta), frames.theta + np.radians(mounting.yaw)])
     rng = np.random.default_rng(0)
@@ -62,7 +73,7 @@ def estimated(frames: FrameTable, mounting: Mounting, noise: float = 0.03, says=
         return pose, np.tile(np.eye(3) / noise**2, (len(pose), 1, 1)), np.ones(len(pose))
 
     parts = np.arange(len(frames), dtype=np.float32)[:, None, None]
-    return estimate(frames, parts, says or compares)
+    return estimate(frames, parts, says or compares, posed)
 
 
 @pytest.mark.parametrize(
@@ -97,6 +108,65 @@ def test_a_drive_that_never_turns_tells_only_the_yaw():
         "the drive hardly turns: whether panoramas are mirrored, and the camera's offset, are unknown" in found.reasons
     )
     assert found.mounting.mirrored is False
+
+
+@pytest.mark.parametrize(("mirrored", "yaw"), [(False, 30), (True, -30)])
+def test_a_robot_that_drives_ahead_tells_the_yaw_without_poses(mirrored, yaw):
+    """In panoramas that are mirrored, and not known to be, what is to the left of the middle is to its right."""
+    found = estimated(drive(), Mounting(30, mirrored), posed=False)
+    assert abs(found.yaw - yaw) < 2, "steps are chords, up to some degrees off the headings at their ends"
+    assert found.mirrored is None
+    assert "unknown without poses" in found.summary()
+    assert found.ring(PolarRing(mirrored=True)).forward == pytest.approx(-yaw % 360, abs=2)
+
+
+def test_a_robot_that_drives_in_all_directions_tells_no_yaw_without_poses():
+    rng = np.random.default_rng(0)
+
+    def anywhere(queries, known):
+        n = len(queries)
+        return rng.normal(0, 0.3, (n, 3)), np.tile(np.eye(3) * 100, (n, 1, 1)), np.ones(n)
+
+    found = estimated(drive(), Mounting(), says=anywhere, posed=False)
+    assert np.isnan(found.yaw)
+    assert found.reasons == ("how the camera moves in the images is not ahead, in one direction",)
+
+
+def test_the_direction_of_travel_stands_in_for_headings():
+    frames = drive()
+    assert np.allclose(wrapped(travel(frames) - frames.theta)[1:-1], 0)
+    some = travel(frames.with_columns(x=np.where(np.arange(len(frames)) < 5, np.nan, frames.x)))
+    assert np.isnan(some[:5]).all()
+    assert np.isfinite(some[5:]).all()
+
+
+@pytest.mark.parametrize("used", [PolarRing(forward=90, mirrored=True), PolarRing(forward=90, mirrored=False)])
+@pytest.mark.parametrize("front", [PolarRing(forward=120, mirrored=True), PolarRing(forward=20, mirrored=False)])
+def test_a_ring_is_turned_to_the_front(used, front):
+    """The middle of a panorama that `used` makes, and its right, are where they are in the picture."""
+    mirrored = used.mirrored != front.mirrored
+    picture = np.zeros((201, 201), np.uint8)
+    angle = np.radians(front.forward)
+    cv2.circle(picture, (round(100 + 70 * np.sin(angle)), round(100 - 70 * np.cos(angle))), 6, 255, -1)
+    at = unwrap(picture, used, PanoramaView(16, 360)).astype(float).sum(axis=0).argmax()
+    left = np.degrees(column_azimuth(360)[at])  # of the front, in the panorama as it is
+    found = MountingEstimate(left if mirrored else -left, 0.1, mirrored)
+    assert found.ring(used).forward == pytest.approx(front.forward, abs=3)
+    assert found.ring(used).mirrored is front.mirrored
+    assert MountingEstimate().ring(used) == used
+
+
+def test_turns_that_agree_only_in_part_tell_nothing():
+    def half(queries, known):
+        first, second = (one[:, 0, 0].astype(int) for one in (known, queries))
+        pose = relative(np.column_stack([drive().xy, drive().theta]), first, second)
+        sign = np.where(first // 10 % 2, 1, -1)
+        flipped = pose * np.column_stack([np.ones(len(pose)), sign, sign])
+        return flipped, np.tile(np.eye(3), (len(pose), 1, 1)), np.ones(len(pose))
+
+    found = estimated(drive(), Mounting(), says=half)
+    assert found.mirrored is None
+    assert np.isnan(found.yaw)
 
 
 def test_a_network_that_always_says_the_same_does_not_pass_for_a_yaw():

@@ -123,6 +123,8 @@ def test_a_mounting_is_named_only_if_it_matters():
     assert said.startswith(
         "the camera's mounting: it looks 30.0 +- 0.3 degrees right of the heading; its panoramas are"
     )
+    unsure = mounted(MountingEstimate(-30.0, 4.0, False, (0.0, 0.0), (0.01, 0.01), 100))
+    assert unsure == "the camera's mounting: it looks 30.0 +- 4.0 degrees right of the heading", "no map corrects it"
     assert mounted(MountingEstimate(reasons=("no poses",))) is None
     assert "check them" in (mounted(MountingEstimate(pairs=50, reasons=("check them",))) or "")
 

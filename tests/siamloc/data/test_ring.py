@@ -101,6 +101,21 @@ def test_a_library_unwraps_each_drive_by_its_own_ring(tmp_path):
         unwrap(pictures[0], AutoRing())
 
 
+def test_the_ring_of_a_drive_is_kept_until_its_pictures_change(tmp_path, monkeypatch):
+    frames = table(tmp_path, drive(6)[0])
+
+    def camera():
+        images = PanoramaLibrary(frames, tmp_path / "cache", image_size=(32, 128), unwrap=AutoRing(forward=30.0))
+        return images.cameras["monday"]
+
+    first = camera()
+    with monkeypatch.context() as patched:
+        patched.setattr("siamloc.data.ring.find_ring", None)
+        assert camera() == first
+    table(tmp_path, drive(6, centre=(140.0, 100.0))[0])
+    assert camera().centre[0] == pytest.approx(140.0, abs=0.3)
+
+
 @pytest.mark.parametrize(("centre", "corrected"), [((155.0, 105.0), True), ((120.0, 108.0), False)])
 def test_a_given_ring_is_corrected_only_by_one_near_it(tmp_path, centre, corrected):
     pictures, centres = drive(8)

@@ -19,6 +19,7 @@ from siamloc.data import (
     PanoramaLibrary,
     PanoramaView,
     check,
+    concatenate,
     read,
 )
 from siamloc.errors import ConfigError, DataError
@@ -28,6 +29,7 @@ from siamloc.models import as_descriptor, load, pretrained
 from siamloc.models import build as build_network
 from siamloc.runtime import Bundle, Localizer, export, locate_all
 from siamloc.training import fit
+from tests.siamloc.data.test_ring import drive as ring_pictures
 
 SIZE = (32, 128)
 WHOLE = (128, 256)
@@ -132,6 +134,24 @@ def test_another_camera_can_find_its_place_in_the_map(frames, tmp_path):
         known.check_images(library(others.frames, tmp_path, dual, elevations=(20, -45)).preprocessing.parameters())
     with pytest.raises(ConfigError, match=r"images\.camera\.kind"):
         known.check_images(library(frames, tmp_path, {"kind": "polar"}).preprocessing.parameters())
+
+
+def test_the_robot_gets_the_ring_that_the_drive_of_the_map_shows(tmp_path):
+    tables = []
+    for name, centre in (("monday", (151.3, 108.6)), ("friday", (147.0, 110.0))):
+        (tmp_path / name).mkdir()
+        paths = [tmp_path / name / f"{number}.png" for number in range(6)]
+        for path, picture in zip(paths, ring_pictures(6, centre)[0], strict=True):
+            cv2.imwrite(str(path), picture)
+        tables.append(FrameTable(path=paths, x=np.arange(6.0), y=np.zeros(6), sequence=[name] * 6))
+    images = library(concatenate(tables), tmp_path, {"kind": "auto"})
+    known = build("hog", images, tables[0], progress=False)
+    known.check_images(images.preprocessing.parameters())
+    export("hog", known, tmp_path / "bundle", images=images)
+    assert Bundle.open(tmp_path / "bundle").preprocessing.camera == images.cameras["monday"]
+    assert Localizer(tmp_path / "bundle").locate(tables[0].path[2]).x == 2.0
+    with pytest.raises(ConfigError, match=r"images\.camera\.forward"):
+        known.check_images(library(tables[1], tmp_path, {"kind": "auto", "forward": 90.0}).preprocessing.parameters())
 
 
 def test_the_tilt_of_each_frame_is_taken_out(frames, tmp_path):

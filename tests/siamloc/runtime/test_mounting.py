@@ -61,6 +61,20 @@ def test_panoramas_of_another_size_tell_the_mounting_too(drives, tmp_path):
     assert found.yaw == pytest.approx(MOUNTED.yaw, abs=1)
 
 
+def test_a_drive_without_headings_or_poses_tells_where_it_goes(drives, tmp_path):
+    frames = drives["mounted"]
+    nowhere = np.full(len(frames), np.nan)
+    images = PanoramaLibrary(frames, tmp_path, image_size=SIZE)
+    network = siamloc.models.as_descriptor(siamloc.models.pretrained())
+    found = siamloc.data.find_mounting(network, images, frames.with_columns(theta=nowhere))
+    assert found.mirrored
+    assert found.yaw == pytest.approx(MOUNTED.yaw, abs=5), "the robot turns while it drives"
+    unposed = frames.with_columns(x=nowhere, y=nowhere, theta=nowhere)
+    found = siamloc.data.find_mounting(network, images, unposed)
+    assert found.mirrored is None
+    assert found.yaw == pytest.approx(-MOUNTED.yaw, abs=5), "as long as the panoramas are taken as they are"
+
+
 def test_the_robot_answers_as_with_a_straight_camera(drives, robots):
     errors: dict[str, list[float]] = {name: [] for name in robots}
     for name, robot in robots.items():
