@@ -142,11 +142,11 @@ def _direction(pictures: Any, poses: Any, ring: PolarRing, mirror: Mirror) -> di
     columns turn is right, None where unknown."""
     by = _network()
     panoramas = np.stack([unwrap(picture, ring)[..., ::-1] for picture in pictures])
-    small = np.stack([cv2.resize(one, by.module.image_size[::-1], interpolation=cv2.INTER_AREA) for one in panoramas])  # type: ignore[attr-defined]
+    small = np.stack([cv2.resize(one, by.module.image_size[::-1], interpolation=cv2.INTER_AREA) for one in panoramas])
     parts = by.describe(small.transpose(0, 3, 1, 2)).orientation
     x, y, theta = poses.T
     frames = FrameTable(path=[str(number) for number in range(len(poses))], x=x, y=y, theta=theta)
-    posed, unposed = (estimate(frames, parts, by.compare, known) for known in (True, False))  # type: ignore[attr-defined]
+    posed, unposed = (estimate(frames, parts, by.compare, known) for known in (True, False))
     off = [
         (found.ring(ring).forward - mirror.forward + 180) % 360 - 180 if np.isfinite(found.yaw) else np.nan
         for found in (posed, unposed)

@@ -173,7 +173,7 @@ def find_mounting(described_by: Descriptor, images: PanoramaLibrary, frames: Fra
     readable = images.readable(frames)
     if not np.isfinite(readable.theta).any():
         readable = readable.with_columns(theta=travel(readable))
-    posed = bool(np.isfinite(readable.theta).any())
+    posed = bool((np.isfinite(readable.theta) & readable.has_position).any())
     used = readable.take(np.unique(np.concatenate(near_pairs(readable) if posed else successive_pairs(readable))))
     size = getattr(getattr(described_by, "module", None), "image_size", None) or images.image_size
     found = [described_by.describe(_resized(batch, size)).orientation for batch in images.batches(used)]

@@ -49,8 +49,9 @@ def drive_faults(frames: FrameTable, images: PanoramaLibrary, described_by: Desc
         part = frames.take(slice(0, _IN_A_ROW))
         seen = turns_seen(images.batch(images.rows(part)))
         found.append(time_offset(seen, part.time, part.theta))
-        compared = described_by is not None and frames.has_position.any()
-        mounting = find_mounting(described_by, images, frames) if compared else MountingEstimate()
+        mounting = MountingEstimate()
+        if described_by is not None and frames.has_position.any():
+            mounting = find_mounting(described_by, images, frames)
         found.append(mounted(mounting, frames.unit))
         if mounting.mirrored is None:
             found.append(direction(seen, wrapped(np.diff(part.theta))))
