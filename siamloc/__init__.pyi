@@ -11,5 +11,6 @@ from . import (
 )
 from .checkup import Checkup as Checkup, doctor as doctor
 from .errors import SiamlocError as SiamlocError
+from .walking import Walked as Walked, WalkSettings as WalkSettings, walk as walk
 
 __version__: str

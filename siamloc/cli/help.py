@@ -14,6 +14,7 @@ COMMANDS = {
     "simulate": ("jobs.simulate.Simulate", "render a made-up building in the COLD layout"),
     "fetch": ("jobs.fetch.Fetch", "load the COLD database, or parts of it"),
     "prepare": ("jobs.prepare.Prepare", "check a data set and decode its images once"),
+    "walk": ("jobs.walk.Walk", "make a robot that knows where it is from one recording"),
     "survey": ("jobs.survey.SurveyDrives", "estimate the poses of drives from their images and odometry"),
     "train": ("jobs.train.Train", "train a siamese network"),
     "pretrain": ("jobs.train.Pretrain", "train a network on random buildings, before it sees any data"),

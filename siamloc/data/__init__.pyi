@@ -30,5 +30,11 @@ from .panorama import (
 from .protocol import Protocol as Protocol, Role as Role
 from .reading import DataSettings as DataSettings, READERS as READERS, read as read
 from .presets import AutoRing as AutoRing, ColdRing as ColdRing
-from .ring import RingFit as RingFit, draw_ring as draw_ring, find_centres as find_centres, find_ring as find_ring
+from .ring import (
+    RingFit as RingFit,
+    draw_ring as draw_ring,
+    find_camera as find_camera,
+    find_centres as find_centres,
+    find_ring as find_ring,
+)
 from .trajectory import Trajectory as Trajectory, read_trajectory as read_trajectory

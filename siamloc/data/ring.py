@@ -19,8 +19,9 @@ from numpy.typing import NDArray
 
 from foundation.calls import typed
 from foundation.files import read_json, storage_errors, write_json
+from siamloc.data.cameras import EquirectangularCamera
 from siamloc.data.decoding import Preprocessing, UnreadableImageError, read_image
-from siamloc.data.panorama import PanoramaView, PolarRing, unwrap
+from siamloc.data.panorama import OmnidirectionalCamera, PanoramaView, PolarRing, unwrap
 from siamloc.data.presets import AutoRing
 from siamloc.data.rims import changes, guess, inner_rim, moved, outer_rim, shifts
 from siamloc.data.store import store_key
@@ -182,6 +183,39 @@ def _of_drive(given: AutoRing, paths: Sequence[str]) -> AutoRing:
         return given
     logger.info("%s: %s", folder, found.describe())
     return replace(given, centre=ring.centre, inner=ring.inner, outer=ring.outer)
+
+
+@typed
+def find_camera(images: Sequence[str], given: AutoRing | None = None) -> OmnidirectionalCamera | None:
+    """Find the camera of a drive by its pictures: their shape, or the ring of a mirror or of a lens that looks up.
+
+    Pictures twice as wide as high are whole equirectangular ones, and wider ones are panoramas. All others show a ring.
+
+    Args:
+        images: files of the drive's pictures; those that cannot be read are left out.
+        given: which way the robot faces in a ring, whether the ring is mirrored, and what else is known of it.
+
+    Returns:
+        The camera; None for panoramas.
+
+    Raises:
+        DataError: no picture can be read, or they show no ring that is sure.
+
+    Example:
+        >>> import cv2, tempfile
+        >>> path = f"{tempfile.mkdtemp()}/1.png"
+        >>> _ = cv2.imwrite(path, np.zeros((100, 200, 3), np.uint8))
+        >>> find_camera([path])
+        EquirectangularCamera(azimuth=0.0, elevation=0.0, roll=0.0, mirrored=False, image_size=None)
+    """
+    pictures = _readable(images)
+    if not pictures:
+        raise DataError(f"none of the {len(images)} pictures can be read")
+    rows, columns = pictures[0].shape[:2]
+    if columns >= 2 * rows:
+        return EquirectangularCamera() if columns == 2 * rows else None
+    found = fitted(Preprocessing(PanoramaView(), given or AutoRing()), images).camera
+    return PolarRing(**vars(found))
 
 
 def draw_ring(picture: Array, ring: PolarRing, view: PanoramaView | None = None) -> Array:

@@ -12,3 +12,4 @@ from .robot import Localize as Localize, Watch as Watch
 from .simulate import Simulate as Simulate
 from .survey import SurveyDrives as SurveyDrives
 from .train import Pretrain as Pretrain, Train as Train
+from .walk import Walk as Walk

@@ -6,9 +6,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import ClassVar
 
-from foundation.files import write_json, write_text
 from siamloc.data import read
-from siamloc.data.manifest import manifest_of
 from siamloc.data.protocol import Protocol
 from siamloc.jobs.choices import Device, Folder
 from siamloc.jobs.job import Say, quiet
@@ -51,6 +49,7 @@ class SurveyDrives(DataJob):
     def run(self, say: Say = quiet) -> Survey:
         """Survey the frames, and write the folder."""
         from siamloc import models
+        from siamloc.report.draw.survey import save_survey
 
         network = models.pretrained() if self.network == "pretrained" else models.load(self.network)
         anchors = None if self.anchors is None else read("manifest", manifest=str(self.anchors))
@@ -62,17 +61,7 @@ class SurveyDrives(DataJob):
         for note in found.notes:
             say(f"note: {note}")
         say(found.summary())
-        self._write(found)
+        save_survey(found, self.out, self.plain())
         by = "descriptor=pretrained" if self.network == "pretrained" else f"run={self.network}"
         say(f"next: siamloc map {by} data.manifest={Path(self.out) / 'surveyed.csv'} 'protocol.map.sequences=[\"*\"]'")
         return found
-
-    def _write(self, found: Survey) -> None:
-        from siamloc.report.draw.look import save
-        from siamloc.report.draw.survey import survey_film, survey_picture
-
-        folder = Path(self.out)
-        write_text(folder / "surveyed.csv", manifest_of(found.frames, folder))
-        write_json(folder / "survey.json", {"schema": 1, "settings": self.plain(), **found.report()})
-        save(survey_picture(found), folder / "survey.png")
-        survey_film(found, folder / "survey.gif")

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -12,9 +13,11 @@ from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
+from foundation.files import write_json, write_text
+from siamloc.data.manifest import manifest_of
 from siamloc.data.moves import composed, relative
 from siamloc.report.draw.film import write_film
-from siamloc.report.draw.look import INK, SERIES, Picture, panels, style
+from siamloc.report.draw.look import INK, SERIES, Picture, panels, save, style
 
 if TYPE_CHECKING:
     from siamloc.maps import Survey
@@ -23,6 +26,19 @@ _PICTURES = 80
 _DOTS_PER_INCH = 110
 _LOOP, _REFUSED = "#009e74", "#c44e00"
 _BEHIND = 12  # frames of the path that are drawn boldly behind the robot
+
+
+def save_survey(found: Survey, folder: str | Path, settings: Mapping[str, Any]) -> None:
+    """Write surveyed.csv, a manifest of the frames, survey.json, figures and settings, survey.png and survey.gif.
+
+    Raises:
+        StorageError: the disk is full or cannot be written to.
+    """
+    folder = Path(folder)
+    write_text(folder / "surveyed.csv", manifest_of(found.frames, folder))
+    write_json(folder / "survey.json", {"schema": 1, "settings": dict(settings), **found.report()})
+    save(survey_picture(found), folder / "survey.png")
+    survey_film(found, folder / "survey.gif")
 
 
 @style()
