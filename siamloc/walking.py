@@ -136,7 +136,7 @@ def walk(
         images=images,
         thumbnails=True,
     )
-    say(f"bundle: {bundle.summary()}")
+    say(bundle.summary())
     report = write_report(folder, folder / "report.html")
     say(f"report: {report}, with the plan in {folder / 'survey.png'}")
     say(f"next: siamloc live run={folder} images=[camera:0]")

@@ -5,7 +5,7 @@ import pytest
 from siamloc.cli.compose import composed
 from siamloc.data import Protocol
 from siamloc.errors import ConfigError
-from siamloc.jobs import Evaluate, MapFrames, Prepare, Pretrain, Preview, Report, SurveyDrives, Train
+from siamloc.jobs import Evaluate, MapFrames, Prepare, Pretrain, Preview, Report, SurveyDrives, Train, Walk
 from siamloc.jobs.options import choices, config_folder, groups, option
 
 CALIBRATION = """\
@@ -89,6 +89,7 @@ def test_a_broken_file_of_an_option_is_named(group, content, says, tmp_path, mon
             SurveyDrives,
             {"data": {"manifest": "x"}, "survey": {"alike": 5}, "out": "y"},
         ),
+        ("walk", "file=x.mp4 spacing=0.5", Walk, {"file": "x.mp4", "spacing": 0.5}),
         # Options that choose options of other groups: how images unwrap, and which drives have which role.
         ("prepare", "data=cold data.root=x", Prepare, {"data": {"kind": "cold", "root": "x"}}),
         (

@@ -2,7 +2,19 @@ import cv2
 import numpy as np
 import pytest
 
-from siamloc.data import AutoRing, ColdRing, FrameTable, PanoramaLibrary, draw_ring, find_centres, find_ring, unwrap
+from siamloc.data import (
+    AutoRing,
+    ColdRing,
+    EquirectangularCamera,
+    FrameTable,
+    PanoramaLibrary,
+    PolarRing,
+    draw_ring,
+    find_camera,
+    find_centres,
+    find_ring,
+    unwrap,
+)
 from siamloc.errors import ConfigError, DataError
 
 INNER, OUTER = 22.0, 88.0
@@ -147,3 +159,33 @@ def test_the_ring_of_the_database_begins_at_the_right_and_runs_counter_clockwise
     panorama = unwrap(picture, ColdRing())
     assert panorama[0, 128].min() > 200
     assert panorama[0, 384].max() < 50
+
+
+def written(folder, pictures):
+    """Write pictures as files, and return their paths."""
+    paths = [str(folder / f"{number}.png") for number in range(len(pictures))]
+    for path, one in zip(paths, pictures, strict=True):
+        cv2.imwrite(path, one)
+    return paths
+
+
+def test_the_camera_of_a_ring_is_found_with_what_is_known_of_it(tmp_path):
+    pictures, centres = drive()
+    camera = find_camera(written(tmp_path, pictures), AutoRing(forward=90, mirrored=False))
+    assert type(camera) is PolarRing  # a single picture has to tell as much as the drive
+    assert (camera.forward, camera.mirrored) == (90, False)
+    assert np.hypot(*(np.array(camera.centre) - centres[0])) < 0.3
+
+
+@pytest.mark.parametrize(("size", "camera"), [((60, 120), EquirectangularCamera()), ((60, 240), None)])
+def test_the_shape_of_wide_pictures_says_what_they_are(size, camera, tmp_path):
+    (tmp_path / "broken.png").write_bytes(b"nothing")
+    paths = [str(tmp_path / "broken.png"), *written(tmp_path, np.zeros((2, *size, 3), np.uint8))]
+    assert find_camera(paths) == camera
+
+
+def test_pictures_without_a_camera_are_refused_in_a_sentence(tmp_path):
+    with pytest.raises(DataError, match="none of the 1 pictures can be read"):
+        find_camera([str(tmp_path / "missing.png")])
+    with pytest.raises(DataError, match=r"finds no ring in .*: the pictures are all alike"):
+        find_camera(written(tmp_path, np.full((6, 90, 120, 3), 99, np.uint8)))

@@ -1,0 +1,63 @@
+"""`siamloc walk` gives `siamloc.walk` the settings of its words, and refuses recordings that it cannot use."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import pytest
+
+from tests.siamloc.cli.commands import done, refused
+
+
+def film(path, pictures):
+    """Write pictures (n, rows, columns, 3) as a video."""
+    writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"MJPG"), 5, pictures.shape[2:0:-1])
+    for picture in pictures:
+        writer.write(picture)
+    writer.release()
+    return path
+
+
+def test_the_words_of_the_command_are_the_settings_of_the_call(monkeypatch, capsys):
+    given = {}
+
+    def walk(file, out, *, say, settings):
+        given.update(file=file, out=out, settings=settings)
+        say("key frames: 7")
+
+    monkeypatch.setattr("siamloc.jobs.walk.walk", walk)
+    done("walk", "monday.mp4", "out=robot", "spacing=0.5", "recording.odometry=w.txt", "unwrap=polar", "unwrap.inner=9")
+    assert (given["file"].name, given["out"], given["settings"].spacing) == ("monday.mp4", "robot", 0.5)
+    assert given["settings"].recording.odometry == "w.txt"
+    assert (given["settings"].unwrap["kind"], given["settings"].unwrap["inner"]) == ("polar", 9)
+    assert capsys.readouterr().out == "key frames: 7\n"
+
+
+@pytest.mark.parametrize(
+    ("words", "says"),
+    [
+        ([], "file is not set: give it as file=VALUE"),
+        (["nothing.mp4"], "there is no recording nothing.mp4"),
+        (["empty"], "empty holds no images"),
+        (["a.mp4", "left_out=1"], "left_out must be a whole number from 2, got 1"),
+        (["a.mp4", "unwrap=polr"], "polr"),
+    ],
+)
+def test_what_cannot_be_a_recording_is_named(words, says, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "empty").mkdir()
+    assert says in refused(capsys, "walk", *words)
+    assert not (tmp_path / "walk").exists()
+
+
+def test_a_video_that_stands_still_is_refused(tmp_path, capsys):
+    picture = np.random.default_rng(0).integers(0, 256, (90, 120, 3)).astype(np.uint8)
+    file = film(tmp_path / "still.avi", np.stack([picture] * 6))
+    text = refused(capsys, "walk", file, f"out={tmp_path / 'walk'}")
+    assert "the pictures are all alike: take some from a drive" in text
+
+
+def test_a_video_without_a_ring_is_refused(tmp_path, capsys):
+    file = film(tmp_path / "plain.avi", np.random.default_rng(0).integers(0, 256, (8, 90, 120, 3)).astype(np.uint8))
+    text = refused(capsys, "walk", file, f"out={tmp_path / 'walk'}")
+    assert "finds no ring" in text
