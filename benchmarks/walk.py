@@ -1,4 +1,4 @@
-"""Walk through a simulated building with a ring camera, and locate another drive, at night, with what `walk` made of it.
+"""Walk through a building with a ring camera, and locate another drive, at night, with what `walk` makes of it.
 
 A cloudy drive becomes a video of a camera below a hyperbolic mirror, whose panoramas are rendered, with simulated
 odometry that drifts, and without. `siamloc.walk` turns each into a bundle; the localizer of the bundle then gets the

@@ -20,7 +20,7 @@ COMMANDS = {
     "live": ("live",),
     "train": (
         *("augment expand", "augment preview", "compare", "evaluate", "export", "fetch", "map", "prepare"),
-        *("report", "reproduce", "survey", "train"),
+        *("report", "reproduce", "survey", "train", "walk"),
     ),
     "simulate": ("demo", "pretrain", "simulate"),
     "sweeps": ("-m hydra/launcher=joblib",),

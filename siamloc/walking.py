@@ -10,9 +10,11 @@ from typing import Annotated, Any, cast
 import numpy as np
 
 from foundation.calls import OF_FIELDS, takes
+from foundation.files import write_text
 from foundation.settings import Positive, Rule, Settings
 from siamloc import evaluation, maps, runtime
 from siamloc.data import AutoRing, Extraction, FrameTable, PanoramaLibrary, Preprocessing, contents, extract, read
+from siamloc.data.manifest import manifest_of
 from siamloc.data.ring import find_camera
 from siamloc.errors import DataError
 from siamloc.maps import Survey, SurveySettings, VisualMap
@@ -113,9 +115,9 @@ def walk(
     found = maps.survey(_NETWORK, images, chosen, settings=settings.survey)
     for line in (*(f"note: {note}" for note in found.notes), f"survey: {found.summary()}"):
         say(line)
-    parts = _parted(found.frames, settings.left_out)
-    found = replace(found, frames=parts)
     save_survey(found, folder, settings.plain())
+    write_text(folder / "parts.csv", manifest_of(_parted(found.frames, settings.left_out), folder))
+    parts = read("manifest", manifest=folder / "parts.csv")
     images = PanoramaLibrary(
         parts, folder / "panoramas", image_size=PRETRAINED_SIZE, unwrap=images.preprocessing.camera
     )
@@ -170,8 +172,9 @@ def _camera(frames: FrameTable, settings: WalkSettings, say: Callable[[str], Non
         return settings.unwrap
     camera = find_camera(frames.path.tolist(), given)
     plain = Preprocessing.checked(PRETRAINED_SIZE, camera).unwrap_settings()
-    shown = {key: np.round(value, 1).tolist() for key, value in plain.items() if key in ("centre", "inner", "outer")}
-    say(f"camera: {plain['kind']}{''.join(f', {key} {value}' for key, value in shown.items())} px (unwrap=)")
+    shown = {key: round(plain[key], 2) for key in ("cx", "cy", "fx", "eccentricity") if plain.get(key) is not None}
+    values = "".join(f" unwrap.{key}={value}" for key, value in shown.items())
+    say(f"camera: unwrap={plain['kind']}{values}, by the pictures")
     return camera
 
 

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from foundation.calls import typed
 from foundation.files import read_json, storage_errors, write_json
-from siamloc.data.cameras import EquirectangularCamera
+from siamloc.data.cameras import EquirectangularCamera, HyperbolicMirror
 from siamloc.data.decoding import Preprocessing, UnreadableImageError, read_image
 from siamloc.data.panorama import OmnidirectionalCamera, PanoramaView, PolarRing, unwrap
 from siamloc.data.presets import AutoRing
@@ -38,6 +38,7 @@ _NEAR = 15.0  # pixels from a given ring within which a drive's own ring replace
 _INK = (0, 140, 255)  # BGR, as files are read
 _BORDER = 12  # pixels next to a drawn panorama
 _VERSION = 1  # of how a ring is found
+_XI = 0.85, 0.99  # the unified model's parameter of mirrors that are built, 2 e / (e^2 + 1)
 _OFF = 1.5  # pixels by which a picture's own radius may differ
 
 
@@ -215,7 +216,24 @@ def find_camera(images: Sequence[str], given: AutoRing | None = None) -> Omnidir
     if columns >= 2 * rows:
         return EquirectangularCamera() if columns == 2 * rows else None
     found = fitted(Preprocessing(PanoramaView(), given or AutoRing()), images).camera
-    return PolarRing(**vars(found))
+    return likely_mirror(PolarRing(**vars(found)))
+
+
+def likely_mirror(ring: PolarRing) -> HyperbolicMirror | PolarRing:
+    """Return the hyperbolic mirror that shows in a ring what a panorama shows by default, 30 to -45 degrees.
+
+    Its rim is at 30 degrees, and its eccentricity puts -45 degrees on the inner rim, within the limits of mirrors that
+    are built. The true elevations of the rims are not known, as with a `PolarRing`, whose even rows fit no mirror,
+    though: directions in which images seem to move are then wrong. A ring with its inside up remains one.
+    """
+    if ring.centre is None or ring.inner is None or ring.outer is None or ring.inside_up:
+        return ring
+    share, (top, bottom) = ring.inner / ring.outer, np.radians([PanoramaView().top, PanoramaView().bottom])
+    sines = np.cos(bottom) * np.sin(top) - share * np.cos(top) * np.sin(bottom)
+    xi = float(np.clip(sines / (np.cos(bottom) - share * np.cos(top)), *_XI))  # radius ~ cos(up) / (xi - sin(up))
+    eccentricity = (1 + np.sqrt(1 - xi**2)) / xi
+    focal = ring.outer * (xi - np.sin(top)) / np.cos(top) / np.sqrt(1 - xi**2)
+    return HyperbolicMirror(focal, focal, *ring.centre, eccentricity, forward=ring.forward, mirrored=ring.mirrored)
 
 
 def draw_ring(picture: Array, ring: PolarRing, view: PanoramaView | None = None) -> Array:

@@ -7,6 +7,7 @@ from siamloc.data import (
     ColdRing,
     EquirectangularCamera,
     FrameTable,
+    HyperbolicMirror,
     PanoramaLibrary,
     PolarRing,
     draw_ring,
@@ -15,6 +16,7 @@ from siamloc.data import (
     find_ring,
     unwrap,
 )
+from siamloc.data.ring import likely_mirror
 from siamloc.errors import ConfigError, DataError
 
 INNER, OUTER = 22.0, 88.0
@@ -172,9 +174,27 @@ def written(folder, pictures):
 def test_the_camera_of_a_ring_is_found_with_what_is_known_of_it(tmp_path):
     pictures, centres = drive()
     camera = find_camera(written(tmp_path, pictures), AutoRing(forward=90, mirrored=False))
-    assert type(camera) is PolarRing  # a single picture has to tell as much as the drive
     assert (camera.forward, camera.mirrored) == (90, False)
-    assert np.hypot(*(np.array(camera.centre) - centres[0])) < 0.3
+    assert np.hypot(camera.cx - centres[0][0], camera.cy - centres[0][1]) < 0.3
+    ahead = camera.project([np.cos(np.pi / 6), 0, np.sin(np.pi / 6)])
+    assert abs(np.hypot(*(ahead - [camera.cx, camera.cy])) - OUTER) < 0.5  # the rim is at 30 degrees
+
+
+@pytest.mark.parametrize("eccentricity", [1.2, 1.4, 1.6])
+def test_the_likely_mirror_of_a_ring_that_shows_just_the_panorama_is_the_true_one(eccentricity):
+    true = HyperbolicMirror(eccentricity=eccentricity, forward=40)
+    up, down = np.radians([30, -45])
+    outer, inner = (float(np.hypot(*(true.project([np.cos(a), 0, np.sin(a)]) - [319.5, 239.5]))) for a in (up, down))
+    found = likely_mirror(PolarRing(centre=(319.5, 239.5), inner=inner, outer=outer, forward=40))
+    np.testing.assert_allclose([found.eccentricity, found.fx, found.fy], [eccentricity, 340, 340], rtol=1e-6)
+    assert found.forward == 40
+
+
+def test_a_ring_with_its_inside_up_or_a_tiny_hole_still_has_a_camera():
+    ring = PolarRing(centre=(9, 9), inner=2, outer=8, inside_up=True)
+    assert likely_mirror(ring) is ring
+    thin = likely_mirror(PolarRing(centre=(331, 240), inner=2, outer=228))
+    assert np.degrees(thin.highest_elevation) > 30  # a mirror that shows the upper edge of a panorama
 
 
 @pytest.mark.parametrize(("size", "camera"), [((60, 120), EquirectangularCamera()), ((60, 240), None)])
