@@ -122,9 +122,15 @@ def walk(
         parts, folder / "panoramas", image_size=PRETRAINED_SIZE, unwrap=images.preprocessing.camera
     )
     known = maps.build(_NETWORK, images, parts.select(sequence="*_map"))
-    learned = {"validation": parts.select(sequence="*_validation"), "refine": "relative", "error_model": True}
-    queries = parts.select(sequence="*_query")
-    errors = evaluation.localization(known, images, queries, **learned, lost_above=settings.lost_above)
+    errors = evaluation.localization(
+        known,
+        images,
+        parts.select(sequence="*_query"),
+        validation=parts.select(sequence="*_validation"),
+        refine="relative",
+        error_model=True,
+        lost_above=settings.lost_above,
+    )
     say(_judged(known, errors, settings))
     run = Run(folder)
     errors.save(run.evaluation(_NETWORK))
