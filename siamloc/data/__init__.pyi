@@ -18,6 +18,7 @@ from .fetching import Fetched as Fetched, fetch as fetch
 from .frames import FrameTable as FrameTable, concatenate as concatenate
 from .library import PanoramaLibrary as PanoramaLibrary
 from .mounting import Mounting as Mounting, MountingEstimate as MountingEstimate, find_mounting as find_mounting
+from .occupancy import OccupancyMap as OccupancyMap, read_occupancy as read_occupancy
 from .panorama import (
     OmnidirectionalCamera as OmnidirectionalCamera,
     PanoramaView as PanoramaView,

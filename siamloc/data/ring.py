@@ -215,8 +215,7 @@ def find_camera(images: Sequence[str], given: AutoRing | None = None) -> Omnidir
     rows, columns = pictures[0].shape[:2]
     if columns >= 2 * rows:
         return EquirectangularCamera() if columns == 2 * rows else None
-    found = fitted(Preprocessing(PanoramaView(), given or AutoRing()), images).camera
-    return likely_mirror(PolarRing(**vars(found)))
+    return likely_mirror(PolarRing(**vars(_of_drive(given or AutoRing(), images))))
 
 
 def likely_mirror(ring: PolarRing) -> HyperbolicMirror | PolarRing:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, TypedDict, cast
 
 from foundation.calls import typed
 from foundation.files import atomic_files, plain, storage_errors
+from siamloc.data.occupancy import read_occupancy
 from siamloc.errors import DataError, FormatError
 from siamloc.results import REMARKS, Columns, read_results, read_rows, tables_of, write_results
 
@@ -197,27 +198,38 @@ class Result:
             lines.append(f"located without a score: {len(self.tables['located']['path'])} queries, in located.csv")
         return "\n\n".join(filter(None, [*(table.text() for table in self.summaries()), "\n".join(lines)]))
 
-    def plot(self, name: str | None = None) -> Figure:
+    def plot(self, name: str | None = None, plan: str | Path | None = None) -> Figure:
         """Return a picture of the result: the first picture available, or the picture of a name such as "error_curve".
 
+        Args:
+            name: name of the picture.
+            plan: map.yaml of a map server, which is drawn behind the floor plan; see `siamloc.data.read_occupancy`.
+
         Raises:
-            DataError: there is no such picture; the message lists the available ones.
+            DataError: there is no such picture; the message lists the available ones. Or the map cannot be read.
         """
         from siamloc.report.draw import pictures
 
-        drawn = pictures(plain(self.parts), self.tables, self.name)
+        occupancy = None if plan is None else read_occupancy(plan)
+        drawn = pictures(plain(self.parts), self.tables, self.name, occupancy)
         if not drawn or (name is not None and name not in drawn):
             raise DataError(f"there is no picture {name!r} of {self!r}: there is {', '.join(drawn) or 'none'}")
         return drawn[name if name is not None else next(iter(drawn))]()
 
     @typed
-    def save(self, folder: str | Path, *, pictures: bool = True) -> list[Path]:
+    def save(self, folder: str | Path, *, pictures: bool = True, plan: str | Path | None = None) -> list[Path]:
         """Write `results.json`, a CSV file for each table, and the pictures; return the paths of the pictures.
 
+        Args:
+            folder: where they are written.
+            pictures: whether to draw any.
+            plan: map.yaml of a map server, which is drawn behind floor plans; see `siamloc.data.read_occupancy`.
+
         Raises:
+            DataError: the map cannot be read.
             StorageError: the disk is full or cannot be written to.
         """
-        folder = Path(folder)
+        folder, occupancy = Path(folder), None if plan is None else read_occupancy(plan)
         older = tables_of(folder)
         extra = {
             f"{name}_{method}": table
@@ -235,7 +247,7 @@ class Result:
             if pictures:
                 from siamloc.report.draw import save_all
 
-                drawn = save_all(fresh, self.layer)
+                drawn = save_all(fresh, self.layer, occupancy)
         # Remove files that only the replaced result had, and nothing else.
         gone = (older - tables_of(folder)) | {name for name, model in learned.items() if model is None}
         with storage_errors(folder):

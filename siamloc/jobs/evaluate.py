@@ -12,7 +12,7 @@ from analytic import Descriptor
 from foundation.files import real_path
 from foundation.settings import Text
 from siamloc import evaluation, maps
-from siamloc.data import FrameTable, PanoramaLibrary, Protocol, Role
+from siamloc.data import FrameTable, PanoramaLibrary, Protocol, Role, read_occupancy
 from siamloc.data.reading import parameters_of, path_keys
 from siamloc.errors import ConfigError, SiamlocError, hint
 from siamloc.evaluation import Result
@@ -71,6 +71,7 @@ class Evaluate(RunJob):
         task=robustness                   error under noise, occlusion, turns and effects
         task=buildings task.maps=[runs/a,runs/b]
                                           which building a query is in, given the maps of several
+        plan=map.yaml                     the building, from a map server, to draw behind floor plans
         out=FOLDER                        where results are written; in the run if not given
         overwrite=true                    replace results of other frames, or those in out=FOLDER
         -m descriptor.bins=8,16 distance=euclidean,correlation
@@ -85,6 +86,7 @@ class Evaluate(RunJob):
 
     task: Task
     out: Text | None = None
+    plan: Path | None = None
     overwrite: bool = False
 
     def __post_init__(self) -> None:
@@ -101,12 +103,14 @@ class Evaluate(RunJob):
         # Elsewhere than in the run, no part of the path says which run or descriptor the results are of.
         folder = own_folder(shared, self.titles, of_results) if self.out is None else shared / sweep_suffix()
         self._check_folder(folder)
+        if self.plan is not None:
+            read_occupancy(self.plan)  # refused before anything is measured
         result = self._measure(say)
         if folder != shared:
             result = replace(result, name=with_swept(result.name))
         if swept():
             result = replace(result, about={**result.about, "swept": dict(swept())})
-        pictures = result.save(folder, pictures=self.task.plots)
+        pictures = result.save(folder, pictures=self.task.plots, plan=self.plan)
         if self.out is None:
             run.record_written(files_in(folder))
         say(f"data: {self.data.summary()}")

@@ -27,6 +27,7 @@ class Report(Job):
         run=FOLDER       the run; the newest one if not given. For the folder of a sweep, its runs side by side
         runs=[a,b,c]     several runs side by side; also sweeps and single evaluations
         out=FILE         output file; report.html in the run's folder if not given
+        plan=map.yaml    the building, from a map server, to draw behind floor plans
 
     Example:
         $ siamloc report runs=[runs/vgg16,runs/hog] out=comparison.html
@@ -35,6 +36,7 @@ class Report(Job):
     folder: Text | None = None
     runs: tuple[Text, ...] | Text | None = None
     out: Text | None = None
+    plan: Path | None = None
 
     def run(self, say: Say = quiet) -> Path:
         """Write the page, and return its path."""
@@ -50,7 +52,7 @@ class Report(Job):
         out = Path(self.out or default)
         if self.out is not None and sweep_suffix():
             out = out.with_stem(f"{out.stem}-{sweep_suffix()}")
-        path = write_report(folders, out)
+        path = write_report(folders, out, self.plan)
         say(f"report: {path}, {path.stat().st_size / 1e6:.1f} MB; open it in a browser")
         return path
 

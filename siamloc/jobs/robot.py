@@ -206,6 +206,7 @@ class Watch(Robot):
         track=true           follow the robot from image to image
         odometry=robot.csv   by its wheels, as for localize
         collect=FOLDER       keep the images that were located well, as for localize
+        plan=map.yaml        the building, from a map server, to draw behind the floor plan
         fps=5                images per second at most, 0 for full speed; cameras keep their own rate
         port=8000            0 picks a free port
         host=127.0.0.1       0.0.0.0 lets everybody on the network watch
@@ -217,6 +218,7 @@ class Watch(Robot):
     host: Text = "127.0.0.1"
     port: Port = 8000
     fps: Pace = 5.0
+    plan: Path | None = None
 
     def run(self, say: Say = quiet) -> None:
         """Locate the images, and serve the page until the user stops it.
@@ -235,6 +237,7 @@ class Watch(Robot):
             port=self.port,
             fps=self.fps,
             odometry=self.odometry,
+            plan=self.plan,
         )
         if self.host not in ("127.0.0.1", "localhost", "::1"):
             say(f"everybody who can reach {self.host} can watch: leave host out to keep it on this machine")

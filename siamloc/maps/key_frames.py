@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from foundation.calls import typed
 from foundation.settings import Positive
 from siamloc.data.frames import FrameTable
+from siamloc.maps.comparing import scaled
 from siamloc.maps.describing import build
-from siamloc.maps.reranking import scaled
 from siamloc.maps.survey_steps import ODDS, comparing
 from siamloc.maps.surveying import comparing_descriptor
 

@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 from foundation.calls import typed
 from foundation.files import plain
 from foundation.settings import Pace, Port, Text
+from siamloc.data.occupancy import read_occupancy
 from siamloc.errors import ConfigError, DataError, SiamlocError
 from siamloc.runtime.localizer import Localizer
 from siamloc.runtime.stream import CAMERA, Located, locate_all, named
@@ -65,11 +66,13 @@ class Live:
         port: port to listen on; 0 picks a free one, which `url` shows.
         fps: maximum number of images per second, as on a robot; 0 for as fast as they are located. Cameras keep their
             own pace.
+        plan: map.yaml of a map server, which is drawn behind the floor plan; see `siamloc.data.read_occupancy`.
 
     Raises:
         ConfigError: no images, a bundle that cannot follow a robot, an address that this machine does not have, or a
             port that is in use.
-        DataError: a file that does not exist, or a folder without images.
+        DataError: a file that does not exist, a folder without images, or a map.yaml that cannot be read or shows
+            another part of the world.
         FormatError: the thumbnails in the bundle are damaged.
 
     Example:
@@ -89,12 +92,16 @@ class Live:
         port: Port = 8000,
         fps: Pace = 5.0,
         odometry: str | Path | None = None,
+        plan: str | Path | None = None,
     ) -> None:
         self.host, self.fps = host, fps
         named(images)
         localizer.bundle.thumbnail(0)  # fails here if the thumbnails are damaged
         if track:
             localizer.tracker()
+        self._plan = None if plan is None else read_occupancy(plan)
+        if self._plan is not None:
+            self._plan.check(localizer.map.frames.xy, localizer.unit)
         self._localizer, self._images, self._track, self._odometry = localizer, images, track, odometry
         self._socket = _listening(host, port)
         self.port: int = self._socket.getsockname()[1]
@@ -231,7 +238,13 @@ class Live:
         asyncio.set_event_loop(loop)
         application = web.Application(middlewares=[guarded])
         application.on_response_prepare.append(headed)
-        pages = {"/map.json": self._map, "/events": self._events, "/live.jpg": self._live, _PICTURE: self._matched}
+        pages = {
+            "/map.json": self._map,
+            "/events": self._events,
+            "/live.jpg": self._live,
+            "/plan.png": self._building,
+            _PICTURE: self._matched,
+        }
         for path, handler in {**dict.fromkeys(_STATIC, self._static), **pages}.items():
             application.router.add_get(path, handler)
         runner = web.AppRunner(application, access_log=None, handle_signals=False, shutdown_timeout=0.5)
@@ -253,8 +266,14 @@ class Live:
         rows = np.flatnonzero(frames.has_position)
         rows = rows[np.unique(np.linspace(0, len(rows) - 1, min(len(rows), _DOTS)).round().astype(int))]
         rooms, room = np.unique(frames.room[rows], return_inverse=True)
-        about = {"bundle": self._localizer.bundle.path.name, "unit": self._localizer.unit, "frames": len(frames)}
+        about: dict[str, Any] = {
+            "bundle": self._localizer.bundle.path.name,
+            "unit": self._localizer.unit,
+            "frames": len(frames),
+        }
         x, y = frames.xy[rows].round(3).T
+        if self._plan is not None:
+            about["plan"] = {**self._plan.placed(), "around": self._plan.around(frames.xy).T}
         return web.json_response(plain({**about, "rooms": rooms, "room": room, "x": x, "y": y}))
 
     async def _events(self, request: web.Request) -> web.StreamResponse:
@@ -283,21 +302,25 @@ class Live:
         """Answer with the newest panorama."""
         return _picture(None if self._panorama is None else jpeg(self._panorama, _COLUMNS))
 
+    async def _building(self, request: web.Request) -> web.StreamResponse:
+        """Answer with the picture of the building."""
+        return _picture(None if self._plan is None else self._plan.png(), "image/png")
+
     async def _matched(self, request: web.Request) -> web.StreamResponse:
         """Answer with the thumbnail of a map frame."""
         row = int(request.match_info["row"])
         return _picture(self._localizer.bundle.thumbnail(row) if row < len(self._localizer.map) else None)
 
 
-def _picture(content: bytes | None) -> web.Response:
-    """Return the answer with a JPEG.
+def _picture(content: bytes | None, kind: str = "image/jpeg") -> web.Response:
+    """Return the answer with a picture.
 
     Raises:
         HTTPNotFound: there is none.
     """
     if content is None:
         raise web.HTTPNotFound
-    return web.Response(body=content, content_type="image/jpeg")
+    return web.Response(body=content, content_type=kind)
 
 
 def _listening(host: str, port: int) -> socket.socket:

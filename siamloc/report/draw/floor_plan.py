@@ -11,10 +11,13 @@ from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
 from matplotlib.collections import LineCollection
 from matplotlib.colors import ListedColormap, Normalize
+from matplotlib.image import AxesImage
 from matplotlib.lines import Line2D
 from matplotlib.patheffects import withStroke
+from matplotlib.transforms import Affine2D
 from numpy.typing import NDArray
 
+from siamloc.data.occupancy import OccupancyMap
 from siamloc.report.draw.look import PALE, PAPER, SOFT, TEXT, Picture, lighting_colours, panels, style
 from siamloc.results import rows_by_label
 
@@ -26,7 +29,7 @@ _LARGE = "#e31a1c"  # colour of an error in the legend
 
 
 @style()
-def floor_plan(columns: Table, map_columns: Table, unit: str = "m") -> Picture:
+def floor_plan(columns: Table, map_columns: Table, unit: str = "m", occupancy: OccupancyMap | None = None) -> Picture:
     """Draw each query at its true position, coloured by its error, with a line to the estimated position.
 
     Frames that lie on a line (a corridor without metric poses) are drawn along that line instead.
@@ -35,11 +38,12 @@ def floor_plan(columns: Table, map_columns: Table, unit: str = "m") -> Picture:
         columns: columns of `queries.csv`: x, y, est_x, est_y, error, floor, lighting.
         map_columns: columns of `map.csv`: x, y, room.
         unit: unit of x and y.
+        occupancy: the map of the building to draw behind the plan.
     """
     groups = rows_by_label(columns["lighting"]) or {"": np.arange(len(columns["error"]))}
     axis = along(columns, map_columns)
     if axis is None:
-        return _on_plan(columns, map_columns, groups, unit)
+        return _on_plan(columns, map_columns, groups, unit, occupancy)
     return _along_line(columns, map_columns, groups, unit, axis)
 
 
@@ -50,9 +54,34 @@ def along(*tables: Table) -> str | None:
     return longer if min(extent.values()) <= _FLATTEST * extent[longer] else None
 
 
-def _on_plan(columns: Table, map_columns: Table, groups: Mapping[str, NDArray], unit: str) -> Picture:
+def surroundings(xy: NDArray[np.float64], occupancy: OccupancyMap | None) -> NDArray[np.float64]:
+    """Return the lowest and the highest x and y (2, 2) that a plan of positions (n, 2) shows."""
+    return np.array([xy.min(axis=0), xy.max(axis=0)]) if occupancy is None else occupancy.around(xy)
+
+
+def add_occupancy(axes: Axes, occupancy: OccupancyMap | None) -> None:
+    """Draw the map of a building, if there is one, behind everything else; the limits of the axes stay."""
+    if occupancy is None:
+        return
+    x, y, heading = occupancy.origin
+    width, height = occupancy.size
+    image = AxesImage(axes, extent=(0, width, 0, height), zorder=0)
+    image.set_data(occupancy.picture())
+    image.set_transform(Affine2D().rotate(heading).translate(x, y) + axes.transData)
+    axes.add_artist(image)
+
+
+def _on_plan(
+    columns: Table,
+    map_columns: Table,
+    groups: Mapping[str, NDArray],
+    unit: str,
+    occupancy: OccupancyMap | None,
+) -> Picture:
     """Draw one plan per lighting with a common colour scale, which ends at the 95th percentile of the errors."""
-    width, height = (max(float(np.ptp([*columns[axis], *map_columns[axis]])), 1e-9) for axis in "xy")
+    every = np.column_stack([np.concatenate([columns[axis], map_columns[axis]]) for axis in "xy"])
+    shown = surroundings(every, occupancy)
+    width, height = np.maximum(np.ptp(shown, axis=0), 1e-9).tolist()
     # Panels are side by side if the building is tall, stacked if it is wide.
     across = len(groups) if width <= 1.6 * height else 1
     panel = min(11.0 / across, 7.0)
@@ -64,6 +93,7 @@ def _on_plan(columns: Table, map_columns: Table, groups: Mapping[str, NDArray], 
     top = float(np.percentile(columns["error"], 95)) or 1.0
     shade = ScalarMappable(Normalize(0, top), colours)
     for axes, (label, members) in zip(plans, groups.items(), strict=True):
+        add_occupancy(axes, occupancy)
         members = members[np.argsort(columns["error"][members], kind="stable")]
         part = {name: columns[name][members] for name in ("x", "y", "est_x", "est_y", "error")}
         true, estimated = np.column_stack([part["x"], part["y"]]), np.column_stack([part["est_x"], part["est_y"]])
@@ -75,6 +105,7 @@ def _on_plan(columns: Table, map_columns: Table, groups: Mapping[str, NDArray], 
         _name_rooms(axes, map_columns)
         axes.grid(False)
         axes.set_aspect("equal")
+        axes.update_datalim(shown)
         axes.margins(0.06)
         mean = f"{len(members):,} queries, mean error {part['error'].mean():.2f} {unit}"
         axes.set_title(f"{label}: " * bool(label) + mean)

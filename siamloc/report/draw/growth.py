@@ -112,7 +112,7 @@ def moments(events: int) -> list[int]:
 @style()
 def _drawn(story: Story) -> list[NDArray[np.uint8]]:
     """Return the pictures (H, W, 3): the map at some moments above the curves of its size up to then."""
-    width, height = plan_size(story.plan.xy, *_SIZE)
+    width, height = plan_size(story.plan.shown, *_SIZE)
     figure = Figure(figsize=(width + 0.6, height + 1.6), dpi=_DOTS_PER_INCH)
     canvas = FigureCanvasAgg(figure)
     axes, strip = figure.subplots(2, 1, height_ratios=[height, 0.85])
@@ -158,7 +158,7 @@ def _draw_map(axes: Axes, story: Story, labels: NDArray[np.int64], last: int) ->
     places = np.array([xy[labels == name].mean(axis=0) for name in present]).reshape(-1, 2)
     few = len(story.colours) <= _MOST_NUMBERED
     names = [str(story.numbers.get(name, "")) if few else "" for name in present.tolist()]
-    scale = points_per_unit(story.plan.xy, plan_size(story.plan.xy, *_SIZE)[0])
+    scale = points_per_unit(story.plan.shown, plan_size(story.plan.shown, *_SIZE)[0])
     add_graph(axes, places, list(edges(node)), colours, names, _NODE_POINTS, scale)
     dress(axes, story.plan)
     axes.set(xlabel="", ylabel="", xticks=[], yticks=[])

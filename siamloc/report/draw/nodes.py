@@ -13,8 +13,9 @@ from matplotlib.lines import Line2D
 from numpy.typing import ArrayLike, NDArray
 
 from analytic.mapper.graph import edges
+from siamloc.data.occupancy import OccupancyMap
 from siamloc.errors import FormatError
-from siamloc.report.draw.floor_plan import along
+from siamloc.report.draw.floor_plan import add_occupancy, along, surroundings
 from siamloc.report.draw.look import INK, Picture, panels, style
 from siamloc.report.draw.node_colours import NO_NODE, ink, neighbouring, node_colours
 
@@ -40,6 +41,7 @@ class NodePlan:
         colours: colours of the nodes 0 ... k - 1.
         unit: unit of the positions.
         title: name and quality of the map.
+        occupancy: the map of the building to draw behind the plan.
     """
 
     xy: NDArray[np.float64]
@@ -51,6 +53,12 @@ class NodePlan:
     colours: dict[int, str]
     unit: str = "m"
     title: str = ""
+    occupancy: OccupancyMap | None = None
+
+    @property
+    def shown(self) -> NDArray[np.float64]:
+        """The lowest and the highest x and y of the plan (2, 2)."""
+        return surroundings(self.xy, self.occupancy)
 
     @property
     def right(self) -> NDArray[np.bool_]:
@@ -60,7 +68,11 @@ class NodePlan:
 
 
 def node_plan(
-    measures: Mapping[str, Any], frames: Mapping[str, NDArray], nodes: Mapping[str, NDArray], name: str = "compact map"
+    measures: Mapping[str, Any],
+    frames: Mapping[str, NDArray],
+    nodes: Mapping[str, NDArray],
+    name: str = "compact map",
+    occupancy: OccupancyMap | None = None,
 ) -> NodePlan:
     """Return the data for the plan of a compact map.
 
@@ -69,6 +81,7 @@ def node_plan(
         frames: columns of `frames.csv`: x, y, node, closes_with, sequence.
         nodes: columns of `nodes.csv`: x, y.
         name: name of the map, for the title.
+        occupancy: the map of the building to draw behind the plan.
 
     Raises:
         FormatError: a measure or a column is missing.
@@ -85,7 +98,7 @@ def node_plan(
         ) from error
     colours = node_colours(neighbouring(xy, node, edges), range(len(places)))
     closures = np.column_stack([np.arange(len(node)), closing])[closing >= 0]
-    return NodePlan(xy, node, places, edges, closures, radius, colours, unit, title)
+    return NodePlan(xy, node, places, edges, closures, radius, colours, unit, title, occupancy)
 
 
 def _passages(node: NDArray[np.int64], sequence: NDArray[np.str_]) -> NDArray[np.int64]:
@@ -102,7 +115,7 @@ def nodes_on_plan(plan: NodePlan) -> Picture:
     """
     k = len(plan.places)
     line, frames, places = along(dict(zip("xy", plan.xy.T, strict=True))), plan.xy, plan.places
-    size, margin = plan_size(plan.xy), (0.9, 1.15)
+    size, margin = plan_size(plan.shown), (0.9, 1.15)
     if line is not None:
         axis = "xy".index(line)
         frames, places = np.column_stack([frames[:, axis], plan.node]), np.column_stack([places[:, axis], range(k)])
@@ -119,7 +132,7 @@ def nodes_on_plan(plan: NodePlan) -> Picture:
     if line is None:
         _add_arcs(axes, plan)
         names = list(map(str, range(k))) if k <= _MOST_NUMBERED else [""] * k
-        add_graph(axes, places, plan.edges, colours, names, 15 if k <= 40 else 11, points_per_unit(plan.xy, size[0]))
+        add_graph(axes, places, plan.edges, colours, names, 15 if k <= 40 else 11, points_per_unit(plan.shown, size[0]))
         dress(axes, plan)
     else:
         handles = handles[: 2 if known.all() else 3]
@@ -153,13 +166,14 @@ def points_per_unit(xy: NDArray[np.float64], width: float) -> float:
 
 
 def dress(axes: Axes, plan: NodePlan) -> None:
-    """Set the limits, equal scales, labels and grid of a plan's axes."""
-    low, high = plan.xy.min(axis=0), plan.xy.max(axis=0)
+    """Set the limits, equal scales, labels and grid of a plan's axes, and draw the map of the building."""
+    add_occupancy(axes, plan.occupancy)
+    low, high = plan.shown
     margin = 0.05 * max(float((high - low).max()), 1e-9)
     axes.set(xlim=(low[0] - margin, high[0] + margin), ylim=(low[1] - margin, high[1] + margin))
     axes.set_aspect("equal")
     axes.set(xlabel=f"x [{plan.unit}]", ylabel=f"y [{plan.unit}]")
-    axes.grid(True)
+    axes.grid(plan.occupancy is None)  # its lines would cross the walls
 
 
 def _add_arcs(axes: Axes, plan: NodePlan) -> None:

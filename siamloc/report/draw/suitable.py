@@ -7,6 +7,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+from siamloc.data.occupancy import OccupancyMap
 from siamloc.report.draw.curves import compact_curves, pair_curves, robustness_curves
 from siamloc.report.draw.errors import calibration_curve, error_curve, estimate_curve, node_errors
 from siamloc.report.draw.floor_plan import floor_plan
@@ -28,7 +29,12 @@ _FROM_MEASURES = {
 _OTHER_SEARCHES = {"baseline_whole map": "error_absolute", "baseline_perfect nodes": "error_perfect_coarse"}
 
 
-def pictures(measures: Mapping[str, Any], tables: Mapping[str, Columns], name: str = "measured") -> Made:
+def pictures(
+    measures: Mapping[str, Any],
+    tables: Mapping[str, Columns],
+    name: str = "measured",
+    occupancy: OccupancyMap | None = None,
+) -> Made:
     """Return a drawing function for each plot that suits a result, by file name; nothing is drawn yet.
 
     Args:
@@ -36,6 +42,7 @@ def pictures(measures: Mapping[str, Any], tables: Mapping[str, Columns], name: s
         tables: tables of the result, as returned by `read_rows`: "queries" and "map" for localization, "frames" and
             "nodes" for a compact map.
         name: name of what was measured, for legends and titles.
+        occupancy: the map of the building to draw behind plans.
 
     Returns:
         Those of "floor_plan", "error_curve", "filtered_curve", "interpolated_curve", "refined_curve", "tracked_curve",
@@ -55,7 +62,7 @@ def pictures(measures: Mapping[str, Any], tables: Mapping[str, Columns], name: s
     made: Made = {}
     located = measures.get("absolute") or measures.get("hierarchical")
     if located is not None and {"queries", "map"} <= set(tables) and len(tables["queries"]["error"]):
-        made |= _of_localization(measures, tables, located["unit"], name)
+        made |= _of_localization(measures, tables, located["unit"], name, occupancy)
     if "calibration" in measures:
         unit = (located or {}).get("unit", "m")
         made["calibration"] = partial(calibration_curve, measures["calibration"], unit)
@@ -68,18 +75,19 @@ def pictures(measures: Mapping[str, Any], tables: Mapping[str, Columns], name: s
         if part in measures:
             made[key] = partial(draw, measures[part])
     if "mapping" in measures and {"frames", "nodes"} <= set(tables):
-        plan = node_plan(measures["mapping"], tables["frames"], tables["nodes"], name)
+        plan = node_plan(measures["mapping"], tables["frames"], tables["nodes"], name, occupancy)
         made["nodes"] = partial(nodes_on_plan, plan)
     return made
 
 
-def save_all(folder: str | Path, layer: str | Path | None = None) -> list[Path]:
+def save_all(folder: str | Path, layer: str | Path | None = None, occupancy: OccupancyMap | None = None) -> list[Path]:
     """Draw every plot that a result folder holds the numbers for, save them there, and return the files.
 
     Args:
         folder: result folder of an evaluation, with `results.json` and its tables.
         layer: folder of the coarse layer that was measured; the log of an incremental map, `events.jsonl`, gives
             `growth.gif`.
+        occupancy: the map of the building to draw behind plans.
 
     Raises:
         FormatError: files that are missing, incomplete, or from different maps.
@@ -88,11 +96,11 @@ def save_all(folder: str | Path, layer: str | Path | None = None) -> list[Path]:
     results, target = read_results(folder), Path(folder)
     tables = {table: read_rows(folder, table) for table in _TABLES if table in results["tables"]}
     name = name_of(results)
-    made = pictures(results["measures"], tables, name)
+    made = pictures(results["measures"], tables, name, occupancy)
     drawn = [save(draw(), target / f"{key}.png") for key, draw in made.items()]
     log = None if layer is None else Path(layer) / "events.jsonl"
     if "nodes" in made and log is not None and log.is_file():
-        plan = node_plan(results["measures"]["mapping"], tables["frames"], tables["nodes"], name)
+        plan = node_plan(results["measures"]["mapping"], tables["frames"], tables["nodes"], name, occupancy)
         drawn.append(animate(read_story(log, plan), target / "growth.gif"))
     return drawn
 
@@ -108,16 +116,18 @@ def name_of(results: Mapping[str, Any]) -> str:
     return str(chosen.get("label") or chosen.get("name") or (results.get("descriptor") or {}).get("name", "measured"))
 
 
-def _of_localization(measures: Mapping[str, Any], tables: Mapping[str, Columns], unit: str, name: str) -> Made:
+def _of_localization(
+    measures: Mapping[str, Any], tables: Mapping[str, Columns], unit: str, name: str, occupancy: OccupancyMap | None
+) -> Made:
     queries, known = tables["queries"], tables["map"]
     others = {key: queries[column] for key, column in _OTHER_SEARCHES.items() if column in queries}
     made: Made = {
-        "floor_plan": partial(floor_plan, queries, known, unit),
+        "floor_plan": partial(floor_plan, queries, known, unit, occupancy),
         "error_curve": partial(error_curve, {**queries, **others}, unit, name),
     }
     finer, estimate_name = finest(dict(queries))
     if estimate_name is not None:
-        made[f"{estimate_name}_plan"] = partial(floor_plan, finer, known, unit)
+        made[f"{estimate_name}_plan"] = partial(floor_plan, finer, known, unit, occupancy)
     for estimate in FURTHER:
         if f"absolute_{estimate}" in measures:
             made[f"{estimate}_curve"] = partial(estimate_curve, queries, estimate, unit)

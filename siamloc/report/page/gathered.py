@@ -50,6 +50,12 @@ class Evaluation:
         return self.tables.get("map")
 
     @property
+    def positions(self) -> NDArray[np.float64] | None:
+        """Positions of the frames of the map (n, 2); None if they are in no table."""
+        table = self.tables.get("map", self.tables.get("frames"))
+        return None if table is None else np.column_stack([table["x"], table["y"]])
+
+    @property
     def title(self) -> str:
         """The name, with the kind of task unless it is localization, for headings."""
         if self.kind == "localization":
@@ -104,7 +110,7 @@ class Evaluation:
     @property
     def unit(self) -> str:
         """Unit of positions and errors."""
-        return str((self.absolute or {}).get("unit", "m"))
+        return str((self.absolute or self.results["measures"].get("mapping") or {}).get("unit", "m"))
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from itertools import zip_longest
 
+from siamloc.data.occupancy import OccupancyMap
 from siamloc.report.draw.look import Picture
 from siamloc.report.draw.suitable import name_of, pictures
 from siamloc.report.page.gathered import Evaluation, RunFiles
@@ -32,6 +33,7 @@ class Part:
         number: number of the part, from 0.
         plan: data of the floor plan; None if nothing was localized.
         decoder: reads and keeps the images of the plan.
+        occupancy: the map of the building to draw behind plans, if there is one.
     """
 
     run: RunFiles
@@ -40,6 +42,7 @@ class Part:
     number: int
     plan: Plan | None
     decoder: Decoder
+    occupancy: OccupancyMap | None = None
 
     def figure(self, key: str, title: str) -> Markup | None:
         """Return a figure as SVG for the page; None if there are no numbers for it.
@@ -55,7 +58,7 @@ class Part:
     def _figures(self) -> dict[str, Callable[[], Picture]]:
         evaluation = self.evaluation
         name = name_of(evaluation.results) if evaluation.kind == "mapping" else evaluation.name
-        return pictures(evaluation.results["measures"], evaluation.tables, name=name)
+        return pictures(evaluation.results["measures"], evaluation.tables, name, self.occupancy)
 
     @property
     def anchor(self) -> str:
@@ -72,16 +75,24 @@ class Part:
         return name if self.alone or self.run.title == self.evaluation.name else f"{self.run.title} · {name}"
 
 
-def parts_of(runs: list[RunFiles]) -> list[Part]:
-    """Return the parts of a page, run by run."""
+def parts_of(runs: list[RunFiles], occupancy: OccupancyMap | None = None) -> list[Part]:
+    """Return the parts of a page, run by run.
+
+    Raises:
+        DataError: an evaluation whose positions are not on the map of the building.
+    """
     evaluations = [(run, evaluation) for run in runs for evaluation in run.evaluations]
     most = max(500, _MOST_QUERIES // len(evaluations))
     decoders: dict[str, Decoder] = {}
     parts = []
     for number, (run, evaluation) in enumerate(evaluations):
+        if occupancy is not None and evaluation.positions is not None:
+            occupancy.check(evaluation.positions, evaluation.unit)
         decoder = Decoder(evaluation.results["config"])
         decoder = decoders.setdefault(json.dumps(decoder.parameters, sort_keys=True), decoder)
-        parts.append(Part(run, evaluation, len(runs) == 1, number, make_plan(evaluation, most), decoder))
+        parts.append(
+            Part(run, evaluation, len(runs) == 1, number, make_plan(evaluation, most, occupancy), decoder, occupancy)
+        )
     return parts
 
 

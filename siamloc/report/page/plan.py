@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from siamloc.data.occupancy import OccupancyMap
 from siamloc.report.draw.floor_plan import along
 from siamloc.report.draw.look import series_1_2_5
 from siamloc.report.page.gathered import Evaluation
@@ -36,6 +37,7 @@ class Plan:
         unit: unit of the positions.
         estimate: source of the estimates and errors in `queries`, see `siamloc.results.finest`; None for the nearest
             map frame by descriptor.
+        occupancy: the map of the building to draw behind the plan, if there is one.
     """
 
     queries: Columns
@@ -45,6 +47,7 @@ class Plan:
     nearest: NDArray[np.int64]
     unit: str
     estimate: str | None = None
+    occupancy: OccupancyMap | None = None
 
     @property
     def along(self) -> str | None:
@@ -84,6 +87,7 @@ class Plan:
         """
         queries, known = self.queries, self.known
         digits = _digits(queries, known)
+        xy = np.column_stack([np.concatenate([queries[axis], known[axis]]) for axis in "xy"])
         lightings, lighting = _numbered(queries["lighting"])
         rooms, both = _numbered(np.concatenate([queries["room"], known["room"]]))
         lengths = partial(_short, digits=digits)
@@ -93,6 +97,7 @@ class Plan:
             "unit": self.unit,
             "digits": digits,
             "along": self.along,
+            "around": None if self.occupancy is None else self.occupancy.around(xy).T.round(digits).tolist(),
             "classes": error_classes(queries["error"]),
             "lightings": lightings,
             "rooms": rooms,
@@ -119,7 +124,7 @@ class Plan:
         }
 
 
-def make_plan(evaluation: Evaluation, most: int) -> Plan | None:
+def make_plan(evaluation: Evaluation, most: int, occupancy: OccupancyMap | None = None) -> Plan | None:
     """Return the plan of an evaluation with at most `most` queries; None if nothing was localized.
 
     If there are more, it keeps those with the largest errors, and others evenly spread over the table.
@@ -137,7 +142,7 @@ def make_plan(evaluation: Evaluation, most: int) -> Plan | None:
     shown = {name: column[rows] for name, column in queries.items()}
     tree = cKDTree(np.column_stack([known["x"], known["y"]]))
     nearest = np.asarray(tree.query(np.column_stack([shown["x"], shown["y"]]))[1], dtype=np.int64)
-    return Plan(shown, known, rows, total, nearest, evaluation.unit, estimate)
+    return Plan(shown, known, rows, total, nearest, evaluation.unit, estimate, occupancy)
 
 
 def spread(n: int) -> NDArray[np.int64]:

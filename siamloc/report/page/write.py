@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 import datetime
 from collections.abc import Callable, Sequence
 from functools import partial
@@ -10,6 +11,7 @@ from pathlib import Path
 from foundation.calls import typed
 from foundation.files import write_text
 from siamloc import __version__
+from siamloc.data.occupancy import read_occupancy
 from siamloc.errors import ConfigError
 from siamloc.report.page import sections, tasks
 from siamloc.report.page.compared import comparison
@@ -37,7 +39,7 @@ _SECTIONS: dict[str, Callable[[Part], Markup | None]] = {
 
 
 @typed
-def write_report(folders: str | Path | Sequence[str | Path], out: str | Path) -> Path:
+def write_report(folders: str | Path | Sequence[str | Path], out: str | Path, plan: str | Path | None = None) -> Path:
     """Write one self-contained HTML page about runs, and return its path.
 
     The numbers come from the result files only; the images are read from the files named there. If there are many
@@ -47,16 +49,19 @@ def write_report(folders: str | Path | Sequence[str | Path], out: str | Path) ->
         folders: folders of one run, of several runs, or of single evaluations. Several are compared first, then shown
             one after another.
         out: the file to write.
+        plan: map.yaml of a map server, which is drawn behind floor plans; see `siamloc.data.read_occupancy`.
 
     Raises:
         ConfigError: a folder that is missing or holds no evaluation, or a file whose name does not end in .html.
+        DataError: a map that cannot be read, or shows another part of the world.
         FormatError: incomplete result files.
         StorageError: the disk is full or cannot be written to.
     """
     if Path(out).suffix.lower() not in (".html", ".htm"):
         raise ConfigError(f"the report is a web page: give it a name ending in .html, not {out}")
     runs = gather([folders] if isinstance(folders, str | Path) else folders)
-    parts = parts_of(runs)
+    occupancy = None if plan is None else read_occupancy(plan)
+    parts = parts_of(runs, occupancy)
     decoders = read_pictures(parts)
     title = ", ".join(run.title for run in runs)
     body = [_head(title, parts), comparison(parts)]
@@ -69,6 +74,8 @@ def write_report(folders: str | Path | Sequence[str | Path], out: str | Path) ->
         for part in parts
         if part.plan is not None
     ]
+    if occupancy is not None:
+        data.append(script_data("occupancy", {"png": base64.b64encode(occupancy.png()).decode(), **occupancy.placed()}))
     page = fragment(
         "report.html",
         title=tag("title", f"{title} · siamloc report"),

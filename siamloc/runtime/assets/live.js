@@ -25,8 +25,8 @@ let size = 1; // of a dot, in units of the map
 function drawMap() {
   const plan = $("plan");
   plan.replaceChildren();
-  const xs = map.x, ys = map.y;
-  const low = [Math.min(...xs), Math.min(...ys)], high = [Math.max(...xs), Math.max(...ys)];
+  const xs = map.x, ys = map.y, [across, up] = map.plan ? map.plan.around : [xs, ys];
+  const low = [Math.min(...across), Math.min(...up)], high = [Math.max(...across), Math.max(...up)];
   const extent = Math.max(high[0] - low[0], high[1] - low[1], 1e-6);
   const margin = 0.09 * extent;
   const box = [low[0] - margin, -high[1] - margin, high[0] - low[0] + 2 * margin, high[1] - low[1] + 2 * margin];
@@ -34,6 +34,11 @@ function drawMap() {
   // y points up on the plan, but down in the SVG.
   const world = drawn("g", plan, { transform: "scale(1 -1)" });
   size = Math.max(box[2], box[3]) / 150;
+  if (map.plan) {
+    const { x, y, heading, width, height } = map.plan, turn = `rotate(${heading * 180 / Math.PI})`;
+    const place = `translate(${x} ${y}) ${turn} scale(1 -1) translate(0 ${-height})`; // its rows run downwards
+    drawn("image", world, { href: "/plan.png", width, height, preserveAspectRatio: "none", transform: place });
+  }
   layers = { map: drawn("g", world), way: drawn("g", world), truth: drawn("g", world), robot: drawn("g", world) };
   for (let row = 0; row < xs.length; row++) {
     const room = map.rooms[map.room[row]];

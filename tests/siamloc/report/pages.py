@@ -121,6 +121,17 @@ def drawn(folder: Path, table: FrameTable, seed: int) -> FrameTable:
     return table.with_columns(path=paths)
 
 
+def write_occupancy(folder: Path, corner: np.ndarray, size: int = 40) -> Path:
+    """Write the map of a map server, of empty squares with walls around, from a lower left corner in m."""
+    picture = np.zeros((size, size), np.uint8)
+    picture[1:-1, 1:-1] = 254
+    cv2.imwrite(str(folder / "map.pgm"), picture)
+    keys = {"image": "map.pgm", "resolution": 0.5, "origin": [*corner.tolist(), 0.0], "negate": 0}
+    keys |= {"occupied_thresh": 0.65, "free_thresh": 0.196}
+    (folder / "map.yaml").write_text("\n".join(f"{key}: {value}" for key, value in keys.items()), encoding="utf-8")
+    return folder / "map.yaml"
+
+
 def write_evaluation(
     folder: Path,
     known: VisualMap,

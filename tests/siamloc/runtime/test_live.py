@@ -22,6 +22,7 @@ from siamloc.jobs import Watch
 from siamloc.models import as_descriptor, build
 from siamloc.runtime import live as live_module
 from tests.siamloc.report.browser import CHROMIUM, DRIVER, Browser
+from tests.siamloc.report.pages import write_occupancy
 
 
 @pytest.fixture(scope="module")
@@ -120,8 +121,22 @@ def test_what_is_served(world, played):
         assert cv2.imdecode(np.frombuffer(body, np.uint8), cv2.IMREAD_COLOR) is not None
 
 
+def test_the_building_is_served_behind_the_plan(world, tmp_path):
+    xy = runtime.Localizer(world[0] / "bundle").map.frames.xy
+    file = write_occupancy(tmp_path, xy.min(axis=0) - 1)
+    with served(world, plan=file) as page:
+        known = json.loads(asked(page, "/map.json")[2])["plan"]
+        status, headers, body = asked(page, "/plan.png")
+    expected = siamloc.data.read_occupancy(file)
+    assert {key: known[key] for key in expected.placed()} == expected.placed()
+    np.testing.assert_allclose(np.array(known["around"]).T, expected.around(xy))
+    assert (status, headers["Content-Type"], body) == (200, "image/png", expected.png())
+    with pytest.raises(DataError, match="no position lies on the occupancy map"):
+        served(world, plan=write_occupancy(tmp_path, xy.min(axis=0) - 1e4))
+
+
 def test_nothing_else_is_served_or_taken(played):
-    for path in ("/map/99999.jpg", "/map/-1.jpg", "/map/x.jpg", "/../bundle.json", "/bundle.json", "/no"):
+    for path in ("/map/99999.jpg", "/map/-1.jpg", "/map/x.jpg", "/../bundle.json", "/bundle.json", "/no", "/plan.png"):
         assert asked(played, path)[0] == 404, path
     for method in ("POST", "PUT", "DELETE", "PATCH", "OPTIONS"):
         for path in ("/", "/events", "/map.json"):

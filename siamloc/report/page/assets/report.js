@@ -2,6 +2,12 @@
 (() => {
   const read = (id) => JSON.parse(document.getElementById(id).textContent);
   const sheets = read("sheets").map((set) => ({ ...set, loaded: new Map() }));
+  const building = document.getElementById("occupancy") && read("occupancy");
+  if (building) {
+    building.picture = new Image();
+    building.picture.src = `data:image/png;base64,${building.png}`;
+    building.picture.decode().then(() => redraw());
+  }
   const PLACEHOLDER = { "-1": "missing", "-2": "left out" };
 
   /** Return a promise of one sheet's image, decoded on first use. */
@@ -85,7 +91,8 @@
         return found < 0 ? data.classes.length : found;
       });
       const all = (values) => values.reduce(([low, high], v) => [Math.min(low, v), Math.max(high, v)], [Infinity, -Infinity]);
-      const [x0, x1] = all([...this.x, ...this.ex, ...this.mx]), [y0, y1] = all([...this.y, ...this.ey, ...this.my]);
+      const [cx, cy] = (!data.along && data.around) || [[], []];
+      const [x0, x1] = all([...this.x, ...this.ex, ...this.mx, ...cx]), [y0, y1] = all([...this.y, ...this.ey, ...this.my, ...cy]);
       this.middle = [(x0 + x1) / 2, (y0 + y1) / 2];
       this.extent = [Math.max(x1 - x0, 1e-9), Math.max(y1 - y0, 1e-9)];
       this.centre = [...this.middle];
@@ -311,6 +318,7 @@
       canvas.style.touchAction = this.zoom > 1 ? "none" : "auto";
       context.clearRect(0, 0, this.width, this.height);
       context.lineCap = "round";
+      this.drawBuilding();
       if (data.along) this.drawDiagonal(soft);
       context.fillStyle = style.getPropertyValue("--map");
       const dot = clamp(1.6 * Math.sqrt(this.zoom), 1.6, 4);
@@ -372,6 +380,17 @@
       context.strokeText(words, x, y);
       context.fillStyle = fill;
       context.fillText(words, x, y);
+    }
+
+    drawBuilding() {
+      if (!building || this.data.along) return;
+      const { context } = this;
+      context.save();
+      context.translate(...this.place(building.x, building.y));
+      context.rotate(-building.heading);
+      const width = building.width * this.scale, height = building.height * this.scale;
+      context.drawImage(building.picture, 0, -height, width, height);
+      context.restore();
     }
 
     drawRooms(ink, halo) {

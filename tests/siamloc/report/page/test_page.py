@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import base64
 import re
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 
+from siamloc.data import read_occupancy
+from siamloc.errors import DataError
 from siamloc.report.draw import pictures
 from siamloc.report.page.inline import inline
 from siamloc.report.page.write import write_report
@@ -147,3 +151,20 @@ def test_the_page_needs_result_files_only_and_repeats_itself(run: Path, tmp_path
     first = write_report([run], tmp_path / "a.html").read_bytes()
     assert write_report([run / "evaluation" / "network"], tmp_path / "b.html").exists()
     assert write_report([run], tmp_path / "c.html").read_bytes() == first
+
+
+def test_the_building_lies_behind_the_plan(run: Path, tmp_path: Path) -> None:
+    table = columns_of(run, "map")
+    low = np.array([table["x"].min(), table["y"].min()]) - 1
+    file = pages.write_occupancy(tmp_path, low)
+    page = pages.read_page(write_report([run], tmp_path / "report.html", plan=file))
+    told = pages.data_of(page, "occupancy")
+    known = read_occupancy(file)
+    assert {key: told[key] for key in known.placed()} == known.placed()
+    picture = cv2.imdecode(np.frombuffer(base64.b64decode(told["png"]), np.uint8), cv2.IMREAD_UNCHANGED)
+    np.testing.assert_array_equal(picture[..., 3], known.picture()[..., 3])
+    around = pages.data_of(page, "data-0")["around"]
+    np.testing.assert_allclose(np.array(around).T[0], low, atol=1e-3)
+    with pytest.raises(DataError, match="no position lies on the occupancy map"):
+        write_report([run], tmp_path / "wrong.html", plan=pages.write_occupancy(tmp_path, low - 1e4))
+    assert not (tmp_path / "wrong.html").exists()
