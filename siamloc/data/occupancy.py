@@ -113,9 +113,8 @@ def read_occupancy(path: str | Path) -> OccupancyMap:
     Example:
         >>> from pathlib import Path
         >>> _ = Path("map.pgm").write_bytes(b"P5 3 1 255 " + bytes([0, 205, 254]))
-        >>> keys = ["image: map.pgm", "resolution: 0.05", "origin: [-1, 2, 0]", "negate: 0"]
-        >>> keys += ["occupied_thresh: 0.65", "free_thresh: 0.196"]
-        >>> _ = Path("map.yaml").write_text("\n".join(keys))
+        >>> about = "{image: map.pgm, resolution: 0.05, origin: [-1, 2, 0], negate: 0, "
+        >>> _ = Path("map.yaml").write_text(about + "occupied_thresh: 0.65, free_thresh: 0.196}")
         >>> read_occupancy("map.yaml").occupancy.tolist()
         [[1.0, nan, 0.0]]
     """
