@@ -111,7 +111,7 @@ class MountingEstimate:
         """Return the ring that makes panoramas whose middle looks ahead, from the ring that made the given ones.
 
         Example:
-            >>> MountingEstimate(yaw=30, mirrored=True).ring(PolarRing(forward=90, mirrored=True))
+            >>> MountingEstimate(yaw=30, mirrored=True).ring(PolarRing(forward=90.0, mirrored=True))
             PolarRing(centre=None, inner=None, outer=None, forward=120.0, mirrored=False, inside_up=False)
         """
         if np.isnan(self.yaw):
