@@ -2,7 +2,7 @@
 
     >>> from siamloc.jobs import Report
     >>> Report.of({"run": "runs/robot"})
-    Report(folder='runs/robot', runs=None, out=None)
+    Report(folder='runs/robot', runs=None, out=None, plan=None)
 
 On the command line Hydra composes the settings; in Python a mapping gives them, with the names of options for groups:
 `Train.of({"data": {"manifest": "robot.csv"}, "loss": "triplet", "pairs": "in_batch"}).run()`.

@@ -9,7 +9,7 @@ from .hierarchy import (
 )
 from .history import History as History
 from .joining import RefinedPoses as RefinedPoses
-from .key_frames import key_frames as key_frames
+from .selecting import key_frames as key_frames
 from .live_survey import LiveSurvey as LiveSurvey
 from .maintenance import Maintenance as Maintenance, Update as Update, update as update
 from .matching import frame_distances as frame_distances, headings as headings, match as match
