@@ -33,7 +33,6 @@ from .reading import DataSettings as DataSettings, READERS as READERS, read as r
 from .presets import AutoRing as AutoRing, ColdRing as ColdRing
 from .ring import (
     RingFit as RingFit,
-    draw_ring as draw_ring,
     find_camera as find_camera,
     find_centres as find_centres,
     find_ring as find_ring,

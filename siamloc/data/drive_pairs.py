@@ -13,6 +13,7 @@ _REACHES = (0.0, 0.4, 0.8, 1.6)  # moves to the first frame that is this far alo
 _GAPS = (1, 2, 4)  # moves to the frame that is this many later in the drive, without poses
 _FARTHEST = 4.0  # longest move
 _MOST = 400  # pairs of frames
+_STILL = 0.05  # of the median step: a robot that moves less does not show where it is heading
 _NONE = np.zeros((0, 2), dtype=np.int64)
 
 
@@ -43,18 +44,21 @@ def successive_pairs(frames: FrameTable) -> tuple[NDArray[np.int64], NDArray[np.
 
 
 def _both_orders(pairs: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    pairs = pairs[:: max(1, -(-len(pairs) // (_MOST // 2)))]
+    chosen = np.random.default_rng(0).permutation(len(pairs))[: _MOST // 2]  # of all reaches alike
+    pairs = pairs[np.sort(chosen)]
     first, second = np.concatenate([pairs, pairs[:, ::-1]]).T
     return first, second
 
 
 def travel(frames: FrameTable) -> Array:
-    """Return the direction of travel in rad at each frame (n,), NaN without a position."""
+    """Return the direction of travel in rad at each frame (n,), NaN without a position or a move."""
     theta = np.full(len(frames), np.nan)
     for rows in frames.rows_by("sequence").values():
         rows = rows[frames.has_position[rows]]
         if len(rows) > 1:
-            theta[rows] = np.arctan2(np.gradient(frames.y[rows]), np.gradient(frames.x[rows]))
+            x, y = np.gradient(frames.x[rows]), np.gradient(frames.y[rows])
+            moves = np.hypot(x, y) > _STILL * np.median(np.hypot(x, y))
+            theta[rows] = np.where(moves, np.arctan2(y, x), np.nan)
     return theta
 
 

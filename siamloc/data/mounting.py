@@ -174,25 +174,33 @@ def find_mounting(described_by: Descriptor, images: PanoramaLibrary, frames: Fra
     if not np.isfinite(readable.theta).any():
         readable = readable.with_columns(theta=travel(readable))
     posed = bool((np.isfinite(readable.theta) & readable.has_position).any())
-    used = readable.take(np.unique(np.concatenate(near_pairs(readable) if posed else successive_pairs(readable))))
+    pairs = near_pairs(readable) if posed else successive_pairs(readable)
+    rows = np.unique(np.concatenate(pairs))
+    used = readable.take(rows)
     size = getattr(getattr(described_by, "module", None), "image_size", None) or images.image_size
     found = [described_by.describe(_resized(batch, size)).orientation for batch in images.batches(used)]
     parts = np.concatenate(found) if len(used) else np.zeros((0, 1, 1))  # type: ignore[arg-type]
-    return estimate(used, parts, described_by.compare, posed)  # type: ignore[attr-defined]
+    first, second = (np.searchsorted(rows, one) for one in pairs)
+    return estimate(used, parts, described_by.compare, posed, (first, second))  # type: ignore[attr-defined]
 
 
 def estimate(
-    frames: FrameTable, parts: NDArray[Any], compares: Callable[..., tuple[Array, Array, Array]], posed: bool = True
+    frames: FrameTable,
+    parts: NDArray[Any],
+    compares: Callable[..., tuple[Array, Array, Array]],
+    posed: bool = True,
+    pairs: tuple[NDArray[np.int64], NDArray[np.int64]] | None = None,
 ) -> MountingEstimate:
     """Estimate how the camera is mounted, from the orientation parts (n, K, F) of n frames; see `find_mounting`.
 
     Args:
         frames: frames in capture order.
         parts: their orientation parts.
-        compares: compares orientation parts, see `siamloc.maps.reranking.Compares`.
+        compares: compares orientation parts, see `siamloc.maps.comparing.Compares`.
         posed: whether the poses are known; if not, the robot is taken to drive ahead.
+        pairs: rows of the frames that are compared; chosen among all frames if None.
     """
-    first, second = near_pairs(frames) if posed else successive_pairs(frames)
+    first, second = pairs or (near_pairs(frames) if posed else successive_pairs(frames))
     if not len(first):
         return MountingEstimate(reasons=("no successive frames with headings are near each other",))
     pose, information, match = compares(*(np.asarray(parts[rows], dtype=np.float32) for rows in (second, first)))
@@ -211,8 +219,12 @@ def estimate(
     seen = pose[:, :2] * (1, -1 if mirrored else 1)
     weight = 1 / (np.trace(np.linalg.inv(information)[:, :2, :2], axis1=1, axis2=2) / 2 + _WORST**2)
     whole, left_over = _solved(moved, seen, weight, turns)
-    part = first * _PARTS // (first.max() + 1)
-    rest = [part != one for one in np.unique(part)]
+    rank = np.unique(np.minimum(first, second), return_inverse=True)[1]
+    part = rank * _PARTS // (rank.max() + 1)
+    if part.max() + 1 < _PARTS:
+        reason = f"only {rank.max() + 1} images can be compared with later ones, and {_PARTS} are needed"
+        return MountingEstimate(pairs=len(first), reasons=(reason,))
+    rest = [part != one for one in range(_PARTS)]
     others = np.array([_solved(moved[rows], seen[rows], weight[rows], turns)[0] for rows in rest])
     apart = others - whole
     apart[:, 0] = wrapped(apart[:, 0])

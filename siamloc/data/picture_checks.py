@@ -71,7 +71,7 @@ def mounted(found: MountingEstimate, unit: str = "m") -> str | None:
     straight = found.mounting == Mounting()
     if straight and (found.yaw_deviation <= CERTAIN or not found.pairs):
         return None
-    remedy = "" if straight else "; a map by a network that compares images makes up for it"
+    remedy = "" if straight else "; a map of this drive, by a network that compares images, makes up for it"
     return f"the camera's mounting: {found.summary(unit)}{remedy}"
 
 

@@ -11,9 +11,10 @@ import numpy as np
 
 from analytic import Descriptor
 from foundation.files import write_picture
-from siamloc.data import AutoRing, PanoramaLibrary, check, contents, draw_ring, extract, find_mounting, summary
+from siamloc.data import AutoRing, PanoramaLibrary, check, contents, extract, find_mounting, summary
 from siamloc.data.decoding import read_image
 from siamloc.data.extracting import MANIFEST, Contents, Extraction
+from siamloc.data.ring import draw_ring
 from siamloc.jobs.job import Given, Say, quiet
 from siamloc.jobs.run_job import DataJob
 

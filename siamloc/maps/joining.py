@@ -95,13 +95,14 @@ def joined(known: VisualMap, compared: Compared) -> RefinedPoses:
     spread = np.linalg.inv(information)
     about = np.linalg.inv(axes @ spread[..., :2, :2] @ axes.swapaxes(-1, -2))
     odds = np.where(usable, match, -np.inf)
-    probability = 1 / (1 + np.exp(-odds))
+    probability = np.exp(-np.logaddexp(0, -odds))
     at = xy + known.mounting.offset(theta) + (axes @ pose[..., :2, None])[..., 0]
+    at = np.where(usable[..., None], at, at[np.arange(n), usable.argmax(axis=1)][:, None])  # no start of its own
     most_likely, weight, share = _most_likely(at, about, probability)
     turned = theta + pose[..., 2]
     weight_of_turn = weight / spread[..., 2, 2]
     heading = np.arctan2((weight_of_turn * np.sin(turned)).sum(axis=1), (weight_of_turn * np.cos(turned)).sum(axis=1))
-    nothing = np.logical_not(usable.any(axis=1))
+    nothing = np.logical_not(usable.any(axis=1) & weight.any(axis=1))
     robot = most_likely - known.mounting.offset(heading)
     return RefinedPoses(
         np.where(nothing[:, None], known.frames.xy[rows[:, 0]], robot),

@@ -215,7 +215,14 @@ def update(
     part = drive.take(sure & new)
     found = updated(
         known,
-        build(known.descriptor, images, part, heading=known.heading_descriptor, progress=progress),
+        build(
+            known.descriptor,
+            images,
+            part,
+            heading=known.heading_descriptor,
+            mounting=known.mounting,
+            progress=progress,
+        ),
         built=built,
         settings=settings,
     )

@@ -96,7 +96,7 @@ def refine(
     if not (np.isfinite(known.frames.theta) & known.frames.has_position).any():
         raise DataError("no map frame has a heading: refining needs the column theta, in rad")
     rows = found.indices[:, : min(k, found.indices.shape[1])]
-    answers = (compare_with(known, parts[at], rows[at], compares) for at in slices(len(rows), _AT_ONCE))
+    answers = (compare_with(known, parts[at], rows[at], compares) for at in slices(max(len(rows), 1), _AT_ONCE))
     return RefinedPoses.concatenate([joined(known, one) for one in answers])
 
 

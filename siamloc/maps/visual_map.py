@@ -328,6 +328,11 @@ class VisualMap:
             )
         if self.heading != other.heading or (self.orientation is None) != (other.orientation is None):
             raise DataError("a map with headings and one without, or with headings found otherwise, cannot be merged")
+        if self.mounting != other.mounting:
+            raise ConfigError(
+                f"the cameras of the maps are mounted differently, {self.mounting} and {other.mounting}: make the "
+                "other map with mounting=known.mounting"
+            )
         parts = None
         if self.orientation is not None and other.orientation is not None:
             parts = np.concatenate([self.orientation, other.orientation])

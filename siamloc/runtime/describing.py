@@ -73,7 +73,7 @@ class Describer:
         return self._relative is not None
 
     def describe(self, panoramas: NDArray[np.uint8]) -> Description:
-        """Describe panoramas (B, 3, H, W), uint8, RGB, including their orientation parts.
+        """Describe panoramas (B, 3, H, W), uint8, RGB, of a camera that looks ahead, with their orientation parts.
 
         Raises:
             DataError: another shape or type.
@@ -81,7 +81,6 @@ class Describer:
         expected = (3, *self._size)
         if panoramas.dtype != np.uint8 or panoramas.ndim != 4 or panoramas.shape[1:] != expected:
             raise DataError(f"a panorama has shape {expected} and dtype uint8, got {panoramas.shape} {panoramas.dtype}")
-        panoramas = self.known.mounting.straight(panoramas)
         if self._session is None:
             found = self.known.descriptor.describe(panoramas)
             position, orientation = found.position, found.orientation

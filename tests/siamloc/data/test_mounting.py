@@ -16,7 +16,7 @@ from siamloc.data import (
     column_azimuth,
     unwrap,
 )
-from siamloc.data.drive_pairs import travel
+from siamloc.data.drive_pairs import near_pairs, travel
 from siamloc.data.mounting import estimate
 from siamloc.data.moves import relative, wrapped
 from siamloc.errors import ConfigError
@@ -212,3 +212,27 @@ def test_only_networks_that_compare_are_taken():
     images = siamloc.data.example()
     with pytest.raises(ConfigError, match="hog does not compare images: take the network that ships with siamloc"):
         siamloc.data.find_mounting(descriptor("hog"), images, images.frames)
+
+
+@pytest.mark.parametrize("count", [180, 200, 400, 800])
+def test_all_reaches_are_compared_however_long_the_drive(count):
+    frames = FrameTable(path=[f"{n}.png" for n in range(count)], x=0.1 * np.arange(count), y=np.zeros(count))
+    first, second = near_pairs(frames.with_columns(theta=np.zeros(count)))
+    apart = np.abs(second - first)
+    shares = [((least <= apart) & (apart <= most)).mean() for least, most in ((1, 1), (4, 5), (8, 9), (16, 17))]
+    assert min(shares) > 0.1
+    assert sum(shares) == pytest.approx(1)
+
+
+
+def test_a_robot_that_stands_still_has_no_direction_of_travel():
+    frames = FrameTable(path=[f"{n}.png" for n in range(6)], x=[0.0, 0, 0, 0, -1, -2], y=np.zeros(6))
+    assert np.isnan(travel(frames)[:3]).all()
+    np.testing.assert_allclose(np.abs(travel(frames)[3:]), np.pi)
+
+
+def test_a_few_images_next_to_each_other_do_not_pass_for_a_drive():
+    few = drive().with_columns(theta=np.where(np.arange(80) < 75, np.nan, drive().theta))
+    found = estimated(few, Mounting(yaw=30))
+    assert np.isnan(found.yaw)
+    assert found.reasons

@@ -10,13 +10,12 @@ from siamloc.data import (
     HyperbolicMirror,
     PanoramaLibrary,
     PolarRing,
-    draw_ring,
     find_camera,
     find_centres,
     find_ring,
     unwrap,
 )
-from siamloc.data.ring import likely_mirror
+from siamloc.data.ring import draw_ring, likely_mirror
 from siamloc.errors import ConfigError, DataError
 
 INNER, OUTER = 22.0, 88.0

@@ -178,3 +178,25 @@ def test_a_query_alone_has_the_answer_that_it_has_among_others():
     alone = [most_likely(at[row : row + 1], about[row : row + 1], probability[row : row + 1]) for row in range(60)]
     for found, one_by_one in zip(together, zip(*alone, strict=True), strict=True):
         np.testing.assert_allclose(found, np.concatenate(one_by_one), atol=1e-9)
+
+
+def test_no_queries_have_no_poses():
+    assert len(refine(map_of(), asked(0), Retrieval(np.zeros((0, 2), dtype=np.int64), np.zeros((0, 2))), exact)) == 0
+
+
+@pytest.mark.parametrize("odds", [-40.0, -800.0])
+def test_answers_that_cannot_be_right_give_no_pose(odds):
+    def compare(queries, known):
+        pose, information, match = exact(queries, known)
+        return pose, information, np.full_like(match, odds)
+
+    theta = THETA.copy()
+    theta[3] = np.nan  # the nearest map frame, which has no heading and no answer, stands at (8, 8)
+    found_pose = refine(map_of(theta), asked(), found(3, 0, 1), compare)
+    assert np.isfinite(found_pose.xy).all()
+    if odds < -700:
+        assert found_pose.xy[0].tolist() == [8.0, 8.0]
+        assert np.isnan(found_pose.theta[0])
+        assert not found_pose.information.any()
+    else:
+        np.testing.assert_allclose(found_pose.xy[0], TRUE, atol=1e-6)

@@ -120,22 +120,6 @@ def test_a_large_transformer_of_torchvision_by_its_name(tmp_path):
 
 
 @slow
-@pytest.mark.parametrize("name", [one for one in models.list_models(module=models) if "maxvit" not in one])
-def test_every_network_of_torchvision_has_a_map(name):
-    from siamloc.models.backbones import _features  # by its weights, this would take minutes and gigabytes
-
-    size = (224, 224) if name.startswith("vit") else (96, 192)
-    options = {"init_weights": False} if name in ("googlenet", "inception_v3") else {}
-    if name == "vit_h_14":
-        size = (224, 224)
-    with torch.device("meta"), torch.no_grad():
-        example = torch.empty(1, 3, *size)
-        found = _features(models.get_model(name, weights=None, **options).eval(), example)(example)
-    assert found.ndim == 4
-    assert found.shape[2] < found.shape[3] or size[0] == size[1]  # rows and columns, not channels
-
-
-@slow
 @pytest.mark.parametrize(
     ("source", "circular"),
     [("timm/test_resnet", True), ("timm/test_vit", False), ("torchvision/mobilenet_v3_small", False)],
