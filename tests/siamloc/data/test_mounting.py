@@ -224,7 +224,6 @@ def test_all_reaches_are_compared_however_long_the_drive(count):
     assert sum(shares) == pytest.approx(1)
 
 
-
 def test_a_robot_that_stands_still_has_no_direction_of_travel():
     frames = FrameTable(path=[f"{n}.png" for n in range(6)], x=[0.0, 0, 0, 0, -1, -2], y=np.zeros(6))
     assert np.isnan(travel(frames)[:3]).all()
