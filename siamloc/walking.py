@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+import shlex
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Annotated, Any, cast
@@ -16,7 +17,7 @@ from siamloc import evaluation, maps, runtime
 from siamloc.data import AutoRing, Extraction, FrameTable, PanoramaLibrary, Preprocessing, contents, extract, read
 from siamloc.data.manifest import manifest_of
 from siamloc.data.ring import find_camera
-from siamloc.errors import DataError
+from siamloc.errors import ConfigError, DataError
 from siamloc.maps import Survey, SurveySettings, VisualMap
 from siamloc.models.registry import PRETRAINED_SIZE
 from siamloc.report import write_report
@@ -89,7 +90,7 @@ def walk(
     Args:
         file: a video, a ROS bag, a folder of pictures (with times in their names), or a manifest of pictures in
             capture order. With odometry (of the bag, of the manifest, or `recording={"odometry": FILE}`) the map is in
-            metres; without, its scale is off by some percent.
+            metres; without, its scale may be off by a tenth or more.
         out: the folder for everything, which is then a run: `siamloc report`, `live` and `localize` take it as run=.
         say: receives the lines.
 
@@ -147,7 +148,7 @@ def walk(
     say(bundle.summary())
     report = write_report(folder, folder / "report.html")
     say(f"report: {report}, with the plan in {folder / 'survey.png'}")
-    say(f"next: siamloc live run={folder} images=[camera:0]")
+    say(f"next: {shlex.join(['siamloc', 'live', f'run={folder}', 'images=[camera:0]'])}")
     return Walked(found, known, errors, bundle, report)
 
 
@@ -155,8 +156,10 @@ def _pictures(file: Path, folder: Path, settings: WalkSettings, say: Callable[[s
     """Return the frames of a recording, as many per second as are looked at."""
     how, every = settings.recording, 1
     if file.suffix.lower() == ".csv":
+        _unused(file, how, ())
         frames = read("manifest", manifest=file)
     elif file.is_dir() and not (file / "metadata.yaml").is_file():
+        _unused(file, how, _OF_FOLDERS)
         frames = read("trajectory", images=file, **{key: getattr(how, key) for key in _OF_FOLDERS})
     else:
         inside = contents(file)
@@ -171,6 +174,17 @@ def _pictures(file: Path, folder: Path, settings: WalkSettings, say: Callable[[s
     return frames
 
 
+def _unused(file: Path, how: Extraction, used: Sequence[str]) -> None:
+    """Refuse settings that a recording of this kind does not take.
+
+    Raises:
+        ConfigError: such a setting.
+    """
+    plain, usual = how.plain(), Extraction().plain()
+    if further := sorted(key for key in plain if plain[key] != usual[key] and key not in used):
+        raise ConfigError(f"{file} is no bag or video, which recording.{further[0]} is for: leave it out")
+
+
 def _camera(frames: FrameTable, settings: WalkSettings, say: Callable[[str], None]) -> Any:
     """Return the camera that was given, or that the pictures show."""
     given = Preprocessing.checked(PRETRAINED_SIZE, settings.unwrap).camera
@@ -178,8 +192,9 @@ def _camera(frames: FrameTable, settings: WalkSettings, say: Callable[[str], Non
         return settings.unwrap
     camera = find_camera(frames.path.tolist(), given)
     plain = Preprocessing.checked(PRETRAINED_SIZE, camera).unwrap_settings()
-    shown = {key: round(plain[key], 2) for key in ("cx", "cy", "fx", "eccentricity") if plain.get(key) is not None}
-    values = "".join(f" unwrap.{key}={value}" for key, value in shown.items())
+    shown = {key: value for key, value in plain.items() if isinstance(value, bool | float)}
+    told = {key: str(value).lower() if isinstance(value, bool) else f"{value:.6g}" for key, value in shown.items()}
+    values = "".join(f" unwrap.{key}={value}" for key, value in told.items())
     say(f"camera: unwrap={plain['kind']}{values}, by the pictures")
     return camera
 

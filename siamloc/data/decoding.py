@@ -254,8 +254,8 @@ def read_image(path: str | Path) -> NDArray[np.uint8]:
         data = Path(path).read_bytes()
     except FileNotFoundError as error:
         raise UnreadableImageError("the file does not exist") from error
-    except OSError as error:
-        raise UnreadableImageError(error.strerror or str(error)) from error
+    except (OSError, ValueError) as error:  # a name that no file can have
+        raise UnreadableImageError(getattr(error, "strerror", None) or str(error)) from error
     if not data:
         raise UnreadableImageError("the file is empty")
     if cut_short(data):

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from foundation.calls import OF_FIELDS, takes, typed
-from foundation.files import write_bytes, write_json, write_picture, write_text
+from foundation.files import read_json, write_bytes, write_json, write_picture, write_text
 from foundation.settings import Count, Positive, Settings, Text
 from siamloc.data.bags import KINDS, Bag, Clock, proposed
 from siamloc.data.frames import ODOMETRY, TILT, VIDEOS, FrameTable
@@ -30,6 +30,7 @@ MANIFEST = "frames.csv"
 CALIBRATION = "camera_info.json"
 """The calibrations of the cameras in a bag, by topic."""
 BAGS = (".bag", ".db3", ".mcap")
+_KEPT = "recording.json"
 _QUALITY = 95  # of the JPEG files of images that were not compressed
 
 
@@ -174,6 +175,7 @@ def extract(file: str | Path, out: str | Path, *, settings: Extraction = OF_FIEL
         raise DataError(f"{path} holds no images, only {', '.join(found.topics) or 'nothing'}")
     with _opened(path) as recording:
         given = {what: _trajectory(recording, what, sources[what], settings) for what in SOURCES[1:]}
+        _keep_apart(path, folder, sources["images"], settings)
         files, times = _write_images(recording, folder, sources["images"], settings)
         columns = {"time": times}
         for what, names in (("poses", ("x", "y", "theta", *TILT)), ("odometry", ODOMETRY)):
@@ -203,6 +205,22 @@ def _opened(path: Path) -> Bag | Film:
     raise DataError(
         f"{path} is no recording: expected a file {known}, or a folder with the metadata.yaml of a ROS 2 bag"
     )
+
+
+def _keep_apart(path: Path, folder: Path, topic: str, settings: Extraction) -> None:
+    """Write which recording a folder holds the images of: two recordings may have images of the same time.
+
+    Raises:
+        DataError: the folder holds the images of another recording.
+    """
+    about: dict[str, Any] = {"recording": str(path.resolve()), "images": topic, "clock": settings.clock}
+    if path.is_file():
+        about |= {"bytes": path.stat().st_size, "modified": path.stat().st_mtime_ns}
+    kept = folder / _KEPT
+    if not kept.is_file():
+        write_json(kept, about)
+    elif read_json(kept) != about:
+        raise DataError(f"{folder} holds the images of another recording, as {_KEPT} there says: give another folder")
 
 
 def _write_images(

@@ -140,6 +140,8 @@ def read_occupancy(path: str | Path) -> OccupancyMap:
         raise DataError(
             f"{file}: resolution is above 0 and mode one of {', '.join(_MODES)}, got {resolution:g} and {mode!r}"
         )
+    if free > occupied:
+        raise DataError(f"{file}: free_thresh, {free:g}, must not be above occupied_thresh, {occupied:g}")
     image = file.parent / str(about["image"])
     try:
         pixels = read_image(image).mean(axis=2, dtype=np.float32)
@@ -157,7 +159,7 @@ def read_occupancy(path: str | Path) -> OccupancyMap:
 def _number(file: Path, about: Mapping[str, Any], key: str) -> float:
     try:
         value = float(about[key])  # YAML takes 5e-2 for a word
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         value = math.nan
     if not math.isfinite(value):
         raise DataError(f"{file}: {key} is a number, got {about[key]!r}")

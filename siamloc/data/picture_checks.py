@@ -130,6 +130,8 @@ def own_robot(grey: Array) -> str | None:
     if usual < _EVEN or own.mean() < _OWN:
         return None
     rows = np.flatnonzero(own.mean(axis=1) > 0.05)
+    if not len(rows):
+        return f"{own.mean():.0%} of the panorama, a narrow part, never change: the robot sees itself"
     return (
         f"{own.mean():.0%} of the panorama, in rows {rows.min()} to {rows.max()} of {len(own)}, never change: the "
         "robot sees itself. Leave these rows out (unwrap.bottom), or move the camera"

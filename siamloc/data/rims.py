@@ -175,6 +175,8 @@ def inner_rim(moving: Array, centre: Array, outer: float) -> float:
     sums = np.concatenate([np.zeros((len(log), 1)), log.cumsum(axis=1)], axis=1)
     means = (sums[:, wide:] - sums[:, :-wide]) / wide
     gap = round(1.5 / step)
+    if means.shape[1] <= wide + 2 * gap:
+        raise DataError("no inner rim that is sure: the ring is only some pixels wide")
     rises = means[:, wide + 2 * gap :] - means[:, : -wide - 2 * gap]
     level = means.mean(axis=0)
     last = np.array([level[at : at + round(0.1 * outer / step)].min() for at in range(len(level))])

@@ -21,7 +21,7 @@ class Walk(WalkSettings, Job):
 
         monday.mp4                      the recording: a video, a ROS bag, a folder of pictures, or a manifest
         recording.odometry=FILE         poses by the robot's wheels over time, or the topic of a bag; without any, the
-                                        scale of the map is off by some percent
+                                        scale of the map may be off by a tenth or more
         unwrap=polar unwrap.inner=60    another camera than the one found; unwrap.forward=90 and unwrap.mirrored=false
                                         say what the pictures of a ring do not show
         rate=5                          pictures per second that are looked at, at most

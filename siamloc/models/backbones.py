@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from copy import deepcopy
 from difflib import get_close_matches
+from types import FunctionType
 from typing import Any, cast
 
 import torch
@@ -189,14 +190,19 @@ def _made(name: str, image_size: tuple[int, int], state: Mapping[str, Tensor] | 
 
 
 def _factory(name: str) -> Callable[[], Any]:
-    """Return a factory of one's own, of a module that is imported already: a name in a file runs no code.
+    """Return a factory of one's own: a class of torch modules, or a function of a module that is imported already.
+
+    Files name factories, too, so that nothing is imported for them, and no function of Python's own is called.
 
     Raises:
         ConfigError: the module is not imported, or has no such function or class.
     """
     module, _, function = name.partition(":")
     found: Any = getattr(sys.modules.get(module), function, None)
-    if not callable(found):
+    its_own = isinstance(found, FunctionType) and found.__module__ == module
+    if module.partition(".")[0] in sys.stdlib_module_names and module != "__main__":
+        its_own = False
+    if not its_own and not (isinstance(found, type) and issubclass(found, nn.Module)):
         raise ConfigError(
             f"the branch {name} is your own: import the module {module} first, which must have a function or class "
             f"{function!r} without arguments (on the command line give model/branch={name})"

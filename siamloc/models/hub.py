@@ -5,13 +5,14 @@ from __future__ import annotations
 from collections.abc import Mapping
 from importlib import import_module
 from pathlib import Path
+from pickle import UnpicklingError
 from typing import Any
 
 import torch
 from torch import Tensor
 
 from augment.torchvision_compat import ensure_torchvision
-from siamloc.errors import ConfigError, hint
+from siamloc.errors import ConfigError, hint, installing
 
 CACHED, DOWNLOAD = "cached", "download"
 """Published weights by name: those in the cache of this machine; or the same, downloaded first if they are missing."""
@@ -27,7 +28,7 @@ def timm() -> Any:
     try:
         return import_module("timm")
     except ModuleNotFoundError as error:
-        raise ConfigError("networks of timm need the package timm: pip install 'siamloc[timm]'") from error
+        raise ConfigError(f"networks of timm need the package timm: {installing('timm')}") from error
 
 
 def timm_file(name: str, weights: str) -> Path:
@@ -93,7 +94,9 @@ def torchvision_weights(name: str, weights: str) -> tuple[Mapping[str, Tensor], 
         )
     try:
         state = member.get_state_dict(progress=False, check_hash=True, weights_only=True)
-    except (OSError, RuntimeError) as error:
+    except (OSError, RuntimeError, EOFError, UnpicklingError) as error:
+        if file.is_file():
+            raise ConfigError(f"the file {file} with the weights {member} is damaged: remove it") from error
         raise ConfigError(_not_fetched(f"the weights {member}", member.url)) from error
     preset = member.transforms()
     return state, str(member), preset.mean, preset.std

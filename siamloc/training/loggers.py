@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from augment.torchvision_compat import ensure_torchvision
-from siamloc.errors import ConfigError, hint
+from siamloc.errors import ConfigError, hint, installing
 from siamloc.runs import Run
 
 ensure_torchvision()
@@ -36,7 +36,7 @@ def check_loggers(chosen: Any) -> list[str | Logger]:
         if one not in LOGGERS:
             raise ConfigError(f"unknown trainer.logger {one!r}: {hint(str(one), LOGGERS)}, or false for none")
         if missing := [package for package in _PACKAGES.get(one, ()) if find_spec(package) is None]:
-            raise ConfigError(f"trainer.logger={one} needs the package {missing[0]}: pip install 'siamloc[{one}]'")
+            raise ConfigError(f"trainer.logger={one} needs the package {missing[0]}: {installing(one)}")
     return listed
 
 

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from sensor_msgs.msg import CompressedImage, Image
 from std_msgs.msg import Header
 
+from siamloc.data.decoding import cut_short
 from siamloc.data.moves import composed, euler, inverse
 from siamloc.errors import DataError
 from siamloc.runtime import Location
@@ -35,7 +36,10 @@ def pixels(message: Image | CompressedImage) -> NDArray[np.uint8]:
     """
     data = np.frombuffer(message.data, dtype=np.uint8)
     if isinstance(message, CompressedImage):
-        image = cv2.imdecode(data, cv2.IMREAD_COLOR) if len(data) else None
+        try:
+            image = cv2.imdecode(data, cv2.IMREAD_COLOR) if len(data) and not cut_short(data.tobytes()) else None
+        except cv2.error:  # a size that no picture has
+            image = None
         if image is None:
             raise DataError(f"a compressed image of {len(data)} bytes in the format {message.format!r} is damaged")
         return np.ascontiguousarray(image[:, :, ::-1])

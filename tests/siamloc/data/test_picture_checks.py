@@ -8,7 +8,7 @@ import pytest
 
 from siamloc.data import FrameTable, MountingEstimate, PanoramaLibrary, check, column_azimuth
 from siamloc.data.moves import wrapped
-from siamloc.data.picture_checks import direction, mounted, picture_faults, time_offset, turns_seen
+from siamloc.data.picture_checks import direction, mounted, own_robot, picture_faults, time_offset, turns_seen
 
 N, H, W = 60, 32, 128
 THETA = 1.2 * np.sin(np.arange(N) / 5)
@@ -141,3 +141,9 @@ def test_check_looks_at_the_pictures_of_each_drive(tmp_path):
     found = check(frames, PanoramaLibrary(frames, tmp_path / "cache", image_size=(H, W)))
     (said,) = [one for one in found if one.startswith("sequence")]
     assert said.startswith("sequence mirrored: images turn against the headings: they are mirrored")
+
+
+def test_a_mast_in_view_is_the_robot_s_own():
+    views = np.random.default_rng(0).uniform(0, 255, (20, 64, 256)).astype(np.float32)
+    views[:, :, 100:108] = np.linspace(0, 255, 64)[:, None]
+    assert "a narrow part, never change" in own_robot(views)
