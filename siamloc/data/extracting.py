@@ -175,8 +175,11 @@ def extract(file: str | Path, out: str | Path, *, settings: Extraction = OF_FIEL
         raise DataError(f"{path} holds no images, only {', '.join(found.topics) or 'nothing'}")
     with _opened(path) as recording:
         given = {what: _trajectory(recording, what, sources[what], settings) for what in SOURCES[1:]}
-        _keep_apart(path, folder, sources["images"], settings)
+        about = _identity(path, sources["images"])
+        if (folder / _KEPT).is_file() and read_json(folder / _KEPT) != about:
+            raise DataError(f"{folder} holds the images of another recording, as {_KEPT} says: give another folder")
         files, times = _write_images(recording, folder, sources["images"], settings)
+        write_json(folder / _KEPT, about)
         columns = {"time": times}
         for what, names in (("poses", ("x", "y", "theta", *TILT)), ("odometry", ODOMETRY)):
             if (trajectory := given[what]) is not None:
@@ -207,20 +210,12 @@ def _opened(path: Path) -> Bag | Film:
     )
 
 
-def _keep_apart(path: Path, folder: Path, topic: str, settings: Extraction) -> None:
-    """Write which recording a folder holds the images of: two recordings may have images of the same time.
-
-    Raises:
-        DataError: the folder holds the images of another recording.
-    """
-    about: dict[str, Any] = {"recording": str(path.resolve()), "images": topic, "clock": settings.clock}
+def _identity(path: Path, topic: str) -> dict[str, Any]:
+    """Return what tells a recording from others, whose images may have the same times."""
+    about: dict[str, Any] = {"recording": str(path.resolve()), "images": topic}
     if path.is_file():
         about |= {"bytes": path.stat().st_size, "modified": path.stat().st_mtime_ns}
-    kept = folder / _KEPT
-    if not kept.is_file():
-        write_json(kept, about)
-    elif read_json(kept) != about:
-        raise DataError(f"{folder} holds the images of another recording, as {_KEPT} there says: give another folder")
+    return about
 
 
 def _write_images(

@@ -199,9 +199,10 @@ def _factory(name: str) -> Callable[[], Any]:
     """
     module, _, function = name.partition(":")
     found: Any = getattr(sys.modules.get(module), function, None)
-    its_own = isinstance(found, FunctionType) and found.__module__ == module
-    if module.partition(".")[0] in sys.stdlib_module_names and module != "__main__":
-        its_own = False
+    of = getattr(found, "__module__", None) or ""
+    its_own = isinstance(found, FunctionType) and (
+        of == "__main__" or of.partition(".")[0] not in sys.stdlib_module_names
+    )
     if not its_own and not (isinstance(found, type) and issubclass(found, nn.Module)):
         raise ConfigError(
             f"the branch {name} is your own: import the module {module} first, which must have a function or class "

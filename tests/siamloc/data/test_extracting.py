@@ -410,3 +410,12 @@ def test_without_rosbags_the_extra_is_named(bags, monkeypatch):
         siamloc.data.contents(bags["ros1"])
     assert "pip install '.[recordings]'" in str(error.value)
     assert "pip install '.[recordings]'" in lacking(error.value)
+
+
+def test_a_folder_with_the_images_of_another_recording_is_refused(tmp_path):
+    for name in ("monday.avi", "tuesday.avi"):
+        film(tmp_path / name)
+    first = siamloc.data.extract(tmp_path / "monday.avi", tmp_path / "out")
+    assert siamloc.data.extract(tmp_path / "monday.avi", tmp_path / "out").path.tolist() == first.path.tolist()
+    with pytest.raises(DataError, match="holds the images of another recording"):
+        siamloc.data.extract(tmp_path / "tuesday.avi", tmp_path / "out")

@@ -209,7 +209,7 @@ def test_published_weights_come_from_the_cache(name, tmp_path, monkeypatch):
 
 def test_timm_that_is_missing_is_named(monkeypatch):
     monkeypatch.setitem(sys.modules, "timm", None)
-    with pytest.raises(ConfigError, match=r"pip install 'siamloc\[timm\]'"):
+    with pytest.raises(ConfigError, match=r"pip install '\.\[timm\]'"):
         build("timm/resnet18", "gem", SIZE)
 
 
@@ -267,3 +267,9 @@ def test_a_saved_network_is_loaded_again(name, tmp_path):
     further = build(name, "gem", SIZE, circular=True, weights=tmp_path / "saved.safetensors")
     images = torch.rand(1, 3, *SIZE)
     torch.testing.assert_close(further.eval().branch(images), again.branch(images))
+
+
+@pytest.mark.parametrize("name", ["sys:exit", "os:getpid", "builtins:input", "webbrowser:main"])
+def test_a_file_calls_no_function_of_python_itself(name):
+    with pytest.raises(ConfigError, match="is your own: import the module"):
+        build(name, "gem", (32, 64))

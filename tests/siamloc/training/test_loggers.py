@@ -32,7 +32,7 @@ def test_unknown_and_missing_loggers_are_named(monkeypatch):
         check_loggers("board")
     monkeypatch.setattr(loggers, "find_spec", lambda package: None)
     for name in ("wandb", "mlflow"):
-        with pytest.raises(ConfigError, match=rf"pip install 'siamloc\[{name}\]'"):
+        with pytest.raises(ConfigError, match=rf"pip install '\.\[{name}\]'"):
             check_loggers([name])
     assert check_loggers(False) == []
     assert check_loggers("csv") == ["csv"]
