@@ -63,9 +63,9 @@ class Alignment(nn.Module):
     def forward(self, query: Tensor, known: Tensor) -> tuple[Tensor, Tensor]:
         """Return features (B, 16, K, K) of map columns and turns, and log probabilities of the turns (B, K)."""
         similar = self._similarities(query, known)
-        found = F.relu(self.first(_wrapped(similar, 1)))
+        found = F.relu(self.first(F.pad(similar, (1,) * 4, mode="circular")))
         for layer, dilation in zip(self.more, _DILATIONS, strict=True):
-            found = found + F.relu(layer(_wrapped(found, dilation)))
+            found = found + F.relu(layer(F.pad(found, (dilation,) * 4, mode="circular")))
         seen = torch.cat([found.mean(dim=2), found.amax(dim=2)], dim=1)
         scores = self.score(seen.transpose(1, 2))[..., 0] + self.gain * similar.mean(dim=(1, 2))
         return found, scores.log_softmax(dim=1)
@@ -75,11 +75,3 @@ class Alignment(nn.Module):
         one, other = (part.unflatten(2, (GROUPS, -1)).transpose(1, 2) for part in (known, query))
         products = one @ other.mT / one.shape[3]  # (B, 8, K, K): column of the map frame, column of the query
         return products.gather(3, self.places.expand_as(products))
-
-
-def _wrapped(values: Tensor, size: int) -> Tensor:
-    """Pad values (B, C, K, K) on all sides with those of the other side."""
-    for dim in (2, 3):
-        ends = values.narrow(dim, values.shape[dim] - size, size), values.narrow(dim, 0, size)
-        values = torch.cat([ends[0], values, ends[1]], dim=dim)
-    return values
