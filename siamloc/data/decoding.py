@@ -256,6 +256,15 @@ def read_image(path: str | Path) -> NDArray[np.uint8]:
         raise UnreadableImageError("the file does not exist") from error
     except (OSError, ValueError) as error:  # a name that no file can have
         raise UnreadableImageError(getattr(error, "strerror", None) or str(error)) from error
+    return decode_image(data)
+
+
+def decode_image(data: bytes) -> NDArray[np.uint8]:
+    """Decode the content of an image file as (rows, columns, 3), uint8, BGR; see `read_image`.
+
+    Raises:
+        UnreadableImageError: the content is empty, cut short, too large, or not an image.
+    """
     if not data:
         raise UnreadableImageError("the file is empty")
     if cut_short(data):

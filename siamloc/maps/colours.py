@@ -8,8 +8,7 @@ from numpy.typing import ArrayLike, NDArray
 from analytic import Description
 from analytic.distances import distance as distance_named
 from foundation.settings import Count
-from siamloc.errors import DataError
-from siamloc.maps.search import Retrieval, slices
+from siamloc.maps.search import Retrieval, checked, slices
 from siamloc.maps.visual_map import VisualMap
 
 _SAME_LIGHT = 2.0  # times the spacing of the map's colours
@@ -35,8 +34,7 @@ def light_distances(known: VisualMap, queries: Description) -> NDArray[np.float6
     Raises:
         DataError: descriptions that are not finite.
     """
-    if not np.isfinite(queries.position).all():
-        raise DataError("the query descriptors hold values that are not finite: look at the images that they are of")
+    checked(queries.position, "query")
     euclidean, width = distance_named("euclidean"), known.learned.shape[1]
     learned = euclidean(queries.position[:, :width], known.learned)
     colours = euclidean(queries.position[:, width:], known.descriptors[:, width:])

@@ -101,7 +101,8 @@ def build(
         estimated = estimate(readable, found.orientation, by.compare)  # type: ignore[attr-defined]
         if (mounting := estimated.mounting) != Mounting():
             logger.warning("the camera is not mounted straight, which the map makes up for: %s", estimated.summary())
-            found = descriptions(mounting)
+            if replace(mounting, ahead=0.0, left=0.0) != Mounting():  # an offset leaves the panoramas as they are
+                found = descriptions(mounting)
     turning, orientation = second, found.orientation
     if by.name == NetworkHeading.name and second is None:
         wanted = images.circular if by.tells_heading else getattr(by, "compares", False)

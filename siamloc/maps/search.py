@@ -72,7 +72,7 @@ class VectorIndex:
     @typed
     def __init__(self, references: ArrayLike, distance: str = "euclidean") -> None:
         self.distance = known(distance, DISTANCES, "distance")
-        self._references, self._largest = _checked(references, "map")
+        self._references, self._largest = checked(references, "map")
         if 0 in self._references.shape:
             raise DataError("the map holds no descriptors: there is nothing to search in")
         if distance != "manhattan":
@@ -111,7 +111,7 @@ class VectorIndex:
             DataError: queries of another shape, values that are not finite or far larger than the references', or a
                 query with fewer than k references that are not excluded.
         """
-        (q, largest), width = _checked(queries, "query"), self.width
+        (q, largest), width = checked(queries, "query"), self.width
         if q.shape[1] != width:
             raise DataError(
                 f"queries have {q.shape[1]} values each, the map's descriptors {width}: describe both with one model"
@@ -270,8 +270,12 @@ def _largest(values: NDArray) -> float:
     return largest
 
 
-def _checked(array: ArrayLike, what: str) -> tuple[NDArray, float]:
-    """Return descriptors (n, D) and their largest absolute value."""
+def checked(array: ArrayLike, what: str) -> tuple[NDArray, float]:
+    """Return descriptors (n, D) and their largest absolute value.
+
+    Raises:
+        DataError: descriptors of another shape or type, or values that are not finite.
+    """
     values = np.asarray(array)
     if values.dtype.kind not in "biuf":
         raise DataError(f"a search needs {what} descriptors of real numbers, got {values.dtype}")

@@ -199,11 +199,9 @@ def _factory(name: str) -> Callable[[], Any]:
     """
     module, _, function = name.partition(":")
     found: Any = getattr(sys.modules.get(module), function, None)
-    of = getattr(found, "__module__", None) or ""
-    its_own = isinstance(found, FunctionType) and (
-        of == "__main__" or of.partition(".")[0] not in sys.stdlib_module_names
-    )
-    if not its_own and not (isinstance(found, type) and issubclass(found, nn.Module)):
+    is_class = isinstance(found, type) and issubclass(found, nn.Module)
+    is_function = isinstance(found, FunctionType) and found.__module__.partition(".")[0] not in sys.stdlib_module_names
+    if not (is_class or is_function):
         raise ConfigError(
             f"the branch {name} is your own: import the module {module} first, which must have a function or class "
             f"{function!r} without arguments (on the command line give model/branch={name})"

@@ -148,7 +148,8 @@ class RelativePose(nn.Module):
         else:
             features, turns = self.alignment(query, known)
         steps = turns.argmax(dim=1)
-        votes, whole = self._votes(_turned(query, steps), known, None if features is None else _from(features, steps))
+        features = None if features is None else _turned(features, -steps, dim=3)
+        votes, whole = self._votes(_turned(query, steps), known, features)
         if self.alignment is not None:
             best, second = turns.topk(2, dim=1).values.unbind(dim=1)
             sure = torch.stack([best, best - second], dim=1)
@@ -315,18 +316,12 @@ def _wrap(angle: Tensor) -> Tensor:
     return angle - 2 * math.pi * (angle / (2 * math.pi)).round()
 
 
-def _turned(values: Tensor, steps: Tensor) -> Tensor:
-    """Return values (B, K, F) turned by whole columns (B,): column j holds what was column j - step."""
-    column = torch.arange(values.shape[1], device=values.device)
-    source = (column - steps[:, None]) % values.shape[1]
-    return values.gather(1, source[..., None].expand_as(values))
-
-
-def _from(features: Tensor, steps: Tensor) -> Tensor:
-    """Return features (B, C, K, K), by column and turn, in which turns count from a turn of each image (B,)."""
-    column = torch.arange(features.shape[3], device=features.device)
-    source = (column + steps[:, None]) % features.shape[3]
-    return features.gather(3, source[:, None, None].expand_as(features))
+def _turned(values: Tensor, steps: Tensor, dim: int = 1) -> Tensor:
+    """Return values (B, ...) turned along a dimension of K columns (B,): column j holds what was column j - step."""
+    column = torch.arange(values.shape[dim], device=values.device)
+    source = (column - steps[:, None]) % values.shape[dim]
+    shape = [-1 if one == 0 else len(column) if one == dim else 1 for one in range(values.ndim)]
+    return values.gather(dim, source.view(shape).expand_as(values))
 
 
 def _inverse(matrix: Tensor) -> Tensor:

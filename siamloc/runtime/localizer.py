@@ -286,7 +286,7 @@ class Localizer:
         Raises:
             DataError: another shape or type.
         """
-        return self._describer.describe(self._describer.known.mounting.straight(panoramas))
+        return self._describer.describe(self.map.mounting.straight(panoramas))
 
     def _layered(self, wanted: bool | None) -> HierarchicalSearch | None:
         """Return the search through the coarse layer; None if there is none, or if it is not to be used."""

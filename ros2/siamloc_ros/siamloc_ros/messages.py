@@ -6,7 +6,6 @@ import array
 import math
 from collections.abc import Iterable
 
-import cv2
 import numpy as np
 from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
@@ -16,7 +15,7 @@ from numpy.typing import NDArray
 from sensor_msgs.msg import CompressedImage, Image
 from std_msgs.msg import Header
 
-from siamloc.data.decoding import cut_short
+from siamloc.data.decoding import UnreadableImageError, decode_image
 from siamloc.data.moves import composed, euler, inverse
 from siamloc.errors import DataError
 from siamloc.runtime import Location
@@ -37,11 +36,11 @@ def pixels(message: Image | CompressedImage) -> NDArray[np.uint8]:
     data = np.frombuffer(message.data, dtype=np.uint8)
     if isinstance(message, CompressedImage):
         try:
-            image = cv2.imdecode(data, cv2.IMREAD_COLOR) if len(data) and not cut_short(data.tobytes()) else None
-        except cv2.error:  # a size that no picture has
-            image = None
-        if image is None:
-            raise DataError(f"a compressed image of {len(data)} bytes in the format {message.format!r} is damaged")
+            image = decode_image(data.tobytes())
+        except UnreadableImageError as error:
+            raise DataError(
+                f"a compressed image of {len(data)} bytes in the format {message.format!r} is damaged: {error}"
+            ) from error
         return np.ascontiguousarray(image[:, :, ::-1])
     if message.encoding not in CHANNELS:
         raise DataError(f"images are encoded as {', '.join(CHANNELS)}, got {message.encoding!r}: convert them first")
