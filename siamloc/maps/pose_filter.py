@@ -26,6 +26,7 @@ from siamloc.maps.motion import motion_or_none, motions_of
 _STORIES = 5
 _STRAY = 0.15  # density of poses that are wrong, per square unit of the positions
 _TRUSTED = 0.05  # probability below which a pose is considered stray
+_NEVER = 1e-9  # probability of what no answer agrees on
 _NEAR = 0.05  # share of a step: stories this close to each other are merged
 _ACCELERATION = 0.5  # standard deviation of the change of the step between two queries, as a share of the usual step
 _MOVES = np.block([[np.eye(2), np.eye(2)], [np.zeros((2, 2)), np.eye(2)]])
@@ -131,7 +132,8 @@ class PoseFilter:
                 begun = _with_heading(begun)
                 if np.isfinite(pose.theta[0]):
                     spread, seen = begun.covariance, begun.mean
-            fresh = best + math.log(self.kidnapping) + math.log(_ANYWHERE[len(seen)])
+            right = max(float(pose.agreement[0]), _NEVER)
+            fresh = best + math.log(self.kidnapping * right * _ANYWHERE[len(seen)])
             stories = [_told(story, pose, seen, spread) for story in stories]
             stories.append(replace(begun, evidence=fresh))
         if not stories:

@@ -175,6 +175,21 @@ def test_with_odometry_a_robot_that_was_carried_away_is_found_within_three_pictu
         assert turned_away(found, away)[202:].max() < 15
 
 
+def test_stray_poses_before_do_not_hide_where_a_robot_was_carried():
+    """Each stray pose is somewhere else, and all are as unlikely: they must not keep the right one out."""
+    poses = around()[:120]
+    carried = poses.copy()
+    carried[60:, 0] += 30.0
+    given = seen(carried, 0)
+    for place, row in enumerate(range(54, 60)):
+        given.xy[row] = [40.0 + 5 * place, 30.0 - 4 * place]
+        given.information[row] = np.eye(2) / 9.0
+        given.agreement[row] = 0.05
+    motion = moves(poses)
+    found = PoseFilter(STEP).run(given, ["a"] * len(poses), motion)
+    assert errors(found, carried[:, :2])[62:].max() < 0.3
+
+
 def test_where_nothing_is_recognized_odometry_leads_on_with_growing_doubt():
     poses = around(100)
     given = seen(poses, 0)
