@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypedDict, cast
+from typing import TYPE_CHECKING, Any
 
 from foundation.calls import typed
 from foundation.files import atomic_files, plain, storage_errors
@@ -22,79 +22,27 @@ if TYPE_CHECKING:
 
 
 Figures = dict[str, Any]
+Measures = Figures
+"""The measures of a task over all queries. Each task fills in some of the keys.
 
-
-class Measures(TypedDict, total=False):
-    """The measures of a task over all queries. Each task fills in some of the keys.
-
-    Attributes:
-        unit: unit of positions and errors.
-        queries: number of queries; by lighting in compact maps.
-        map_frames: number of map frames.
-        lighting: the same measures by lighting; likewise `room` and `room_by_lighting`.
-        error: errors of positions, with "mean", "median", "p95", "max" and "rmse"; likewise `floor` (of the map
-            frame that is truly nearest), `excess` (the error above the floor) and `heading_error` in degrees.
-        hit_rate: share of queries whose answer lies within each of the `radii`, with "radius" and "rate".
-        recall: share of queries with an answer within a radius among the first `ks`, with "radius", "k" and "recall".
-        accuracy: share of queries whose room or building is found; `correct` of `queries`.
-        confusion: "labels" and "counts" (row = true room or building, column = that of the answer).
-        coarse: how often the right node comes first in a hierarchical search; `perfect_coarse` is what the map could do
-            with the right node, `absolute` without nodes, and `loss` the difference of the mean errors.
-        comparisons: number of map frames that a query is compared with.
-        silhouette: silhouette of a map's nodes; likewise `inertia`, `purity`, `closures`, `nodes`, `bytes` and more.
-        curves: errors of compact maps by way and number of nodes.
-        methods: errors under disturbances, by method and disturbance.
-    """
-
-    unit: str
-    queries: Any
-    map_frames: int
-    lighting: Figures
-    room: Figures
-    room_by_lighting: Figures
-    error: Figures
-    floor: Figures
-    excess: Figures
-    heading_error: Figures
-    hit_rate: list[Figures]
-    recall: list[Figures]
-    recall_at_one_percent: list[Figures]
-    radii: list[float]
-    ks: list[int]
-    baselines: Figures
-    accuracy: float
-    correct: int
-    top: Figures
-    mean_average_precision: float
-    chance: float
-    confusion: Figures
-    rooms_missing_in_map: Any
-    building: Figures
-    maps: Any
-    coarse: Figures
-    given_right: Figures
-    given_wrong: Figures
-    perfect_coarse: Figures
-    absolute: Figures
-    loss: float
-    comparisons: Figures
-    nodes: int
-    frames: int
-    unassigned: int
-    bytes: Any
-    ms_per_frame: Any
-    silhouette: Any
-    descriptor_silhouette: Any
-    inertia: Any
-    purity: Figures
-    closures: Any
-    clustered: str
-    distance: str
-    curves: Any
-    disturbances: Figures
-    every: int
-    radius: float
-    methods: Figures
+Keys:
+    unit: unit of positions and errors.
+    queries: number of queries; by lighting in compact maps.
+    map_frames: number of map frames.
+    lighting: the same measures by lighting; likewise `room` and `room_by_lighting`.
+    error: errors of positions, with "mean", "median", "p95", "max" and "rmse"; likewise `floor` (of the map
+        frame that is truly nearest), `excess` (the error above the floor) and `heading_error` in degrees.
+    hit_rate: share of queries whose answer lies within each of the `radii`, with "radius" and "rate".
+    recall: share of queries with an answer within a radius among the first `ks`, with "radius", "k" and "recall".
+    accuracy: share of queries whose room or building is found; `correct` of `queries`.
+    confusion: "labels" and "counts" (row = true room or building, column = that of the answer).
+    coarse: how often the right node comes first in a hierarchical search; `perfect_coarse` is what the map could do
+        with the right node, `absolute` without nodes, and `loss` the difference of the mean errors.
+    comparisons: number of map frames that a query is compared with.
+    silhouette: silhouette of a map's nodes; likewise `inertia`, `purity`, `closures`, `nodes`, `bytes` and more.
+    curves: errors of compact maps by way and number of nodes.
+    methods: errors under disturbances, by method and disturbance.
+"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -140,14 +88,13 @@ class Result:
 
     @property
     def measures(self) -> Measures:
-        """Measures of the first part, with the keys of `Measures`; those over all queries are at the top level.
+        """Measures of the first part, with keys of `Measures`; those over all queries are at the top level.
 
         `measures["error"]["mean"]` is of all queries; the groups follow under "lighting" and "room":
         `measures["lighting"]["night"]["error"]`.
         """
         first: Figures = next(iter(self.parts.values()), {})
-        found = {**first.get("overall", {}), **{key: value for key, value in first.items() if key != "overall"}}
-        return cast(Measures, found)
+        return {**first.get("overall", {}), **{key: value for key, value in first.items() if key != "overall"}}
 
     @property
     def columns(self) -> Columns:

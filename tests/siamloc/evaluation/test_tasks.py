@@ -14,7 +14,7 @@ from foundation.files import plain
 from siamloc import evaluation, maps
 from siamloc.data import PanoramaLibrary, Protocol
 from siamloc.errors import ConfigError, DataError
-from siamloc.evaluation import Measures, Result
+from siamloc.evaluation import Result
 from siamloc.models import build
 from siamloc.results import finest
 from tests.siamloc.evaluation.scenes import evaluate_absolute
@@ -353,19 +353,3 @@ def test_a_distance_is_a_setting_of_maps_and_one_that_says_nothing_of_the_descri
         one.with_distance("cosine")
     assert known.with_distance(None) is known
     assert known.with_distance("cosine").digest != known.digest
-
-
-def test_the_measures_of_every_task_have_the_keys_that_are_listed(world):
-    images, _, tuesday, _, known = world
-    layer = maps.group(known, "sample", nodes=4)
-    results = [
-        evaluation.localization(known, images, tuesday, names=["absolute"]),
-        evaluation.rooms(known, images, tuesday),
-        evaluation.hierarchical(known, images, tuesday, layer),
-        evaluation.mapping(known, layer),
-        evaluation.compact(known, images, tuesday, nodes=[4]),
-        evaluation.robustness(known, images, tuesday, noise=[0.1], every=9),
-    ]
-    for result in results:
-        assert result.measures
-        assert set(result.measures) <= set(Measures.__annotations__), result
