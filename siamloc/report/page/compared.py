@@ -8,30 +8,22 @@ from typing import Any
 
 import numpy as np
 
-from siamloc.report.draw.curves import robustness_curves
 from siamloc.report.draw.errors import compared_curves
 from siamloc.report.page.gathered import Evaluation
 from siamloc.report.page.inline import inline
 from siamloc.report.page.markup import Markup, grid, section, tag
 from siamloc.report.page.parts import Part
-from siamloc.report.page.tasks import robustness_section
 from siamloc.results import Columns, finest
 from siamloc.summaries import measured, middle_recall
 from siamloc.tables import NOTHING, Column, Table, count, percent
 
-_MOST_METHODS = 8
 _SINGLE = "single frame"
 
 
 def comparison(parts: list[Part]) -> Markup | None:
     """Return the tables and curves that compare several evaluations; None if no two measured the same."""
     scored = [part for part in parts if part.evaluation.measured]
-    robust = {
-        part.named(part.evaluation.name): part.evaluation for part in parts if part.evaluation.kind == "robustness"
-    }
-    disturbed = _robustness(robust)
-    own = _localization(scored) if len(scored) > 1 else None
-    return tag("article.overview", own, disturbed) if own or disturbed else None
+    return tag("article.overview", _localization(scored)) if len(scored) > 1 else None
 
 
 def differences(evaluations: Mapping[str, Evaluation]) -> list[str]:
@@ -120,31 +112,6 @@ def _measures(part: Part, lightings: list[str]) -> dict[str, Any]:
         "recall@1": recall and f"{percent(recall['recall'])}, {recall['radius']:g} {evaluation.unit}",
         "rooms": rooms,
     }
-
-
-def _robustness(evaluations: Mapping[str, Evaluation]) -> Markup | None:
-    """Return the curves of several evaluations in one section; None for fewer than two.
-
-    Disturbances that were not measured at the same levels in all of them are left out.
-    """
-    found = {title: evaluation.results["measures"]["robustness"] for title, evaluation in evaluations.items()}
-    if len(found) < 2:
-        return None
-    first = next(iter(found.values()))
-    same = [kind for kind in first["disturbances"] if all(kind in one["disturbances"] for one in found.values())]
-    if not same or len({_basis(one) for one in found.values()}) > 1:
-        text = "Robustness is not compared: these evaluations measured it on different queries, maps or levels."
-        return section("Robustness compared", tag("p.note", text), name="robustness")
-    methods = {title: next(iter(one["methods"].values())) for title, one in list(found.items())[:_MOST_METHODS]}
-    together = {**first, "disturbances": same, "methods": methods}
-    figure = inline(robustness_curves(together), "compared-robustness", "errors of disturbed queries")
-    return robustness_section("Robustness compared", together, figure)
-
-
-def _basis(found: Mapping[str, Any]) -> tuple[Any, ...]:
-    """Return values that agree for equal queries in equal maps; the floor differs between buildings and drives."""
-    entry = next(iter(next(iter(found["methods"].values())).values()))[0]
-    return (*(found[key] for key in ("unit", "radius", "queries", "map_frames")), round(entry["floor"], 6))
 
 
 def _difference(what: str, one: Columns | None, other: Columns | None) -> str:

@@ -68,10 +68,7 @@ class Part:
     @property
     def title(self) -> str:
         """The title of the evaluation, with the run unless it is the only run or has the same name."""
-        return self.named(self.evaluation.title)
-
-    def named(self, name: str) -> str:
-        """Return a name with the run's title, unless the run is the only one or has the evaluation's name."""
+        name = self.evaluation.title
         return name if self.alone or self.run.title == self.evaluation.name else f"{self.run.title} · {name}"
 
 

@@ -106,24 +106,14 @@ def robustness(part: Part) -> Markup | None:
     """Return the section on robustness: curves and a table for each disturbance; None for another task."""
     if (found := part.evaluation.results["measures"].get("robustness")) is None:
         return None
-    return robustness_section("Robustness", found, part.figure("robustness", "errors of disturbed queries"))
-
-
-def robustness_section(title: str, found: Mapping[str, Any], figure: Markup | None) -> Markup:
-    """Return the section about the robustness of one or several methods.
-
-    Args:
-        title: title of the section.
-        found: `measures.robustness` of `results.json`.
-        figure: the curves.
-    """
     text = (
         "Queries with disturbed images, in a map of undisturbed frames. Solid lines are mean errors, dashed ones "
         "medians; for headings, solid lines refer to the retrieved frame, dashed ones to the geometrically nearest map "
         "frame."
     )
+    figure = part.figure("robustness", "errors of disturbed queries")
     blocks = (tag("div", tag("h4", table.title), grid(table)) for table in robustness_tables(found))
-    return section(title, tag("p.caption", text), figure, tag("div.disturbances", *blocks), name="robustness")
+    return section("Robustness", tag("p.caption", text), figure, tag("div.disturbances", *blocks), name="robustness")
 
 
 def confusion(part: Part) -> Markup | None:

@@ -15,7 +15,7 @@ from siamloc.report.page.write import write_report
 from siamloc.results import read_results
 from tests.siamloc.report import pages, rich
 from tests.siamloc.report.draw.test_mapping import mapped
-from tests.siamloc.report.pages import Element, notes, report
+from tests.siamloc.report.pages import Element, report
 
 
 @pytest.fixture(scope="module")
@@ -135,21 +135,6 @@ def test_the_robustness_tables_and_curves(full: Path, page: Element) -> None:
                 assert next(shown)[: len(row)] == row
     assert "queries: 60 (one in 5), map: 40 frames" in section.text
     assert {"noise", "thumb nail, mean"} <= words(section)
-
-
-def test_robustness_of_several_runs_is_compared(full: Path, tmp_path: Path) -> None:
-    first = full / "evaluation" / "robustness-network"
-    other = shutil.copytree(first, tmp_path / "other")
-    section = report(tmp_path, first, other).all("section", class_="robustness")[0]
-    assert section.one("h3").text == "Robustness compared"
-    assert {"robustness-network · network, mean", "other · network, mean"} <= words(section)
-    results = read_json(other / "results.json")
-    results["measures"]["robustness"]["radius"] = 1.0
-    write_json(other / "results.json", results)
-    assert "these evaluations measured it on different queries, maps or levels" in notes(report(tmp_path, first, other))
-    rich.write_robustness(other, rich.scenes.frames(9, 60), rich.scenes.frames(8, 40))
-    said = notes(report(tmp_path, first, other))
-    assert "Robustness is not compared" in said, "as many queries and frames, but others"
 
 
 def test_confusion_matrices_of_all_and_by_lighting(full: Path, page: Element) -> None:
