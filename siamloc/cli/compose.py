@@ -13,12 +13,13 @@ from typing import Any
 
 from omegaconf import DictConfig, OmegaConf
 
+from analytic.descriptors.fused import SIGN, distinct
 from foundation.settings import merged, shortened
 from siamloc.cli.help import job_of
 from siamloc.cli.words import values_of
 from siamloc.errors import ConfigError, DataError, SiamlocError, check_known, hint
 from siamloc.jobs.job import Given, Job
-from siamloc.jobs.options import choices, config_folder, groups, option, options
+from siamloc.jobs.options import choices, config_folder, groups, is_fused, option, options
 from siamloc.jobs.sweep import Sweep
 from siamloc.models.registry import is_backbone
 from siamloc.runs import runs_in
@@ -181,6 +182,9 @@ def _register(kind: type[Job], words: list[str]) -> None:
         for name, entry in inside.items():
             package = "_global_" if group == "experiment" else None
             store.store(name, OmegaConf.create(entry.node()), group=group, package=package)
+    for name in (name for word in words if _key(word) == "descriptor" for name in word.partition("=")[2].split(",")):
+        if is_fused("descriptor", name):
+            store.store(name, OmegaConf.create(option("descriptor", name).node()), group="descriptor")
     named = [name for word in words if _key(word) == _BRANCH for name in word.partition("=")[2].split(",")]
     for name in (one.strip("'\" ") for one in named):
         if is_backbone(name):
@@ -286,15 +290,23 @@ def _check_words(words: list[str]) -> None:
 def _as_meant(word: str, kind: type[Job]) -> str:
     """Read `model.branch=NAME` as the choice `model/branch=NAME`, and `descriptor=FOLDER` as the network of that run.
 
-    Several folders are a sweep over networks.
+    Several folders are a sweep over networks. A list of descriptors becomes the name of all of them fused.
     """
     key, _, value = word.partition("=")
+    if key == "descriptor":
+        value = re.sub(r"\[([^\[\]]*)\]", lambda found: _fused(found[1]), value)
+        word = f"{key}={value}"
     if "." in key and key.replace(".", "/") in kind.GROUPS:
         return f"{key.replace('.', '/')}={value}"
     folders = [folder.strip("'\"") for folder in value.split(",")]
     if key != "descriptor" or not all((Path(folder) / "run.json").is_file() for folder in folders):
         return word
     return f"descriptor.run={','.join(map(_quoted, folders))}"
+
+
+def _fused(listed: str) -> str:
+    """Return the name of several descriptors fused, for their names with commas in between."""
+    return SIGN.join(distinct([name.strip("'\" ") for name in listed.split(",")] if listed.strip() else []))
 
 
 def _flags_first(words: list[str]) -> list[str]:

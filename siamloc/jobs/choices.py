@@ -9,7 +9,8 @@ from dataclasses import dataclass, field
 from functools import partial
 from typing import Annotated, Any, ClassVar, Literal, TypeVar
 
-from foundation.settings import Count, Natural, Rule, Settings, Share, Text, Workers, checked, fields_of
+from analytic.descriptors.fused import SIGN, distinct
+from foundation.settings import Count, Natural, NotNegative, Rule, Settings, Share, Text, Workers, checked, fields_of
 from siamloc.errors import ConfigError, check_known, hint
 from siamloc.models.registry import (
     LOSSES,
@@ -87,10 +88,45 @@ class Build(Choice):
 
 
 class DescriptorChoice(Choice):
-    """The descriptor of a map: a network or an analytic one."""
+    """The descriptor of a map: a network, an analytic one, or several fused."""
 
     WHERE = "descriptor"
     LABELLED = True
+
+    @property
+    def title(self) -> str:
+        """The label if there is one, else the name, or the names of fused descriptors, such as pretrained+hsv."""
+        return self.label or SIGN.join(names_in(self.plain()))
+
+
+@dataclass(frozen=True)
+class Fusion(Settings):
+    """Several descriptors as one; their list is short for it: descriptor=[pretrained,hsv,hog].
+
+    Attributes:
+        parts: names of two descriptors or more.
+        weights: a weight for each; learned from protocol.validation if None, see `siamloc.maps.build`.
+    """
+
+    WHERE = "descriptor"
+
+    parts: tuple[str, ...]
+    weights: tuple[NotNegative, ...] | None = None
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        distinct(self.parts)
+        if self.weights is not None and len(self.weights) != len(self.parts):
+            raise ConfigError(
+                f"descriptor.weights must be {len(self.parts)} numbers, one for each of {', '.join(self.parts)}, got "
+                f"{list(self.weights)}"
+            )
+
+
+def names_in(chosen: Mapping[str, Any]) -> list[str]:
+    """Return the name of a chosen descriptor, or the names of its parts if it is fused."""
+    parts = chosen.get("parts")
+    return [str(name) for name in parts] if isinstance(parts, list | tuple) else [str(chosen.get("name"))]
 
 
 @dataclass(frozen=True)
@@ -127,7 +163,7 @@ def _checks(where: str) -> Mapping[str, Check]:
 
         return {"none": _only(where), **{name: way.of for name, way in WAYS.items()}}
     plain = dict.fromkeys(("untrained", "pretrained"), _only(where))
-    networks = {"network": _only(where, "run"), "frozen": Frozen.of, **plain}
+    networks = {"network": _only(where, "run"), "frozen": Frozen.of, "fused": Fusion.of, **plain}
     return {**(networks if where == "descriptor" else {"none": _only(where)}), **_analytic(where)}
 
 

@@ -9,6 +9,7 @@ from typing import Any, ClassVar
 from urllib.parse import quote
 
 from analytic import Descriptor
+from analytic.descriptors.fused import SIGN
 from foundation.files import real_path
 from foundation.settings import Text
 from siamloc import evaluation, maps
@@ -22,7 +23,7 @@ from siamloc.evaluation.layers import MapMeasures
 from siamloc.evaluation.localize import Localization
 from siamloc.jobs.choices import OF_A_RUN, DescriptorChoice
 from siamloc.jobs.job import Say, quiet
-from siamloc.jobs.options import choices, option
+from siamloc.jobs.options import choices, is_fused, option
 from siamloc.jobs.run_job import RunJob, files_in
 from siamloc.jobs.stored import map_file, map_known
 from siamloc.jobs.sweep import of_layer, of_results, own_folder, sweep_suffix, swept, with_swept
@@ -48,6 +49,7 @@ class Evaluate(RunJob):
         task.baselines=[hog,thumbnail,untrained]
         descriptor=pretrained|hog|...     measure a descriptor other than the trained network, without training; all
                                           groups are listed below
+        descriptor=[pretrained,hsv,hog]   several as one; the weights of the map, or learned on protocol.validation
         task.filter=true                  also follow the robot along its drive with a filter;
                                           task.filter_tune=true tunes it on protocol.validation
         task.refine=interpolate           a pose between the three nearest map frames (task.neighbours=3)
@@ -93,7 +95,7 @@ class Evaluate(RunJob):
         super().__post_init__()
         known = choices("descriptor")
         for name in getattr(self.task, "baselines", ()):
-            if name not in known:
+            if name not in known and not is_fused("descriptor", name):
                 raise ConfigError(f"unknown descriptor {name!r} in task.baselines: {hint(name, known)}")
 
     def run(self, say: Say = quiet) -> Result:
@@ -281,8 +283,11 @@ class Evaluate(RunJob):
                 f"{path} was made of other frames than protocol.map asks for: run `siamloc map` again with the "
                 "intended protocol.map keys"
             )
-        images, frames = self.open_roles("map", *roles)
-        known = maps.build(described, images, frames["map"], heading=heading, distance=self.distance)
+        images, frames = self.open_roles("map", *dict.fromkeys([*roles, *self.learned_from]))
+        given: dict[str, Any] = {"heading": heading, "distance": self.distance}
+        known = maps.build(described, images, frames["map"], validation=frames.get("validation"), **given)
+        if "fusion" in known.made:
+            say(f"weights: {known.made['fusion']}")
         return known, images, frames
 
     def _is_wanted(self, known: VisualMap) -> bool:
@@ -320,7 +325,7 @@ class Evaluate(RunJob):
         for name in getattr(self.task, "baselines", ()):
             if name == main:
                 continue
-            if name in OF_A_RUN and not self.here.record.is_file():
+            if set(name.split(SIGN)) & set(OF_A_RUN) and not self.here.record.is_file():
                 say(f"baseline {name} left out: {self.here.folder} holds no trained network")
                 continue
             size = _size_of(name, self.here)
@@ -335,9 +340,10 @@ class Evaluate(RunJob):
 
 def _size_of(name: str, run: Run) -> list[int] | None:
     """Return the size of panoramas that a named network takes; None for any."""
-    if name == "pretrained":
+    parts = name.split(SIGN)
+    if "pretrained" in parts:
         return list(PRETRAINED_SIZE)
-    size = run.settings["model"].get("image_size") if name in OF_A_RUN else None
+    size = run.settings["model"].get("image_size") if set(parts) & set(OF_A_RUN) else None
     return None if size is None else list(size)
 
 

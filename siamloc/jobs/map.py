@@ -14,7 +14,7 @@ from siamloc.data import Protocol, Role
 from siamloc.errors import ConfigError
 from siamloc.jobs.choices import OF_A_RUN
 from siamloc.jobs.job import Given, Say, quiet
-from siamloc.jobs.options import choices, option
+from siamloc.jobs.options import choices, is_fused, option
 from siamloc.jobs.run_job import RunJob, files_in
 from siamloc.jobs.stored import map_places, titles_of
 from siamloc.jobs.sweep import of_layer, own_folder, swept
@@ -53,6 +53,7 @@ class MapFrames(RunJob):
         protocol.map.every=5            or protocol.map.spacing=0.5
         descriptor=pretrained           the network that ships with siamloc, no training needed; 64 x 256 pixels
         descriptor=hog                  or an analytic descriptor; all groups are listed below
+        descriptor=[pretrained,hsv,hog] several as one, with weights learned on protocol.validation.sequences=[...]
         heading=hog                     estimates headings for a network that cannot (the heads fourier and magnitudes
                                         with circular=true can); heading.step=4 halves the size of its part of the map
         build=incremental|spectral|som|sample|rooms
@@ -93,13 +94,19 @@ class MapFrames(RunJob):
             return self._maintained(say)
         run, label = self.here, self.descriptor.title
         described, heading = self.make_descriptor(), self.make_heading(say)  # before any image is decoded
-        images, roles = self.open_roles("map")
-        made = {"role": self.protocol.map.plain()}
-        known = maps.build(described, images, roles["map"], heading=heading, distance=self.distance, made=made)
+        images, roles = self.open_roles("map", *self.learned_from)
+        given: dict[str, Any] = {
+            "heading": heading,
+            "distance": self.distance,
+            "made": {"role": self.protocol.map.plain()},
+        }
+        known = maps.build(described, images, roles["map"], validation=roles.get("validation"), **given)
         target = map_places(run, self.titles)[0]
         known.save(target)
         run.record_written([target])
         say(f"map: {target}, {len(known)} frames, descriptors of {known.width} numbers")
+        if "fusion" in known.made:
+            say(f"weights: {known.made['fusion']}")
         if known.heading is not None and known.orientation is not None:
             size = known.orientation[0].nbytes
             what = "headings" if known.heading_by.tells_heading else "comparison"
@@ -162,5 +169,6 @@ class MapFrames(RunJob):
     def _changed(self) -> str:
         """Return the parameters of the descriptor that are not those of its option, as words of the command line."""
         chosen, title = self.descriptor.parameters, self.descriptor.title
-        usual = option("descriptor", title if title in choices("descriptor") else self.descriptor.name).values
+        named = title in choices("descriptor") or is_fused("descriptor", title)
+        usual = option("descriptor", title if named else self.descriptor.name).values
         return "".join(f" descriptor.{key}={value}" for key, value in chosen.items() if value != usual.get(key))

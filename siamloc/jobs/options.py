@@ -14,9 +14,10 @@ from typing import Any
 
 import yaml
 
+from analytic.descriptors.fused import SIGN, distinct
 from foundation.settings import complaint, defaults_of, merged
 from siamloc.errors import ConfigError, hint
-from siamloc.jobs.choices import Frozen, parameters_of
+from siamloc.jobs.choices import Frozen, Fusion, parameters_of
 from siamloc.models.registry import is_backbone
 
 
@@ -139,6 +140,7 @@ def _of_maps() -> Options:
             "untrained": Option({"name": "untrained"}, "The network of the run with its initial weights."),
             "pretrained": Option({"name": "pretrained"}, "The network that ships with siamloc; needs no run."),
             "frozen": Option({"name": "frozen", "branch": "???", **defaults_of(Frozen)}, summary_of(Frozen)),
+            "fused": Option({"name": "fused", "parts": "???", **defaults_of(Fusion)}, summary_of(Fusion)),
             **{name: Option({"name": name, **own}, summary_of(type(descriptor(name)))) for name, own in values.items()},
         },
         "heading": {
@@ -212,12 +214,18 @@ def choices(group: str) -> dict[str, str]:
     return dict(sorted(found.items()))
 
 
+def is_fused(group: str, name: str) -> bool:
+    """Return whether a name of an option stands for several descriptors fused."""
+    return group == "descriptor" and SIGN in name
+
+
 def option(group: str, name: str) -> Option:
     """Return an option, from its registry or from its file and the options that the file starts from.
 
     Args:
         group: group of options, a folder of `conf/`, such as "model/branch".
-        name: name of the option, such as "vgg16".
+        name: name of the option, such as "vgg16"; names of descriptors with a plus between them stand for all of them
+            fused.
 
     Raises:
         ConfigError: an unknown option, or a file that is not YAML or not a mapping.
@@ -226,6 +234,8 @@ def option(group: str, name: str) -> Option:
         return options()[group][name]
     if group == "model/branch" and is_backbone(name):
         return Option({"name": name, "weights": None}, "A network that siamloc does not define.")
+    if is_fused(group, name):
+        return Option({**options()[group]["fused"].values, "parts": distinct(name.split(SIGN))}, summary_of(Fusion))
     path = config_folder() / group / f"{name}.yaml"
     if not path.is_file():
         raise ConfigError(f"unknown {group} {name!r}: {hint(name, choices(group))}")

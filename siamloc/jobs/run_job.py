@@ -6,26 +6,30 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar, Literal
+from typing import TYPE_CHECKING, Any, ClassVar, Literal, TypeVar
 
 import numpy as np
 
-from analytic import DESCRIPTORS, Descriptor, descriptor
+from analytic import DESCRIPTORS, Descriptor, Fused, descriptor
+from analytic.descriptors.fused import SIGN, distinct
 from foundation.settings import Seed
 from siamloc.data.decoding import Preprocessing
 from siamloc.data.frames import FrameTable
 from siamloc.data.library import PanoramaLibrary
-from siamloc.data.protocol import Protocol
+from siamloc.data.protocol import Protocol, Role
 from siamloc.data.reading import DataSettings
 from siamloc.errors import ConfigError
-from siamloc.jobs.choices import OF_A_RUN, Build, DescriptorChoice, Device, Folder, Frozen, Heading, Model
+from siamloc.jobs.choices import OF_A_RUN, Build, DescriptorChoice, Device, Folder, Frozen, Heading, Model, names_in
 from siamloc.jobs.job import Given, Job, Say
+from siamloc.jobs.options import option
 from siamloc.jobs.stored import descriptor_of, only_map, with_settings_of_the_run
 from siamloc.models.registry import PRETRAINED_SIZE
 from siamloc.runs import Run, suggested_run
 
 if TYPE_CHECKING:
     from siamloc.maps import VisualMap
+
+Kind = TypeVar("Kind", bound="RunJob")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -87,7 +91,7 @@ class RunJob(DataJob):
         model: the architecture of the network, to make sure that the run's network has it.
         checkpoint: checkpoint of the network: best on the validation sequence, or last; best falls back to last.
         device: device on which networks compute: "auto", "cpu", or a GPU such as "cuda:0".
-        descriptor: a network or an analytic descriptor.
+        descriptor: a network or an analytic descriptor; or a list of several, which are fused.
         heading: the descriptor that estimates headings for a network that cannot.
         distance: how descriptors are compared; the descriptor's default if None.
         build: how the frames of the map are grouped into nodes.
@@ -113,6 +117,13 @@ class RunJob(DataJob):
     seed: Seed = 0
 
     @classmethod
+    def of(cls: type[Kind], values: Mapping[str, Any], given: Given | None = None) -> Kind:
+        """Make a job from plain values, as `Job.of`; a list of names as the descriptor stands for all of them fused."""
+        if isinstance(values.get("descriptor"), list | tuple):
+            values = {**values, "descriptor": SIGN.join(distinct(values["descriptor"]))}
+        return super().of(values, given)
+
+    @classmethod
     def completed(cls, values: dict[str, Any], given: Given) -> dict[str, Any]:
         """Return values together with the settings of the run."""
         values = super().completed(values, given)
@@ -126,10 +137,10 @@ class RunJob(DataJob):
             values = with_settings_of_the_run(
                 values, given, cls.key_names(), replaces_map=cls.REPLACES_MAP, loaded=loaded
             )
-        elif chosen.get("name") in OF_A_RUN and chosen.get("run") is None:
+        elif set(names_in(chosen)) & set(OF_A_RUN) and chosen.get("run") is None:
             otherwise = "train one first with `siamloc train run=FOLDER`, or choose a descriptor that needs none"
             raise ConfigError(f"no run is named: {suggested_run(f'{otherwise}, descriptor=hog')}")
-        if values["descriptor"].get("name") == "pretrained" and "data.image_size" not in given.keys:
+        if "pretrained" in names_in(values["descriptor"]) and "data.image_size" not in given.keys:
             values["data"] = {**values["data"], "image_size": list(PRETRAINED_SIZE)}
         return values
 
@@ -155,6 +166,10 @@ class RunJob(DataJob):
         chosen = chosen or self.descriptor
         if chosen.name in DESCRIPTORS:
             return descriptor(chosen.name, **chosen.parameters, circular=self.data.circular)
+        if chosen.name == Fused.name:
+            parts = {name: self.make_descriptor(_part(name)) for name in names_in(chosen.parameters)}
+            weights = chosen.parameters.get("weights")
+            return Fused(parts, None if weights is None else dict(zip(parts, weights, strict=True)))
         from siamloc import models
 
         if chosen.name == "pretrained":
@@ -167,6 +182,11 @@ class RunJob(DataJob):
         network = models.load(trained, which="untrained" if chosen.name == "untrained" else self.checkpoint)
         self._check_architecture(network, trained, own=trained == self.here)
         return models.as_descriptor(network, self.device)
+
+    @property
+    def learned_from(self) -> list[str]:
+        """The roles of the frames from which a map's descriptor is learned: validation frames for fused ones."""
+        return ["validation"] if self.descriptor.name == Fused.name and self.protocol.validation != Role() else []
 
     def make_heading(self, say: Say) -> Descriptor | None:
         """Make the descriptor that estimates headings; None without one, or if the job's descriptor estimates them."""
@@ -199,6 +219,18 @@ class RunJob(DataJob):
                 f"{network} takes panoramas of {rows} x {columns}, and data.image_size says "
                 f"{list(self.data.image_size)}: leave it out, or say data.image_size=[{rows},{columns}]"
             )
+
+
+def _part(name: str) -> DescriptorChoice:
+    """Return the choice of a part of a fused descriptor.
+
+    Raises:
+        ConfigError: an unknown name, or a descriptor that needs further keys.
+    """
+    values = option("descriptor", name).values
+    if needed := [key for key, value in values.items() if value == "???"]:
+        raise ConfigError(f"{name} cannot be fused: it needs descriptor.{needed[0]}, which a part cannot be given")
+    return DescriptorChoice.of(values)
 
 
 def files_in(folder: Path) -> list[Path]:

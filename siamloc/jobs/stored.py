@@ -12,12 +12,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from analytic import DESCRIPTORS
+from analytic.descriptors.fused import SIGN
 from foundation.settings import fields_of
 from siamloc.data.protocol import Protocol
 from siamloc.errors import ConfigError
-from siamloc.jobs.choices import OF_A_RUN, parameters_of
+from siamloc.jobs.choices import OF_A_RUN, names_in, parameters_of
 from siamloc.jobs.job import Given
-from siamloc.jobs.options import option
+from siamloc.jobs.options import is_fused, option
 from siamloc.jobs.sweep import of_map, own_folder
 from siamloc.models.registry import Optimizer
 from siamloc.runs import Run
@@ -65,7 +66,7 @@ def with_settings_of_the_run(
     run = Run(Path(values["run"]))
     described = {"name": "network", "run": None, **values.get("descriptor", {})}
     trained = run if described["run"] is None else Run(Path(described["run"]))
-    by_network = described["name"] in OF_A_RUN
+    by_network = bool(set(names_in(described)) & set(OF_A_RUN))
     needed = by_network and not resumed
     if needed and not trained.record.is_file():
         _hint_at_maps(trained.folder)
@@ -98,7 +99,11 @@ def with_settings_of_the_run(
 
 def titles_of(values: Mapping[str, Any]) -> dict[str, str]:
     """Return the titles of the descriptor and of the build in the values of a job, by group."""
-    return {group: str(values[group].get("label") or values[group]["name"]) for group in ("descriptor", "build")}
+    described, build = values["descriptor"], values["build"]
+    return {
+        "descriptor": str(described.get("label") or SIGN.join(names_in(described))),
+        "build": str(build.get("label") or build["name"]),
+    }
 
 
 def map_file(run: Run, label: str) -> Path:
@@ -151,7 +156,8 @@ def descriptor_of(path: Path, known: VisualMap) -> dict[str, Any] | None:
     """Return the descriptor of a saved map as values of a job; None for the network of another run."""
     label, name = path.parent.name, known.identity.get("name")
     if name not in DESCRIPTORS:
-        return dict(option("descriptor", label).values) if label == "pretrained" else None
+        itself = label == "pretrained" or is_fused("descriptor", label)
+        return dict(option("descriptor", label).values) if itself else None
     keys = [key for key in ("name", *parameters_of(name)) if key in known.identity]
     return {**{key: known.identity[key] for key in keys}, **({} if label == name else {"label": label})}
 

@@ -2,19 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from analytic import DESCRIPTORS, Description, Descriptor, descriptor
+from analytic import DESCRIPTORS, Description, Descriptor, Fused, descriptor
+from analytic.descriptors.fused import distinct
 from analytic.errors import known
 from foundation.calls import typed
 from siamloc.data.frames import FrameTable
 from siamloc.data.mounting import Mounting, estimate
 from siamloc.errors import ConfigError, DataError, logger
+from siamloc.maps.fusing import check_apart, weighted
 from siamloc.maps.heading import HEADINGS, NetworkHeading, described, halved
 from siamloc.maps.visual_map import VisualMap
 from siamloc.progress import track
@@ -28,10 +30,11 @@ if TYPE_CHECKING:
 
 @typed
 def build(
-    described_by: Descriptor | nn.Module | str,
+    described_by: Descriptor | nn.Module | str | Sequence[str | Descriptor],
     images: PanoramaLibrary,
     frames: FrameTable,
     *,
+    validation: FrameTable | None = None,
     heading: Descriptor | str | None = None,
     distance: str | None = None,
     device: str | None = "auto",
@@ -45,9 +48,13 @@ def build(
     map takes that into account whenever it describes panoramas or refines poses.
 
     Args:
-        described_by: a network (B, 3, H, W) -> (B, D), any descriptor, or the name of an analytic one such as "hog".
+        described_by: a network (B, 3, H, W) -> (B, D), any descriptor, or the name of an analytic one such as "hog"; or
+            a list of several that become one, such as ["pretrained", "hsv", "hog"], see `analytic.Fused`.
         images: panoramas of the frames.
         frames: the frames of the map; those whose image cannot be read are left out.
+        validation: frames of other drives, from which the weights of fused descriptors are learned: those with which
+            the nearest map frames are nearest to them, or in their room if there are no positions. Without them, the
+            weights are equal.
         heading: an analytic descriptor, or its name, that gives headings alongside a network. If None, a network that
             wraps around and has the head `fourier` or `magnitudes` gives them itself, and other networks give none.
         distance: how descriptors are compared, a name in `analytic.DISTANCES`; the descriptor's default if None.
@@ -58,7 +65,8 @@ def build(
         progress: whether to show the progress.
 
     Raises:
-        ConfigError: an unknown name, distance or device, or two descriptors that do not work together.
+        ConfigError: an unknown name, distance or device, descriptors that do not work together, or validation frames
+            from the map's drives.
         DataError: no image can be read, or descriptors are not finite.
 
     Example:
@@ -88,11 +96,14 @@ def build(
     readable = images.readable(frames)
     if not len(readable):
         raise DataError(f"none of the images of the {len(frames)} map frames could be read")
+    if isinstance(by, Fused) and not by.complete:
+        check_apart(readable, validation)
+        by = by.measured(next(iter(images.batches(readable.take([0])))))
     what = "describing the map" if progress else None
 
-    def descriptions(mounting: Mounting | None) -> Description:
+    def descriptions(mounting: Mounting | None, frames: FrameTable = readable) -> Description:
         return Description.concatenate(
-            list(describe(by, images, readable, heading=second, mounting=mounting, progress=what))
+            list(describe(by, images, frames, heading=second, mounting=mounting, progress=what))
         )
 
     found = descriptions(mounting)
@@ -103,8 +114,15 @@ def build(
             logger.warning("the camera is not mounted straight, which the map makes up for: %s", estimated.summary())
             if replace(mounting, ahead=0.0, left=0.0) != Mounting():  # an offset leaves the panoramas as they are
                 found = descriptions(mounting)
+    if isinstance(by, Fused) and not by.complete:
+        asked = None if validation is None else images.readable(validation)
+        seen = None if asked is None or not len(asked) else descriptions(mounting, asked).position
+        by, fusion = weighted(by, found.position, readable, seen, asked)
+        found = Description(by.joined(by.split(found.position)), found.orientation)
+        made = {**(made or {}), "fusion": fusion}
     turning, orientation = second, found.orientation
-    if by.name == NetworkHeading.name and second is None:
+    own = by.oriented_by if isinstance(by, Fused) else by
+    if own is not None and own.name == NetworkHeading.name and second is None:
         wanted = images.circular if by.tells_heading else getattr(by, "compares", False)
         turning = NetworkHeading(by.tells_heading) if wanted else None
         orientation = None if turning is None else orientation
@@ -185,12 +203,14 @@ def _timed(
         return described(by, heading, batch, mounting)
 
 
-def descriptor_from(by: Descriptor | nn.Module | str, *, circular: bool, device: str | None = "auto") -> Descriptor:
+def descriptor_from(
+    by: Descriptor | nn.Module | str | Sequence[str | Descriptor], *, circular: bool, device: str | None = "auto"
+) -> Descriptor:
     """Return the descriptor for a descriptor (as it is), a network (wrapped) or a name (with default parameters).
 
     Args:
         by: a descriptor, a network, a name in `analytic.DESCRIPTORS`, or "pretrained" for the network that ships with
-            siamloc.
+            siamloc; or a list of several, which are fused.
         circular: whether the columns of the images are a full turn; ignored unless `by` is a name.
         device: where a network computes.
 
@@ -199,6 +219,10 @@ def descriptor_from(by: Descriptor | nn.Module | str, *, circular: bool, device:
     """
     if isinstance(by, Descriptor):
         return by
+    if isinstance(by, Sequence) and not isinstance(by, str):
+        names = [one if isinstance(one, str) else one.name for one in by]
+        made = (descriptor_from(one, circular=circular, device=device) for one in by)
+        return Fused(dict(zip(distinct(names), made, strict=True)))
     if isinstance(by, str) and by != "pretrained":
         return descriptor(known(by, ("pretrained", *DESCRIPTORS), "descriptor"), circular=circular)
     from siamloc.models import as_descriptor, pretrained

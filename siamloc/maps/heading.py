@@ -8,8 +8,9 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from analytic import DESCRIPTORS, Description, Descriptor, ImageDescriptor, descriptor
+from analytic import DESCRIPTORS, Description, Descriptor, Fused, descriptor
 from analytic.descriptors.between_columns import BetweenColumns
+from analytic.descriptors.fused import NUMBERS
 from siamloc.data.mounting import Mounting
 from siamloc.errors import ConfigError, DataError
 from siamloc.maps.packing import all_finite, packed
@@ -50,18 +51,36 @@ def heading_descriptor(identity: Mapping[str, Any]) -> Descriptor:
 
 
 def is_analytic(identity: Mapping[str, Any]) -> bool:
-    """Whether an identity belongs to an analytic descriptor, which can be made from it alone."""
+    """Whether an identity belongs to an analytic descriptor, or several fused, which can be made from it alone."""
+    if identity.get("name") == Fused.name:
+        return all(map(is_analytic, parts_of(identity).values()))
     return identity.get("name") in list(DESCRIPTORS)  # a name from a file may be anything, also a list
 
 
-def descriptor_of(identity: Mapping[str, Any]) -> ImageDescriptor:
+def parts_of(identity: Mapping[str, Any]) -> dict[str, Mapping[str, Any]]:
+    """Return the identities of the parts of a fused descriptor by name; none if they are not whole."""
+    parts = identity.get("parts")
+    whole = isinstance(parts, Mapping) and all(isinstance(one, Mapping) for one in parts.values())
+    return dict(parts) if whole else {}  # type: ignore[arg-type]
+
+
+def descriptor_of(identity: Mapping[str, Any], network: Descriptor | None = None) -> Descriptor:
     """Return the analytic descriptor with this identity, that is, with these name and parameters.
+
+    Args:
+        identity: the identity of an analytic descriptor, or of a fused one.
+        network: the part of a fused descriptor that is a network; None if there is none.
 
     Raises:
         AnalyticError: a descriptor or a parameter that this version does not know.
     """
     alone = {key: value for key, value in identity.items() if key != "images"}  # how images became panoramas
-    return descriptor(**{"name": "", **alone})
+    if alone.get("name") == NetworkHeading.name and network is not None:
+        return network
+    if alone.get("name") != Fused.name:
+        return descriptor(**{"name": "", **alone})
+    parts = {name: descriptor_of(one, network) for name, one in parts_of(alone).items()}
+    return Fused(parts, *(alone.get(key) for key in NUMBERS))
 
 
 class NetworkHeading(BetweenColumns):

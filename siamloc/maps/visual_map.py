@@ -13,7 +13,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from analytic import Description, Descriptor
+from analytic import Description, Descriptor, Fused
+from analytic.descriptors.fused import NUMBERS
 from analytic.distances import DISTANCES
 from analytic.errors import known
 from foundation.calls import typed
@@ -25,7 +26,15 @@ from siamloc.data.panorama import PolarRing
 from siamloc.data.presets import AutoRing, ColdRing
 from siamloc.errors import ConfigError, DataError
 from siamloc.maps.aligned import AlignedIndex
-from siamloc.maps.heading import NetworkHeading, described, descriptor_of, halved, heading_descriptor, is_analytic
+from siamloc.maps.heading import (
+    NetworkHeading,
+    described,
+    descriptor_of,
+    halved,
+    heading_descriptor,
+    is_analytic,
+    parts_of,
+)
 from siamloc.maps.history import History
 from siamloc.maps.map_file import read_map, write_map
 from siamloc.maps.packing import Precision, all_finite, shares_values
@@ -212,13 +221,25 @@ class VisualMap:
 
     @property
     def has_colours(self) -> bool:
-        """Whether descriptors end with colours, which are not learned; see `siamloc.models.colours`."""
-        return bool(self.identity.get("colours"))
+        """Whether descriptors end with colours, which are not learned; see `siamloc.models.colours`.
+
+        In a map by a fused descriptor whose first part is a network with colours, they end with these colours and with
+        the other parts, which are not learned either.
+        """
+        return bool(self._network.get("colours"))
 
     @property
     def learned(self) -> NDArray[np.float32]:
         """What is learned of the descriptors, without colours (n, D): what means, nodes and filters are made of."""
-        return self.descriptors[:, :-COLOURS] if self.has_colours else self.descriptors
+        if not self.has_colours:
+            return self.descriptors
+        fused = list(self.identity.get("widths", {}).values())
+        return self.descriptors[:, : fused[0] - COLOURS if fused else -COLOURS]
+
+    @property
+    def _network(self) -> Mapping[str, Any]:
+        """The identity of the descriptor, or of the first part of a fused one."""
+        return next(iter(parts_of(self.identity).values()), self.identity)
 
     @cached_property
     def learned_index(self) -> VectorIndex:
@@ -379,9 +400,15 @@ class VisualMap:
     def with_descriptor(self, descriptor: Descriptor) -> VisualMap:
         """Return the map with the descriptor for its queries.
 
+        A fused descriptor gets the weights and typical distances of the map where it has none.
+
         Raises:
             ConfigError: the map was described by another descriptor.
         """
+        if isinstance(descriptor, Fused) and self.identity.get("name") == Fused.name:
+            held: dict[str, Any] = {key: self.identity.get(key) for key in NUMBERS if getattr(descriptor, key) is None}
+            if set(parts_of(self.identity)) == set(descriptor.parts):
+                descriptor = replace(descriptor, **held)
         images = {key: value for key, value in self.identity.items() if key == "images"}
         self.check_describer({**descriptor.identity, **images})
         return replace(self, describes=descriptor)

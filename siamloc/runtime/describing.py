@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from analytic import AnalyticError, Description, ImageDescriptor
+from analytic import AnalyticError, Description, Descriptor, Fused, ImageDescriptor
 from siamloc.errors import ConfigError, DataError, FormatError, hint
 from siamloc.maps import VisualMap
 from siamloc.maps.heading import descriptor_of
@@ -58,11 +58,14 @@ class Describer:
         )
         self.providers = () if self._session is None else tuple(self._session.get_providers())
         self._size, self.identity = bundle.image_size, known.identity
-        if self._session is not None:
-            known = replace(known, describes=self)  # type: ignore[arg-type]
+        own = known.orientation if known.heading is None else None  # else the parts are the heading's
+        network = None if self._session is None else _Network(self._session, known)
+        self._by: Descriptor
+        if network is not None and known.identity.get("name") != Fused.name:
+            self._by = network
         else:
-            own = known.orientation if known.heading is None else None  # else the parts are the heading's
-            known = known.with_descriptor(analytic_descriptor(known.identity, bundle, known.width, own))
+            self._by = analytic_descriptor(known.identity, bundle, known.width, own, network)
+        known = known.with_descriptor(self._by) if network is None else replace(known, describes=self)  # type: ignore[arg-type]
         self.known, self._turning = known, None
         if known.heading is not None and not known.heading_by_network:
             self._turning = analytic_descriptor(known.heading, bundle, orientation=known.orientation)
@@ -81,18 +84,9 @@ class Describer:
         expected = (3, *self._size)
         if panoramas.dtype != np.uint8 or panoramas.ndim != 4 or panoramas.shape[1:] != expected:
             raise DataError(f"a panorama has shape {expected} and dtype uint8, got {panoramas.shape} {panoramas.dtype}")
-        if self._session is None:
-            found = self.known.descriptor.describe(panoramas)
-            position, orientation = found.position, found.orientation
-        else:
-            position, *parts = self._session.run(None, {"panorama": panoramas})
-            orientation = parts[0] if parts else None
-            if orientation is not None and not np.isfinite(orientation).all():
-                # onnxruntime sums in another order than torch and gets variances below 0 where there is no contrast.
-                orientation = np.nan_to_num(orientation, nan=0.0, posinf=0.0, neginf=0.0)
-        if self._turning is not None:
-            orientation = self._turning.describe(panoramas).orientation
-        return Description(position, orientation)
+        found = self._by.describe(panoramas)
+        turning = found if self._turning is None else self._turning.describe(panoramas)
+        return Description(found.position, turning.orientation)
 
     def compare(
         self, queries: NDArray[np.float32], known: NDArray[np.float32]
@@ -101,6 +95,31 @@ class Describer:
         assert self._relative is not None
         pose, information, match = self._relative.run(None, {"query": queries, "known": known})
         return pose.astype(np.float64), information.astype(np.float64), match.astype(np.float64)
+
+
+class _Network(Descriptor):
+    """Describe panoramas with the network of a bundle, alone or as a part of a fused descriptor."""
+
+    name = "network"
+
+    def __init__(self, session: Any, known: VisualMap) -> None:
+        self._session, self._known = session, known
+
+    @property
+    def identity(self) -> dict[str, Any]:
+        return self._known.identity
+
+    @property
+    def tells_heading(self) -> bool:  # so that a fused descriptor takes the orientation parts of the same part
+        return self._known.heading_by_network
+
+    def describe(self, batch: Any) -> Description:
+        position, *parts = self._session.run(None, {"panorama": batch})
+        orientation = parts[0] if parts else None
+        if orientation is not None and not np.isfinite(orientation).all():
+            # onnxruntime sums in another order than torch and gets variances below 0 where there is no contrast.
+            orientation = np.nan_to_num(orientation, nan=0.0, posinf=0.0, neginf=0.0)
+        return Description(position, orientation)
 
 
 def working_providers() -> dict[str, bool]:
@@ -166,29 +185,39 @@ def _session(network: str | bytes, threads: int | None, providers: Sequence[str]
 
 
 def analytic_descriptor(
-    identity: Mapping[str, Any], bundle: Bundle, width: int | None = None, orientation: NDArray[Any] | None = None
-) -> ImageDescriptor:
-    """Return an analytic descriptor, after checking that it made the map.
+    identity: Mapping[str, Any],
+    bundle: Bundle,
+    width: int | None = None,
+    orientation: NDArray[Any] | None = None,
+    network: Descriptor | None = None,
+) -> Descriptor:
+    """Return an analytic or fused descriptor, after checking that it made the map.
 
     Args:
         identity: name and parameters of the descriptor.
         bundle: the bundle whose panoramas it describes.
         width: length of the map's descriptors; not checked if None.
         orientation: (n, K, F, ...) the map's orientation parts; not checked if None.
+        network: the network among the parts of a fused descriptor, if there is one.
 
     Raises:
         FormatError: an unknown descriptor, or one whose sizes differ from the map's: then it did not make the map, and
             could take any amount of memory.
     """
     try:
-        made = descriptor_of(identity)
-        given, turning = made.sizes(*bundle.image_size)
+        made = descriptor_of(identity, network)
+        parts, widths = (made.parts, made.widths) if isinstance(made, Fused) else ({"": made}, None)
+        sizes = {name: one.sizes(*bundle.image_size) for name, one in parts.items() if isinstance(one, ImageDescriptor)}
     except (AnalyticError, TypeError) as error:
         raise FormatError(
             f"{bundle.path} describes images in a way unknown to this version of siamloc: {error}"
         ) from error
     # Tables hold some sizes in reverse order, so only their product is compared.
+    lengths = {name: math.prod(given) for name, (given, _) in sizes.items()}
+    lengths = {**(widths or {}), **lengths}  # the length of a network's part is known only from the map
     held = None if orientation is None else math.prod(orientation.shape[1:3])
-    if (width is not None and math.prod(given) != width) or (held is not None and held != math.prod(turning)):
+    turning = next((sizes[name][1] for name, one in parts.items() if one is getattr(made, "oriented_by", made)), ())
+    fits = widths is None or lengths == dict(widths)
+    if not fits or (width is not None and sum(lengths.values()) != width) or held not in (None, math.prod(turning)):
         raise FormatError(f"{bundle.path} holds a map whose sizes differ from those of its {made.name}: export again")
     return made

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import shutil
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from analytic import Descriptor
+from analytic import Descriptor, Fused
 from foundation.calls import typed
 from foundation.files import atomic_folder, file_hash, plain, read_json, write_json
 from siamloc.data.decoding import Preprocessing, size_of
@@ -43,7 +43,7 @@ _TRIED = 3  # number of panoramas that a bundle must describe as the original do
 
 @typed
 def export(
-    described_by: nn.Module | Descriptor | str,
+    described_by: nn.Module | Descriptor | str | Sequence[str | Descriptor],
     known: VisualMap | None,
     folder: str | Path,
     *,
@@ -65,8 +65,9 @@ def export(
 
     Args:
         described_by: the network or descriptor: a module (B, 3, H, W) -> (B, D), `siamloc.models.as_descriptor` of one,
-            or an analytic descriptor, which the robot computes with numpy and OpenCV; for the descriptor of the map its
-            name is enough, as for `siamloc.maps.build`.
+            or an analytic descriptor, which the robot computes with numpy and OpenCV, or a fused one with a network at
+            most; for the descriptor of the map its name, or the list of its parts, is enough, as for
+            `siamloc.maps.build`.
         known: the descriptor's map; None for a network alone, which only describes images. If the map has heading
             parts, the robot gets headings.
         folder: where to write the bundle.
@@ -99,6 +100,8 @@ def export(
     _check_replaceable(folder)
     circular = known is None or bool(known.identity.get("circular", True))
     given = descriptor_from(described_by, circular=circular, device=None)
+    if isinstance(given, Fused) and known is not None:
+        given = known.with_descriptor(given).descriptor  # with the weights of the map
     identity, parameters = _described_alike(given, known, preprocessing)
     _check_learned(known, errors, refinement)
     if layer is not None:
@@ -119,19 +122,24 @@ def export(
         "search": None if search is None or layer is None else search.plain(),
         "figures": None if figures is None else plain(dict(figures)),
     }
-    if hasattr(given, "module"):
+    if (network := _network_in(given)) is not None:
         from siamloc.models import as_descriptor
         from siamloc.runtime.onnx_model import on_cpu
 
-        given = as_descriptor(on_cpu(given.module), None)  # as the robot computes
+        here = as_descriptor(on_cpu(network.module), None)  # as the robot computes
+        if isinstance(given, Fused):
+            parts = {name: here if one is network else one for name, one in given.parts.items()}
+            given = replace(given, parts=parts)
+        else:
+            given = here
     known = None if known is None else replace(known, describes=given)
-    parts: dict[str, Any] = {files.MAP: known, files.ERRORS: errors, files.REFINEMENT: refinement}
-    parts |= {
+    pieces: dict[str, Any] = {files.MAP: known, files.ERRORS: errors, files.REFINEMENT: refinement}
+    pieces |= {
         files.LAYER: layer,
         files.COARSE: coarse_map,
         files.CAMERA: _own_camera(parameters, preprocessing, known, images),
     }
-    made = _Ingredients(about, given, parts, images, thumbnails)
+    made = _Ingredients(about, given, pieces, images, thumbnails)
     with atomic_folder(folder) as fresh:
         if precision == "auto":
             made.write_smallest(fresh, validation)
@@ -156,7 +164,7 @@ class _Ingredients:
         Raises:
             SiamlocError: the bundle differs from the original.
         """
-        module, known, finer = getattr(self.given, "module", None), self.parts[files.MAP], None
+        module, known, finer = getattr(_network_in(self.given), "module", None), self.parts[files.MAP], None
         if (refinement := self.parts[files.REFINEMENT]) is not None:
             finer = {"method": refinement.method, "neighbours": refinement.neighbours}
         about = {**self.about, "precision": precision, "refinement": finer}
@@ -171,7 +179,7 @@ class _Ingredients:
         write_json(fresh / files.DESCRIPTION, {"parity": _UNKNOWN, **about})  # to be opened, and compared
         if known is not None:
             apart = _check_alike(fresh, known, precision, self.images)
-            if module is None or precision != "float32":
+            if module is None or precision != "float32" or isinstance(self.given, Fused):
                 write_json(fresh / files.DESCRIPTION, {**about, "parity": {**about.get("parity", {}), **apart}})
 
     def write_smallest(self, fresh: Path, frames: Any) -> None:
@@ -268,7 +276,7 @@ def _check_given(
         if thumbnails or precision != "float32":
             raise ConfigError(f"without a map there are neither pictures of it nor precision={precision}: give the map")
         return
-    learns = precision == "auto" or (precision == "int8" and hasattr(given, "module"))
+    learns = precision == "auto" or (precision == "int8" and _network_in(given) is not None)
     if images is None and (thumbnails or learns):
         what = "a bundle with pictures of the map" if thumbnails else f"precision={precision}"
         raise ConfigError(f"{what} needs the panoramas of the map's frames: give images=")
@@ -322,9 +330,11 @@ def _described_alike(
     Raises:
         ConfigError: a robot cannot describe images in this way, or those of the map were described otherwise.
     """
-    if getattr(descriptor, "module", None) is None and not is_analytic(descriptor.identity):
-        raise ConfigError(f"only networks and analytic descriptors can be exported, not {descriptor.name}")
-    if getattr(descriptor, "module", None) is None and known is None:
+    network = _network_in(descriptor)
+    for one in descriptor.parts.values() if isinstance(descriptor, Fused) else [descriptor]:
+        if one is not network and not is_analytic(one.identity):
+            raise ConfigError(f"only networks and analytic descriptors can be exported, not {one.name}")
+    if (network is None or isinstance(descriptor, Fused)) and known is None:
         raise ConfigError(
             f"a bundle by {descriptor.name} needs a map: run `siamloc map descriptor={descriptor.name}` first"
         )
@@ -339,6 +349,19 @@ def _described_alike(
     if known is not None:
         known.check_describer({**identity, "images": parameters} if held is not None else identity)
     return identity, parameters
+
+
+def _network_in(descriptor: Descriptor) -> Any:
+    """Return the descriptor itself if it is a network, or the part of a fused one that is; None if there is none.
+
+    Raises:
+        ConfigError: several parts are networks.
+    """
+    parts = descriptor.parts if isinstance(descriptor, Fused) else {descriptor.name: descriptor}
+    networks = {name: one for name, one in parts.items() if getattr(one, "module", None) is not None}
+    if len(networks) > 1:
+        raise ConfigError(f"a bundle holds one network, and {' and '.join(networks)} are networks: fuse one of them")
+    return next(iter(networks.values()), None)
 
 
 def _own_camera(
