@@ -216,7 +216,8 @@ def analytic_descriptor(
     lengths = {name: math.prod(given) for name, (given, _) in sizes.items()}
     lengths = {**(widths or {}), **lengths}  # the length of a network's part is known only from the map
     held = None if orientation is None else math.prod(orientation.shape[1:3])
-    turning = next((sizes[name][1] for name, one in parts.items() if one is getattr(made, "oriented_by", made)), ())
+    by = getattr(made, "oriented_by", made)  # a network has no sizes to compare
+    turning = next((sizes[name][1] for name, one in parts.items() if one is by and name in sizes), ())
     fits = widths is None or lengths == dict(widths)
     if not fits or (width is not None and sum(lengths.values()) != width) or held not in (None, math.prod(turning)):
         raise FormatError(f"{bundle.path} holds a map whose sizes differ from those of its {made.name}: export again")
