@@ -31,7 +31,7 @@ _SMALLEST = bytes.fromhex(
 
 
 class Describer:
-    """Describes panoramas and compares orientation parts, as the descriptor of a bundle did; thread-safe.
+    """Describes panoramas as the descriptor of a bundle did; thread-safe.
 
     Args:
         bundle: the bundle.
@@ -41,39 +41,31 @@ class Describer:
 
     Attributes:
         providers: the execution providers in use, in order; empty if numpy and OpenCV describe the images.
-        known: the map, with the analytic descriptor that made it, or with this object in place of the network.
-        identity: identity of the descriptor that made the map.
+        known: the map, with the descriptor that made it; onnxruntime computes the network.
+        network: the network, which also compares orientation parts; None if there is none.
 
     Raises:
         ConfigError: a provider that this onnxruntime lacks.
         FormatError: a network that onnxruntime cannot run, or an analytic descriptor that did not make the map.
     """
 
-    aligned = False
-
     def __init__(self, bundle: Bundle, known: VisualMap, threads: int | None, providers: Sequence[str] | None) -> None:
-        self._session, self._relative = (
+        session, relative = (
             session_of(bundle.path / name, threads, providers) if name in bundle.files else None
             for name in (MODEL, RELATIVE)
         )
-        self.providers = () if self._session is None else tuple(self._session.get_providers())
-        self._size, self.identity = bundle.image_size, known.identity
+        self.providers = () if session is None else tuple(session.get_providers())
+        self._size = bundle.image_size
         own = known.orientation if known.heading is None else None  # else the parts are the heading's
-        network = None if self._session is None else _Network(self._session, known)
-        self._by: Descriptor
-        if network is not None and known.identity.get("name") != Fused.name:
-            self._by = network
+        self.network = None if session is None else _Network(session, relative, known)
+        by: Descriptor
+        if self.network is not None and known.identity.get("name") != Fused.name:
+            by = self.network
         else:
-            self._by = analytic_descriptor(known.identity, bundle, known.width, own, network)
-        known = known.with_descriptor(self._by) if network is None else replace(known, describes=self)  # type: ignore[arg-type]
-        self.known, self._turning = known, None
+            by = analytic_descriptor(known.identity, bundle, known.width, own, self.network)
+        self.known, self._turning = replace(known, describes=by), None
         if known.heading is not None and not known.heading_by_network:
             self._turning = analytic_descriptor(known.heading, bundle, orientation=known.orientation)
-
-    @property
-    def compares(self) -> bool:
-        """Whether the bundle's network can estimate where one image was taken relative to another."""
-        return self._relative is not None
 
     def describe(self, panoramas: NDArray[np.uint8]) -> Description:
         """Describe panoramas (B, 3, H, W), uint8, RGB, of a camera that looks ahead, with their orientation parts.
@@ -84,9 +76,39 @@ class Describer:
         expected = (3, *self._size)
         if panoramas.dtype != np.uint8 or panoramas.ndim != 4 or panoramas.shape[1:] != expected:
             raise DataError(f"a panorama has shape {expected} and dtype uint8, got {panoramas.shape} {panoramas.dtype}")
-        found = self._by.describe(panoramas)
+        found = self.known.descriptor.describe(panoramas)
         turning = found if self._turning is None else self._turning.describe(panoramas)
         return Description(found.position, turning.orientation)
+
+
+class _Network(Descriptor):
+    """The network of a bundle, which is its descriptor or a part of it."""
+
+    name = "network"
+
+    def __init__(self, session: Any, relative: Any, known: VisualMap) -> None:
+        self.session, self._relative, self._known = session, relative, known
+
+    @property
+    def identity(self) -> dict[str, Any]:
+        return self._known.identity
+
+    @property
+    def tells_heading(self) -> bool:
+        return self._known.heading_by_network
+
+    @property
+    def compares(self) -> bool:
+        """Whether it can estimate where one image was taken relative to another."""
+        return self._relative is not None
+
+    def describe(self, batch: Any) -> Description:
+        position, *parts = self.session.run(None, {"panorama": batch})
+        orientation = parts[0] if parts else None
+        if orientation is not None and not np.isfinite(orientation).all():
+            # onnxruntime sums in another order than torch and gets variances below 0 where there is no contrast.
+            orientation = np.nan_to_num(orientation, nan=0.0, posinf=0.0, neginf=0.0)
+        return Description(position, orientation)
 
     def compare(
         self, queries: NDArray[np.float32], known: NDArray[np.float32]
@@ -95,31 +117,6 @@ class Describer:
         assert self._relative is not None
         pose, information, match = self._relative.run(None, {"query": queries, "known": known})
         return pose.astype(np.float64), information.astype(np.float64), match.astype(np.float64)
-
-
-class _Network(Descriptor):
-    """Describe panoramas with the network of a bundle, alone or as a part of a fused descriptor."""
-
-    name = "network"
-
-    def __init__(self, session: Any, known: VisualMap) -> None:
-        self._session, self._known = session, known
-
-    @property
-    def identity(self) -> dict[str, Any]:
-        return self._known.identity
-
-    @property
-    def tells_heading(self) -> bool:  # so that a fused descriptor takes the orientation parts of the same part
-        return self._known.heading_by_network
-
-    def describe(self, batch: Any) -> Description:
-        position, *parts = self._session.run(None, {"panorama": batch})
-        orientation = parts[0] if parts else None
-        if orientation is not None and not np.isfinite(orientation).all():
-            # onnxruntime sums in another order than torch and gets variances below 0 where there is no contrast.
-            orientation = np.nan_to_num(orientation, nan=0.0, posinf=0.0, neginf=0.0)
-        return Description(position, orientation)
 
 
 def working_providers() -> dict[str, bool]:

@@ -106,7 +106,9 @@ class Localizer:
         self._errors: ErrorModel | None = self.bundle.load(ERRORS)
         self._refinement: Refinement | None = self.bundle.load(REFINEMENT)
         self._placed = self.map.placed() if self.map.frames.has_position.any() else None
-        if self._refinement is not None and self._refinement.method == "relative" and not self._describer.compares:
+        network = self._describer.network
+        self._compare = network.compare if network is not None and network.compares else None
+        if self._refinement is not None and self._refinement.method == "relative" and self._compare is None:
             raise FormatError(
                 f"{bundle_path} says that poses are refined by comparison, but holds no network for it: export again"
             )
@@ -328,7 +330,7 @@ class Localizer:
             found = match(self._placed, query, self._wanted)
         pose, expected, lost = None, math.nan, None
         if self._refinement is not None:
-            pose = replace(self._refinement, widening=1.0).poses(self._placed, query, found, self._describer.compare)
+            pose = replace(self._refinement, widening=1.0).poses(self._placed, query, found, self._compare)
         if self._errors is not None:
             errors, verdict = self._errors.judged(found, self._placed.frames.xy, pose)
             expected, lost = float(errors[0]), None if verdict is None else bool(verdict[0])
