@@ -25,6 +25,7 @@ def test_every_option_of_every_group_composes(override, tmp_path):
         "data=manifest": ["data.manifest=x"],
         "data=trajectory": ["data.images=x", "data.poses=y"],
         "descriptor=frozen": ["data.root=x", "descriptor.branch=torchvision/resnet18"],
+        "descriptor=fused": ["data.root=x", "descriptor.parts=[hog,hsv]"],
         "unwrap=calibrated": ["data.root=x", f"unwrap.file={tmp_path / 'camera.yaml'}"],
         "unwrap=own": ["data.root=x", "unwrap.kind=siamloc.data.panorama:PolarRing"],
     }
