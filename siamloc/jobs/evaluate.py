@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import Any, ClassVar
 from urllib.parse import quote
@@ -277,6 +278,7 @@ class Evaluate(RunJob):
         known = VisualMap.load(path, described) if path.is_file() else None
         if known is not None and self._is_wanted(known):
             images, frames = self.open_roles(*roles, known=known)
+            self._note_what_training_saw(say, frames.get("query"))
             return known.with_heading(heading).with_distance(self.distance), images, frames
         if known is not None and roles:
             raise ConfigError(
@@ -284,11 +286,30 @@ class Evaluate(RunJob):
                 "intended protocol.map keys"
             )
         images, frames = self.open_roles("map", *dict.fromkeys([*roles, *self.learned_from]))
+        self._note_what_training_saw(say, frames.get("query"))
         given: dict[str, Any] = {"heading": heading, "distance": self.distance}
         known = maps.build(described, images, frames["map"], validation=frames.get("validation"), **given)
         if "fusion" in known.made:
             say(f"weights: {known.made['fusion']}")
         return known, images, frames
+
+    def _note_what_training_saw(self, say: Say, queries: FrameTable | None) -> None:
+        """Say which queries the network was trained or chosen by, where the protocol does not say so any more."""
+        chosen = self.descriptor
+        run = Run(Path(chosen.parameters["run"])) if chosen.parameters.get("run") else self.here
+        if chosen.name != "network" or queries is None or not run.record.is_file():
+            return
+        stored, places = run.settings, path_keys()
+        if any(stored.get("data", {}).get(key) != queries.source.get(key) for key in places):
+            return  # drives of the same names in other data
+        for role in ("validation", *(["train"] if self.protocol.kind == "cross_run" else [])):
+            names = Protocol.of(stored.get("protocol", {})).plain()[role]["sequences"] or []
+            seen = [one for one in queries.rows_by("sequence") if any(fnmatchcase(one, name) for name in names)]
+            if seen:
+                say(
+                    f"note: the network of {run.folder} had sequence {seen[0]!r} in protocol.{role}: as a query it "
+                    "gives better results than a new drive"
+                )
 
     def _is_wanted(self, known: VisualMap) -> bool:
         """Whether a saved map was made from the frames that the protocol asks for."""

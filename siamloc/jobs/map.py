@@ -8,12 +8,12 @@ from pathlib import Path
 from typing import Any
 
 from analytic.mapper import IncrementalMapper
-from foundation.settings import defaults_of
+from foundation.settings import defaults_of, leaves
 from siamloc import maps
 from siamloc.data import Protocol, Role
 from siamloc.errors import ConfigError
 from siamloc.jobs.choices import OF_A_RUN
-from siamloc.jobs.job import Given, Say, quiet
+from siamloc.jobs.job import Given, Say, as_words, quiet
 from siamloc.jobs.options import choices, is_fused, option
 from siamloc.jobs.run_job import RunJob, files_in
 from siamloc.jobs.stored import map_places, titles_of
@@ -21,6 +21,8 @@ from siamloc.jobs.sweep import of_layer, own_folder, swept
 from siamloc.maps import Built, VisualMap
 from siamloc.maps.maintenance import Maintenance
 from siamloc.runs import Run
+
+_OTHER_ROLES = ("train", "validation", "map")
 
 
 @dataclass(frozen=True)
@@ -119,8 +121,10 @@ class MapFrames(RunJob):
         if not swept():
             further = "" if self.descriptor.name in OF_A_RUN else f" descriptor={label}{self._changed()}"
             if self.build.name != "none":
-                further = f" task=hierarchical build={self.build.title}"
-            say(f"next: siamloc evaluate run={run.folder}{further}")
+                further += f" task=hierarchical build={self.build.title}"
+            protocol = self._for_evaluation()
+            command = "export" if protocol is None else "evaluate"
+            say(f"next: siamloc {command} {as_words({'run': str(run.folder), **(protocol or {})})}{further}")
         return known
 
     def _maintained(self, say: Say) -> VisualMap:
@@ -165,6 +169,27 @@ class MapFrames(RunJob):
         written = [path, path.with_name("staleness.png")]
         self.here.record_written([*written, *(files_in(folder) if built is not None else [])])
         return known
+
+    def _for_evaluation(self) -> dict[str, Any] | None:
+        """Return the settings of the protocol that an evaluation does not find in the run, with a drive to query.
+
+        None if every drive of the data trains, validates or forms the map.
+        """
+        protocol, run = self.protocol, self.here
+        if protocol.query.sequences is None:
+            frames = self.data.read()
+            taken = [
+                protocol.frames(role, frames) for role in ("train", "validation") if getattr(protocol, role).sequences
+            ]
+            names = {name for part in (*taken, protocol.frames("map", frames)) for name in part.sequence.tolist()}
+            free = [name for name in frames.sequence.tolist() if name not in names]
+            if not free:
+                return None
+            protocol = replace(protocol, query=replace(protocol.query, sequences=(free[0],)))
+        stored = run.settings.get("protocol", {}) if run.record.is_file() else {}
+        found = dict(leaves(Protocol.of(stored).plain()))
+        needed = {key: value for key, value in leaves(protocol.plain()) if key.partition(".")[0] not in _OTHER_ROLES}
+        return {f"protocol.{key}": value for key, value in needed.items() if value != found[key]}
 
     def _changed(self) -> str:
         """Return the parameters of the descriptor that are not those of its option, as words of the command line."""

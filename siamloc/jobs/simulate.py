@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
-from siamloc.jobs.job import Job, Say, quiet
+from siamloc.jobs.job import Job, Say, as_words, quiet
 from siamloc.simulate.produce import SimulateConfig, Summary, simulate
 
 
@@ -44,4 +45,17 @@ class Simulate(SimulateConfig, Job):
             say(line)
         if summary.sequences:
             say(f"{summary.folder}: {summary.rendered} frames rendered in {summary.seconds:.0f} s{summary.rate}")
+            say(f"next: siamloc train experiment=modern {as_words(self._drives_to_train(summary))}")
         return summary
+
+    def _drives_to_train(self, summary: Summary) -> dict[str, Any]:
+        """Return settings of a training on the drives: the last is left for queries, the one before for validation."""
+        names = list(summary.sequences)
+        roles = {
+            "train": names[:-2] or names[:1],
+            "validation": names[-2:-1] if names[2:] else [],
+            "query": names[1:][-1:],
+        }
+        unwrap = "none" if self.camera == "panorama" else "hyperbolic"
+        chosen = {"data": "cold", "data.root": str(summary.folder), "unwrap": unwrap}
+        return {**chosen, **{f"protocol.{role}.sequences": drives for role, drives in roles.items() if drives}}

@@ -9,7 +9,7 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 
 from foundation.calls import OF_FIELDS, takes
-from siamloc.errors import DataError
+from siamloc.errors import ConfigError, DataError
 from siamloc.models.checkpoint import load, pretrained
 from siamloc.models.describing import describing, evaluating
 from siamloc.models.network import build
@@ -88,5 +88,8 @@ def _rows(descriptors: Tensor) -> Tensor:
 
 def _teacher(settings: Distillation) -> nn.Module:
     if is_backbone(settings.teacher) and settings.teacher.startswith(("timm/", "torchvision/")):
-        return build(settings.teacher, "magnitudes", settings.image_size, settings.weights)
+        try:
+            return build(settings.teacher, "magnitudes", settings.image_size, settings.weights)
+        except ConfigError as error:
+            raise ConfigError(f"loss.teacher with loss.weights={settings.weights}: {error}") from error
     return pretrained() if settings.teacher == "siamloc" else load(settings.teacher)

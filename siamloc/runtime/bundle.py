@@ -163,6 +163,8 @@ class Bundle:
         """
         path = Path(path)
         described = path / DESCRIPTION
+        if not path.is_dir():
+            raise FormatError(f"there is no folder {path}: give that of a bundle, which `siamloc export` writes")
         if not _holds(described):
             raise FormatError(f"{path} is not a bundle, it holds no {DESCRIPTION}: write one with `siamloc export`")
         if described.stat().st_size > _LONGEST:

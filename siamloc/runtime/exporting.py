@@ -5,6 +5,7 @@ from __future__ import annotations
 import shutil
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
+from os.path import commonprefix
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -14,6 +15,7 @@ from analytic import Descriptor, Fused
 from foundation.calls import typed
 from foundation.files import atomic_folder, file_hash, plain, read_json, write_json
 from siamloc.data.decoding import Preprocessing, size_of
+from siamloc.data.reading import path_keys
 from siamloc.errors import ConfigError, SiamlocError
 from siamloc.maps import Built, CoarseLayer, HierarchicalSearch, LayerSearch, VisualMap, match
 from siamloc.maps.comparing import comparison_of
@@ -38,6 +40,7 @@ TOLERANCE = 1e-4
 """How far the robot's descriptor may be from the original, relative to its norm, or to 1 if the norm is smaller."""
 
 _UNKNOWN = {"max_abs_difference": 0.0, "max_relative_difference": 0.0}
+_PLACES = {"cache"}
 _TRIED = 3  # number of panoramas that a bundle must describe as the original does
 
 
@@ -61,7 +64,8 @@ def export(
 ) -> Bundle:
     """Write a network or analytic descriptor and its map as a bundle for the robot, whose `Localizer` needs no torch.
 
-    An older bundle in the same folder is replaced only once the new one is complete.
+    An older bundle in the same folder is replaced only once the new one is complete. A bundle names no folder of the
+    machine that wrote it: the paths of its map frames start at the folder that all of them share.
 
     Args:
         described_by: the network or descriptor: a module (B, 3, H, W) -> (B, D), `siamloc.models.as_descriptor` of one,
@@ -170,7 +174,7 @@ class _Ingredients:
         about = {**self.about, "precision": precision, "refinement": finer}
         if module is not None:
             about["parity"] = self._write_networks(module, fresh, precision, finer)
-        for file, part in self.parts.items():
+        for file, part in _portable(self.parts).items():
             if part is not None:
                 part.save(fresh / file, *([precision] if isinstance(part, VisualMap) else []))
         if self.thumbnails and known is not None:
@@ -219,6 +223,26 @@ class _Ingredients:
         if precision == "int8":
             quantize(fresh / files.MODEL, spread(self.images, self.parts[files.MAP].frames, CALIBRATION)[0])
         return parity
+
+
+def _portable(parts: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the parts without the places of files on this machine.
+
+    The paths of map frames start at the folder that all of them share.
+    """
+    moved = dict(parts)
+    for file in (files.MAP, files.COARSE):
+        if (known := parts[file]) is not None:
+            paths = [Path(path).absolute().parts for path in known.frames.path.tolist()]
+            shared = len(commonprefix([path[:-1] for path in paths]))  # noqa: RUF071 (of parts, not of letters)
+            frames = known.frames.with_columns(path=["/".join(path[shared:]) for path in paths])
+            data = {key: value for key, value in known.made.get("data", {}).items() if key not in _PLACES | path_keys()}
+            made = {**known.made, **({"data": data} if "data" in known.made else {})}
+            moved[file] = replace(known, frames=frames, made=made)
+    for file in (files.ERRORS, files.REFINEMENT):
+        if (learned := parts[file]) is not None:
+            moved[file] = replace(learned, map_digest=moved[files.MAP].placed().digest)
+    return moved
 
 
 def _check_alike(

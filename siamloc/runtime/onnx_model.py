@@ -257,6 +257,8 @@ def _written(
         )
     about = {"format": kind, "format_version": str(FORMAT_VERSION), "identity": json.dumps(identity, sort_keys=True)}
     program.model.metadata_props.update(about)
+    for node in program.model.graph.all_nodes():
+        node.metadata_props.clear()  # each would name lines of the source by their paths on this machine
     with atomic_path(path) as temporary:
         with _quiet():
             program.save(temporary, external_data=False)

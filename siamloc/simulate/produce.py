@@ -26,7 +26,7 @@ from foundation.threads import processors
 from siamloc.data.cold import ODOMETRY_FILE
 from siamloc.data.decoding import cut_short
 from siamloc.data.frames import ODOMETRY
-from siamloc.data.names import lighting_in, parse_name
+from siamloc.data.names import lighting_in, name_sequence, parse_name
 from siamloc.errors import ConfigError, DataError, FormatError
 from siamloc.progress import track
 from siamloc.simulate.buildings import load_building
@@ -136,16 +136,16 @@ class Summary:
 
     Attributes:
         folder: folder of the building.
-        sequences: number of frames by run folder.
+        sequences: number of frames by sequence, such as "mini_a_seq2_cloudy1", as the reader of the folder calls it.
         rooms: number of frames by room code.
         rendered: number of frames rendered by this call; the others were already there.
         seconds: time taken.
         files: further files, such as the contact sheet.
-        changed: share of the surfaces in view that are different from the first month, by run folder, of later months.
+        changed: share of the surfaces in view that are different from the first month, by sequence, of later months.
 
-    >>> Summary(Path("data/mini"), {"seq2_cloudy1": 6}, {"CR-A": 4, "1PO-A": 2}, rendered=6, seconds=3.0)
+    >>> Summary(Path("data/mini"), {"mini_a_seq2_cloudy1": 6}, {"CR-A": 4, "1PO-A": 2}, rendered=6, seconds=3.0)
     data/mini: 6 frames rendered in 3 s, 2.0 frames/s
-      seq2_cloudy1: 6 frames
+      mini_a_seq2_cloudy1: 6 frames
       rooms: CR-A 4, 1PO-A 2
     """
 
@@ -210,16 +210,18 @@ def simulate(*, settings: SimulateConfig) -> Summary:
     total = sum(len(rows) for _, rows in work)
     for _ in track(_rendered(settings, work), total, f"rendering {building.name}", size=int):
         pass
+    counts: dict[str, int] = {}
     changed: dict[str, float] = {}
     for run in drives:
         wheels = draw_odometry(building, run, states[run.name].track)
-        lists = _sequence(settings, building, run) / "localization"
+        sequence = _sequence(settings, building, run)
+        lists, name = sequence / "localization", name_sequence(sequence, run.name, tracks[run.name].codes).sequence
+        counts[name] = len(tracks[run.name])
         if run.month:
             before = states[replace(run, month=0).name]
-            changed[run.name] = _write_changes(lists, before, states[run.name], tracks[run.name])
+            changed[name] = _write_changes(lists, before, states[run.name], tracks[run.name])
         _write_lists(lists, tracks[run.name], wheels)
     rooms = dict(Counter(code for drive in tracks.values() for code in drive.codes))
-    counts = {name: len(drive) for name, drive in tracks.items()}
     return Summary(folder, counts, rooms, total, time.monotonic() - begin, changed=changed)
 
 

@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 import os
+import shlex
 import shutil
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 
+import siamloc
 from siamloc.maps import VisualMap
 from siamloc.results import read_results
+from siamloc.runtime import Bundle
 from siamloc.training import Run
 from tests.drawn import altered
 from tests.siamloc.cli.commands import QUICK, SMALL, done, main, measures, refused
@@ -60,6 +64,20 @@ def test_a_failed_start_leaves_no_run_and_overwriting_starts_again(data, tmp_pat
     for seed in (0, 3):
         done(*train(data, run.folder, "epochs=1", f"seed={seed}", "overwrite=true"))
         assert (len(run.curves()["epoch"]), run.settings["training"]["seed"]) == (1, seed)
+
+
+def test_a_bundle_names_no_folder_of_this_machine(run, flat, tmp_path):
+    done("map", f"run={run}", "protocol.map.sequences=[first,third]", "heading=hog")
+    done("evaluate", f"run={run}", SECOND, "task.error_model=true", "overwrite=true", *QUICK)
+    done("export", f"run={run}", "thumbnails=true")
+    bundle = Bundle.open(run / "bundle")
+    known = bundle.load("map.npz")
+    assert known.frames.path[[0, -1]].tolist() == ["first/0000.png", "third/0023.png"]
+    assert bundle.load("error_model.json").learned_on(known)
+    assert bundle.thumbnail(47) is not None
+    here = (str(flat.parent), str(run), str(Path(siamloc.__file__).parent))
+    texts = [str(known.made).encode(), *((bundle.path / name).read_bytes() for name in ("bundle.json", "model.onnx"))]
+    assert not [(folder, text[:99]) for folder in here for text in texts if folder.encode() in text]
 
 
 def test_files_of_people_are_never_removed(finished, data, tmp_path, capsys, monkeypatch):
@@ -118,6 +136,33 @@ def test_queries_from_the_run_of_the_map_are_refused_whatever_the_roles_say(run,
     results = read_results(run / "evaluation/network")
     assert results["protocol"] == "same_run"
     assert results["measures"]["absolute"]["overall"]["error"]["mean"] == 0
+
+
+def test_queries_that_the_network_was_chosen_by_are_named_whatever_the_roles_say(run, flat, tmp_path, capsys):
+    dark = [f"run={run}", "protocol.query.sequences=[dark]", f"out={tmp_path}", "overwrite=true", *QUICK]
+    assert "not be honest" in refused(capsys, "evaluate", *dark)
+    note = "had sequence 'dark' in protocol.validation: as a query it gives better results than a new drive"
+    done("evaluate", *dark, "protocol.validation.sequences=[]")
+    assert note in capsys.readouterr().out
+    other = altered(flat, "other.csv", lambda row: {})
+    for same in ([SECOND], [f"data.manifest={other}", "protocol.validation.sequences=[]"]):
+        done("evaluate", *dark, *same)
+        assert "note: the network" not in capsys.readouterr().out
+
+
+def test_the_command_after_a_map_works_as_printed(run, words, data, tmp_path, capsys):
+    hog = ["descriptor=hog", f"run={tmp_path / 'my map'}"]
+    for given, command, says in (
+        ([f"run={run}"], "evaluate", 'protocol.query.sequences=["second"]'),
+        ([*words, *hog, "protocol.leave_one_out=true"], "evaluate", "protocol.leave_one_out=true"),
+        ([*data, *hog, "protocol.map.sequences=[*]"], "export", "descriptor=hog"),
+    ):
+        done("map", *given)
+        name, *follows = shlex.split(capsys.readouterr().out.splitlines()[-1].removeprefix("next: siamloc "))
+        assert name == command
+        assert says in follows
+        done(name, *follows, *(["overwrite=true", *QUICK] if name == "evaluate" else []))
+    assert measures(tmp_path / "my map/evaluation/hog")["absolute"]["overall"]["queries"] == 48
 
 
 def test_the_choice_of_map_frames_is_handed_on_and_not_changed_in_silence(run, capsys):

@@ -43,6 +43,8 @@ def test_evaluations_of_a_descriptor(words, tmp_path, capsys, line, says):
         ("evaluate heading=hog heading.step=2", "step is 4 in the map, 2 here: make it again"),
         ("localize images=[/nowhere.png]", "no image /nowhere.png"),
         ("localize", "no images given"),
+        ("localize bundle=/nowhere/b images=[camera:0]", "there is no folder /nowhere/b: give that of a bundle"),
+        ("live bundle=/nowhere/b images=[camera:0]", "there is no folder /nowhere/b"),
     ],
 )
 def test_commands_on_a_run(finished, capsys, line, says):

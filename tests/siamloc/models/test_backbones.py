@@ -12,7 +12,7 @@ from torch import nn
 
 from augment.torchvision_compat import ensure_torchvision
 from siamloc.errors import ConfigError
-from siamloc.models import as_descriptor, build, load, save_weights, stages
+from siamloc.models import DistillationLoss, as_descriptor, build, load, save_weights, stages
 from siamloc.runtime import export_onnx
 
 ensure_torchvision()
@@ -189,6 +189,8 @@ def test_published_weights_are_never_fetched_unasked(name, tmp_path, monkeypatch
         monkeypatch.setattr(hub, "try_to_load_from_cache", lambda *where: None)
     with pytest.raises(ConfigError, match=r"fetch https://\S+ and (give|put)"):
         build(name, "gem", SIZE, weights="cached")
+    with pytest.raises(ConfigError, match=r"loss\.weights=cached: .* fetch https://"):
+        DistillationLoss(teacher=name)
     assert list(tmp_path.iterdir()) == []
     with pytest.raises(ConfigError, match="unknown weights 'best'"):
         build(name, "gem", SIZE, weights="best")

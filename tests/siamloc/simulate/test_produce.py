@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import shlex
 import subprocess
 import sys
 from pathlib import Path
@@ -14,6 +15,7 @@ import pytest
 
 from foundation.files import read_json
 from siamloc.cli import main
+from siamloc.cli.compose import composed
 from siamloc.data.cold import read_cold
 from siamloc.errors import ConfigError, DataError
 from siamloc.simulate import Run, Summary, load_building, produce, simulate
@@ -91,7 +93,7 @@ def test_an_interrupted_rendering_goes_on(written: Path, tmp_path: Path, monkeyp
     assert hashes(tmp_path) == hashes(written)
     again = small(out=tmp_path)
     first = f"{tmp_path / 'mini'}: 0 frames rendered in {again.seconds:.0f} s"
-    assert repr(again).splitlines() == [first, "  seq2_cloudy1: 6 frames", "  rooms: CR-A 6"]
+    assert repr(again).splitlines() == [first, "  mini_a_seq2_cloudy1: 6 frames", "  rooms: CR-A 6"]
 
 
 def test_images_of_somebody_else_are_never_replaced(tmp_path: Path) -> None:
@@ -156,12 +158,30 @@ def test_omnidirectional_pictures_and_lists(tmp_path: Path) -> None:
 def test_a_grid_is_a_run_like_others(tmp_path: Path) -> None:
     asked = {"path": "grid", "spacing": 0.8, "runs": ["cloudy2"], "hours": [9], "headings": 2, "positions": 2}
     asked |= {"frames": None, "out": tmp_path}
-    assert small(**asked).sequences == {"seq1_cloudy2": 4}
+    assert small(**asked).sequences == {"mini_a_seq1_cloudy2": 4}
     table = read_cold(tmp_path / "mini", on_error="raise")
     assert table.lighting.tolist() == ["cloudy"] * 4
     assert np.isnan(table.odometry).all(), "nobody drives"
     with pytest.raises(DataError, match=r"another simulation \(different: hour\)"):
         small(**asked | {"hours": [15]})
+
+
+@pytest.mark.parametrize(("camera", "drives"), [("panorama", 1), ("omnidirectional", 2), ("panorama", 4)])
+def test_the_next_command_is_a_training_on_the_drives(tmp_path: Path, capsys, camera: str, drives: int) -> None:
+    runs = ["cloudy1", "night1", "sunny1", "sunny2"][:drives]
+    given = [f"runs=[{','.join(runs)}]", f"camera={camera}", f"out={tmp_path / 'my data'}"]
+    assert main(["simulate", "building=mini", "frames=2", "workers=1", *given]) == 0
+    *said, follows = capsys.readouterr().out.splitlines()
+    names = [f"mini_a_seq2_{run}" for run in runs]
+    assert [line.partition(":")[0] for line in said[:drives]] == names
+    command, *words = shlex.split(follows)[2:]
+    job = composed(command, [*words, f"data.cache={tmp_path / 'cache'}"])
+    held = {1: (1, 0, 0), 2: (1, 0, 1), 4: (2, 1, 1)}[drives]
+    for role, count in zip(("train", "validation", "query"), held, strict=True):
+        taken, names = names[:count], names[count:]
+        assert getattr(job.protocol, role).sequences == (tuple(taken) or None)
+        if taken:
+            assert len(job.open_roles(role)[1][role]) == 2 * count
 
 
 def test_months_add_drives_and_leave_the_first_month_as_it_is(written: Path, tmp_path: Path) -> None:
@@ -174,12 +194,12 @@ def test_months_add_drives_and_leave_the_first_month_as_it_is(written: Path, tmp
     later = table.select(sequence="*_month1")
     assert later.time.min() > table.select(sequence="*_cloudy1").time.max()
     assert not np.isnan(later.odometry).any()
-    share = summary.changed["seq2_cloudy1_month1"]
+    share = summary.changed["mini_a_seq2_cloudy1_month1"]
     assert 0 < share < 0.5
     told = read_json(drives / "seq2_cloudy1_month1" / "localization" / "changes.json")
     assert (told["changed"], {change["month"] for change in told["changes"]}) == (share, {1})
-    line = f"seq2_cloudy1_month1: 6 frames, {100 * share:.0f} % of the surfaces in view changed"
-    assert summary.lines() == ["seq2_cloudy1: 6 frames", line]
+    line = f"mini_a_seq2_cloudy1_month1: 6 frames, {100 * share:.0f} % of the surfaces in view changed"
+    assert summary.lines() == ["mini_a_seq2_cloudy1: 6 frames", line]
     assert small(out=tmp_path, months=1).rendered == 0
 
 
