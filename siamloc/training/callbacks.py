@@ -168,6 +168,10 @@ class Curves(Checkpoint):
         """Record the files of the loggers if the training ends early."""
         self._record_logged(trainer)
 
+    def on_fit_end(self, trainer: Trainer, pl_module: LightningModule) -> None:
+        """Record the pictures of the loggers."""
+        self._record_logged(trainer)
+
     def _record_logged(self, trainer: Trainer) -> None:
         if trainer.is_global_zero:
             self._run.record_written(files_logged(self._run) - self._logged_before)

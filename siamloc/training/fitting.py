@@ -56,7 +56,8 @@ from siamloc.training.run_folder import (
 )
 from siamloc.training.settings import Training, TrainingFields
 from siamloc.training.stopping import StepCheckpoints, first_interrupt_asks, interrupts_raised
-from siamloc.training.trainer import computing, on_gpu, precision_of, quiet, run_trainer, steps_of
+from siamloc.training.trainer import computing, listed, on_gpu, precision_of, quiet, run_trainer, steps_of
+from siamloc.training.worst_queries import WorstQueries
 
 ensure_torchvision()
 from lightning.pytorch import Trainer  # noqa: E402
@@ -165,6 +166,9 @@ def fit(
             "validation": None if validated is None else note_frames(images, validated),
         },
     }
+    if validated is not None:
+        pictures = WorstQueries(run, images, train, validated)
+        trainer = {**(trainer or {}), "callbacks": [*listed((trainer or {}).get("callbacks")), pictures]}
     with nullcontext() if adapting is None else adapting.comparison_kept(network):
         learn(
             module,

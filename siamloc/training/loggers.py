@@ -1,4 +1,4 @@
-"""Where the curves and the settings of a training go: TensorBoard, CSV, Weights & Biases or MLflow, by Lightning."""
+"""Where curves, settings and pictures of a training go: TensorBoard, CSV, Weights & Biases or MLflow, by Lightning."""
 
 from __future__ import annotations
 
@@ -8,7 +8,11 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from augment.torchvision_compat import ensure_torchvision
+from foundation.files import write_picture
 from siamloc.errors import ConfigError, hint, installing
 from siamloc.runs import Run
 
@@ -89,6 +93,19 @@ def log_settings(loggers: list[Logger], used: Mapping[str, Any]) -> None:
     """Give loggers the resolved settings of a training, as in the record of its run."""
     for logger in loggers:
         logger.log_hyperparams({key: value for key, value in used.items() if key != "frames"})
+
+
+def log_picture(loggers: list[Logger], name: str, picture: NDArray[np.uint8], step: int) -> None:
+    """Give a picture (rows, columns, 3), uint8, RGB, to the loggers that take pictures; CSV gets a PNG file."""
+    for logger in loggers:
+        if isinstance(logger, TensorBoardLogger):
+            logger.experiment.add_image(name, picture, step, dataformats="HWC")
+        elif isinstance(logger, CSVLogger):
+            write_picture(Path(logger.log_dir) / f"{name}.png", picture)
+        elif isinstance(logger, WandbLogger):
+            logger.log_image(name, [picture])
+        elif isinstance(logger, MLFlowLogger):
+            logger.experiment.log_image(logger.run_id, picture, f"{name}.png")
 
 
 def files_logged(run: Run) -> set[Path]:

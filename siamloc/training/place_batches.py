@@ -69,7 +69,7 @@ def validation_drive(
         queries: frames, among those of the library, that are searched among the map frames.
         numbers: index on the device of each row of the library, as for `Panoramas`.
     """
-    drive = [_evenly(known), _evenly(queries)]
+    drive = [evenly(known), evenly(queries)]
     columns = origins_of(*drive, rooms=rooms_of(known))
     columns["known"] = torch.arange(sum(map(len, drive))) < len(drive[0])
     return DriveBatches(columns, Panoramas(library, concatenate(drive), numbers))
@@ -167,6 +167,7 @@ def origins_of(*tables: FrameTable, by: str = "position", rooms: Sequence[str] =
     }
 
 
-def _evenly(frames: FrameTable) -> FrameTable:
+def evenly(frames: FrameTable) -> FrameTable:
+    """Return at most 500 frames of a table, evenly spaced."""
     count = min(len(frames), _VALIDATED_WITH)
     return frames.take(np.linspace(0, len(frames) - 1, count).round().astype(np.int64))

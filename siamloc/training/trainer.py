@@ -60,13 +60,13 @@ def run_trainer(run: Run, settings: Training, further: Mapping[str, Any] | None,
     pace = Pace()
     guard = FiniteGuard()
     own_callbacks = [_Seeds(settings.seed), guard, pace, Curves(run, monitor, pace, settings.patience)]
-    callbacks = [*_listed(options.pop("callbacks", None)), *own_callbacks]
+    callbacks = [*listed(options.pop("callbacks", None)), *own_callbacks]
     steps = StepCheckpoints(run.checkpoints / "last.ckpt", settings.checkpoint_every, guard)
     if settings.average is not None:
         callbacks.append(MovingAverage(decay=settings.average))
     if settings.clip is not None:
         options.setdefault("gradient_clip_val", settings.clip)
-    plugins = _listed(options.pop("plugins", None))
+    plugins = listed(options.pop("plugins", None))
     if "sync_batchnorm" not in options and not any(isinstance(one, LayerSync) for one in plugins):
         plugins.append(OneBatch(gpu=on_gpu(options)))
     own: dict[str, Any] = {
@@ -282,7 +282,8 @@ class _Seeds(Callback):
             torch.cuda.manual_seed(int(key, 16))  # of this GPU; `torch.manual_seed` would seed all
 
 
-def _listed(value: Any) -> list[Any]:
+def listed(value: Any) -> list[Any]:
+    """Return an argument of `lightning.Trainer` that is one object or a list of them as a list."""
     if value is None:
         return []
     return list(value) if isinstance(value, list | tuple) else [value]

@@ -5,7 +5,9 @@ from __future__ import annotations
 import csv
 
 import pytest
+from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
+from siamloc.data.decoding import size_of
 from siamloc.errors import ConfigError
 from siamloc.training import fit, loggers
 from siamloc.training.loggers import check_loggers
@@ -19,9 +21,8 @@ def train(images, drives, tmp_path):
     def train(logger):
         quick = {"accelerator": "cpu", "logger": logger, "log_every_n_steps": 2}
         for _ in range(2):
-            run = fit(
-                network(), images, drives[0], run=tmp_path / "run", epochs=2, trainer=quick, overwrite=True, **SETTINGS
-            )
+            roles = {"run": tmp_path / "run", "validation": drives[1]}
+            run = fit(network(), images, drives[0], **roles, epochs=2, trainer=quick, overwrite=True, **SETTINGS)
         return run
 
     return train
@@ -45,11 +46,18 @@ def test_csv_holds_the_curves_and_the_settings(train):
     assert logged == pytest.approx(run.curves()["train/loss"].tolist())
     assert "learning_rate: 0.001" in (run.folder / "csv" / "hparams.yaml").read_text()
     assert not run.tensorboard.exists()
-    assert {"csv/metrics.csv", "csv/hparams.yaml"} <= set(run.load_record()["written"])
+    rows, columns = size_of(run.folder / "csv" / "worst_queries.png")
+    assert columns > 3 * 128
+    assert rows % 6 == 0
+    assert {"csv/metrics.csv", "csv/hparams.yaml", "csv/worst_queries.png"} <= set(run.load_record()["written"])
 
 
-def test_tensorboard_gets_the_settings_and_none_writes_nothing(train):
-    assert "branch: simple1" in (train(["tensorboard"]).tensorboard / "hparams.yaml").read_text()
+def test_tensorboard_gets_the_settings_and_the_worst_queries_and_none_writes_nothing(train):
+    folder = train(["tensorboard"]).tensorboard
+    assert "branch: simple1" in (folder / "hparams.yaml").read_text()
+    events = EventAccumulator(str(folder)).Reload()
+    (drawn,) = events.Images("worst_queries")
+    assert drawn.width > 3 * 128
     run = train(False)
     assert not any((run.folder / name).exists() for name in ("tensorboard", "csv"))
     assert len(run.curves()["epoch"]) == 2
@@ -61,6 +69,7 @@ def test_weights_and_biases_offline(train, monkeypatch):
     monkeypatch.setenv("WANDB_MODE", "offline")
     run = train("wandb")
     assert list((run.folder / "wandb").glob("offline-run-*/*.wandb"))
+    assert list((run.folder / "wandb").glob("offline-run-*/files/media/images/worst_queries*.png"))
 
 
 @pytest.mark.slow
@@ -73,4 +82,5 @@ def test_mlflow_in_the_folder_of_the_run(train, monkeypatch):
     (experiment,) = [one for one in client.search_experiments() if one.name == "siamloc"]
     found = client.search_runs([experiment.experiment_id])[0]
     assert found.data.params["model/branch"] == "simple1"
+    assert [one.path for one in client.list_artifacts(found.info.run_id)] == ["worst_queries.png"]
     assert found.data.metrics["train/loss"] == pytest.approx(run.curves()["train/loss"][-1])
