@@ -42,8 +42,9 @@ class WorstQueries(Callback):
     def on_fit_end(self, trainer: Trainer, pl_module: LightningModule) -> None:
         """Draw and log the picture, while the loggers are still open; nothing if no frame has a position."""
         if trainer.is_global_zero and trainer.loggers and len(self._known) and len(self._queries):
-            load(self._run, network=pl_module.network)
-            picture = worst_queries(pl_module.network, self._images, self._known, self._queries)
+            network = pl_module.get_submodule("network")
+            load(self._run, network=network)
+            picture = worst_queries(network, self._images, self._known, self._queries)
             log_picture(trainer.loggers, NAME, picture, trainer.global_step)
 
 
@@ -69,9 +70,12 @@ def worst_queries(
     error = apart[np.arange(len(queries)), found]
     strips = []
     for row in np.argsort(-error, kind="stable")[:rows].tolist():
-        there = (queries, row, "query"), (known, int(found[row]), f"found, off by {error[row]:.2f} {known.unit}")
-        there = (*there, (known, int(nearest[row]), f"nearest, {apart[row].min():.2f} {known.unit} away"))
-        strips.append(np.concatenate([_tile(images, frames.take([at]), words) for frames, at, words in there], axis=1))
+        shown = [
+            (queries.take([row]), "query"),
+            (known.take([found[row]]), f"found, off by {error[row]:.2f} {known.unit}"),
+            (known.take([nearest[row]]), f"nearest, {apart[row].min():.2f} {known.unit} away"),
+        ]
+        strips.append(np.concatenate([_tile(images, frame, words) for frame, words in shown], axis=1))
     return np.concatenate(strips)
 
 

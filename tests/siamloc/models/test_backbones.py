@@ -19,6 +19,7 @@ ensure_torchvision()
 from torchvision import models  # noqa: E402
 
 SIZE = (32, 128)
+rng = torch.Generator().manual_seed
 CONVOLUTIONAL = [
     "torchvision/mobilenet_v3_small",
     "torchvision/resnet18",
@@ -129,6 +130,19 @@ def test_the_exported_file_computes_the_same(source, circular, tmp_path):
     report = export_onnx(network, tmp_path / "network.onnx", (32, 64))
     assert report["max_abs_difference"] <= report["tolerance"] * max(1, report["max_abs_value"])
     assert ("orientation" in report) == circular
+
+
+@slow
+def test_parts_of_features_that_hardly_vary_over_the_columns_are_exported(tmp_path):
+    network, generator = build("torchvision/mobilenet_v3_small", "magnitudes", (64, 256), circular=True), rng(0)
+    for layer in network.modules():  # as after a training: no scale is 1, and no shift 0
+        if isinstance(layer, nn.BatchNorm2d):
+            layer.weight.data.uniform_(0.5, 1.5, generator=generator)
+            for shifted in (layer.bias.data, layer.running_mean):
+                shifted.uniform_(-0.5, 0.5, generator=generator)
+            layer.running_var.uniform_(0.05, 1.5, generator=generator)
+    found = export_onnx(network, tmp_path / "network.onnx", (64, 256))["orientation"]
+    assert found["max_abs_difference"] <= 1e-2 < found["max_abs_value"]
 
 
 @slow

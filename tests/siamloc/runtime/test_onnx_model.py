@@ -118,6 +118,14 @@ def test_files_of_other_networks_and_other_files_fail_the_comparison(exported, t
             parity(build("vgg11_bn", head, SIZE, seed=1), file)
 
 
+def test_a_file_with_other_orientation_parts_fails_the_comparison(tmp_path):
+    network = build("simple1", "fourier", SIZE, outputs=16, circular=True)
+    export_onnx(network, tmp_path / "network.onnx", SIZE)
+    network.orientation.signs[0] *= -1  # one of its 64 sums
+    with pytest.raises(SiamlocError, match=r"the orientation parts of .* do not use the file"):
+        parity(network, tmp_path / "network.onnx")
+
+
 def test_what_cannot_be_exported_is_refused_and_keeps_the_older_file(tmp_path, monkeypatch):
     path, broken = tmp_path / "network.onnx", small()
     path.write_text("older")
