@@ -1,4 +1,4 @@
-"""`contents` and `extract`: look into a recording, a ROS bag or a video, and write its images and their manifest."""
+"""`contents` and `extract`: look into a recording (a ROS bag, a video, a folder of pictures), and write its images."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from siamloc.data.frames import ODOMETRY, TILT, VIDEOS, FrameTable
 from siamloc.data.manifest import manifest_of
 from siamloc.data.names import lighting_in
 from siamloc.data.reading import read
-from siamloc.data.recorded import joined
+from siamloc.data.recorded import images_of, joined
 from siamloc.data.trajectory import Array, Axes, Form, Order, Trajectory, read_trajectory
 from siamloc.errors import ConfigError, DataError, Policy, leave_out
 from siamloc.progress import track
@@ -50,6 +50,7 @@ class Extraction(Settings):
         offset: seconds to add to the times of the images for those of the poses. The time in a video begins with 0.
         gap: longest time between two poses, in s, over which poses are interpolated.
         every: take every k-th image.
+        rate: images per second, at most; all if None.
         sequence: name of the drive; the recording's name if empty.
         on_error: "skip" or "raise", for images without a pose.
     """
@@ -66,6 +67,7 @@ class Extraction(Settings):
     offset: float = 0.0
     gap: Positive = 2.0
     every: Count = 1
+    rate: Positive | None = None
     sequence: str = ""
     on_error: Policy = "skip"
 
@@ -77,7 +79,8 @@ class Contents:
     Attributes:
         file: the recording.
         seconds: its length.
-        topics: type and number of the messages of each topic; a video has the one topic "video".
+        topics: type and number of the messages of each topic; a video has the one topic "video", a folder of pictures
+            "pictures".
         frames: frames in others, such as "odom:base_link", that the recording gives poses of.
         proposal: which of them most likely give the images, poses and odometry.
     """
@@ -135,16 +138,42 @@ class Film:
             number += 1
 
 
+class Pictures:
+    """A folder of pictures that is open inside a `with` block, with the methods of a `Bag`.
+
+    The times are the numbers at the end of the names. Pictures without such times count as taken a second apart.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        files, times = images_of(path)
+        times = times if np.isfinite(times).all() else np.arange(len(files), dtype=np.float64)
+        self._files = sorted(zip(times.tolist(), files, strict=True))
+        self.topics = {"pictures": ("pictures", len(files))}
+        self.seconds = float(np.ptp(times))
+
+    def __enter__(self) -> Pictures:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        pass
+
+    def images(self, topic: str, clock: Clock) -> Iterator[tuple[int, bytes, str]]:
+        """Yield the time in ns, the content of the file, and its ending, of each picture."""
+        for time, file in self._files:
+            yield round(time * 1e9), file.read_bytes(), file.suffix
+
+
 @typed
 def contents(file: str | Path) -> Contents:
-    """Look into a recording: a ROS 1 bag (.bag), a ROS 2 bag (a folder, .db3 or .mcap), or a video.
+    """Look into a recording: a ROS bag (.bag, .db3, .mcap or the folder of a ROS 2 bag), a video, a folder of pictures.
 
     Raises:
         DataError: the file does not exist, cannot be read, or is no recording.
     """
     with _opened(Path(file).expanduser()) as source:
         frames = source.frames() if isinstance(source, Bag) else {}
-        proposal = proposed(source.topics, frames) if isinstance(source, Bag) else {"images": "video"}
+        proposal = proposed(source.topics, frames) if isinstance(source, Bag) else {"images": next(iter(source.topics))}
         known = tuple(":".join(edge) for edge in frames)
         return Contents(source.path, source.seconds, dict(source.topics), known, proposal)
 
@@ -197,16 +226,18 @@ def extract(file: str | Path, out: str | Path, *, settings: Extraction = OF_FIEL
     return read("manifest", manifest=folder / MANIFEST)
 
 
-def _opened(path: Path) -> Bag | Film:
+def _opened(path: Path) -> Bag | Film | Pictures:
     if not path.exists():
         raise DataError(f"there is no recording {path}")
     if path.suffix.lower() in VIDEOS:
         return Film(path)
     if path.suffix.lower() in BAGS or (path / "metadata.yaml").is_file():
         return Bag(path)
+    if path.is_dir():
+        return Pictures(path)
     known = ", ".join((*BAGS, *VIDEOS))
     raise DataError(
-        f"{path} is no recording: expected a file {known}, or a folder with the metadata.yaml of a ROS 2 bag"
+        f"{path} is no recording: expected a file {known}, a folder of pictures, or the folder of a ROS 2 bag"
     )
 
 
@@ -219,15 +250,18 @@ def _identity(path: Path, topic: str) -> dict[str, Any]:
 
 
 def _write_images(
-    recording: Bag | Film, folder: Path, topic: str, settings: Extraction
+    recording: Bag | Film | Pictures, folder: Path, topic: str, settings: Extraction
 ) -> tuple[list[str], NDArray[np.float64]]:
-    """Write every k-th image; return the files and their times in s."""
+    """Write every k-th image, and one in each interval of the rate; return the files and their times in s."""
     found: dict[int, str] = {}
+    taken: set[int] = set()  # intervals
     count = recording.topics.get(topic, ("", 0))[1]
     messages = track(recording.images(topic, settings.clock), count, f"extracting {recording.path.name}")
     for number, (time, image, ending) in enumerate(messages):
-        if number % settings.every or time in found:
+        interval = time if settings.rate is None else int(time * settings.rate // 1e9)
+        if number % settings.every or interval in taken:
             continue
+        taken.add(interval)
         file = folder / f"{time:019d}{ending}"
         found[time] = str(file)
         if not file.is_file():
@@ -241,7 +275,7 @@ def _write_images(
     return [found[time] for time in order], np.array(order, dtype=np.int64) / 1e9
 
 
-def _trajectory(recording: Bag | Film, what: str, source: str, settings: Extraction) -> Trajectory | None:
+def _trajectory(recording: Bag | Film | Pictures, what: str, source: str, settings: Extraction) -> Trajectory | None:
     """Return the poses of a topic, a frame or a file; None if there are none.
 
     Raises:

@@ -60,7 +60,7 @@ def read_recorded(
         DataError: a file that cannot be used as it is (with line), names without times, or clocks that differ.
     """
     folder = Path(images).expanduser()
-    files, taken = _images(folder, None if times is None else Path(times).expanduser())
+    files, taken = images_of(folder, None if times is None else Path(times).expanduser())
     columns: dict[str, Array] = {"time": taken}
     given = {"poses": poses, "odometry": odometry}
     for what, file in given.items():
@@ -114,8 +114,13 @@ def _in_order(files: Sequence[Path], trajectory: Trajectory, axes: Axes) -> Arra
     return trajectory.tilted(axes)
 
 
-def _images(folder: Path, times: Path | None) -> tuple[list[Path], Array]:
-    """Return the images of a folder and the times at which they were taken, in s; NaN if unknown."""
+def images_of(folder: Path, times: Path | None = None) -> tuple[list[Path], Array]:
+    """Return the images of a folder and the times at which they were taken, in s; NaN if unknown.
+
+    Args:
+        folder: the folder.
+        times: list of the times; see `read_recorded`.
+    """
     if not folder.is_dir():
         raise DataError(f"{folder} is not a folder of images")
     files = image_files(folder)

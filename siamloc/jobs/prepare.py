@@ -24,7 +24,7 @@ class RecordingKeys(Extraction):
     """A recording to prepare, and what to take from it.
 
     Attributes:
-        file: the recording: a ROS bag or a video.
+        file: the recording: a ROS bag, a video, or a folder of pictures.
         out: the folder for its images; if None, the recording is only looked into.
     """
 
@@ -50,13 +50,13 @@ class Prepare(DataJob):
         unwrap.file=camchain.yaml   its calibration, for unwrap=calibrated
         data.on_error=raise         stop at the first unreadable image instead of leaving it out
 
-    A recording (a ROS 1 or ROS 2 bag, or a video) is only looked into: what is inside, and the command that
-    extracts it. With recording.out, its images and their manifest are written first:
+    A recording (a ROS 1 or ROS 2 bag, a video, or a folder of pictures) is only looked into: what is inside, and the
+    command that extracts it. With recording.out, its images and their manifest are written first:
 
         drive.bag                   the recording
         recording.out=FOLDER        where its images and frames.csv go
         recording.images=TOPIC      and poses=, odometry=: a topic, a frame such as map:base_link, or a file of poses
-        recording.every=5           every fifth image
+        recording.every=5           every fifth image; recording.rate=5 for five per second, at most
         recording.offset=0.2        seconds to add to the times of the images; recording.clock=bag for the recorder's
 
     Example:

@@ -18,82 +18,14 @@ from siamloc.data.bags import proposed
 from siamloc.errors import ConfigError, DataError, lacking
 
 pytest.importorskip("rosbags", reason="the extra `recordings` is not installed")
-from rosbags import rosbag1, rosbag2
-from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+from rosbags.typesys import get_types_from_msg
+
+from tests.bags import Written, jpeg
 
 START = 1_700_000_000_000_000_000
 FORMS = ("ros1", "sqlite3", "mcap")
 RNG = np.random.default_rng(3)
 PICTURES = [cv2.resize(RNG.integers(0, 256, (6, 8, 3), dtype=np.uint8), (64, 48)) for _ in range(5)]
-
-
-class Written:
-    """A bag that is being written: messages by their types' fields, as ROS names them."""
-
-    def __init__(self, path: Path, form: str) -> None:
-        self.one = form == "ros1"
-        self.types = get_typestore(Stores.ROS1_NOETIC if self.one else Stores.ROS2_HUMBLE)
-        if self.one:
-            frames = "geometry_msgs/TransformStamped[] transforms"
-            self.types.register(get_types_from_msg(frames, "tf2_msgs/msg/TFMessage"))
-        self.path = path.with_suffix(".bag") if self.one else path
-        plugin = {} if self.one else {"version": 9, "storage_plugin": rosbag2.StoragePlugin[form.upper()]}
-        self.writer = (rosbag1 if self.one else rosbag2).Writer(self.path, **plugin)
-        self.connections = {}
-
-    def make(self, name, **fields):
-        kind = self.types.types[name]
-        if name == "std_msgs/msg/Header" and self.one:
-            fields = {"seq": 0, **fields}
-        if name == "sensor_msgs/msg/CameraInfo" and self.one:
-            fields = {key.upper() if len(key) == 1 else key: value for key, value in fields.items()}
-        return kind(**fields)
-
-    def header(self, time, frame=""):
-        sec, nanosec = divmod(time, 1_000_000_000)
-        return self.make("std_msgs/msg/Header", stamp=self.make_time(sec, nanosec), frame_id=frame)
-
-    def make_time(self, sec, nanosec):
-        return self.types.types["builtin_interfaces/msg/Time"](sec=sec, nanosec=nanosec)
-
-    def pose(self, x, y, theta, kind="Pose"):
-        point, vector = ("position", "Point") if kind == "Pose" else ("translation", "Vector3")
-        turn = "orientation" if kind == "Pose" else "rotation"
-        at = self.make(f"geometry_msgs/msg/{vector}", x=float(x), y=float(y), z=0.0)
-        look = self.make("geometry_msgs/msg/Quaternion", x=0.0, y=0.0, z=np.sin(theta / 2), w=np.cos(theta / 2))
-        return self.make(f"geometry_msgs/msg/{kind}", **{point: at, turn: look})
-
-    def covariant(self, pose):
-        return self.make("geometry_msgs/msg/PoseWithCovariance", pose=pose, covariance=np.zeros(36))
-
-    def write(self, topic, name, time, **fields):
-        if topic not in self.connections:
-            self.connections[topic] = self.writer.add_connection(topic, name, typestore=self.types)
-        serialize = self.types.serialize_ros1 if self.one else self.types.serialize_cdr
-        self.writer.write(self.connections[topic], time, serialize(self.make(name, **fields), name))
-
-    def image(self, topic, time, picture, encoding="bgr8", received=None, **fields):
-        rows, columns = picture.shape[:2]
-        values = {"height": rows, "width": columns, "encoding": encoding, "is_bigendian": 0, "step": picture.strides[0]}
-        data = np.frombuffer(picture.tobytes(), dtype=np.uint8)
-        values = {"header": self.header(time), **values, "data": data, **fields}
-        self.write(topic, "sensor_msgs/msg/Image", received or time, **values)
-
-    def odometry(self, topic, time, x, y, theta):
-        zero = self.make("geometry_msgs/msg/Vector3", x=0.0, y=0.0, z=0.0)
-        twist = self.make("geometry_msgs/msg/Twist", linear=zero, angular=zero)
-        twist = self.make("geometry_msgs/msg/TwistWithCovariance", twist=twist, covariance=np.zeros(36))
-        fields = {"child_frame_id": "base_link", "pose": self.covariant(self.pose(x, y, theta)), "twist": twist}
-        self.write(topic, "nav_msgs/msg/Odometry", time, header=self.header(time, "odom"), **fields)
-
-    def transform(self, topic, time, parent, child, x, y, theta, received=None):
-        one = self.make(
-            "geometry_msgs/msg/TransformStamped",
-            header=self.header(time, parent),
-            child_frame_id=child,
-            transform=self.pose(x, y, theta, "Transform"),
-        )
-        self.write(topic, "tf2_msgs/msg/TFMessage", received or time, transforms=[one])
 
 
 def drive(path, form, compressed=False):
@@ -124,10 +56,6 @@ def drive(path, form, compressed=False):
         fields |= {"height": 48, "width": 64, "distortion_model": "plumb_bob", "header": bag.header(START)}
         bag.write("/omni/camera_info", "sensor_msgs/msg/CameraInfo", START, **fields)
     return bag.path
-
-
-def jpeg(picture):
-    return cv2.imencode(".jpg", picture)[1].tobytes()
 
 
 @pytest.fixture(scope="module")
@@ -400,8 +328,11 @@ def test_the_command_looks_first_and_then_extracts(bags, tmp_path, monkeypatch, 
     assert {path: path.stat().st_mtime_ns for path in (tmp_path / "night_ros1_frames").glob("*.jpg")} == before
     with pytest.raises(DataError, match=r"there is no recording nowhere\.bag"):
         siamloc.data.contents("nowhere.bag")
-    with pytest.raises(DataError, match=r"is no recording: expected a file \.bag, \.db3"):
+    with pytest.raises(DataError, match="holds no images"):
         siamloc.data.contents(tmp_path)
+    (tmp_path / "notes.txt").touch()
+    with pytest.raises(DataError, match=r"is no recording: expected a file \.bag, \.db3"):
+        siamloc.data.contents(tmp_path / "notes.txt")
 
 
 def test_without_rosbags_the_extra_is_named(bags, monkeypatch):
@@ -419,3 +350,36 @@ def test_a_folder_with_the_images_of_another_recording_is_refused(tmp_path):
     assert siamloc.data.extract(tmp_path / "monday.avi", tmp_path / "out").path.tolist() == first.path.tolist()
     with pytest.raises(DataError, match="holds the images of another recording"):
         siamloc.data.extract(tmp_path / "tuesday.avi", tmp_path / "out")
+
+
+def written(folder, names):
+    """Write a picture of its own for each name."""
+    folder.mkdir()
+    for picture, name in zip(PICTURES, names, strict=False):
+        cv2.imwrite(str(folder / name), picture)
+    return folder
+
+
+def test_a_folder_of_pictures_is_a_recording(tmp_path):
+    pictures = written(tmp_path / "monday", [f"left_{number / 4 + 100:.2f}.png" for number in range(5)])
+    found = siamloc.data.contents(pictures)
+    assert (found.topics, found.seconds, found.proposal) == ({"pictures": ("pictures", 5)}, 1.0, {"images": "pictures"})
+    wheels = tmp_path / "wheels.txt"
+    wheels.write_text("99 0 0 0 0 0 0 1\n103 4 0 0 0 0 0 1\n")
+    frames = siamloc.data.extract(pictures, tmp_path / "out", odometry=str(wheels), gap=9.0)
+    np.testing.assert_allclose(frames.time, [100, 100.25, 100.5, 100.75, 101])
+    np.testing.assert_allclose(frames.odom_x, [1, 1.25, 1.5, 1.75, 2])
+    assert set(frames.sequence.tolist()) == {"monday"}
+    for path, picture in zip(frames.path.tolist(), PICTURES, strict=True):
+        np.testing.assert_array_equal(cv2.imread(path), picture)
+
+
+def test_pictures_without_times_in_their_names_are_taken_a_second_apart(tmp_path):
+    pictures = written(tmp_path / "monday", [f"picture_{number}.jpg" for number in range(3)])
+    assert siamloc.data.extract(pictures, tmp_path / "out").time.tolist() == [0, 1, 2]
+
+
+def test_a_rate_takes_one_picture_of_each_interval(tmp_path):
+    names = [f"{time}.png" for time in (100.0, 100.3, 100.5, 100.9, 102.0)]
+    frames = siamloc.data.extract(written(tmp_path / "monday", names), tmp_path / "out", rate=2.0)
+    assert frames.time.tolist() == [100.0, 100.5, 102.0]
