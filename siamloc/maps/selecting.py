@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from analytic import Descriptor
     from siamloc.data.library import PanoramaLibrary
 
-_AHEAD = 16  # frames that are compared with the last key frame at once
+_AHEAD = 6  # frames that are compared with the last key frame at once
 
 
 @typed
@@ -35,9 +35,10 @@ def key_frames(
 ) -> FrameTable:
     """Choose the frames of drives that show something new; positions in `frames` are not used.
 
-    The first frame of a drive is a key frame, and so is each one that differs enough from the last key frame: compared
-    by the network, it was taken at least `spacing` metres away or shows another place; or odometry, where there is any,
-    says that the robot has moved that far. While the robot stands still or turns on the spot, there are none.
+    The first frame of a drive is a key frame, and so is each one that was taken at least `spacing` metres from the last
+    key frame, compared by the network or by odometry, where there is any. Before a frame that shows another place than
+    the last key frame, as after a door, the frame before it is a key frame, so that each can be compared with the next.
+    While the robot stands still or turns on the spot, there are none.
 
     Args:
         network: a network that compares images, built with relative=True; "pretrained" is the shipped one.
@@ -59,20 +60,26 @@ def key_frames(
     rolled = readable.with_columns(**dict(zip(("x", "y", "theta"), readable.odometry.T, strict=True)))
     parts = build(described, images, rolled, progress=progress).turning().orientation
     assert parts is not None
-    compared, wheels = comparing(described.compare, scaled(parts), False), rolled.xy
+    compared, wheels = comparing(described.compare, scaled(parts), False), readable.odometry[:, :2]
 
-    def differs(row: int, others: NDArray[np.int64]) -> NDArray[np.bool_]:
+    def against(row: int, others: NDArray[np.int64]) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+        """Return which other frames were taken far from a frame, and which show another place."""
         pose, _, odds = compared(np.full(len(others), row), others)
-        seen = np.where(odds < ODDS, np.inf, np.hypot(pose[:, 0], pose[:, 1]))
-        return np.fmax(seen, np.hypot(*(wheels[others] - wheels[row]).T)) >= spacing
+        seen, rolled = np.hypot(pose[:, 0], pose[:, 1]), np.hypot(*(wheels[others] - wheels[row]).T)
+        return np.fmax(np.where(odds < ODDS, 0, seen), rolled) >= spacing, odds < ODDS
 
     kept = list[int]()
     for rows in readable.rows_by("sequence").values():
         kept.append(int(rows[0]))
-        ahead = rows[1:]
-        while len(ahead):
-            new = np.flatnonzero(differs(kept[-1], ahead[:_AHEAD]))
-            if len(new):
-                kept.append(int(ahead[new[0]]))
-            ahead = ahead[int(new[0]) + 1 if len(new) else _AHEAD :]
+        last, ahead = 0, 1  # places of the last key frame, and of the first frame that was not compared with it
+        while ahead < len(rows):
+            far, unlike = against(kept[-1], rows[ahead : ahead + _AHEAD])
+            new = np.flatnonzero(far | unlike)
+            if not len(new):
+                ahead += _AHEAD
+                continue
+            place = ahead + int(new[0])
+            last = place - 1 if unlike[new[0]] and place - 1 > last else place
+            kept.append(int(rows[last]))
+            ahead = last + 1
     return readable.take(kept)

@@ -61,8 +61,13 @@ def test_a_robot_that_stands_still_gives_no_more_frames_however_long(chosen):
     assert chosen(along)[0] == [0, 40]
 
 
-def test_another_place_is_kept_though_nothing_can_be_compared(chosen):
-    assert chosen([0, 0.1, 9.0, 9.1])[0] == [0, 2]
+def test_another_place_is_kept_and_the_frame_before_it_which_can_still_be_compared(chosen):
+    assert chosen([0, 0.1, 0.2, 9.0, 9.1])[0] == [0, 2, 3]
+    assert chosen([0, 9.0, 9.1, 0])[0] == [0, 1, 2, 3]
+
+
+def test_the_frame_before_another_place_may_be_the_last_of_those_compared_before(chosen):
+    assert chosen([0.0] * 7 + [9.0])[0] == [0, 6, 7]  # six frames are compared at once
 
 
 def test_odometry_counts_where_there_is_any(chosen):
