@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import shlex
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, cast
 
@@ -12,12 +13,11 @@ import numpy as np
 
 from foundation.calls import OF_FIELDS, takes
 from foundation.files import write_text
-from foundation.settings import Positive, Rule, Settings
+from foundation.settings import Positive, Rule, Settings, Text
 from siamloc import evaluation, maps, runtime
-from siamloc.data import AutoRing, Extraction, FrameTable, PanoramaLibrary, Preprocessing, contents, extract, read
+from siamloc.data import Extraction, PanoramaLibrary, Preprocessing, extract, find_camera, read
 from siamloc.data.manifest import manifest_of
-from siamloc.data.ring import find_camera
-from siamloc.errors import ConfigError, DataError
+from siamloc.errors import DataError
 from siamloc.maps import Survey, SurveySettings, VisualMap
 from siamloc.models.registry import PRETRAINED_SIZE
 from siamloc.report import write_report
@@ -27,7 +27,14 @@ from siamloc.runtime import Bundle
 
 _NETWORK = "pretrained"
 _FEWEST = 60  # key frames: a third of them teaches the error model
-_OF_FOLDERS = ("odometry", "form", "order", "offset", "gap", "sequence", "on_error")
+
+
+@dataclass(frozen=True)
+class Recording(Extraction):
+    """What to take from the recording of a walk: no poses, and five pictures per second."""
+
+    poses: Text | None = "none"
+    rate: Positive | None = 5.0
 
 
 @dataclass(frozen=True)
@@ -36,7 +43,6 @@ class WalkSettings(Settings):
 
     Attributes:
         recording: what to take from the recording; poses are not used.
-        rate: pictures per second that are looked at, at most; all if the recording has no times.
         unwrap: the camera, as for `PanoramaLibrary`; found if its kind is "auto" (`siamloc.data.find_camera`).
         spacing: distance of two key frames in metres, at least.
         survey: how the survey searches loops.
@@ -44,8 +50,7 @@ class WalkSettings(Settings):
         lost_above: expected error in metres above which the robot counts as lost.
     """
 
-    recording: Extraction = field(default_factory=Extraction)
-    rate: Positive = 5.0
+    recording: Recording = field(default_factory=Recording)
     unwrap: Mapping[str, Any] = field(default_factory=lambda: {"kind": "auto"})
     spacing: Positive = 0.3
     survey: SurveySettings = field(default_factory=SurveySettings)
@@ -88,9 +93,9 @@ def walk(
     it.
 
     Args:
-        file: a video, a ROS bag, a folder of pictures (with times in their names), or a manifest of pictures in
-            capture order. With odometry (of the bag, of the manifest, or `recording={"odometry": FILE}`) the map is in
-            metres; without, its scale may be off by a tenth or more.
+        file: a video, a ROS bag, or a folder of pictures, with times in their names or in capture order. With odometry
+            (of the bag, or `recording={"odometry": FILE}`) the map is in metres; without, its scale may be off by a
+            tenth or more.
         out: the folder for everything, which is then a run: `siamloc report`, `live` and `localize` take it as run=.
         say: receives the lines.
 
@@ -102,10 +107,16 @@ def walk(
         >>> siamloc.runtime.Localizer(made.bundle.path).locate("photo.jpg")  # doctest: +SKIP
     """
     folder = Path(out).expanduser()
-    frames = _pictures(Path(file).expanduser(), folder, settings, say)
-    images = PanoramaLibrary(
-        frames, folder / "panoramas", image_size=PRETRAINED_SIZE, unwrap=_camera(frames, settings, say)
+    given = Preprocessing.checked(PRETRAINED_SIZE, settings.unwrap)
+    frames = extract(file, folder / "frames", settings=settings.recording)
+    wheels = "with" if np.isfinite(frames.odometry).any() else "without"
+    say(f"recording: {len(frames)} pictures of {file} (recording.rate=), {wheels} odometry (recording.odometry=)")
+    camera = replace(given, camera=find_camera(frames.path.tolist(), given.camera))
+    say(f"camera: {camera.words()}")
+    library = partial(
+        PanoramaLibrary, cache=folder / "panoramas", image_size=PRETRAINED_SIZE, unwrap=camera.unwrap_settings()
     )
+    images = library(frames)
     chosen = maps.key_frames(_NETWORK, images, frames, spacing=settings.spacing)
     say(f"key frames: {len(chosen)} of {len(images)}, each {settings.spacing:g} m or more from the last (spacing=)")
     if len(chosen) < _FEWEST:
@@ -117,22 +128,25 @@ def walk(
     for line in (*(f"note: {note}" for note in found.notes), f"survey: {found.summary()}"):
         say(line)
     save_survey(found, folder, settings.plain())
-    write_text(folder / "parts.csv", manifest_of(_parted(found.frames, settings.left_out), folder))
+    part = np.full(len(chosen), "map", dtype="U10")
+    part[settings.left_out - 1 :: 2 * settings.left_out] = "validation"
+    part[2 * settings.left_out - 1 :: 2 * settings.left_out] = "query"
+    write_text(folder / "parts.csv", manifest_of(found.frames.with_columns(sequence=part), folder))
     parts = read("manifest", manifest=folder / "parts.csv")
-    images = PanoramaLibrary(
-        parts, folder / "panoramas", image_size=PRETRAINED_SIZE, unwrap=images.preprocessing.camera
-    )
-    known = maps.build(_NETWORK, images, parts.select(sequence="*_map"))
+    images = library(parts)
+    known = maps.build(_NETWORK, images, parts.select(sequence="map"))
     errors = evaluation.localization(
         known,
         images,
-        parts.select(sequence="*_query"),
-        validation=parts.select(sequence="*_validation"),
+        parts.select(sequence="query"),
+        validation=parts.select(sequence="validation"),
         refine="relative",
         error_model=True,
         lost_above=settings.lost_above,
     )
-    say(_judged(known, errors, settings))
+    off = cast(dict[str, Any], errors.parts["absolute_refined"])["overall"]["error"]["mean"]
+    left_out = f"of those left out (left_out={settings.left_out}) {len(errors)}"
+    say(f"map: {len(known)} key frames; {left_out} are located {off:.2f} m from where the survey has them, on average")
     run = Run(folder)
     errors.save(run.evaluation(_NETWORK))
     known.save(run.evaluation(_NETWORK) / "map.npz")
@@ -150,67 +164,3 @@ def walk(
     say(f"report: {report}, with the plan in {folder / 'survey.png'}")
     say(f"next: {shlex.join(['siamloc', 'live', f'run={folder}', 'images=[camera:0]'])}")
     return Walked(found, known, errors, bundle, report)
-
-
-def _pictures(file: Path, folder: Path, settings: WalkSettings, say: Callable[[str], None]) -> FrameTable:
-    """Return the frames of a recording, as many per second as are looked at."""
-    how, every = settings.recording, 1
-    if file.suffix.lower() == ".csv":
-        _unused(file, how, ())
-        frames = read("manifest", manifest=file)
-    elif file.is_dir() and not (file / "metadata.yaml").is_file():
-        _unused(file, how, _OF_FOLDERS)
-        frames = read("trajectory", images=file, **{key: getattr(how, key) for key in _OF_FOLDERS})
-    else:
-        inside = contents(file)
-        count = inside.topics.get(how.images or inside.proposal.get("images", ""), ("", 0))[1]
-        every = max(1, round(count / max(inside.seconds, 1e-9) / settings.rate))
-        frames = extract(file, folder / "frames", settings=replace(how, poses="none", every=how.every * every))
-    seconds = float(np.ptp(frames.time)) if len(frames) else 0.0
-    if every == 1 and seconds > 0:
-        frames = frames.every(max(1, round((len(frames) - 1) / seconds / settings.rate)))
-    wheels = "with odometry" if np.isfinite(frames.odometry).all(axis=1).any() else "without odometry"
-    say(f"recording: {len(frames)} pictures of {file}, {wheels}, at most {settings.rate:g} per second (rate=)")
-    return frames
-
-
-def _unused(file: Path, how: Extraction, used: Sequence[str]) -> None:
-    """Refuse settings that a recording of this kind does not take.
-
-    Raises:
-        ConfigError: such a setting.
-    """
-    plain, usual = how.plain(), Extraction().plain()
-    if further := sorted(key for key in plain if plain[key] != usual[key] and key not in used):
-        raise ConfigError(f"{file} is no bag or video, which recording.{further[0]} is for: leave it out")
-
-
-def _camera(frames: FrameTable, settings: WalkSettings, say: Callable[[str], None]) -> Any:
-    """Return the camera that was given, or that the pictures show."""
-    given = Preprocessing.checked(PRETRAINED_SIZE, settings.unwrap).camera
-    if not isinstance(given, AutoRing):
-        return settings.unwrap
-    camera = find_camera(frames.path.tolist(), given)
-    plain = Preprocessing.checked(PRETRAINED_SIZE, camera).unwrap_settings()
-    shown = {key: value for key, value in plain.items() if isinstance(value, bool | float)}
-    told = {key: str(value).lower() if isinstance(value, bool) else f"{value:.6g}" for key, value in shown.items()}
-    values = "".join(f" unwrap.{key}={value}" for key, value in told.items())
-    say(f"camera: unwrap={plain['kind']}{values}, by the pictures")
-    return camera
-
-
-def _parted(frames: FrameTable, every: int) -> FrameTable:
-    """Return key frames in three drives: of every k-th frame, the next in turn for validation and as a query."""
-    roles = np.full(len(frames), "map", dtype="U10")
-    for rows in frames.rows_by("sequence").values():
-        roles[rows[every - 1 :: 2 * every]], roles[rows[2 * every - 1 :: 2 * every]] = "validation", "query"
-    names = [f"{name or 'walk'}_{role}" for name, role in zip(frames.sequence.tolist(), roles.tolist(), strict=True)]
-    return frames.with_columns(sequence=names)
-
-
-def _judged(known: VisualMap, errors: evaluation.Result, settings: WalkSettings) -> str:
-    refined = cast(dict[str, Any], errors.parts["absolute_refined"])["overall"]["error"]
-    return (
-        f"map: {len(known)} key frames; of those left out (left_out={settings.left_out}) {len(errors)} are located "
-        f"{refined['mean']:.2f} m from where the survey has them, on average"
-    )

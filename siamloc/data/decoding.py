@@ -115,6 +115,13 @@ class Preprocessing:
         kind = next((kind for kind, camera in CAMERAS.items() if camera is own), _name(own))
         return {"kind": kind, **_plain(self.camera), "top": self.view.top, "bottom": self.view.bottom}
 
+    def words(self) -> str:
+        """Return the camera as words of the command line, such as "unwrap=polar unwrap.inner=60"."""
+        given = self.unwrap_settings()
+        shown = {key: value for key, value in given.items() if isinstance(value, bool | float)}
+        told = (str(value).lower() if isinstance(value, bool) else f"{value:.6g}" for value in shown.values())
+        return " ".join([f"unwrap={given['kind']}", *map("unwrap.{}={}".format, shown, told)])
+
     def panorama(
         self, path: str | Path, tilt: NDArray[np.float64] | Sequence[float] | None = None
     ) -> NDArray[np.uint8]:

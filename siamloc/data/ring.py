@@ -38,6 +38,7 @@ _NEAR = 15.0  # pixels from a given ring within which a drive's own ring replace
 _INK = (0, 140, 255)  # BGR, as files are read
 _BORDER = 12  # pixels next to a drawn panorama
 _VERSION = 1  # of how a ring is found
+_UNKNOWN = AutoRing()
 _XI = 0.85, 0.99  # the unified model's parameter of mirrors that are built, 2 e / (e^2 + 1)
 _OFF = 1.5  # pixels by which a picture's own radius may differ
 
@@ -187,14 +188,15 @@ def _of_drive(given: AutoRing, paths: Sequence[str]) -> AutoRing:
 
 
 @typed
-def find_camera(images: Sequence[str], given: AutoRing | None = None) -> OmnidirectionalCamera | None:
+def find_camera(images: Sequence[str], given: OmnidirectionalCamera | None = _UNKNOWN) -> OmnidirectionalCamera | None:
     """Find the camera of a drive by its pictures: their shape, or the ring of a mirror or of a lens that looks up.
 
     Pictures twice as wide as high are whole equirectangular ones, and wider ones are panoramas. All others show a ring.
 
     Args:
         images: files of the drive's pictures; those that cannot be read are left out.
-        given: which way the robot faces in a ring, whether the ring is mirrored, and what else is known of it.
+        given: an `AutoRing` with what is known of the ring, such as which way the robot faces in it; any other camera
+            is returned as it is.
 
     Returns:
         The camera; None for panoramas.
@@ -209,13 +211,15 @@ def find_camera(images: Sequence[str], given: AutoRing | None = None) -> Omnidir
         >>> type(find_camera([path])).__name__
         'EquirectangularCamera'
     """
+    if not isinstance(given, AutoRing):
+        return given
     pictures = _readable(images)
     if not pictures:
         raise DataError(f"none of the {len(images)} pictures can be read")
     rows, columns = pictures[0].shape[:2]
     if columns >= 2 * rows:
         return EquirectangularCamera() if columns == 2 * rows else None
-    return likely_mirror(PolarRing(**vars(_of_drive(given or AutoRing(), images))))
+    return likely_mirror(PolarRing(**vars(_of_drive(given, images))))
 
 
 def likely_mirror(ring: PolarRing) -> HyperbolicMirror | PolarRing:

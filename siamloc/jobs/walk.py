@@ -19,12 +19,12 @@ class Walk(WalkSettings, Job):
     Finds the camera, chooses key frames, surveys them, makes a map, learns the expected errors, and writes the robot's
     bundle and a report into one folder, which is then a run. True poses are not needed. Says each decision in a line.
 
-        monday.mp4                      the recording: a video, a ROS bag, a folder of pictures, or a manifest
+        monday.mp4                      the recording: a video, a ROS bag, or a folder of pictures
         recording.odometry=FILE         poses by the robot's wheels over time, or the topic of a bag; without any, the
                                         scale of the map may be off by a tenth or more
         unwrap=polar unwrap.inner=60    another camera than the one found; unwrap.forward=90 and unwrap.mirrored=false
                                         say what the pictures of a ring do not show
-        rate=5                          pictures per second that are looked at, at most
+        recording.rate=5                pictures per second that are looked at, at most
         spacing=0.3                     metres between key frames, at least
         survey.apart=3.0                metres of way between two frames that may close a loop
         left_out=3                      every third key frame is left out of the map, to learn and measure errors

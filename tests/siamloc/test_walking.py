@@ -1,0 +1,92 @@
+"""`siamloc.walk`, from a bag or a folder of pictures to a bundle that locates another drive."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import pytest
+
+import siamloc
+from siamloc.data import PanoramaView
+from siamloc.errors import DataError
+from tests.bags import Written, jpeg
+
+FRAMES = 100  # 30 m, at 2 pictures per second
+START = 1_700_000_000
+
+
+@pytest.fixture(scope="module")
+def mini(tmp_path_factory):
+    """Return a drive by day and one at night through a small building."""
+    out = tmp_path_factory.mktemp("mini")
+    siamloc.simulate.simulate(
+        out=out, building="mini", camera="panorama", runs=["cloudy1", "night1"], spacing=0.3, frames=FRAMES
+    )
+    frames = siamloc.data.read("cold", root=out / "mini")
+    frames = frames.take(np.argsort(frames.time, kind="stable"))
+    return frames.select(sequence="*cloudy1"), frames.select(sequence="*night1").every(5)
+
+
+def equirectangular(path):
+    """Return a whole equirectangular picture (256, 512, 3) that shows what a panorama shows, and else is black."""
+    panorama, view = cv2.imread(path), PanoramaView()
+    elevation = np.pi / 2 - (np.arange(256) + 0.5) / 256 * np.pi
+    high, low = np.tan(np.radians([view.top, view.bottom]))
+    rows = (high - np.tan(elevation)) / (high - low) * view.height - 0.5
+    across = np.broadcast_to(np.arange(512, dtype=np.float32), (256, 512))
+    down = np.broadcast_to(rows[:, None], (256, 512)).astype(np.float32)
+    return cv2.remap(panorama, across.copy(), down.copy(), cv2.INTER_LINEAR)
+
+
+def test_a_bag_of_equirectangular_pictures_with_odometry_becomes_a_robot(mini, tmp_path):
+    day, night = mini
+    bag = Written(tmp_path / "monday", "mcap")
+    with bag.writer:
+        for number, (path, x, y, theta) in enumerate(zip(day.path.tolist(), day.x, day.y, day.theta, strict=True)):
+            time = (2 * START + number) * 500_000_000
+            content = np.frombuffer(jpeg(equirectangular(path)), dtype=np.uint8)
+            kind = "sensor_msgs/msg/CompressedImage"
+            bag.write("/camera/compressed", kind, time, header=bag.header(time), format="jpeg", data=content)
+            bag.odometry("/odom", time, x, y, theta)
+    said = []
+    made = siamloc.walk(bag.path, tmp_path / "robot", say=said.append)
+    assert "with odometry" in said[0]
+    assert said[1].startswith("camera: unwrap=equirectangular")
+    assert made.survey.fixed_by == "odometry"
+    located = siamloc.runtime.Localizer(made.bundle.path)
+    asked = [located.locate(equirectangular(path)[..., ::-1]) for path in night.path.tolist()]
+    found = siamloc.data.moves.composed(
+        np.tile([day.x[0], day.y[0], day.theta[0]], (len(asked), 1)), np.array([[one.x, one.y, 0] for one in asked])
+    )
+    assert np.median(np.hypot(*(found[:, :2] - night.xy).T)) < 0.3  # a key frame is 0.3 m from the next
+    assert (tmp_path / "robot" / "report.html").is_file()
+
+
+def test_a_folder_of_panoramas_without_odometry_becomes_a_robot(mini, tmp_path):
+    day, _ = mini
+    pictures = tmp_path / "monday"
+    pictures.mkdir()
+    for number, path in enumerate(day.path.tolist()):
+        (pictures / f"{START + number / 2:.1f}.jpeg").hardlink_to(path)
+    said = []
+    made = siamloc.walk(pictures, tmp_path / "robot", say=said.append)
+    assert "without odometry" in said[0]
+    assert said[1] == "camera: unwrap=none"
+    assert made.survey.fixed_by == "pictures"
+    assert made.bundle.path == tmp_path / "robot" / "bundle"
+    parts = siamloc.data.read("manifest", manifest=tmp_path / "robot" / "parts.csv").rows_by("sequence")
+    counts = {name: len(rows) for name, rows in parts.items()}
+    assert counts["map"] == pytest.approx(2 * sum(counts.values()) / 3, abs=1)
+    assert abs(counts["query"] - counts["validation"]) <= 1
+
+
+def test_a_short_way_is_refused(mini, tmp_path):
+    pictures = tmp_path / "monday"
+    pictures.mkdir()
+    for number, path in enumerate(mini[0].path.tolist()[:12]):
+        (pictures / f"{START + number / 2:.1f}.jpeg").hardlink_to(path)
+    with pytest.raises(DataError, match=r"has 1\d key frames, and a map needs 60: record a way of 18 m"):
+        siamloc.walk(pictures, tmp_path / "robot")
+
+
+pytestmark = pytest.mark.slow
