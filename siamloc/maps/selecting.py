@@ -12,7 +12,7 @@ from foundation.settings import Positive
 from siamloc.data.frames import FrameTable
 from siamloc.maps.comparing import scaled
 from siamloc.maps.describing import build
-from siamloc.maps.survey_steps import ODDS, comparing
+from siamloc.maps.survey_steps import comparing
 from siamloc.maps.surveying import comparing_descriptor
 
 if TYPE_CHECKING:
@@ -36,9 +36,8 @@ def key_frames(
     """Choose the frames of drives that show something new; positions in `frames` are not used.
 
     The first frame of a drive is a key frame, and so is each one that was taken at least `spacing` metres from the last
-    key frame, compared by the network or by odometry, where there is any. Before a frame that shows another place than
-    the last key frame, as after a door, the frame before it is a key frame, so that each can be compared with the next.
-    While the robot stands still or turns on the spot, there are none.
+    key frame, compared by the network or by odometry, where there is any. A frame that shows another place is compared
+    as far away as well, mostly. While the robot stands still or turns on the spot, there are none.
 
     Args:
         network: a network that compares images, built with relative=True; "pretrained" is the shipped one.
@@ -62,24 +61,19 @@ def key_frames(
     assert parts is not None
     compared, wheels = comparing(described.compare, scaled(parts), False), readable.odometry[:, :2]
 
-    def against(row: int, others: NDArray[np.int64]) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-        """Return which other frames were taken far from a frame, and which show another place."""
-        pose, _, odds = compared(np.full(len(others), row), others)
+    def far(row: int, others: NDArray[np.int64]) -> NDArray[np.bool_]:
+        # Whether two images show one place is not asked: the network denies it for those that are nearly the same.
+        pose, _, _ = compared(np.full(len(others), row), others)
         seen, rolled = np.hypot(pose[:, 0], pose[:, 1]), np.hypot(*(wheels[others] - wheels[row]).T)
-        return np.fmax(np.where(odds < ODDS, 0, seen), rolled) >= spacing, odds < ODDS
+        return np.fmax(seen, rolled) >= spacing
 
     kept = list[int]()
     for rows in readable.rows_by("sequence").values():
         kept.append(int(rows[0]))
-        last, ahead = 0, 1  # places of the last key frame, and of the first frame that was not compared with it
-        while ahead < len(rows):
-            far, unlike = against(kept[-1], rows[ahead : ahead + _AHEAD])
-            new = np.flatnonzero(far | unlike)
-            if not len(new):
-                ahead += _AHEAD
-                continue
-            place = ahead + int(new[0])
-            last = place - 1 if unlike[new[0]] and place - 1 > last else place
-            kept.append(int(rows[last]))
-            ahead = last + 1
+        ahead = rows[1:]
+        while len(ahead):
+            new = np.flatnonzero(far(kept[-1], ahead[:_AHEAD]))
+            if len(new):
+                kept.append(int(ahead[new[0]]))
+            ahead = ahead[int(new[0]) + 1 if len(new) else _AHEAD :]
     return readable.take(kept)
