@@ -11,20 +11,20 @@ from siamloc.data import PanoramaView
 from siamloc.errors import DataError
 from tests.bags import Written, jpeg
 
-FRAMES = 100  # 30 m, at 2 pictures per second
 START = 1_700_000_000
 
 
 @pytest.fixture(scope="module")
 def mini(tmp_path_factory):
-    """Return a drive by day and one at night through a small building."""
+    """Return a drive of 30 m by day, 0.3 m from frame to frame, and one at night, through a small building."""
     out = tmp_path_factory.mktemp("mini")
-    siamloc.simulate.simulate(
-        out=out, building="mini", camera="panorama", runs=["cloudy1", "night1"], spacing=0.3, frames=FRAMES
-    )
-    frames = siamloc.data.read("cold", root=out / "mini")
-    frames = frames.take(np.argsort(frames.time, kind="stable"))
-    return frames.select(sequence="*cloudy1"), frames.select(sequence="*night1").every(5)
+    for run, spacing, frames in (("cloudy1", 0.3, 100), ("night1", 1.5, 20)):
+        siamloc.simulate.simulate(
+            out=out, building="mini", camera="panorama", runs=[run], spacing=spacing, frames=frames
+        )
+    both = siamloc.data.read("cold", root=out / "mini")
+    both = both.take(np.argsort(both.time, kind="stable"))
+    return both.select(sequence="*cloudy1"), both.select(sequence="*night1")
 
 
 def equirectangular(path):
@@ -49,7 +49,7 @@ def test_a_bag_of_equirectangular_pictures_with_odometry_becomes_a_robot(mini, t
             bag.write("/camera/compressed", kind, time, header=bag.header(time), format="jpeg", data=content)
             bag.odometry("/odom", time, x, y, theta)
     said = []
-    made = siamloc.walk(bag.path, tmp_path / "robot", say=said.append)
+    made = siamloc.walk(bag.path, tmp_path / "robot", say=said.append, spacing=0.25)
     assert "with odometry" in said[0]
     assert said[1].startswith("camera: unwrap=equirectangular")
     assert made.survey.fixed_by == "odometry"
@@ -69,7 +69,7 @@ def test_a_folder_of_panoramas_without_odometry_becomes_a_robot(mini, tmp_path):
     for number, path in enumerate(day.path.tolist()):
         (pictures / f"{START + number / 2:.1f}.jpeg").hardlink_to(path)
     said = []
-    made = siamloc.walk(pictures, tmp_path / "robot", say=said.append)
+    made = siamloc.walk(pictures, tmp_path / "robot", say=said.append, spacing=0.25)
     assert "without odometry" in said[0]
     assert said[1] == "camera: unwrap=none"
     assert made.survey.fixed_by == "pictures"
@@ -85,8 +85,8 @@ def test_a_short_way_is_refused(mini, tmp_path):
     pictures.mkdir()
     for number, path in enumerate(mini[0].path.tolist()[:12]):
         (pictures / f"{START + number / 2:.1f}.jpeg").hardlink_to(path)
-    with pytest.raises(DataError, match=r"has 1\d key frames, and a map needs 60: record a way of 18 m"):
-        siamloc.walk(pictures, tmp_path / "robot")
+    with pytest.raises(DataError, match=r"has 1\d key frames, and a map needs 60: record a way of 15 m"):
+        siamloc.walk(pictures, tmp_path / "robot", spacing=0.25)
 
 
 pytestmark = pytest.mark.slow
