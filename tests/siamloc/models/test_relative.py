@@ -44,6 +44,18 @@ def parts(count: int, seed: int = 0) -> Tensor:
     return torch.randn(count, COLUMNS, VALUES, generator=torch.Generator().manual_seed(seed))
 
 
+def test_images_of_one_spot_match_whatever_was_learned(network, ahead):
+    """A robot may stand where a map frame was taken, which two drives hardly ever show to the training."""
+    for one in (network, ahead):
+        known = parts(6)
+        for turn in (0, 3) if one is network else (0,):
+            same = one.relative(known.roll(turn, dims=1), known).match
+            assert (same > 5).all(), "the untrained odds lie near 0"
+        blurred = known + 0.3 * parts(6, 1)
+        assert (one.relative(blurred, known).match > 3).all()
+        assert (one.relative(parts(6, 2), known).match < 3).all()
+
+
 def test_turning_both_turns_the_displacement_and_not_the_turn(network):
     query, known = parts(5), parts(5, 1)
     before = network.relative(query, known)
