@@ -31,3 +31,8 @@ def messages(monkeypatch):
 @pytest.fixture
 def node(monkeypatch):
     return loaded(monkeypatch, "node")
+
+
+@pytest.fixture
+def odometry(monkeypatch):
+    return loaded(monkeypatch, "odometry")

@@ -17,7 +17,8 @@ from rosbags.typesys import Stores, get_typestore
 
 STORE = get_typestore(Stores.ROS2_HUMBLE)
 PACKAGES = (
-    *("builtin_interfaces", "diagnostic_msgs", "geometry_msgs", "nav_msgs", "sensor_msgs", "std_msgs", "tf2_msgs"),
+    *("builtin_interfaces", "diagnostic_msgs", "geometry_msgs", "nav_msgs", "rcl_interfaces", "sensor_msgs"),
+    *("std_msgs", "tf2_msgs"),
 )
 _DEFAULTS = {("geometry_msgs/msg/Quaternion", "w"): 1.0}  # the other fields of these messages begin with zeros
 _ZEROS = {"string": "", "bool": False, "byte": b"\0", "float32": 0.0, "float64": 0.0}
@@ -107,15 +108,20 @@ class Node:
     """A node whose publishers keep what is published, by topic, and whose parameters are given before."""
 
     given: ClassVar[dict[str, Any]] = {}
+    now: ClassVar[tuple[int, int]] = (0, 0)
 
     def __init__(self, name: str) -> None:
         self.name, self.declared, self.said = name, dict[str, Any](), list[str]()
         self.published: dict[str, list[Any]] = defaultdict(list)
         self.subscribed: dict[str, Any] = {}
         self.services: dict[str, Any] = {}
+        self.qualities: dict[str, Any] = {}
+        self.groups: dict[str, Any] = {}
+        self.timers: list[Any] = []
 
-    def declare_parameter(self, name: str, value: Any) -> SimpleNamespace:
+    def declare_parameter(self, name: str, value: Any, descriptor: Any) -> SimpleNamespace:
         chosen = self.declared[name] = self.given.get(name, value)
+        assert descriptor.dynamic_typing or type(chosen) is type(value), "InvalidParameterTypeException"
         return SimpleNamespace(value=chosen)
 
     def create_publisher(self, kind: type, topic: str, qos: Any) -> SimpleNamespace:
@@ -125,31 +131,59 @@ class Node:
 
         return SimpleNamespace(publish=publish)
 
-    def create_subscription(self, kind: type, topic: str, callback: Any, qos: Any) -> None:
-        self.subscribed[topic] = callback
+    def create_subscription(self, kind: type, topic: str, callback: Any, qos: Any, callback_group: Any = None) -> None:
+        self.subscribed[topic], self.qualities[topic], self.groups[topic] = callback, qos, callback_group
+
+    def create_timer(self, period: float, callback: Any, callback_group: Any = None) -> None:
+        assert period > 0
+        self.groups["timer"] = callback_group
+        self.timers.append(callback)
+
+    def get_clock(self) -> SimpleNamespace:
+        sec, nanosec = self.now
+        time = CLASSES["builtin_interfaces/msg/Time"](sec=sec, nanosec=nanosec)
+        return SimpleNamespace(now=lambda: SimpleNamespace(to_msg=lambda: time))
 
     def create_service(self, kind: type, name: str, callback: Any) -> None:
         self.services[name] = callback
 
     def get_logger(self) -> SimpleNamespace:
-        def say(text: str, throttle_duration_sec: float) -> None:
+        def say(text: str, throttle_duration_sec: float = 0.0) -> None:
             self.said.append(text)
 
         return SimpleNamespace(error=say, warning=say)
 
 
+class MultiThreadedExecutor:
+    """Runs a node, here not at all."""
+
+    def __init__(self, num_threads: int) -> None:
+        assert num_threads > 1, "one thread serves no second callback group"
+
+    def add_node(self, node: Node) -> None:
+        """Take a node."""
+
+    def spin(self) -> None:
+        """Return at once."""
+
+
 def modules() -> dict[str, ModuleType]:
     """Return the modules that the node imports, by name."""
-    found = {name: ModuleType(name) for name in ("rclpy", "rclpy.executors", "rclpy.node", "rclpy.qos", "std_srvs.srv")}
+    names = ("rclpy", "rclpy.callback_groups", "rclpy.executors", "rclpy.node", "rclpy.qos", "std_srvs.srv")
+    found = {name: ModuleType(name) for name in names}
     found |= {name: ModuleType(name) for package in PACKAGES for name in (package, f"{package}.msg")}
     for kind, made in CLASSES.items():
         setattr(found[f"{kind.partition('/')[0]}.msg"], made.__name__, made)
     found["std_srvs"] = ModuleType("std_srvs")
     found["std_srvs.srv"].__dict__.update(Trigger=Trigger)
-    found["rclpy"].__dict__.update(init=lambda: None, try_shutdown=lambda: None, spin=lambda node: None)
+    found["rclpy"].__dict__.update(init=lambda: None, try_shutdown=lambda: None)
+    found["rclpy.callback_groups"].__dict__.update(
+        MutuallyExclusiveCallbackGroup=type("MutuallyExclusiveCallbackGroup", (), {})
+    )
     found["rclpy.node"].__dict__.update(Node=Node)
     found["rclpy.executors"].__dict__.update(
-        ExternalShutdownException=type("ExternalShutdownException", (Exception,), {})
+        ExternalShutdownException=type("ExternalShutdownException", (Exception,), {}),
+        MultiThreadedExecutor=MultiThreadedExecutor,
     )
     found["rclpy.qos"].__dict__.update(QoSProfile=SimpleNamespace, ReliabilityPolicy=SimpleNamespace(BEST_EFFORT=2))
     return found

@@ -78,8 +78,9 @@ def test_a_pose_with_its_covariance(messages):
 
 
 def test_what_is_not_known_has_no_weight(messages):
-    spread = messages.pose_message(location(), HEADER, 0.1).pose.covariance.reshape(6, 6)
-    np.testing.assert_array_equal(spread, np.eye(6) * messages.UNKNOWN)
+    for unknown in (location(), location(theta=1.0)):  # a heading at an unknown place may be any
+        spread = messages.pose_message(unknown, HEADER, 0.1).pose.covariance.reshape(6, 6)
+        np.testing.assert_allclose(spread, np.diag([messages.UNKNOWN] * 5 + [math.pi**2 / 3]))
     spread = messages.pose_message(location(error_m=0.2), HEADER, 0.1).pose.covariance.reshape(6, 6)
     assert spread[0, 0] == spread[1, 1] == pytest.approx(0.02)
 
@@ -91,21 +92,35 @@ def test_times(messages):
         assert (later.sec, later.nanosec) == (sec, nanosec)
 
 
-def test_odometry_is_read_in_the_plane(messages):
-    message = Odometry(child_frame_id="base_link")
-    pose = message.pose.pose
+def odometry_message(messages):
+    message = Odometry(header=Header(frame_id="odom"), child_frame_id="base_link")
+    pose, twist = message.pose.pose, message.twist.twist
     pose.position.x, pose.position.y, pose.orientation = 3.0, -1.0, messages.turned(-2.0)
-    np.testing.assert_allclose(messages.odometry_pose(message), [3, -1, -2], atol=1e-12)
+    twist.linear.x, twist.linear.y, twist.angular.z = 0.5, math.nan, 0.25
+    return message
 
 
-def test_odometry_between_two_messages(messages):
-    known = [(1.0, np.array([0.0, 0.0, 3.0])), (2.0, np.array([1.0, 2.0, -3.0]))]  # turns left, across +-pi
-    at = messages.pose_at(1.5, known, 0.6)
-    np.testing.assert_allclose(at[:2], [0.5, 1.0])
-    assert math.cos(at[2] - math.pi) == pytest.approx(1)
-    np.testing.assert_allclose(messages.pose_at(2.1, known, 0.2)[:2], [1, 2])
-    assert np.isnan(messages.pose_at(2.3, known, 0.2)).all()
-    assert np.isnan(messages.pose_at(1.5, [], 9.0)).all()
+def test_odometry_is_read_in_the_plane(messages):
+    pose, velocity = messages.odometry_motion(odometry_message(messages), "base_link")
+    np.testing.assert_allclose(pose, [3, -1, -2], atol=1e-12)
+    np.testing.assert_array_equal(velocity, [0.5, 0, 0.25])  # a velocity that is not told is none
+
+
+@pytest.mark.parametrize(
+    ("change", "text"),
+    [
+        (lambda one: setattr(one.header, "frame_id", ""), "its frame_id is empty"),
+        (lambda one: setattr(one.header, "frame_id", "/odom"), "'/odom' begins with a slash"),
+        (lambda one: setattr(one, "child_frame_id", "camera"), "of 'camera', not of 'base_link'"),
+        (lambda one: one.pose.pose.orientation.__init__(w=0.0), "no unit quaternion"),
+        (lambda one: setattr(one.pose.pose.position, "x", math.nan), "not finite"),
+    ],
+)
+def test_odometry_that_says_nothing_is_refused_in_one_sentence(messages, change, text):
+    message = odometry_message(messages)
+    change(message)
+    with pytest.raises(DataError, match=text):
+        messages.odometry_motion(message, "base_link")
 
 
 def test_the_transform_takes_the_robot_from_its_odometry_to_the_map(messages):
@@ -135,7 +150,7 @@ def test_the_transform_takes_the_robot_from_its_odometry_to_the_map(messages):
     ],
 )
 def test_diagnostics(messages, seen, level, text):
-    message = messages.diagnostic_message(HEADER.stamp, "robot", seen, "damaged")
+    message = messages.diagnostic_message(HEADER.stamp, "robot", seen, "" if seen else "damaged", 0.25)
     assert message.serialized()
     (status,) = message.status
     assert (status.level, status.message, status.hardware_id) == (bytes([level]), text, "robot")
@@ -143,4 +158,10 @@ def test_diagnostics(messages, seen, level, text):
     assert ("lost" in told) == (seen is not None)
     if seen is not None:
         assert told["lost"] == {None: "unknown", True: "true", False: "false"}[seen.lost]
-        assert told["time [ms]"] == "1.0"
+        assert (told["time [ms]"], told["odometry age [s]"]) == ("1.0", "0.250")
+
+
+def test_diagnostics_warn_of_a_fault_beside_the_location(messages):
+    (status,) = messages.diagnostic_message(HEADER.stamp, "robot", location(lost=False), "no odometry").status
+    assert (status.level, status.message) == (b"\1", "located; no odometry")
+    assert {one.key: one.value for one in status.values}["odometry age [s]"] == "nan"

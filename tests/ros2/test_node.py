@@ -106,17 +106,27 @@ def test_an_image_that_cannot_be_used_is_reported_and_the_next_one_located(start
     assert len(node.published[POSE]) == 1
 
 
+def status(node):
+    (found,) = node.published["/diagnostics"][-1].status
+    return found.level, found.message, {one.key: one.value for one in found.values}
+
+
 def test_the_transform_joins_map_and_odometry_and_stays_while_nothing_is_known(started, world, monkeypatch):
     node = started(publish_tf=True, transform_tolerance=0.25)
+    (tick,) = node.timers
     node.subscribed["image"](photo(world, 3))
+    tick()
     assert "/tf" not in node.published
-    assert node.said[0].startswith("no transform yet")
+    assert status(node)[:2] == (1, "located; no odometry has arrived")
+    assert node.said == ["no odometry has arrived"]
     for second in (9.9, 10.1):
         node.subscribed["odom"](odometry(1, 2, 0.5, second))
     node.subscribed["image"](photo(world, 3))
+    monkeypatch.setattr(ros.Node, "now", (10, 500_000_000))
+    tick()
     (shift,) = node.published["/tf"][0].transforms
     assert (shift.header.frame_id, shift.child_frame_id) == ("map", "odom")
-    assert (shift.header.stamp.sec, shift.header.stamp.nanosec) == (10, 250_000_000)
+    assert (shift.header.stamp.sec, shift.header.stamp.nanosec) == (10, 750_000_000)
     pose, move = node.published[POSE][-1].pose.pose, shift.transform
     turn = heading(move.rotation)
     assert pose.position.x == pytest.approx(move.translation.x + math.cos(turn) - 2 * math.sin(turn))
@@ -126,11 +136,76 @@ def test_the_transform_joins_map_and_odometry_and_stays_while_nothing_is_known(s
     monkeypatch.setattr(node.localizer, "locate", lambda *given, **more: replace(locate(*given, **more), lost=True))
     node.subscribed["odom"](odometry(2, 2, 0.5, 11.0))
     node.subscribed["image"](photo(world, 3, 11.0))
+    wrong = photo(world, 3)
+    wrong.encoding = "bayer_rggb8"
+    node.subscribed["image"](wrong)  # not even an image that cannot be used ends the transform
+    monkeypatch.setattr(ros.Node, "now", (11, 0))
+    tick()
     (same,) = node.published["/tf"][-1].transforms
     assert same.transform == move
     assert same.header.stamp.sec == 11
     assert len(node.published[POSE]) == 2
-    assert node.published["/diagnostics"][-1].status[0].message == "lost"
+    assert node.published["/diagnostics"][-2].status[0].message == "lost"
+
+
+def test_odometry_that_arrives_while_an_image_is_located_renews_the_transform(started, world, monkeypatch):
+    node = started(publish_tf=True)
+    quality, groups = node.qualities, node.groups
+    assert (quality["odom"].reliability, quality["image"].reliability, quality["image"].depth) == (2, 2, 1)
+    assert groups["odom"] is groups["timer"] is not None
+    assert groups["image"] is None
+    locate = node.localizer.locate
+
+    def slow(*given, **more):
+        node.subscribed["odom"](odometry(1, 2, 0.5, 10.0))  # by the other thread
+        return locate(*given, **more)
+
+    node.subscribed["odom"](odometry(0, 0, 0, 9.1))
+    monkeypatch.setattr(node.localizer, "locate", slow)
+    node.subscribed["image"](photo(world, 3))
+    assert status(node)[0] == 0
+    assert np.isfinite(node.correction).all()
+    np.testing.assert_allclose(node.last, [1, 2, 0.5])
+
+
+def test_stamps_that_are_far_apart_are_a_warning(started, world):
+    node = started(publish_tf=True)
+    node.subscribed["odom"](odometry(1, 2, 0.5, 9.1))
+    node.subscribed["image"](photo(world, 3))
+    level, text, told = status(node)
+    assert (level, told["odometry age [s]"]) == (1, "0.900")
+    assert text.startswith("located; the stamps of the image and of the nearest odometry are 0.90 s apart")
+    assert node.said[-1] in text
+    node = started()  # which needs no odometry
+    node.subscribed["image"](photo(world, 3))
+    assert status(node)[:2] == (0, "located")
+
+
+def test_odometry_that_cannot_be_used_is_dropped_with_one_sentence(started):
+    node = started()
+    wrong = odometry(0, 0, 0, 9.0)
+    wrong.header.frame_id = ""
+    for _ in range(2):
+        node.subscribed["odom"](wrong)
+    assert node.said == ["odometry is dropped: its frame_id is empty"]
+    assert len(node.odometry) == 0
+    node.subscribed["odom"](odometry(0, 0, 0, 9.0))
+    node.subscribed["odom"](odometry(0, 0, 0, 8.9))
+    assert (len(node.odometry), len(node.said)) == (1, 2)
+
+
+def test_parameters_are_checked(started):
+    assert started(transform_tolerance=1).given["transform_tolerance"] == 1.0
+    for given, text in (
+        ({"odometry_gap": "wide"}, "odometry_gap must be a number, got 'wide'"),
+        ({"odometry_gap": -1}, "odometry_gap must be above 0, got -1"),
+        ({"track": 1}, "track must be true or false, got 1"),
+        ({"bundle": 5}, "bundle must be text, got 5"),
+        ({"map_frame": "/map"}, "map_frame '/map' begins with a slash, which tf2 refuses"),
+        ({"base_frame": ""}, "base_frame is empty"),
+    ):
+        with pytest.raises(ConfigError, match=text):
+            started(**given)
 
 
 def test_a_tracker_gets_how_the_robot_moved(started, world, monkeypatch):
@@ -151,13 +226,6 @@ def test_a_tracker_gets_how_the_robot_moved(started, world, monkeypatch):
     np.testing.assert_allclose(motions[2][1], [0.5, 0, 0], atol=1e-12)
 
 
-def test_a_clock_that_begins_again_forgets_the_odometry(started):
-    node = started()
-    for second in (10.0, 11.0, 3.0):
-        node.subscribed["odom"](odometry(0, 0, 0, second))
-    assert [time for time, _ in node.odometry] == [3.0]
-
-
 @pytest.mark.parametrize("wanted", [False, True])
 def test_where_am_i_answers_and_sets_the_initial_pose(started, world, wanted):
     node = started(set_initial_pose=wanted, track=True)
@@ -176,7 +244,6 @@ def test_where_am_i_answers_and_sets_the_initial_pose(started, world, wanted):
 
 def test_a_wrong_bundle_ends_the_node_with_one_sentence(node, started, monkeypatch, tmp_path):
     monkeypatch.setattr(ros.Node, "given", {"bundle": str(tmp_path / "none")})
-    monkeypatch.setattr(node.rclpy, "spin", lambda _: None)
     with pytest.raises(SystemExit, match=r"siamloc: .*none"):
         node.main()
     monkeypatch.setattr(runtime.Localizer, "unit", "frames")

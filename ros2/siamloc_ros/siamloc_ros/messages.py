@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import array
 import math
-from collections.abc import Iterable
 
 import numpy as np
 from builtin_interfaces.msg import Time
@@ -24,7 +23,9 @@ CHANNELS = {"rgb8": [0, 1, 2], "bgr8": [2, 1, 0], "rgba8": [0, 1, 2], "bgra8": [
 """Where red, green and blue are in a pixel, by the encoding of a raw image."""
 
 UNKNOWN = 1e6  # variance of what an image does not tell: z, roll, pitch, and coordinates that the bundle lacks
+ANY_HEADING = math.pi**2 / 3  # variance in rad^2 of a heading that may be any: uniform over a full turn
 _NANO = 1_000_000_000
+_UNIT = 0.01  # how far the length of a quaternion may be from 1
 
 
 def pixels(message: Image | CompressedImage) -> NDArray[np.uint8]:
@@ -75,7 +76,8 @@ def pose_message(location: Location, header: Header, heading_deviation: float) -
     """Return a location as a pose in the frame of the header.
 
     The covariance is 6 x 6, row by row, of x, y, z and the turns about x, y, z, all in the header's frame. Where the
-    bundle gives only an expected error, half its square is the variance of x and that of y.
+    bundle gives only an expected error, half its square is the variance of x and that of y. If x and y are not known to
+    be right, neither is the heading: it has the variance of a heading that may be any.
 
     Args:
         location: where the image was taken.
@@ -89,9 +91,11 @@ def pose_message(location: Location, header: Header, heading_deviation: float) -
         spread[:2, :2] = location.covariance
     elif not math.isnan(location.error_m):
         spread[[0, 1], [0, 1]] = location.error_m**2 / 2
+    spread[5, 5] = ANY_HEADING
     if not math.isnan(location.theta):
         pose.orientation = turned(location.theta)
-        spread[5, 5] = heading_deviation**2
+        if spread[0, 0] < UNKNOWN:
+            spread[5, 5] = min(heading_deviation**2, ANY_HEADING)
     message.pose.covariance = spread.ravel()
     return message
 
@@ -101,27 +105,41 @@ def turned(heading: float) -> Quaternion:
     return Quaternion(x=0.0, y=0.0, z=math.sin(heading / 2), w=math.cos(heading / 2))
 
 
-def odometry_pose(message: Odometry) -> NDArray[np.float64]:
-    """Return x, y and heading of a robot (3,), in m and rad, in the frame of its odometry."""
-    pose = message.pose.pose
-    turn = pose.orientation
-    heading = euler([turn.w, turn.x, turn.y, turn.z])[2]
-    return np.array([pose.position.x, pose.position.y, heading])
-
-
-def pose_at(time: float, known: Iterable[tuple[float, NDArray]], gap: float) -> NDArray[np.float64]:
-    """Return the pose (3,) of a robot at a time, between the poses that its odometry gave.
+def odometry_motion(message: Odometry, body: str) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return where a robot is by its odometry, and how it moves.
 
     Args:
-        time: in s.
-        known: times in s, increasing, and the poses at these times: x, y, and heading in rad.
-        gap: the pose is NaN if none of these times is as near as this, in s.
+        message: the odometry.
+        body: frame of the robot that the map's poses are of.
+
+    Returns:
+        x and y in m and heading in rad (3,) in the frame of the odometry; and the velocity ahead and to the left in
+        m/s and to the left in rad/s (3,), seen from the robot.
+
+    Raises:
+        DataError: no frame or one that tf2 refuses, another body, or a pose that is none.
     """
-    table = np.array([(when, *pose) for when, pose in known]).reshape(-1, 4)
-    if not (np.abs(table[:, 0] - time) <= gap).any():
-        return np.full(3, np.nan)
-    table[:, 3] = np.unwrap(table[:, 3])
-    return np.array([np.interp(time, table[:, 0], column) for column in table[:, 1:].T])
+    if fault := frame_fault(message.header.frame_id):
+        raise DataError(f"odometry is dropped: its frame_id {fault}")
+    if message.child_frame_id != body:
+        raise DataError(
+            f"odometry is dropped: it is of {message.child_frame_id!r}, not of {body!r}, whose poses the map has: "
+            "the parameter base_frame names another frame"
+        )
+    position, turn = message.pose.pose.position, message.pose.pose.orientation
+    quaternion = np.array([turn.w, turn.x, turn.y, turn.z])
+    if not abs(np.linalg.norm(quaternion) - 1) <= _UNIT or not math.isfinite(position.x + position.y):
+        raise DataError("odometry is dropped: its pose is not finite, or its orientation is no unit quaternion")
+    linear, angular = message.twist.twist.linear, message.twist.twist.angular
+    velocity = np.nan_to_num([linear.x, linear.y, angular.z], posinf=0, neginf=0)
+    return np.array([position.x, position.y, euler(quaternion)[2]]), velocity
+
+
+def frame_fault(frame: str) -> str:
+    """Return what is wrong with the name of a frame, or "" if tf2 takes it."""
+    if not frame:
+        return "is empty"
+    return f"{frame!r} begins with a slash, which tf2 refuses" if frame.startswith("/") else ""
 
 
 def map_to_odom(location: Location, odometry: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -152,23 +170,27 @@ def match_message(jpeg: bytes, header: Header) -> CompressedImage:
     return CompressedImage(header=header, format="jpeg", data=array.array("B", jpeg))
 
 
-def diagnostic_message(stamp: Time, bundle: str, location: Location | None, fault: str = "") -> DiagnosticArray:
-    """Return how an image was located: OK if the robot is known, WARN if it is lost, ERROR for an unusable image.
+def diagnostic_message(
+    stamp: Time, bundle: str, location: Location | None, fault: str = "", odometry_age: float = math.nan
+) -> DiagnosticArray:
+    """Return how an image was located.
+
+    OK if the robot is known, WARN if it is lost or something else is at fault, ERROR for an unusable image.
 
     Args:
         stamp: time of the image.
         bundle: name of the bundle.
         location: where the image was taken; None if it cannot be used.
-        fault: why it cannot be used.
+        fault: why it cannot be used, or what is missing beside the location; "" for nothing.
+        odometry_age: how much older than the image the newest odometry is, in s; NaN without odometry.
     """
     status = DiagnosticStatus(name="siamloc: localization", hardware_id=bundle)
     if location is None:
         status.level, status.message = DiagnosticStatus.ERROR, fault
-    elif known(location):
-        status.level, status.message = DiagnosticStatus.OK, "located"
     else:
-        status.level, status.message = DiagnosticStatus.WARN, "lost" if location.lost else "no position in the map"
-    if location is not None:
+        state = "located" if known(location) else "lost" if location.lost else "no position in the map"
+        status.level = DiagnosticStatus.OK if known(location) and not fault else DiagnosticStatus.WARN
+        status.message = f"{state}; {fault}" if fault else state
         told = {
             "lost": {None: "unknown"}.get(location.lost, str(location.lost).lower()),
             "expected error [m]": f"{location.error_m:.3f}",
@@ -176,6 +198,7 @@ def diagnostic_message(stamp: Time, bundle: str, location: Location | None, faul
             "room": location.room,
             "nearest map frame": location.candidates[0].image,
             "time [ms]": f"{location.ms:.1f}",
+            "odometry age [s]": f"{odometry_age:.3f}",
         }
         status.values = [KeyValue(key=key, value=value) for key, value in told.items()]
     return DiagnosticArray(header=Header(stamp=stamp), status=[status])

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections import deque
+import math
+from typing import Any
 
 import numpy as np
 import rclpy
@@ -10,8 +11,9 @@ from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseWithCovarianceStamped
 from nav_msgs.msg import Odometry
-from numpy.typing import NDArray
-from rclpy.executors import ExternalShutdownException
+from rcl_interfaces.msg import ParameterDescriptor
+from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
+from rclpy.executors import ExternalShutdownException, MultiThreadedExecutor
 from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import CompressedImage, Image
@@ -23,12 +25,14 @@ from siamloc.data.moves import moves
 from siamloc.errors import ConfigError, DataError, SiamlocError
 from siamloc.runtime import Localizer, Location
 from siamloc_ros import messages
+from siamloc_ros.odometry import OdometryHistory
 
 DEFAULTS = {
     "bundle": "bundle",
     "threads": 2,
     "compressed": False,
     "map_frame": "map",
+    "base_frame": "base_link",
     "track": False,
     "publish_tf": False,
     "transform_tolerance": 0.5,
@@ -39,31 +43,39 @@ DEFAULTS = {
 """The parameters, which config/localizer.yaml explains."""
 
 UNKNOWN = np.full(3, np.nan)
-_KEPT = 500  # messages of odometry, at 100 Hz those of 5 s
+_PERIOD = 0.05  # s from one transform to the next
 _QUIET = 5.0  # s between two log lines that say the same
+_ODOMETRY = QoSProfile(depth=50, reliability=ReliabilityPolicy.BEST_EFFORT)  # which accepts reliable odometry too
 _NEWEST = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)  # an image that had to wait is outdated
 
 
 class LocalizerNode(Node):
     """Locates each image, and publishes what follows from it.
 
+    Odometry and the transform have a callback group of their own: they go on while an image is being located.
+
     Raises:
-        ConfigError: the bundle's map is not in metres, or it cannot follow a robot although `track` asks for that.
+        ConfigError: a parameter cannot be used, the bundle's map is not in metres, or it cannot follow a robot although
+            `track` asks for that.
         FormatError: not a bundle.
     """
 
     def __init__(self) -> None:
         super().__init__("siamloc")
-        self.given = {name: self.declare_parameter(name, value).value for name, value in DEFAULTS.items()}
+        kind = ParameterDescriptor(dynamic_typing=True, read_only=True)  # 1 for 1.0 is fine: `checked` looks at kinds
+        self.given = {
+            name: checked(name, self.declare_parameter(name, value, kind).value) for name, value in DEFAULTS.items()
+        }
         self.localizer = Localizer(self.given["bundle"], threads=self.given["threads"])
         if self.localizer.unit != "m":
             raise ConfigError(f"{self.given['bundle']} has a map in {self.localizer.unit}, but ROS takes metres")
         self.tracker = self.localizer.tracker() if self.given["track"] else None
         self.image: Image | CompressedImage | None = None
-        self.odometry: deque[tuple[float, NDArray[np.float64]]] = deque(maxlen=_KEPT)
+        self.odometry = OdometryHistory(self.given["odometry_gap"])
         self.odometry_frame = ""
+        self.told = set[str]()  # faults of odometry that the log has already
         self.last = UNKNOWN  # the pose by odometry at the last image that was located
-        self.correction = UNKNOWN  # the pose of the odometry's frame in the map
+        self.correction = UNKNOWN  # the pose of the odometry's frame in the map: replaced, never altered
         self.pose = self.create_publisher(PoseWithCovarianceStamped, "~/pose", 10)
         self.match = self.create_publisher(CompressedImage, "~/match/compressed", 10)
         self.initial_pose = self.create_publisher(PoseWithCovarianceStamped, "initialpose", 10)
@@ -71,46 +83,61 @@ class LocalizerNode(Node):
         self.transform = self.create_publisher(TFMessage, "/tf", 100)
         kind, topic = (CompressedImage, "image/compressed") if self.given["compressed"] else (Image, "image")
         self.create_subscription(kind, topic, self.on_image, _NEWEST)
-        self.create_subscription(Odometry, "odom", self.on_odometry, 50)
+        meanwhile = MutuallyExclusiveCallbackGroup()
+        self.create_subscription(Odometry, "odom", self.on_odometry, _ODOMETRY, callback_group=meanwhile)
+        if self.given["publish_tf"]:
+            self.create_timer(_PERIOD, self.publish_transform, callback_group=meanwhile)
         self.create_service(Trigger, "~/where_am_i", self.on_question)
 
     def on_odometry(self, message: Odometry) -> None:
         """Keep where the robot is by its odometry."""
-        time = messages.seconds(message.header.stamp)
-        if self.odometry and time <= self.odometry[-1][0]:  # the clock of a simulation or a recording began again
-            self.odometry.clear()
-        self.odometry.append((time, messages.odometry_pose(message)))
+        try:
+            motion = messages.odometry_motion(message, self.given["base_frame"])
+            self.odometry.add(messages.seconds(message.header.stamp), *motion)
+        except DataError as error:
+            if str(error) not in self.told:
+                self.told.add(str(error))
+                self.get_logger().warning(str(error))
+            return
         self.odometry_frame = message.header.frame_id
 
     def on_image(self, image: Image | CompressedImage) -> None:
-        """Locate an image, and publish pose, diagnostics, matched picture and transform."""
+        """Locate an image, publish pose, diagnostics and matched picture, and renew the transform."""
         self.image, stamp, bundle = image, image.header.stamp, self.localizer.bundle
-        here = messages.pose_at(messages.seconds(stamp), self.odometry, self.given["odometry_gap"])
-        motion = moves([self.last, here])[1] if self.tracker is not None and self.odometry else None
+        time = messages.seconds(stamp)
+        motion = moves([self.last, self.odometry.at(time)])[1] if self.tracker is not None and self.odometry else None
         try:
             location = self.localizer.locate(messages.pixels(image), self.tracker, motion=motion)
         except DataError as error:  # the next image may be fine
             self.get_logger().error(str(error), throttle_duration_sec=_QUIET)
             self.diagnostics.publish(messages.diagnostic_message(stamp, bundle.path.name, None, str(error)))
             return
-        self.last = here
-        self.diagnostics.publish(messages.diagnostic_message(stamp, bundle.path.name, location))
+        self.last = here = self.odometry.at(time)  # once more: odometry arrived in the meantime
+        fault, age = self.fault(location, time), self.odometry.age(time)
+        self.diagnostics.publish(messages.diagnostic_message(stamp, bundle.path.name, location, fault, age))
         if (jpeg := bundle.thumbnail(location.candidates[0].row)) is not None:
             self.match.publish(messages.match_message(jpeg, image.header))
         if messages.known(location):
             self.pose.publish(self.answer(location, stamp))
             correction = messages.map_to_odom(location, here)
             self.correction = correction if np.isfinite(correction).all() else self.correction
-        if self.given["publish_tf"]:
-            self.publish_transform(stamp)
 
-    def publish_transform(self, stamp: Time) -> None:
-        """Publish the transform from the map to the odometry: while the robot is lost, that of the last known pose."""
+    def fault(self, location: Location, time: float) -> str:
+        """Return why an image cannot renew the transform or move the tracker, which the log says too; "" if it can."""
+        wanted = self.given["publish_tf"] or (self.tracker is not None and self.odometry)
+        fault = self.odometry.fault(time) if wanted else ""
+        if not fault and self.given["publish_tf"] and messages.known(location) and math.isnan(location.theta):
+            fault = "the location has no heading, which the transform needs"
+        if fault:
+            self.get_logger().warning(fault, throttle_duration_sec=_QUIET)
+        return fault
+
+    def publish_transform(self) -> None:
+        """Publish the transform from the map to the odometry, once one is known: that of the last known pose."""
         if np.isnan(self.correction).any():
-            wanted = "no transform yet: it takes odometry, and a located image with a heading"
-            self.get_logger().warning(wanted, throttle_duration_sec=_QUIET)
             return
-        header = self.header(messages.later(stamp, self.given["transform_tolerance"]))
+        now = self.get_clock().now().to_msg()
+        header = self.header(messages.later(now, self.given["transform_tolerance"]))
         self.transform.publish(
             TFMessage(transforms=[messages.transform_message(self.correction, header, self.odometry_frame)])
         )
@@ -139,11 +166,32 @@ class LocalizerNode(Node):
         return Header(stamp=stamp, frame_id=self.given["map_frame"])
 
 
+def checked(name: str, value: Any) -> Any:
+    """Return the value of a parameter, as a number with a decimal point where its default is one.
+
+    Raises:
+        ConfigError: it is of another kind than its default, not positive, or a frame that tf2 refuses.
+    """
+    kind = type(DEFAULTS[name])
+    if kind is float and type(value) is int:
+        value = float(value)
+    if type(value) is not kind:
+        words = {bool: "true or false", str: "text", int: "a whole number", float: "a number"}
+        raise ConfigError(f"the parameter {name} must be {words[kind]}, got {value!r}")
+    if kind in (int, float) and not 0 < value < math.inf:
+        raise ConfigError(f"the parameter {name} must be above 0, got {value!r}")
+    if name.endswith("_frame") and (fault := messages.frame_fault(value)):
+        raise ConfigError(f"the parameter {name} {fault}")
+    return value
+
+
 def main() -> None:
     """Locate images until the node is stopped."""
     rclpy.init()
     try:
-        rclpy.spin(LocalizerNode())
+        executor = MultiThreadedExecutor(num_threads=2)  # one for images and questions, one for odometry and transform
+        executor.add_node(LocalizerNode())
+        executor.spin()
     except SiamlocError as error:
         raise SystemExit(f"siamloc: {error}") from error
     except (KeyboardInterrupt, ExternalShutdownException):
