@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from foundation.errors import FormatError
+from foundation.errors import FormatError, OldFormatError
 from foundation.files import atomic_path, check_version, parsed_json, plain
 
 DAMAGE = (
@@ -53,7 +53,7 @@ def write_arrays(path: str | Path, header: Mapping[str, Any], arrays: Mapping[st
 
 
 def read_headed(
-    path: str | Path, what: str, version: int, again: str
+    path: str | Path, what: str, version: int, again: str, former: str | None = None
 ) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
     """Read the header and the arrays that `write_arrays` wrote.
 
@@ -62,9 +62,11 @@ def read_headed(
         what: expected `format` in the header, such as "siamloc map".
         version: expected `version` in the header.
         again: how to make the file again, for the error message.
+        former: `format` in the headers of an older siamloc.
 
     Raises:
-        FormatError: no such file, a damaged file, another format, or another version of it.
+        OldFormatError: a file of an older siamloc.
+        FormatError: no such file, a damaged file, another format, or a newer version of it.
     """
     if not Path(path).is_file():
         raise FormatError(f"{path} does not exist: {again}")
@@ -73,6 +75,8 @@ def read_headed(
         header = parsed_json(str(arrays.pop("header")[()]))
     except DAMAGE as error:
         raise FormatError(f"{path} is not a {what}, or not a whole one: {again}") from error
+    if former is not None and isinstance(header, dict) and header.get("format") == former:
+        raise OldFormatError(f"the {what} {path} was written by an older siamloc: {again}")
     if not isinstance(header, dict) or header.get("format") != what:
         raise FormatError(f"{path} is not a {what}: {again}")
     check_version(header.get("version"), version, f"the {what} {path}", again)

@@ -26,6 +26,10 @@ class FormatError(SiamlocError, ValueError):
     """A file that siamloc wrote and cannot read back: cut short, altered, or of another version."""
 
 
+class OldFormatError(FormatError):
+    """A file that an older siamloc wrote, in a version of its format that is no longer read."""
+
+
 class StorageError(SiamlocError, OSError):
     """The disk refused: full, read-only, or gone."""
 

@@ -27,7 +27,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from foundation.errors import ConfigError, FormatError, StorageError
+from foundation.errors import ConfigError, FormatError, OldFormatError, StorageError
 
 PICTURES = (".jpg", ".jpeg", ".png", ".webp")
 """Endings of the pictures that are written."""
@@ -293,11 +293,13 @@ def check_version(found: Any, present: int, what: str, again: str) -> None:
         again: how to make the file again, such as "build it again".
 
     Raises:
-        FormatError: another version, or none.
+        OldFormatError: an older version.
+        FormatError: a newer version, or none.
     """
     if type(found) is not int or found != present:
         advice = "update siamloc" if type(found) is int and found > present else again
-        raise FormatError(f"{what} has format version {found}, this siamloc reads version {present}: {advice}")
+        kind = OldFormatError if type(found) is int and found < present else FormatError
+        raise kind(f"{what} has format version {found}, this siamloc reads version {present}: {advice}")
 
 
 def plain(value: Any) -> Any:

@@ -6,9 +6,9 @@ import logging
 from collections.abc import Iterable, Sequence
 from typing import Literal
 
-from foundation.errors import ConfigError, DataError, FormatError, SiamlocError, StorageError, hint
+from foundation.errors import ConfigError, DataError, FormatError, OldFormatError, SiamlocError, StorageError, hint
 
-__all__ = ["ConfigError", "DataError", "FormatError", "SiamlocError", "StorageError", "hint"]
+__all__ = ["ConfigError", "DataError", "FormatError", "OldFormatError", "SiamlocError", "StorageError", "hint"]
 
 logger = logging.getLogger("siamloc")
 

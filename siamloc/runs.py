@@ -16,7 +16,7 @@ from foundation.calls import typed
 from foundation.files import check_version, plain, read_json, real_path, storage_errors, write_json
 from foundation.locks import locked
 from foundation.settings import checked, misfit
-from siamloc.errors import ConfigError, FormatError
+from siamloc.errors import ConfigError, FormatError, OldFormatError
 from siamloc.results import versions
 
 if TYPE_CHECKING:
@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 
 FORMAT = "siamloc-run"
 VERSION = 2
+_OF_VERSION_1 = ("checkpoints", "tensorboard", "bundle", "evaluation", "layers")
 DEFAULT_FOLDER = Path("runs")
 _CHECKPOINTS = {"best": ("best", "last"), "last": ("last",)}
 
@@ -207,7 +208,7 @@ class Run:
         record = read_json(self.record)
         if not isinstance(record, dict) or record.get("format") != FORMAT:
             raise FormatError(f"{self.record} was not written by siamloc")
-        check_version(record.get("version"), VERSION, str(self.record), "train again")
+        check_version(record.get("version"), VERSION, str(self.record), "train again, here with overwrite=true")
         wrong = misfit(record, _KINDS) or misfit(
             record["settings"], {name: _SECTIONS[name] for name in _SECTIONS if name in record["settings"]}, "settings."
         )
@@ -235,13 +236,13 @@ class Run:
                 write_json(self.record, {**record, "written": sorted(written)})
 
     def clear(self) -> None:
-        """Remove the files that are recorded as siamloc's own; the record and all other files stay.
+        """Remove the files that siamloc wrote; the record and all other files stay.
 
         Raises:
-            ConfigError, FormatError: as `load_record`.
+            FormatError: as `written`.
             StorageError: removing is not permitted.
         """
-        names = [name for name in self.load_record()["written"] if self._holds(name)]
+        names = [name for name in self.written() if self._holds(name)]
         for name in names:
             _remove(self.folder / name)
         # Folders from the inside out, and only if empty.
@@ -259,8 +260,25 @@ class Run:
 
     def foreign(self, names: Iterable[str]) -> list[str]:
         """Return those of the given names of existing files that siamloc did not write into this run."""
-        written = set(self.load_record()["written"]) if self.record.is_file() else set()
+        written = self.written()
         return [name for name in names if (self.folder / name).exists() and name not in written]
+
+    def written(self) -> set[str]:
+        """Return the names of the files that siamloc wrote into the run; none without a record.
+
+        A run of siamloc 0.1.0 recorded no files, but had folders to itself: they are all files in these.
+
+        Raises:
+            FormatError: as `load_record`, for other runs.
+        """
+        if not self.record.is_file():
+            return set()
+        try:
+            return set(self.load_record()["written"])
+        except OldFormatError:
+            inside = [path for name in _OF_VERSION_1 for path in (self.folder / name).rglob("*")]
+            files = [*inside, *(self.folder / name for name in ("map.npz", "metrics.csv", "locations.csv"))]
+            return {path.relative_to(self.folder).as_posix() for path in files if path.is_file() or path.is_symlink()}
 
     def _inside(self, name: str | Path) -> str:
         path = Path(name)

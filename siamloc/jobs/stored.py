@@ -15,7 +15,7 @@ from analytic import DESCRIPTORS
 from analytic.descriptors.fused import SIGN
 from foundation.settings import fields_of
 from siamloc.data.protocol import Protocol
-from siamloc.errors import ConfigError
+from siamloc.errors import ConfigError, OldFormatError
 from siamloc.jobs.choices import OF_A_RUN, names_in, parameters_of
 from siamloc.jobs.job import Given
 from siamloc.jobs.options import is_fused, option
@@ -71,7 +71,7 @@ def with_settings_of_the_run(
     if needed and not trained.record.is_file():
         _hint_at_maps(trained.folder)
     record = trained.settings if needed or trained.record.is_file() else {}
-    made = None if resumed or "descriptor" not in values else _map_made(run, values, loaded or {})
+    made = None if resumed or "descriptor" not in values else _map_made(run, values, loaded or {}, replaces_map)
     kept = _kept(record, made, resumed=resumed, replaces_map=replaces_map)
     own = [key for key in given.keys if key not in given.groups]
     said = {key: value for key in own if (value := _found(values, key)) is not _NOTHING}
@@ -211,8 +211,13 @@ def _kept(
     return kept
 
 
-def _map_made(run: Run, values: Mapping[str, Any], loaded: Mapping[Path, VisualMap]) -> dict[str, Any] | None:
-    """Return the settings with which the map of the descriptor was made, by section; None without a map."""
+def _map_made(
+    run: Run, values: Mapping[str, Any], loaded: Mapping[Path, VisualMap], replaced: bool
+) -> dict[str, Any] | None:
+    """Return the settings with which the map of the descriptor was made, by section; None without a map.
+
+    A map of an older siamloc counts as none if it is to be replaced.
+    """
     titles = titles_of(values)
     places = (map_known(run, titles), map_file(run, titles["descriptor"]))
     path = next((one for one in places if one.is_file()), None)
@@ -220,7 +225,12 @@ def _map_made(run: Run, values: Mapping[str, Any], loaded: Mapping[Path, VisualM
         return None
     from siamloc.maps import VisualMap
 
-    known = loaded[path] if path in loaded else VisualMap.load(path)
+    try:
+        known = loaded[path] if path in loaded else VisualMap.load(path)
+    except OldFormatError:
+        if replaced:
+            return None
+        raise
     found: dict[str, Any] = {}
     if "data" in known.made:
         found["data"] = {**known.made["data"], "unit": known.unit}

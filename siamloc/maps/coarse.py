@@ -145,7 +145,9 @@ class CoarseLayer:
         Raises:
             FormatError: the file is missing, truncated, not a coarse layer, or of another version.
         """
-        header, held = read_headed(path, _FORMAT, _VERSION, "build the layer with `siamloc map build=...`")
+        header, held = read_headed(
+            path, _FORMAT, _VERSION, "build the layer with `siamloc map build=...`", "siamloc-coarse-layer"
+        )
         try:
             classes = [held[name] for name in _CLASSES if name in held]
             classifier = RoomClassifier(held["names"], *classes) if classes else None

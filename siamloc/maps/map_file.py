@@ -70,9 +70,10 @@ def read_map(path: str | Path, kind: Callable[..., Map]) -> Map:
         kind: the class of the map.
 
     Raises:
+        OldFormatError: a map of an older siamloc.
         FormatError: a file that is missing, truncated, altered, not a map, or of another version.
     """
-    header, arrays = read_headed(path, _FORMAT, _VERSION, "build the map again")
+    header, arrays = read_headed(path, _FORMAT, _VERSION, "build the map again with `siamloc map`", "siamloc-map")
     try:
         for name in ("descriptors", "orientation", "colours"):
             if f"{name}_scale" in arrays:

@@ -17,7 +17,7 @@ import torch
 from torch import Tensor, nn
 
 from foundation.files import atomic_path, check_version, parsed_json
-from siamloc.errors import ConfigError, FormatError
+from siamloc.errors import ConfigError, FormatError, OldFormatError
 from siamloc.models.heads import GeneralizedMean, Magnitudes
 from siamloc.models.hub import timm_file, torchvision_weights
 from siamloc.models.registry import BRANCHES, PRETRAINED
@@ -179,6 +179,8 @@ def _check_there(path: Path) -> None:
 
 def _checked_content(content: Any, path: str | Path) -> dict[str, Any]:
     """Return the contents of a checkpoint, unless they are not of a training of siamloc, or of another version."""
+    if isinstance(content, dict) and "siamloc_format" in content:
+        raise OldFormatError(f"the checkpoint {path} was written by an older siamloc: train again")
     about = content.get(CONTENT_KEY) if isinstance(content, dict) else None
     needs = {"format", "model", "loss"}
     if not isinstance(about, dict) or not needs <= set(about) or not isinstance(content.get("state_dict"), dict):

@@ -110,7 +110,7 @@ def log_picture(loggers: list[Logger], name: str, picture: NDArray[np.uint8], st
 
 def files_logged(run: Run) -> set[Path]:
     """Return the files in the folders of the loggers that the run's record does not list."""
-    known = set(run.load_record()["written"]) if run.record.is_file() else set()
+    known = run.written()
     found = [path for name in LOGGERS for path in (run.folder / name).rglob("*")]
     files = {path for path in found if path.is_file() and not path.is_symlink()}
     return {path for path in files if path.relative_to(run.folder).as_posix() not in known}

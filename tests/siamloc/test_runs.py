@@ -7,7 +7,7 @@ import json
 import pytest
 
 from foundation.files import read_json, write_json
-from siamloc.errors import ConfigError, FormatError
+from siamloc.errors import ConfigError, FormatError, OldFormatError
 from siamloc.runs import Run
 
 
@@ -82,3 +82,18 @@ def test_clearing_never_leaves_the_folder(run, tmp_path):
 def test_an_empty_name_is_refused():
     with pytest.raises(ConfigError, match="a folder of its own"):
         Run("")
+
+
+def test_a_run_of_the_first_version_is_cleared_by_its_folders(tmp_path):
+    own = ["map.npz", "checkpoints/last.ckpt", "evaluation/hog/results.json", "metrics.csv"]
+    for name in (*own, "notes.txt", "photos/a.jpg"):
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / name).touch()
+    run = Run(tmp_path)
+    write_json(run.record, {"format": "siamloc-run", "version": 1, "overrides": [], "config": {}})
+    with pytest.raises(OldFormatError, match="train again, here with overwrite=true"):
+        run.load_record()
+    assert run.foreign([*own, "notes.txt"]) == ["notes.txt"]
+    run.clear()
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["notes.txt", "photos", "run.json"]
+    assert (tmp_path / "photos" / "a.jpg").is_file()

@@ -1,5 +1,6 @@
 """Settings that a job takes from the map in its run."""
 
+import json
 from pathlib import Path
 
 import numpy as np
@@ -7,7 +8,8 @@ import pytest
 
 from analytic import descriptor
 from siamloc.data import FrameTable
-from siamloc.jobs import Evaluate
+from siamloc.errors import FormatError
+from siamloc.jobs import Evaluate, Export, MapFrames
 from siamloc.maps import VisualMap
 
 
@@ -38,3 +40,16 @@ def test_data_of_another_kind_replace_those_of_the_map(run):
     assert (job.data.kind, job.data.where) == ("folder", {"root": Path("photos")})
     same = Evaluate.of({"run": run, "data": {"kind": "manifest", "circular": False}})
     assert (same.data.where["manifest"], same.data.circular) == (Path("robot.csv"), False)
+
+
+def test_a_map_of_an_older_siamloc_is_replaced_but_not_searched(run):
+    file = Path(run) / "evaluation/thumbnail/map.npz"
+    with np.load(file) as archive:
+        arrays = dict(archive)
+    header = json.loads(str(arrays["header"])) | {"format": "siamloc-map", "version": 1}
+    np.savez(file, **{**arrays, "header": np.array(json.dumps(header))})
+    chosen = {"run": run, "descriptor": {"name": "thumbnail"}, "data": {"kind": "folder", "root": "photos"}}
+    assert MapFrames.of(chosen).data.where == {"root": Path("photos")}
+    for job in (Evaluate, Export):
+        with pytest.raises(FormatError, match="written by an older siamloc: build the map again with `siamloc map`"):
+            job.of(chosen)

@@ -179,6 +179,8 @@ def test_load_refuses_what_is_not_a_whole_map(tmp_path: Path) -> None:
     cases[newer] = "format version 3, this siamloc reads version 2: update siamloc"
     older = rewritten(good, tmp_path / "older.npz", header={"version": 1})
     cases[older] = "format version 1, this siamloc reads version 2: build the map again"
+    oldest = rewritten(good, tmp_path / "oldest.npz", header={"format": "siamloc-map", "version": 1})
+    cases[oldest] = "was written by an older siamloc: build the map again with `siamloc map`"
     cases[rewritten(good, tmp_path / "short.npz", descriptors=np.ones((2, 3)))] = "got 2 for 6 frames"
     cases[rewritten(good, tmp_path / "lacking.npz", descriptors=None)] = "not a whole siamloc map ('descriptors')"
     parts = {"orientation": np.ones((6, 2, 2), np.float16), "heading": {"name": "hog"}}

@@ -123,6 +123,8 @@ def test_other_files_of_torch_are_no_checkpoints(trained, tmp_path):
         load(tmp_path / "weights.pth")
     with pytest.raises(FormatError, match="not a checkpoint of a siamese network"):
         load(altered(path, tmp_path / "a.ckpt", siamloc=None))
+    with pytest.raises(FormatError, match="was written by an older siamloc: train again"):
+        load(altered(path, tmp_path / "a.ckpt", siamloc_format=1))
     with pytest.raises(FormatError, match="has format version 99, this siamloc reads version 2: update siamloc"):
         load(altered(path, tmp_path / "a.ckpt", siamloc=about(path) | {"format": 99}))
 
