@@ -80,12 +80,19 @@ def test_the_parameters_are_explained_with_their_defaults(node):
     assert all(re.fullmatch(r" +\w+: \S+  # .+", line) for line in lines)
 
 
-def test_the_launch_file_starts_the_node_with_its_topics(node, monkeypatch):
+@pytest.fixture
+def launched(monkeypatch):
+    """The arguments of the launch file, and a function that starts the node with some of them given."""
     made = {
         "ament_index_python.packages": {"get_package_share_directory": lambda name: f"/share/{name}"},
         "launch": {"LaunchDescription": list},
-        "launch.actions": {"DeclareLaunchArgument": lambda name, **given: SimpleNamespace(name=name, **given)},
-        "launch.substitutions": {"LaunchConfiguration": lambda name: f"<{name}>"},
+        "launch.actions": {
+            "DeclareLaunchArgument": lambda name, **given: SimpleNamespace(name=name, **given),
+            "OpaqueFunction": SimpleNamespace,
+        },
+        "launch.substitutions": {
+            "LaunchConfiguration": lambda name: SimpleNamespace(perform=lambda given: given[name])
+        },
         "launch_ros.actions": {"Node": SimpleNamespace},
         "launch_ros": {},
         "ament_index_python": {},
@@ -95,11 +102,27 @@ def test_the_launch_file_starts_the_node_with_its_topics(node, monkeypatch):
         module.__dict__.update(content)
         monkeypatch.setitem(sys.modules, name, module)
     described = runpy.run_path(str(PACKAGE / "launch" / "localizer.launch.py"))["generate_launch_description"]()
-    *arguments, started = described
-    assert (started.package, started.executable) == (NAME, "localizer")
-    assert started.parameters == ["<params_file>", {"bundle": "<bundle>"}]
-    assert {one.name for one in arguments if not hasattr(one, "default_value")} == {"bundle"}
-    (file,) = [one.default_value for one in arguments if one.name == "params_file"]
-    assert Path(file) == Path("/share") / NAME / "config" / "localizer.yaml"
+    *arguments, starting = described
+    usual = {one.name: one.default_value for one in arguments}
+
+    def start(**given):
+        (started,) = starting.function({**usual, **given})
+        return started
+
+    return arguments, start
+
+
+def test_the_launch_file_starts_the_node_with_its_topics(node, launched):
+    arguments, start = launched
+    file = Path("/share") / NAME / "config" / "localizer.yaml"
+    started = start()
+    assert (started.package, started.executable, started.namespace) == (NAME, "localizer", "")
+    assert [Path(one) for one in started.parameters] == [file]  # which names the bundle, if no argument does
     source = (PACKAGE / NAME / "node.py").read_text(encoding="utf-8")
     assert all(f'"{topic}"' in source for topic, _ in started.remappings)
+    started = start(bundle="/b", publish_tf="true", track="false", namespace="robot1", image="/camera", params_file="p")
+    assert started.parameters == ["p", {"bundle": "/b", "publish_tf": True, "track": False}]
+    assert started.namespace == "robot1"
+    assert dict(started.remappings) == {"image": "/camera", "image/compressed": "/camera/compressed", "odom": "odom"}
+    flags = {one.name for one in arguments if hasattr(one, "choices")}
+    assert flags == {"publish_tf", "track", "compressed"} <= set(node.DEFAULTS)
