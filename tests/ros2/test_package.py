@@ -4,6 +4,7 @@ import ast
 import re
 import runpy
 import sys
+from configparser import ConfigParser
 from pathlib import Path
 from types import ModuleType, SimpleNamespace
 from xml.etree import ElementTree
@@ -70,7 +71,10 @@ def test_what_is_installed_exists_and_agrees_with_the_manifest(manifest, monkeyp
     assert all((PACKAGE / path).is_file() for paths in files.values() for path in paths)
     (script,) = given["entry_points"]["console_scripts"]
     assert script == f"localizer = {NAME}.node:main"
-    assert f"$base/lib/{NAME}" in (PACKAGE / "setup.cfg").read_text(encoding="utf-8")  # where `ros2 run` looks
+    settings = ConfigParser()
+    settings.read(PACKAGE / "setup.cfg", encoding="utf-8")
+    assert settings["install"]["install_scripts"] == f"$base/lib/{NAME}"  # where `ros2 run` looks
+    assert settings["build_scripts"]["executable"] == "/usr/bin/env python3"  # of a virtual environment
 
 
 def test_the_parameters_are_explained_with_their_defaults(node):
