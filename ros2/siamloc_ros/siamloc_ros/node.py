@@ -112,8 +112,8 @@ class LocalizerNode(Node):
             self.get_logger().error(str(error), throttle_duration_sec=_QUIET)
             self.diagnostics.publish(messages.diagnostic_message(stamp, bundle.path.name, None, str(error)))
             return
-        self.last = here = self.odometry.at(time)  # once more: odometry arrived in the meantime
         fault, age = self.fault(location, time), self.odometry.age(time)
+        self.last = here = self.odometry.at(time)  # once more: odometry arrived in the meantime
         self.diagnostics.publish(messages.diagnostic_message(stamp, bundle.path.name, location, fault, age))
         if (jpeg := bundle.thumbnail(location.candidates[0].row)) is not None:
             self.match.publish(messages.match_message(jpeg, image.header))
