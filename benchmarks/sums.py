@@ -1,8 +1,8 @@
 """Compare the shipped network with the best sum of analytic descriptors that there is for each map and lighting.
 
-The distances of a query to all map frames by each descriptor are divided by their mean over queries and map frames, and
-added, for every set of descriptors. The set with the smallest mean error, and that with the smallest 95 % error, are
-chosen for each cell by the queries themselves: nobody can choose a better one beforehand. Maps are as in
+The distances of a query to all map frames by each of six descriptors are divided by their mean over queries and map
+frames, and added, for every set of descriptors. The set with the smallest mean error, and that with the smallest 95 %
+error, are chosen for each cell by the queries themselves: nobody can choose a better one beforehand. Maps are as in
 `benchmarks.zero_shot`; of the queries, every third is used. Targets: mean and 95 % error of the network are below.
 
     OMP_NUM_THREADS=1 python -m benchmarks.sums --data data/freiburg_like data/annex
@@ -23,7 +23,7 @@ from benchmarks.report import Report, hardware, parser
 from siamloc.models.registry import PRETRAINED_SIZE
 
 SUMMED = ("hsv", "hog", "gist", "wisurf", "fs", "briefgist")
-"""All analytic descriptors whose distances to all map frames are cheap."""
+"""Descriptors that are not turned before they are compared."""
 STEPS = (5, 20, 40)
 FIGURES = {"mean": "mean", "p95": "95 % error"}
 

@@ -17,7 +17,7 @@ from foundation.settings import Positive, Rule, Settings, Text
 from siamloc import evaluation, maps, runtime
 from siamloc.data import Extraction, PanoramaLibrary, Preprocessing, extract, find_camera, read
 from siamloc.data.manifest import manifest_of
-from siamloc.errors import DataError
+from siamloc.errors import ConfigError, DataError
 from siamloc.maps import Survey, SurveySettings, VisualMap
 from siamloc.models.registry import PRETRAINED_SIZE
 from siamloc.report import write_report
@@ -100,6 +100,7 @@ def walk(
         say: receives the lines.
 
     Raises:
+        ConfigError: a left_out with which too few key frames are left out.
         DataError: no pictures, no camera that is sure, or too short a way.
 
     Example:
@@ -119,6 +120,10 @@ def walk(
     images = library(frames)
     chosen = maps.key_frames(_NETWORK, images, frames, spacing=settings.spacing)
     say(f"key frames: {len(chosen)} of {len(images)}, each {settings.spacing:g} m or more from the last (spacing=)")
+    if 2 * settings.left_out > len(chosen):
+        raise ConfigError(
+            f"left_out={settings.left_out} leaves too few of {len(chosen)} key frames out to measure with"
+        )
     if len(chosen) < _FEWEST:
         raise DataError(
             f"{file} has {len(chosen)} key frames, and a map needs {_FEWEST}: record a way of "

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
+import json
+import shlex
 import struct
 import sys
 from collections.abc import Mapping, Sequence
@@ -117,10 +119,12 @@ class Preprocessing:
 
     def words(self) -> str:
         """Return the camera as words of the command line, such as "unwrap=polar unwrap.inner=60"."""
-        given = self.unwrap_settings()
-        shown = {key: value for key, value in given.items() if isinstance(value, bool | float)}
-        told = (str(value).lower() if isinstance(value, bool) else f"{value:.6g}" for value in shown.values())
-        return " ".join([f"unwrap={given['kind']}", *map("unwrap.{}={}".format, shown, told)])
+        given = {key: value for key, value in self.unwrap_settings().items() if value is not None}
+        first = f"unwrap={given.pop('kind')}"
+        rest = (
+            f"unwrap.{key}={value if isinstance(value, str) else json.dumps(value)}" for key, value in given.items()
+        )
+        return shlex.join([first, *rest])
 
     def panorama(
         self, path: str | Path, tilt: NDArray[np.float64] | Sequence[float] | None = None

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -141,13 +142,15 @@ class Film:
 class Pictures:
     """A folder of pictures that is open inside a `with` block, with the methods of a `Bag`.
 
-    The times are the numbers at the end of the names. Pictures without such times count as taken a second apart.
+    The times are the numbers at the end of the names. Pictures without such times count as taken a second apart, in the
+    order of their names, where 2 comes before 10.
     """
 
     def __init__(self, path: Path) -> None:
         self.path = path
         files, times = images_of(path)
-        times = times if np.isfinite(times).all() else np.arange(len(files), dtype=np.float64)
+        if not np.isfinite(times).all():
+            files, times = sorted(files, key=_counted), np.arange(len(files), dtype=np.float64)
         self._files = sorted(zip(times.tolist(), files, strict=True))
         self.topics = {"pictures": ("pictures", len(files))}
         self.seconds = float(np.ptp(times))
@@ -198,6 +201,8 @@ def extract(file: str | Path, out: str | Path, *, settings: Extraction = OF_FIEL
         StorageError: the disk is full or refuses.
     """
     path, folder = Path(file).expanduser(), Path(out).expanduser()
+    if path.is_dir() and path.resolve() == folder.resolve():
+        raise ConfigError(f"{folder} is the recording itself: give another folder for its images")
     found = contents(path)
     sources = {what: getattr(settings, what) or found.proposal.get(what, "none") for what in SOURCES}
     if sources["images"] == "none":
@@ -226,6 +231,12 @@ def extract(file: str | Path, out: str | Path, *, settings: Extraction = OF_FIEL
     return read("manifest", manifest=folder / MANIFEST)
 
 
+def _counted(file: Path) -> list[tuple[int, str]]:
+    """Return what sorts names by the numbers in them."""
+    parts = re.split(r"(\d+)", file.name)
+    return [(int(part), "") if place % 2 else (0, part) for place, part in enumerate(parts)]
+
+
 def _opened(path: Path) -> Bag | Film | Pictures:
     if not path.exists():
         raise DataError(f"there is no recording {path}")
@@ -252,16 +263,16 @@ def _identity(path: Path, topic: str) -> dict[str, Any]:
 def _write_images(
     recording: Bag | Film | Pictures, folder: Path, topic: str, settings: Extraction
 ) -> tuple[list[str], NDArray[np.float64]]:
-    """Write every k-th image, and one in each interval of the rate; return the files and their times in s."""
+    """Write every k-th image, at most as many as the rate says; return the files and their times in s."""
     found: dict[int, str] = {}
-    taken: set[int] = set()  # intervals
+    apart = 0 if settings.rate is None else round(1e9 / settings.rate)
+    due = 0.0
     count = recording.topics.get(topic, ("", 0))[1]
     messages = track(recording.images(topic, settings.clock), count, f"extracting {recording.path.name}")
     for number, (time, image, ending) in enumerate(messages):
-        interval = time if settings.rate is None else int(time * settings.rate // 1e9)
-        if number % settings.every or interval in taken:
+        if number % settings.every or (found and time < due - apart / 4):  # pictures come a little early or late
             continue
-        taken.add(interval)
+        due = (max(due, time - apart / 2) if found else time) + apart
         file = folder / f"{time:019d}{ending}"
         found[time] = str(file)
         if not file.is_file():

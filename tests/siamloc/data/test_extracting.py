@@ -375,11 +375,28 @@ def test_a_folder_of_pictures_is_a_recording(tmp_path):
 
 
 def test_pictures_without_times_in_their_names_are_taken_a_second_apart(tmp_path):
-    pictures = written(tmp_path / "monday", [f"picture_{number}.jpg" for number in range(3)])
-    assert siamloc.data.extract(pictures, tmp_path / "out").time.tolist() == [0, 1, 2]
+    pictures = written(tmp_path / "monday", [f"picture_{number}.png" for number in (1, 2, 10)])
+    frames = siamloc.data.extract(pictures, tmp_path / "out")
+    assert frames.time.tolist() == [0, 1, 2]
+    for path, picture in zip(frames.path.tolist(), PICTURES, strict=False):
+        np.testing.assert_array_equal(cv2.imread(path), picture, "in the order of the numbers")
+    with pytest.raises(ConfigError, match="is the recording itself"):
+        siamloc.data.extract(pictures, pictures)
 
 
-def test_a_rate_takes_one_picture_of_each_interval(tmp_path):
-    names = [f"{time}.png" for time in (100.0, 100.3, 100.5, 100.9, 102.0)]
+def test_a_rate_takes_at_most_so_many_pictures_per_second(tmp_path):
+    names = [f"{time}.png" for time in (100.0, 100.3, 100.5, 100.8, 102.0)]
     frames = siamloc.data.extract(written(tmp_path / "monday", names), tmp_path / "out", rate=2.0)
     assert frames.time.tolist() == [100.0, 100.5, 102.0]
+
+
+@pytest.mark.parametrize(("hertz", "kept"), [(5, 20), (30, 20), (7.5, 20)])
+def test_pictures_that_come_a_little_early_or_late_are_not_lost(tmp_path, hertz, kept):
+    rng = np.random.default_rng(0)
+    times = 100 + np.arange(int(4 * hertz)) / hertz + rng.uniform(-0.01, 0.01, int(4 * hertz))
+    (tmp_path / "monday").mkdir()
+    for time in times:
+        cv2.imwrite(str(tmp_path / "monday" / f"{time:.4f}.png"), PICTURES[0])
+    found = siamloc.data.extract(tmp_path / "monday", tmp_path / "out", rate=5.0).time
+    assert abs(len(found) - kept) <= 2
+    assert np.diff(found).min() > 0.1
