@@ -12,6 +12,8 @@ Targets: located at night with a mean error of at most 0.20 m with odometry and 
     siamloc simulate camera=panorama runs=[cloudy3] spacing=0.07 out=data
     siamloc simulate camera=panorama runs=[night2] out=data
     OMP_NUM_THREADS=1 python -m benchmarks.walk --data data/freiburg_like
+
+The record also has `building=random` with the seeds 414 and 461, whose drives pass through no door's open leaf.
 """
 
 from __future__ import annotations
