@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from numbers import Real
 from typing import Any, ClassVar
 
 import numpy as np
@@ -46,7 +47,8 @@ class Fused(Descriptor):
             `siamloc.maps.build` learns them.
 
     Raises:
-        AnalyticError: fewer than two parts, a part that is compared only after turning, or numbers that do not fit.
+        AnalyticError: fewer than two parts, a part that is no descriptor, is fused itself or is compared only after
+            turning, or numbers that do not fit.
 
     Example:
         >>> import analytic
@@ -64,8 +66,12 @@ class Fused(Descriptor):
     widths: Mapping[str, int] | None = None
 
     def __post_init__(self) -> None:
+        if not isinstance(self.parts, Mapping) or not all(isinstance(one, Descriptor) for one in self.parts.values()):
+            raise AnalyticError(f"the parts of a fused descriptor are descriptors by name, got {self.parts}")
         distinct(list(self.parts))
         for name, part in self.parts.items():
+            if isinstance(part, Fused):
+                raise AnalyticError(f"{name} is fused itself: name its parts, {', '.join(part.parts)}, instead of it")
             if part.aligned:
                 raise AnalyticError(
                     f"{name} is compared after turning, so it cannot be part of a fused descriptor: leave it out"
@@ -167,13 +173,13 @@ class Fused(Descriptor):
     def _numbers(self, given: Any, what: str, least: float) -> dict[str, Any]:
         """Return a number for each part, in their order, after checking them."""
         numbers = {name: given.get(name) for name in self.parts} if isinstance(given, Mapping) else {}
-        fits = all(isinstance(one, int | float) and least <= one < np.inf for one in numbers.values())
+        fits = all(isinstance(one, Real) and least <= float(one) < np.inf for one in numbers.values())
         if not fits or not any(numbers.values()) or set(given) != set(numbers):
             raise AnalyticError(
                 f"{what} of a fused descriptor are a number for each of {', '.join(self.parts)}, not negative and not "
                 f"all 0, got {given}"
             )
-        return numbers
+        return {name: np.asarray(one).item() for name, one in numbers.items()}
 
 
 def distinct(names: Sequence[Any]) -> list[str]:

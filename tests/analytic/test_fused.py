@@ -81,3 +81,24 @@ def test_measured_lengths_split_what_was_joined(panoramas):
 def test_what_cannot_be_fused(names, numbers, says):
     with pytest.raises(AnalyticError, match=says):
         fused(names, **numbers)
+
+
+@pytest.mark.parametrize(
+    ("parts", "says"),
+    [
+        (["hog", "hsv"], "descriptors by name"),
+        ({"hog": "hog", "hsv": "hsv"}, "descriptors by name"),
+        ({"both": fused(("hog", "hsv")), "thumbnail": analytic.descriptor("thumbnail")}, "both is fused itself"),
+    ],
+)
+def test_parts_that_are_no_single_descriptors(parts, says):
+    with pytest.raises(AnalyticError, match=says):
+        Fused(parts)
+
+
+def test_numbers_of_numpy_are_numbers():
+    by = fused(
+        ("hog", "hsv"), weights={"hog": np.float32(1), "hsv": np.int64(3)}, typical={"hog": 1, "hsv": np.float32(2)}
+    )
+    assert by.weights == {"hog": 0.25, "hsv": 0.75}
+    assert [type(one) for one in by.identity["typical"].values()] == [int, float]
