@@ -22,7 +22,7 @@ from siamloc.evaluation.compact_maps import Compact
 from siamloc.evaluation.hierarchy import Hierarchical
 from siamloc.evaluation.layers import MapMeasures
 from siamloc.evaluation.localize import Localization
-from siamloc.jobs.choices import OF_A_RUN, DescriptorChoice
+from siamloc.jobs.choices import OF_A_RUN, DescriptorChoice, names_in
 from siamloc.jobs.job import Say, quiet
 from siamloc.jobs.options import choices, is_fused, option
 from siamloc.jobs.run_job import RunJob, files_in
@@ -297,7 +297,7 @@ class Evaluate(RunJob):
         """Say which queries the network was trained or chosen by, where the protocol does not say so any more."""
         chosen = self.descriptor
         run = Run(Path(chosen.parameters["run"])) if chosen.parameters.get("run") else self.here
-        if chosen.name != "network" or queries is None or not run.record.is_file():
+        if "network" not in names_in(chosen.plain()) or queries is None or not run.record.is_file():
             return
         stored, places = run.settings, path_keys()
         if any(stored.get("data", {}).get(key) != queries.source.get(key) for key in places):

@@ -119,12 +119,12 @@ class MapFrames(RunJob):
             run.record_written(files_in(folder))
             say(built.summary(folder))
         if not swept():
-            further = "" if self.descriptor.name in OF_A_RUN else f" descriptor={label}{self._changed()}"
+            further = {} if self.descriptor.name in OF_A_RUN else {"descriptor": label, **self._changed()}
             if self.build.name != "none":
-                further += f" task=hierarchical build={self.build.title}"
+                further |= {"task": "hierarchical", "build": self.build.title}
             protocol = self._for_evaluation()
             command = "export" if protocol is None else "evaluate"
-            say(f"next: siamloc {command} {as_words({'run': str(run.folder), **(protocol or {})})}{further}")
+            say(f"next: siamloc {command} {as_words({'run': str(run.folder), **(protocol or {}), **further})}")
         return known
 
     def _maintained(self, say: Say) -> VisualMap:
@@ -191,9 +191,9 @@ class MapFrames(RunJob):
         needed = {key: value for key, value in leaves(protocol.plain()) if key.partition(".")[0] not in _OTHER_ROLES}
         return {f"protocol.{key}": value for key, value in needed.items() if value != found[key]}
 
-    def _changed(self) -> str:
-        """Return the parameters of the descriptor that are not those of its option, as words of the command line."""
+    def _changed(self) -> dict[str, Any]:
+        """Return the parameters of the descriptor that are not those of its option, by their keys."""
         chosen, title = self.descriptor.parameters, self.descriptor.title
         named = title in choices("descriptor") or is_fused("descriptor", title)
         usual = option("descriptor", title if named else self.descriptor.name).values
-        return "".join(f" descriptor.{key}={value}" for key, value in chosen.items() if value != usual.get(key))
+        return {f"descriptor.{key}": value for key, value in chosen.items() if value != usual.get(key)}

@@ -185,8 +185,9 @@ class RunJob(DataJob):
 
     @property
     def learned_from(self) -> list[str]:
-        """The roles of the frames from which a map's descriptor is learned: validation frames for fused ones."""
-        return ["validation"] if self.descriptor.name == Fused.name and self.protocol.validation != Role() else []
+        """The roles of the frames from which a map's descriptor is learned: validation frames, for fused weights."""
+        learns = self.descriptor.name == Fused.name and self.descriptor.parameters.get("weights") is None
+        return ["validation"] if learns and self.protocol.validation != Role() else []
 
     def make_heading(self, say: Say) -> Descriptor | None:
         """Make the descriptor that estimates headings; None without one, or if the job's descriptor estimates them."""

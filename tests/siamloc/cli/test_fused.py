@@ -50,6 +50,9 @@ def test_the_network_of_a_run_is_a_part_as_well(run, flat, capsys):
     assert list(bundle.identity["parts"]) == ["network", "hsv"]
     assert bundle.parity["max_relative_difference"] < 1e-4
     capsys.readouterr()
+    roles = ["protocol.query.sequences=[dark]", "protocol.validation.sequences=[]"]
+    done("evaluate", f"run={run}", fused, *roles, "task.plots=false")
+    assert "had sequence 'dark' in protocol.validation" in capsys.readouterr().out
     done("localize", f"run={run}", f"images=['{flat.parent / 'first/0000.png'}']")
     assert "1 of 1 images located" in capsys.readouterr().out
 
@@ -58,7 +61,7 @@ def test_weights_can_be_given_and_python_takes_the_list(words, data, flat, tmp_p
     done("map", *words, FUSED, "descriptor.weights=[1,3]", f"run={tmp_path}")
     said = capsys.readouterr().out
     assert "weights: hog 0.25, hsv 0.75 (as given)" in said
-    assert "descriptor=hog+hsv descriptor.weights=[1, 3]" in said
+    assert "descriptor=hog+hsv 'descriptor.weights=[1, 3]'" in said
     values = {"manifest": str(flat), "image_size": [32, 128], "cache": str(flat.parent / "cache")}
     made = MapFrames.of(
         {
