@@ -97,6 +97,7 @@ def build(
     if not len(readable):
         raise DataError(f"none of the images of the {len(frames)} map frames could be read")
     if isinstance(by, Fused) and not by.complete:
+        validation = validation if by.weights is None else None
         check_apart(readable, validation)
         by = by.measured(next(iter(images.batches(readable.take([0])))))
     what = "describing the map" if progress else None

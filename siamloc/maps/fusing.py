@@ -26,13 +26,15 @@ _PAIRS_AT_ONCE = 1 << 22
 
 
 def check_apart(frames: FrameTable, validation: FrameTable | None) -> None:
-    """Refuse validation frames from a drive of the map.
+    """Refuse validation frames from a drive of the map; without names of drives, frames of the map.
 
     Raises:
-        ConfigError: a drive is in both.
+        ConfigError: a drive, or a frame without a drive, is in both.
     """
-    both = set() if validation is None else set(frames.sequence.tolist()) & set(validation.sequence.tolist())
-    if both:
+    if validation is None:
+        return
+    drives = ({name or path for name, path in table.identities()} for table in (frames, validation))
+    if both := set.intersection(*drives):
         raise ConfigError(
             f"weights are learned on other drives than the map's, and {min(both)!r} is in the map and in the "
             "validation: validate on another sequence (on the command line protocol.validation.sequences)"
@@ -52,7 +54,8 @@ def weighted(
     if the descriptor has none, are those of a grid on which the nearest map frames of the validation frames are nearest
     to them on average; if there are no positions, those with which fewest are in another room. The grid has steps of
     0.1 for up to four parts and larger ones for more, about 300 combinations at most; of equally good combinations, the
-    most even one is taken. Without validation frames, the weights are equal.
+    most even one is taken. A part that compares images keeps a weight above 0, since what a map learns is learned from
+    it. Without validation frames, the weights are equal.
 
     Args:
         by: the descriptor, with `widths`; it may have weights.
@@ -68,7 +71,7 @@ def weighted(
         weights, how = dict.fromkeys(blocks, 1.0), "equal, since there are no validation frames to learn them from"
         if asked is not None and validation is not None:
             how = "equal, since map and validation frames have neither positions nor rooms to learn them from"
-            if found := _learned(blocks, frames, by.split(asked), validation, typical):
+            if found := _learned(blocks, frames, by.split(asked), validation, typical, counts=by.compares):
                 weights, how = found
     made = replace(by, weights=weights, typical=typical)
     shares = ", ".join(f"{name} {weight:.2g}" for name, weight in (made.weights or {}).items())
@@ -76,9 +79,17 @@ def weighted(
 
 
 def _learned(
-    known: Blocks, frames: FrameTable, asked: Blocks, validation: FrameTable, typical: Mapping[str, float]
+    known: Blocks,
+    frames: FrameTable,
+    asked: Blocks,
+    validation: FrameTable,
+    typical: Mapping[str, float],
+    counts: bool = False,
 ) -> tuple[dict[str, float], str] | None:
-    """Return the best weights on the validation frames, and how good they are; None if nothing can be compared."""
+    """Return the best weights on the validation frames, and how good they are; None if nothing can be compared.
+
+    If the first part always `counts`, its weight is not 0.
+    """
     by_place = frames.has_position.any() and validation.has_position.any()
     inside, rows = (
         np.flatnonzero(table.has_position if by_place else table.room != "") for table in (frames, validation)
@@ -86,6 +97,7 @@ def _learned(
     if not len(inside) or not len(rows):
         return None
     grid = _grid(len(known))
+    grid = grid[grid[:, 0] > 0] if counts else grid
     off = np.zeros(len(grid))
     for part in slices(len(rows), _PAIRS_AT_ONCE // len(inside)):
         some = rows[part]

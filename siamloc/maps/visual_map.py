@@ -400,15 +400,15 @@ class VisualMap:
     def with_descriptor(self, descriptor: Descriptor) -> VisualMap:
         """Return the map with the descriptor for its queries.
 
-        A fused descriptor gets the weights and typical distances of the map where it has none.
+        A fused descriptor gets the order of its parts from the map, and weights and typical distances if it has none.
 
         Raises:
             ConfigError: the map was described by another descriptor.
         """
         if isinstance(descriptor, Fused) and self.identity.get("name") == Fused.name:
             held: dict[str, Any] = {key: self.identity.get(key) for key in NUMBERS if getattr(descriptor, key) is None}
-            if set(parts_of(self.identity)) == set(descriptor.parts):
-                descriptor = replace(descriptor, **held)
+            if set(order := parts_of(self.identity)) == set(descriptor.parts):
+                descriptor = replace(descriptor, parts={name: descriptor.parts[name] for name in order}, **held)
         images = {key: value for key, value in self.identity.items() if key == "images"}
         self.check_describer({**descriptor.identity, **images})
         return replace(self, describes=descriptor)
@@ -567,6 +567,9 @@ def _found_alike(one: dict[str, Any] | None, other: dict[str, Any] | None) -> bo
 
 def _differences(ours: Mapping[str, Any], theirs: Mapping[str, Any]) -> str:
     """Return a text with the keys in which two identities differ, and their values; empty if there are none."""
+    orders = [list(parts_of(one)) for one in (ours, theirs)]
+    if orders[0] != orders[1] and set(orders[0]) == set(orders[1]):
+        return f"the parts are {', '.join(orders[0])} in the map, {', '.join(orders[1])} here"
     ours, theirs = ({key: repr(item) for key, item in leaves(one) if item != {}} for one in (ours, theirs))
     keys = [key for key in {**ours, **theirs} if ours.get(key) != theirs.get(key)]
     keys = ["name"] if "name" in keys else keys  # the parameters of different descriptors are unrelated

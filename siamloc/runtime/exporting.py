@@ -20,7 +20,7 @@ from siamloc.errors import ConfigError, SiamlocError
 from siamloc.maps import Built, CoarseLayer, HierarchicalSearch, LayerSearch, VisualMap, match
 from siamloc.maps.comparing import comparison_of
 from siamloc.maps.describing import descriptor_from
-from siamloc.maps.heading import is_analytic
+from siamloc.maps.heading import is_analytic, parts_of
 from siamloc.maps.packing import PRECISIONS, Precision
 from siamloc.runtime import bundle as files
 from siamloc.runtime.bundle import Bundle
@@ -102,7 +102,10 @@ def export(
     """
     folder = Path(folder).absolute()
     _check_replaceable(folder)
-    circular = known is None or bool(known.identity.get("circular", True))
+    held = {} if known is None else known.identity
+    alone = list(parts_of(held).values()) or [held]
+    analytic = [one for one in alone if is_analytic(one)]  # networks may wrap around or not
+    circular = all(one.get("circular", True) for one in analytic or alone)
     given = descriptor_from(described_by, circular=circular, device=None)
     if isinstance(given, Fused) and known is not None:
         given = known.with_descriptor(given).descriptor  # with the weights of the map
@@ -122,7 +125,6 @@ def export(
         "identity": identity,
         "unit": None if known is None else known.unit,
         "heading": heading,
-        "errors": None if errors is None else errors.as_dict(),
         "search": None if search is None or layer is None else search.plain(),
         "figures": None if figures is None else plain(dict(figures)),
     }
@@ -171,10 +173,17 @@ class _Ingredients:
         module, known, finer = getattr(_network_in(self.given), "module", None), self.parts[files.MAP], None
         if (refinement := self.parts[files.REFINEMENT]) is not None:
             finer = {"method": refinement.method, "neighbours": refinement.neighbours}
-        about = {**self.about, "precision": precision, "refinement": finer}
+        moved = _portable(self.parts)
+        errors = moved[files.ERRORS]
+        about = {
+            **self.about,
+            "precision": precision,
+            "refinement": finer,
+            "errors": None if errors is None else errors.as_dict(),
+        }
         if module is not None:
             about["parity"] = self._write_networks(module, fresh, precision, finer)
-        for file, part in _portable(self.parts).items():
+        for file, part in moved.items():
             if part is not None:
                 part.save(fresh / file, *([precision] if isinstance(part, VisualMap) else []))
         if self.thumbnails and known is not None:

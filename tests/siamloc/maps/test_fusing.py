@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import ClassVar
 
 import cv2
@@ -13,8 +14,8 @@ import siamloc
 from analytic import Description, Descriptor, Fused
 from siamloc.data import FrameTable, PanoramaLibrary
 from siamloc.errors import ConfigError
-from siamloc.maps import Refinement, VisualMap, build, describe, match
-from siamloc.maps.fusing import _grid, weighted
+from siamloc.maps import ErrorModel, Refinement, VisualMap, build, describe, match
+from siamloc.maps.fusing import _grid, check_apart, weighted
 from siamloc.models import as_descriptor
 from siamloc.models import build as build_network
 from tests.drawn import ROOMS, draw_panorama
@@ -61,6 +62,14 @@ def test_a_useless_part_gets_no_weight_and_typical_distances_are_medians(parts):
     assert "learned on 20 validation frames: mean error 0.30 m" in told
     apart = np.abs(np.subtract.outer(np.arange(20), np.arange(20)))[np.triu_indices(20, 1)]
     assert by.typical["shows"] == np.median(apart)
+
+
+def test_a_first_part_that_compares_images_keeps_a_weight(parts, monkeypatch):
+    known, frames, asked, validation = parts
+    known, asked = ({name: some[name] for name in ("noise", "shows")} for some in (known, asked))
+    assert weights_of(known, frames, asked, validation)[0].weights["noise"] == 0
+    monkeypatch.setattr(Given, "compares", True, raising=False)
+    assert weights_of(known, frames, asked, validation)[0].weights["noise"] == pytest.approx(0.1)
 
 
 def test_without_positions_rooms_count(parts):
@@ -112,6 +121,43 @@ def test_a_map_keeps_weights_and_describes_queries_from_its_file_alone(drives, t
     other = Fused(bare.parts, weights={"hog": 1, "hsv": 0, "thumbnail": 0})
     with pytest.raises(ConfigError, match=r"weights\.hog is 0\.\d+ in the map, 1\.0 here"):
         loaded.with_descriptor(other)
+
+
+def test_parts_in_another_order_are_joined_in_that_of_the_map(drives):
+    images, monday, _ = drives
+    known = build(["hsv", "hog"], images, monday, progress=False)
+    turned = Fused({name: analytic.descriptor(name) for name in ("hog", "hsv")})
+    by = known.with_descriptor(turned)
+    np.testing.assert_array_equal(Description.concatenate(list(describe(by, images, monday))).position, by.descriptors)
+    numbers = {key: known.identity[key] for key in ("weights", "typical", "widths")}
+    other = build(Fused(turned.parts, **numbers), images, images.frames.select(sequence="tuesday"), progress=False)
+    with pytest.raises(ConfigError, match="the parts are hsv, hog in the map, hog, hsv here"):
+        known.merge(other)
+
+
+def test_given_weights_need_no_other_drive(drives):
+    images, monday, _ = drives
+    by = Fused({name: analytic.descriptor(name) for name in ("hog", "hsv")}, weights={"hog": 1, "hsv": 1})
+    assert build(by, images, monday, validation=monday, progress=False).made["fusion"].endswith("(as given)")
+
+
+def test_frames_without_drives_are_told_apart_by_their_images():
+    tables = [FrameTable(path=paths) for paths in (["a.png", "b.png"], ["c.png"], ["b.png"])]
+    check_apart(*tables[:2])
+    with pytest.raises(ConfigError, match=r"b\.png' is in the map and in the validation"):
+        check_apart(tables[0], tables[2])
+
+
+def test_a_bundle_of_names_whose_columns_are_no_full_turn_and_whose_errors_are_of_its_map(drives, tmp_path):
+    table = drives[1]
+    images = PanoramaLibrary(drives[0].frames, tmp_path / "cache", image_size=SIZE, circular=False)
+    known = build(["hsv", "hog"], images, table, progress=False)
+    seen = Description.concatenate(list(describe(known, images, drives[2])))
+    fitted = ErrorModel.fit(match(known, seen, 5), table.xy, np.linspace(0, 1, len(drives[2])))
+    errors = replace(fitted, map_digest=known.digest)
+    made = siamloc.runtime.export(["hsv", "hog"], known, tmp_path / "bundle", errors=errors)
+    assert [one.get("circular") for one in made.identity["parts"].values()].count(False) >= 1
+    assert made.about["errors"]["map_digest"] == made.load("map.npz").placed().digest != errors.map_digest
 
 
 @pytest.mark.parametrize(
