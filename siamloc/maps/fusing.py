@@ -54,8 +54,7 @@ def weighted(
     if the descriptor has none, are those of a grid on which the nearest map frames of the validation frames are nearest
     to them on average; if there are no positions, those with which fewest are in another room. The grid has steps of
     0.1 for up to four parts and larger ones for more, about 300 combinations at most; of equally good combinations, the
-    most even one is taken. A part that compares images keeps a weight above 0, since what a map learns is learned from
-    it. Without validation frames, the weights are equal.
+    most even one is taken. Without validation frames, the weights are equal.
 
     Args:
         by: the descriptor, with `widths`; it may have weights.
@@ -71,7 +70,7 @@ def weighted(
         weights, how = dict.fromkeys(blocks, 1.0), "equal, since there are no validation frames to learn them from"
         if asked is not None and validation is not None:
             how = "equal, since map and validation frames have neither positions nor rooms to learn them from"
-            if found := _learned(blocks, frames, by.split(asked), validation, typical, counts=by.compares):
+            if found := _learned(blocks, frames, by.split(asked), validation, typical):
                 weights, how = found
     made = replace(by, weights=weights, typical=typical)
     shares = ", ".join(f"{name} {weight:.2g}" for name, weight in (made.weights or {}).items())
@@ -79,17 +78,9 @@ def weighted(
 
 
 def _learned(
-    known: Blocks,
-    frames: FrameTable,
-    asked: Blocks,
-    validation: FrameTable,
-    typical: Mapping[str, float],
-    counts: bool = False,
+    known: Blocks, frames: FrameTable, asked: Blocks, validation: FrameTable, typical: Mapping[str, float]
 ) -> tuple[dict[str, float], str] | None:
-    """Return the best weights on the validation frames, and how good they are; None if nothing can be compared.
-
-    If the first part always `counts`, its weight is not 0.
-    """
+    """Return the best weights on the validation frames, and how good they are; None if nothing can be compared."""
     by_place = frames.has_position.any() and validation.has_position.any()
     inside, rows = (
         np.flatnonzero(table.has_position if by_place else table.room != "") for table in (frames, validation)
@@ -97,7 +88,6 @@ def _learned(
     if not len(inside) or not len(rows):
         return None
     grid = _grid(len(known))
-    grid = grid[grid[:, 0] > 0] if counts else grid
     off = np.zeros(len(grid))
     for part in slices(len(rows), _PAIRS_AT_ONCE // len(inside)):
         some = rows[part]

@@ -224,9 +224,11 @@ class VisualMap:
         """Whether descriptors end with colours, which are not learned; see `siamloc.models.colours`.
 
         In a map by a fused descriptor whose first part is a network with colours, they end with these colours and with
-        the other parts, which are not learned either.
+        the other parts, which are not learned either. If that network has the weight 0, they are only other parts.
         """
-        return bool(self._network.get("colours"))
+        weights = self.identity.get("weights")  # of the parts; of a network alone, a hash
+        idle = isinstance(weights, Mapping) and next(iter(weights.values()), None) == 0
+        return bool(self._network.get("colours")) and not idle
 
     @property
     def learned(self) -> NDArray[np.float32]:

@@ -64,14 +64,6 @@ def test_a_useless_part_gets_no_weight_and_typical_distances_are_medians(parts):
     assert by.typical["shows"] == np.median(apart)
 
 
-def test_a_first_part_that_compares_images_keeps_a_weight(parts, monkeypatch):
-    known, frames, asked, validation = parts
-    known, asked = ({name: some[name] for name in ("noise", "shows")} for some in (known, asked))
-    assert weights_of(known, frames, asked, validation)[0].weights["noise"] == 0
-    monkeypatch.setattr(Given, "compares", True, raising=False)
-    assert weights_of(known, frames, asked, validation)[0].weights["noise"] == pytest.approx(0.1)
-
-
 def test_without_positions_rooms_count(parts):
     known, frames, asked, validation = parts
     bare = [FrameTable(path=table.path, room=table.room) for table in (frames, validation)]
@@ -204,3 +196,8 @@ def test_a_network_that_compares_images_still_refines_poses(tmp_path):
     found = match(known, seen, 3)
     poses = Refinement("relative", 3, 1.0, map_digest=known.digest).poses(known, seen, found)
     assert np.isfinite(poses.xy).all()
+    idle = build(Fused(known.descriptor.parts, weights={"network": 0, "hog": 1}), images, frames, progress=False)
+    assert idle.learned.any(axis=1).all(), "a network that does not count leaves the other parts to learn from"
+    assert match(idle, Description.concatenate(list(describe(idle, images, frames)))).indices[:, 0].tolist() == [
+        *range(6)
+    ]
