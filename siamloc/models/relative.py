@@ -27,7 +27,7 @@ _MOST = 6.0  # largest logarithm of the factor on the summed information
 _RANKS = (0, 4, 10)  # an image is compared with these of its nearest ones in a batch
 _ELSEWHERE = (1.0, 3.0, REACH)  # and, beyond each of these distances, with the most similar one
 _SUREST = 8.0  # largest log probability, and difference of two, that counts
-_ALIKE, _PER_ALIKE = 0.8, 50.0  # cosine of aligned parts that only images of one spot reach, and log odds above it
+_ALIKE = 0.8  # cosine of aligned parts above which it counts: few pairs of two drives reach it
 _ALIGNED = 2.0  # columns: a query whose turn is off by more cannot be compared
 _AHEAD = 0.5  # rad: two images of an ordinary camera that are turned by more share too little
 _FIELD = math.pi / 2  # assumed field of view of an ordinary camera, whose lens is unknown
@@ -67,9 +67,9 @@ class RelativePose(nn.Module):
     sight. From that, each column votes for a displacement along and across
     its own line of sight and for the rest of the turn, with an information matrix. The votes are rotated into the map
     frame's axes and summed like independent measurements. Together they may carry less information than that, for
-    example if two places look alike; a factor estimated from all columns accounts for it. Images whose aligned parts
-    have a cosine above 0.8 were taken at one spot: there, the odds of a match grow with the cosine, since two drives
-    have too few such pairs to learn from. By construction, turning a panorama turns the answer, whatever was learned.
+    example if two places look alike; a factor estimated from all columns accounts for it. So it does for how sure the turn
+    is, and for how alike the aligned parts are, by their cosine as far as it is above 0.8: the columns tell of movement,
+    and images of one spot show none. By construction, turning a panorama turns the answer, whatever was learned.
 
     Images of an ordinary camera, which looks ahead, are not turned first, and nothing is next to their outer columns.
     A column's line of sight is that of a field of view of 90 degrees: whatever the lens, the order of the columns and
@@ -107,7 +107,7 @@ class RelativePose(nn.Module):
         self.alignment = Alignment(columns) if circular else None
         if circular:
             self.far = nn.Conv1d(CHANNELS * columns, _WIDTH, 1, bias=False)
-            self.sure = nn.Linear(2, 2, bias=False)
+            self.sure = nn.Linear(3, 2, bias=False)
         windows = torch.empty(2 * self.shifts + 1, columns, dtype=torch.int64)
         self.register_buffer("windows", windows, persistent=False)
         self.register_buffer("axes", torch.empty(columns, 3, 3), persistent=False)
@@ -155,7 +155,8 @@ class RelativePose(nn.Module):
         votes, whole = self._votes(seen, known, features)
         if self.alignment is not None:
             best, second = turns.topk(2, dim=1).values.unbind(dim=1)
-            sure = torch.stack([best, best - second], dim=1)
+            alike = F.relu(_cosine(seen, known) - _ALIKE)
+            sure = torch.stack([best, best - second, alike], dim=1)
             whole = whole + self.sure(sure.clamp(-_SUREST, _SUREST))
         vector = (self.axes @ votes[:, :3].permute(0, 2, 1)[..., None])[..., 0].sum(dim=1)
         lower = F.pad(votes[:, 3:], (0, 0, 0, 1)).index_select(1, self.entries)  # triangular: the seventh row is zero
@@ -166,8 +167,7 @@ class RelativePose(nn.Module):
         turn = _wrap(pose[:, 2] / _TURN - steps * (2 * math.pi / self.columns))
         known_together = whole[:, 1].clamp(-_MOST, _MOST).exp()[:, None, None]
         pose = torch.cat([pose[:, :2], turn[:, None]], dim=1)
-        match = whole[:, 0] + _PER_ALIKE * F.relu(_cosine(seen, known) - _ALIKE)
-        return Relative(pose, information * known_together * self.scales, match, turns)
+        return Relative(pose, information * known_together * self.scales, whole[:, 0], turns)
 
     def _votes(self, seen: Tensor, known: Tensor, features: Tensor | None = None) -> tuple[Tensor, Tensor]:
         """Return the votes (B, 9, K); and from all columns the odds of a match and their joint information (B, 2).
