@@ -67,9 +67,10 @@ class RelativePose(nn.Module):
     sight. From that, each column votes for a displacement along and across
     its own line of sight and for the rest of the turn, with an information matrix. The votes are rotated into the map
     frame's axes and summed like independent measurements. Together they may carry less information than that, for
-    example if two places look alike; a factor estimated from all columns accounts for it. So it does for how sure the turn
-    is, and for how alike the aligned parts are, by their cosine as far as it is above 0.8: the columns tell of movement,
-    and images of one spot show none. By construction, turning a panorama turns the answer, whatever was learned.
+    example if two places look alike; a factor estimated from all columns accounts for it. So it does for how sure
+    the turn is, and for how alike the aligned parts are, by their cosine as far as it is above 0.8: the columns
+    tell of movement, and images of one spot show none. By construction, turning a panorama turns the answer,
+    whatever was learned.
 
     Images of an ordinary camera, which looks ahead, are not turned first, and nothing is next to their outer columns.
     A column's line of sight is that of a field of view of 90 degrees: whatever the lens, the order of the columns and
