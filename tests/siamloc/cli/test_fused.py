@@ -93,5 +93,6 @@ def test_lists_that_make_no_sense(words, tmp_path, capsys, word, says):
     assert says in refused(capsys, "map", *words, f"run={tmp_path}", *given)
 
 
-def test_the_network_of_a_run_needs_a_run(words, capsys):
+def test_the_network_of_a_run_needs_a_run(words, capsys, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)  # where there are no runs
     assert "no run is named: train one first" in refused(capsys, "map", *words, "descriptor=[network,hog]")
