@@ -265,14 +265,17 @@ def _write_images(
 ) -> tuple[list[str], NDArray[np.float64]]:
     """Write every k-th image, at most as many as the rate says; return the files and their times in s."""
     found: dict[int, str] = {}
-    apart = 0 if settings.rate is None else round(1e9 / settings.rate)
+    apart = None if settings.rate is None else round(1e9 / settings.rate)
     due = 0.0
     count = recording.topics.get(topic, ("", 0))[1]
     messages = track(recording.images(topic, settings.clock), count, f"extracting {recording.path.name}")
     for number, (time, image, ending) in enumerate(messages):
-        if number % settings.every or (found and time < due - apart / 4):  # pictures come a little early or late
+        if number % settings.every or time in found:
             continue
-        due = (max(due, time - apart / 2) if found else time) + apart
+        if apart is not None:
+            if found and time < due - apart / 4:  # pictures come a little early or late
+                continue
+            due = (max(due, time - apart / 2) if found else time) + apart
         file = folder / f"{time:019d}{ending}"
         found[time] = str(file)
         if not file.is_file():

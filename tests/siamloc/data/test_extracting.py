@@ -15,6 +15,7 @@ import pytest
 import siamloc.data
 from siamloc.cli import main
 from siamloc.data.bags import proposed
+from siamloc.data.extracting import Film
 from siamloc.errors import ConfigError, DataError, lacking
 
 pytest.importorskip("rosbags", reason="the extra `recordings` is not installed")
@@ -400,3 +401,12 @@ def test_pictures_that_come_a_little_early_or_late_are_not_lost(tmp_path, hertz,
     found = siamloc.data.extract(tmp_path / "monday", tmp_path / "out", rate=5.0).time
     assert abs(len(found) - kept) <= 2
     assert np.diff(found).min() > 0.1
+
+
+def test_without_a_rate_pictures_that_were_recorded_out_of_order_are_all_taken(tmp_path, monkeypatch):
+    film(tmp_path / "monday.avi")
+    stamps = [2_000_000_000, 1_000_000_000, 1_000_000_000, 3_000_000_000]
+    messages = [(stamp, picture, ".png") for stamp, picture in zip(stamps, PICTURES, strict=False)]
+    monkeypatch.setattr(Film, "images", lambda *_: iter(messages))
+    frames = siamloc.data.extract(tmp_path / "monday.avi", tmp_path / "out")
+    assert frames.time.tolist() == [1, 2, 3]
