@@ -20,6 +20,8 @@ is created, and a mistake gives a one-sentence error. The same class gives a fun
 from __future__ import annotations
 
 import dataclasses
+import json
+import shlex
 import types
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -211,6 +213,17 @@ def leaves(values: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, A
             yield from leaves(value, f"{prefix}{key}.")
         else:
             yield f"{prefix}{key}", value
+
+
+def as_words(values: Mapping[str, Any]) -> str:
+    """Write settings as words of a command line, in quotes where the shell needs them.
+
+    Example:
+        >>> print(as_words({"data.root": "my data", "protocol.leave_one_out": True}))
+        'data.root=my data' protocol.leave_one_out=true
+    """
+    texts = {key: one if isinstance(one, str) else json.dumps(one, ensure_ascii=False) for key, one in values.items()}
+    return shlex.join([f"{key}={text}" for key, text in texts.items()])
 
 
 def shortened(text: str, most: int = 120) -> str:

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import json
-import shlex
 import struct
 import sys
 from collections.abc import Mapping, Sequence
@@ -17,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from foundation.files import plain
-from foundation.settings import Size, checked
+from foundation.settings import Size, as_words, checked
 from siamloc.data.cameras import CAMERAS
 from siamloc.data.panorama import OmnidirectionalCamera, PanoramaView, PolarRing, unwrap
 from siamloc.errors import ConfigError, DataError, hint
@@ -120,11 +118,7 @@ class Preprocessing:
     def words(self) -> str:
         """Return the camera as words of the command line, such as "unwrap=polar unwrap.inner=60"."""
         given = {key: value for key, value in self.unwrap_settings().items() if value is not None}
-        first = f"unwrap={given.pop('kind')}"
-        rest = (
-            f"unwrap.{key}={value if isinstance(value, str) else json.dumps(value)}" for key, value in given.items()
-        )
-        return shlex.join([first, *rest])
+        return as_words({"unwrap": given.pop("kind"), **{f"unwrap.{key}": value for key, value in given.items()}})
 
     def panorama(
         self, path: str | Path, tilt: NDArray[np.float64] | Sequence[float] | None = None

@@ -10,8 +10,6 @@ On the command line Hydra composes the settings; in Python a mapping gives them,
 
 from __future__ import annotations
 
-import json
-import shlex
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, is_dataclass
 from importlib import import_module
@@ -31,17 +29,6 @@ _FIELD = {key: name for name, key in _KEY.items()}
 
 def quiet(line: str) -> None:
     """Ignore a line of output; the default `say` of `run`."""
-
-
-def as_words(values: Mapping[str, Any]) -> str:
-    """Write settings as words of a command line, in quotes where the shell needs them.
-
-    Example:
-        >>> print(as_words({"data.root": "my data", "protocol.leave_one_out": True}))
-        'data.root=my data' protocol.leave_one_out=true
-    """
-    texts = {key: one if isinstance(one, str) else json.dumps(one, ensure_ascii=False) for key, one in values.items()}
-    return shlex.join([f"{key}={text}" for key, text in texts.items()])
 
 
 @dataclass(frozen=True)

@@ -8,12 +8,12 @@ from pathlib import Path
 from typing import Any
 
 from analytic.mapper import IncrementalMapper
-from foundation.settings import defaults_of, leaves
+from foundation.settings import as_words, defaults_of, leaves
 from siamloc import maps
 from siamloc.data import Protocol, Role
 from siamloc.errors import ConfigError
 from siamloc.jobs.choices import OF_A_RUN
-from siamloc.jobs.job import Given, Say, as_words, quiet
+from siamloc.jobs.job import Given, Say, quiet
 from siamloc.jobs.options import choices, is_fused, option
 from siamloc.jobs.run_job import RunJob, files_in
 from siamloc.jobs.stored import map_places, titles_of

@@ -5,7 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-from siamloc.jobs.job import Job, Say, as_words, quiet
+from foundation.settings import as_words
+from siamloc.jobs.job import Job, Say, quiet
 from siamloc.simulate.produce import SimulateConfig, Summary, simulate
 
 
