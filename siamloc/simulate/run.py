@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path as FilePath
 from typing import Annotated, Any, Literal
 
@@ -13,10 +14,10 @@ from foundation.settings import Count, Natural, Positive, Rule, Settings
 from siamloc.data.names import LIGHTINGS
 from siamloc.errors import ConfigError, hint
 from siamloc.simulate.items import KINDS
-from siamloc.simulate.layout import SIDES, Array, Building, Colour, Item, Rng, Room, seeded
+from siamloc.simulate.layout import SIDES, Array, Building, Colour, Item, Opening, Rng, Room, seeded
 from siamloc.simulate.months import Change, aged
 from siamloc.simulate.odometry import odometry
-from siamloc.simulate.plan import clearance, inside_item, obstacles
+from siamloc.simulate.plan import clearance, crossings, inside_item, obstacles
 from siamloc.simulate.shell import Fixtures, leaf_segment
 from siamloc.simulate.sky import overcast, sun_direction
 from siamloc.simulate.trajectory import GRIDS, Track, drive, grid, listed
@@ -29,6 +30,8 @@ _START = {"cloudy": 11.0, "night": 22.0, "sunny": 10.0}
 _EPOCH = 1152860400.0
 _DAYS = 30  # of a month
 _KEEP_OFF = 0.42
+_HALF_ROBOT = 0.2  # metres
+_WIDER = (105.0, 120.0, 135.0, 150.0, 165.0, 175.0)  # degrees of a door that would be in the robot's way
 _APART = 0.6  # metres between people
 _LAMP = {"panel": 30.0, "tube": 42.0, "round": 48.0}
 
@@ -247,16 +250,28 @@ def _lamp_light(room: Room, level: float, warmth: float) -> Colour:
 
 
 def _door_angles(building: Building, track: Track, rng: Rng) -> dict[int, float]:
+    """Return by how many degrees each door is open: where the robot passes, so wide that the leaf is out of its way."""
     angles = {}
     points = track.poses[:, :2]
+
+    def room(opening: Opening, angle: float) -> float:
+        return float(clearance(points, leaf_segment(building, opening, angle)[None]).min())
+
+    def out_of_the_way(opening: Opening, angle: float) -> tuple[float, bool]:
+        things = [item.edges() for item in building.items if item.room == opening.into and KINDS[item.kind].blocks]
+        leaf = leaf_segment(building, opening, angle)[None]
+        return min(room(opening, angle), _HALF_ROBOT), not any(crossings(leaf, edges).any() for edges in things)
+
     for index, opening in enumerate(building.openings):
         if opening.kind not in ("leaf", "glass"):
             continue
         middle = np.array(opening.point(opening.centre, 0.0))
         used = bool((np.linalg.norm(points - middle, axis=1) < opening.width / 2 + 0.25).any())
         wide, ajar, shut = rng.uniform(86, 98), rng.uniform(15, 80), rng.random() < 0.6
-        shut = shut or clearance(points, leaf_segment(building, opening, ajar)[None]).min() < _KEEP_OFF
-        angles[index] = float(wide if used else (0.0 if shut else ajar))
+        if used:
+            angles[index] = float(max((wide, *_WIDER), key=partial(out_of_the_way, opening)))
+        else:
+            angles[index] = 0.0 if shut or room(opening, ajar) < _KEEP_OFF else float(ajar)
     return angles
 
 

@@ -20,6 +20,7 @@ from siamloc.simulate.parse import parse_building
 from siamloc.simulate.plan import clearance, obstacles, room_at
 from siamloc.simulate.route import FreeSpace
 from siamloc.simulate.run import draw_run
+from siamloc.simulate.shell import leaf_segment
 
 SEEDS = [0, 1, 2, 3, 11, 94, 137, 12345]
 
@@ -28,12 +29,16 @@ SEEDS = [0, 1, 2, 3, 11, 94, 137, 12345]
 def test_the_robot_visits_every_room_and_touches_nothing(seed: int) -> None:
     building = load_building("random", seed)
     for path, share in (("path1", 0.3), ("path2", 1.0)):
-        poses = draw_run(building, Run("cloudy", 1, path)).track.poses
+        state = draw_run(building, Run("cloudy", 1, path))
+        poses = state.track.poses
         visited = set(room_at(building, poses[:, :2]).tolist())
         assert -1 not in visited
         assert len(visited) >= share * len(building.rooms)
     segments, _ = obstacles(building)
+    doors = state.fixtures.door_angles.items()
+    leaves = [leaf_segment(building, building.openings[number], angle) for number, angle in doors]
     assert clearance(poses[:, :2], segments).min() > 0.2, "a robot is half a metre wide"
+    assert clearance(poses[:, :2], np.stack(leaves)).min() > 0.15, "its camera does not look into the wood of a door"
 
 
 def test_a_seed_is_a_building_and_another_seed_another_one() -> None:
