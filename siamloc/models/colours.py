@@ -44,23 +44,26 @@ class Colours(nn.Module):
         """Return (B, 800) for panoramas (B, 3, H, W), floating point in [0, 1]."""
         bands = panorama.float().unflatten(2, (BANDS, -1)).flatten(3)  # (B, 3, rows, pixels)
         red, green, blue = bands.unbind(1)
-        value = bands.amax(1)
-        chroma = value - bands.amin(1)
+        value = torch.maximum(torch.maximum(red, green), blue)
+        chroma = value - torch.minimum(torch.minimum(red, green), blue)
         scale = chroma + (chroma == 0)
         hue = torch.where(value == green, (blue - red) / scale + 2, (red - green) / scale + 4)
         hue = torch.where(value == red, (green - blue) / scale, hue) / 6  # -1/6 to 5/6
         saturation = chroma / (value + (value == 0))
-        hues = _one_hot(_bins(hue, HUES).remainder(HUES), HUES)
-        both = hues.mT @ _one_hot(_bins(saturation, SATURATIONS), SATURATIONS)  # sums of ones, exact in any order
-        brightness = _one_hot(_bins(value, VALUES), VALUES).sum(2)
-        counts = torch.cat([both.flatten(2), _OF_VALUES * brightness], dim=2)
+        hues = _bins(hue, HUES).remainder(HUES)
+        both = _counts(hues * SATURATIONS + _bins(saturation, SATURATIONS), HUES * SATURATIONS)
+        counts = torch.cat([both, _OF_VALUES * _counts(_bins(value, VALUES), VALUES)], dim=2)
         return (counts * (WEIGHT / ((1 + _OF_VALUES) * BANDS * bands.shape[3]))).sqrt().flatten(1)
 
 
 def _bins(share: Tensor, count: int) -> Tensor:
-    return (share * count + _TIE).floor()
+    """Return the bins (B, bands, pixels) of values from 0 to 1; the last bin includes all above it."""
+    return (share * count + _TIE).floor().clamp(max=count - 1)
 
 
-def _one_hot(bins: Tensor, count: int) -> Tensor:
-    """Return (..., count), 1 at each bin; the last bin includes all above it."""
-    return (bins.clamp(max=count - 1)[..., None] == torch.arange(count, device=bins.device)).float()
+def _counts(bins: Tensor, count: int) -> Tensor:
+    """Return how many pixels (B, bands, pixels) are in each bin (B, bands, count): sums of ones, exact in any order."""
+    bands = torch.arange(bins.shape[0] * BANDS, device=bins.device)[:, None]
+    rows = bins.long().flatten(0, 1) + count * bands  # of one long histogram
+    empty = torch.zeros(bins.shape[0] * BANDS * count, device=bins.device)
+    return empty.scatter_add(0, rows.flatten(), torch.ones_like(bins).flatten()).view(-1, BANDS, count)

@@ -259,7 +259,7 @@ class Magnitudes(Head):
     def forward(self, features: Tensor) -> Tensor:
         """Return the descriptors of features (B, C, h, w)."""
         values = self.spectrum(features)[..., 1:] ** (_POWER / 2)
-        shuffled = F.pad(values.flatten(1), (0, self.spare))[:, self.order] * self.signs
+        shuffled = F.pad(values.flatten(1), (0, self.spare)).index_select(1, self.order) * self.signs
         return F.normalize(shuffled.unflatten(1, (self.outputs, -1)).sum(dim=2))
 
 

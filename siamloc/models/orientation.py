@@ -134,8 +134,8 @@ class Canonical(nn.Module):
 
         Column c of a returned panorama is column c + turned of the given one.
         """
-        levels = (panorama * 255).round().double()  # sums of whole numbers are the same in any order
-        signal = levels.sum(dim=(1, 2)).unflatten(1, (-1, self.period)).sum(dim=1)
+        levels = (panorama * 255).round().float()  # sums of whole numbers are the same in any order
+        signal = levels.sum(dim=(1, 2)).double().unflatten(1, (-1, self.period)).sum(dim=1)
         turned = (signal @ self.waves.double()).argmax(dim=1)  # kept as integers, which .half() does not round
         columns = torch.arange(panorama.shape[3], device=panorama.device)
         seen = (columns + turned[:, None]) % panorama.shape[3]
