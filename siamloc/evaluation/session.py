@@ -84,9 +84,7 @@ class Search:
         with clock.of("heading", len(queries)):
             turned = headings(self.known, queries, found)[:, 0]
         refined = None if self.refinement is None else self.refinement.poses(self.known, queries, found)
-        apart = frame_distances(self.known, queries) if self.with_distances else None
-        if apart is not None and barred is not None:
-            apart = np.where(barred, np.inf, apart)
+        apart = frame_distances(self.known, queries, excluded=barred) if self.with_distances else None
         self._parts.append(Found(found, turned, apart, refined))  # type: ignore[arg-type]
 
     @cached_property

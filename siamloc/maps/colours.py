@@ -17,7 +17,9 @@ _PAIRS_AT_ONCE = 1 << 22
 _AT_ONCE = 256  # queries
 
 
-def light_distances(known: VisualMap, queries: Description) -> NDArray[np.float64]:
+def light_distances(
+    known: VisualMap, queries: Description, excluded: NDArray[np.bool_] | None = None
+) -> NDArray[np.float64]:
     """Compute distances to all map frames, in which colours count the less, the less the light is that of the map.
 
     Where the colours of a query are at least h from those of all map frames, and the map's have the spacing s (see
@@ -27,9 +29,10 @@ def light_distances(known: VisualMap, queries: Description) -> NDArray[np.float6
     Args:
         known: a map of m frames, described with colours and compared by Euclidean distance.
         queries: n descriptions.
+        excluded: (n, m) True where a query must not find a map frame, whose colours then do not count as the map's.
 
     Returns:
-        (n, m).
+        (n, m), infinite where excluded.
 
     Raises:
         DataError: descriptions that are not finite.
@@ -38,8 +41,10 @@ def light_distances(known: VisualMap, queries: Description) -> NDArray[np.float6
     euclidean, width = distance_named("euclidean"), known.learned.shape[1]
     learned = euclidean(queries.position[:, :width], known.learned)
     colours = euclidean(queries.position[:, width:], known.descriptors[:, width:])
-    light = colours.min(axis=1, keepdims=True, initial=np.inf) / known.colour_spacing
-    return np.sqrt(learned**2 + np.exp(-_FADES * np.maximum(light - _SAME_LIGHT, 0)) * colours**2)
+    counts = np.ones(colours.shape, dtype=bool) if excluded is None else ~excluded
+    light = colours.min(axis=1, keepdims=True, initial=np.inf, where=counts) / known.colour_spacing
+    apart = np.sqrt(learned**2 + np.exp(-_FADES * np.maximum(light - _SAME_LIGHT, 0)) * colours**2)
+    return np.where(counts, apart, np.inf)
 
 
 def nearest_in_light(
@@ -55,9 +60,7 @@ def nearest_in_light(
     mask = None if excluded is None else np.asarray(excluded, dtype=bool)
     indices, distances = np.zeros((len(queries), k), dtype=np.int64), np.zeros((len(queries), k))
     for part in slices(len(queries), _PAIRS_AT_ONCE // len(known)):
-        apart = light_distances(known, queries.take(part))
-        if mask is not None:
-            apart[mask[part]] = np.inf
+        apart = light_distances(known, queries.take(part), None if mask is None else mask[part])
         order = apart[:, rows].argsort(axis=1, kind="stable")[:, :k]
         indices[part] = rows[order]
         distances[part] = np.take_along_axis(apart, indices[part], 1)

@@ -107,19 +107,24 @@ def headings(known: VisualMap, queries: Description, found: Retrieval, count: in
 
 
 @typed
-def frame_distances(known: VisualMap, queries: Description) -> NDArray[np.float64]:
-    """Return the distances (n, m) of queries to all map frames, with the map's distance.
+def frame_distances(
+    known: VisualMap, queries: Description, *, excluded: ArrayLike | None = None
+) -> NDArray[np.float64]:
+    """Return the distances (n, m) of queries to all map frames, with the map's distance; infinite where excluded.
 
     With Euclidean distances, colours count only in the light of the map; see `siamloc.maps.colours`.
 
     Raises:
         AnalyticError: descriptions that cannot be compared.
     """
+    mask = None if excluded is None else np.asarray(excluded, dtype=bool)
     if known.aligned:
-        return known.aligned_index.distances(queries)
-    if known.has_colours and known.distance == "euclidean":
-        return light_distances(known, queries)
-    return distance_named(known.distance)(queries.position, known.descriptors)
+        apart = known.aligned_index.distances(queries)
+    elif known.has_colours and known.distance == "euclidean":
+        return light_distances(known, queries, mask)
+    else:
+        apart = distance_named(known.distance)(queries.position, known.descriptors)
+    return apart if mask is None else np.where(mask, np.inf, apart)
 
 
 @typed

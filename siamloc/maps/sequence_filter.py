@@ -339,10 +339,10 @@ def temperature_of_map(known: VisualMap) -> float:
     if len(known) == 1:
         return 1.0
     chosen = np.unique(np.linspace(0, len(known) - 1, min(len(known), _SAMPLE)).astype(np.int64))
-    apart = frame_distances(known, known.description.take(chosen))
+    own = chosen[:, None] == np.arange(len(known))
+    apart = frame_distances(known, known.description.take(chosen), excluded=own)
     away = np.hypot(*(known.frames.xy[chosen, None] - known.frames.xy[None]).transpose(2, 0, 1))
-    own = np.arange(len(chosen))
-    apart[own, chosen] = away[own, chosen] = np.inf
+    away[own] = np.inf
     return learn_temperature(apart, away.argmin(axis=1))
 
 

@@ -128,6 +128,27 @@ def test_without_a_comparison_colours_count_in_the_light_of_the_map_alone():
         np.testing.assert_allclose(found.distances[0], np.sort(whole)[:3], atol=1e-6)
 
 
+def test_colours_of_frames_that_may_not_be_found_are_not_in_the_light_of_the_map():
+    """The query has the colours of frame 0, which are far from all others: without that frame, shapes alone count."""
+    colours = np.zeros((FRAMES, COLOURS))
+    colours[:, 0] = 0.1 * np.arange(FRAMES)
+    colours[0, 1] = 1.0
+    plain = map_of(np.zeros(FRAMES))
+    known = replace(
+        plain,
+        descriptors=np.concatenate([plain.descriptors, colours], axis=1),
+        identity={"colours": True},
+        describes=None,
+    )
+    query = Description(np.concatenate([[0.42], colours[0]])[None])
+    excluded = np.arange(FRAMES)[None] == 0
+    shape = np.where(excluded[0], np.inf, np.abs(np.arange(FRAMES) / 20 - 0.42))
+    assert match(known, query).indices.tolist() == [[0]]
+    found = match(known, query, FRAMES - 1, excluded=excluded)
+    assert found.indices[0].tolist() == np.argsort(shape)[:-1].tolist()
+    np.testing.assert_allclose(frame_distances(known, query, excluded=excluded)[0], shape, atol=1e-6)
+
+
 def test_only_the_frames_that_may_be_found_are_compared():
     odds = np.zeros(FRAMES)
     odds[[0, 3, 6]] = 9.0
