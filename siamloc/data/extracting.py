@@ -53,7 +53,7 @@ class Extraction(Settings):
         every: take every k-th image.
         rate: images per second, at most; all if None.
         sequence: name of the drive; the recording's name if empty.
-        on_error: "skip" or "raise", for images without a pose.
+        on_error: "skip" or "raise", for images without a pose, or out of order where a rate is asked for.
     """
 
     WHERE: ClassVar[str] = "recording"
@@ -263,10 +263,14 @@ def _identity(path: Path, topic: str) -> dict[str, Any]:
 def _write_images(
     recording: Bag | Film | Pictures, folder: Path, topic: str, settings: Extraction
 ) -> tuple[list[str], NDArray[np.float64]]:
-    """Write every k-th image, at most as many as the rate says; return the files and their times in s."""
+    """Write every k-th image, at most as many as the rate says; return the files and their times in s.
+
+    With a rate, images that were recorded after later ones are left out, which is reported.
+    """
     found: dict[int, str] = {}
+    late: list[str] = []
     apart = None if settings.rate is None else round(1e9 / settings.rate)
-    due = 0.0
+    due, last = 0.0, 0
     count = recording.topics.get(topic, ("", 0))[1]
     messages = track(recording.images(topic, settings.clock), count, f"extracting {recording.path.name}")
     for number, (time, image, ending) in enumerate(messages):
@@ -274,7 +278,10 @@ def _write_images(
             continue
         if apart is not None:
             if found and time < due - apart / 4:  # pictures come a little early or late
+                if time < last:
+                    late.append(f"{time / 1e9:.3f} s")
                 continue
+            last = time
             due = (max(due, time - apart / 2) if found else time) + apart
         file = folder / f"{time:019d}{ending}"
         found[time] = str(file)
@@ -285,6 +292,8 @@ def _write_images(
                 write_picture(file, image, _QUALITY)
     if not found:
         raise DataError(f"{recording.path}: {topic} holds no images")
+    what = f"images of {recording.path} were recorded after later ones, which a rate leaves out"
+    leave_out(late, number + 1, what, settings.on_error)
     order = sorted(found)
     return [found[time] for time in order], np.array(order, dtype=np.int64) / 1e9
 

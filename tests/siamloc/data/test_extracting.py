@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import shlex
 import shutil
 import sys
@@ -403,10 +404,16 @@ def test_pictures_that_come_a_little_early_or_late_are_not_lost(tmp_path, hertz,
     assert np.diff(found).min() > 0.1
 
 
-def test_without_a_rate_pictures_that_were_recorded_out_of_order_are_all_taken(tmp_path, monkeypatch):
+def test_pictures_that_were_recorded_out_of_order_are_taken_without_a_rate_and_reported_with_one(
+    tmp_path, monkeypatch, caplog
+):
     film(tmp_path / "monday.avi")
     stamps = [2_000_000_000, 1_000_000_000, 1_000_000_000, 3_000_000_000]
     messages = [(stamp, picture, ".png") for stamp, picture in zip(stamps, PICTURES, strict=False)]
     monkeypatch.setattr(Film, "images", lambda *_: iter(messages))
     frames = siamloc.data.extract(tmp_path / "monday.avi", tmp_path / "out")
     assert frames.time.tolist() == [1, 2, 3]
+    assert not caplog.records
+    frames = siamloc.data.extract(tmp_path / "monday.avi", tmp_path / "fewer", rate=1.0)
+    assert frames.time.tolist() == [2, 3]
+    assert re.search(r"2 of 4 images of .* after later ones, which a rate leaves out, the first: 1\.000 s", caplog.text)
