@@ -55,6 +55,9 @@ def test_damaged_files_are_told_in_a_sentence():
         ("train epoch=3", "did you mean 'epochs'"),
         ("simulate hours.a=5", "unknown configuration key 'hours.a': did you mean 'hours'"),
         ("evaluate descriptor.bens=5", "did you mean 'descriptor.bins'"),
+        (
+        ),
+        ("prepare data=cold data.root=x data.camera=std_cam", "show no ring: add unwrap=none data.circular=false"),
         ("evaluate heading=wisurf", "unknown option heading=wisurf"),
         ("evaluate task.baselines=[hug]", "did you mean 'hog'"),
         ("evaluate task=absolute task.names=[absolut]", "unknown task 'absolut': did you mean 'absolute'"),
