@@ -85,6 +85,29 @@ class Mounting(Settings):
 
 
 @dataclass(frozen=True)
+class GivenMounting(Settings):
+    """What a user says of how a camera is mounted: the keys of `Mounting`, all None if it is to be estimated.
+
+    Example:
+        >>> GivenMounting(yaw=90).known
+        Mounting(yaw=90, mirrored=False, ahead=0.0, left=0.0)
+    """
+
+    WHERE: ClassVar[str] = "mounting"
+
+    yaw: float | None = None
+    mirrored: bool | None = None
+    ahead: float | None = None
+    left: float | None = None
+
+    @property
+    def known(self) -> Mounting | None:
+        """The mounting, straight where nothing else is said; None if nothing is said at all."""
+        said = {key: value for key, value in self.plain().items() if value is not None}
+        return Mounting.of(said) if said else None
+
+
+@dataclass(frozen=True)
 class MountingEstimate:
     """How a camera is mounted, with standard deviations, and the reasons for what is unknown.
 

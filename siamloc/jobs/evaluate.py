@@ -60,6 +60,7 @@ class Evaluate(RunJob):
         task.error_model=true             the expected error of each query, learned from protocol.validation, and
                                           whether it is lost: above task.lost_above=1.0, or from another building
         heading=hog                       estimates headings for a network; as the map does if not given
+        mounting.yaw=90                   how the camera is mounted, as for `siamloc map`; that of the map if not given
         task=hierarchical build=incremental|spectral|som|sample|rooms
                                           search the nodes of a map first, then the frames inside the nearest ones
         task.candidates=3                 number of nodes; task.coarse.ratio=1.3 leaves out those much farther than
@@ -271,11 +272,11 @@ class Evaluate(RunJob):
         Nothing is written: only `siamloc map` creates and replaces maps.
 
         Raises:
-            ConfigError: the saved map has another descriptor, or other frames than protocol.map asks for.
+            ConfigError: the saved map has another descriptor or mounting, or other frames than protocol.map asks for.
         """
         described, heading = self.make_descriptor(), self.make_heading(say)
         path = map_known(self.here, self.titles)
-        known = VisualMap.load(path, described) if path.is_file() else None
+        known = self.load_map(path, described)
         if known is not None and self._is_wanted(known):
             images, frames = self.open_roles(*roles, known=known)
             self._note_what_training_saw(say, frames.get("query"))
@@ -287,7 +288,7 @@ class Evaluate(RunJob):
             )
         images, frames = self.open_roles("map", *dict.fromkeys([*roles, *self.learned_from]))
         self._note_what_training_saw(say, frames.get("query"))
-        given: dict[str, Any] = {"heading": heading, "distance": self.distance}
+        given: dict[str, Any] = {"heading": heading, "distance": self.distance, "mounting": self.mounting.known}
         known = maps.build(described, images, frames["map"], validation=frames.get("validation"), **given)
         if "fusion" in known.made:
             say(f"weights: {known.made['fusion']}")

@@ -54,7 +54,7 @@ class Export(RunJob):
 
         run, label, precision = self.here, self.descriptor.title, self.precision
         described, path = self.make_descriptor(), map_file(run, label)
-        known = VisualMap.load(path, described) if path.is_file() else None
+        known = self.load_map(path, described)
         further: dict[str, Any] = {}
         if known is None:
             further["preprocessing"] = self.preprocessing

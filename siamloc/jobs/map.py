@@ -58,6 +58,10 @@ class MapFrames(RunJob):
         descriptor=[pretrained,hsv,hog] several as one, with weights learned on protocol.validation.sequences=[...]
         heading=hog                     estimates headings for a network that cannot (the heads fourier and magnitudes
                                         with circular=true can); heading.step=4 halves the size of its part of the map
+        mounting.yaw=90                 how the camera is mounted, which a network that compares otherwise estimates:
+                                        the panorama's middle looks 90 degrees to the left of the heading;
+                                        mounting.mirrored=true, mounting.ahead=0.3, mounting.left=-0.1; what is not said
+                                        is straight, so mounting.yaw=0 alone switches the estimate off
         build=incremental|spectral|som|sample|rooms
                                         also group the frames into nodes, and write that coarse layer
         build.nodes=40 build.y=1.5      its parameters; `siamloc map build=... --cfg job` lists them
@@ -100,6 +104,7 @@ class MapFrames(RunJob):
         given: dict[str, Any] = {
             "heading": heading,
             "distance": self.distance,
+            "mounting": self.mounting.known,
             "made": {"role": self.protocol.map.plain()},
         }
         known = maps.build(described, images, roles["map"], validation=roles.get("validation"), **given)
@@ -133,7 +138,8 @@ class MapFrames(RunJob):
         from siamloc.report.draw.staleness import staleness_picture
 
         path, built, label = map_places(self.here, self.titles)[0], None, self.descriptor.title
-        known = VisualMap.load(path, self.make_descriptor())
+        known = self.load_map(path, self.make_descriptor())
+        assert known is not None  # or the job could not have been made
         folder = own_folder(self.here.layer(label, self.build.title), self.titles, of_layer)
         stored = {one.parent: Built.load(one.parent) for one in self.here.folder.glob("layers/**/layer.npz")}
         over = {one: layer for one, layer in stored.items() if layer.map_digest == known.digest}

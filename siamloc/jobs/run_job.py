@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Literal, TypeVar
@@ -12,10 +12,11 @@ import numpy as np
 
 from analytic import DESCRIPTORS, Descriptor, Fused, descriptor
 from analytic.descriptors.fused import SIGN, distinct
-from foundation.settings import Seed
+from foundation.settings import Seed, as_words
 from siamloc.data.decoding import Preprocessing
 from siamloc.data.frames import FrameTable
 from siamloc.data.library import PanoramaLibrary
+from siamloc.data.mounting import GivenMounting
 from siamloc.data.protocol import Protocol, Role
 from siamloc.data.reading import DataSettings
 from siamloc.errors import ConfigError
@@ -96,6 +97,7 @@ class RunJob(DataJob):
         descriptor: a network or an analytic descriptor; or a list of several, which are fused.
         heading: the descriptor that estimates headings for a network that cannot.
         distance: how descriptors are compared; the descriptor's default if None.
+        mounting: how the camera is mounted; the map estimates it if nothing is said.
         build: how the frames of the map are grouped into nodes.
         seed: seed of all random draws.
     """
@@ -115,6 +117,7 @@ class RunJob(DataJob):
     descriptor: DescriptorChoice
     heading: Heading
     distance: Literal["manhattan", "euclidean", "correlation", "cosine"] | None = None
+    mounting: GivenMounting = field(default_factory=GivenMounting)
     build: Build
     seed: Seed = 0
 
@@ -190,6 +193,22 @@ class RunJob(DataJob):
         """The roles of the frames from which a map's descriptor is learned: validation frames, for fused weights."""
         learns = self.descriptor.name == Fused.name and self.descriptor.parameters.get("weights") is None
         return ["validation"] if learns and self.protocol.validation != Role() else []
+
+    def load_map(self, path: Path, described: Descriptor) -> VisualMap | None:
+        """Load a saved map; None if there is none.
+
+        Raises:
+            ConfigError: a map with another mounting than the one that is given.
+        """
+        from siamloc.maps import VisualMap
+
+        known = VisualMap.load(path, described) if path.is_file() else None
+        if known is not None and self.mounting.known not in (None, known.mounting):
+            raise ConfigError(
+                f"{path} was made with another mounting of the camera ({as_words(known.mounting.plain())}): run "
+                "`siamloc map` again with the intended mounting keys, or leave them out"
+            )
+        return known
 
     def make_heading(self, say: Say) -> Descriptor | None:
         """Make the descriptor that estimates headings; None without one, or if the job's descriptor estimates them."""

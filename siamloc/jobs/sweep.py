@@ -13,7 +13,18 @@ from typing import Any
 
 Choice = Callable[[str], bool]
 _MOST_LETTERS = 150  # in a folder name; file systems allow 255 bytes
-_OF_MAPS = ("data", "unwrap", "protocol", "experiment", "descriptor", "heading", "distance", "model", "checkpoint")
+_OF_MAPS = (
+    "data",
+    "unwrap",
+    "protocol",
+    "experiment",
+    "descriptor",
+    "heading",
+    "distance",
+    "model",
+    "checkpoint",
+    "mounting",
+)
 _OF_QUERIES = tuple(f"protocol.{key}" for key in ("train", "validation", "query", "kind", "leave_one_out", "apart"))
 
 

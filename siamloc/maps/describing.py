@@ -92,6 +92,11 @@ def build(
             f"{second.name} cannot find the headings of a map by {by.name}: the descriptors {', '.join(HEADINGS)} can, "
             "in a map whose descriptors are not turned before they are compared"
         )
+    if mounting is not None and mounting.yaw and not images.circular:
+        raise ConfigError(
+            f"mounting.yaw={mounting.yaw:g} needs columns that are a full turn, and circular=false says that they are "
+            "not: leave it out"
+        )
     _check_elevations(by, images)
     readable = images.readable(frames)
     if not len(readable):

@@ -56,7 +56,10 @@ def test_damaged_files_are_told_in_a_sentence():
         ("simulate hours.a=5", "unknown configuration key 'hours.a': did you mean 'hours'"),
         ("evaluate descriptor.bens=5", "did you mean 'descriptor.bins'"),
         (
+            "map data=folder data.root=x descriptor=hog mounting=straight",
+            "mounting must be a group with the keys yaw, mirr",
         ),
+        ("map data=folder data.root=x descriptor=hog mounting.yaw=left", "mounting.yaw must be a number, or null, got"),
         ("prepare data=cold data.root=x data.camera=std_cam", "show no ring: add unwrap=none data.circular=false"),
         ("evaluate heading=wisurf", "unknown option heading=wisurf"),
         ("evaluate task.baselines=[hug]", "did you mean 'hog'"),

@@ -108,6 +108,12 @@ def test_a_broken_file_of_an_option_is_named(group, content, says, tmp_path, mon
             MapFrames,
             {"data": "freiburg_sim", "descriptor": "hog", "build": {"name": "spectral", "nodes": 9}},
         ),
+        (
+            "map",
+            "data=freiburg_sim descriptor=pretrained mounting.yaw=90 mounting.mirrored=true",
+            MapFrames,
+            {"data": "freiburg_sim", "descriptor": "pretrained", "mounting": {"yaw": 90, "mirrored": True}},
+        ),
         # An experiment chooses before its data do, and what it does not choose follows the data that are given.
         (
             "train",

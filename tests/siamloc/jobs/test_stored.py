@@ -3,12 +3,13 @@
 import json
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 
 from analytic import descriptor
-from siamloc.data import FrameTable
-from siamloc.errors import FormatError
+from siamloc.data import FrameTable, Mounting
+from siamloc.errors import ConfigError, FormatError
 from siamloc.jobs import Evaluate, Export, MapFrames
 from siamloc.maps import VisualMap
 
@@ -53,3 +54,30 @@ def test_a_map_of_an_older_siamloc_is_replaced_but_not_searched(run):
     for job in (Evaluate, Export):
         with pytest.raises(FormatError, match="written by an older siamloc: build the map again with `siamloc map`"):
             job.of(chosen)
+
+
+def test_a_map_takes_the_mounting_that_is_given_and_others_are_refused(tmp_path):
+    pictures = np.random.default_rng(0).integers(0, 256, (2, 16, 64, 3), dtype=np.uint8)
+    for name, turned in (("straight", 0), ("turned", 16)):  # of 64 columns, a quarter turn
+        (tmp_path / name).mkdir()
+        for number, picture in enumerate(pictures):
+            cv2.imwrite(str(tmp_path / name / f"{number}.png"), np.roll(picture, turned, axis=1))
+        (tmp_path / name / "frames.csv").write_text("image,x,y\n0.png,0,0\n1.png,1,0\n")
+
+    def given(name, **mounting):
+        data = {"manifest": str(tmp_path / name / "frames.csv"), "image_size": [16, 64]}
+        settings = {"data": data, "descriptor": "thumbnail", "protocol": {"map": {"sequences": ["*"]}}}
+        return {**settings, "mounting": mounting, "run": str(tmp_path / f"run_{name}")}
+
+    straight, turned = MapFrames.of(given("straight")).run(), MapFrames.of(given("turned", yaw=90)).run()
+    assert turned.mounting == Mounting(yaw=90)
+    np.testing.assert_array_equal(turned.descriptors, straight.descriptors)
+    for job in (Evaluate, Export):
+        with pytest.raises(
+            ConfigError, match=r"another mounting .*yaw=90.* again with the intended mounting keys, or le"
+        ):
+            job.of(given("turned", yaw=0)).run()
+    flat = given("turned", yaw=90)
+    flat["data"]["circular"] = False
+    with pytest.raises(ConfigError, match=r"mounting\.yaw=90 needs columns that are a full turn"):
+        MapFrames.of(flat).run()
