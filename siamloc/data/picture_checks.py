@@ -203,5 +203,5 @@ def time_offset(seen: Array, time: Array, theta: Array) -> str | None:
     side = "before" if offsets[best] > 0 else "after"
     return (
         f"the images turn {abs(offsets[best]):.2f} s {side} the headings do: the poses are those of other times. Add "
-        f"{offsets[best]:+.2f} s to the times of the images (data.offset)"
+        f"{offsets[best]:+.2f} s to the times of the images (data.offset or recording.offset)"
     )

@@ -16,6 +16,8 @@ from siamloc.data.trajectory_checks import doubts
 from siamloc.errors import DataError, leave_out, logger
 
 _STAMP = re.compile(r"\d+(?:\.\d+)?$")
+_IN_PARTS = re.compile(r"(\d{10})[_-](\d{9})$")  # s and ns
+_OTHER_UNIT = 300  # times as long a drive counts other units than seconds
 _COUNTER = 1e8  # a whole number below it counts images and is no time
 _ANY_DRIVE = {"rgb", "data", "images", "image", "frames", "mav0", "cam0", "cam1", "image_0", "image_2"}
 
@@ -96,11 +98,17 @@ def joined(taken: Array, trajectory: Trajectory, gap: float, axes: Axes = "robot
             "time on each line"
         )
     if taken.max() < trajectory.time[0] or taken.min() > trajectory.time[-1]:
+        spans = float(np.ptp(taken)), float(np.ptp(trajectory.time))
+        remedy = (
+            "these are two clocks; give offset=SECONDS, which is added to the images' times "
+            f"({trajectory.time[0] - taken.min():.3f} lets both begin together)"
+        )
+        if 0 < _OTHER_UNIT * min(spans) < max(spans):
+            which = "images' times" if spans[0] > spans[1] else "times of the poses"
+            remedy = f"the {which} seem to count ms, us or ns from a start of their own; write them in seconds"
         raise DataError(
             f"the images were taken between {taken.min():.3f} and {taken.max():.3f} s, and {trajectory.source} has "
-            f"poses between {trajectory.time[0]:.3f} and {trajectory.time[-1]:.3f} s: these are two clocks; give "
-            f"offset=SECONDS, which is added to the images' times ({trajectory.time[0] - taken.min():.3f} lets both "
-            "begin together)"
+            f"poses between {trajectory.time[0]:.3f} and {trajectory.time[-1]:.3f} s: {remedy}"
         )
     return trajectory.at(taken, gap).tilted(axes, trajectory)
 
@@ -141,7 +149,7 @@ def images_of(folder: Path, times: Path | None = None) -> tuple[list[Path], Arra
 
 
 def _of_names(files: Sequence[Path]) -> Array:
-    stamps = [_STAMP.search(file.stem) for file in files]
+    stamps = [_STAMP.search(_IN_PARTS.sub(r"\1.\2", file.stem)) for file in files]
     if all(stamps):
         numbers = np.array([float(stamp[0]) for stamp in stamps if stamp])
         if numbers.max() >= _COUNTER or any("." in stamp[0] for stamp in stamps if stamp):

@@ -1,7 +1,8 @@
 """`Trajectory`: poses along time, from a file, between whose entries poses are interpolated.
 
 Three forms of files are read. TUM: `time x y z qx qy qz qw` on each line. KITTI: the upper three rows of a pose's
-matrix, 12 numbers, without a time. EuRoC: a CSV table of a time in ns, x, y, z, qw, qx, qy, qz, and maybe more columns.
+matrix, 12 numbers, or all of it, 16, without a time. EuRoC: a CSV table of a time in ns, x, y, z, qw, qx, qy, qz, and
+maybe more columns.
 """
 
 from __future__ import annotations
@@ -30,6 +31,7 @@ AXES: dict[str, tuple[Array, Array]] = {
     "camera": (np.array([0, 0, 1.0]), np.array([0, -1.0, 0])),
 }
 _UNITS = ((1e17, 1e-9), (1e14, 1e-6), (1e11, 1e-3))  # from a number this large, times count ns, us and ms
+_A_DRIVE = 0.01  # of the time since 1970, half a year: no drive takes longer
 _UNIT_LENGTH = 0.01  # by which the length of a quaternion may differ from 1
 _LEVEL, _TILTED = (
     0.98,
@@ -218,7 +220,8 @@ def read_trajectory(
 
     Args:
         file: the file; lines that begin with # are skipped, as is a first line of names.
-        form: its form; if None, KITTI for lines of 12 numbers, EuRoC for numbers between commas, and otherwise TUM.
+        form: its form; if None, KITTI for lines of 12 or 16 numbers, EuRoC for numbers between commas, and otherwise
+            TUM.
         order: order of a quaternion, if it is another than that of the form.
         tolerance: by which a matrix in KITTI form may differ from a rotation.
 
@@ -237,6 +240,8 @@ def read_trajectory(
     """
     path = Path(file)
     numbers, commas = read_numbers(path)
+    if numbers.shape[1] == 16 and (numbers[:, 12:] == [0, 0, 0, 1]).all():
+        numbers = numbers[:, :12]
     form = form or ("kitti" if numbers.shape[1] == 12 else "euroc" if commas else "tum")
     if numbers.shape[1] < _COLUMNS[form] or (form == "kitti" and numbers.shape[1] != 12):
         raise DataError(
@@ -257,8 +262,13 @@ def read_trajectory(
 
 
 def seconds(times: Array) -> Array:
-    """Return times since 1970 in s that are given in s, ms, us or ns; smaller numbers are s already."""
+    """Return times since 1970 in s that are given in s, ms, us or ns.
+
+    Smaller numbers are s already, and so are those from the start of a clock that nobody set: a unit would be a guess.
+    """
     largest = np.abs(times).max(initial=0)
+    if largest - times.min(initial=largest) > _A_DRIVE * largest:
+        return times
     return times * next((factor for least, factor in _UNITS if largest >= least), 1.0)
 
 

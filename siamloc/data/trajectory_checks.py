@@ -13,7 +13,8 @@ _ALIGNED = 0.9
 
 def doubts(trajectory: Trajectory, axes: Axes = "robot") -> list[str]:
     """Return a sentence for each doubt about a trajectory."""
-    return [text for text in (other_order(trajectory, axes), other_unit(trajectory)) if text is not None]
+    found = (other_order(trajectory, axes), other_unit(trajectory), other_frame(trajectory, axes))
+    return [text for text in found if text is not None]
 
 
 def other_order(trajectory: Trajectory, axes: Axes = "robot") -> str | None:
@@ -52,17 +53,32 @@ def other_unit(trajectory: Trajectory) -> str | None:
     )
 
 
+def other_frame(trajectory: Trajectory, axes: Axes = "robot") -> str | None:
+    """Look for the axes of another frame, of whose direction ahead the robot makes upwards: it then rises or sinks."""
+    up = int(np.abs(turned(trajectory.quaternion, AXES[axes][1]).mean(axis=0)).argmax())
+    size = np.ptp(trajectory.position, axis=0)
+    height, wide = float(size[up]), float(np.delete(size, up).max())
+    if height < max(1.0, wide):
+        return None
+    other = next(name for name in AXES if name != axes)
+    return (
+        f"{trajectory.source}: with axes={axes}, the robot rises or sinks by {height:.0f} m, and goes {wide:.0f} m on "
+        f"the level: if these are the poses of a {other}, give axes={other}"
+    )
+
+
 def _upright(quaternion: Array, axes: Axes) -> float:
-    """Return the mean of the world's axis to which the frame's direction upwards points, from -1 to 1."""
+    """Return how upright the frame is on average, from -1, on its head, to 1; y points down in a camera's world."""
     mean = turned(quaternion, AXES[axes][1]).mean(axis=0)
-    return float(mean[np.abs(mean).argmax()])
+    vertical = int(np.abs(mean).argmax())
+    return float(mean[vertical]) * (-1 if axes == "camera" and vertical == 1 else 1)
 
 
 def _forward(trajectory: Trajectory, quaternion: Array, axes: Axes) -> float:
     """Return how well the robot drives ahead, from -1 (backwards) to 1; NaN if it stands still."""
     steps = np.diff(trajectory.position, axis=0)
     length = np.linalg.norm(steps, axis=1)
-    real = length > max(float(np.median(length)) / 4, 1e-6)
+    real = length > max(float(np.median(length)) / 4 if len(length) else 0.0, 1e-6)
     if not real.any():
         return np.nan
     ahead = turned(quaternion[:-1], AXES[axes][0])[real]

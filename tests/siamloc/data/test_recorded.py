@@ -36,7 +36,14 @@ def poses(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("name", "digits"), [("{:.6f}.png", 6), ("frame_{:.2f}.jpg", 2), ("{:.0f}000000.png", 0), ("cam-{:.0f}.png", 0)]
+    ("name", "digits"),
+    [
+        ("{:.6f}.png", 6),
+        ("frame_{:.2f}.jpg", 2),
+        ("{:.0f}000000.png", 0),
+        ("cam-{:.0f}.png", 0),
+        ("{:.0f}_000000000.png", 0),
+    ],
 )
 def test_times_in_names(tmp_path, poses, name, digits):
     """In seconds, ms, us or ns."""
@@ -64,6 +71,13 @@ def test_offset_odometry_and_frames_without_a_pose(tmp_path, poses, caplog):
         siamloc.data.read("trajectory", **given, on_error="raise")
     with pytest.raises(DataError, match=r"these are two clocks; give offset=SECONDS, .* \(-99\.000 lets both begin"):
         siamloc.data.read("trajectory", **{**given, "offset": 0.0})
+
+
+def test_times_in_another_unit_are_no_matter_of_an_offset(tmp_path, poses):
+    """Images in ns since the robot's start, and poses in s since 1970."""
+    folder = images(tmp_path / "monday", [f"{100 + t}000000000.png" for t in range(10)])
+    with pytest.raises(DataError, match="the images' times seem to count ms, us or ns from a start of their own"):
+        read_recorded(folder, poses)
 
 
 @pytest.mark.parametrize("written", ["times", "tum", "euroc"])

@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation, Slerp
 
 import siamloc.data
-from siamloc.data.trajectory import Trajectory, read_trajectory
+from siamloc.data.trajectory import Trajectory, read_trajectory, seconds
 from siamloc.errors import ConfigError, DataError
 
 RNG = np.random.default_rng(5)
@@ -43,6 +43,23 @@ def euroc(rotations):
 def kitti(rotations):
     poses = np.concatenate([rotations.as_matrix(), np.column_stack([XY, np.full(60, 0.3)])[:, :, None]], axis=2)
     return lines(poses.reshape(60, 12), head="")
+
+
+def test_whole_matrices_are_those_of_kitti_too(tmp_path):
+    poses = tmp_path / "poses.txt"
+    poses.write_text(kitti(turns("camera")))
+    whole = tmp_path / "whole.txt"
+    whole.write_text(poses.read_text().replace("\n", " 0 0 0 1\n"))
+    np.testing.assert_array_equal(read_trajectory(whole).quaternion, read_trajectory(poses).quaternion)
+
+
+@pytest.mark.parametrize(("unit", "factor"), [("s", 1), ("ms", 1e3), ("us", 1e6), ("ns", 1e9)])
+def test_only_times_since_1970_are_brought_to_seconds(unit, factor):
+    """From the start of a robot, 10 minutes in ns are as many as some years since 1970 in ms."""
+    since_1970 = 1.7e9 + np.arange(0.0, 600, 60)
+    np.testing.assert_allclose(seconds(since_1970 * factor), since_1970, rtol=1e-12)
+    since_start = 100 + np.arange(0.0, 600, 60)
+    np.testing.assert_array_equal(seconds(since_start * factor), since_start * factor)
 
 
 @pytest.mark.parametrize("axes", ["robot", "camera"])

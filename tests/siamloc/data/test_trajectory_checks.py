@@ -44,6 +44,31 @@ def test_times_in_another_unit_are_doubted(factor, unit):
     assert f"the robot drives 10 m in {20 * factor:.0f} s: if they count {unit}, divide them by {factor:.0f}" in said
 
 
+@pytest.mark.parametrize("lands", [1, -1])
+def test_poses_of_a_camera_that_never_turns_are_doubted_as_those_of_a_robot(lands):
+    """The camera looks along x of the world, or against it: its z is no direction upwards."""
+    along = straight(0.0)
+    ahead = np.tile([-0.5, 0.5, -0.5, 0.5], (101, 1))
+    camera = Trajectory.of(along.time, lands * along.position, ahead, "drive.txt")
+    (said,) = doubts(camera)
+    assert said.endswith(
+        "rises or sinks by 10 m, and goes 0 m on the level: if these are the poses of a camera, give axes=camera"
+    )
+    if lands == 1:
+        assert doubts(camera, "camera") == []
+
+
+def test_y_points_down_in_the_world_of_a_camera():
+    """As in KITTI's poses, and in those of most programs, whose world is the first picture's frame."""
+    along = straight(0.0)
+    forward = np.column_stack([0 * along.time, 0 * along.time, along.position[:, 0]])
+    assert doubts(Trajectory.of(along.time, forward, np.tile([0.0, 0, 0, 1], (101, 1)), "kitti.txt"), "camera") == []
+
+
+def test_nothing_is_said_about_a_single_pose():
+    assert doubts(Trajectory.planar(np.zeros(1), np.zeros((1, 3)), "one.txt")) == []
+
+
 def test_a_robot_that_stands_still_is_not_doubted():
     still = Trajectory.planar(np.arange(50.0), np.zeros((50, 3)), "still.txt")
     assert doubts(still) == []
