@@ -42,14 +42,17 @@ _ENCODINGS: dict[str, tuple[int, str, int | None]] = {
     "bgra8": (4, "u1", cv2.COLOR_BGRA2RGB),
     "mono8": (1, "u1", cv2.COLOR_GRAY2RGB),
     "8UC1": (1, "u1", cv2.COLOR_GRAY2RGB),
-    "mono16": (1, "u2", cv2.COLOR_GRAY2RGB),
+    "8UC4": (4, "u1", cv2.COLOR_BGRA2RGB),
     "bayer_rggb8": (1, "u1", cv2.COLOR_BayerRGGB2RGB),
     "bayer_bggr8": (1, "u1", cv2.COLOR_BayerBGGR2RGB),
     "bayer_gbrg8": (1, "u1", cv2.COLOR_BayerGBRG2RGB),
     "bayer_grbg8": (1, "u1", cv2.COLOR_BayerGRBG2RGB),
     "yuv422": (2, "u1", cv2.COLOR_YUV2RGB_UYVY),
+    "uyvy": (2, "u1", cv2.COLOR_YUV2RGB_UYVY),
     "yuv422_yuy2": (2, "u1", cv2.COLOR_YUV2RGB_YUY2),
+    "yuyv": (2, "u1", cv2.COLOR_YUV2RGB_YUY2),
 }
+_ENCODINGS |= {f"{name[:-1]}16": (one, "u2", code) for name, (one, _, code) in _ENCODINGS.items() if name[-1] == "8"}
 _FILES = {b"\xff\xd8\xff": ".jpg", b"\x89PNG": ".png"}  # the first bytes of compressed images
 _NOT_OF_THE_ROBOT = ("goal", "initialpose", "target")  # in topics of poses where someone wants the robot to be
 _FEW = 10  # messages: a topic with fewer is not the poses along a drive

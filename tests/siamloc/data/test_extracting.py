@@ -111,7 +111,11 @@ def test_frames_are_chained(bags, tmp_path):
         ("rgb8", PICTURES[0][:, :, ::-1]),
         ("bgra8", np.dstack([PICTURES[0], PICTURES[0][:, :, 0]])),
         ("mono8", PICTURES[0][:, :, 1]),
+        ("8UC4", np.dstack([PICTURES[0], PICTURES[0][:, :, 0]])),
         ("mono16", PICTURES[0][:, :, 1].astype("<u2") << 8),
+        ("rgb16", PICTURES[0][:, :, ::-1].astype("<u2") << 8),
+        ("yuyv", cv2.cvtColor(PICTURES[0], cv2.COLOR_BGR2YUV_YUY2)),
+        ("uyvy", cv2.cvtColor(PICTURES[0], cv2.COLOR_BGR2YUV_UYVY)),
         ("yuv422_yuy2", cv2.cvtColor(PICTURES[0], cv2.COLOR_BGR2YUV_YUY2)),
     ],
 )
@@ -127,13 +131,14 @@ def test_encodings(tmp_path, encoding, picture):
     assert np.abs(cv2.imread(path).astype(float) - expected).mean() < 8
 
 
-def test_the_order_of_bayer_patterns(tmp_path):
+@pytest.mark.parametrize("bits", [8, 16])
+def test_the_order_of_bayer_patterns(tmp_path, bits):
     """A picture of one colour shows which pixels are red."""
-    mosaic = np.zeros((48, 64), np.uint8)
-    mosaic[::2, ::2] = 200
+    mosaic = np.zeros((48, 64), f"<u{bits // 8}")
+    mosaic[::2, ::2] = 200 << (bits - 8)
     bag = Written(tmp_path / "bag", "sqlite3")
     with bag.writer:
-        bag.image("/image", START, mosaic, "bayer_rggb8")
+        bag.image("/image", START, mosaic, f"bayer_rggb{bits}")
     (path,) = siamloc.data.extract(bag.path, tmp_path / "out").path.tolist()
     blue, green, red = cv2.imread(path).reshape(-1, 3).mean(axis=0)
     assert red > 150 > 40 > max(blue, green)
@@ -232,7 +237,7 @@ def test_messages_that_nobody_knows(tmp_path):
     with bag.writer:
         bag.write("/oven", "my_msgs/msg/Oven", START, warmth=1.0)
     assert siamloc.data.contents(bag.path).topics == {"/oven": ("my_msgs/msg/Oven", 1)}
-    with pytest.raises(DataError, match="holds no images, only /oven"):
+    with pytest.raises(DataError, match="holds no images; its topics: /oven"):
         siamloc.data.extract(bag.path, tmp_path / "out")
     with pytest.raises(DataError, match=r"/oven holds my_msgs/msg/Oven, expected sensor_msgs/msg/Image or .*: none"):
         siamloc.data.extract(bag.path, tmp_path / "out", images="/oven")
@@ -317,7 +322,7 @@ def test_the_command_looks_first_and_then_extracts(bags, tmp_path, monkeypatch, 
     assert not list(tmp_path.iterdir())
     command = shown.splitlines()[-1].removeprefix("next: siamloc ").split()
     assert command[-1] == "recording.out=night_ros1_frames"
-    spaced = shutil.copy(bags["ros1"], tmp_path / "my drive.bag")
+    spaced = shutil.copy(bags["ros1"], tmp_path / "my drive to Köln.bag")
     assert main(["prepare", str(spaced)]) == 0
     assert shlex.split(capsys.readouterr().out.splitlines()[-1])[3] == str(spaced)
     spaced.unlink()
@@ -332,6 +337,10 @@ def test_the_command_looks_first_and_then_extracts(bags, tmp_path, monkeypatch, 
         siamloc.data.contents("nowhere.bag")
     with pytest.raises(DataError, match="holds no images"):
         siamloc.data.contents(tmp_path)
+    (tmp_path / "monday").mkdir()
+    (tmp_path / "monday" / "night_0.db3").touch()
+    with pytest.raises(DataError, match=r"monday holds no images, but night_0\.db3: give one of these files"):
+        siamloc.data.contents(tmp_path / "monday")
     (tmp_path / "notes.txt").touch()
     with pytest.raises(DataError, match=r"is no recording: expected a file \.bag, \.db3"):
         siamloc.data.contents(tmp_path / "notes.txt")
