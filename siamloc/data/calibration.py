@@ -55,7 +55,7 @@ def read_calibration(path: str | Path, camera: str | Sequence[str] | None = None
     """
     file = Path(path).expanduser()
     try:
-        text = read_text(file, _LONGEST)
+        text = read_text(file, _LONGEST).removeprefix("\ufeff")
     except (OSError, ValueError) as error:
         raise DataError(
             f"the calibration {file} cannot be read: {getattr(error, 'strerror', None) or error}"
@@ -204,7 +204,7 @@ def _stored(file: Path, text: str) -> dict[str, Any]:
         for name in storage.root().keys():  # noqa: SIM118 (a node is not a mapping)
             node = storage.getNode(name)
             if node.isMap():
-                found[name] = node.mat().ravel().tolist()
+                found[name] = None if node.getNode("data").empty() else node.mat().ravel().tolist()
             elif node.isSeq():
                 found[name] = [node.at(i).real() for i in range(node.size())]
             else:

@@ -169,6 +169,12 @@ def test_a_file_of_ocamcalib(tmp_path):
     agrees(camera, oracle.ocam)
 
 
+def test_files_with_a_mark_of_their_byte_order(tmp_path):
+    for text in (OCAM, ROS):
+        plain = read_calibration(written(tmp_path / "plain", text))
+        assert read_calibration(written(tmp_path / "marked", f"\ufeff{text}")) == plain
+
+
 def test_the_command_line_names_the_file_and_a_run_keeps_the_camera(tmp_path):
     file = written(tmp_path / "chain.yaml", KALIBR)
     made = Preprocessing.checked(
@@ -196,6 +202,7 @@ def test_the_command_line_names_the_file_and_a_run_keeps_the_camera(tmp_path):
         (OCAM.partition("#affine")[0], None, DataError, "is not whole: OCamCalib writes five lines"),
         (OCAM.replace("5 -6", "6 -6"), None, DataError, "announces 6 coefficients and lists 5"),
         ("%YAML:1.0\n---\nK: !!opencv-matrix\n   rows: 3", None, DataError, "is not whole, OpenCV|no camera matrix"),
+        ("%YAML:1.0\n---\nmodel_type: MEI\nmirror:\n   xi: 1.9", None, DataError, "no camera matrix among model_type"),
         ("a: [1", None, DataError, "is not YAML"),
         ("just words", None, DataError, "is not a calibration file"),
         ("", None, DataError, "is not a calibration file"),
