@@ -120,14 +120,14 @@ def walk(
     images = library(frames)
     chosen = maps.key_frames(_NETWORK, images, frames, spacing=settings.spacing)
     say(f"key frames: {len(chosen)} of {len(images)}, each {settings.spacing:g} m or more from the last (spacing=)")
-    if 2 * settings.left_out > len(chosen):
-        raise ConfigError(
-            f"left_out={settings.left_out} leaves too few of {len(chosen)} key frames out to measure with"
-        )
     if len(chosen) < _FEWEST:
         raise DataError(
             f"{file} has {len(chosen)} key frames, and a map needs {_FEWEST}: record a way of "
             f"{_FEWEST * settings.spacing:.0f} m or more, or take a smaller spacing than {settings.spacing:g}"
+        )
+    if 2 * settings.left_out > len(chosen):
+        raise ConfigError(
+            f"left_out={settings.left_out} leaves too few of {len(chosen)} key frames out to measure with"
         )
     found = maps.survey(_NETWORK, images, chosen, settings=settings.survey)
     for line in (*(f"note: {note}" for note in found.notes), f"survey: {found.summary()}"):

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from foundation.calls import typed
 from foundation.files import read_json, storage_errors, write_json
-from siamloc.data.cameras import EquirectangularCamera, HyperbolicMirror
+from siamloc.data.cameras import DualFisheyeCamera, EquirectangularCamera, HyperbolicMirror
 from siamloc.data.decoding import Preprocessing, UnreadableImageError, read_image
 from siamloc.data.panorama import OmnidirectionalCamera, PanoramaView, PolarRing, unwrap
 from siamloc.data.presets import AutoRing
@@ -40,6 +40,7 @@ _BORDER = 12  # pixels next to a drawn panorama
 _VERSION = 1  # of how a ring is found
 _UNKNOWN = AutoRing()
 _XI = 0.85, 0.99  # the unified model's parameter of mirrors that are built, 2 e / (e^2 + 1)
+_DARK, _AROUND = 24, 1.05  # grey value of what a lens does not show, and radii from its centre on
 _OFF = 1.5  # pixels by which a picture's own radius may differ
 
 
@@ -176,7 +177,10 @@ def _of_drive(given: AutoRing, paths: Sequence[str]) -> AutoRing:
         found = find_ring(_readable(paths))
     except DataError as error:
         if not known:
-            raise DataError(f"unwrap=auto finds no ring in {folder}: {error}") from error
+            raise DataError(
+                f"unwrap=auto finds no ring in {folder}: {error}; if the camera is another one, name it, such as "
+                "unwrap=equirectangular"
+            ) from error
         logger.info("%s: the given ring stays (%s)", folder, error)
         return given
     ring = found.ring
@@ -191,7 +195,8 @@ def _of_drive(given: AutoRing, paths: Sequence[str]) -> AutoRing:
 def find_camera(images: Sequence[str], given: OmnidirectionalCamera | None = _UNKNOWN) -> OmnidirectionalCamera | None:
     """Find the camera of a drive by its pictures: their shape, or the ring of a mirror or of a lens that looks up.
 
-    Pictures twice as wide as high are whole equirectangular ones, and wider ones are panoramas. All others show a ring.
+    Pictures twice as wide as high are whole equirectangular ones, or those of two lenses side by side if the corners of
+    both halves are dark. Wider ones are panoramas. All others show a ring.
 
     Args:
         images: files of the drive's pictures; those that cannot be read are left out.
@@ -218,7 +223,9 @@ def find_camera(images: Sequence[str], given: OmnidirectionalCamera | None = _UN
         raise DataError(f"none of the {len(images)} pictures can be read")
     rows, columns = pictures[0].shape[:2]
     if columns >= 2 * rows:
-        return EquirectangularCamera() if columns == 2 * rows else None
+        if columns > 2 * rows:
+            return None
+        return DualFisheyeCamera() if all(map(_two_circles, pictures)) else EquirectangularCamera()
     return likely_mirror(PolarRing(**vars(_of_drive(given, images))))
 
 
@@ -272,6 +279,15 @@ def _readable(paths: Sequence[str]) -> list[Array]:
         except UnreadableImageError:
             continue
     return pictures
+
+
+def _two_circles(picture: Array) -> bool:
+    """Return whether a picture (rows, 2 rows, 3) is dark around the largest circles in its halves, and not in them."""
+    rows, columns = picture.shape[:2]
+    down, right = np.mgrid[:rows, :columns] + 0.5
+    outside = np.hypot(right % rows - rows / 2, down - rows / 2) > _AROUND * rows / 2
+    dark = picture.mean(axis=2) < _DARK
+    return bool(dark[outside].mean() > 0.99 and dark[~outside].mean() < 0.5)
 
 
 def _apart(given: PolarRing, ring: PolarRing) -> float:

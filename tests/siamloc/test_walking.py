@@ -83,9 +83,9 @@ def test_a_folder_of_panoramas_without_odometry_becomes_a_robot(mini, tmp_path):
 def test_a_short_way_is_refused(mini, tmp_path):
     pictures = tmp_path / "monday"
     pictures.mkdir()
-    for number, path in enumerate(mini[0].path.tolist()[:12]):
+    for number, path in enumerate(mini[0].path.tolist()[:5]):
         (pictures / f"{START + number / 2:.1f}.jpeg").hardlink_to(path)
-    with pytest.raises(DataError, match=r"has 1\d key frames, and a map needs 60: record a way of 15 m"):
+    with pytest.raises(DataError, match=r"has [2-5] key frames, and a map needs 60: record a way of 15 m"):
         siamloc.walk(pictures, tmp_path / "robot", spacing=0.25)
 
 

@@ -5,6 +5,7 @@ import pytest
 from siamloc.data import (
     AutoRing,
     ColdRing,
+    DualFisheyeCamera,
     EquirectangularCamera,
     FrameTable,
     HyperbolicMirror,
@@ -201,6 +202,16 @@ def test_the_shape_of_wide_pictures_says_what_they_are(size, camera, tmp_path):
     (tmp_path / "broken.png").write_bytes(b"nothing")
     paths = [str(tmp_path / "broken.png"), *written(tmp_path, np.zeros((2, *size, 3), np.uint8))]
     assert find_camera(paths) == camera
+
+
+@pytest.mark.parametrize("radius", [30, 27, 40])
+def test_two_bright_circles_side_by_side_are_two_lenses(radius, tmp_path):
+    pictures = np.random.default_rng(0).integers(0, 9, (3, 60, 120, 3)).astype(np.uint8)
+    for picture in pictures:
+        for middle in (29, 89):
+            cv2.circle(picture, (middle, 29), radius, (90, 120, 200), -1)
+    lenses = radius < 40  # larger circles reach into the corners
+    assert find_camera(written(tmp_path, pictures)) == (DualFisheyeCamera() if lenses else EquirectangularCamera())
 
 
 def test_pictures_without_a_camera_are_refused_in_a_sentence(tmp_path):
