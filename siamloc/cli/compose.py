@@ -50,6 +50,7 @@ def run(command: str, words: list[str]) -> None:
         ConfigError: an unknown key, group option or value, with the nearest valid one.
     """
     kind = job_of(command)
+    words = list(map(_with_quotes, words))
     _check_words(words)
     given = words = [_as_meant(word, kind) for word in words]
     words = _sweep(command, words) if {"-m", "--multirun"} & set(words) else words
@@ -94,6 +95,7 @@ def composed(command: str, words: list[str]) -> Job:
     kind = job_of(command)
     if not kind.BY_HYDRA:
         return kind.of(values_of(words, kind))
+    words = list(map(_with_quotes, words))
     _check_words(words)
     words = [_as_meant(word, kind) for word in words]
     try:
@@ -285,6 +287,13 @@ def _check_words(words: list[str]) -> None:
                 f"the value of {shown} cannot be read: put texts with spaces, brackets or other symbols in quotes, "
                 f"such as \"{key}='a (1)'\" or \"{key}=['a (1)','b']\""
             ) from error
+
+
+def _with_quotes(word: str) -> str:
+    """Put a value in quotes that has letters such as umlauts, which Hydra's grammar lacks, and none of its symbols."""
+    key, equals, value = word.partition("=")
+    plain = value.isascii() or not equals or word.startswith("-") or set(value) & set("'\"[](){},$\\")
+    return word if plain else f"{key}={_quoted(value)}"
 
 
 def _as_meant(word: str, kind: type[Job]) -> str:
