@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import struct
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, cast
@@ -117,8 +117,8 @@ class Preprocessing:
 
     def words(self) -> str:
         """Return the camera as words of the command line, such as "unwrap=polar unwrap.inner=60"."""
-        given = {key: value for key, value in self.unwrap_settings().items() if value is not None}
-        return as_words({"unwrap": given.pop("kind"), **{f"unwrap.{key}": value for key, value in given.items()}})
+        given = self.unwrap_settings()
+        return as_words({"unwrap": given.pop("kind"), **dict(_dotted(given, "unwrap"))})
 
     def panorama(
         self, path: str | Path, tilt: NDArray[np.float64] | Sequence[float] | None = None
@@ -191,6 +191,15 @@ class Preprocessing:
 def _name(kind: type) -> str:
     """Return the name of a camera class in files: of one's own, with its module."""
     return kind.__name__ if kind in CAMERAS.values() else f"{kind.__module__}:{kind.__qualname__}"
+
+
+def _dotted(values: Mapping[str, Any], key: str) -> Iterator[tuple[str, Any]]:
+    """Yield the values that are given, also those inside of others, by keys such as "unwrap.front.fov"."""
+    for name, value in values.items():
+        if isinstance(value, Mapping):
+            yield from _dotted(value, f"{key}.{name}")
+        elif value is not None:
+            yield f"{key}.{name}", value
 
 
 def _plain(camera: Any) -> dict[str, Any]:

@@ -1,9 +1,13 @@
 from __future__ import annotations
 
+import shlex
+
 import cv2
 import numpy as np
 import pytest
 
+from siamloc.cli.compose import composed
+from siamloc.data import DualFisheyeCamera, FisheyeCamera, OCamCamera
 from siamloc.data.decoding import Preprocessing, UnreadableImageError, read_image
 from siamloc.data.panorama import PanoramaView, PolarRing, unwrap
 from siamloc.errors import ConfigError
@@ -70,3 +74,19 @@ def test_a_camera_that_does_not_fit(tmp_path):
     cv2.imwrite(str(tmp_path / "a.png"), np.zeros((1, 1, 3), np.uint8))
     with pytest.raises(UnreadableImageError, match="has shape"):
         Preprocessing.checked((16, 32), PolarRing()).panorama(tmp_path / "a.png")
+
+
+@pytest.mark.parametrize(
+    "camera",
+    [
+        DualFisheyeCamera(back=FisheyeCamera(fov=200.0, k=(0.1, 0.0, 0.0, -1e-7)), second=("_00_", "_10_")),
+        OCamCamera(image_size=(480, 640), mirrored=True),
+        PolarRing(centre=(31.5, 24.0), inner=3),
+        None,
+    ],
+)
+def test_the_words_of_a_camera_are_those_of_the_command_line(camera):
+    made = Preprocessing.checked((128, 512), camera)
+    words = shlex.split(made.words())
+    job = composed("prepare", ["data=manifest", "data.manifest=robot.csv", *words])
+    assert Preprocessing.checked((128, 512), job.unwrap) == made
