@@ -173,9 +173,11 @@ class Preprocessing:
         return [first] if names is None else [first, first.with_name(first.name.replace(*names))]
 
     def _read(self, path: str | Path) -> NDArray[np.uint8]:
-        first, *others = (read_image(file) for file in self.files(path))
+        if len(files := self.files(path)) > 1 and files[0] == files[1]:
+            raise DataError("its name lacks what unwrap.second replaces, so that no second picture is known")
+        first, *others = map(read_image, files)
         if any(one.shape != first.shape for one in others):
-            raise DataError(f"its second picture {self.files(path)[1].name} has another size")
+            raise DataError(f"its second picture {files[1].name} has another size")
         return np.hstack([first, *others]) if others else first
 
     def _picture(

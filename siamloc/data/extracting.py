@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 
 from foundation.calls import OF_FIELDS, takes, typed
 from foundation.files import read_json, write_bytes, write_json, write_picture, write_text
-from foundation.settings import Count, Positive, Settings, Text, shortened
+from foundation.settings import Count, Positive, Settings, Text
 from siamloc.data.bags import KINDS, Bag, Clock, proposed
-from siamloc.data.frames import ODOMETRY, TILT, VIDEOS, FrameTable, image_files
+from siamloc.data.frames import ODOMETRY, TILT, VIDEOS, FrameTable
 from siamloc.data.manifest import manifest_of
 from siamloc.data.names import lighting_in
 from siamloc.data.reading import read
@@ -245,9 +245,6 @@ def _opened(path: Path) -> Bag | Film | Pictures:
     if path.suffix.lower() in BAGS or (path / "metadata.yaml").is_file():
         return Bag(path)
     if path.is_dir():
-        inside = [file.name for file in sorted(path.iterdir()) if file.suffix.lower() in (*BAGS, *VIDEOS)]
-        if inside and not image_files(path):
-            raise DataError(f"{path} holds no images, but {shortened(', '.join(inside))}: give one of these files")
         return Pictures(path)
     known = ", ".join((*BAGS, *VIDEOS))
     raise DataError(

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from foundation.settings import Positive
+from foundation.settings import Positive, shortened
 from siamloc.data.frames import ODOMETRY, TILT, FrameTable, image_files, in_capture_order
 from siamloc.data.names import lighting_in
 from siamloc.data.trajectory import Array, Axes, Form, Order, Trajectory, read_trajectory, seconds, text_rows
@@ -133,7 +133,8 @@ def images_of(folder: Path, times: Path | None = None) -> tuple[list[Path], Arra
         raise DataError(f"{folder} is not a folder of images")
     files = image_files(folder)
     if not files:
-        raise DataError(f"{folder} holds no images")
+        inside = ", ".join(sorted(path.name for path in folder.iterdir()))
+        raise DataError(f"{folder} holds no images; it holds: {shortened(inside) or 'nothing'}")
     if times is None:
         return files, _of_names(files)
     rows = text_rows(times)

@@ -339,7 +339,7 @@ def test_the_command_looks_first_and_then_extracts(bags, tmp_path, monkeypatch, 
         siamloc.data.contents(tmp_path)
     (tmp_path / "monday").mkdir()
     (tmp_path / "monday" / "night_0.db3").touch()
-    with pytest.raises(DataError, match=r"monday holds no images, but night_0\.db3: give one of these files"):
+    with pytest.raises(DataError, match=r"monday holds no images; it holds: night_0\.db3"):
         siamloc.data.contents(tmp_path / "monday")
     (tmp_path / "notes.txt").touch()
     with pytest.raises(DataError, match=r"is no recording: expected a file \.bag, \.db3"):
