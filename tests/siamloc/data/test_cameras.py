@@ -173,7 +173,7 @@ def test_two_pictures_of_two_lenses_are_read_as_one(tmp_path):
     with pytest.raises(UnreadableImageError, match=r"second picture a_10_1\.png has another size"):
         made.panorama(tmp_path / "a_00_1.png")
     cv2.imwrite(str(tmp_path / "b.png"), whole[:, :64])
-    with pytest.raises(UnreadableImageError, match="its name lacks what unwrap.second replaces"):
+    with pytest.raises(UnreadableImageError, match=r"its name lacks what unwrap\.second replaces"):
         made.panorama(tmp_path / "b.png")
     (tmp_path / "a_10_1.png").unlink()
     with pytest.raises(UnreadableImageError, match="does not exist"):
