@@ -281,15 +281,15 @@ def _unpack(archive: Path, folder: Path, name: str) -> None:
     with scratch_folder(folder) as scratch:
         try:
             with tarfile.open(archive, "r:") as tar:
+                tar.extraction_filter = getattr(tarfile, "data_filter", None)  # since Python 3.10.12 and 3.11.4
                 members = tar.getmembers()
                 for member in members:
                     if not (member.isreg() or member.isdir()) or member.issparse():
                         raise DataError(f"{name} holds {member.name}, which is neither a file nor a folder: not used")
+                    if not (scratch / member.name).resolve().is_relative_to(scratch.resolve()):
+                        raise DataError(f"{name} holds {member.name}, which lies outside of its own folder: not used")
                 for member in track(members, len(members), f"unpacking {folder.name}"):
-                    tar.extract(member, scratch, filter="data")
-        except tarfile.FilterError as error:
-            outside = getattr(error, "tarinfo").name  # noqa: B009 (not known to the type checker)
-            raise DataError(f"{name} holds {outside}, which lies outside of its own folder: not used") from error
+                    tar.extract(member, scratch)
         except (tarfile.TarError, EOFError) as error:
             raise DataError(f"{name} is not a whole tar archive ({error}): fetch it again") from error
         sequence = _checked(scratch, name)

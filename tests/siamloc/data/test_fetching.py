@@ -181,6 +181,18 @@ def test_a_bad_archive_is_refused_and_leaves_nothing(server, tmp_path, says):
     assert server.fetch(out).there == {NAME: 3}
 
 
+@pytest.mark.filterwarnings("ignore:Python 3.14 will:DeprecationWarning")
+def test_archives_are_checked_by_an_older_python_too(server, tmp_path, monkeypatch):
+    for name in ("data_filter", "FilterError"):
+        monkeypatch.delattr(tarfile, name)
+    for outside in ("../evil", "/evil"):
+        server.files[PATH] = tar(further=[tarfile.TarInfo(outside)])
+        with pytest.raises(DataError, match=f"holds {outside}, which lies outside of its own folder"):
+            server.fetch(tmp_path)
+    server.files[PATH] = tar()
+    assert server.fetch(tmp_path).there == {NAME: 3}
+
+
 def test_one_missing_archive_does_not_stop_the_others(server, tmp_path):
     protocol = Protocol(train=Role(sequences=("freiburg_a_seq2_sunny4", NAME)), query=Role(sequences=NAME))
     with pytest.raises(
