@@ -263,6 +263,11 @@ class Branch(Settings):
     name: Text
     weights: Text | None = None
 
+    @property
+    def own(self) -> dict[str, str]:
+        """The setting that further commands need for a network of your own, since files import no code."""
+        return {"model/branch": self.name} if ":" in self.name else {}
+
 
 @dataclass(frozen=True)
 class Head(Settings):

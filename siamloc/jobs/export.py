@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar, Literal
 
+from foundation.settings import as_words
 from siamloc.jobs.choices import Folder
 from siamloc.jobs.job import Say, quiet
 from siamloc.jobs.run_job import RunJob, files_in
@@ -94,12 +95,12 @@ class Export(RunJob):
     def _further_steps(self, known: VisualMap, errors: ErrorModel | None, refinement: Refinement | None) -> list[str]:
         """Return lines that say what else could be exported for the robot."""
         label, lines = self.descriptor.title, []
-        folder, named = self.here.evaluation(label), f"run={self.here.folder}"
-        named += "" if label == "network" else f" descriptor={label}"
+        folder, which = self.here.evaluation(label), {} if label == "network" else {"descriptor": label}
+        named = as_words({"run": str(self.here.folder), **which, **self.model.branch.own})
         none = known.orientation is None
         if none and known.made.get("data", {}).get("circular", True):
-            which = "" if known.descriptor.tells_heading else " heading=hog"
-            lines.append(f"for a heading as well: siamloc map {named}{which}, then export again")
+            heading = "" if known.descriptor.tells_heading else " heading=hog"
+            lines.append(f"for a heading as well: siamloc map {named}{heading}, then export again")
         if errors is None:
             if (folder / "error_model.json").is_file():
                 lines.append("error_model.json left out, it was learned on another map")

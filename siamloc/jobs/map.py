@@ -129,7 +129,8 @@ class MapFrames(RunJob):
                 further |= {"task": "hierarchical", "build": self.build.title}
             protocol = self._for_evaluation()
             command = "export" if protocol is None else "evaluate"
-            say(f"next: siamloc {command} {as_words({'run': str(run.folder), **(protocol or {}), **further})}")
+            shown = {"run": str(run.folder), **self.model.branch.own, **(protocol or {}), **further}
+            say(f"next: siamloc {command} {as_words(shown)}")
         return known
 
     def _maintained(self, say: Say) -> VisualMap:

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, ClassVar
 
-from foundation.settings import Count, Positive, Probability, Size, defaults_of
+from foundation.settings import Count, Positive, Probability, Size, as_words, defaults_of
 from siamloc.data.pairs import PairSettings
 from siamloc.data.places import PlaceSettings
 from siamloc.errors import ConfigError
@@ -176,7 +176,7 @@ class Train(_Training, DataJob):
             settings=self.training,
         )
         if process_rank() == 0:
-            say(f"next: siamloc map run={run.folder}")
+            say(f"next: siamloc map {as_words({'run': str(run.folder), **self.model.branch.own})}")
         return run
 
 

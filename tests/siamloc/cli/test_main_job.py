@@ -165,6 +165,23 @@ def test_the_command_after_a_map_works_as_printed(run, words, data, tmp_path, ca
     assert measures(tmp_path / "my map/evaluation/hog")["absolute"]["overall"]["queries"] == 48
 
 
+def test_commands_for_a_network_of_ones_own_name_it_as_printed(data, tmp_path, capsys, monkeypatch):
+    code = "from torch import nn\n\n\ndef factory():\n    return nn.Conv2d(3, 8, 4, stride=4)\n"
+    (tmp_path / "siamloc_own_branch.py").write_text(code)
+    monkeypatch.syspath_prepend(tmp_path)
+    own = "model/branch=siamloc_own_branch:factory"
+    command = train(data, tmp_path / "run", "epochs=1", own, "model/head=gem", SECOND)
+    for follows in ("map", "evaluate", None):
+        monkeypatch.delitem(sys.modules, "siamloc_own_branch", raising=False)  # the next command is another process
+        done(*command, *(QUICK if command[0] == "evaluate" else []))
+        if follows:
+            command = shlex.split(capsys.readouterr().out.splitlines()[-1].removeprefix("next: siamloc "))
+            assert command[0] == follows
+            assert own in command
+    done("export", f"run={tmp_path / 'run'}", own)
+    assert f"evaluate run={tmp_path / 'run'} {own} task.error_model=true" in capsys.readouterr().out
+
+
 def test_the_choice_of_map_frames_is_handed_on_and_not_changed_in_silence(run, capsys):
     done("map", f"run={run}", "protocol.map.every=3")
     words = [f"run={run}", SECOND, "task.baselines=[thumbnail]", "task.plots=false", "overwrite=true"]
