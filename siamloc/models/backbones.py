@@ -21,7 +21,7 @@ from siamloc.models.branch import IMAGENET_MEAN, IMAGENET_STD, Branch, channels_
 from siamloc.models.circular import circular as around
 from siamloc.models.hub import timm
 
-_EQUAL = 1e-3  # of the largest feature: rounding, in any order of the sums
+_EQUAL = 1e-5  # of the largest feature: what wraps around differs by rounding, 1e-6 at most
 _AFTER = ("avgpool", "fc", "classifier", "head", "AuxLogits", "aux1", "aux2", "dropout", "flatten")
 
 
@@ -92,13 +92,15 @@ class Backbone(Branch):
             ConfigError: they do not.
         """
         around(self.features)
-        tried = deepcopy(self.features).eval()
+        tried, generator = deepcopy(self.features).eval(), torch.Generator().manual_seed(0)
         for weight in tried.parameters():
             if weight.numel() == max(weight.shape, default=1):  # scales at 0 would hide whole layers
-                nn.init.uniform_(weight, 0.5, 1.5)
+                weight.data.uniform_(0.5, 1.5, generator=generator)
+            elif weight.ndim == 2:  # small random weights would hide by which positions attention differs
+                weight.data.normal_(0, weight.shape[1] ** -0.5, generator=generator)
         columns = self._shapes[-1][2]
         stride = math.ceil(image_size[1] / columns)
-        images = torch.rand(1, 3, image_size[0], stride * columns, generator=torch.Generator().manual_seed(0))
+        images = torch.rand(1, 3, image_size[0], stride * columns, generator=generator)
         try:
             straight, turned = tried(images), tried(images.roll(stride, dims=3))
             wraps = straight.shape[3] > 1 and _close(straight.roll(1, dims=3), turned)
