@@ -21,6 +21,11 @@ DEPENDENCIES = {
     *("exec_depend", "doc_depend", "test_depend", "conflict", "replace", "group_depend", "member_of_group"),
 }
 ONCE, SEVERAL = {"name", "version", "description", "export"}, {"maintainer", "license", "author", "url"}
+ORDER = (
+    *("name", "version", "description", "maintainer", "license", "url", "author"),
+    *("dependencies", "group_depend", "member_of_group", "export"),
+)
+"""The schema of format 3 is a sequence."""
 
 
 @pytest.fixture(scope="module")
@@ -34,6 +39,8 @@ def test_the_manifest_keeps_the_rules_of_format_3(manifest):
     assert set(tags) <= ONCE | SEVERAL | DEPENDENCIES
     assert all(tags.count(tag) == 1 for tag in ONCE)
     assert {"maintainer", "license"} <= set(tags)
+    places = [ORDER.index(tag if tag in ORDER else "dependencies") for tag in tags]
+    assert places == sorted(places)
     assert re.fullmatch(r"[a-z](?:_?[a-z0-9])+", manifest.findtext("name"))
     assert re.fullmatch(r"\d+\.\d+\.\d+", manifest.findtext("version"))
     assert all(re.fullmatch(r"[^@\s]+@[^@\s]+", one.attrib["email"]) for one in manifest.iter("maintainer"))
