@@ -1,11 +1,15 @@
-"""`descriptor=pretrained`: map, evaluation, bundle and localization without any training."""
+"""`descriptor=pretrained` and `descriptor=frozen`: map, evaluation, bundle and localization without any training."""
 
 from __future__ import annotations
 
+import shlex
+
 import numpy as np
 import pytest
+import torch
 
 import siamloc
+from augment.torchvision_compat import ensure_torchvision
 from siamloc.cli.compose import composed
 from siamloc.data import PanoramaLibrary
 from siamloc.maps import VisualMap
@@ -40,6 +44,26 @@ def test_from_a_map_to_a_located_photograph(flat, given, tmp_path, capsys):
     assert f"siamloc evaluate run={tmp_path} descriptor=pretrained task.error_model=true" in said
     done("localize", f"run={tmp_path}", f"images=['{flat.parent / 'first/0000.png'}']")
     assert "heading" in capsys.readouterr().out
+
+
+@pytest.mark.slow
+def test_a_published_network_describes_as_it_is(flat, words, tmp_path, capsys):
+    ensure_torchvision()
+    from torchvision import models
+
+    torch.manual_seed(0)
+    torch.save(models.mobilenet_v3_small().state_dict(), tmp_path / "published.pth")
+    name, run = "descriptor.branch=torchvision/mobilenet_v3_small", tmp_path / "run"
+    frozen = ["descriptor=frozen", name, f"descriptor.weights={tmp_path / 'published.pth'}"]
+    done("map", *words, *frozen, f"run={run}")
+    command = shlex.split(capsys.readouterr().out.splitlines()[-1].removeprefix("next: siamloc "))
+    assert set(frozen) <= set(command)
+    done(*command, "task.baselines=[]", "task.plots=false")
+    assert read_results(run / "evaluation/frozen")["measures"]["absolute"]["overall"]["queries"] == 48
+    done("export", f"run={run}", *frozen)
+    capsys.readouterr()
+    done("localize", f"run={run}", f"images=['{flat.parent / 'first/0000.png'}']")
+    assert "1 of 1 images located" in capsys.readouterr().out
 
 
 def test_python_makes_the_same_map_and_an_ordinary_camera_has_no_heading(flat, given, tmp_path):
