@@ -18,6 +18,9 @@ _QUIET = 0.6  # grey levels; a picture that changes less than this shows a camer
 _CONTRAST = 1.6  # how many times more the scene has to change than what is next to it
 _RIM = 0.4  # share of the directions in which a rim has to be found
 _RISE = 0.3  # least mean rise of the logarithm of the variance at the inner rim
+_EDGED = 0.3  # share of the directions in which a part of the robot may end at the same radius
+_SECOND = 2 / 3  # largest rise at another radius, as a share of that at the inner rim
+_ROUNDING = 1 / 12  # variance of a grey level that is rounded
 _REACH = 8.0  # pixels by which a picture's centre may be off that of the drive
 _GAP = 150.0  # largest angle in degrees without a rim
 
@@ -166,11 +169,14 @@ def _through(points: Array) -> tuple[Array, float]:
 
 
 def inner_rim(moving: Array, centre: Array, outer: float) -> float:
-    """Return the radius of the inner rim: where the change rises in most directions at once."""
+    """Return the radius of the inner rim: where the change rises in most directions at once.
+
+    The directions in which it rises most do not count, as the edge of the robot's deck rises most of all.
+    """
     half, step = 5, 0.5
     radii = np.arange(1.0, 0.6 * outer, step)
     variance = _profiles(moving**2, centre, radii, _SECTORS // 2)
-    log = np.log(variance + 0.01)
+    log = np.log(variance + _ROUNDING)
     wide = round(half / step)
     sums = np.concatenate([np.zeros((len(log), 1)), log.cumsum(axis=1)], axis=1)
     means = (sums[:, wide:] - sums[:, :-wide]) / wide
@@ -181,10 +187,14 @@ def inner_rim(moving: Array, centre: Array, outer: float) -> float:
     level = means.mean(axis=0)
     last = np.array([level[at : at + round(0.1 * outer / step)].min() for at in range(len(level))])
     lasting = last[wide + 2 * gap :] - level[: -wide - 2 * gap]  # the edge of something still is a ridge only
-    score = np.clip(rises, -1, 2).mean(axis=0) * (lasting > _RISE)
+    counted = np.sort(rises, axis=0)[: round((1 - _EDGED) * len(rises))]
+    score = counted.mean(axis=0) * (lasting > _RISE)
     at = int(score.argmax())
     if score[at] < _RISE:
         raise DataError("no inner rim that is sure: nothing round stands still in the middle of the ring")
+    elsewhere = np.delete(score, slice(max(0, at - 2 * wide), at + 2 * wide))
+    if elsewhere.max(initial=0) > _SECOND * score[at]:
+        raise DataError("no inner rim that is sure: two circles are as likely to be it")
     sure = rises[:, at] > _RISE
     at += wide + gap  # the middle between both means
     floor = variance[:, at - wide - gap : at - gap].mean(axis=1)

@@ -22,8 +22,9 @@ from siamloc.errors import ConfigError, DataError
 INNER, OUTER = 22.0, 88.0
 
 
-def drive(count=12, centre=(151.3, 108.6), outer=OUTER, shakes=0.0, scene=1.0, struts=True, size=(220, 300)):
-    """Paint the pictures of a drive, and return them with the centre in each."""
+def drive(count=12, centre=(151.3, 108.6), outer=OUTER, shakes=0.0, scene=1.0, struts=True, size=(220, 300), floor=1.0):
+    """Paint the pictures of a drive, and return them with the centre in each; `floor` is what changes there, up to
+    40 px, as a share of what changes farther out."""
     rng = np.random.default_rng(5)
     y, x = np.mgrid[0 : size[0], 0 : size[1]]
     centres = np.array(centre) + shakes * rng.uniform(-1, 1, (count, 2))
@@ -35,6 +36,9 @@ def drive(count=12, centre=(151.3, 108.6), outer=OUTER, shakes=0.0, scene=1.0, s
             share[(abs(y - cy) < 5) & (x < cx)] = 0
         paint = cv2.GaussianBlur(rng.uniform(0, 255, size).astype(np.float32), (0, 0), 4)
         paint = 120 + scene * 8 * (paint - paint.mean())
+        paint = np.where(radius < 40, 120 + floor * (paint - 120), paint)
+        if floor < 1:  # a corner of the robot's deck
+            share[(abs(np.arctan2(y - cy, x - cx)) < 0.5) & (radius < 35)] = 0
         picture = paint * share + 25 * (1 - share) * (1 + 0.3 * (radius < 9))
         picture = cv2.GaussianBlur(picture, (0, 0), 0.8) * rng.uniform(0.9, 1.1) + rng.normal(0, 2, size)
         pictures.append(picture.clip(0, 255).astype(np.uint8))
@@ -51,6 +55,12 @@ def test_a_ring_off_centre_with_a_strut_is_found():
     assert found.pictures == 12
     assert 0.8 < found.around <= 1
     assert "ring around (151." in found.describe()
+
+
+def test_a_dull_floor_does_not_pass_for_the_middle_of_the_mirror():
+    """The rim has the larger step, and the floor's end shows in more directions."""
+    pictures, _ = drive(floor=0.3)
+    assert abs(find_ring(pictures).ring.inner - INNER) < 1.5
 
 
 def test_files_and_colours_and_large_pictures_give_the_same_ring(tmp_path):
@@ -81,6 +91,7 @@ def test_a_centre_that_shakes_is_measured_in_each_picture():
         (lambda: drive(8, scene=0.0)[0][:1].repeat(8, axis=0), "all alike"),
         (lambda: drive(12, centre=(151.3, 70.0))[0], "the edge of the picture cuts the ring"),
         (lambda: np.random.default_rng(0).integers(0, 255, (9, 120, 160)).astype(np.uint8), "no circle"),
+        (lambda: drive(floor=0.2)[0], "two circles are as likely"),
         (lambda: [*drive(4)[0], np.zeros((50, 60), np.uint8)], "have one size"),
         (lambda: np.zeros((6, 9, 9), np.uint8), "from 40 pixels a side"),
         (lambda: ["nowhere.png"] * 5, "nowhere.png cannot be read"),
