@@ -199,7 +199,7 @@ def inner_rim(moving: Array, centre: Array, outer: float) -> float:
     at += wide + gap  # the middle between both means
     floor = variance[:, at - wide - gap : at - gap].mean(axis=1)
     excess = np.sqrt((variance - floor[:, None]).clip(0))
-    plateau = excess[:, at + wide : at + 2 * wide].mean(axis=1)  # the logarithm rises before the change itself
+    plateau = excess[:, at + 2 * gap : at + 2 * gap + wide].mean(axis=1)  # the logarithm rises before the change itself
     near = slice(at - wide, at + wide + gap)
     shares = excess[sure, near] / plateau[sure, None].clip(1e-6)
     inwards, outwards = np.minimum.accumulate(shares[:, ::-1], axis=1)[:, ::-1], np.maximum.accumulate(shares, axis=1)

@@ -16,6 +16,7 @@ from siamloc.data import (
     find_ring,
     unwrap,
 )
+from siamloc.data.rims import inner_rim
 from siamloc.data.ring import draw_ring, likely_mirror
 from siamloc.errors import ConfigError, DataError
 
@@ -61,6 +62,14 @@ def test_a_dull_floor_does_not_pass_for_the_middle_of_the_mirror():
     """The rim has the larger step, and the floor's end shows in more directions."""
     pictures, _ = drive(floor=0.3)
     assert abs(find_ring(pictures).ring.inner - INNER) < 1.5
+
+
+def test_the_inner_rim_is_where_the_scene_begins_and_not_where_it_changes_most():
+    """Half of the step at the rim counts, although the scene changes four times as much 10 px farther out."""
+    y, x = np.mgrid[0:220, 0:220]
+    beyond = np.hypot(x - 110, y - 110) - 30
+    moving = 0.6 + 10 * (1 + beyond.clip(0, 10) / 3) * np.clip(beyond / 3 + 0.5, 0, 1)
+    assert abs(inner_rim(moving, np.array([110.0, 110.0]), 100.0) - 30) < 1.5
 
 
 def test_files_and_colours_and_large_pictures_give_the_same_ring(tmp_path):
