@@ -180,6 +180,37 @@ def test_a_network_that_always_says_the_same_does_not_pass_for_a_yaw():
     assert found.reasons[0].startswith("how the camera moves in the images does not follow from the poses")
 
 
+def says_more_to_the_left(share):
+    """Return a comparison of a network that takes some of each move for one to the left, whichever way it goes."""
+
+    def says(queries, known):
+        first, second = (one[:, 0, 0].astype(int) for one in (known, queries))
+        pose = relative(np.column_stack([drive().xy, drive().theta]), first, second)
+        pose[:, 1] += share * np.hypot(pose[:, 0], pose[:, 1])
+        return pose, np.tile(np.eye(3) / 0.03**2, (len(pose), 1, 1)), np.ones(len(pose))
+
+    return says
+
+
+def test_a_yaw_on_which_moves_onwards_and_back_disagree_is_unknown():
+    found = estimated(drive(), Mounting(), says=says_more_to_the_left(0.2))
+    assert np.isnan(found.yaw)
+    assert found.mirrored is False, "turns still say which way the columns run"
+    ring = PolarRing(forward=33.33, mirrored=True)
+    assert found.ring(ring) == ring
+    assert np.isfinite(estimated(drive(), Mounting(), says=says_more_to_the_left(0.02)).yaw)
+
+
+def test_a_yaw_that_leaves_much_of_the_moves_unexplained_is_unknown():
+    assert np.isfinite(estimated(drive(), Mounting(30), noise=0.1).yaw)
+    assert np.isnan(estimated(drive(), Mounting(30), noise=0.3).yaw)
+
+
+def test_the_camera_s_offset_does_not_pass_for_a_disagreement():
+    found = estimated(drive(), Mounting(30, ahead=0.6, left=-0.3))
+    assert found.yaw == pytest.approx(30, abs=1)
+
+
 def test_wrong_headings_do_not_pass_for_a_yaw():
     frames = drive()
     found = estimated(frames.with_columns(theta=np.zeros(len(frames))), Mounting())
