@@ -6,7 +6,7 @@ import importlib
 import inspect
 import re
 from collections.abc import Callable, Iterator, Mapping
-from typing import Any
+from typing import Any, get_origin
 
 PACKAGES = ("data", "models", "training", "maps", "evaluation", "runtime", "report", "reproduce", "simulate", "runs")
 _PLAIN: dict[str, tuple[type, ...]] = {
@@ -67,7 +67,7 @@ def public_calls() -> Iterator[tuple[str, Callable[..., Any]]]:
             offered = getattr(module, name)
             if inspect.isfunction(offered):
                 yield f"siamloc.{package}.{name}", offered
-            elif inspect.isclass(offered):
+            elif inspect.isclass(offered) and get_origin(offered) is None:  # dict[str, Any] is a class to Python 3.10
                 for made in ("load", "open"):
                     if inspect.ismethod(getattr(offered, made, None)):
                         yield f"siamloc.{package}.{name}.{made}", getattr(offered, made)

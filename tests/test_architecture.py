@@ -58,6 +58,12 @@ def within(name, package):
     return name == package or name.startswith(f"{package}.")
 
 
+def test_class_variables_have_a_type():
+    """Python 3.10 cannot read the annotations of a class with a plain ClassVar."""
+    texts = {path: (ROOT / path).read_text(encoding="utf-8") for path in MODULES}
+    assert not [str(path) for path, text in texts.items() if re.search(r": ClassVar\b(?!\[)", text)]
+
+
 @pytest.mark.parametrize("path", MODULES, ids=str)
 def test_arrows_between_packages(path):
     module = ".".join(path.with_suffix("").parts)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, ClassVar
@@ -39,7 +40,7 @@ class Expand(DataJob):
         $ siamloc augment expand data=cold data.root=/data/COLD sequences=['*seq2_cloudy3'] depth=16 out=expanded
     """
 
-    MORE: ClassVar = {"out": "???"}
+    MORE: ClassVar[Mapping[str, Any]] = {"out": "???"}
 
     out: Folder
     depth: Depth = 16
@@ -82,7 +83,7 @@ class Preview(DataJob):
         $ siamloc augment preview out=augmentation.png
     """
 
-    MORE: ClassVar = {"data": {"manifest": None}}
+    MORE: ClassVar[Mapping[str, Any]] = {"data": {"manifest": None}}
 
     out: Picture = "augmentation.png"
     images: tuple[Text, ...] | Text | None = ()

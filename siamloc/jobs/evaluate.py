@@ -86,7 +86,7 @@ class Evaluate(RunJob):
         $ siamloc evaluate run=runs/vgg16 protocol.query.sequences=['*cloudy2','*night2','*sunny2']
     """
 
-    GROUPS: ClassVar = {**RunJob.GROUPS, "task": "localization"}
+    GROUPS: ClassVar[Mapping[str, str]] = {**RunJob.GROUPS, "task": "localization"}
 
     task: Task
     out: Text | None = None

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar, Literal
@@ -42,7 +43,7 @@ class Export(RunJob):
         $ siamloc export run=runs/vgg16
     """
 
-    GROUPS: ClassVar = {**RunJob.GROUPS, "task": "localization"}
+    GROUPS: ClassVar[Mapping[str, str]] = {**RunJob.GROUPS, "task": "localization"}
 
     task: Task
     bundle: Folder | None = None

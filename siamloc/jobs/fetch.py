@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shlex
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import ClassVar, Literal
 
@@ -35,7 +36,7 @@ class Fetch(Job):
         $ siamloc fetch cold protocol=freiburg out=data/COLD
     """
 
-    GROUPS: ClassVar = {"protocol": "by_sequence"}
+    GROUPS: ClassVar[Mapping[str, str]] = {"protocol": "by_sequence"}
     ALONE = "kind"
 
     kind: Literal["cold"] = "cold"

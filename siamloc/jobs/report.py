@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, ClassVar
@@ -77,7 +77,7 @@ class Compare(Job):
         $ siamloc compare runs=runs/sweep by=error out=sweep.csv
     """
 
-    MORE: ClassVar = {"runs": "???"}
+    MORE: ClassVar[Mapping[str, Any]] = {"runs": "???"}
 
     runs: Several | Text
     by: Text | None = None

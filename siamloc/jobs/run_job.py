@@ -44,7 +44,7 @@ class DataJob(Job):
         protocol: which frames have which role, such as map, queries or training, by sequence, lighting or room.
     """
 
-    GROUPS: ClassVar = {"unwrap": "none", "protocol": "by_sequence", "data": "manifest"}
+    GROUPS: ClassVar[Mapping[str, str]] = {"unwrap": "none", "protocol": "by_sequence", "data": "manifest"}
 
     data: DataSettings
     unwrap: Mapping[str, Any]
@@ -102,7 +102,7 @@ class RunJob(DataJob):
         seed: seed of all random draws.
     """
 
-    GROUPS: ClassVar = {
+    GROUPS: ClassVar[Mapping[str, str]] = {
         **DataJob.GROUPS,
         **OF_NETWORKS,
         **{"descriptor": "network", "heading": "none", "build": "none"},

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import ClassVar
+from typing import Any, ClassVar
 
 from siamloc.data import read
 from siamloc.data.protocol import Protocol
@@ -38,7 +39,7 @@ class SurveyDrives(DataJob):
         $ siamloc survey data.manifest=monday.csv out=monday
     """
 
-    MORE: ClassVar = {"data": {"image_size": list(PRETRAINED_SIZE)}}
+    MORE: ClassVar[Mapping[str, Any]] = {"data": {"image_size": list(PRETRAINED_SIZE)}}
 
     network: str = "pretrained"
     anchors: Path | None = None

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, ClassVar
@@ -141,13 +142,13 @@ class Train(_Training, DataJob):
         $ siamloc train experiment=modern data=cold data.root=/data/COLD protocol=freiburg run=runs/freiburg
     """
 
-    GROUPS: ClassVar = {
+    GROUPS: ClassVar[Mapping[str, str]] = {
         **DataJob.GROUPS,
         **{"pairs": "default", "loss": "contrastive", "augment": "none"},
         **OF_NETWORKS,
         "optimizer": "sgd",
     }
-    MORE: ClassVar = {"augment": {"where": "auto"}}
+    MORE: ClassVar[Mapping[str, Any]] = {"augment": {"where": "auto"}}
     SHARED = True
 
     def run(self, say: Say = quiet) -> Run:
@@ -200,12 +201,12 @@ class Pretrain(_Training):
         $ siamloc pretrain run=runs/pretrained
     """
 
-    GROUPS: ClassVar = {
+    GROUPS: ClassVar[Mapping[str, str]] = {
         **dict.fromkeys(("pairs", "loss", "augment", "optimizer"), "pretraining"),
         "model/branch": RECIPE.model["branch"],
         "model/head": RECIPE.model["head"],
     }
-    MORE: ClassVar = {
+    MORE: ClassVar[Mapping[str, Any]] = {
         "augment": {"where": "auto"},
         "trainer": RECIPE.trainer,
         "model": {key: RECIPE.model[key] for key in ("circular", "normalize", "canonical", "relative", "colours")},

@@ -35,8 +35,8 @@ class Walk(WalkSettings, Job):
         $ siamloc walk monday.mp4 out=robot
     """
 
-    GROUPS: ClassVar = {"unwrap": "auto"}
-    MORE: ClassVar = {"file": "???"}
+    GROUPS: ClassVar[Mapping[str, str]] = {"unwrap": "auto"}
+    MORE: ClassVar[Mapping[str, Any]] = {"file": "???"}
     ALONE = "file"
 
     file: Path
