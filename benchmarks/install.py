@@ -29,7 +29,10 @@ from benchmarks.report import Report, parser
 from foundation.settings import shortened
 
 ROOT = Path(__file__).parents[1]
-EXTRAS = ("base", "robot", "robot-gpu", "robot-openvino", "live", "train", "simulate", "docs", "all")
+EXTRAS = (
+    *("base", "robot", "robot-gpu", "robot-openvino", "live", "train", "simulate", "sweeps", "recordings"),
+    *("timm", "wandb", "mlflow", "all", "docs", "notebooks"),
+)
 STARTS = 5
 
 
