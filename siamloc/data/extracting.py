@@ -265,16 +265,20 @@ def _write_images(
 ) -> tuple[list[str], NDArray[np.float64]]:
     """Write every k-th image, at most as many as the rate says; return the files and their times in s.
 
-    With a rate, images that were recorded after later ones are left out, which is reported.
+    Images with the time of another one, and with a rate those that were recorded after later ones, are left out, which
+    is reported.
     """
     found: dict[int, str] = {}
-    late: list[str] = []
+    late, same = list[str](), list[str]()
     apart = None if settings.rate is None else round(1e9 / settings.rate)
     due, last = 0.0, 0
     count = recording.topics.get(topic, ("", 0))[1]
     messages = track(recording.images(topic, settings.clock), count, f"extracting {recording.path.name}")
     for number, (time, image, ending) in enumerate(messages):
-        if number % settings.every or time in found:
+        if number % settings.every:
+            continue
+        if time in found:
+            same.append(f"{time / 1e9:.3f} s")
             continue
         if apart is not None:
             if found and time < due - apart / 4:  # pictures come a little early or late
@@ -294,6 +298,8 @@ def _write_images(
         raise DataError(f"{recording.path}: {topic} holds no images")
     what = f"images of {recording.path} were recorded after later ones, which a rate leaves out"
     leave_out(late, number + 1, what, settings.on_error)
+    remedy = "" if settings.clock == "bag" else " (clock=bag takes the times at which they were recorded)"
+    leave_out(same, number + 1, f"images of {recording.path} have the time of another one{remedy}", settings.on_error)
     order = sorted(found)
     return [found[time] for time in order], np.array(order, dtype=np.int64) / 1e9
 

@@ -255,7 +255,7 @@ def estimate(
     unsure = np.hypot(yaw_off, _disagreement(_without(moved, whole[1:]), seen, weight, second > first))
     mixed = max(share, 1 - share) < _AGREE
     if left_over > _FITS or np.degrees(unsure) > _STATED or mixed:
-        check = "does not follow from the poses: check them, and the headings"
+        check = "does not follow from the poses: check them, and the headings, or give frames that are closer together"
         reason = f"how the camera moves in the images {check if posed else 'is not ahead, in one direction'}"
         return MountingEstimate(mirrored=None if mixed else mirrored, pairs=len(first), reasons=(reason,))
     return MountingEstimate(
