@@ -284,8 +284,8 @@ def _check_words(words: list[str]) -> None:
         except (HydraException, ValueError) as error:
             key, shown = word.partition("=")[0], shortened(repr(word))
             raise ConfigError(
-                f"the value of {shown} cannot be read: put texts with spaces, brackets or other symbols in quotes, "
-                f"such as \"{key}='a (1)'\" or \"{key}=['a (1)','b']\""
+                f"the value of {shown} cannot be read: put texts with spaces, brackets, letters such as ö or other "
+                f"symbols in quotes, such as \"{key}='a (1)'\" or \"{key}=['a (1)','b']\""
             ) from error
 
 

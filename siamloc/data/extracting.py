@@ -298,7 +298,8 @@ def _write_images(
         raise DataError(f"{recording.path}: {topic} holds no images")
     what = f"images of {recording.path} were recorded after later ones, which a rate leaves out"
     leave_out(late, number + 1, what, settings.on_error)
-    remedy = "" if settings.clock == "bag" else " (clock=bag takes the times at which they were recorded)"
+    stamped = isinstance(recording, Bag) and settings.clock == "stamp"
+    remedy = " (clock=bag takes the times at which they were recorded)" if stamped else ""
     leave_out(same, number + 1, f"images of {recording.path} have the time of another one{remedy}", settings.on_error)
     order = sorted(found)
     return [found[time] for time in order], np.array(order, dtype=np.int64) / 1e9

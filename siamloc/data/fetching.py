@@ -289,7 +289,7 @@ def _unpack(archive: Path, folder: Path, name: str) -> None:
                     if not (scratch / member.name).resolve().is_relative_to(scratch.resolve()):
                         raise DataError(f"{name} holds {member.name}, which lies outside of its own folder: not used")
                 for member in track(members, len(members), f"unpacking {folder.name}"):
-                    tar.extract(member, scratch)
+                    tar.extract(member, scratch, set_attrs=False)
         except (tarfile.TarError, EOFError) as error:
             raise DataError(f"{name} is not a whole tar archive ({error}): fetch it again") from error
         sequence = _checked(scratch, name)

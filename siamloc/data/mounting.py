@@ -104,6 +104,8 @@ class GivenMounting(Settings):
     def known(self) -> Mounting | None:
         """The mounting, straight where nothing else is said; None if nothing is said at all."""
         said = {key: value for key, value in self.plain().items() if value is not None}
+        if self.yaw is not None:
+            said["yaw"] = (self.yaw + 180) % 360 - 180
         return Mounting.of(said) if said else None
 
 
@@ -147,7 +149,7 @@ class MountingEstimate:
     def mounting(self) -> Mounting:
         """The mounting to correct for: nothing of what is unknown or uncertain, and no yaw too small to matter."""
         if not self.yaw_deviation <= CERTAIN:
-            return Mounting()
+            return Mounting(mirrored=bool(self.mirrored))
         yaw = self.yaw if abs(self.yaw) > max(STRAIGHT, 2 * self.yaw_deviation) else 0.0
         apart = np.hypot(*self.offset) > max(NEAR, 3 * max(self.offset_deviation))
         ahead, left = self.offset if apart else (0.0, 0.0)

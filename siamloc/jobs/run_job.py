@@ -53,8 +53,8 @@ class DataJob(Job):
     def __post_init__(self) -> None:
         super().__post_init__()
         Preprocessing.checked(self.data.image_size, self.unwrap)
-        if self.data.where.get("camera") == "std_cam" and self.unwrap.get("kind") == "cold":
-            raise ConfigError("the pictures of COLD's std_cam show no ring: add unwrap=none data.circular=false")
+        if self.data.where.get("camera") == "std_cam" and (self.unwrap.get("kind") == "cold" or self.data.circular):
+            raise ConfigError("the pictures of COLD's std_cam show no full turn: set unwrap=none data.circular=false")
 
     @property
     def preprocessing(self) -> Preprocessing:

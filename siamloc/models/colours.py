@@ -64,6 +64,6 @@ def _bins(share: Tensor, count: int) -> Tensor:
 def _counts(bins: Tensor, count: int) -> Tensor:
     """Return how many pixels (B, bands, pixels) are in each bin (B, bands, count): sums of ones, exact in any order."""
     bands = torch.arange(bins.shape[0] * BANDS, device=bins.device)[:, None]
-    rows = bins.long().flatten(0, 1) + count * bands  # of one long histogram
-    empty = torch.zeros(bins.shape[0] * BANDS * count, device=bins.device)
+    rows = bins.long().clamp(0, count - 1).flatten(0, 1) + count * bands  # of one long histogram
+    empty = bins.new_zeros(bins.shape[0] * BANDS * count)
     return empty.scatter_add(0, rows.flatten(), torch.ones_like(bins).flatten()).view(-1, BANDS, count)

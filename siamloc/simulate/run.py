@@ -30,7 +30,7 @@ _START = {"cloudy": 11.0, "night": 22.0, "sunny": 10.0}
 _EPOCH = 1152860400.0
 _DAYS = 30  # of a month
 _KEEP_OFF = 0.42
-_HALF_ROBOT = 0.2  # metres
+_HALF_ROBOT, _CAMERA = 0.2, 0.12  # metres
 _WIDER = (105.0, 120.0, 135.0, 150.0, 165.0, 175.0)  # degrees of a door that would be in the robot's way
 _APART = 0.6  # metres between people
 _LAMP = {"panel": 30.0, "tube": 42.0, "round": 48.0}
@@ -252,15 +252,16 @@ def _lamp_light(room: Room, level: float, warmth: float) -> Colour:
 def _door_angles(building: Building, track: Track, rng: Rng) -> dict[int, float]:
     """Return by how many degrees each door is open: where the robot passes, so wide that the leaf is out of its way."""
     angles = {}
-    points = track.poses[:, :2]
+    points, things = track.poses[:, :2], obstacles(building)[0]
 
     def room(opening: Opening, angle: float) -> float:
         return float(clearance(points, leaf_segment(building, opening, angle)[None]).min())
 
-    def out_of_the_way(opening: Opening, angle: float) -> tuple[float, bool]:
-        things = [item.edges() for item in building.items if item.room == opening.into and KINDS[item.kind].blocks]
-        leaf = leaf_segment(building, opening, angle)[None]
-        return min(room(opening, angle), _HALF_ROBOT), not any(crossings(leaf, edges).any() for edges in things)
+    def out_of_the_way(opening: Opening, angle: float) -> tuple[bool, bool, float]:
+        hinge, tip = leaf_segment(building, opening, angle)
+        leaf = np.array([[hinge + 0.05 * (tip - hinge), tip]])  # without its end at the wall
+        free = room(opening, angle)
+        return free > _CAMERA, not crossings(leaf, things).any(), min(free, _HALF_ROBOT)
 
     for index, opening in enumerate(building.openings):
         if opening.kind not in ("leaf", "glass"):

@@ -60,7 +60,7 @@ def test_damaged_files_are_told_in_a_sentence():
             "mounting must be a group with the keys yaw, mirr",
         ),
         ("map data=folder data.root=x descriptor=hog mounting.yaw=left", "mounting.yaw must be a number, or null, got"),
-        ("prepare data=cold data.root=x data.camera=std_cam", "show no ring: add unwrap=none data.circular=false"),
+        ("prepare data=cold data.root=x data.camera=std_cam", "show no full turn: set unwrap=none data.circular=false"),
         ("evaluate heading=wisurf", "unknown option heading=wisurf"),
         ("evaluate task.baselines=[hug]", "did you mean 'hog'"),
         ("evaluate task=absolute task.names=[absolut]", "unknown task 'absolut': did you mean 'absolute'"),

@@ -423,9 +423,7 @@ def test_pictures_that_were_recorded_out_of_order_are_taken_without_a_rate_and_r
     frames = siamloc.data.extract(tmp_path / "monday.avi", tmp_path / "out")
     assert frames.time.tolist() == [1, 2, 3]
     (said,) = caplog.records
-    assert re.search(
-        r"1 of 4 images of .* the time of another one \(clock=bag takes .*the first: 1\.000 s", said.getMessage()
-    )
+    assert re.search(r"1 of 4 images of .* the time of another one, the first: 1\.000 s", said.getMessage())
     frames = siamloc.data.extract(tmp_path / "monday.avi", tmp_path / "fewer", rate=1.0)
     assert frames.time.tolist() == [2, 3]
     assert re.search(r"2 of 4 images of .* after later ones, which a rate leaves out, the first: 1\.000 s", caplog.text)

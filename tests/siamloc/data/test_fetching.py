@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import hashlib
 import io
+import sys
 import tarfile
 import threading
 import time
@@ -181,10 +182,11 @@ def test_a_bad_archive_is_refused_and_leaves_nothing(server, tmp_path, says):
     assert server.fetch(out).there == {NAME: 3}
 
 
+@pytest.mark.skipif(sys.version_info >= (3, 14), reason="which extracts by a filter of its own")
 @pytest.mark.filterwarnings("ignore:Python 3.14 will:DeprecationWarning")
 def test_archives_are_checked_by_an_older_python_too(server, tmp_path, monkeypatch):
     for name in ("data_filter", "FilterError"):
-        monkeypatch.delattr(tarfile, name)
+        monkeypatch.delattr(tarfile, name, raising=False)
     for outside in ("../evil", "/evil"):
         server.files[PATH] = tar(further=[tarfile.TarInfo(outside)])
         with pytest.raises(DataError, match=f"holds {outside}, which lies outside of its own folder"):

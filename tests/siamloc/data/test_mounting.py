@@ -17,7 +17,7 @@ from siamloc.data import (
     unwrap,
 )
 from siamloc.data.drive_pairs import near_pairs, travel
-from siamloc.data.mounting import estimate
+from siamloc.data.mounting import GivenMounting, estimate
 from siamloc.data.moves import relative, wrapped
 from siamloc.errors import ConfigError
 
@@ -266,3 +266,9 @@ def test_a_few_images_next_to_each_other_do_not_pass_for_a_drive():
     found = estimated(few, Mounting(yaw=30))
     assert np.isnan(found.yaw)
     assert found.reasons
+
+
+def test_mirrored_panoramas_are_flipped_even_if_the_yaw_is_unknown():
+    assert MountingEstimate(mirrored=True, pairs=20).mounting == Mounting(mirrored=True)
+    assert MountingEstimate(pairs=20).mounting == Mounting()
+    assert GivenMounting(yaw=270).known == GivenMounting(yaw=-90).known == Mounting(-90)

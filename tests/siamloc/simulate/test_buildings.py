@@ -17,7 +17,7 @@ from siamloc.simulate.furnishing import USES, Room, Use, furnish
 from siamloc.simulate.items import KINDS
 from siamloc.simulate.layout import SIDES, Building
 from siamloc.simulate.parse import parse_building
-from siamloc.simulate.plan import clearance, obstacles, room_at
+from siamloc.simulate.plan import clearance, crossings, obstacles, room_at
 from siamloc.simulate.route import FreeSpace
 from siamloc.simulate.run import draw_run
 from siamloc.simulate.shell import leaf_segment
@@ -39,6 +39,9 @@ def test_the_robot_visits_every_room_and_touches_nothing(seed: int) -> None:
     leaves = [leaf_segment(building, building.openings[number], angle) for number, angle in doors]
     assert clearance(poses[:, :2], segments).min() > 0.2, "a robot is half a metre wide"
     assert clearance(poses[:, :2], np.stack(leaves)).min() > 0.15, "its camera does not look into the wood of a door"
+    inside = [[hinge + 0.05 * (tip - hinge), tip] for hinge, tip in leaves]  # without its end at the wall
+    through = crossings(np.array(inside), obstacles(building, [])[0]).any(axis=1)
+    assert through.sum() <= 2, "a door goes through a wall only where every other angle is in the way of the camera"
 
 
 def test_a_seed_is_a_building_and_another_seed_another_one() -> None:
