@@ -88,7 +88,7 @@ class Experiment(Settings):
     def jobs(self, scale: str) -> list[Job]:
         """Return one job per combination of the varied settings; `scale` is "smoke", "short" or "full"."""
         protocol = contents("study_book")["protocols"][self.protocol]
-        axes = {name: _resolved(axis["to"], scale) for name, axis in self.over.items()}
+        axes = {name: _resolved(varied["to"], scale) for name, varied in self.over.items()}
         numeric = {name: values for name, values in axes.items() if all(type(one) in (int, float) for one in values)}
         ends = {name: min if axis(name).get("largest") == "min" else max for name in numeric}
         largest = {name: ends[name](values) for name, values in numeric.items()}
