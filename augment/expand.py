@@ -145,7 +145,7 @@ def headings(frames: int, depth: int, seed: int, size: tuple[int, int], circular
     out = np.zeros((frames, depth))
     for variant in variants(depth, circular) if circular and frames else []:
         if any(effect.name == "rotate" for effect in variant.policy.effects):
-            out[:, variant.number] = variant.parameters(seed, range(frames), size)["heading"]
+            out[:, variant.number] = variant.parameters(seed, range(frames), size)["heading"].numpy()
     return out
 
 
