@@ -27,8 +27,8 @@ import siamloc
 from benchmarks.building import LIGHTINGS, TRAIN, VALIDATION, Building, located, report_name
 from benchmarks.recipes import MOST_EXCESS, MOST_MEAN, MOST_P95, table
 from benchmarks.report import Report, hardware, parser
+from benchmarks.survey import drawn, surveyed
 from siamloc.data import FrameTable
-from siamloc.simulate.odometry import odometry
 
 RECIPE = siamloc.training.recipe("fine_tuning")
 SURVEYED = "one cloudy drive, surveyed"
@@ -66,7 +66,7 @@ def trained(building: Building, name: str, seed: int) -> dict[str, Any]:
     """Train a network, and return its errors on the queries and the seconds its training took."""
     train, validation = (building.drives(drives) for drives in DRIVES[name])
     if name == SURVEYED:
-        train, validation = surveyed(building, [train, validation], seed)
+        train, validation = with_surveyed_poses(building, [train, validation], seed)
     begin = time.monotonic()
     network = RECIPE.build(seed=seed, relative=False)  # without headings
     with tempfile.TemporaryDirectory() as folder:
@@ -77,11 +77,10 @@ def trained(building: Building, name: str, seed: int) -> dict[str, Any]:
     return {**found, "seconds": seconds}
 
 
-def surveyed(building: Building, drives: list[FrameTable], seed: int) -> list[FrameTable]:
+def with_surveyed_poses(building: Building, drives: list[FrameTable], seed: int) -> list[FrameTable]:
     """Return drives with surveyed poses in place of their own."""
-    wheels = [odometry(np.column_stack([one.xy, one.theta]), np.random.default_rng([seed, 9])) for one in drives]
-    unknown = siamloc.data.concatenate([FrameTable(path=one.path, sequence=one.sequence) for one in drives])
-    found = siamloc.maps.survey("pretrained", building.images, unknown, odometry=np.concatenate(wheels))
+    wheels = np.concatenate([drawn(one, [seed, 9]) for one in drives])
+    found = surveyed(building.images, siamloc.data.concatenate(drives), wheels)
     return [found.frames.select(sequence=list(one.rows_by("sequence"))) for one in drives]
 
 

@@ -70,7 +70,7 @@ def measured(data: Path, seeds: int) -> tuple[str, dict[str, Any]]:
     with_odometry: dict[str, list[dict[str, float]]] = {light: [] for light in drives}
     together, costs = list[dict[str, float]](), list[dict[str, Any]]()
     for seed in range(seeds):
-        wheels = {light: _drawn(drive, seed) for light, drive in drives.items()}
+        wheels = {light: drawn(drive, seed) for light, drive in drives.items()}
         for light, drive in drives.items():
             found = surveyed(images, drive, wheels[light])
             with_odometry[light].append(figures(found, drive, wheels[light]))
@@ -187,7 +187,8 @@ def _last(frames: FrameTable, *patterns: str) -> FrameTable:
     return some.select(sequence=sorted(set(some.sequence.tolist()))[-1])
 
 
-def _drawn(drive: FrameTable, seed: int) -> NDArray[np.float64]:
+def drawn(drive: FrameTable, seed: int | Sequence[int]) -> NDArray[np.float64]:
+    """Draw what the wheels report along a drive (n, 3), by a seed."""
     return odometry(np.column_stack([drive.xy, drive.theta]), np.random.default_rng(seed))
 
 

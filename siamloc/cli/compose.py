@@ -50,9 +50,7 @@ def run(command: str, words: list[str]) -> None:
         ConfigError: an unknown key, group option or value, with the nearest valid one.
     """
     kind = job_of(command)
-    words = list(map(_with_quotes, words))
-    _check_words(words)
-    given = words = [_as_meant(word, kind) for word in words]
+    given = words = _meant(words, kind)
     words = _sweep(command, words) if {"-m", "--multirun"} & set(words) else words
     words = _flags_first([*_HYDRA, *words])
     import hydra
@@ -95,9 +93,7 @@ def composed(command: str, words: list[str]) -> Job:
     kind = job_of(command)
     if not kind.BY_HYDRA:
         return kind.of(values_of(words, kind))
-    words = list(map(_with_quotes, words))
-    _check_words(words)
-    words = [_as_meant(word, kind) for word in words]
+    words = _meant(words, kind)
     try:
         return _made(kind, compose_values(kind, words), words)
     except Exception as error:
@@ -287,6 +283,13 @@ def _check_words(words: list[str]) -> None:
                 f"the value of {shown} cannot be read: put texts with spaces, brackets, letters such as ö or other "
                 f"symbols in quotes, such as \"{key}='a (1)'\" or \"{key}=['a (1)','b']\""
             ) from error
+
+
+def _meant(words: list[str], kind: type[Job]) -> list[str]:
+    """Return the words as Hydra is to read them, after checking them."""
+    words = list(map(_with_quotes, words))
+    _check_words(words)
+    return [_as_meant(word, kind) for word in words]
 
 
 def _with_quotes(word: str) -> str:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import struct
 import sys
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, cast
@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from foundation.files import plain
-from foundation.settings import Size, as_words, checked
+from foundation.settings import Size, as_words, checked, leaves
 from siamloc.data.cameras import CAMERAS
 from siamloc.data.panorama import OmnidirectionalCamera, PanoramaView, PolarRing, unwrap
 from siamloc.errors import ConfigError, DataError, hint
@@ -118,7 +118,12 @@ class Preprocessing:
     def words(self) -> str:
         """Return the camera as words of the command line, such as "unwrap=polar unwrap.inner=60"."""
         given = self.unwrap_settings()
-        return as_words({"unwrap": given.pop("kind"), **dict(_dotted(given, "unwrap"))})
+        return as_words(
+            {
+                "unwrap": given.pop("kind"),
+                **{key: value for key, value in leaves(given, "unwrap.") if value is not None},
+            }
+        )
 
     def panorama(
         self, path: str | Path, tilt: NDArray[np.float64] | Sequence[float] | None = None
@@ -193,15 +198,6 @@ class Preprocessing:
 def _name(kind: type) -> str:
     """Return the name of a camera class in files: of one's own, with its module."""
     return kind.__name__ if kind in CAMERAS.values() else f"{kind.__module__}:{kind.__qualname__}"
-
-
-def _dotted(values: Mapping[str, Any], key: str) -> Iterator[tuple[str, Any]]:
-    """Yield the values that are given, also those inside of others, by keys such as "unwrap.front.fov"."""
-    for name, value in values.items():
-        if isinstance(value, Mapping):
-            yield from _dotted(value, f"{key}.{name}")
-        elif value is not None:
-            yield f"{key}.{name}", value
 
 
 def _plain(camera: Any) -> dict[str, Any]:

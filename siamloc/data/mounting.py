@@ -254,7 +254,9 @@ def estimate(
     apart = others - whole
     apart[:, 0] = wrapped(apart[:, 0])
     yaw_off, *off = np.sqrt((len(others) - 1) / len(others) * (apart**2).sum(axis=0)).tolist()
-    unsure = np.hypot(yaw_off, _disagreement(_without(moved, whole[1:]), seen, weight, second > first))
+    camera = moved.copy()  # the moves of the camera, whose offset from the robot's centre is known by now
+    camera[:, :2] += Mounting(ahead=whole[1], left=whole[2]).offset(moved[:, 2]) - whole[1:]
+    unsure = np.hypot(yaw_off, _disagreement(camera, seen, weight, second > first))
     mixed = max(share, 1 - share) < _AGREE
     if left_over > _FITS or np.degrees(unsure) > _STATED or mixed:
         check = "does not follow from the poses: check them, and the headings, or give frames that are closer together"
@@ -284,12 +286,6 @@ def _agreeing(turned: Array, seen: Array) -> float:
     common = np.abs(wrapped(seen + turned)) - np.abs(wrapped(seen - turned))  # 2 min(|seen|, |turned|), or minus that
     whole = float(np.abs(common).mean())
     return np.nan if whole / 2 < _TURNED else float((1 + common.mean() / whole) / 2)
-
-
-def _without(moved: Array, offset: Array) -> Array:
-    """Return the moves (p, 3) that a camera makes whose offset (2,) from the robot's centre is known."""
-    (x, y), cosine, sine = offset, np.cos(moved[:, 2]) - 1, np.sin(moved[:, 2])
-    return moved + np.column_stack([cosine * x - sine * y, sine * x + cosine * y, np.zeros(len(moved))])
 
 
 def _disagreement(moved: Array, seen: Array, weight: Array, onwards: NDArray[np.bool_]) -> float:

@@ -55,7 +55,7 @@ def other_unit(trajectory: Trajectory) -> str | None:
 
 def other_frame(trajectory: Trajectory, axes: Axes = "robot") -> str | None:
     """Look for the axes of another frame, of whose direction ahead the robot makes upwards: it then rises or sinks."""
-    up = int(np.abs(turned(trajectory.quaternion, AXES[axes][1]).mean(axis=0)).argmax())
+    up, _ = _upwards(trajectory.quaternion, axes)
     size = np.ptp(trajectory.position, axis=0)
     height, wide = float(size[up]), float(np.delete(size, up).max())
     if height < max(1.0, wide):
@@ -69,9 +69,15 @@ def other_frame(trajectory: Trajectory, axes: Axes = "robot") -> str | None:
 
 def _upright(quaternion: Array, axes: Axes) -> float:
     """Return how upright the frame is on average, from -1, on its head, to 1; y points down in a camera's world."""
+    vertical, mean = _upwards(quaternion, axes)
+    return mean * (-1 if axes == "camera" and vertical == 1 else 1)
+
+
+def _upwards(quaternion: Array, axes: Axes) -> tuple[int, float]:
+    """Return the axis of the world along which the frame's direction upwards lies most, and its mean share of that."""
     mean = turned(quaternion, AXES[axes][1]).mean(axis=0)
     vertical = int(np.abs(mean).argmax())
-    return float(mean[vertical]) * (-1 if axes == "camera" and vertical == 1 else 1)
+    return vertical, float(mean[vertical])
 
 
 def _forward(trajectory: Trajectory, quaternion: Array, axes: Axes) -> float:

@@ -99,17 +99,18 @@ def test_frames_that_are_nearest_without_colours_are_compared_too():
     assert sorted(match(known.take([0, 1, 2]), query, 5).indices[0].tolist()) == [0, 1, 2]
 
 
+def coloured(colours):
+    """Return a map whose frames have colours, by a network that does not compare."""
+    plain = map_of(np.zeros(FRAMES))
+    descriptors = np.concatenate([plain.descriptors, colours], axis=1)
+    return replace(plain, descriptors=descriptors, identity={"colours": True}, describes=None)
+
+
 def test_without_a_comparison_colours_count_in_the_light_of_the_map_alone():
     """The query is at frame 1 by what is learned, and at frame 9 by colours, which are those of the map or all far."""
     colours = np.zeros((FRAMES, COLOURS))
     colours[:, 0] = 0.1 * np.arange(FRAMES)
-    plain = map_of(np.zeros(FRAMES))
-    known = replace(
-        plain,
-        descriptors=np.concatenate([plain.descriptors, colours], axis=1),
-        identity={"colours": True},
-        describes=None,
-    )
+    known = coloured(colours)
     assert known.colour_spacing == pytest.approx(0.1)
     for height, weight in ((0.0, 1.0), (0.3, np.exp(-4 * (3 - 2)))):  # of the query's colours above the map's
         query = np.zeros((1, 1 + COLOURS))
@@ -133,13 +134,7 @@ def test_colours_of_frames_that_may_not_be_found_are_not_in_the_light_of_the_map
     colours = np.zeros((FRAMES, COLOURS))
     colours[:, 0] = 0.1 * np.arange(FRAMES)
     colours[0, 1] = 1.0
-    plain = map_of(np.zeros(FRAMES))
-    known = replace(
-        plain,
-        descriptors=np.concatenate([plain.descriptors, colours], axis=1),
-        identity={"colours": True},
-        describes=None,
-    )
+    known = coloured(colours)
     query = Description(np.concatenate([[0.42], colours[0]])[None])
     excluded = np.arange(FRAMES)[None] == 0
     shape = np.where(excluded[0], np.inf, np.abs(np.arange(FRAMES) / 20 - 0.42))
