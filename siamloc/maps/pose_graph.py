@@ -25,9 +25,9 @@ SHARED = 25.0
 """How many comparisons make the same errors: their information counts divided by this."""
 SCALE, WHEEL_SCALE = 0.15, 0.03  # standard deviations of the logarithms of the scales
 GYRO_BIAS = np.radians(1.0)  # standard deviation, rad per unit of distance
+SMALL = 1e-4  # m or rad: a solution that moves by less has converged
 _FIXED = 1e8  # information of a pose that is given
-_SMALL = 1e-5  # m or rad: a solution that moves by less has converged
-_AT_ONCE = 1 << 21  # values of a third of the columns of the inverse
+_AT_ONCE = 1 << 18  # values of a third of the columns of the inverse
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,11 +94,20 @@ class Solution:
     cost: float
 
 
-def solve(graph: PoseGraph, start: Array, freedom: float = FREEDOM, rounds: int = 60) -> Solution:
-    """Return the most likely poses, beginning at start poses (n, 3); those of fixed frames are kept.
+def solve(
+    graph: PoseGraph, start: Array | Solution, freedom: float = FREEDOM, enough: float = SMALL, rounds: int = 60
+) -> Solution:
+    """Return the most likely poses, beginning at start poses; those of fixed frames are kept.
 
     With many degrees of freedom, errors have nearly a normal distribution: no measurement is weighted down, so that
     even a start that is far off is pulled to where all of them agree.
+
+    Args:
+        graph: what was measured.
+        start: poses to begin at (n, 3), or the solution of nearly the same graph.
+        freedom: degrees of freedom of the errors.
+        enough: a solution whose poses move by less, in the unit of the positions or rad, has converged.
+        rounds: steps at most.
 
     Example:
         >>> one_metre, sure = np.tile([1.0, 0.0, 0.0], (2, 1)), np.tile(np.eye(3), (2, 1, 1))
@@ -107,19 +116,19 @@ def solve(graph: PoseGraph, start: Array, freedom: float = FREEDOM, rounds: int 
         >>> solve(graph, np.array([[0.0, 0, 0], [0, 0, 0], [2.2, 0, 0]])).poses.round(3).tolist()
         [[0.0, 0.0, 0.0], [1.1, 0.0, 0.0], [2.2, 0.0, 0.0]]
     """
-    state = _State.of(graph, start)
-    damping, system = 1e-4, _System(graph, state, freedom)
+    state, damping = (_State.at(start), 1e-9) if isinstance(start, Solution) else (_State.of(graph, start), 1e-4)
+    system, held = _System(graph, state, freedom), state.poses[graph.held]
     for _ in range(rounds):
         step = system.step(damping)
         moved = state.moved(step)
         tried = _System(graph, moved, freedom)
         if tried.cost <= system.cost:
             state, system, damping = moved, tried, max(damping / 10, 1e-9)
-            if np.abs(step[: 3 * len(graph)]).max() < _SMALL:
+            if np.abs(step[: 3 * len(graph)]).max() < enough:
                 break
         elif (damping := damping * 10) > 1e6:
             break
-    state.poses[graph.held] = start[graph.held]
+    state.poses[graph.held] = held
     scales = float(np.exp(state.scale)), np.exp(state.wheel_scale), state.gyro_bias
     return Solution(state.poses, *scales, system.weight, system.cost)
 
@@ -277,8 +286,9 @@ class _System:
 
 def _factors(matrix: sparse.csc_matrix) -> Any:
     """Return the factors of a positive definite matrix, in an order that keeps them sparse."""
+    # Nodes of the elimination tree are not merged (relax=1): these graphs have few that are alike.
     options = {"SymmetricMode": True}
-    return splu(matrix, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options=options)
+    return splu(matrix, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, relax=1, options=options)
 
 
 def _seen(poses: Array, edges: Edges, scale: Array) -> tuple[Array, tuple[Array, Array]]:

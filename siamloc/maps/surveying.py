@@ -44,6 +44,7 @@ if TYPE_CHECKING:
 
 _FEWEST = 10  # frames of a drive
 _LEAST_WAY = 1.0  # metres of a drive
+_ENOUGH = 1e-3  # m or rad to which a graph is solved to judge its loops
 _ROUGHLY = 1e6  # degrees of freedom with which no measurement is weighted down
 
 
@@ -297,16 +298,17 @@ def _solved(graph: PoseGraph, loops: Loops, start: Array) -> tuple[PoseGraph, So
 
     A refused loop is accepted once at most, after all contradicted ones are out.
     """
-    reason, steps, starts, may_return = loops.reason.copy(), graph.pictures, [start], True
+    reason, steps, may_return = loops.reason.copy(), graph.pictures, True
+    starts: list[Array | Solution] = [start]
     while True:
         used = np.flatnonzero(reason == Reason.ACCEPTED)
         graph = replace(graph, pictures=Edges.concatenate([steps, edges_of(loops.take(used))]))
         if starts[0] is start:  # a robust solution that begins far off may take what is right for wrong
             starts.append(solve(graph, start, _ROUGHLY).poses)
-        solution = min((solve(graph, one) for one in starts), key=lambda one: one.cost)
+        solution = min((solve(graph, one, enough=_ENOUGH) for one in starts), key=lambda one: one.cost)
         weight = np.zeros(len(loops))
         weight[used] = solution.weight[len(steps) :]
-        loops, starts = replace(loops, reason=reason.copy(), weight=weight), [solution.poses]
+        loops, starts = replace(loops, reason=reason.copy(), weight=weight), [solution]
         seen = relative(solution.poses, loops.first, loops.second) * [solution.scale, solution.scale, 1]
         contradicted, confirmed = judged_again(loops, seen)
         if contradicted.any():
@@ -314,4 +316,6 @@ def _solved(graph: PoseGraph, loops: Loops, start: Array) -> tuple[PoseGraph, So
         elif may_return and confirmed.any():
             reason[confirmed], may_return = Reason.ACCEPTED, False
         else:
-            return graph, solution, loops
+            solution = solve(graph, solution)
+            weight[used] = solution.weight[len(steps) :]
+            return graph, solution, replace(loops, weight=weight)

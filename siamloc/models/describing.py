@@ -124,7 +124,7 @@ class NetworkDescriptor(BetweenColumns):
         return network is not None and network.relative is not None
 
     def compare(
-        self, queries: NDArray[np.float32], known: NDArray[np.float32], chunk: int = 8 * CHUNK
+        self, queries: NDArray[np.float32], known: NDArray[np.float32], chunk: int = CHUNK
     ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
         """Estimate where queries were taken relative to map frames, from the orientation parts of the two images.
 
