@@ -65,7 +65,7 @@ def measured(data: Path, seeds: int) -> tuple[str, dict[str, Any]]:
         name, frames = data.resolve().name, siamloc.data.read("cold", root=data)
     images = PanoramaLibrary(frames, image_size=PRETRAINED_SIZE)
     frames = images.readable(frames)
-    drives = {light: _last(frames, pattern).spaced(METRES) for light, pattern in DRIVES.items()}
+    drives = {light: last(frames, pattern).spaced(METRES) for light, pattern in DRIVES.items()}
     row: dict[str, Any] = {"alone": {light: alone(images, drive) for light, drive in drives.items()}}
     with_odometry: dict[str, list[dict[str, float]]] = {light: [] for light in drives}
     together, costs = list[dict[str, float]](), list[dict[str, Any]]()
@@ -125,7 +125,7 @@ def located(images: PanoramaLibrary, frames: FrameTable, drive: FrameTable, foun
     known = {name: siamloc.maps.build("pretrained", images, one, progress=False) for name, one in maps.items()}
     result: dict[str, Any] = {}
     for light, patterns in QUERIES.items():
-        asked = _last(frames, *patterns).spaced(METRES)
+        asked = last(frames, *patterns).spaced(METRES)
         queries = siamloc.maps.build("pretrained", images, asked, progress=False).turning()
         for name, held in known.items():
             nearest = siamloc.maps.match(held, queries, 3)
@@ -181,7 +181,7 @@ def table(rows: dict[str, Any]) -> str:
     return "\n".join(lines)
 
 
-def _last(frames: FrameTable, *patterns: str) -> FrameTable:
+def last(frames: FrameTable, *patterns: str) -> FrameTable:
     """Return the last drive of those that match."""
     some = frames.select(sequence=list(patterns))
     return some.select(sequence=sorted(set(some.sequence.tolist()))[-1])

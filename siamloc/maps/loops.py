@@ -7,10 +7,11 @@ from dataclasses import dataclass, replace
 from enum import Enum
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from foundation.columns import Rows
 from siamloc.data.moves import composed, relative, wrapped
+from siamloc.errors import DataError
 from siamloc.maps.joining import FREEDOM
 from siamloc.maps.pose_graph import Array, Edges
 
@@ -72,7 +73,7 @@ def edges_of(loops: Loops) -> Edges:
     return Edges(loops.first, loops.second, loops.pose, loops.information)
 
 
-def candidates(
+def most_alike(
     descriptors: NDArray[np.float32], path: Array, drive: NDArray[np.int64], apart: float, k: int
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Return pairs of similar frames (p,) and (p,), each pair once, the smaller row first.
@@ -104,6 +105,37 @@ def candidates(
             found.update(map(tuple, pairs.tolist()))
     pairs = np.array(sorted(found), dtype=np.int64).reshape(-1, 2)
     return pairs[:, 0], pairs[:, 1]
+
+
+def checked_pairs(pairs: ArrayLike, count: int) -> NDArray[np.int64]:
+    """Return pairs of rows of so many frames (p, 2).
+
+    Raises:
+        DataError: something else.
+    """
+    rows = np.asarray(pairs)
+    rows = rows.astype(np.int64).reshape(0, 2) if rows.size == 0 else rows
+    if rows.ndim != 2 or rows.shape[1] != 2 or rows.dtype.kind not in "iu" or not ((rows >= 0) & (rows < count)).all():
+        raise DataError(
+            f"candidates are pairs of rows of the {count} frames: (p, 2) whole numbers from 0 to {count - 1}"
+        )
+    return rows.astype(np.int64)
+
+
+def far_apart(
+    pairs: NDArray[np.int64], path: Array, drive: NDArray[np.int64], apart: float
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Return those of some pairs (p, 2) that may be loops, (q,) and (q,), each once, the smaller row first.
+
+    Args:
+        pairs: rows of frames; -1 for a frame that is left out.
+        path: (n,) as for `most_alike`.
+        drive: (n,) likewise.
+        apart: likewise.
+    """
+    first, second = np.unique(np.sort(pairs, axis=1), axis=0).T
+    usable = (first >= 0) & ((drive[first] != drive[second]) | (np.abs(path[first] - path[second]) >= apart))
+    return first[usable], second[usable]
 
 
 def agreeing(loops: Loops, poses: Array, drive: NDArray[np.int64]) -> NDArray[np.int64]:

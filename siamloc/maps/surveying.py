@@ -22,7 +22,7 @@ from siamloc.data.moves import relative, wrapped
 from siamloc.errors import ConfigError, DataError
 from siamloc.maps.comparing import scaled
 from siamloc.maps.describing import build, descriptor_from
-from siamloc.maps.loops import Loops, Reason, candidates, edges_of, judged, judged_again
+from siamloc.maps.loops import Loops, Reason, checked_pairs, edges_of, far_apart, judged, judged_again, most_alike
 from siamloc.maps.pose_graph import Array, Edges, PoseGraph, Solution, covariances, of_shape, solve
 from siamloc.maps.survey_start import anchored, brought_together, check_anchors
 from siamloc.maps.survey_steps import (
@@ -148,6 +148,7 @@ def survey(
     *,
     odometry: ArrayLike | None = None,
     anchors: FrameTable | None = None,
+    candidates: ArrayLike | None = None,
     settings: SurveySettings | None = None,
     progress: bool = True,
 ) -> Survey:
@@ -163,6 +164,8 @@ def survey(
         odometry: (n, 3) x, y in metres and heading in rad by the robot's wheels, or by any other source that is right
             over short ways, each drive in a frame of its own; NaN where unknown. Those of `frames` if None.
         anchors: some of the frames, with their true poses, which fix position, direction and scale of the whole.
+        candidates: (p, 2) rows of pairs of frames that may show one place, such as `IncrementalMapper.graph().loops`
+            of the same frames: loops are searched among them, instead of among the frames that look most alike.
         settings: how loops are searched.
         progress: whether to show the progress.
 
@@ -173,7 +176,7 @@ def survey(
         ConfigError: a network that does not compare.
         DataError: a drive with fewer than 10 frames, with times that go back, or one that stands still; odometry in
             another unit, in degrees or of turns with the wrong sign; drives that have no place in common; anchors that
-            are not among the frames, or without a pose.
+            are not among the frames, or without a pose; candidates that are not pairs of rows.
 
     Example:
         >>> found = siamloc.maps.survey("pretrained", images, monday)  # doctest: +SKIP
@@ -181,6 +184,7 @@ def survey(
     """
     settings = SurveySettings() if settings is None else settings
     order = np.concatenate([*frames.rows_by("sequence").values(), np.empty(0, np.int64)])
+    pairs, place = None if candidates is None else checked_pairs(candidates, len(frames)), np.full(len(frames), -1)
     wheels = frames.odometry if odometry is None else odometry_of(odometry, len(frames))
     frames, wheels = frames.take(order), wheels[order]
     _check_lengths(frames)
@@ -193,7 +197,7 @@ def survey(
     if len(known) < len(frames):  # images that cannot be read
         kept = set(known.frames.identities())
         left = [key in kept for key in frames.identities()]
-        frames, wheels = frames.take(left), wheels[left]
+        frames, wheels, order = frames.take(left), wheels[left], order[left]
         _check_lengths(frames)
     names = list(frames.rows_by("sequence"))
     drive = np.array([names.index(name) for name in frames.sequence.tolist()], dtype=np.int64)
@@ -206,7 +210,12 @@ def survey(
     start = start_of(moved, seen, drive)
     _check_ways(start, drive, names)
     way = np.hypot(*np.diff(start[:, :2], axis=0, prepend=start[:1, :2]).T)
-    first, second = candidates(known.learned, np.cumsum(way), drive, settings.apart, settings.alike)
+    path, apart = np.cumsum(way), settings.apart
+    if pairs is None:
+        first, second = most_alike(known.learned, path, drive, apart, settings.alike)
+    else:
+        place[order] = np.arange(len(order))
+        first, second = far_apart(place[pairs], path, drive, apart)
     loops = judged(first, second, compared, start, drive, ODDS)
     fixed, start = anchored(start, drive, frames, anchors)
     placed = set(drive[fixed].tolist()) or {0}

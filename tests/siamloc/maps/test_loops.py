@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from siamloc.data.moves import relative
-from siamloc.maps.loops import Loops, Reason, agreeing, candidates, judged, judged_again
+from siamloc.maps.loops import Loops, Reason, agreeing, judged, judged_again, most_alike
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -24,7 +24,7 @@ def test_candidates_are_the_most_similar_frames_far_away_along_the_path(seed):
             ]
             usable.sort(key=lambda j: float(np.square(descriptors[row] - descriptors[j]).sum()))
             expected |= {(min(row, j), max(row, j)) for j in usable[:3]}  # 8 in three drives
-    first, second = candidates(descriptors, path, drive, apart, k)
+    first, second = most_alike(descriptors, path, drive, apart, k)
     assert list(zip(first.tolist(), second.tolist(), strict=True)) == sorted(expected)
 
 

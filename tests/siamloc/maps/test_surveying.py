@@ -175,6 +175,21 @@ def test_anchors_fix_position_direction_and_scale(surveyed):
         surveyed({"monday": poses}, anchors=anchors.with_columns(theta=[np.nan, 0, 0]))
 
 
+def test_loops_are_searched_among_given_candidates(surveyed):
+    poses = eights()
+    given = [(40, 10), (10, 40), (11, 41), (12, 42), (13, 43), (20, 21), (20, 22), (5, 50)]
+    found, _, _ = surveyed({"monday": poses}, candidates=given)
+    pairs = np.column_stack([found.loops.first, found.loops.second]).tolist()
+    assert pairs == [[5, 50], [10, 40], [11, 41], [12, 42], [13, 43]]  # each once, and none along a short way
+    assert found.loops.accepted.tolist() == [False, True, True, True, True]
+    none, _, _ = surveyed({"monday": poses}, candidates=[])
+    assert not len(none.loops)
+    assert "loops were not found" in none.notes[-1]
+    for wrong in ([1, 2, 3], [(0, 90)], [(-1, 3)], [(0.5, 3)]):
+        with pytest.raises(DataError, match="candidates are pairs of rows of the 90 frames"):
+            surveyed({"monday": poses}, candidates=wrong)
+
+
 def test_drives_are_brought_together(surveyed):
     drives = {"monday": eights(2), "tuesday": np.add(eights(2)[::-1], [0.05, 0.1, np.pi]), "night": eights(1)}
     found, true, _ = surveyed(drives)
