@@ -2,7 +2,8 @@
 
 The first drive, cloudy1, makes the map. In each month, cloudy2, another drive along the same path, is located in that
 map as it was (`unmaintained`); in the map that `siamloc.maps.update` has maintained with the drive cloudy1 of each
-month so far, whose poses are the true ones (`maintained`) or those found by the map itself with odometry (`by itself`);
+month so far, whose poses are the true ones (`maintained`) or found in the map with odometry (`by itself`, `located` is
+their mean error in m);
 and in a map made of this month's cloudy1 alone (`afresh`). Errors are means in m, of the nearest map frame and refined;
 `lost` is the share of frames whose nearest map frame is more than 1 m away. At the end, cloudy2 of the first month is
 located in each maintained map. `changed` is the share of the surfaces in view that the months have changed. The drives
@@ -29,7 +30,7 @@ import siamloc
 from benchmarks.report import Report, hardware, parser
 from foundation.files import read_json
 from siamloc.data import FrameTable, PanoramaLibrary
-from siamloc.maps import PoseFilter, VisualMap, match, motions, refine, update
+from siamloc.maps import VisualMap, match, refine, update
 from siamloc.models.registry import PRETRAINED_SIZE
 from siamloc.simulate import SimulateConfig, simulate
 from siamloc.simulate.produce import CHANGES_FILE
@@ -91,24 +92,16 @@ def lived(data: Path, name: str) -> dict[str, Any]:
     months: list[dict[str, Any]] = [{"changed": 0.0, "unmaintained": figures(first, asked)}]
     for month in range(1, MONTHS + 1):
         seen, queries = described(drive("cloudy1", month)), described(drive("cloudy2", month))
-        true, told, deviation = seen.frames, *located(known["by itself"], seen)
-        known["maintained"] = update(known["maintained"], images, true, progress=False).known
-        known["by itself"] = update(known["by itself"], images, told, deviation=deviation, progress=False).known
+        nowhere = np.full(len(seen), np.nan)
+        drives = {"maintained": seen.frames, "by itself": seen.frames.with_columns(x=nowhere, y=nowhere, theta=nowhere)}
+        updates = {way: update(known[way], images, drives[way], progress=False) for way in WAYS}
+        known, told = {way: one.known for way, one in updates.items()}, updates["by itself"].drive
         maps = {"unmaintained": first, **known, "afresh": seen}
         row = {way: figures(one, queries) for way, one in maps.items()}
-        months.append({"changed": changed(data, f"cloudy2_month{month}"), **row})
+        at = round(float(_off(told.xy, seen).mean()), 3)
+        months.append({"changed": changed(data, f"cloudy2_month{month}"), "located": at, **row})
         print(f"{name}, month {month}: {months[-1]}", flush=True)
     return {"months": months, "first drive": {way: figures(known[way], asked) for way in WAYS}}
-
-
-def located(known: VisualMap, seen: VisualMap) -> tuple[FrameTable, NDArray[np.float64]]:
-    """Return the frames of a drive with poses from a map and odometry, and the deviations of their positions in m."""
-    queries = seen.turning()
-    poses = refine(known, queries, match(known, queries, 3))
-    told = PoseFilter(METRES).run(poses, seen.frames.sequence, motions(seen.frames))
-    least = np.linalg.eigvalsh(told.information)[:, 0]  # of a t-distribution with 4 degrees of freedom
-    deviation = np.sqrt(2 / np.maximum(least, 1e-9))
-    return seen.frames.with_columns(x=told.xy[:, 0], y=told.xy[:, 1], theta=told.theta), deviation
 
 
 def figures(known: VisualMap, asked: VisualMap) -> dict[str, float]:

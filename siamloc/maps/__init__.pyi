@@ -11,6 +11,7 @@ from .history import History as History
 from .joining import RefinedPoses as RefinedPoses
 from .selecting import key_frames as key_frames
 from .live_survey import LiveSurvey as LiveSurvey
+from .locating import locate as locate
 from .maintenance import Maintenance as Maintenance, Update as Update, update as update
 from .matching import frame_distances as frame_distances, headings as headings, match as match
 from .motion import motions as motions

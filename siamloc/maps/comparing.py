@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from siamloc.data.moves import wrapped
 from siamloc.maps.visual_map import VisualMap
 
 Compares = Callable[
@@ -17,6 +18,10 @@ Compares = Callable[
 the displacement ahead and to the left as seen from the map frame's robot, and how far the query's robot is turned left,
 in rad; the inverse of the scale matrix of a t-distribution with 4 degrees of freedom (n, 3, 3), the information; and
 the log odds (n,) that the images were taken near each other."""
+
+ODDS = float(np.log(19))
+"""Log odds from which on two images count as taken near each other: a probability of 95 %."""
+_OFF, _OFF_SHARE, _TURNED = 0.25, 0.15, np.radians(8)  # by how much, in metres, in shares of the displacement, in rad
 
 
 class Compared(NamedTuple):
@@ -60,3 +65,10 @@ def scaled(parts: NDArray[np.float32]) -> NDArray[np.float32]:
     """Return orientation parts scaled to a mean square of 1 each, as maps keep them only up to a scale."""
     size = np.sqrt(np.mean(np.square(parts, dtype=np.float64), axis=(1, 2), keepdims=True))
     return (parts / np.maximum(size, 1e-12)).astype(np.float32)
+
+
+def agree(found: NDArray[np.float64], pose: NDArray[np.float64], tolerance: float = 1.0) -> NDArray[np.bool_]:
+    """Return which of some relative poses (p, 3) agree with those that comparisons found (p, 3)."""
+    error, length = found - pose, np.hypot(pose[:, 0], pose[:, 1])
+    near = np.hypot(error[:, 0], error[:, 1]) < tolerance * (_OFF + _OFF_SHARE * length)
+    return np.asarray(near & (np.abs(wrapped(error[:, 2])) < _TURNED))

@@ -8,12 +8,15 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from siamloc.data.moves import relative
+from siamloc.maps.comparing import ODDS, agree, compare_with, comparison_of
 from siamloc.maps.matching import learned_distances
 from siamloc.maps.reasons import Reason
 from siamloc.maps.search import slices
 from siamloc.maps.thinning import near
 from siamloc.maps.visual_map import VisualMap
 
+_COMPARED = 3  # map frames that each frame of a drive is compared with
 _AT_ONCE = 64  # frames of a drive that are compared with all map frames
 _FEWEST = 10  # map frames with a neighbour, from which the usual distance is learned
 _SOME = 0.25  # share of the map frames that a drive recognizes at least, if it was driven in their light
@@ -31,6 +34,8 @@ class Judged:
         recognized: (m,) whether a frame taken near a map frame resembles it more than all map frames elsewhere.
         passed: (m,) whether the drive has a frame near the map frame.
         changed: (m,) descriptor distance from the map frame to the most similar of those; infinite if there is none.
+        misplaced: (n,) whether the map says of a frame that it was taken where it was not: most comparisons with the
+            map frames within the radius that it resembles most are off. False if the map's descriptor does not compare.
     """
 
     nearest: NDArray[np.int64]
@@ -39,10 +44,14 @@ class Judged:
     recognized: NDArray[np.bool_]
     passed: NDArray[np.bool_]
     changed: NDArray[np.float64]
+    misplaced: NDArray[np.bool_]
 
 
 def judged(known: VisualMap, drive: VisualMap, radius: float) -> Judged:
     """Compare the frames of a drive with those of a map.
+
+    A map frame that resembles the drive's frames, but says that most of them were taken where they were not, is not
+    recognized: something else, such as a cupboard that was moved, is what both show.
 
     Args:
         known: a map of m frames with positions.
@@ -53,6 +62,7 @@ def judged(known: VisualMap, drive: VisualMap, radius: float) -> Judged:
     n, m = len(drive), len(known)
     nearest, away, unlike = np.zeros(n, dtype=np.int64), np.zeros(n), np.zeros(n)
     recognized, passed, changed = np.zeros(m, dtype=bool), np.zeros(m, dtype=bool), np.full(m, np.inf)
+    misplaced, votes = np.zeros(n, dtype=bool), np.zeros(m, dtype=np.int64)
     for part in slices(n, _AT_ONCE):
         rows = np.arange(n)[part]
         alike = learned_distances(known, drive.turning(rows))
@@ -64,8 +74,35 @@ def judged(known: VisualMap, drive: VisualMap, radius: float) -> Judged:
         np.minimum(changed, np.where(close, alike, np.inf).min(axis=0), out=changed)
         recognized |= (close & (alike < elsewhere)).any(axis=0)
         nearest[part], away[part] = apart.argmin(axis=1), apart.min(axis=1)
-        unlike[part] = np.where(apart <= radius, alike, np.inf).min(axis=1)
-    return Judged(nearest, away, unlike, recognized, passed, changed)
+        alike[apart > radius] = np.inf
+        unlike[part] = alike.min(axis=1)
+        misplaced[part] = _misplaced(known, drive.take(rows), alike, votes)
+    return Judged(nearest, away, unlike, recognized & (votes >= 0), passed, changed, misplaced)
+
+
+def _misplaced(
+    known: VisualMap, drive: VisualMap, alike: NDArray[np.float64], votes: NDArray[np.int64]
+) -> NDArray[np.bool_]:
+    """Return of which frames of a drive (n,) most comparisons with map frames are off.
+
+    Args:
+        known: the map (m frames).
+        drive: the frames.
+        alike: (n, m) distances of the descriptors; infinite for map frames that are not to be compared.
+        votes: (m,) of each map frame, to which the right comparisons are added and from which the wrong ones are taken.
+    """
+    compares, parts, frames = comparison_of(known), drive.turning().orientation, drive.frames
+    oriented = np.isfinite(frames.theta).all() and np.isfinite(known.frames.theta).all()
+    if compares is None or parts is None or not oriented:
+        return np.zeros(len(drive), dtype=bool)
+    rows = np.argsort(alike, axis=1)[:, :_COMPARED]
+    found = compare_with(known, parts, rows, compares)
+    usable = np.isfinite(np.take_along_axis(alike, rows, axis=1)) & (found.match >= ODDS)
+    own = np.repeat(np.arange(len(drive)), rows.shape[1]) + len(known)
+    poses = np.column_stack([np.r_[known.frames.xy, frames.xy], np.r_[known.frames.theta, frames.theta]])
+    right = agree(relative(poses, rows.ravel(), own), found.pose.reshape(-1, 3)).reshape(rows.shape)
+    np.add.at(votes, rows[usable], np.where(right, 1, -1)[usable])
+    return np.asarray((usable & ~right).sum(axis=1) > (usable & right).sum(axis=1))
 
 
 def usual_distance(known: VisualMap, radius: float, share: float) -> float | None:

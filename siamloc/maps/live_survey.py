@@ -12,12 +12,11 @@ from foundation.calls import typed
 from siamloc.data.frames import concatenate
 from siamloc.data.moves import composed
 from siamloc.errors import DataError
-from siamloc.maps.comparing import scaled
+from siamloc.maps.comparing import ODDS, scaled
 from siamloc.maps.loops import Loops, agreed, edges_of, loops_of
 from siamloc.maps.pose_graph import Array, Edges, PoseGraph, solve
 from siamloc.maps.survey_steps import (
     BEFORE,
-    ODDS,
     odometry_of,
     odometry_steps,
     start_of,

@@ -12,12 +12,12 @@ from numpy.typing import ArrayLike, NDArray
 from foundation.columns import Rows
 from siamloc.data.moves import composed, relative, wrapped
 from siamloc.errors import DataError
+from siamloc.maps.comparing import agree
 from siamloc.maps.joining import FREEDOM
 from siamloc.maps.pose_graph import Array, Edges
 
 _NEIGHBOURHOOD = 3  # frames on either side within which loops must agree
 _AGREE = 2  # number of other loops that must agree with a loop
-_OFF, _OFF_SHARE, _TURNED = 0.25, 0.15, np.radians(8)  # by how much, in metres, in shares of the displacement, in rad
 _CONTRADICTED = 0.15  # weight below which a loop is refused
 _CONFIRMED = 0.5  # weight from which on a refused loop is accepted
 _CLOSER = 0.75  # a solution follows from many measurements, so it agrees more closely than two loops: times this
@@ -162,7 +162,7 @@ def agreeing(loops: Loops, poses: Array, drive: NDArray[np.int64]) -> NDArray[np
         one, other = pairs[begin : begin + _PAIRS].T
         there = relative(poses, loops.first[other], loops.first[one])
         back = relative(poses, loops.second[one], loops.second[other])
-        agrees = _alike(composed(composed(there, loops.pose[one]), back), loops.pose[other])
+        agrees = agree(composed(composed(there, loops.pose[one]), back), loops.pose[other])
         for rows in (one, other):
             counts += np.bincount(rows[agrees], minlength=len(loops))
     return counts
@@ -226,13 +226,6 @@ def judged_again(loops: Loops, found: Array) -> tuple[NDArray[np.bool_], NDArray
     error = found - loops.pose
     error[:, 2] = wrapped(error[:, 2])
     weight = 1 / (1 + np.einsum("pi,pij,pj->p", error, loops.information, error) / FREEDOM)
-    alike = _alike(found, loops.pose, _CLOSER)
+    alike = agree(found, loops.pose, _CLOSER)
     refused = (loops.reason == Reason.ALONE) | (loops.reason == Reason.CONTRADICTED)
     return loops.accepted & ((weight < _CONTRADICTED) | ~alike), refused & alike & (weight > _CONFIRMED)
-
-
-def _alike(found: Array, pose: Array, tolerance: float = 1.0) -> NDArray[np.bool_]:
-    """Return which of some relative poses (p, 3) agree with those of loops (p, 3)."""
-    error, length = found - pose, np.hypot(pose[:, 0], pose[:, 1])
-    near = np.hypot(error[:, 0], error[:, 1]) < tolerance * (_OFF + _OFF_SHARE * length)
-    return np.asarray(near & (np.abs(wrapped(error[:, 2])) < _TURNED))

@@ -1,9 +1,10 @@
-"""Map maintenance ([T] 1.2): `update` lets a map follow its building, by a drive whose positions are known."""
+"""Map maintenance ([T] 1.2): `update` lets a map follow its building, by a drive."""
 
 from __future__ import annotations
 
 from collections import Counter
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import TYPE_CHECKING, Any, TypedDict
 
 import numpy as np
@@ -13,6 +14,7 @@ from foundation.calls import OF_FIELDS, takes
 from foundation.settings import Count, Positive, Share
 from siamloc.data.frames import FrameTable, concatenate
 from siamloc.errors import ConfigError, DataError
+from siamloc.maps.comparing import comparison_of
 from siamloc.maps.describing import build
 from siamloc.maps.evidence import Judged, enough_of, judged, map_reasons, repeated, usual_distance
 from siamloc.maps.following import followed, left_by, nodes_of, numbers_of
@@ -154,8 +156,11 @@ def update(
 ) -> Update:
     """Find where a map is out of date, on a drive whose positions are known, and let the map follow.
 
+    A drive without positions is first located in the map by `siamloc.maps.locate`, if the map can compare images.
+
     A frame of the drive contradicts the map if it was taken within `radius` of a map frame and is located farther away
-    than that, or differs from all map frames within `radius` more than neighbours in the map usually do. The map is out
+    than that, or differs from all map frames within `radius` more than neighbours in the map usually do, or is compared
+    with those and most of them tell a wrong pose. The map is out
     of date where `contradicted` of `window` consecutive frames contradict it; a single frame is no evidence, because a
     person in view is enough. There, the frames that contradict it join the map, and so do frames of new places, except
     those that look like a frame that has just joined.
@@ -173,8 +178,8 @@ def update(
     Args:
         known: a map whose frames all have positions; it is not changed.
         images: panoramas of the drive.
-        drive: n frames of one drive with positions in the map's coordinates, in capture order.
-        deviation: (n,) standard deviation of each position, such as `Survey.deviation`, NaN where it is unknown;
+        drive: n frames of one drive in capture order, all or some with positions in the map's coordinates, or none.
+        deviation: (n,) standard deviation of each position, such as `drive.deviation`, NaN where it is unknown;
             all positions are certain if None.
         built: nodes over the map's frames. Nodes of an incremental map need their mapper, as `siamloc.maps.group`
             returns it, able to grow.
@@ -199,6 +204,16 @@ def update(
         1
     """
     concatenate([known.frames, drive])  # refuses positions in two units
+    describe = partial(
+        build, known.descriptor, images, heading=known.heading_descriptor, mounting=known.mounting, progress=progress
+    )
+    seen = None
+    if deviation is None and not drive.has_position.any() and comparison_of(known) is not None:
+        from siamloc.maps.locating import locate  # needs scipy, which a robot does without
+
+        seen = describe(drive)
+        drive = locate(known, seen, progress=progress)
+        seen, deviation = replace(seen, frames=drive), drive.deviation
     sure = drive.has_position
     if deviation is not None:
         spread = np.asarray(deviation, dtype=np.float64)
@@ -210,27 +225,16 @@ def update(
     if not (sure & new).any():
         raise DataError(
             f"of {len(drive)} frames of the drive, {int((~sure).sum())} have no certain position, and the others are "
-            "in the map already: locate the drive first, for example with siamloc.maps.survey"
+            "in the map already: locate the drive first, for example with siamloc.maps.locate"
         )
-    part = drive.take(sure & new)
-    found = updated(
-        known,
-        build(
-            known.descriptor,
-            images,
-            part,
-            heading=known.heading_descriptor,
-            mounting=known.mounting,
-            progress=progress,
-        ),
-        built=built,
-        settings=settings,
-    )
-    used = set(found.drive.identities())
-    readable = np.array([key in used for key in keys]) | ~(sure & new)
+    used = sure & new
+    part = describe(drive.take(used)) if seen is None else seen.take(used)
+    found = updated(known, part, built=built, settings=settings)
+    kept = set(found.drive.identities())
+    readable = np.array([key in kept for key in keys]) | ~used
     reason = np.full(len(drive), Reason.UNSURE, dtype=object)
     reason[sure] = Reason.HELD
-    reason, contradicted, now = reason[readable], np.zeros(readable.sum(), dtype=bool), (sure & new)[readable]
+    reason, contradicted, now = reason[readable], np.zeros(readable.sum(), dtype=bool), used[readable]
     reason[now], contradicted[now] = found.reason, found.contradicted
     return replace(found, drive=drive.take(readable), reason=reason, contradicted=contradicted)
 
@@ -307,6 +311,7 @@ def _joining(
     known_place = found.away <= settings.radius
     off = np.linalg.norm(known.frames.xy[located] - drive.frames.xy, axis=1)
     contradicts = (off > settings.radius) | (known.frames.building[located] != drive.frames.building)
+    contradicts |= found.misplaced
     if usual is not None:
         contradicts |= found.unlike > usual
     contradicts &= known_place

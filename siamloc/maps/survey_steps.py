@@ -10,13 +10,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from siamloc.data.moves import chained, moves, relative
 from siamloc.errors import DataError
-from siamloc.maps.comparing import Compares
+from siamloc.maps.comparing import ODDS, Compares
 from siamloc.maps.loops import Pairs
 from siamloc.maps.pose_graph import Array, Edges
 from siamloc.progress import track
 
-ODDS = float(np.log(19))
-"""Log odds from which on two images count as taken near each other: a probability of 95 %."""
 BEFORE = (1, 2, 3, 5)
 """How many frames before it each frame is compared with."""
 _DOUBTED = 100.0  # the information of a step between images that are not alike is divided by this

@@ -20,13 +20,12 @@ from siamloc.data.checks import wrong_odometry
 from siamloc.data.frames import ODOMETRY, FrameTable
 from siamloc.data.moves import relative, wrapped
 from siamloc.errors import ConfigError, DataError
-from siamloc.maps.comparing import scaled
+from siamloc.maps.comparing import ODDS, Compares, scaled
 from siamloc.maps.describing import build, descriptor_from
 from siamloc.maps.loops import Loops, Reason, checked_pairs, edges_of, far_apart, judged, judged_again, most_alike
 from siamloc.maps.pose_graph import Array, Edges, PoseGraph, Solution, covariances, of_shape, solve
 from siamloc.maps.survey_start import anchored, brought_together, check_anchors
 from siamloc.maps.survey_steps import (
-    ODDS,
     compared_steps,
     comparing,
     from_own_start,
@@ -41,6 +40,7 @@ if TYPE_CHECKING:
 
     from analytic import Descriptor
     from siamloc.data.library import PanoramaLibrary
+    from siamloc.maps.visual_map import VisualMap
 
 _FEWEST = 10  # frames of a drive
 _LEAST_WAY = 1.0  # metres of a drive
@@ -187,7 +187,7 @@ def survey(
     pairs, place = None if candidates is None else checked_pairs(candidates, len(frames)), np.full(len(frames), -1)
     wheels = frames.odometry if odometry is None else odometry_of(odometry, len(frames))
     frames, wheels = frames.take(order), wheels[order]
-    _check_lengths(frames)
+    check_lengths(frames)
     check_anchors(frames, anchors)
     for finding in wrong_odometry(frames.with_columns(**dict(zip(ODOMETRY, wheels.T, strict=True)))):
         raise DataError(f"the odometry of a survey cannot be used: {finding}")
@@ -198,26 +198,53 @@ def survey(
         kept = set(known.frames.identities())
         left = [key in kept for key in frames.identities()]
         frames, wheels, order = frames.take(left), wheels[left], order[left]
-        _check_lengths(frames)
+        check_lengths(frames)
+    if pairs is not None:
+        place[order] = np.arange(len(order))
+        pairs = place[pairs]
+    return of_descriptions(frames, known, wheels, described.compare, anchors, pairs, settings, progress)
+
+
+def of_descriptions(
+    frames: FrameTable,
+    described: VisualMap,
+    wheels: Array,
+    compare: Compares,
+    anchors: FrameTable | None,
+    pairs: NDArray[np.int64] | None,
+    settings: SurveySettings,
+    progress: bool,
+) -> Survey:
+    """Survey frames (n), drive by drive, by their descriptions; see `survey`.
+
+    Args:
+        frames: the frames.
+        described: the same frames, described.
+        wheels: (n, 3) odometry.
+        compare: compares orientation parts.
+        anchors: some of the frames, with their poses.
+        pairs: (p, 2) candidates for loops, -1 for a frame that is left out; those that look alike if None.
+        settings: how loops are searched.
+        progress: whether to show the progress.
+    """
     names = list(frames.rows_by("sequence"))
     drive = np.array([names.index(name) for name in frames.sequence.tolist()], dtype=np.int64)
     notes: list[str] = []
-    parts = known.turning().orientation
+    parts = described.turning().orientation
     assert parts is not None
-    compared = comparing(described.compare, scaled(parts), progress)
+    compared = comparing(compare, scaled(parts), progress)
     steps, seen, certain = compared_steps(compared, drive)
     moved = odometry_steps(wheels, seen, certain, drive, names, notes)
-    start = start_of(moved, seen, drive)
-    _check_ways(start, drive, names)
-    way = np.hypot(*np.diff(start[:, :2], axis=0, prepend=start[:1, :2]).T)
-    path, apart = np.cumsum(way), settings.apart
+    fixed, start = anchored(start_of(moved, seen, drive), drive, frames, anchors)
+    held = np.isin(np.arange(len(frames)), fixed)
+    _check_ways(start, np.where(held, -1, drive), names)
+    path, apart = np.cumsum(np.hypot(*np.diff(start[:, :2], axis=0, prepend=start[:1, :2]).T)), settings.apart
     if pairs is None:
-        first, second = most_alike(known.learned, path, drive, apart, settings.alike)
+        first, second = most_alike(described.learned, path, drive, apart, settings.alike)
     else:
-        place[order] = np.arange(len(order))
-        first, second = far_apart(place[pairs], path, drive, apart)
-    loops = judged(first, second, compared, start, drive, ODDS)
-    fixed, start = anchored(start, drive, frames, anchors)
+        first, second = far_apart(pairs, path, drive, apart)
+    open_ones = ~(held[first] & held[second])
+    loops = judged(first[open_ones], second[open_ones], compared, start, drive, ODDS)
     placed = set(drive[fixed].tolist()) or {0}
     start = brought_together(start, loops, drive, names, notes, placed)
     return concluded(frames, PoseGraph(steps, wheel_edges(moved), drive, fixed), loops, start, wheels, notes)
@@ -283,7 +310,12 @@ def comparing_descriptor(network: Descriptor | nn.Module | str, circular: bool) 
     return described
 
 
-def _check_lengths(frames: FrameTable) -> None:
+def check_lengths(frames: FrameTable) -> None:
+    """Check that each drive has enough frames, in the order in which they were taken.
+
+    Raises:
+        DataError: one that has not.
+    """
     for name, rows in frames.rows_by("sequence").items():
         said, times = f"drive {name or '(unnamed)'}", frames.time[rows]
         if len(rows) < _FEWEST:
@@ -295,7 +327,7 @@ def _check_lengths(frames: FrameTable) -> None:
 def _check_ways(start: Array, drive: NDArray[np.int64], names: list[str]) -> None:
     for number, name in enumerate(names):
         xy = start[drive == number, :2]
-        if np.hypot(*(xy - xy[0]).T).max() < _LEAST_WAY:
+        if len(xy) and np.hypot(*(xy - xy[0]).T).max() < _LEAST_WAY:
             raise DataError(
                 f"drive {name or '(unnamed)'} stays within {_LEAST_WAY:g} m of where it begins: a survey needs a drive "
                 "that moves"

@@ -82,9 +82,9 @@ def thin(known: VisualMap, *, settings: Budget = OF_FIELDS, **fields: Unpack[Bud
     """Forget frames of a map until it is within a budget.
 
     Frames that the last drives did not recognize are forgotten first, the most often contradicted before the others.
-    Then, of the two frames nearby whose descriptors are the most alike, the one that was confirmed less often is
-    forgotten, the later one if both were alike, and so on. Frames of one place under different lights are less alike
-    than consecutive frames, and so stay longer.
+    Then, of the two frames nearby whose descriptors are the most alike, the one that the last drive found more changed
+    is forgotten, or confirmed less often, or the later one if both were alike, and so on. Frames of one place under
+    different lights are less alike than consecutive frames, and so stay longer.
 
     Args:
         known: the map.
@@ -118,6 +118,7 @@ def thin(known: VisualMap, *, settings: Budget = OF_FIELDS, **fields: Unpack[Bud
         return over
 
     confirmed, contradicted = known.history.confirmed, known.history.contradicted
+    change = np.nan_to_num(known.history.change)  # frames that no drive has passed show the place as it is
     for row in np.argsort(-contradicted, kind="stable")[: np.count_nonzero(contradicted)].tolist():
         forget(row, Reason.UNRECOGNIZED)
     reach, widest = _REACH, float(np.ptp(known.frames.xy, axis=0).sum()) + _REACH
@@ -125,7 +126,7 @@ def thin(known: VisualMap, *, settings: Budget = OF_FIELDS, **fields: Unpack[Bud
         kept = np.flatnonzero(reason == Reason.KEPT)
         for pair in kept[_alike(known.take(kept), min(reach, widest))].tolist():
             if (reason[pair] == Reason.KEPT).all():
-                first, second = sorted(pair, key=lambda row: (confirmed[row], -row))
+                first, second = sorted(pair, key=lambda row: (-change[row], confirmed[row], -row))
                 _ = forget(first, Reason.REDUNDANT) or forget(second, Reason.REDUNDANT)
         if reach > widest:
             break  # one frame in each building

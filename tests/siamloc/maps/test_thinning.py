@@ -52,6 +52,12 @@ def test_of_two_alike_frames_the_one_confirmed_more_often_stays():
     assert names(thin(known, per_square_metre=1)) == ["REDUNDANT", "KEPT"]
 
 
+def test_the_frame_that_shows_a_place_as_it_is_stays():
+    old_and_new = History([5, 0], [0, 0], [1.5, np.nan])  # the new one joined on the last drive
+    known = VisualMap([[0.0], [0.1]], placed([(0, 0), (0.1, 0)]), history=old_and_new)
+    assert names(thin(known, per_square_metre=1)) == ["REDUNDANT", "KEPT"]
+
+
 def test_each_building_and_each_square_has_its_own_budget():
     frames = placed([(0.1, 0.1), (0.2, 0.1), (0.1, 0.1), (1.1, 0.1)], building=["a", "a", "b", "a"])
     found = thin(VisualMap(np.zeros((4, 1)), frames), per_square_metre=1)

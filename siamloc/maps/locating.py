@@ -1,0 +1,67 @@
+"""`locate`: where the frames of a drive were taken in a map, by all of the drive at once."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from foundation.calls import typed
+from siamloc.data.checks import wrong_odometry
+from siamloc.data.frames import FrameTable, concatenate
+from siamloc.errors import ConfigError, DataError
+from siamloc.maps.comparing import comparison_of
+from siamloc.maps.surveying import SurveySettings, check_lengths, of_descriptions
+from siamloc.maps.visual_map import VisualMap
+
+
+@typed
+def locate(
+    known: VisualMap, drive: VisualMap, *, settings: SurveySettings | None = None, progress: bool = True
+) -> FrameTable:
+    """Estimate the poses of the frames of a drive in a map; positions in the drive are not used.
+
+    A filter knows what a robot has seen so far. When the drive is over, more is known: each frame is compared with the
+    frames before it and with those of the map and of the drive that look alike, and with the odometry, if there is any,
+    the most likely poses of all frames follow at once. It is a survey (`siamloc.maps.survey`) in which the map's frames
+    keep their poses, so that comparisons with a part of the building that has changed are outvoted by the others.
+
+    Args:
+        known: a map in metres whose frames have positions and headings, described by a network that compares.
+        drive: one or several drives, in capture order, described as the map was (`siamloc.maps.build` with
+            `mounting=known.mounting`).
+        settings: how loops are searched.
+        progress: whether to show the progress.
+
+    Returns:
+        The frames of the drive with x, y and theta, and their standard deviations, `deviation` and `theta_deviation`.
+
+    Raises:
+        ConfigError: a map whose descriptor does not compare images, or a drive that was described differently.
+        DataError: a map frame without a pose, or a drive that `siamloc.maps.survey` would refuse, such as one that has
+            no place in common with the map.
+
+    Example:
+        >>> tuesday = siamloc.maps.build("pretrained", images, frames, mounting=known.mounting)  # doctest: +SKIP
+        >>> siamloc.maps.locate(known, tuesday).xy  # doctest: +SKIP
+    """
+    compare = comparison_of(known)
+    if compare is None:
+        raise ConfigError("a drive is located by a network that compares images, and the map's descriptor does not")
+    if known.frames.unit != "m":
+        raise DataError(f"a drive is located in a map in metres, and this one is in {known.frames.unit!r}")
+    check_lengths(drive.frames)
+    for finding in wrong_odometry(drive.frames):
+        raise DataError(f"the odometry of the drive cannot be used: {finding}")
+    if not (known.frames.has_position & np.isfinite(known.frames.theta)).all():
+        raise DataError("a map frame has no pose: a drive is located in a map whose frames have x, y and theta")
+    of_map = np.arange(len(known) + len(drive)) < len(known)
+    frames = concatenate([known.frames, drive.frames])
+    names = [f"the map's {name}" if held else name for name, held in zip(frames.sequence.tolist(), of_map, strict=True)]
+    frames = frames.with_columns(sequence=names)
+    order = np.concatenate(list(frames.rows_by("sequence").values()))
+    frames, described, of_map = frames.take(order), known.merge(drive).take(order), of_map[order]
+    wheels = np.where(of_map[:, None], np.nan, frames.odometry)
+    chosen = SurveySettings() if settings is None else settings
+    found = of_descriptions(frames, described, wheels, compare, frames.take(of_map), None, chosen, progress).frames
+    rows = np.argsort(order)[len(known) :]
+    names = ["x", "y", "theta", "deviation", "theta_deviation"]
+    return drive.frames.with_columns(**{name: getattr(found, name)[rows] for name in names})

@@ -1,0 +1,101 @@
+"""A drive is located in a map by all of it at once, with a comparison that knows the truth up to noise."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from siamloc.data import FrameTable
+from siamloc.errors import ConfigError, DataError
+from siamloc.maps import Reason, VisualMap, locate
+from siamloc.maps.evidence import judged
+from siamloc.maps.maintenance import updated
+from tests.siamloc.maps.test_surveying import TrueComparison, drifting, eights, numbered, places_of
+
+
+class Moved(TrueComparison):
+    """Sees the frames from a number on displaced by a metre, as a moved cupboard does, when compared with others."""
+
+    def __init__(self, poses, first, last):
+        super().__init__(poses, 1.0, 0.01)
+        self.moved = first, last
+
+    def compare(self, queries, known):
+        pose, information, odds = super().compare(queries, known)
+        rows = np.rint(queries[:, 0, 0] / queries[:, 1, 0]).astype(int) - 2
+        others = np.rint(known[:, 0, 0] / known[:, 1, 0]).astype(int) - 2
+        first, last = self.moved
+        old = others < len(self.poses) // 2
+        pose[(rows >= first) & (rows < last) & old, 0] += 1.0
+        return pose, information, odds
+
+
+def maps(by, poses, **columns):
+    """Return a map of the first half of some poses, and the second half as a drive without poses."""
+    half = len(poses) // 2
+    rows = np.arange(len(poses))
+    x, y, theta = poses.T
+    known = FrameTable(path=[f"{row}.png" for row in rows[:half]], sequence=["monday"] * half, x=x[:half], y=y[:half],
+                       theta=theta[:half])  # fmt: skip
+    drive = FrameTable(path=[f"{row}.png" for row in rows[half:]], sequence=["monday"] * half, **columns)
+    return tuple(
+        VisualMap(
+            places_of(poses)[part], frames, orientation=numbered(part), heading={"name": "network"},
+        ).with_descriptor(by)
+        for part, frames in ((rows[:half], known), (rows[half:], drive))
+    )  # fmt: skip
+
+
+@pytest.fixture
+def poses():
+    return np.concatenate([eights(2), np.add(eights(2), [0.1, -0.1, 0.05])])
+
+
+def wheels(poses):
+    """Odometry of the second half, as columns."""
+    return dict(zip(("odom_x", "odom_y", "odom_theta"), drifting(poses[len(poses) // 2 :]).T, strict=True))
+
+
+def test_a_drive_is_located_by_all_of_it(poses):
+    by = TrueComparison(poses, 1.0, 0.02)
+    known, drive = maps(by, poses, **wheels(poses))
+    found = locate(known, drive, progress=False)
+    off = np.hypot(*(found.xy - poses[60:, :2]).T)
+    assert off.mean() < 0.02  # the noise of a single comparison
+    assert np.abs(found.theta - np.angle(np.exp(1j * poses[60:, 2]))).max() < 0.1
+    assert found.identities() == drive.frames.identities()
+    assert 0.3 < off.mean() / np.median(found.deviation) < 2
+
+
+def test_what_was_moved_is_outvoted(poses):
+    by = Moved(poses, 80, 90)
+    known, drive = maps(by, poses, **wheels(poses))
+    found = locate(known, drive, progress=False)
+    assert np.hypot(*(found.xy - poses[60:, :2]).T).max() < 0.15  # a metre, if these frames were asked alone
+
+
+def test_what_cannot_be_located_is_a_sentence(poses):
+    by = TrueComparison(poses, 1.0, 0.02)
+    known, drive = maps(by, poses)
+    with pytest.raises(DataError, match="a map frame has no pose"):
+        locate(replace(known, frames=known.frames.with_columns(theta=np.full(60, np.nan))), drive, progress=False)
+    with pytest.raises(DataError, match="in a map in metres, and this one is in 'frames'"):
+        locate(replace(known, frames=replace(known.frames, unit="frames")), drive, progress=False)
+    with pytest.raises(DataError, match="monday has 5 frames: a survey needs 10"):
+        locate(known, drive.take(np.arange(5)), progress=False)
+    with pytest.raises(ConfigError, match="by a network that compares images"):
+        locate(replace(known, heading=None, orientation=None), drive, progress=False)
+
+
+def test_frames_that_the_map_takes_for_elsewhere_join_it_and_those_that_misled_are_contradicted(poses):
+    by = Moved(poses, 80, 90)
+    known, drive = maps(by, poses)
+    x, y, theta = poses[60:].T
+    drive = replace(drive, frames=drive.frames.with_columns(x=x, y=y, theta=theta, sequence=["tuesday"] * 60))
+    found = judged(known, drive, radius=1.0)
+    assert np.flatnonzero(found.misplaced).tolist() == list(range(20, 30))
+    assert 0 < (~found.recognized & found.passed).sum() < 30
+    after = updated(known, drive)
+    assert set(np.flatnonzero(after.added)) <= set(range(20, 30))
+    assert after.added.any()
+    assert (after.map_reason == Reason.CONTRADICTED).any()
