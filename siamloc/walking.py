@@ -16,6 +16,7 @@ from foundation.files import write_text
 from foundation.settings import Positive, Rule, Settings, Text
 from siamloc import evaluation, maps, runtime
 from siamloc.data import Extraction, PanoramaLibrary, Preprocessing, extract, find_camera, read
+from siamloc.data.decoding import size_of
 from siamloc.data.manifest import manifest_of
 from siamloc.errors import ConfigError, DataError
 from siamloc.maps import Survey, SurveySettings, VisualMap
@@ -113,7 +114,9 @@ def walk(
     wheels = "with" if np.isfinite(frames.odometry).any() else "without"
     say(f"recording: {len(frames)} pictures of {file} (recording.rate=), {wheels} odometry (recording.odometry=)")
     camera = replace(given, camera=find_camera(frames.path.tolist(), given.camera))
-    say(f"camera: {camera.words()}")
+    size = size_of(frames.path[0])
+    shape = f" (unwrap=), for pictures of {size[1]} x {size[0]} px" if size else " (unwrap=)"
+    say(f"camera: {camera.words()}{shape}")
     library = partial(
         PanoramaLibrary, cache=folder / "panoramas", image_size=PRETRAINED_SIZE, unwrap=camera.unwrap_settings()
     )

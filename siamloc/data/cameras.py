@@ -15,6 +15,11 @@ from siamloc.data.presets import AutoRing, ColdRing
 from siamloc.errors import ConfigError
 
 
+def twice_as_wide(rows: int, columns: int) -> bool:
+    """Return whether a picture is about twice as wide as high: exports differ by some rows that are cut off."""
+    return 1.8 < columns / rows < 2.2
+
+
 @dataclass(frozen=True)
 class EquirectangularCamera(CentralCamera):
     """A 360-degree picture whose columns are evenly spaced in azimuth and rows in elevation; whole, or a part of it.
@@ -62,7 +67,7 @@ class EquirectangularCamera(CentralCamera):
 
     def _fitting(self, size: ImageSize | None) -> ImageSize:
         rows, columns = super()._fitting(size)
-        if self.highest is self.lowest is None and self.turn == 360 and not 1.8 < columns / rows < 2.2:
+        if self.highest is self.lowest is None and self.turn == 360 and not twice_as_wide(rows, columns):
             raise ConfigError(
                 f"a whole equirectangular picture is twice as wide as high, and this one has {columns} x {rows} px: of "
                 "a part, say unwrap.highest and unwrap.lowest in degrees"
@@ -286,7 +291,7 @@ class DualFisheyeCamera(CentralCamera):
 
     def _fitting(self, size: ImageSize | None) -> ImageSize:
         rows, columns = super()._fitting(size)
-        if not 1.8 < columns / rows < 2.2 and not (self.front.image_size and self.back.image_size):
+        if not twice_as_wide(rows, columns) and not (self.front.image_size and self.back.image_size):
             raise ConfigError(
                 f"a picture of two fisheye lenses side by side is twice as wide as high, and this one has {columns} x "
                 f"{rows} px: give such pictures, or unwrap.front.image_size and unwrap.back.image_size"

@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from foundation.calls import typed
 from foundation.files import read_json
 from foundation.settings import Thousand, shortened
+from siamloc.data.cameras import twice_as_wide
 from siamloc.data.decoding import Preprocessing, size_of
 from siamloc.data.frames import FrameTable
 from siamloc.data.panorama import OmnidirectionalCamera
@@ -229,7 +230,7 @@ def _warn_of_equirectangular(frames: FrameTable, preprocessing: Preprocessing, c
     """Warn if whole equirectangular pictures, ceiling and floor included, are squeezed into panoramas."""
     view = preprocessing.view
     size = size_of(frames.path[0]) if circular and preprocessing.camera is None else None
-    if size is not None and size[1] == 2 * size[0] and size[0] >= 256 and view.width > 3 * view.height:
+    if size is not None and twice_as_wide(*size) and size[0] >= 256 and view.width > 3 * view.height:
         logger.warning(
             "images of %d x %d px look like whole equirectangular pictures, squeezed into panoramas of %d x %d: "
             "use unwrap=equirectangular (in Python unwrap=EquirectangularCamera()), which shows %g to %g degrees",

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from foundation.calls import typed
 from foundation.files import read_json, storage_errors, write_json
-from siamloc.data.cameras import DualFisheyeCamera, EquirectangularCamera, HyperbolicMirror
+from siamloc.data.cameras import DualFisheyeCamera, EquirectangularCamera, HyperbolicMirror, twice_as_wide
 from siamloc.data.decoding import Preprocessing, UnreadableImageError, read_image
 from siamloc.data.panorama import OmnidirectionalCamera, PanoramaView, PolarRing, unwrap
 from siamloc.data.presets import AutoRing
@@ -195,8 +195,9 @@ def _of_drive(given: AutoRing, paths: Sequence[str]) -> AutoRing:
 def find_camera(images: Sequence[str], given: OmnidirectionalCamera | None = _UNKNOWN) -> OmnidirectionalCamera | None:
     """Find the camera of a drive by its pictures: their shape, or the ring of a mirror or of a lens that looks up.
 
-    Pictures twice as wide as high are whole equirectangular ones, or those of two lenses side by side if the corners of
-    both halves are dark. Wider ones are panoramas. All others show a ring.
+    Pictures about twice as wide as high, 1.8 to 2.2 times, are those of two lenses side by side if the corners of both
+    halves are dark, and else whole equirectangular ones, unless they show a ring and are not exactly twice as wide.
+    Wider ones are panoramas. All others show a ring.
 
     Args:
         images: files of the drive's pictures; those that cannot be read are left out.
@@ -222,10 +223,13 @@ def find_camera(images: Sequence[str], given: OmnidirectionalCamera | None = _UN
     if not pictures:
         raise DataError(f"none of the {len(images)} pictures can be read")
     rows, columns = pictures[0].shape[:2]
-    if columns >= 2 * rows:
-        if columns > 2 * rows:
-            return None
-        return DualFisheyeCamera() if all(map(_two_circles, pictures)) else EquirectangularCamera()
+    if twice_as_wide(rows, columns):
+        if all(map(_two_circles, pictures)):
+            return DualFisheyeCamera()
+        if columns == 2 * rows or not _shows_ring(pictures):  # 4096 x 2160 px are a size of films, too
+            return EquirectangularCamera()
+    elif columns > 2 * rows:
+        return None
     return likely_mirror(PolarRing(**vars(_of_drive(given, images))))
 
 
@@ -281,11 +285,20 @@ def _readable(paths: Sequence[str]) -> list[Array]:
     return pictures
 
 
+def _shows_ring(pictures: Sequence[Array]) -> bool:
+    try:
+        find_ring(pictures)
+    except DataError:
+        return False
+    return True
+
+
 def _two_circles(picture: Array) -> bool:
-    """Return whether a picture (rows, 2 rows, 3) is dark around the largest circles in its halves, and not in them."""
+    """Return whether a picture (rows, columns, 3) is dark around the largest circles in its halves, and not in them."""
     rows, columns = picture.shape[:2]
     down, right = np.mgrid[:rows, :columns] + 0.5
-    outside = np.hypot(right % rows - rows / 2, down - rows / 2) > _AROUND * rows / 2
+    side = columns / 2
+    outside = np.hypot(right % side - side / 2, down - rows / 2) > _AROUND * min(rows, side) / 2
     dark = picture.mean(axis=2) < _DARK
     return bool(dark[outside].mean() > 0.99 and dark[~outside].mean() < 0.5)
 

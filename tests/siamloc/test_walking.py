@@ -71,7 +71,7 @@ def test_a_folder_of_panoramas_without_odometry_becomes_a_robot(mini, tmp_path):
     said = []
     made = siamloc.walk(pictures, tmp_path / "robot", say=said.append, spacing=0.25)
     assert "without odometry" in said[0]
-    assert said[1] == "camera: unwrap=none"
+    assert said[1].startswith("camera: unwrap=none (unwrap=), for pictures of ")
     assert made.survey.fixed_by == "pictures"
     assert made.bundle.path == tmp_path / "robot" / "bundle"
     parts = siamloc.data.read("manifest", manifest=tmp_path / "robot" / "parts.csv").rows_by("sequence")

@@ -191,8 +191,9 @@ def written(folder, pictures):
     return paths
 
 
-def test_the_camera_of_a_ring_is_found_with_what_is_known_of_it(tmp_path):
-    pictures, centres = drive()
+@pytest.mark.parametrize("columns", [300, 416])
+def test_the_camera_of_a_ring_is_found_with_what_is_known_of_it(columns, tmp_path):
+    pictures, centres = drive(size=(220, columns))
     camera = find_camera(written(tmp_path, pictures), AutoRing(forward=90, mirrored=False))
     assert (camera.forward, camera.mirrored) == (90, False)
     assert np.hypot(camera.cx - centres[0][0], camera.cy - centres[0][1]) < 0.3
@@ -217,21 +218,26 @@ def test_a_ring_with_its_inside_up_or_a_tiny_hole_still_has_a_camera():
     assert np.degrees(thin.highest_elevation) > 30  # a mirror that shows the upper edge of a panorama
 
 
-@pytest.mark.parametrize(("size", "camera"), [((60, 120), EquirectangularCamera()), ((60, 240), None)])
+WHOLE = EquirectangularCamera()
+
+
+@pytest.mark.parametrize(
+    ("size", "camera"), [((60, 120), WHOLE), ((60, 114), WHOLE), ((60, 126), WHOLE), ((60, 150), None)]
+)
 def test_the_shape_of_wide_pictures_says_what_they_are(size, camera, tmp_path):
     (tmp_path / "broken.png").write_bytes(b"nothing")
     paths = [str(tmp_path / "broken.png"), *written(tmp_path, np.zeros((2, *size, 3), np.uint8))]
     assert find_camera(paths) == camera
 
 
-@pytest.mark.parametrize("radius", [30, 27, 40])
-def test_two_bright_circles_side_by_side_are_two_lenses(radius, tmp_path):
-    pictures = np.random.default_rng(0).integers(0, 9, (3, 60, 120, 3)).astype(np.uint8)
+@pytest.mark.parametrize(("radius", "columns"), [(30, 120), (27, 120), (40, 120), (29, 116), (29, 126)])
+def test_two_bright_circles_side_by_side_are_two_lenses(radius, columns, tmp_path):
+    pictures = np.random.default_rng(0).integers(0, 9, (3, 60, columns, 3)).astype(np.uint8)
     for picture in pictures:
-        for middle in (29, 89):
+        for middle in (columns // 4 - 1, 3 * columns // 4 - 1):
             cv2.circle(picture, (middle, 29), radius, (90, 120, 200), -1)
     lenses = radius < 40  # larger circles reach into the corners
-    assert find_camera(written(tmp_path, pictures)) == (DualFisheyeCamera() if lenses else EquirectangularCamera())
+    assert find_camera(written(tmp_path, pictures)) == (DualFisheyeCamera() if lenses else WHOLE)
 
 
 def test_pictures_without_a_camera_are_refused_in_a_sentence(tmp_path):
