@@ -18,7 +18,7 @@ from siamloc.errors import DataError, leave_out, logger
 _STAMP = re.compile(r"\d+(?:\.\d+)?$")
 _IN_PARTS = re.compile(r"(\d{10})[_-](\d{9})$")  # s and ns
 _OTHER_UNIT = 300  # times as long a drive counts other units than seconds
-_COUNTER = 1e8  # a whole number below it counts images and is no time
+_COUNTER = 1e8, 1e4  # whole numbers below it, in smaller steps, count images and are no times
 _ANY_DRIVE = {"rgb", "data", "images", "image", "frames", "mav0", "cam0", "cam1", "image_0", "image_2"}
 
 
@@ -153,13 +153,14 @@ def _of_names(files: Sequence[Path]) -> Array:
     stamps = [_STAMP.search(_IN_PARTS.sub(r"\1.\2", file.stem)) for file in files]
     if all(stamps):
         numbers = np.array([float(stamp[0]) for stamp in stamps if stamp])
-        if numbers.max() >= _COUNTER or any("." in stamp[0] for stamp in stamps if stamp):
-            return seconds(numbers)
+        large = numbers.max() >= _COUNTER[0] or np.ptp(numbers) >= _COUNTER[1] * len(numbers)
+        if large or any("." in stamp[0] for stamp in stamps if stamp):
+            return seconds(numbers, str(files[0].parent))
     return np.full(len(files), np.nan)
 
 
 def _times(path: Path, rows: Sequence[tuple[int, list[str]]]) -> Array:
     try:
-        return seconds(np.array([words[0] for _, words in rows], dtype=np.float64))
+        return seconds(np.array([words[0] for _, words in rows], dtype=np.float64), str(path))
     except ValueError as error:
         raise DataError(f"{path} is not a list of times: {error}") from error

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from typing import Literal
 
@@ -18,7 +19,7 @@ from numpy.typing import NDArray
 from foundation.calls import typed
 from foundation.files import read_text
 from foundation.settings import NotNegative, Positive, shortened
-from siamloc.errors import DataError
+from siamloc.errors import DataError, logger
 
 Array = NDArray[np.float64]
 Form = Literal["tum", "kitti", "euroc"]
@@ -30,8 +31,13 @@ AXES: dict[str, tuple[Array, Array]] = {
     "robot": (np.array([1.0, 0, 0]), np.array([0, 0, 1.0])),
     "camera": (np.array([0, 0, 1.0]), np.array([0, -1.0, 0])),
 }
+_FACTORS = {"ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 _UNITS = ((1e17, 1e-9), (1e14, 1e-6), (1e11, 1e-3))  # from a number this large, times count ns, us and ms
 _A_DRIVE = 0.01  # of the time since 1970, half a year: no drive takes longer
+_THIS_CENTURY = 9e8, 4.2e9  # s since 1970
+_SLOWEST = 3600.0  # s between two entries of a drive since 1970
+_SPARSE = 10  # s; whole numbers farther apart count another unit
+_USUAL, _STEPS = 0.1, (1e-3, 60.0)  # s from an entry to the next
 _UNIT_LENGTH = 0.01  # by which the length of a quaternion may differ from 1
 _LEVEL, _TILTED = (
     0.98,
@@ -258,18 +264,39 @@ def read_trajectory(
         )
     w_first = (order or {"tum": "xyzw", "euroc": "wxyz"}[form]) == "wxyz"
     quaternion = numbers[:, [5, 6, 7, 4]] if w_first else numbers[:, 4:8]
-    return Trajectory.of(seconds(numbers[:, 0]), numbers[:, 1:4], quaternion, str(path))
+    return Trajectory.of(seconds(numbers[:, 0], str(path)), numbers[:, 1:4], quaternion, str(path))
 
 
-def seconds(times: Array) -> Array:
-    """Return times since 1970 in s that are given in s, ms, us or ns.
+def seconds(times: Array, source: str) -> Array:
+    """Return times in s that are given in s, ms, us or ns.
 
-    Smaller numbers are s already, and so are those from the start of a clock that nobody set: a unit would be a guess.
+    Times since 1970 are known by their size. From any other start, whole numbers with a median step above 10 are in the
+    unit that brings this step nearest to 0.1 s, which is said; all others are s.
+
+    Args:
+        times: (n,), in any order.
+        source: the file or folder, for the line that says the unit.
     """
     largest = np.abs(times).max(initial=0)
-    if largest - times.min(initial=largest) > _A_DRIVE * largest:
-        return times
-    return times * next((factor for least, factor in _UNITS if largest >= least), 1.0)
+    steps = np.diff(np.unique(times))
+    step = float(np.median(steps)) if len(steps) else 0.0
+    by_size = next((factor for least, factor in _UNITS if largest >= least), 1.0)
+    known = _THIS_CENTURY[0] <= largest * by_size <= _THIS_CENTURY[1] and np.ptp(times) <= _A_DRIVE * largest
+    if (known and step * by_size <= _SLOWEST) or step <= _SPARSE or (times % 1).any():
+        return times * (by_size if known else 1.0)
+    unit, factor = min(_FACTORS.items(), key=lambda one: abs(np.log(step * one[1] / _USUAL)))
+    if not _STEPS[0] <= step * factor <= _STEPS[1]:
+        return times * (by_size if known else 1.0)
+    _say_once(
+        f"{source}: the times from {times.min():.0f} to {times.max():.0f} are taken for {unit} since some start, in "
+        f"steps of {step * factor:.3g} s: if that is wrong, write them in s"
+    )
+    return times * factor
+
+
+@cache
+def _say_once(text: str) -> None:
+    logger.warning("%s", text)
 
 
 def text_rows(path: Path) -> list[tuple[int, list[str]]]:

@@ -74,10 +74,21 @@ def test_offset_odometry_and_frames_without_a_pose(tmp_path, poses, caplog):
 
 
 def test_times_in_another_unit_are_no_matter_of_an_offset(tmp_path, poses):
-    """Images in ns since the robot's start, and poses in s since 1970."""
-    folder = images(tmp_path / "monday", [f"{100 + t}000000000.png" for t in range(10)])
+    """Images in ms since the robot's start, with a fraction, and poses in s since 1970."""
+    folder = images(tmp_path / "monday", [f"{100 + t}000.5.png" for t in range(10)])
     with pytest.raises(DataError, match="the images' times seem to count ms, us or ns from a start of their own"):
         read_recorded(folder, poses)
+
+
+@pytest.mark.parametrize("factor", [1e9, 1e6])
+def test_images_in_ns_or_us_since_the_start_of_a_robot(tmp_path, factor):
+    """Poses in s since that start; a folder of counted images has no times."""
+    poses = straight(tmp_path / "poses.txt", start=3000)
+    names = [f"{(3001 + t / 4) * factor:.0f}.png" for t in range(9)]
+    np.testing.assert_allclose(read_recorded(images(tmp_path / "monday", names), poses).x, 0.5 + np.arange(9) / 8)
+    few = images(tmp_path / "us", [f"{t * 33333:06d}.png" for t in range(3)])
+    assert read_recorded(few).time.max() == pytest.approx(0.066666)
+    assert np.isnan(read_recorded(images(tmp_path / "counted", ["0.png", "10.png", "20.png"])).time).all()
 
 
 @pytest.mark.parametrize("written", ["times", "tum", "euroc"])

@@ -54,12 +54,22 @@ def test_whole_matrices_are_those_of_kitti_too(tmp_path):
 
 
 @pytest.mark.parametrize(("unit", "factor"), [("s", 1), ("ms", 1e3), ("us", 1e6), ("ns", 1e9)])
-def test_only_times_since_1970_are_brought_to_seconds(unit, factor):
-    """From the start of a robot, 10 minutes in ns are as many as some years since 1970 in ms."""
+def test_the_unit_of_times_is_known_by_their_size_or_by_their_steps(unit, factor, caplog):
+    """From the start of a robot, 20 minutes in ns are as many as the time since 1970 in ms."""
     since_1970 = 1.7e9 + np.arange(0.0, 600, 60)
-    np.testing.assert_allclose(seconds(since_1970 * factor), since_1970, rtol=1e-12)
-    since_start = 100 + np.arange(0.0, 600, 60)
-    np.testing.assert_array_equal(seconds(since_start * factor), since_start * factor)
+    np.testing.assert_allclose(seconds(since_1970 * factor, "a"), since_1970, rtol=1e-12)
+    rare = 1.7e9 + np.arange(0.0, 72000, 7200)
+    np.testing.assert_allclose(seconds(rare * 1e9, "rare"), rare, rtol=1e-12)
+    assert not caplog.records
+    for start, step in ((0, 0.5), (1200, 1 / 32), (40000, 0.1), (1200, 2.0)):
+        since_start = start + np.arange(0, 20 * step, step)
+        written = since_start * factor if factor == 1 else np.round(since_start * factor)
+        np.testing.assert_allclose(seconds(written, f"{unit} {start} {step}"), since_start, atol=1e-3)
+        said = f"{unit} {start} {step}: the times from" in caplog.text and f"are taken for {unit} since" in caplog.text
+        assert said == (factor > 1)
+    seconds(written, "once")
+    seconds(written, "once")
+    assert caplog.text.count("once: the times") == (factor > 1)
 
 
 @pytest.mark.parametrize("axes", ["robot", "camera"])
