@@ -1,4 +1,4 @@
-"""`read_calibration`: cameras from the calibration files of Kalibr, OpenCV (and ROS) and OCamCalib."""
+"""`read_calibration`: cameras from the calibration files of Kalibr, OpenCV (and ROS), CamOdoCal and OCamCalib."""
 
 from __future__ import annotations
 
@@ -26,7 +26,8 @@ from siamloc.errors import ConfigError, DataError, hint
 
 _LONGEST = 1_000_000  # bytes of a calibration file
 _READ = (
-    "Kalibr's omni, ds and pinhole with equidistant distortion, OpenCV's fisheye and omnidir, and OCamCalib are read"
+    "Kalibr's omni, ds and pinhole with equidistant distortion, OpenCV's fisheye and omnidir, CamOdoCal's MEI and "
+    "KANNALA_BRANDT, and OCamCalib are read"
 )
 
 
@@ -36,7 +37,8 @@ def read_calibration(path: str | Path, camera: str | Sequence[str] | None = None
 
     The form of the file is recognized: a camera chain of Kalibr (YAML), what OpenCV's `FileStorage` wrote (YAML, XML or
     JSON) with a camera matrix, distortion coefficients, and `xi` for `cv2.omnidir`, ROS's camera info (YAML, or the
-    `camera_info.json` of a recording, with its topics), or `calib_results.txt` of OCamCalib. Of OpenCV's files, those
+    `camera_info.json` of a recording, with its topics), CamOdoCal's YAML (model_type MEI or KANNALA_BRANDT, as VINS has
+    it), or `calib_results.txt` of OCamCalib. Of OpenCV's files, those
     of the fisheye model must say so by `fisheye_model: 1`, or by the `distortion_model` fisheye or equidistant.
 
     Args:
@@ -68,7 +70,7 @@ def read_calibration(path: str | Path, camera: str | Sequence[str] | None = None
     if not chain:
         if camera is not None:
             raise ConfigError(f"{file} is of one camera: leave out camera={camera}")
-        kind, values = _opencv(file, found)
+        kind, values = (_camodocal if "model_type" in found else _opencv)(file, found)
         return kind.of({**values, **where})
     names = [camera] if isinstance(camera, str) else list(camera or list(chain)[:1])
     for name in names:
@@ -167,6 +169,24 @@ def _opencv(file: Path, values: Mapping[str, Any], name: str = "the camera") -> 
     return FisheyeCamera, {**found, "k": bent}
 
 
+def _camodocal(file: Path, values: Mapping[str, Any]) -> Made:
+    """Return the model and the parameters in a file of CamOdoCal."""
+    model, own = str(values["model_type"]), dict[str, Any]()
+    for part in ("mirror", "distortion", "projection"):
+        own |= values.get(f"{part}_parameters") or {}
+    lens = {"MEI": ("gamma1", "gamma2", "xi"), "KANNALA_BRANDT": ("mu", "mv")}.get(model.upper())
+    if lens is None:
+        raise DataError(f"{file} is of the model {model}: {_READ}")
+    bent = ("k1", "k2", "p1", "p2") if "xi" in lens else ("k2", "k3", "k4", "k5")
+    names = (*lens[:2], "u0", "v0", *bent, *lens[2:])
+    fx, fy, cx, cy, *rest = _numbers(file, [own.get(name) for name in names], f"{', '.join(names)} of {model}")
+    rows, columns = _numbers(file, [values.get(f"image_{side}") for side in ("height", "width")], "the image size")
+    size: dict[str, Any] = {"image_size": (int(rows), int(columns)), "fx": fx, "fy": fy, "cx": cx, "cy": cy}
+    if "xi" in lens:
+        return UnifiedCamera, {**size, "distortion": rest[:4], "xi": rest[4]}
+    return FisheyeCamera, {**size, "k": rest}
+
+
 def _ocam(file: Path, text: str) -> Made:
     """Return the model and the parameters in a file of OCamCalib: polynomial, inverse, centre, affine and size."""
     lines = [line.split() for line in text.splitlines() if line.strip() and not line.lstrip().startswith("#")]
@@ -203,8 +223,10 @@ def _stored(file: Path, text: str) -> dict[str, Any]:
         found: dict[str, Any] = {}
         for name in storage.root().keys():  # noqa: SIM118 (a node is not a mapping)
             node = storage.getNode(name)
-            if node.isMap():
-                found[name] = None if node.getNode("data").empty() else node.mat().ravel().tolist()
+            if node.isMap() and node.getNode("data").empty():
+                found[name] = {key: node.getNode(key).real() for key in node.keys()}  # noqa: SIM118
+            elif node.isMap():
+                found[name] = node.mat().ravel().tolist()
             elif node.isSeq():
                 found[name] = [node.at(i).real() for i in range(node.size())]
             else:

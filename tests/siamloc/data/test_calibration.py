@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import json
+import re
 
 import cv2
 import numpy as np
@@ -79,6 +80,43 @@ distortion_coefficients:
   rows: 1
   cols: 4
   data: [0.01, 0.002, -0.001, 0.0003]
+"""
+MEI = """\
+%YAML:1.0
+---
+model_type: MEI
+camera_name: camera
+image_width: 752
+image_height: 480
+mirror_parameters:
+   xi: 1.87
+distortion_parameters:
+   k1: -0.11
+   k2: 0.42
+   p1: 0.0008
+   p2: -0.0003
+projection_parameters:
+   gamma1: 1120.4
+   gamma2: 1118.1
+   u0: 362.4
+   v0: 245.5
+"""
+KANNALA_BRANDT = """\
+%YAML:1.0
+---
+model_type: KANNALA_BRANDT
+camera_name: camera
+image_width: 752
+image_height: 480
+projection_parameters:
+   k2: 0.0034
+   k3: 0.0007
+   k4: -0.0020
+   k5: 0.0002
+   mu: 461.3
+   mv: 460.2
+   u0: 362.4
+   v0: 245.5
 """
 MATRIX = np.array([[200.5, 0.3, 320.1], [0, 201.5, 240.2], [0, 0, 1]])
 BENT = np.array([0.01, 0.002, -0.001, 0.0003])
@@ -169,6 +207,30 @@ def test_a_file_of_ocamcalib(tmp_path):
     agrees(camera, oracle.ocam)
 
 
+@pytest.mark.parametrize("text", [MEI, KANNALA_BRANDT])
+def test_files_of_camodocal(tmp_path, text):
+    """Points as the models of CamOdoCal are defined, from the numbers of the file alone."""
+    own = {name: float(value) for name, value in re.findall(r"^   (\w+): (\S+)$", text, re.MULTILINE)}
+    for head in ("", text[: text.index("model")]):  # the plain YAML that people write by hand, and OpenCV's
+        camera = read_calibration(written(tmp_path / "camera.yaml", head + text[text.index("model") :]), azimuth=90)
+        assert (camera.image_size, camera.azimuth) == ((480, 752), 90)
+        for x, y, z in [(0.1, 0.2, 1.0), (-0.7, 0.3, 0.8), (0.5, -0.9, 0.4)]:
+            norm, side = np.sqrt(x**2 + y**2 + z**2), np.hypot(x, y)
+            if text is MEI:
+                x_n, y_n = x / (z + own["xi"] * norm), y / (z + own["xi"] * norm)
+                r2 = x_n**2 + y_n**2
+                radial = 1 + own["k1"] * r2 + own["k2"] * r2**2
+                u = x_n * radial + 2 * own["p1"] * x_n * y_n + own["p2"] * (r2 + 2 * x_n**2)
+                v = y_n * radial + own["p1"] * (r2 + 2 * y_n**2) + 2 * own["p2"] * x_n * y_n
+                expected = [own["gamma1"] * u + own["u0"], own["gamma2"] * v + own["v0"]]
+            else:
+                t = np.arctan2(side, z)
+                r = t + own["k2"] * t**3 + own["k3"] * t**5 + own["k4"] * t**7 + own["k5"] * t**9
+                expected = [own["mu"] * r * x / side + own["u0"], own["mv"] * r * y / side + own["v0"]]
+            # the camera looks to the left: its right is the robot's front
+            np.testing.assert_allclose(camera.project(np.array([x, z, -y])), expected, atol=0.01)
+
+
 def test_files_with_a_mark_of_their_byte_order(tmp_path):
     for text in (OCAM, ROS):
         plain = read_calibration(written(tmp_path / "plain", text))
@@ -201,8 +263,11 @@ def test_the_command_line_names_the_file_and_a_run_keeps_the_camera(tmp_path):
         (ROS.replace("200.5, ", ""), None, DataError, "the camera matrix must be 9 finite numbers"),
         (OCAM.partition("#affine")[0], None, DataError, "is not whole: OCamCalib writes five lines"),
         (OCAM.replace("5 -6", "6 -6"), None, DataError, "announces 6 coefficients and lists 5"),
-        ("%YAML:1.0\n---\nK: !!opencv-matrix\n   rows: 3", None, DataError, "is not whole, OpenCV|no camera matrix"),
-        ("%YAML:1.0\n---\nmodel_type: MEI\nmirror:\n   xi: 1.9", None, DataError, "no camera matrix among model_type"),
+        ("%YAML:1.0\n---\nK: !!opencv-matrix\n   rows: 3", None, DataError, "not whole|camera matrix must be"),
+        ("%YAML:1.0\n---\nmodel_type: MEI\nmirror:\n   xi: 1.9", None, DataError, "gamma1, .* of MEI must be finite"),
+        (MEI.replace("MEI", "PINHOLE"), None, DataError, "is of the model PINHOLE: .*CamOdoCal's MEI and KANNALA"),
+        (MEI.replace("   u0: 362.4\n", ""), None, DataError, "gamma1, gamma2, u0, .* of MEI must be finite numbers"),
+        (KANNALA_BRANDT.replace("image_width: 752\n", ""), None, DataError, "the image size must be finite numbers"),
         ("a: [1", None, DataError, "is not YAML"),
         ("just words", None, DataError, "is not a calibration file"),
         ("", None, DataError, "is not a calibration file"),
