@@ -37,7 +37,7 @@ def read_recorded(
     lighting: str = "",
     on_error: str = "skip",
 ) -> FrameTable:
-    """Read a folder of images with a trajectory in TUM, KITTI or EuRoC form, joined by time.
+    """Read a folder of images with a trajectory in TUM, KITTI, EuRoC or planar form, joined by time.
 
     Poses are interpolated between the two entries of the trajectory around the time of an image. Images without such
     entries are left out and reported. A trajectory in KITTI form has a pose for each image.

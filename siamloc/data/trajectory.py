@@ -1,8 +1,8 @@
 """`Trajectory`: poses along time, from a file, between whose entries poses are interpolated.
 
-Three forms of files are read. TUM: `time x y z qx qy qz qw` on each line. KITTI: the upper three rows of a pose's
+Four forms of files are read. TUM: `time x y z qx qy qz qw` on each line. KITTI: the upper three rows of a pose's
 matrix, 12 numbers, or all of it, 16, without a time. EuRoC: a CSV table of a time in ns, x, y, z, qw, qx, qy, qz, and
-maybe more columns.
+maybe more columns. Planar: `time x y heading`, in rad.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from foundation.settings import NotNegative, Positive, shortened
 from siamloc.errors import DataError, logger
 
 Array = NDArray[np.float64]
-Form = Literal["tum", "kitti", "euroc"]
+Form = Literal["tum", "kitti", "euroc", "planar"]
 Order = Literal["xyzw", "wxyz"]
 Axes = Literal["robot", "camera"]
 
@@ -43,9 +43,10 @@ _LEVEL, _TILTED = (
     0.98,
     0.9,
 )  # length of the mean direction upwards of a robot that stays level, and of one that does not
+_WHOLE_TURN = 2 * np.pi + 0.01
 _EXACTLY = 1e-6  # rad
 _NO_GAP = 1e9  # s
-_COLUMNS = {"tum": 8, "kitti": 12, "euroc": 8}
+_COLUMNS = {"tum": 8, "kitti": 12, "euroc": 8, "planar": 4}
 
 
 @dataclass(frozen=True, eq=False)
@@ -222,12 +223,12 @@ def read_trajectory(
     order: Order | None = None,
     tolerance: NotNegative = 0.01,
 ) -> Trajectory:
-    """Read a trajectory in TUM, KITTI or EuRoC form.
+    """Read a trajectory in TUM, KITTI, EuRoC or planar form.
 
     Args:
         file: the file; lines that begin with # are skipped, as is a first line of names.
-        form: its form; if None, KITTI for lines of 12 or 16 numbers, EuRoC for numbers between commas, and otherwise
-            TUM.
+        form: its form; if None, KITTI for lines of 12 or 16 numbers, planar for lines of 4, EuRoC for numbers between
+            commas, and otherwise TUM.
         order: order of a quaternion, if it is another than that of the form.
         tolerance: by which a matrix in KITTI form may differ from a rotation.
 
@@ -248,12 +249,20 @@ def read_trajectory(
     numbers, commas = read_numbers(path)
     if numbers.shape[1] == 16 and (numbers[:, 12:] == [0, 0, 0, 1]).all():
         numbers = numbers[:, :12]
-    form = form or ("kitti" if numbers.shape[1] == 12 else "euroc" if commas else "tum")
+    by_width: dict[int, Form] = {4: "planar", 12: "kitti"}
+    form = form or by_width.get(numbers.shape[1], "euroc" if commas else "tum")
     if numbers.shape[1] < _COLUMNS[form] or (form == "kitti" and numbers.shape[1] != 12):
         raise DataError(
             f"{path} has {numbers.shape[1]} numbers on a line, and a trajectory in {form} form has {_COLUMNS[form]}: "
-            "give form=tum, kitti or euroc"
+            "give form=tum, kitti, euroc or planar (time, x, y, heading)"
         )
+    if form == "planar":
+        if np.abs(numbers[:, 3]).max() > _WHOLE_TURN:
+            logger.warning(
+                "%s: the headings reach from %.1f to %.1f and are taken for rad: convert them if they are degrees",
+                *(path, numbers[:, 3].min(), numbers[:, 3].max()),
+            )
+        return Trajectory.planar(seconds(numbers[:, 0], str(path)), numbers[:, 1:4], str(path))
     if form == "kitti":
         matrices = numbers.reshape(-1, 3, 4)
         return Trajectory.of(
@@ -322,7 +331,7 @@ def read_numbers(path: Path) -> tuple[Array, bool]:
     if len(rows) > 1 and not _is_number(rows[0][1][0]):  # a line of names
         rows = rows[1:]
     width = len(rows[0][1])
-    expected = f"{width} numbers" if _is_number(rows[0][1][0]) else "lines of numbers, 8 or 12 for a trajectory"
+    expected = f"{width} numbers" if _is_number(rows[0][1][0]) else "lines of numbers, 4, 8 or 12 for a trajectory"
     for number, words in rows:
         if len(words) != width or not all(map(_is_number, words)):
             line = shortened(" ".join(words))

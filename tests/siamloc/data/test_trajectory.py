@@ -72,6 +72,22 @@ def test_the_unit_of_times_is_known_by_their_size_or_by_their_steps(unit, factor
     assert caplog.text.count("once: the times") == (factor > 1)
 
 
+def test_planar_poses(tmp_path, caplog):
+    """Lines of time, x, y and heading in rad, with a line of names, between spaces or commas."""
+    rows = np.column_stack([TIME, XY, HEADING])
+    for separator in (" ", ","):
+        head = separator.join(["time", "x", "y", "theta"]) + "\n"
+        (tmp_path / "poses").write_text(lines(*rows.T, separator=separator, head=head))
+        found = read_trajectory(tmp_path / "poses")
+        np.testing.assert_allclose(found.flat()[:, :2], XY, atol=1e-9)
+        same_heading(found.flat()[:, 2], HEADING)
+        np.testing.assert_allclose(found.time, TIME)
+    assert not caplog.records
+    (tmp_path / "degrees").write_text(lines(TIME, XY, np.degrees(HEADING) % 360))
+    read_trajectory(tmp_path / "degrees", form="planar")
+    assert "are taken for rad: convert them if they are degrees" in caplog.text
+
+
 @pytest.mark.parametrize("axes", ["robot", "camera"])
 def test_roll_and_pitch_are_those_of_the_frame(tmp_path, axes):
     roll, pitch = RNG.uniform(-0.2, 0.2, (2, 60))
@@ -150,8 +166,8 @@ BAD = {
     r"pose 1, .* but of length 0: check": "0 0 0 0 0 0 0 0\n",
     r"line 3: expected 8 numbers, got '1 0 0': it is cut short": "0 0 0 0 0 0 0 1\n1 0 0 0 0 0 0 1\n1 0 0",
     r"line 2: expected 8 numbers, got '1 0 0 x": "0 0 0 0 0 0 0 1\n1 0 0 x 0 0 0 1\n",
-    "line 2: expected lines of numbers, 8 or 12 for a trajectory, got 'the robot'": "some notes\nthe robot\n",
-    "has 4 numbers on a line, and a trajectory in tum form has 8": "0 1 2 3\n",
+    "line 2: expected lines of numbers, 4, 8 or 12 for a trajectory, got 'the robot'": "some notes\nthe robot\n",
+    "has 5 numbers on a line, and a trajectory in tum form has 8": "0 1 2 3 4\n",
     "the matrix of pose 2 is not a rotation": "1 0 0 0 0 1 0 0 0 0 1 0\n1 0 0 0 0 2 0 0 0 0 1 0\n",
     "is not three numbers and a quaternion": "0 0 nan 0 0 0 0 1\n",
 }
