@@ -212,7 +212,7 @@ def extract(file: str | Path, out: str | Path, *, settings: Extraction = OF_FIEL
         about = _identity(path, sources["images"])
         if (folder / _KEPT).is_file() and read_json(folder / _KEPT) != about:
             raise DataError(f"{folder} holds the images of another recording, as {_KEPT} says: give another folder")
-        files, times = _write_images(recording, folder, sources["images"], settings)
+        files, times = _write_images(recording, folder, sources["images"], settings, given["poses"])
         write_json(folder / _KEPT, about)
         columns = {"time": times}
         for what, names in (("poses", ("x", "y", "theta", *TILT)), ("odometry", ODOMETRY)):
@@ -261,13 +261,14 @@ def _identity(path: Path, topic: str) -> dict[str, Any]:
 
 
 def _write_images(
-    recording: Bag | Film | Pictures, folder: Path, topic: str, settings: Extraction
+    recording: Bag | Film | Pictures, folder: Path, topic: str, settings: Extraction, poses: Trajectory | None
 ) -> tuple[list[str], NDArray[np.float64]]:
     """Write every k-th image, at most as many as the rate says; return the files and their times in s.
 
     Images with the time of another one, and with a rate those that were recorded after later ones, are left out, which
-    is reported.
+    is reported. With on_error=raise, nothing is written from the first of them on, or from the first without a pose.
     """
+    strict = settings.on_error == "raise"
     found: dict[int, str] = {}
     late, same = list[str](), list[str]()
     apart = None if settings.rate is None else round(1e9 / settings.rate)
@@ -275,6 +276,8 @@ def _write_images(
     count = recording.topics.get(topic, ("", 0))[1]
     messages = track(recording.images(topic, settings.clock), count, f"extracting {recording.path.name}")
     for number, (time, image, ending) in enumerate(messages):
+        if strict and (late or same):
+            break
         if number % settings.every:
             continue
         if time in found:
@@ -287,6 +290,8 @@ def _write_images(
                 continue
             last = time
             due = (max(due, time - apart / 2) if found else time) + apart
+        if strict and poses is not None:
+            _check_pose(recording.path, time / 1e9, poses, settings)
         file = folder / f"{time:019d}{ending}"
         found[time] = str(file)
         if not file.is_file():
@@ -303,6 +308,15 @@ def _write_images(
     leave_out(same, number + 1, f"images of {recording.path} have the time of another one{remedy}", settings.on_error)
     order = sorted(found)
     return [found[time] for time in order], np.array(order, dtype=np.int64) / 1e9
+
+
+def _check_pose(path: Path, time: float, poses: Trajectory, settings: Extraction) -> None:
+    if np.isnan(poses.at(np.array([time + settings.offset]), settings.gap).position).any():
+        raise DataError(
+            f"the image of {path} at {time:.3f} s has no pose in {poses.source}, from {poses.time[0]:.3f} to "
+            f"{poses.time[-1]:.3f} s, with offset={settings.offset:g} and gap={settings.gap:g} (on_error=skip leaves it "
+            "out)"
+        )
 
 
 def _trajectory(recording: Bag | Film | Pictures, what: str, source: str, settings: Extraction) -> Trajectory | None:

@@ -346,6 +346,32 @@ def test_the_command_looks_first_and_then_extracts(bags, tmp_path, monkeypatch, 
         siamloc.data.contents(tmp_path / "notes.txt")
 
 
+def test_a_camera_that_stamps_nothing_anew_is_warned_of(tmp_path, caplog):
+    bag = Written(tmp_path / "bag", "sqlite3")
+    with bag.writer:
+        for number in range(4):
+            bag.image("/image", START, PICTURES[0], received=START + number * 10**9)
+    assert len(siamloc.data.extract(bag.path, tmp_path / "one")) == 1
+    assert "3 of 4 images of" in caplog.text
+    assert "clock=bag takes the times at which they were recorded" in caplog.text
+    assert len(siamloc.data.extract(bag.path, tmp_path / "all", clock="bag")) == 4
+
+
+def test_a_strict_extraction_stops_at_the_first_image_that_is_left_out(tmp_path):
+    strict = {"on_error": "raise"}
+    names = [f"{time}.png" for time in (100.0, 100.5, 101.0, 104.0)]
+    pictures = written(tmp_path / "monday", names)
+    poses = tmp_path / "poses.txt"
+    poses.write_text("100.2 0 0 0 0 0 0 1\n101 1 0 0 0 0 0 1\n")
+    with pytest.raises(DataError, match=r"at 100.000 s has no pose in .*, from 100.200 to 101.000 s, with offset=0"):
+        siamloc.data.extract(pictures, tmp_path / "none", poses=str(poses), **strict)
+    assert not (tmp_path / "none").exists()
+    (pictures / names[0]).rename(pictures / "0100.5.png")  # the same time again
+    with pytest.raises(DataError, match=r"1 of 3 images of .* have the time of another one"):
+        siamloc.data.extract(pictures, tmp_path / "one", poses="none", **strict)
+    assert [path.name for path in (tmp_path / "one").iterdir()] == ["0000000100500000000.png"]
+
+
 def test_without_rosbags_the_extra_is_named(bags, monkeypatch):
     monkeypatch.setitem(sys.modules, "rosbags.highlevel", None)
     with pytest.raises(ModuleNotFoundError) as error:
