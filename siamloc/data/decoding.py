@@ -287,6 +287,8 @@ def decode_image(data: bytes) -> NDArray[np.uint8]:
         image = cv2.imdecode(np.frombuffer(data, dtype=np.uint8), cv2.IMREAD_COLOR)
     except cv2.error as error:
         raise UnreadableImageError(f"the image cannot be decoded ({error.err})") from error
+    if image is None and data[4:8] == b"ftyp":
+        raise UnreadableImageError("it is a HEIC or AVIF picture or a video: convert it to JPEG")
     if image is None:
         raise UnreadableImageError("the file is not an image, or it is damaged")
     return np.asarray(image, dtype=np.uint8)

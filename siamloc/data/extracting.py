@@ -16,7 +16,7 @@ from foundation.calls import OF_FIELDS, takes, typed
 from foundation.files import read_json, write_bytes, write_json, write_picture, write_text
 from foundation.settings import Count, Positive, Settings, Text
 from siamloc.data.bags import KINDS, Bag, Clock, proposed
-from siamloc.data.frames import ODOMETRY, TILT, VIDEOS, FrameTable
+from siamloc.data.frames import ODOMETRY, TILT, VIDEOS, FrameTable, advice
 from siamloc.data.manifest import manifest_of
 from siamloc.data.names import lighting_in
 from siamloc.data.reading import read
@@ -249,6 +249,7 @@ def _opened(path: Path) -> Bag | Film | Pictures:
     known = ", ".join((*BAGS, *VIDEOS))
     raise DataError(
         f"{path} is no recording: expected a file {known}, a folder of pictures, or the folder of a ROS 2 bag"
+        f"{advice([path.name])}"
     )
 
 
@@ -314,8 +315,8 @@ def _check_pose(path: Path, time: float, poses: Trajectory, settings: Extraction
     if np.isnan(poses.at(np.array([time + settings.offset]), settings.gap).position).any():
         raise DataError(
             f"the image of {path} at {time:.3f} s has no pose in {poses.source}, from {poses.time[0]:.3f} to "
-            f"{poses.time[-1]:.3f} s, with offset={settings.offset:g} and gap={settings.gap:g} (on_error=skip leaves it "
-            "out)"
+            f"{poses.time[-1]:.3f} s, with offset={settings.offset:g} and gap={settings.gap:g} "
+            "(on_error=skip leaves it out)"
         )
 
 

@@ -16,6 +16,14 @@ from foundation.calls import typed
 from foundation.settings import Count, Natural, Positive
 from siamloc.errors import ConfigError, DataError, hint
 
+_ADVICE = {  # on formats that are not read
+    (".heic", ".heif", ".avif"): "convert them to JPEG, as the telephone or `heif-convert` does",
+    (".dng", ".raw", ".arw", ".cr2", ".nef"): "export them as JPEG",
+    (".insv", ".360"): "export a whole 360-degree video (.mp4, unwrap=equirectangular) with the camera's program; an "
+    ".insv that is renamed to .mp4 is the video of one lens or of two (unwrap=dual_fisheye)",
+    (".insp",): "export whole 360-degree pictures (.jpg) with the camera's program; an .insp that is renamed to .jpg "
+    "shows the two lenses (unwrap=dual_fisheye)",
+}
 VIDEOS = (".mp4", ".avi", ".mkv", ".mov", ".webm", ".mjpeg", ".mpg")
 """Endings of the videos that are read."""
 _TEXT = ("path", "room", "sequence", "lighting", "building")
@@ -298,6 +306,12 @@ def image_files(folder: Path) -> list[Path]:
     """Return the image files directly inside a folder, in name order."""
     suffixes = {".jpeg", ".jpg", ".png", ".bmp", ".ppm", ".tif", ".tiff", ".webp"}
     return sorted(path for path in folder.iterdir() if path.suffix.lower() in suffixes and path.is_file())
+
+
+def advice(names: Iterable[str]) -> str:
+    """Return what to do with files whose format is not read, as "; .heic: convert ..." for each format among them."""
+    there = {Path(name).suffix.lower() for name in names}
+    return "".join(f"; {', '.join(there & {*ends})}: {text}" for ends, text in _ADVICE.items() if there & {*ends})
 
 
 def _labels(column: NDArray[np.str_]) -> list[str]:

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from foundation.settings import Positive, shortened
-from siamloc.data.frames import ODOMETRY, TILT, FrameTable, image_files, in_capture_order
+from siamloc.data.frames import ODOMETRY, TILT, FrameTable, advice, image_files, in_capture_order
 from siamloc.data.names import lighting_in
 from siamloc.data.trajectory import Array, Axes, Form, Order, Trajectory, read_trajectory, seconds, text_rows
 from siamloc.data.trajectory_checks import doubts
@@ -133,8 +133,9 @@ def images_of(folder: Path, times: Path | None = None) -> tuple[list[Path], Arra
         raise DataError(f"{folder} is not a folder of images")
     files = image_files(folder)
     if not files:
-        inside = ", ".join(sorted(path.name for path in folder.iterdir()))
-        raise DataError(f"{folder} holds no images; it holds: {shortened(inside) or 'nothing'}")
+        inside = sorted(path.name for path in folder.iterdir())
+        what = shortened(", ".join(inside)) or "nothing"
+        raise DataError(f"{folder} holds no images; it holds: {what}{advice(inside)}")
     if times is None:
         return files, _of_names(files)
     rows = text_rows(times)

@@ -341,6 +341,12 @@ def test_the_command_looks_first_and_then_extracts(bags, tmp_path, monkeypatch, 
     (tmp_path / "monday" / "night_0.db3").touch()
     with pytest.raises(DataError, match=r"monday holds no images; it holds: night_0\.db3"):
         siamloc.data.contents(tmp_path / "monday")
+    for name, remedy in (("a.HEIC", "; .heic: convert them to JPEG"), ("b.insp", "; .insp: export .* renamed to .jpg")):
+        (tmp_path / "monday" / name).touch()
+        with pytest.raises(DataError, match=remedy):
+            siamloc.data.contents(tmp_path / "monday")
+        with pytest.raises(DataError, match=remedy):
+            siamloc.data.contents(tmp_path / "monday" / name)
     (tmp_path / "notes.txt").touch()
     with pytest.raises(DataError, match=r"is no recording: expected a file \.bag, \.db3"):
         siamloc.data.contents(tmp_path / "notes.txt")
