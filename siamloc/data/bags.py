@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from siamloc.data.trajectory import Trajectory, composed
-from siamloc.errors import DataError, SiamlocError, hint, lacking
+from siamloc.errors import DataError, SiamlocError, hint, lacking, logger
 
 Clock = Literal["stamp", "bag"]
 Edge = tuple[str, str]
@@ -53,6 +53,7 @@ _ENCODINGS: dict[str, tuple[int, str, int | None]] = {
     "yuyv": (2, "u1", cv2.COLOR_YUV2RGB_YUY2),
 }
 _ENCODINGS |= {f"{name[:-1]}16": (one, "u2", code) for name, (one, _, code) in _ENCODINGS.items() if name[-1] == "8"}
+_FEWEST_BITS = 10  # of a sensor whose images have 16
 _FILES = {b"\xff\xd8\xff": ".jpg", b"\x89PNG": ".png"}  # the first bytes of compressed images
 _NOT_OF_THE_ROBOT = ("goal", "initialpose", "target")  # in topics of poses where someone wants the robot to be
 _FEW = 10  # messages: a topic with fewer is not the poses along a drive
@@ -98,9 +99,10 @@ class Bag:
         Raises:
             DataError: no such topic, or one without images; an encoding that is not known; or a bag cut short.
         """
+        shift = self._shift(topic)
         for time, message in self._messages(topic, IMAGES, clock):
             if hasattr(message, "encoding"):
-                yield time, self._pixels(topic, message), ".jpg"
+                yield time, self._pixels(topic, message, shift), ".jpg"
                 continue
             content = bytes(message.data)
             ending = next((end for begin, end in _FILES.items() if content.startswith(begin)), None)
@@ -184,13 +186,25 @@ class Bag:
         ]
         return composed(links[::-1], f"{self.path}, {parent}:{child}")
 
-    def _pixels(self, topic: str, message: Any) -> NDArray[np.uint8]:
+    def _shift(self, topic: str) -> int:
+        """Return how many of 16 bits to drop: sensors of 10 to 14 bits leave the upper ones empty in all images."""
+        _, first = next(self._messages(topic, IMAGES, "bag"), (0, None))
+        if _ENCODINGS.get(getattr(first, "encoding", ""), _ENCODINGS["rgb8"])[1] == "u1":
+            return 0
+        brightest = max(int(self._numbers(topic, one).max()) for _, one in self._messages(topic, IMAGES, "bag"))
+        bits = max(brightest.bit_length(), _FEWEST_BITS)
+        if bits < 16:
+            logger.warning("%s: the images of %s use %d of 16 bits, and are brightened alike", self.path, topic, bits)
+        return bits - 8
+
+    def _numbers(self, topic: str, message: Any) -> NDArray[Any]:
+        """Return the numbers of a raw image (rows, columns, channels)."""
         if message.encoding not in _ENCODINGS:
             raise DataError(
                 f"{self.path}: images of {topic} have the encoding {message.encoding!r}; "
                 f"{hint(message.encoding, _ENCODINGS)}"
             )
-        channels, kind, code = _ENCODINGS[message.encoding]
+        channels, kind, _ = _ENCODINGS[message.encoding]
         order = ">" if message.is_bigendian else "<"
         row = message.width * channels * int(kind[1])
         raw = np.frombuffer(message.data, dtype=np.uint8)
@@ -198,8 +212,12 @@ class Bag:
             size = f"{message.width} x {message.height} px in {message.encoding}"
             raise DataError(f"{self.path}: an image of {topic} has {len(raw)} bytes, too few for {size}")
         rows = raw[: message.step * message.height].reshape(message.height, message.step)[:, :row]
-        pixels = np.ascontiguousarray(rows).view(order + kind).reshape(message.height, message.width, channels)
-        pixels = (pixels >> 8).astype(np.uint8) if kind == "u2" else pixels
+        return np.ascontiguousarray(rows).view(order + kind).reshape(message.height, message.width, channels)
+
+    def _pixels(self, topic: str, message: Any, shift: int) -> NDArray[np.uint8]:
+        """Return a raw image (rows, columns, 3), RGB; `shift` as of `_shift`."""
+        pixels, code = self._numbers(topic, message), _ENCODINGS[message.encoding][2]
+        pixels = pixels if pixels.itemsize == 1 else (pixels >> (shift or 8)).astype(np.uint8)
         return np.asarray(pixels if code is None else cv2.cvtColor(pixels, code), dtype=np.uint8)
 
     @contextmanager

@@ -311,7 +311,9 @@ def image_files(folder: Path) -> list[Path]:
 def advice(names: Iterable[str]) -> str:
     """Return what to do with files whose format is not read, as "; .heic: convert ..." for each format among them."""
     there = {Path(name).suffix.lower() for name in names}
-    return "".join(f"; {', '.join(there & {*ends})}: {text}" for ends, text in _ADVICE.items() if there & {*ends})
+    return "".join(
+        f"; {', '.join(sorted(there & {*ends}))}: {text}" for ends, text in _ADVICE.items() if there & {*ends}
+    )
 
 
 def _labels(column: NDArray[np.str_]) -> list[str]:

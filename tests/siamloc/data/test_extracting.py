@@ -131,6 +131,21 @@ def test_encodings(tmp_path, encoding, picture):
     assert np.abs(cv2.imread(path).astype(float) - expected).mean() < 8
 
 
+@pytest.mark.parametrize("form", FORMS)
+def test_images_of_twelve_bits_are_brightened_alike(tmp_path, form, caplog):
+    """The first image is dark: only the second one shows how many bits are used."""
+    bag = Written(tmp_path / "bag", form)
+    grey = PICTURES[0][:, :, 1].astype("<u2")
+    with bag.writer:
+        for number, picture in enumerate((grey // 4 << 4, (grey << 4) + 15)):
+            bag.image("/image", START + number * 10**9, picture, "mono16")
+    frames = siamloc.data.extract(bag.path, tmp_path / "out")
+    for path, expected in zip(frames.path.tolist(), (grey // 4, grey), strict=True):
+        assert np.abs(cv2.imread(path)[:, :, 0].astype(float) - expected).mean() < 8
+    (said,) = caplog.records
+    assert "use 12 of 16 bits" in said.getMessage()
+
+
 @pytest.mark.parametrize("bits", [8, 16])
 def test_the_order_of_bayer_patterns(tmp_path, bits):
     """A picture of one colour shows which pixels are red."""
