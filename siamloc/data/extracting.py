@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -44,6 +43,7 @@ class Extraction(Settings):
         poses: topic of poses, a frame in another one such as "map:base_link", or a file with a trajectory; that of the
             proposal if None, and no poses if "none".
         odometry: likewise, for the poses by the robot's wheels.
+        times: list of the times of a folder of pictures; see `siamloc.data.recorded.read_recorded`.
         form: form of the files with trajectories; found out if None. See `siamloc.data.trajectory.read_trajectory`.
         order: order of their quaternions, if it is another than that of the form.
         axes: whose poses they are; see `siamloc.data.trajectory.Trajectory.flat`.
@@ -61,6 +61,7 @@ class Extraction(Settings):
     images: Text | None = None
     poses: Text | None = None
     odometry: Text | None = None
+    times: Text | None = None
     form: Form | None = None
     order: Order | None = None
     axes: Axes = "robot"
@@ -142,18 +143,20 @@ class Film:
 class Pictures:
     """A folder of pictures that is open inside a `with` block, with the methods of a `Bag`.
 
-    The times are the numbers at the end of the names. Pictures without such times count as taken a second apart, in the
-    order of their names, where 2 comes before 10.
+    The times are those of a list, or the numbers at the end of the names. Pictures without them count as taken a second
+    apart, in the order of their names.
     """
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, times: Path | None = None) -> None:
         self.path = path
-        files, times = images_of(path)
-        if not np.isfinite(times).all():
-            files, times = sorted(files, key=_counted), np.arange(len(files), dtype=np.float64)
-        self._files = sorted(zip(times.tolist(), files, strict=True))
-        self.topics = {"pictures": ("pictures", len(files))}
-        self.seconds = float(np.ptp(times))
+        files, taken = images_of(path, times)
+        kind = "pictures"
+        if not np.isfinite(taken).all():
+            kind = "pictures without times (give times=FILE, or they count as a second apart)"
+            taken = np.arange(len(files), dtype=np.float64)
+        self._files = sorted(zip(taken.tolist(), files, strict=True))
+        self.topics = {"pictures": (kind, len(files))}
+        self.seconds = float(np.ptp(taken))
 
     def __enter__(self) -> Pictures:
         return self
@@ -207,7 +210,7 @@ def extract(file: str | Path, out: str | Path, *, settings: Extraction = OF_FIEL
     sources = {what: getattr(settings, what) or found.proposal.get(what, "none") for what in SOURCES}
     if sources["images"] == "none":
         raise DataError(f"{path} holds no images; its topics: {', '.join(found.topics) or 'none'}")
-    with _opened(path) as recording:
+    with _opened(path, settings.times) as recording:
         given = {what: _trajectory(recording, what, sources[what], settings) for what in SOURCES[1:]}
         about = _identity(path, sources["images"])
         if (folder / _KEPT).is_file() and read_json(folder / _KEPT) != about:
@@ -231,15 +234,13 @@ def extract(file: str | Path, out: str | Path, *, settings: Extraction = OF_FIEL
     return read("manifest", manifest=folder / MANIFEST)
 
 
-def _counted(file: Path) -> list[tuple[int, str]]:
-    """Return what sorts names by the numbers in them."""
-    parts = re.split(r"(\d+)", file.name)
-    return [(int(part), "") if place % 2 else (0, part) for place, part in enumerate(parts)]
-
-
-def _opened(path: Path) -> Bag | Film | Pictures:
+def _opened(path: Path, times: str | None = None) -> Bag | Film | Pictures:
     if not path.exists():
         raise DataError(f"there is no recording {path}")
+    if times is not None and path.is_dir() and not (path / "metadata.yaml").is_file():
+        return Pictures(path, Path(times).expanduser())
+    if times is not None:
+        raise ConfigError(f"{path} has times of its own: recording.times is for a folder of pictures")
     if path.suffix.lower() in VIDEOS:
         return Film(path)
     if path.suffix.lower() in BAGS or (path / "metadata.yaml").is_file():

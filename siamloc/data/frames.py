@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from decimal import Decimal
 from fnmatch import fnmatchcase
 from os.path import abspath
 from pathlib import Path
@@ -303,9 +305,16 @@ def in_capture_order(frames: FrameTable) -> FrameTable:
 
 
 def image_files(folder: Path) -> list[Path]:
-    """Return the image files directly inside a folder, in name order."""
+    """Return the image files directly inside a folder, in the order of their names, where 2 comes before 10."""
     suffixes = {".jpeg", ".jpg", ".png", ".bmp", ".ppm", ".tif", ".tiff", ".webp"}
-    return sorted(path for path in folder.iterdir() if path.suffix.lower() in suffixes and path.is_file())
+    files = (path for path in folder.iterdir() if path.suffix.lower() in suffixes and path.is_file())
+    return sorted(files, key=_counted)
+
+
+def _counted(file: Path) -> list[tuple[Decimal, str]]:
+    """Return what sorts names by the numbers in them."""
+    parts = re.split(r"(\d+(?:\.\d+)?)", file.name)
+    return [(Decimal(part), "") if place % 2 else (Decimal(0), part) for place, part in enumerate(parts)]
 
 
 def advice(names: Iterable[str]) -> str:

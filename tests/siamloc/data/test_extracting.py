@@ -440,6 +440,14 @@ def test_pictures_without_times_in_their_names_are_taken_a_second_apart(tmp_path
         np.testing.assert_array_equal(cv2.imread(path), picture, "in the order of the numbers")
     with pytest.raises(ConfigError, match="is the recording itself"):
         siamloc.data.extract(pictures, pictures)
+    assert "3 x pictures without times (give times=FILE," in siamloc.data.contents(pictures).describe()
+    (tmp_path / "times.txt").write_text("100.5\n101.5\n103.5\n")
+    frames = siamloc.data.extract(pictures, tmp_path / "timed", times=str(tmp_path / "times.txt"))
+    assert frames.time.tolist() == [100.5, 101.5, 103.5]
+    for path, picture in zip(frames.path.tolist(), PICTURES, strict=False):
+        np.testing.assert_array_equal(cv2.imread(path), picture, "in the order of the numbers")
+    with pytest.raises(ConfigError, match=r"recording\.times is for a folder of pictures"):
+        siamloc.data.extract(film(tmp_path / "monday.avi"), tmp_path / "film", times="times.txt")
 
 
 def test_a_rate_takes_at_most_so_many_pictures_per_second(tmp_path):
