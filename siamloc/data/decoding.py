@@ -116,14 +116,13 @@ class Preprocessing:
         return {"kind": kind, **_plain(self.camera), "top": self.view.top, "bottom": self.view.bottom}
 
     def words(self) -> str:
-        """Return the camera as words of the command line, such as "unwrap=polar unwrap.inner=60"."""
+        """Return the camera as words of the command line without defaults, such as "unwrap=polar unwrap.inner=60"."""
         given = self.unwrap_settings()
-        return as_words(
-            {
-                "unwrap": given.pop("kind"),
-                **{key: value for key, value in leaves(given, "unwrap.") if value is not None},
-            }
-        )
+        plain = CAMERAS.get(kind := given.pop("kind"))
+        default = Preprocessing(PanoramaView(), plain()).unwrap_settings() if plain else {}
+        usual = dict(leaves(default, "unwrap."))
+        own = {key: one for key, one in leaves(given, "unwrap.") if one is not None and one != usual.get(key)}
+        return as_words({"unwrap": kind, **own})
 
     def panorama(
         self, path: str | Path, tilt: NDArray[np.float64] | Sequence[float] | None = None

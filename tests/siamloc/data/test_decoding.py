@@ -91,3 +91,4 @@ def test_the_words_of_a_camera_are_those_of_the_command_line(camera):
     words = shlex.split(made.words())
     job = composed("prepare", ["data=manifest", "data.manifest=robot.csv", *words])
     assert Preprocessing.checked((128, 512), job.unwrap) == made
+    assert len(words) <= 4  # what is as usual is left out
