@@ -11,7 +11,7 @@ import numpy as np
 from foundation.settings import Positive, shortened
 from siamloc.data.frames import ODOMETRY, TILT, FrameTable, advice, image_files, in_capture_order
 from siamloc.data.names import lighting_in
-from siamloc.data.trajectory import Array, Axes, Form, Order, Trajectory, read_trajectory, seconds, text_rows
+from siamloc.data.trajectory import Array, Axes, Form, Order, Trajectory, is_number, read_trajectory, seconds, text_rows
 from siamloc.data.trajectory_checks import doubts
 from siamloc.errors import DataError, leave_out, logger
 
@@ -45,8 +45,9 @@ def read_recorded(
     Args:
         images: folder of the images.
         poses: the trajectory; see `siamloc.data.trajectory.read_trajectory`. Without it frames have no poses.
-        times: list of the images' times: a time on each line, in the order of the names, or a time and a file name, as
-            `rgb.txt` of TUM and `data.csv` of EuRoC. Without it the time is the number at the end of an image's name.
+        times: list of the images' times: a time on each line, in the order of the names, or a time and a file name, in
+            either order, as `rgb.txt` of TUM and `data.csv` of EuRoC. Without it the time is the number at the end of
+            an image's name.
         odometry: the trajectory by the robot's wheels.
         form: form of the trajectories; found out if None.
         order: order of their quaternions, if it is another than that of the form.
@@ -139,6 +140,8 @@ def images_of(folder: Path, times: Path | None = None) -> tuple[list[Path], Arra
     if times is None:
         return files, _of_names(files)
     rows = text_rows(times)
+    rows = rows[len(rows) > 1 and not any(map(is_number, rows[0][1])) :]  # without a line of names
+    rows = [(line, words[::-1] if [*map(is_number, words)] == [False, True] else words) for line, words in rows]
     if len(rows[0][1]) == 1:
         if len(rows) != len(files):
             raise DataError(f"{times} holds {len(rows)} times for {len(files)} images in {folder}: expected one each")

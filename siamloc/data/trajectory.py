@@ -328,20 +328,22 @@ def text_rows(path: Path) -> list[tuple[int, list[str]]]:
 def read_numbers(path: Path) -> tuple[Array, bool]:
     """Return the numbers of a file (n, columns), and whether commas separate them."""
     rows = text_rows(path)
-    if len(rows) > 1 and not _is_number(rows[0][1][0]):  # a line of names
+    if len(rows) > 1 and not is_number(rows[0][1][0]):  # a line of names
         rows = rows[1:]
     width = len(rows[0][1])
-    expected = f"{width} numbers" if _is_number(rows[0][1][0]) else "lines of numbers, 4, 8 or 12 for a trajectory"
+    expected = f"{width} numbers" if is_number(rows[0][1][0]) else "lines of numbers, 4, 8 or 12 for a trajectory"
     for number, words in rows:
-        if len(words) != width or not all(map(_is_number, words)):
+        if len(words) != width or not all(map(is_number, words)):
             line = shortened(" ".join(words))
             raise DataError(
-                f"{path}, line {number}: expected {expected}, got {line!r}: it is cut short, or no trajectory"
+                f"{path}, line {number}: expected {expected}, got {line!r}: it is cut short, or no trajectory; "
+                "poses by the names of images are a manifest, a table with the columns image, x, y and theta"
             )
     return np.array([words for _, words in rows], dtype=np.float64), "," in read_text(path)
 
 
-def _is_number(word: str) -> bool:
+def is_number(word: str) -> bool:
+    """Return whether a word is a number."""
     try:
         float(word)
     except ValueError:

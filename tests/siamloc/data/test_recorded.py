@@ -91,17 +91,19 @@ def test_images_in_ns_or_us_since_the_start_of_a_robot(tmp_path, factor):
     assert np.isnan(read_recorded(images(tmp_path / "counted", ["0.png", "10.png", "20.png"])).time).all()
 
 
-@pytest.mark.parametrize("written", ["times", "tum", "euroc"])
+@pytest.mark.parametrize("written", ["times", "tum", "euroc", "headed", "turned"])
 def test_times_in_a_list(tmp_path, poses, written):
     folder = images(tmp_path / "cam0/data", ["000000.png", "000001.png", "000002.png"])
     text = {
         "times": "".join(f"{START + t}\n" for t in range(3)),
         "tum": f"# color images\n{START + 2} rgb/000002.png\n{START} rgb/000000.png\n",
         "euroc": f"#timestamp [ns],filename\n{START * 1e9 + 1e9:.0f},000001.png\n",
+        "headed": "time\n" + "".join(f"{START + t}\n" for t in range(3)),
+        "turned": f"image,time\n000000.png,{START}\n000002.png,{START + 2}\n",
     }[written]
     (tmp_path / "list.txt").write_text(text)
     frames = read_recorded(folder, poses, times=tmp_path / "list.txt")
-    numbers = {"times": [0, 1, 2], "tum": [0, 2], "euroc": [1]}[written]
+    numbers = {"times": [0, 1, 2], "tum": [0, 2], "headed": [0, 1, 2], "turned": [0, 2], "euroc": [1]}[written]
     assert [path[-8:-4] for path in frames.path.tolist()] == [f"000{number}" for number in numbers]
     np.testing.assert_allclose(frames.x, 0.5 * np.array(numbers))
 
