@@ -6,8 +6,11 @@ import dataclasses
 import struct
 import sys
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
+from threading import Lock
 from typing import Any, cast
 
 import cv2
@@ -17,8 +20,9 @@ from numpy.typing import NDArray
 from foundation.files import plain
 from foundation.settings import Size, as_words, checked, leaves
 from siamloc.data.cameras import CAMERAS
+from siamloc.data.frames import image_files
 from siamloc.data.panorama import OmnidirectionalCamera, PanoramaView, PolarRing, unwrap
-from siamloc.errors import ConfigError, DataError, hint
+from siamloc.errors import ConfigError, DataError, hint, logger
 
 
 class UnreadableImageError(Exception):
@@ -252,11 +256,15 @@ def _hashable(value: Any) -> Any:
 
 
 _LARGEST = 16_384  # pixels per side of an image
+_LOOKED_AT = 8  # images of a folder, or some more
+_ONE_BY_ONE = Lock()  # a folder is looked at once, by one of the threads
 _HEADER = 200_000  # bytes in which a file says its size, after thumbnails
 
 
 def read_image(path: str | Path) -> NDArray[np.uint8]:
     """Read an image file as (rows, columns, 3), uint8, BGR; grey images get three equal channels.
+
+    Of images of 16 bits, as many of the upper ones are dropped as the images of the folder leave empty.
 
     Raises:
         UnreadableImageError: the file is missing, empty, cut short, or not an image.
@@ -267,11 +275,15 @@ def read_image(path: str | Path) -> NDArray[np.uint8]:
         raise UnreadableImageError("the file does not exist") from error
     except (OSError, ValueError) as error:  # a name that no file can have
         raise UnreadableImageError(getattr(error, "strerror", None) or str(error)) from error
-    return decode_image(data)
+    return decode_image(data, Path(path).absolute().parent)
 
 
-def decode_image(data: bytes) -> NDArray[np.uint8]:
+def decode_image(data: bytes, folder: Path | None = None) -> NDArray[np.uint8]:
     """Decode the content of an image file as (rows, columns, 3), uint8, BGR; see `read_image`.
+
+    Args:
+        data: the content.
+        folder: the folder whose images of 16 bits say how many of them are in use; this image does if None.
 
     Raises:
         UnreadableImageError: the content is empty, cut short, too large, or not an image.
@@ -284,6 +296,10 @@ def decode_image(data: bytes) -> NDArray[np.uint8]:
         raise UnreadableImageError(f"it has {size[0]:,} x {size[1]:,} pixels, and {_LARGEST:,} a side are the most")
     try:
         image = cv2.imdecode(np.frombuffer(data, dtype=np.uint8), cv2.IMREAD_COLOR)
+        if (deep := _deep(data)) is not None:
+            with _ONE_BY_ONE:
+                bits = _bits(deep) if folder is None else _bits_in(folder)
+            image = np.minimum(deep >> (bits - 8), 255)
     except cv2.error as error:
         raise UnreadableImageError(f"the image cannot be decoded ({error.err})") from error
     if image is None and data[4:8] == b"ftyp":
@@ -291,6 +307,32 @@ def decode_image(data: bytes) -> NDArray[np.uint8]:
     if image is None:
         raise UnreadableImageError("the file is not an image, or it is damaged")
     return np.asarray(image, dtype=np.uint8)
+
+
+def _deep(data: bytes) -> NDArray[np.uint16] | None:
+    """Return the pixels (rows, columns, 3), BGR, of a PNG or TIFF of 16 bits; None for all other images."""
+    if not (data.startswith((b"II*\0", b"MM\0*")) or (data.startswith(b"\x89PNG") and data[24:25] == b"\x10")):
+        return None
+    image = cv2.imdecode(np.frombuffer(data, dtype=np.uint8), cv2.IMREAD_COLOR | cv2.IMREAD_ANYDEPTH)
+    return np.asarray(image, np.uint16) if image is not None and image.dtype == np.uint16 else None
+
+
+def _bits(image: NDArray[np.uint16]) -> int:
+    """Return how many bits an image uses; sensors have 10 or more."""
+    return max(int(image.max()).bit_length(), 10)
+
+
+@cache
+def _bits_in(folder: Path) -> int:
+    """Return how many bits the images of 16 bits in a folder use, so that all of them are brightened alike."""
+    files, bits = image_files(folder), [0]
+    for file in files[:: max(len(files) // _LOOKED_AT, 1)]:
+        with suppress(OSError, cv2.error):
+            bits += [_bits(image) for image in [_deep(file.read_bytes())] if image is not None]
+    most = max(bits) or 16
+    if most < 16:
+        logger.warning("%s: its images use %d of 16 bits, and are brightened alike", folder, most)
+    return most
 
 
 def size_of(path: str | Path) -> tuple[int, int] | None:

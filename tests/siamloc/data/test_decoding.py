@@ -8,7 +8,7 @@ import pytest
 
 from siamloc.cli.compose import composed
 from siamloc.data import DualFisheyeCamera, FisheyeCamera, OCamCamera
-from siamloc.data.decoding import Preprocessing, UnreadableImageError, read_image
+from siamloc.data.decoding import Preprocessing, UnreadableImageError, decode_image, read_image
 from siamloc.data.panorama import PanoramaView, PolarRing, unwrap
 from siamloc.errors import ConfigError
 
@@ -66,6 +66,20 @@ def test_unreadable_files_say_why(tmp_path):
     for other, reason in ((tmp_path, "[Ii]s a directory"), (tmp_path / "none.jpg", "does not exist")):
         with pytest.raises(UnreadableImageError, match=reason):
             read_image(other)
+
+
+@pytest.mark.parametrize("ending", ["png", "tif"])
+def test_images_that_use_twelve_of_sixteen_bits_are_brightened_alike(ending, tmp_path, caplog):
+    shades = np.arange(48 * 64, dtype=np.uint16).reshape(48, 64) % 256
+    for name, image in (("dark", shades), ("light", shades << 4), ("other", shades << 3)):
+        cv2.imwrite(str(tmp_path / f"{name}.{ending}"), image)
+    for name, shift in (("dark", 4), ("light", 0), ("other", 1)):
+        found = read_image(tmp_path / f"{name}.{ending}")
+        np.testing.assert_array_equal(found, np.repeat((shades >> shift)[..., None], 3, axis=2))
+    (said,) = caplog.records
+    assert "use 12 of 16 bits" in said.getMessage()
+    whole = cv2.imencode(f".{ending}", shades << 8)[1].tobytes()
+    np.testing.assert_array_equal(decode_image(whole)[..., 0], shades)
 
 
 def test_a_camera_that_does_not_fit(tmp_path):
