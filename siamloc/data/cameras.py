@@ -69,8 +69,8 @@ class EquirectangularCamera(CentralCamera):
         rows, columns = super()._fitting(size)
         if self.highest is self.lowest is None and self.turn == 360 and not twice_as_wide(rows, columns):
             raise ConfigError(
-                f"a whole equirectangular picture is twice as wide as high, and this one has {columns} x {rows} px: of "
-                "a part, say unwrap.highest and unwrap.lowest in degrees"
+                f"a whole equirectangular picture is twice as wide as high, and this one has {columns} x {rows} px: "
+                "cut black bars off, or of a part say unwrap.highest and unwrap.lowest in degrees"
             )
         return rows, columns
 

@@ -246,7 +246,11 @@ def test_a_model_of_ones_own_needs_two_methods():
 @pytest.mark.parametrize(
     ("camera", "size", "message"),
     [
-        (EquirectangularCamera(), (480, 640), "twice as wide as high, and this one has 640 x 480 px.*unwrap.highest"),
+        (
+            EquirectangularCamera(),
+            (480, 640),
+            "twice as wide as high, and this one has 640 x 480 px: cut black bars off.*unwrap.highest",
+        ),
         (DualFisheyeCamera(), (480, 640), "two fisheye lenses side by side is twice as wide as high.*640 x 480"),
         (
             replace(FISHEYE, image_size=SIZE),
