@@ -89,7 +89,9 @@ def _of_data() -> Options:
                 {"kind": "none"}, "The images are panoramas, or come from an ordinary camera: only resized."
             ),
             **_each(cameras, "kind", **edges),
-            "calibrated": Option(calibrated, "The camera of a calibration file of Kalibr, OpenCV, ROS or OCamCalib."),
+            "calibrated": Option(
+                calibrated, "The camera of a calibration file of Kalibr, OpenCV, ROS, CamOdoCal or OCamCalib."
+            ),
             "own": Option({"kind": "???", **edges}, "A camera class of your own, unwrap.kind=module:Class."),
         },
         "protocol": {"by_sequence": Option(defaults_of(Protocol), "Roles by the names of sequences, or patterns.")},
