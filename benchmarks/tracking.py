@@ -12,8 +12,8 @@ Targets: with odometry, 95 % of the errors lie within half of the limit without 
 three pictures in 95 % of the cases.
 
     siamloc simulate camera=panorama out=data
-    siamloc simulate building=random seed=402 camera=panorama spacing=0.4 runs=[cloudy1] out=data
-    OMP_NUM_THREADS=1 python -m benchmarks.tracking --data data/freiburg_like --foreign data/random_402
+    siamloc simulate building=random seed=102 camera=panorama spacing=0.4 runs=[cloudy1] out=data
+    OMP_NUM_THREADS=1 python -m benchmarks.tracking --data data/freiburg_like --foreign data/random_102
 """
 
 from __future__ import annotations
