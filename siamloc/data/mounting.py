@@ -22,7 +22,7 @@ from siamloc.data.drive_pairs import ahead, near_pairs, successive_pairs, travel
 from siamloc.data.frames import FrameTable
 from siamloc.data.library import PanoramaLibrary
 from siamloc.data.moves import relative, wrapped
-from siamloc.data.panorama import PolarRing
+from siamloc.data.panorama import PanoramaView, PolarRing
 from siamloc.errors import ConfigError
 
 Array = NDArray[np.float64]
@@ -36,10 +36,12 @@ CERTAIN = 2.0
 _FEWEST = 12  # pairs, of those that turn as well
 _TURNS = np.radians(15)  # a pair turns from here on
 _TURNED = np.radians(2)  # least mean turn that the images and the headings have in common, in either direction
-_AGREE = 0.8  # share of these turns that must tell the same direction of columns
-_FITS = 0.25  # largest part of the moves that may remain unexplained
-_STATED = 6.0  # largest deviation of a yaw that is stated, in degrees, with what parts of the pairs disagree by
-_PARTS = 8  # parts of the drive, each of which is left out once to learn the deviations
+_AGREE = 0.7  # share of these turns that must tell the same direction of columns
+_FITS = 0.5  # largest part of the moves that may remain unexplained
+_STATED = 5.0  # largest deviation of a yaw that is stated, in degrees
+_PARTS = (5, 8)  # fewest and most parts of the drive, each of which is left out once to learn the deviations
+_SURE = 3  # deviations from which on the camera's offset counts
+_RIMS = (25.0, -50.0)  # elevations in degrees taken for the outer and inner rim of a mirror, where nobody knows them
 _HARDLY_TURNS = "the drive hardly turns: whether panoramas are mirrored, and the camera's offset, are unknown"
 _UNPOSED = "whether panoramas are mirrored, and the camera's offset, are unknown without poses"
 _ROUNDS = 5
@@ -151,7 +153,7 @@ class MountingEstimate:
         if not self.yaw_deviation <= CERTAIN:
             return Mounting(mirrored=bool(self.mirrored))
         yaw = self.yaw if abs(self.yaw) > max(STRAIGHT, 2 * self.yaw_deviation) else 0.0
-        apart = np.hypot(*self.offset) > max(NEAR, 3 * max(self.offset_deviation))
+        apart = np.hypot(*self.offset) > max(NEAR, _SURE * max(self.offset_deviation))
         ahead, left = self.offset if apart else (0.0, 0.0)
         return Mounting(round(yaw, 2), bool(self.mirrored), round(ahead, 3), round(left, 3))
 
@@ -203,7 +205,10 @@ def find_mounting(described_by: Descriptor, images: PanoramaLibrary, frames: Fra
     rows = np.unique(np.concatenate(pairs))
     used = readable.take(rows)
     size = getattr(getattr(described_by, "module", None), "image_size", None) or images.image_size
-    found = [described_by.describe(_resized(batch, size)).orientation for batch in images.batches(used)]
+    view = images.preprocessing.view
+    rings = any(isinstance(camera, PolarRing) for camera in images.cameras.values())
+    batches = (usual_rows(batch, view) if rings else batch for batch in images.batches(used))
+    found = [described_by.describe(_resized(batch, size)).orientation for batch in batches]
     parts = np.concatenate(found) if len(used) else np.zeros((0, 1, 1))  # type: ignore[arg-type]
     first, second = (np.searchsorted(rows, one) for one in pairs)
     return estimate(used, parts, described_by.compare, posed, (first, second))  # type: ignore[attr-defined]
@@ -243,34 +248,59 @@ def estimate(
     mirrored = None if np.isnan(share) else share < 0.5
     seen = pose[:, :2] * (1, -1 if mirrored else 1)
     weight = 1 / (np.trace(np.linalg.inv(information)[:, :2, :2], axis1=1, axis2=2) / 2 + _WORST**2)
-    whole, left_over = _solved(moved, seen, weight, turns)
     rank = np.unique(np.minimum(first, second), return_inverse=True)[1]
-    part = rank * _PARTS // (rank.max() + 1)
-    if part.max() + 1 < _PARTS:
-        reason = f"only {rank.max() + 1} images can be compared with later ones, and {_PARTS} are needed"
+    if rank.max() + 1 < _PARTS[0]:
+        reason = f"only {rank.max() + 1} images can be compared with later ones, and {_PARTS[0]} are needed"
         return MountingEstimate(pairs=len(first), reasons=(reason,))
-    rest = [part != one for one in range(_PARTS)]
-    others = np.array([_solved(moved[rows], seen[rows], weight[rows], turns)[0] for rows in rest])
-    apart = others - whole
-    apart[:, 0] = wrapped(apart[:, 0])
-    yaw_off, *off = np.sqrt((len(others) - 1) / len(others) * (apart**2).sum(axis=0)).tolist()
+    part = rank * min(_PARTS[1], rank.max() + 1) // (rank.max() + 1)
+    whole, off, left_over = _with_deviations(moved, seen, weight, turns, part)
+    turns = turns and np.degrees(off[0]) < _STATED  # along one arc, any move may come from an offset
+    (_, *offset), (_, *offset_off) = (whole.tolist(), off.tolist()) if turns else [[np.nan] * 3] * 2
+    if not np.hypot(*offset) > _SURE * max(offset_off):  # what looks like an offset may be wrong comparisons
+        whole, off, left_over = _with_deviations(moved, seen, weight, False, part)
     camera = moved.copy()  # the moves of the camera, whose offset from the robot's centre is known by now
     camera[:, :2] += Mounting(ahead=whole[1], left=whole[2]).offset(moved[:, 2]) - whole[1:]
-    unsure = np.hypot(yaw_off, _disagreement(camera, seen, weight, second > first))
+    unsure = float(np.degrees(np.hypot(off[0], _disagreement(camera, seen, weight, second > first) / 2)))
     mixed = max(share, 1 - share) < _AGREE
-    if left_over > _FITS or np.degrees(unsure) > _STATED or mixed:
+    if left_over > _FITS or unsure > _STATED or mixed:
         check = "does not follow from the poses: check them, and the headings, or give frames that are closer together"
         reason = f"how the camera moves in the images {check if posed else 'is not ahead, in one direction'}"
         return MountingEstimate(mirrored=None if mixed else mirrored, pairs=len(first), reasons=(reason,))
     return MountingEstimate(
         float(np.degrees(whole[0])),
-        float(np.degrees(yaw_off)),
+        unsure,
         mirrored,
-        (float(whole[1]), float(whole[2])) if turns else (np.nan, np.nan),
-        (off[0], off[1]) if turns else (np.nan, np.nan),
+        (offset[0], offset[1]),
+        (offset_off[0], offset_off[1]),
         len(first),
         () if mirrored is not None else (_HARDLY_TURNS if posed else _UNPOSED,),
     )
+
+
+def usual_rows(panoramas: NDArray[np.uint8], view: PanoramaView) -> NDArray[np.uint8]:
+    """Return panoramas (B, 3, H, W) of a ring with each row where a usual mirror shows the elevation of that row.
+
+    How a ring's mirror is bent is unknown. Comparisons err least with a mirror in the middle of what there is.
+
+    Args:
+        panoramas: made by a `PolarRing`, whose rows are evenly spaced between the rims.
+        view: the view with which they were made.
+    """
+    (high, low), (outer, inner) = np.tan(np.radians([[view.top, view.bottom], _RIMS]))
+    step = (high - low) / (outer - inner)
+    first = (outer - high) / (outer - inner) * view.height + step / 2 - 0.5
+    move, size = np.array([[1, 0, 0], [0, step, first]]), (panoramas.shape[3], view.height)
+    made = [
+        cv2.warpAffine(
+            one.transpose(1, 2, 0),
+            move,
+            size,
+            flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP,
+            borderMode=cv2.BORDER_REPLICATE,
+        )
+        for one in panoramas
+    ]
+    return np.stack(made).transpose(0, 3, 1, 2)
 
 
 def _resized(batch: NDArray[np.uint8], size: tuple[int, int]) -> NDArray[np.uint8]:
@@ -300,6 +330,17 @@ def _disagreement(moved: Array, seen: Array, weight: Array, onwards: NDArray[np.
         if 0 < half.sum() < len(half)
     ]
     return float(np.linalg.norm(wrapped(np.array(differences))))
+
+
+def _with_deviations(
+    moved: Array, seen: Array, weight: Array, turns: bool, part: NDArray[np.int64]
+) -> tuple[Array, Array, float]:
+    """Return what `_solved` does, with the deviations (3,) by leaving out each part of the drive once."""
+    whole, left_over = _solved(moved, seen, weight, turns)
+    rest = [part != one for one in np.unique(part)]
+    apart = np.array([_solved(moved[rows], seen[rows], weight[rows], turns)[0] for rows in rest]) - whole
+    apart[:, 0] = wrapped(apart[:, 0])
+    return whole, np.sqrt((len(rest) - 1) / len(rest) * (apart**2).sum(axis=0)), left_over
 
 
 def _solved(moved: Array, seen: Array, weight: Array, turns: bool) -> tuple[Array, float]:

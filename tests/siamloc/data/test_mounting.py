@@ -17,7 +17,7 @@ from siamloc.data import (
     unwrap,
 )
 from siamloc.data.drive_pairs import near_pairs, travel
-from siamloc.data.mounting import GivenMounting, estimate
+from siamloc.data.mounting import GivenMounting, estimate, usual_rows
 from siamloc.data.moves import relative, wrapped
 from siamloc.errors import ConfigError
 
@@ -58,6 +58,13 @@ def drive(n: int = 80, turns: bool = True) -> FrameTable:
     at = np.linspace(0, 2 * np.pi, n, endpoint=False)
     x, y = (2 * np.sin(at), 1.5 * np.sin(2 * at)) if turns else (0.2 * np.arange(n), np.zeros(n))
     theta = np.arctan2(np.gradient(y), np.gradient(x))
+    return FrameTable(path=[f"{row}.png" for row in range(n)], x=x, y=y, theta=theta)
+
+
+def arc(n: int) -> FrameTable:
+    """A drive of n frames along an arc, with steps of 0.3 m."""
+    theta = np.linspace(0, 1, n)
+    x, y = 0.3 * np.cumsum(np.cos(theta)), 0.3 * np.cumsum(np.sin(theta))
     return FrameTable(path=[f"{row}.png" for row in range(n)], x=x, y=y, theta=theta)
 
 
@@ -203,12 +210,32 @@ def test_a_yaw_on_which_moves_onwards_and_back_disagree_is_unknown():
 
 def test_a_yaw_that_leaves_much_of_the_moves_unexplained_is_unknown():
     assert np.isfinite(estimated(drive(), Mounting(30), noise=0.1).yaw)
-    assert np.isnan(estimated(drive(), Mounting(30), noise=0.3).yaw)
+    assert np.isnan(estimated(drive(), Mounting(30), noise=0.6).yaw)
 
 
 def test_the_camera_s_offset_does_not_pass_for_a_disagreement():
     found = estimated(drive(), Mounting(30, ahead=0.6, left=-0.3))
     assert found.yaw == pytest.approx(30, abs=1)
+
+
+@pytest.mark.parametrize("count", [6, 12, 24])
+def test_one_arc_and_few_frames_tell_the_yaw_but_no_offset(count):
+    """Along one arc, an offset as large as its radius would explain all moves, whatever the images show."""
+    found = estimated(arc(count), Mounting(30, ahead=0.3))
+    assert abs(found.yaw - 30) < 15, "the offset turns the moves of the camera by up to half of the arc"
+    assert np.isnan(found.offset).all()
+    assert abs(estimated(arc(count), Mounting(30)).yaw - 30) < 3
+
+
+def test_the_rows_of_a_ring_come_to_the_elevations_of_a_usual_mirror():
+    view = PanoramaView(64, 8)
+    outer, inner = np.tan(np.radians([25, -50]))
+    shown = outer + (np.arange(64) + 0.5) / 64 * (inner - outer)  # tangents of the elevations in the ring's rows
+    ring = np.broadcast_to((shown[:, None] + 1.25) * 100, (2, 3, 64, 8)).round().astype(np.uint8)
+    rows = usual_rows(ring, view)
+    wanted = np.tan(view.row_elevation()).clip(inner, outer)
+    assert rows.shape == ring.shape
+    np.testing.assert_allclose(rows[1, 2, :, 4] / 100 - 1.25, wanted, atol=0.02, err_msg="half a row and rounding")
 
 
 def test_wrong_headings_do_not_pass_for_a_yaw():
