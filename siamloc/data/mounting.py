@@ -117,7 +117,8 @@ class MountingEstimate:
 
     Attributes:
         yaw: how far the panorama's middle looks to the left of the heading, in degrees; NaN if unknown.
-        yaw_deviation: its standard deviation, in degrees.
+        yaw_deviation: its standard deviation, in degrees: how far parts of the drive, short and long moves, and the two
+            orders of the images disagree.
         mirrored: whether columns run counter-clockwise; None if unknown.
         offset: where the camera is ahead and to the left of the robot's centre, in the unit of the positions; NaN if
             unknown.
