@@ -311,10 +311,11 @@ def image_files(folder: Path) -> list[Path]:
     return sorted(files, key=_counted)
 
 
-def _counted(file: Path) -> list[tuple[Decimal, str]]:
-    """Return what sorts names by the numbers in them."""
+def _counted(file: Path) -> tuple[list[tuple[Decimal, str]], str]:
+    """Return what sorts names by the numbers in them, and those with equal numbers, such as 1 and 01, as texts."""
     parts = re.split(r"(\d+(?:\.\d+)?)", file.name)
-    return [(Decimal(part), "") if place % 2 else (Decimal(0), part) for place, part in enumerate(parts)]
+    counted = [(Decimal(part), "") if place % 2 else (Decimal(0), part) for place, part in enumerate(parts)]
+    return counted, file.name
 
 
 def advice(names: Iterable[str]) -> str:

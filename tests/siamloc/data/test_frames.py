@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from siamloc.data.frames import FrameTable, concatenate
+from siamloc.data.frames import FrameTable, concatenate, image_files
 from siamloc.errors import ConfigError, DataError
 
 
@@ -123,3 +123,10 @@ def test_frames_are_known_by_sequence_and_absolute_path_and_rooms_by_building(tm
     monkeypatch.chdir(tmp_path)
     assert FrameTable(path=["a/../b.jpg"], sequence=["one"]).identities() == [("one", str(tmp_path / "b.jpg"))]
     assert table().place.tolist() == ["one/a", "one/b", "one/", "a", "b", ""]
+
+
+def test_image_files_are_in_the_order_of_their_numbers_and_then_of_their_names(tmp_path):
+    names = ["0002.png", "002.png", "02.png", "2.png", "a9.5.png", "a10.png"]
+    for name in ["2.png", "a10.png", "002.png", "02.png", "0002.png", "a9.5.png"]:
+        (tmp_path / name).touch()
+    assert [file.name for file in image_files(tmp_path)] == names
