@@ -35,7 +35,8 @@ class Judged:
         passed: (m,) whether the drive has a frame near the map frame.
         changed: (m,) descriptor distance from the map frame to the most similar of those; infinite if there is none.
         misplaced: (n,) whether the map says of a frame that it was taken where it was not: most comparisons with the
-            map frames within the radius that it resembles most are off. False if the map's descriptor does not compare.
+            map frames within the radius that it resembles most are off. False if the map's descriptor does not
+            compare, or the map is not in metres.
     """
 
     nearest: NDArray[np.int64]
@@ -93,7 +94,7 @@ def _misplaced(
     """
     compares, parts, frames = comparison_of(known), drive.turning().orientation, drive.frames
     oriented = np.isfinite(frames.theta).all() and np.isfinite(known.frames.theta).all()
-    if compares is None or parts is None or not oriented:
+    if compares is None or parts is None or not oriented or known.frames.unit != "m":  # networks see metres
         return np.zeros(len(drive), dtype=bool)
     rows = np.argsort(alike, axis=1)[:, :_COMPARED]
     found = compare_with(known, parts, rows, compares)

@@ -99,3 +99,12 @@ def test_frames_that_the_map_takes_for_elsewhere_join_it_and_those_that_misled_a
     assert set(np.flatnonzero(after.added)) <= set(range(20, 30))
     assert after.added.any()
     assert (after.map_reason == Reason.CONTRADICTED).any()
+
+
+def test_comparisons_in_metres_say_nothing_about_a_map_in_pixels(poses):
+    known, drive = maps(Moved(poses, 80, 90), poses)
+    x, y, theta = poses[60:].T
+    frames = replace(drive.frames.with_columns(x=x, y=y, theta=theta), unit="px")
+    known = replace(known, frames=replace(known.frames, unit="px"))
+    found = judged(known, replace(drive, frames=frames), radius=1.0)
+    assert not found.misplaced.any()
