@@ -173,7 +173,8 @@ def _camodocal(file: Path, values: Mapping[str, Any]) -> Made:
     """Return the model and the parameters in a file of CamOdoCal."""
     model, own = str(values["model_type"]), dict[str, Any]()
     for part in ("mirror", "distortion", "projection"):
-        own |= values.get(f"{part}_parameters") or {}
+        given = values.get(f"{part}_parameters")
+        own |= given if isinstance(given, Mapping) else {}
     lens = {"MEI": ("gamma1", "gamma2", "xi"), "KANNALA_BRANDT": ("mu", "mv")}.get(model.upper())
     if lens is None:
         raise DataError(f"{file} is of the model {model}: {_READ}")

@@ -267,6 +267,7 @@ def test_the_command_line_names_the_file_and_a_run_keeps_the_camera(tmp_path):
         ("%YAML:1.0\n---\nmodel_type: MEI\nmirror:\n   xi: 1.9", None, DataError, "gamma1, .* of MEI must be finite"),
         (MEI.replace("MEI", "PINHOLE"), None, DataError, "is of the model PINHOLE: .*CamOdoCal's MEI and KANNALA"),
         (MEI.replace("   u0: 362.4\n", ""), None, DataError, "gamma1, gamma2, u0, .* of MEI must be finite numbers"),
+        ("model_type: MEI\nmirror_parameters: [1.9]", None, DataError, "gamma1, .* of MEI must be finite numbers"),
         (KANNALA_BRANDT.replace("image_width: 752\n", ""), None, DataError, "the image size must be finite numbers"),
         ("a: [1", None, DataError, "is not YAML"),
         ("just words", None, DataError, "is not a calibration file"),
