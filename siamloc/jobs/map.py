@@ -65,10 +65,10 @@ class MapFrames(RunJob):
         build=incremental|spectral|som|sample|rooms
                                         also group the frames into nodes, and write that coarse layer
         build.nodes=40 build.y=1.5      its parameters; `siamloc map build=... --cfg job` lists them
-        update.sequences=[tuesday]      maintain the map instead, by drives whose positions are known: frames join it
-                                        where it is out of date, and frames that several drives contradict leave it;
-                                        with build=NAME, its nodes follow. Draws staleness.png: where the building
-                                        has changed
+        update.sequences=[tuesday]      maintain the map instead, by drives with positions, or without if the map can
+                                        locate them: frames join it where it is out of date, and frames that several
+                                        drives contradict leave it; with build=NAME, its nodes follow. Draws
+                                        staleness.png: where the building has changed
         update.growth=1.5               up to 1.5 times as many frames; update.per_square_metre=12, update.megabytes=5
         update.contradicted=3           out of date: 3 of update.window=5 frames in a row contradict the map
         -m descriptor.bins=8,16         a sweep: each map in its own folder, evaluation/hog/descriptor.bins-8, where an

@@ -154,7 +154,7 @@ def update(
     settings: Maintenance = OF_FIELDS,
     **fields: Unpack[MaintenanceFields],
 ) -> Update:
-    """Find where a map is out of date, on a drive whose positions are known, and let the map follow.
+    """Find where a map is out of date, on another drive, and let the map follow.
 
     A drive without positions is first located in the map by `siamloc.maps.locate`, if the map can compare images.
 
