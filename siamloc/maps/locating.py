@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
+from scipy.spatial import cKDTree
 
 from foundation.calls import typed
 from siamloc.data.checks import wrong_odometry
@@ -32,7 +35,8 @@ def locate(
         progress: whether to show the progress.
 
     Returns:
-        The frames of the drive with x, y and theta, and their standard deviations, `deviation` and `theta_deviation`.
+        The frames of the drive with x, y and theta, their standard deviations, `deviation` and `theta_deviation`, and
+        the building of the nearest map frame.
 
     Raises:
         ConfigError: a map whose descriptor does not compare images, or a drive that was described differently.
@@ -54,14 +58,15 @@ def locate(
     if not (known.frames.has_position & np.isfinite(known.frames.theta)).all():
         raise DataError("a map frame has no pose: a drive is located in a map whose frames have x, y and theta")
     of_map = np.arange(len(known) + len(drive)) < len(known)
+    names = [f"the map's {name}" for name in known.frames.sequence.tolist()]  # the drive may be in the map already
+    known = replace(known, frames=known.frames.with_columns(sequence=names))
     frames = concatenate([known.frames, drive.frames])
-    names = [f"the map's {name}" if held else name for name, held in zip(frames.sequence.tolist(), of_map, strict=True)]
-    frames = frames.with_columns(sequence=names)
     order = np.concatenate(list(frames.rows_by("sequence").values()))
     frames, described, of_map = frames.take(order), known.merge(drive).take(order), of_map[order]
     wheels = np.where(of_map[:, None], np.nan, frames.odometry)
     chosen = SurveySettings() if settings is None else settings
     found = of_descriptions(frames, described, wheels, compare, frames.take(of_map), None, chosen, progress).frames
     rows = np.argsort(order)[len(known) :]
-    names = ["x", "y", "theta", "deviation", "theta_deviation"]
-    return drive.frames.with_columns(**{name: getattr(found, name)[rows] for name in names})
+    nearest = cKDTree(known.frames.xy).query(found.xy[rows])[1]
+    poses = {name: getattr(found, name)[rows] for name in ("x", "y", "theta", "deviation", "theta_deviation")}
+    return drive.frames.with_columns(building=known.frames.building[nearest], **poses)

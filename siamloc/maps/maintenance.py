@@ -225,7 +225,7 @@ def update(
     if not (sure & new).any():
         raise DataError(
             f"of {len(drive)} frames of the drive, {int((~sure).sum())} have no certain position, and the others are "
-            "in the map already: locate the drive first, for example with siamloc.maps.locate"
+            "in the map already: give their x and y, or a map whose descriptor compares images, which locates them"
         )
     used = sure & new
     part = describe(drive.take(used)) if seen is None else seen.take(used)

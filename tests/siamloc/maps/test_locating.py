@@ -64,6 +64,9 @@ def test_a_drive_is_located_by_all_of_it(poses):
     assert off.mean() < 0.02  # the noise of a single comparison
     assert np.abs(found.theta - np.angle(np.exp(1j * poses[60:, 2]))).max() < 0.1
     assert found.identities() == drive.frames.identities()
+    assert set(found.building) == {""}
+    at_home = replace(known, frames=known.frames.with_columns(building=["home"] * 60))
+    assert set(locate(at_home, drive, progress=False).building) == {"home"}
     assert 0.3 < off.mean() / np.median(found.deviation) < 2
 
 
@@ -108,3 +111,13 @@ def test_comparisons_in_metres_say_nothing_about_a_map_in_pixels(poses):
     known = replace(known, frames=replace(known.frames, unit="px"))
     found = judged(known, replace(drive, frames=frames), radius=1.0)
     assert not found.misplaced.any()
+
+
+def test_frames_that_are_in_the_map_already_are_located_like_others(poses):
+    known, drive = maps(TrueComparison(poses, 1.0, 0.02), poses)
+    known = known.merge(drive.take(np.arange(4)))
+    x, y, theta = np.concatenate([poses[:60], poses[60:64]]).T
+    known = replace(known, frames=known.frames.with_columns(x=x, y=y, theta=theta))
+    found = locate(known, drive, progress=False)
+    assert found.identities() == drive.frames.identities()
+    assert np.hypot(*(found.xy - poses[60:, :2]).T).max() < 0.15
