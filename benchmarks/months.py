@@ -1,4 +1,4 @@
-"""Measure a map that lives: a simulated building changes for six months, and one drive each month maintains its map.
+r"""Measure a map that lives: a simulated building changes for six months, and one drive each month maintains its map.
 
 The first drive, cloudy1, makes the map. In each month, cloudy2, another drive along the same path, is located in that
 map as it was (`unmaintained`); in the map that `siamloc.maps.update` has maintained with the drive cloudy1 of each
@@ -14,7 +14,8 @@ most 1.5 times as many frames as at the start, and is at most 0.01 m worse than 
 drive.
 
     OMP_NUM_THREADS=1 python -m benchmarks.months --data data/months --buildings annex freiburg_like --seeds 0
-    OMP_NUM_THREADS=1 python -m benchmarks.months --data data/months --buildings random --seeds 601 602 603 606 607 --keep
+    OMP_NUM_THREADS=1 python -m benchmarks.months --data data/months --seeds 601 602 603 606 607 --keep \
+        --buildings random
 """
 
 from __future__ import annotations
