@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 import siamloc
 from analytic.mapper import IncrementalMapper
 from benchmarks.report import Report, parser
-from benchmarks.survey import DRIVES, METRES, drawn, figures, last
+from benchmarks.survey import DRIVES, METRES, drawn, figures, last, surveyed
 from siamloc.data import FrameTable, PanoramaLibrary
 from siamloc.data.moves import relative
 from siamloc.models.registry import PRETRAINED_SIZE
@@ -48,11 +48,11 @@ def measured(data: Path) -> dict[str, dict[str, float]]:
     drives = [last(frames, pattern).spaced(METRES) for pattern in DRIVES.values()]
     rows: dict[str, list[dict[str, float]]] = {}
     for drive in drives:
-        rows.setdefault("look alike", []).append(surveyed(images, drive, None))
+        rows.setdefault("look alike", []).append(judged(images, drive, None))
         for name in DESCRIPTORS:
             by_nodes, by_images = closures(images, drive, name)
-            rows.setdefault(f"{name}, nodes", []).append(surveyed(images, drive, by_nodes))
-            rows.setdefault(f"{name}, images", []).append(surveyed(images, drive, by_images))
+            rows.setdefault(f"{name}, nodes", []).append(judged(images, drive, by_nodes))
+            rows.setdefault(f"{name}, images", []).append(judged(images, drive, by_images))
     means = {
         source: {key: statistics.mean(one[key] for one in some) for key in some[0]} for source, some in rows.items()
     }
@@ -77,10 +77,9 @@ def closures(images: PanoramaLibrary, drive: FrameTable, name: str) -> tuple[NDA
     return np.array(pairs), np.array(mapper.graph().loops, dtype=np.int64).reshape(-1, 2)
 
 
-def surveyed(images: PanoramaLibrary, drive: FrameTable, candidates: NDArray[np.int64] | None) -> dict[str, float]:
-    """Return the figures of a survey."""
-    unknown, wheels = FrameTable(path=drive.path, sequence=drive.sequence), drawn(drive, 0)
-    found = siamloc.maps.survey("pretrained", images, unknown, odometry=wheels, candidates=candidates, progress=False)
+def judged(images: PanoramaLibrary, drive: FrameTable, candidates: NDArray[np.int64] | None) -> dict[str, float]:
+    """Survey a drive with its odometry and these candidates, and return the figures."""
+    found = surveyed(images, drive, drawn(drive, 0), candidates=candidates)
     poses = np.column_stack([drive.xy, drive.theta])
     apart = np.hypot(*relative(poses, found.loops.first, found.loops.second)[:, :2].T)
     return {

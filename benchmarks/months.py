@@ -3,11 +3,11 @@ r"""Measure a map that lives: a simulated building changes for six months, and o
 The first drive, cloudy1, makes the map. In each month, cloudy2, another drive along the same path, is located in that
 map as it was (`unmaintained`); in the map that `siamloc.maps.update` has maintained with the drive cloudy1 of each
 month so far, whose poses are the true ones (`maintained`) or found in the map with odometry (`by itself`, `located` is
-their mean error in m);
-and in a map made of this month's cloudy1 alone (`afresh`). Errors are means in m, of the nearest map frame and refined;
-`lost` is the share of frames whose nearest map frame is more than 1 m away. At the end, cloudy2 of the first month is
-located in each maintained map. `changed` is the share of the surfaces in view that the months have changed. The drives
-keep one frame every 0.4 m; what is not rendered yet is rendered first. "random" is a building drawn from each seed.
+their mean error in m); and in a map made of this month's cloudy1 alone (`afresh`). Errors are means in m, of the
+nearest map frame and refined; `lost` is the share of frames whose nearest map frame is more than 1 m away. At the end,
+cloudy2 of the first month is located in each maintained map. `changed` is the share of the surfaces in view that the
+months have changed. The drives keep one frame every 0.4 m; what is not rendered yet is rendered first. "random" is a
+building drawn from each seed.
 
 Targets for the last month, mean over the seeds: a maintained map is at most 0.02 m worse than a map made afresh, has at
 most 1.5 times as many frames as at the start, and is at most 0.01 m worse than the first map on the first month's

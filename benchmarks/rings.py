@@ -20,7 +20,6 @@ from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 
 import siamloc
@@ -28,7 +27,7 @@ from analytic import Descriptor
 from benchmarks.report import Report, parser
 from benchmarks.ring_drives import LIGHTINGS, Mirror, clips, draw_mirror, draw_pictures
 from siamloc.data import FrameTable, PanoramaView, PolarRing, find_centres, find_ring, unwrap
-from siamloc.data.mounting import estimate, usual_rows
+from siamloc.data.mounting import estimate, resized, usual_rows
 from siamloc.errors import DataError
 
 CENTRE, RADIUS, REFUSED = 1.0, 2.0, 0.02  # px, px, share of the drives
@@ -142,9 +141,8 @@ def _direction(pictures: Any, poses: Any, ring: PolarRing, mirror: Mirror) -> di
     columns turn is right, None where unknown."""
     by = _network()
     panoramas = np.stack([unwrap(picture, ring)[..., ::-1] for picture in pictures])
-    usual = usual_rows(panoramas.transpose(0, 3, 1, 2), PanoramaView()).transpose(0, 2, 3, 1)
-    small = np.stack([cv2.resize(one, by.module.image_size[::-1], interpolation=cv2.INTER_AREA) for one in usual])
-    parts = by.describe(small.transpose(0, 3, 1, 2)).orientation
+    usual = usual_rows(panoramas.transpose(0, 3, 1, 2), PanoramaView())
+    parts = by.describe(resized(usual, by.module.image_size)).orientation
     x, y, theta = poses.T
     frames = FrameTable(path=[str(number) for number in range(len(poses))], x=x, y=y, theta=theta)
     posed, unposed = (estimate(frames, parts, by.compare, known) for known in (True, False))

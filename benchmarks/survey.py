@@ -84,10 +84,10 @@ def measured(data: Path, seeds: int) -> tuple[str, dict[str, Any]]:
     return name, row
 
 
-def surveyed(images: PanoramaLibrary, drive: FrameTable, wheels: NDArray[np.float64] | None) -> Survey:
+def surveyed(images: PanoramaLibrary, drive: FrameTable, wheels: NDArray[np.float64] | None, **options: Any) -> Survey:
     """Survey a drive whose true poses are taken away."""
     unknown = FrameTable(path=drive.path, sequence=drive.sequence)
-    return siamloc.maps.survey("pretrained", images, unknown, odometry=wheels, progress=False)
+    return siamloc.maps.survey("pretrained", images, unknown, odometry=wheels, progress=False, **options)
 
 
 def alone(images: PanoramaLibrary, drive: FrameTable) -> dict[str, float]:

@@ -12,6 +12,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from siamloc.data.decoding import bits_used
 from siamloc.data.trajectory import Trajectory, composed
 from siamloc.errors import DataError, SiamlocError, hint, lacking, logger
 
@@ -53,7 +54,6 @@ _ENCODINGS: dict[str, tuple[int, str, int | None]] = {
     "yuyv": (2, "u1", cv2.COLOR_YUV2RGB_YUY2),
 }
 _ENCODINGS |= {f"{name[:-1]}16": (one, "u2", code) for name, (one, _, code) in _ENCODINGS.items() if name[-1] == "8"}
-_FEWEST_BITS = 10  # of a sensor whose images have 16
 _FILES = {b"\xff\xd8\xff": ".jpg", b"\x89PNG": ".png"}  # the first bytes of compressed images
 _NOT_OF_THE_ROBOT = ("goal", "initialpose", "target")  # in topics of poses where someone wants the robot to be
 _FEW = 10  # messages: a topic with fewer is not the poses along a drive
@@ -191,8 +191,7 @@ class Bag:
         _, first = next(self._messages(topic, IMAGES, "bag"), (0, None))
         if _ENCODINGS.get(getattr(first, "encoding", ""), _ENCODINGS["rgb8"])[1] == "u1":
             return 0
-        brightest = max(int(self._numbers(topic, one).max()) for _, one in self._messages(topic, IMAGES, "bag"))
-        bits = max(brightest.bit_length(), _FEWEST_BITS)
+        bits = max(bits_used(self._numbers(topic, one)) for _, one in self._messages(topic, IMAGES, "bag"))
         if bits < 16:
             logger.warning("%s: the images of %s use %d of 16 bits, and are brightened alike", self.path, topic, bits)
         return bits - 8

@@ -298,7 +298,7 @@ def decode_image(data: bytes, folder: Path | None = None) -> NDArray[np.uint8]:
         image = cv2.imdecode(np.frombuffer(data, dtype=np.uint8), cv2.IMREAD_COLOR)
         if (deep := _deep(data)) is not None:
             with _ONE_BY_ONE:
-                bits = _bits(deep) if folder is None else _bits_in(folder)
+                bits = bits_used(deep) if folder is None else _bits_in(folder)
             image = np.minimum(deep >> (bits - 8), 255)
     except cv2.error as error:
         raise UnreadableImageError(f"the image cannot be decoded ({error.err})") from error
@@ -317,7 +317,7 @@ def _deep(data: bytes) -> NDArray[np.uint16] | None:
     return np.asarray(image, np.uint16) if image is not None and image.dtype == np.uint16 else None
 
 
-def _bits(image: NDArray[np.uint16]) -> int:
+def bits_used(image: NDArray[Any]) -> int:
     """Return how many bits an image uses; sensors have 10 or more."""
     return max(int(image.max()).bit_length(), 10)
 
@@ -328,7 +328,7 @@ def _bits_in(folder: Path) -> int:
     files, bits = image_files(folder), [0]
     for file in files[:: max(len(files) // _LOOKED_AT, 1)]:
         with suppress(OSError, cv2.error):
-            bits += [_bits(image) for image in [_deep(file.read_bytes())] if image is not None]
+            bits += [bits_used(image) for image in [_deep(file.read_bytes())] if image is not None]
     most = max(bits) or 16
     if most < 16:
         logger.warning("%s: its images use %d of 16 bits, and are brightened alike", folder, most)

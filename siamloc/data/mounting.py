@@ -209,7 +209,7 @@ def find_mounting(described_by: Descriptor, images: PanoramaLibrary, frames: Fra
     view = images.preprocessing.view
     rings = any(isinstance(camera, PolarRing) for camera in images.cameras.values())
     batches = (usual_rows(batch, view) if rings else batch for batch in images.batches(used))
-    found = [described_by.describe(_resized(batch, size)).orientation for batch in batches]
+    found = [described_by.describe(resized(batch, size)).orientation for batch in batches]
     parts = np.concatenate(found) if len(used) else np.zeros((0, 1, 1))  # type: ignore[arg-type]
     first, second = (np.searchsorted(rows, one) for one in pairs)
     return estimate(used, parts, described_by.compare, posed, (first, second))  # type: ignore[attr-defined]
@@ -304,7 +304,7 @@ def usual_rows(panoramas: NDArray[np.uint8], view: PanoramaView) -> NDArray[np.u
     return np.stack(made).transpose(0, 3, 1, 2)
 
 
-def _resized(batch: NDArray[np.uint8], size: tuple[int, int]) -> NDArray[np.uint8]:
+def resized(batch: NDArray[np.uint8], size: tuple[int, int]) -> NDArray[np.uint8]:
     """Return panoramas (B, 3, H, W) of the size that a network takes."""
     if batch.shape[2:] == tuple(size):
         return batch

@@ -12,6 +12,7 @@ from analytic.mapper import IncrementalMapper
 from siamloc.data.frames import FrameTable
 from siamloc.maps.coarse import UNASSIGNED, CoarseLayer
 from siamloc.maps.grouping import Built
+from siamloc.maps.thinning import nearest
 from siamloc.maps.visual_map import VisualMap
 
 
@@ -29,9 +30,7 @@ def nodes_of(layer: CoarseLayer, known: FrameTable, drive: FrameTable) -> NDArra
         drive: n frames with positions.
     """
     rows = np.flatnonzero(layer.labels >= 0)
-    xy = known.xy[rows]
-    nearest = [int(np.square(xy - here).sum(axis=1).argmin()) for here in drive.xy]
-    return layer.labels[rows[nearest]]
+    return layer.labels[rows[nearest(known.take(rows), drive)]]
 
 
 def left_by(built: Built, leaving: NDArray[np.int64]) -> tuple[IncrementalMapper, NDArray[np.int64]]:

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from foundation.calls import typed
 from siamloc.data.checks import wrong_odometry
@@ -13,6 +12,7 @@ from siamloc.data.frames import FrameTable, concatenate
 from siamloc.errors import ConfigError, DataError
 from siamloc.maps.comparing import comparison_of
 from siamloc.maps.surveying import SurveySettings, check_lengths, of_descriptions
+from siamloc.maps.thinning import nearest
 from siamloc.maps.visual_map import VisualMap
 
 
@@ -67,6 +67,6 @@ def locate(
     chosen = SurveySettings() if settings is None else settings
     found = of_descriptions(frames, described, wheels, compare, frames.take(of_map), None, chosen, progress).frames
     rows = np.argsort(order)[len(known) :]
-    nearest = cKDTree(known.frames.xy).query(found.xy[rows])[1]
     poses = {name: getattr(found, name)[rows] for name in ("x", "y", "theta", "deviation", "theta_deviation")}
-    return drive.frames.with_columns(building=known.frames.building[nearest], **poses)
+    located = drive.frames.with_columns(**poses)
+    return located.with_columns(building=known.frames.building[nearest(known.frames, located)])

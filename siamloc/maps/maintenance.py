@@ -160,10 +160,10 @@ def update(
 
     A frame of the drive contradicts the map if it was taken within `radius` of a map frame and is located farther away
     than that, or differs from all map frames within `radius` more than neighbours in the map usually do, or is compared
-    with those and most of them tell a wrong pose. The map is out
-    of date where `contradicted` of `window` consecutive frames contradict it; a single frame is no evidence, because a
-    person in view is enough. There, the frames that contradict it join the map, and so do frames of new places, except
-    those that look like a frame that has just joined.
+    with those and most of them tell a wrong pose. The map is out of date where `contradicted` of `window` consecutive
+    frames contradict it; a single frame is no evidence, because a person in view is enough. There, the frames that
+    contradict it join the map, and so do frames of new places, except those that look like a frame that has just
+    joined.
 
     A drive recognizes a map frame if one of its frames, taken within half the radius of it, resembles it more than all
     map frames beyond the radius; see `Reason` for what follows. Frames that are not recognized several times in a row

@@ -150,6 +150,12 @@ def _alike(known: VisualMap, reach: float) -> NDArray[np.int64]:
     return np.concatenate(pairs)[np.argsort(np.concatenate(apart), kind="stable")]
 
 
+def nearest(known: FrameTable, drive: FrameTable) -> NDArray[np.int64]:
+    """Return the row of the nearest map frame that has a position, for each frame of a drive (n,)."""
+    found = [int(np.nanargmin(np.square(known.xy - here).sum(axis=1))) for here in drive.xy]
+    return np.array(found, dtype=np.int64)
+
+
 def near(
     first: FrameTable, second: FrameTable, reach: float, at_once: int | None = None
 ) -> Iterator[tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float64]]]:

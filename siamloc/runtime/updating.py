@@ -18,6 +18,7 @@ from siamloc.data.frames import FrameTable
 from siamloc.errors import DataError, SiamlocError
 from siamloc.maps import Built, CoarseLayer, VisualMap
 from siamloc.maps.maintenance import UPKEEP, Maintenance, MaintenanceFields, Update, updated
+from siamloc.maps.thinning import nearest
 from siamloc.runtime import bundle as files
 from siamloc.runtime.collecting import collected
 from siamloc.runtime.describing import analytic_descriptor
@@ -150,7 +151,6 @@ def _read(drive: FrameTable, size: tuple[int, int]) -> NDArray[np.uint8]:
 
 def _in_rooms(known: VisualMap, drive: FrameTable) -> FrameTable:
     """Return a drive with rooms and building of the nearest map frames, and with headings if the map has any."""
-    nearest = [int(np.nanargmin(np.square(known.frames.xy - xy).sum(axis=1))) for xy in drive.xy]
-    near = known.frames.take(nearest)
+    near = known.frames.take(nearest(known.frames, drive))
     theta = drive.theta if known.orientation is not None else np.full(len(drive), np.nan)
     return replace(drive.with_columns(room=near.room, building=near.building, theta=theta), unit=known.frames.unit)
