@@ -13,6 +13,7 @@ from siamloc.data.frames import concatenate
 from siamloc.data.moves import composed
 from siamloc.errors import DataError
 from siamloc.maps.comparing import ODDS, scaled
+from siamloc.maps.floor import FloorScale
 from siamloc.maps.loops import Loops, agreed, edges_of, loops_of
 from siamloc.maps.pose_graph import Array, Edges, PoseGraph, solve
 from siamloc.maps.survey_steps import (
@@ -67,6 +68,7 @@ class LiveSurvey:
     _wheels: Edges
     _loops: Loops
     _paths: list[str]
+    _floor: FloorScale | None
 
     @typed
     def __init__(
@@ -115,12 +117,15 @@ class LiveSurvey:
         rows, close = np.concatenate([before, self._alike(learned[0])]), len(before)
         pose, information, odds = self._network.compare(np.repeat(parts, len(rows), axis=0), self._parts.rows[rows])
         edges = Edges(rows, np.full(len(rows), n), pose, information)
+        if self._floor is not None:
+            self._floor = replace(self._floor, factors=np.append(self._floor.factors, self._floor.factors[-1]))
+            edges = self._floor.lengthened(edges)
         # As the robot moved since the last frame, by odometry if it has any.
         pair = np.zeros(2, dtype=np.int64)
         self._odometry = np.concatenate([self._odometry, wheels])
-        moved = odometry_steps(self._odometry[-2:], pose[:1], odds[:1] >= ODDS, pair, [""], [])
+        moved = odometry_steps(self._odometry[-2:], edges.pose[:1], odds[:1] >= ODDS, pair, [""], [])
         rolled = wheel_edges(moved)
-        start = composed(self._poses[-1:], start_of(moved, pose[:1], pair)[1:])
+        start = composed(self._poses[-1:], start_of(moved, edges.pose[:1], pair)[1:])
         self._steps = Edges.concatenate([self._steps, trusted(edges.take(slice(close)), odds[:close])])
         rolled = replace(rolled, first=rolled.first + n - 1, second=rolled.second + n - 1)
         self._wheels = Edges.concatenate([self._wheels, rolled])
@@ -141,12 +146,13 @@ class LiveSurvey:
             path=self._paths, time=[np.nan] * len(self._paths)
         )
         frames = concatenate([old, new])
-        graph = PoseGraph(self._steps, self._wheels, self._drive, self._found.graph.fixed)
-        self._continue(concluded(frames, graph, self._loops, self._poses, self._odometry, self._found.notes))
+        graph = replace(self._found.graph, pictures=self._steps, wheels=self._wheels, drive=self._drive)
+        notes = self._found.notes
+        self._continue(concluded(frames, graph, self._loops, self._poses, self._odometry, notes, self._floor))
         return self._found
 
     def _continue(self, found: Survey) -> None:
-        self._found, self._loops, self._paths = found, found.loops, []
+        self._found, self._loops, self._paths, self._floor = found, found.loops, [], found.floor
         self._steps, self._wheels, self._drive = found.graph.pictures, found.graph.wheels, found.graph.drive
         self._odometry, self._poses = found.frames.odometry, found.solution.poses.copy()
         self._way = np.cumsum(np.hypot(*np.diff(self._poses[:, :2], axis=0, prepend=self._poses[:1, :2]).T))

@@ -56,12 +56,14 @@ class PoseGraph:
         wheels: odometry between consecutive frames; each drive has its scale and bias.
         drive: (n,) number of the drive of each frame, from 0.
         fixed: rows of frames whose poses are given; the first frame, at its start, if there are none.
+        scale: standard deviation of the logarithm of that scale before anything is measured.
     """
 
     pictures: Edges
     wheels: Edges
     drive: NDArray[np.int64]
     fixed: NDArray[np.int64]
+    scale: float = SCALE
 
     def __len__(self) -> int:
         return len(self.drive)
@@ -229,7 +231,7 @@ class _System:
         self._prior = np.full(self._unknowns, 1e-9)
         self._prior[(3 * graph.held[:, None] + np.arange(3)).ravel()] = _FIXED
         given = np.concatenate([[state.scale], state.wheel_scale, state.gyro_bias])
-        deviations = np.concatenate([[SCALE], np.full(drives, WHEEL_SCALE), np.full(drives, GYRO_BIAS)])
+        deviations = np.concatenate([[graph.scale], np.full(drives, WHEEL_SCALE), np.full(drives, GYRO_BIAS)])
         self._prior[3 * n :] = 1 / deviations**2
         self._pull = np.concatenate([np.zeros(3 * n), given / deviations**2])
         self.cost += 0.5 * float(np.square(given / deviations).sum())

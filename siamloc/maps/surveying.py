@@ -7,7 +7,7 @@ poses of all frames are those of a graph of all these measurements, see `siamloc
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
@@ -19,11 +19,13 @@ from foundation.settings import Count, Positive, Settings
 from siamloc.data.checks import wrong_odometry
 from siamloc.data.frames import ODOMETRY, FrameTable
 from siamloc.data.moves import relative, wrapped
+from siamloc.data.panorama import PanoramaView, PolarRing
 from siamloc.errors import ConfigError, DataError
 from siamloc.maps.comparing import ODDS, Compares, scaled
 from siamloc.maps.describing import build, descriptor_from
+from siamloc.maps.floor import DEVIATION, FloorScale, floor_scale, shows_floor
 from siamloc.maps.loops import Loops, Reason, checked_pairs, edges_of, far_apart, judged, judged_again, most_alike
-from siamloc.maps.pose_graph import Array, Edges, PoseGraph, Solution, covariances, of_shape, solve
+from siamloc.maps.pose_graph import SCALE, Array, Edges, PoseGraph, Solution, covariances, of_shape, solve
 from siamloc.maps.survey_start import anchored, brought_together, check_anchors
 from siamloc.maps.survey_steps import (
     compared_steps,
@@ -50,18 +52,21 @@ _ROUGHLY = 1e6  # degrees of freedom with which no measurement is weighted down
 
 @dataclass(frozen=True)
 class SurveySettings(Settings):
-    """How loops are searched.
+    """How loops are searched, and what tells the scale.
 
     Attributes:
         apart: way between two frames of a drive that may be a loop, at least, in metres.
         alike: number of most similar frames that each frame is compared with, divided evenly among the drives, but at
             least two in each.
+        height: height of the camera above the floor, in metres, which tells the scale where there are neither odometry
+            nor anchors.
     """
 
     WHERE = "survey"
 
     apart: Positive = 3.0
     alike: Count = 8
+    height: Positive | None = None
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -77,9 +82,10 @@ class Survey:
         graph: what was measured, without loops: compared frames that follow each other, and odometry if it is used.
         odometry: (n, 3) the odometry that was given, each drive from its own first frame; NaN where there is none.
         solution: scales, gyro biases and weights.
-        fixed_by: "anchors", "odometry" or "pictures": what fixes the scale. Only anchors fix position and direction of
-            the whole; without them the first frame lies at 0 and looks along x.
+        fixed_by: "anchors", "odometry", "height" (of the camera) or "pictures": what fixes the scale. Only anchors fix
+            position and direction of the whole; without them the first frame lies at 0 and looks along x.
         notes: sentences about parts of the data that were not used.
+        floor: what the floor says about displacements, None where it was not used.
     """
 
     frames: FrameTable
@@ -91,6 +97,7 @@ class Survey:
     solution: Solution
     fixed_by: str
     notes: tuple[str, ...] = ()
+    floor: FloorScale | None = None
 
     def __repr__(self) -> str:
         return f"Survey({self.summary()})"
@@ -135,6 +142,7 @@ class Survey:
             "residual_of_steps": {"median": float(np.median(residual)), "p95": float(np.quantile(residual, 0.95))},
             "deviation": {"median": float(np.median(deviation)), "largest": float(deviation.max())},
             "length_of_comparisons": self.solution.scale,
+            "height": None if self.floor is None else self.floor.height,
             "odometry": odometry,
             "notes": list(self.notes),
         }
@@ -155,7 +163,9 @@ def survey(
     """Estimate the poses of the frames of one or several drives; positions in `frames` are not used.
 
     With odometry, its scale is a little uncertain and its gyro has a bias, both of which are estimated along. Without
-    odometry and anchors, the scale is that of the network, which is off by some percent.
+    odometry, the floor that the robot drives over tells how lengths in one part of the building compare with those in
+    another, and what they are in metres if the height of the camera is known (`settings.height`). Without that and
+    anchors, the scale is that of the network, which is off by some percent.
 
     Args:
         network: a network that compares images, built with relative=True; "pretrained" is the shipped one.
@@ -166,14 +176,14 @@ def survey(
         anchors: some of the frames, with their true poses, which fix position, direction and scale of the whole.
         candidates: (p, 2) rows of pairs of frames that may show one place, such as `IncrementalMapper.graph().loops`
             of the same frames: loops are searched among them, instead of among the frames that look most alike.
-        settings: how loops are searched.
+        settings: how loops are searched, and the height of the camera.
         progress: whether to show the progress.
 
     Returns:
         The survey; its frames are in the order of the drives.
 
     Raises:
-        ConfigError: a network that does not compare.
+        ConfigError: a network that does not compare; a height, but panoramas that do not show the floor.
         DataError: a drive with fewer than 10 frames, with times that go back, or one that stands still; odometry in
             another unit, in degrees or of turns with the wrong sign; drives that have no place in common; anchors that
             are not among the frames, or without a pose; candidates that are not pairs of rows.
@@ -187,6 +197,14 @@ def survey(
     pairs, place = None if candidates is None else checked_pairs(candidates, len(frames)), np.full(len(frames), -1)
     wheels = frames.odometry if odometry is None else odometry_of(odometry, len(frames))
     frames, wheels = frames.take(order), wheels[order]
+    view, rings = images.preprocessing.view, [isinstance(one, PolarRing) for one in images.cameras.values()]
+    looks_down = shows_floor(view) and not any(rings)
+    if settings.height is not None and not looks_down:
+        raise ConfigError(
+            "survey.height needs panoramas that show the floor at known elevations: a ring of two radii does not say "
+            "what it sees, so give the camera's calibration (unwrap=calibrated), and let elevations reach -30 degrees "
+            "or lower"
+        )
     check_lengths(frames)
     check_anchors(frames, anchors)
     for finding in wrong_odometry(frames.with_columns(**dict(zip(ODOMETRY, wheels.T, strict=True)))):
@@ -202,7 +220,9 @@ def survey(
     if pairs is not None:
         place[order] = np.arange(len(order))
         pairs = place[pairs]
-    return of_descriptions(frames, known, wheels, described.compare, anchors, pairs, settings, progress)
+    straight = (known.mounting.straight(batch) for batch in images.batches(frames))
+    panoramas = (straight, view) if looks_down else None
+    return of_descriptions(frames, known, wheels, described.compare, anchors, pairs, settings, progress, panoramas)
 
 
 def of_descriptions(
@@ -214,6 +234,7 @@ def of_descriptions(
     pairs: NDArray[np.int64] | None,
     settings: SurveySettings,
     progress: bool,
+    panoramas: tuple[Iterable[NDArray[np.uint8]], PanoramaView] | None = None,
 ) -> Survey:
     """Survey frames (n), drive by drive, by their descriptions; see `survey`.
 
@@ -224,8 +245,9 @@ def of_descriptions(
         compare: compares orientation parts.
         anchors: some of the frames, with their poses.
         pairs: (p, 2) candidates for loops, -1 for a frame that is left out; those that look alike if None.
-        settings: how loops are searched.
+        settings: how loops are searched, and the height of the camera.
         progress: whether to show the progress.
+        panoramas: those of the frames, in batches, and their view, if they show the floor.
     """
     names = list(frames.rows_by("sequence"))
     drive = np.array([names.index(name) for name in frames.sequence.tolist()], dtype=np.int64)
@@ -235,6 +257,13 @@ def of_descriptions(
     compared = comparing(compare, scaled(parts), progress)
     steps, seen, certain = compared_steps(compared, drive)
     moved = odometry_steps(wheels, seen, certain, drive, names, notes)
+    floor = None
+    if panoramas is not None and not np.isfinite(moved).any():
+        floor = _seen_floor(*panoramas, steps, seen, settings.height, notes)
+    if floor is not None:
+        every = np.arange(len(frames) - 1)
+        seen[:, :2] *= np.sqrt(floor.factors[every] * floor.factors[every + 1])[:, None]
+        steps, compared = floor.lengthened(steps), floor.lengthening(compared)
     fixed, start = anchored(start_of(moved, seen, drive), drive, frames, anchors)
     held = np.isin(np.arange(len(frames)), fixed)
     _check_ways(start, np.where(held, -1, drive), names)
@@ -247,11 +276,19 @@ def of_descriptions(
     loops = judged(first[open_ones], second[open_ones], compared, start, drive, ODDS)
     placed = set(drive[fixed].tolist()) or {0}
     start = brought_together(start, loops, drive, names, notes, placed)
-    return concluded(frames, PoseGraph(steps, wheel_edges(moved), drive, fixed), loops, start, wheels, notes)
+    scale = DEVIATION if floor is not None and floor.given else SCALE
+    graph = PoseGraph(steps, wheel_edges(moved), drive, fixed, scale)
+    return concluded(frames, graph, loops, start, wheels, notes, floor)
 
 
 def concluded(
-    frames: FrameTable, graph: PoseGraph, loops: Loops, start: Array, odometry: Array, notes: Sequence[str] = ()
+    frames: FrameTable,
+    graph: PoseGraph,
+    loops: Loops,
+    start: Array,
+    odometry: Array,
+    notes: Sequence[str] = (),
+    floor: FloorScale | None = None,
 ) -> Survey:
     """Return the survey that follows from measurements.
 
@@ -262,13 +299,15 @@ def concluded(
         start: start poses (n, 3), with the given poses of the anchors.
         odometry: (n, 3) as it was given.
         notes: sentences about parts of the data that are not used.
+        floor: what the floor says about displacements.
     """
     notes, drive = list(notes), graph.drive
     whole, solution, loops = _solved(graph, loops, start)
     if not loops.accepted.any():
         found = "contradict all other measurements" if (loops.reason == Reason.CONTRADICTED).any() else "were not found"
         notes.append(f"loops {found}: drift is not undone; a drive that visits places again has loops")
-    by = "anchors" if len(graph.fixed) > 1 else "odometry" if len(graph.wheels) else "pictures"
+    by = "height" if floor is not None and floor.given else "pictures"
+    by = "anchors" if len(graph.fixed) > 1 else "odometry" if len(graph.wheels) else by
     x, y, theta = solution.poses.T
     covariance, scale_deviation = covariances(whole, solution), 0.0
     if by != "anchors":
@@ -292,7 +331,28 @@ def concluded(
         solution,
         by,
         tuple(notes),
+        floor,
     )
+
+
+def _seen_floor(
+    batches: Iterable[NDArray[np.uint8]],
+    view: PanoramaView,
+    steps: Edges,
+    seen: Array,
+    height: float | None,
+    notes: list[str],
+) -> FloorScale | None:
+    gap = np.nan_to_num(np.hypot(seen[:, 0], seen[:, 1]), nan=100.0)  # metres, between drives
+    floor = floor_scale(batches, view, steps, np.concatenate([[0.0], np.cumsum(gap)]), height)
+    if floor is None and height is not None:
+        notes.append("the floor shows too little to tell lengths: the height of the camera is not used")
+    elif floor is not None and height is None:
+        notes.append(
+            f"the scale is right if the camera is {floor.height:.2f} m above the floor: if not, give its height "
+            "(survey.height)"
+        )
+    return floor
 
 
 def comparing_descriptor(network: Descriptor | nn.Module | str, circular: bool) -> Any:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 from dataclasses import replace
+from typing import ClassVar
 
 import numpy as np
 import pytest
@@ -11,15 +12,18 @@ import pytest
 from analytic import Description
 from analytic.descriptors.thumbnail import Thumbnail
 from siamloc.data import FrameTable, PanoramaLibrary, concatenate
+from siamloc.data.decoding import Preprocessing
 from siamloc.data.moves import chained, composed, relative, wrapped
 from siamloc.errors import ConfigError, DataError
 from siamloc.maps import LiveSurvey, VisualMap, survey
 
 
 class Panoramas(PanoramaLibrary):
-    """Panoramas that are never opened."""
+    """Panoramas that are never opened, since they do not show the floor."""
 
     circular = True
+    preprocessing = Preprocessing.checked((64, 256), elevations=(30.0, -5.0))
+    cameras: ClassVar = {}
 
 
 class TrueComparison(Thumbnail):

@@ -1,0 +1,159 @@
+"""How far a robot moved, by the floor that it drove over.
+
+How far away things look depends on how large they are: comparisons take displacements for too long in small rooms, and
+for too short in large ones. The floor where a robot drives, though, is a plane that nothing stands on, one height of
+the camera below it. A displacement is right, in units of that height, if it brings what both ends see of the floor into
+agreement ([Kitt et al. 2011], who find the scale of monocular odometry by the plane of the road).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import gaussian_filter1d
+
+from siamloc.data.panorama import PanoramaView
+from siamloc.maps.loops import Pairs
+from siamloc.maps.pose_graph import Array, Edges
+
+DEVIATION = 0.03
+"""Standard deviation of the scale that follows from a known height, as a share."""
+_BELOW = -0.25  # tangent of the elevation from which on the floor is looked at: out to four heights
+_FEWEST = 8  # rows of floor
+_COLUMNS = 256
+_LANE = 0.5  # half the width of the lane that the robot drives in, in heights
+_MOVES = 0.2, 1.0  # least and largest displacement, in heights
+_STEP = 0.05
+_FACTORS: Array = np.arange(-10, 11) * _STEP  # logarithms of the factors that displacements are tried with
+_HEIGHTS: Array = np.arange(-18, 29) * _STEP  # and of the reciprocal heights in metres
+_TRIED = 150  # displacements that tell an unknown height
+_ALONE, _MOST = 6.0, 60.0  # pixels that tell as much as one alone, and how many count at most
+_USUAL = 0.2  # standard deviation of the logarithm of a factor
+_AROUND = 2.0  # standard deviation of the way over which factors are alike, in metres
+_CELL = 0.1  # metres
+_TELLS = 1.0  # least median by which the best factor is more likely than the others are on average
+
+
+@dataclass(frozen=True, eq=False)
+class FloorScale:
+    """What compared displacements must be multiplied by, so that they agree with the floor.
+
+    Attributes:
+        factors: (n,) at each frame.
+        height: height of the camera above the floor, in metres.
+        given: whether the height was given; else it is the one with which comparisons are right on average.
+    """
+
+    factors: Array
+    height: float
+    given: bool
+
+    def lengthened(self, edges: Edges) -> Edges:
+        """Return edges whose displacements are multiplied."""
+        factor = np.sqrt(self.factors[edges.first] * self.factors[edges.second])
+        by = np.column_stack([factor, factor, np.ones_like(factor)])
+        return replace(edges, pose=edges.pose * by, information=edges.information / (by[:, :, None] * by[:, None]))
+
+    def lengthening(self, compared: Pairs) -> Pairs:
+        """Return a function that compares frames likewise, and multiplies the displacements."""
+
+        def comparing(first: NDArray[np.int64], second: NDArray[np.int64]) -> tuple[Array, Array, Array]:
+            pose, information, odds = compared(first, second)
+            edges = self.lengthened(Edges(first, second, pose, information))
+            return edges.pose, edges.information, odds
+
+        return comparing
+
+
+def shows_floor(view: PanoramaView) -> bool:
+    """Return whether panoramas look down far enough for `floor_scale`."""
+    return int((np.tan(view.row_elevation()) < _BELOW).sum()) * 64 >= _FEWEST * view.height
+
+
+def floor_scale(
+    batches: Iterable[NDArray[np.uint8]], view: PanoramaView, steps: Edges, way: Array, height: float | None
+) -> FloorScale | None:
+    """Return what compared displacements must be multiplied by at each of n frames, None if the floor tells too little.
+
+    Args:
+        batches: the panoramas (B, 3, H, W) of the n frames, in order, whose middle looks ahead.
+        view: the elevations of their rows.
+        steps: compared pairs of frames between which the robot moved a little.
+        way: (n,) way that the robot drove, in metres, with gaps between drives.
+        height: of the camera above the floor, in metres; None if unknown.
+    """
+    slopes = np.tan(replace(view, height=round(_COLUMNS * view.height / view.width)).row_elevation())
+    slopes = slopes[slopes < _BELOW]
+    floors = np.concatenate([_floors(batch, view, len(slopes)) for batch in batches])
+    moved = np.hypot(steps.pose[:, 0], steps.pose[:, 1])
+    given = height is not None
+    if height is None:
+        some = np.flatnonzero((moved > _MOVES[0] / 2) & (moved < _MOVES[1]))
+        some = some[np.unique(np.linspace(0, len(some) - 1, min(_TRIED, len(some))).astype(int))]
+        tried = _likelihoods(floors, slopes, steps.take(some), _HEIGHTS)
+        height = float(np.exp(-_HEIGHTS[tried.sum(axis=0).argmax()]))
+    short = np.flatnonzero((moved > _MOVES[0] * height) & (moved < _MOVES[1] * height))
+    used = steps.take(short)
+    found = _likelihoods(floors, slopes, used, _FACTORS - float(np.log(height)))
+    if not len(found) or np.median(found.max(axis=1) - found.mean(axis=1)) < _TELLS:
+        return None
+    cell = np.round((way - way.min()) / _CELL).astype(int)
+    along = np.zeros((cell.max() + 1, len(_FACTORS)))
+    np.add.at(along, (cell[used.first] + cell[used.second]) // 2, found)
+    spread = _AROUND / _CELL
+    along = gaussian_filter1d(along, spread, axis=0, mode="constant") * spread * np.sqrt(2 * np.pi)
+    return FloorScale(np.exp(_peaks(along - (_FACTORS / _USUAL) ** 2 / 2))[cell], height, given)
+
+
+def _floors(batch: NDArray[np.uint8], view: PanoramaView, rows: int) -> NDArray[np.float32]:
+    """Return the lowest rows of panoramas (B, rows, 256 + 4), relative to their surroundings, two columns wrapped."""
+    made = np.empty((len(batch), rows, _COLUMNS + 4), dtype=np.float32)
+    size, blur = (_COLUMNS, round(_COLUMNS * view.height / view.width)), _COLUMNS / 85
+    for one, panorama in zip(made, batch, strict=True):
+        grey = cv2.resize(panorama.mean(axis=0, dtype=np.float32), size, interpolation=cv2.INTER_AREA)
+        wide = np.pad(np.log(grey + 8), ((0, 0), (16, 16)), mode="wrap")
+        one[:] = (wide - cv2.GaussianBlur(wide, (0, 0), blur))[-rows:, 14:-14]
+    return made
+
+
+def _likelihoods(floors: NDArray[np.float32], slopes: Array, pairs: Edges, factors: Array) -> Array:
+    """Return how likely displacements (p,) are when multiplied by factors (q,), given by their logarithms: (p, q).
+
+    Logarithms, up to a constant: those of a linear relation with normal errors between the floors as both ends see it.
+
+    Args:
+        floors: (n, R, 256 + 4) floors that the frames see.
+        slopes: (R,) tangent of the elevation of each row.
+        pairs: displacements of the second frames as seen from the first.
+        factors: displacements then count in heights of the camera.
+    """
+    azimuth = (_COLUMNS / 2 - np.arange(_COLUMNS) - 0.5) * (2 * np.pi / _COLUMNS)
+    x, y = (part.ravel() for part in (-np.cos(azimuth) / slopes[:, None], -np.sin(azimuth) / slopes[:, None]))
+    step = (slopes[-1] - slopes[0]) / (len(slopes) - 1)
+    by, made = np.exp(factors)[:, None], np.zeros((len(pairs), len(factors)))
+    for row, (ahead, left, turn) in enumerate(pairs.pose):
+        seen, other = floors[pairs.first[row]], floors[pairs.second[row], :, 2:-2].ravel()
+        cosine, sine = np.cos(turn), np.sin(turn)
+        x_there, y_there = cosine * x - sine * y, sine * x + cosine * y
+        lane = np.abs(ahead * y_there - left * x_there) < _LANE * np.hypot(ahead, left)
+        x_there, y_there, other = x_there[lane] + by * ahead, y_there[lane] + by * left, other[lane]
+        columns = (_COLUMNS / 2 - 0.5 - np.arctan2(y_there, x_there) * _COLUMNS / (2 * np.pi)) % _COLUMNS + 2
+        rows = (-1 / np.hypot(x_there, y_there) - slopes[0]) / step
+        inside = (rows > 0) & (rows < len(slopes) - 1)
+        sampled = cv2.remap(seen, columns.astype(np.float32), rows.astype(np.float32), cv2.INTER_LINEAR)
+        both, own, others = ((one * inside).sum(axis=1) for one in (sampled * other, sampled**2, other**2))
+        alike = np.clip(both / np.sqrt(own * others + 1e-9), 0, 0.98)
+        made[row] = -0.5 * np.log1p(-(alike**2)) * np.minimum(inside.sum(axis=1) / _ALONE, _MOST)
+    return made
+
+
+def _peaks(values: Array) -> Array:
+    """Return the factor's logarithm with the largest value in each row (n, q), between its steps by a parabola."""
+    rows, best = np.arange(len(values)), values.argmax(axis=1).clip(1, values.shape[1] - 2)
+    before, here, after = (values[rows, best + by] for by in (-1, 0, 1))
+    bend = np.minimum(before - 2 * here + after, -1e-9)
+    return np.asarray(_FACTORS[best] + np.clip((before - after) / bend / 2, -1, 1) * _STEP)
