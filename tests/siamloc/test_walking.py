@@ -69,10 +69,14 @@ def test_a_folder_of_panoramas_without_odometry_becomes_a_robot(mini, tmp_path):
     for number, path in enumerate(day.path.tolist()):
         (pictures / f"{START + number / 2:.1f}.jpeg").hardlink_to(path)
     said = []
-    made = siamloc.walk(pictures, tmp_path / "robot", say=said.append, spacing=0.25)
+    height = siamloc.maps.SurveySettings(height=0.95)  # of the simulated camera
+    made = siamloc.walk(pictures, tmp_path / "robot", say=said.append, spacing=0.25, survey=height)
     assert "without odometry" in said[0]
     assert said[1].startswith("camera: unwrap=none (unwrap=), for pictures of ")
-    assert made.survey.fixed_by == "pictures"
+    assert made.survey.fixed_by == "height"
+    wanted = day.xy[np.rint(2 * (made.survey.frames.time - START)).astype(int)]
+    spread, expected = (np.sqrt(one.var(axis=0).sum()) for one in (made.survey.frames.xy, wanted))
+    assert spread / expected == pytest.approx(1, abs=0.06)
     assert made.bundle.path == tmp_path / "robot" / "bundle"
     parts = siamloc.data.read("manifest", manifest=tmp_path / "robot" / "parts.csv").rows_by("sequence")
     counts = {name: len(rows) for name, rows in parts.items()}

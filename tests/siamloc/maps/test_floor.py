@@ -1,0 +1,125 @@
+"""Lengths by the floor, of panoramas that show a drawn floor through a projection of the test's own."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from siamloc.data import FrameTable, PanoramaLibrary, PanoramaView, PolarRing
+from siamloc.data.moves import relative
+from siamloc.errors import ConfigError
+from siamloc.maps import SurveySettings, survey
+from siamloc.maps.floor import floor_scale, shows_floor
+from siamloc.maps.pose_graph import Edges
+
+VIEW = PanoramaView(height=64, width=256)
+HEIGHT = 0.7
+WAVES = np.random.default_rng(3).normal(0, 6, (60, 2)), np.random.default_rng(4).uniform(0, 6, 60)
+
+
+def pattern(x, y) -> np.ndarray:
+    """A floor with a pattern of waves 0.5 m long and longer, from 0 to 1."""
+    waves, phases = WAVES
+    return 0.5 + 0.05 * np.cos(np.multiply.outer(x, waves[:, 0]) + np.multiply.outer(y, waves[:, 1]) + phases).sum(-1)
+
+
+def panorama(pose, contrast=200.0) -> np.ndarray:
+    """What a camera sees at x, y, theta (3, 64, 256): a wall above the horizon, the floor below."""
+    x, y, theta = pose
+    image = np.full((64, 256), 90.0)
+    for row in range(64):
+        slope = np.tan(np.radians(30)) - (row + 0.5) / 64 * (np.tan(np.radians(30)) + 1)
+        if slope >= 0:
+            continue
+        for column in range(256):
+            azimuth = theta + np.pi - (column + 0.5) * 2 * np.pi / 256
+            reach = HEIGHT / -slope
+            image[row, column] = 20 + contrast * pattern(x + reach * np.cos(azimuth), y + reach * np.sin(azimuth))
+    return np.repeat(image.clip(0, 255).astype(np.uint8)[None], 3, axis=0)
+
+
+@pytest.fixture(scope="module")
+def drive():
+    """Poses of a drive along a bend, its panoramas, and its true steps to the next frame and the one after it."""
+    t = np.linspace(0, 1, 40)
+    x, y = 9 * np.sin(1.3 * t), 5 * (1 - np.cos(1.3 * t))
+    poses = np.column_stack([x, y, np.arctan2(np.gradient(y), np.gradient(x))])
+    first = np.concatenate([np.arange(39), np.arange(38)])
+    second = np.concatenate([np.arange(1, 40), np.arange(2, 40)])
+    steps = Edges(first, second, relative(poses, first, second), np.tile(np.eye(3), (len(first), 1, 1)))
+    return poses, np.stack([panorama(pose) for pose in poses]), steps
+
+
+def shortened(steps, by) -> Edges:
+    """The steps as a comparison sees them whose lengths are wrong by a factor at each frame."""
+    factor = np.sqrt(by[steps.first] * by[steps.second])[:, None]
+    return replace(steps, pose=steps.pose / np.hstack([factor, factor, np.ones_like(factor)]))
+
+
+def test_the_floor_tells_where_lengths_are_wrong(drive):
+    poses, panoramas, steps = drive
+    wrong = np.linspace(0.8, 1.2, 40)
+    way = np.concatenate([[0], np.cumsum(np.hypot(*np.diff(poses[:, :2], axis=0).T))])
+    found = floor_scale([panoramas[:25], panoramas[25:]], VIEW, shortened(steps, wrong), way, HEIGHT)
+    assert found.given
+    np.testing.assert_allclose(found.factors[10:-10], wrong[10:-10], rtol=0.04)
+    np.testing.assert_allclose(found.factors, wrong, rtol=0.12)  # at either end, only what lies on one side counts
+    ratio = np.hypot(*found.lengthened(shortened(steps, wrong)).pose[:, :2].T) / np.hypot(*steps.pose[:, :2].T)
+    assert ratio.mean() == pytest.approx(1, abs=0.02)
+
+
+def test_larger_panoramas_say_the_same(drive):
+    _, panoramas, steps = drive
+    way = np.arange(40) * 0.27
+    large = panoramas.repeat(2, axis=2).repeat(2, axis=3)
+    found = floor_scale([large], replace(VIEW, height=128, width=512), steps, way, HEIGHT)
+    np.testing.assert_allclose(found.factors, 1, atol=0.05)
+
+
+def test_an_unknown_height_is_the_one_that_fits(drive):
+    _, panoramas, steps = drive
+    found = floor_scale([panoramas], VIEW, shortened(steps, np.full(40, 0.9)), np.arange(40) * 0.27, None)
+    assert not found.given
+    assert found.height == pytest.approx(HEIGHT / 0.9, rel=0.06)
+    np.testing.assert_allclose(found.factors, found.height / (HEIGHT / 0.9) * np.ones(40), rtol=0.15)
+
+
+def test_a_floor_without_a_pattern_tells_nothing(drive):
+    poses, _, steps = drive
+    noise = np.random.default_rng(0).normal(0, 2, (40, 3, 64, 256))
+    plain = np.clip(np.stack([panorama(pose, 0.0) for pose in poses]) + noise, 0, 255).astype(np.uint8)
+    assert floor_scale([plain], VIEW, steps, np.arange(40) * 0.27, HEIGHT) is None
+
+
+def test_lengthened_displacements_are_as_certain_in_proportion(drive):
+    _, panoramas, steps = drive
+    found = replace(floor_scale([panoramas], VIEW, steps, np.arange(40) * 0.27, HEIGHT), factors=np.full(40, 2.0))
+    longer = found.lengthened(steps)
+    np.testing.assert_allclose(longer.pose, steps.pose * [2, 2, 1])
+    np.testing.assert_allclose(longer.information[0], np.diag([0.25, 0.25, 1]))
+    pose, information, odds = found.lengthening(lambda first, second: (steps.pose, steps.information, first))(
+        steps.first, steps.second
+    )
+    np.testing.assert_allclose(pose, longer.pose)
+    np.testing.assert_allclose(information, longer.information)
+    assert odds is steps.first
+
+
+def test_which_views_show_the_floor():
+    assert shows_floor(VIEW)
+    assert shows_floor(PanoramaView(height=64, width=256, bottom=-30))
+    assert not shows_floor(PanoramaView(height=64, width=256, bottom=-15))
+
+
+@pytest.mark.parametrize("options", [{"elevations": (30.0, -10.0)}, {"unwrap": PolarRing(inner=4, outer=15)}])
+def test_a_height_needs_a_floor_at_known_elevations(tmp_path, options):
+    import cv2
+
+    for number in range(12):
+        cv2.imwrite(str(tmp_path / f"{number}.png"), np.full((32, 32, 3), number, np.uint8))
+    frames = FrameTable(path=[str(tmp_path / f"{number}.png") for number in range(12)])
+    images = PanoramaLibrary(frames, tmp_path / "cache", image_size=(64, 256), **options)
+    with pytest.raises(ConfigError, match=r"survey\.height needs panoramas that show the floor at known elevations"):
+        survey("pretrained", images, frames, settings=SurveySettings(height=1.0), progress=False)
