@@ -16,6 +16,7 @@ from siamloc.data.decoding import Preprocessing
 from siamloc.data.moves import chained, composed, relative, wrapped
 from siamloc.errors import ConfigError, DataError
 from siamloc.maps import LiveSurvey, VisualMap, survey
+from siamloc.maps.floor import FloorScale
 
 
 class Panoramas(PanoramaLibrary):
@@ -355,3 +356,22 @@ def test_a_survey_goes_on_frame_by_frame(surveyed, wheeled):
     assert list(found.report()["odometry"]) == (["monday"] if wheeled else [])
     with pytest.raises(DataError, match="needs the map of its frames"):
         LiveSurvey(network, whole, held)
+
+
+def test_a_live_survey_goes_on_with_the_lengths_of_the_floor(surveyed):
+    x, known = np.arange(90) * 0.3, 60
+    poses = np.column_stack([x, np.sin(x / 3), np.arctan(np.cos(x / 3) / 3)])
+    before, _, _ = surveyed({"monday": poses[:known]}, odometry=False, noise=0.01)
+    before = replace(before, floor=FloorScale(np.full(known, 1.25), 0.95, given=True))
+    network = TrueComparison(poses, 0.8, 0.01)
+    held = VisualMap(
+        places_of(poses[:known]), before.frames, orientation=numbered(range(known)), heading={"name": "network"}
+    )
+    live = LiveSurvey(network, before, replace(held, describes=network))
+    for row in range(known, len(poses)):
+        live.add(np.full((3, 1, 1), row, np.uint8), f"{row}.png")
+    shown, true = (np.hypot(*(one[-1] - one[known - 1])[:2]) for one in (live.poses, poses))
+    assert shown == pytest.approx(true, rel=0.05)  # by comparisons alone a fifth too short
+    found = live.survey()
+    np.testing.assert_allclose(found.floor.factors, np.full(len(poses), 1.25))
+    assert found.fixed_by == "height"
