@@ -13,7 +13,7 @@ Targets for the last month, mean over the seeds: a maintained map is at most 0.0
 most 1.5 times as many frames as at the start, and is at most 0.01 m worse than the first map on the first month's
 drive.
 
-    OMP_NUM_THREADS=1 python -m benchmarks.months --data data/months --buildings annex freiburg_like --seeds 0
+    OMP_NUM_THREADS=1 python -m benchmarks.months --data data/months --buildings annex freiburg_like
     OMP_NUM_THREADS=1 python -m benchmarks.months --data data/months --seeds 601 602 603 606 607 --keep \
         --buildings random
 """
