@@ -26,16 +26,18 @@ _BELOW = -0.25  # tangent of the elevation from which on the floor is looked at:
 _FEWEST = 8  # rows of floor
 _COLUMNS = 256
 _LANE = 0.5  # half the width of the lane that the robot drives in, in heights
-_MOVES = 0.2, 1.0  # least and largest displacement, in heights
+_MOVES = 0.2, 2.0  # least and largest displacement that is usual of frames so far apart, in heights
+_LEAST = 0.1  # least displacement, in heights
 _STEP = 0.05
 _FACTORS = np.linspace(-10, 10, 21) * _STEP  # logarithms of the factors that displacements are tried with
 _HEIGHTS = np.linspace(-18, 28, 47) * _STEP  # and of the reciprocal heights in metres
 _TRIED = 150  # displacements that tell an unknown height
 _ALONE, _MOST = 6.0, 60.0  # pixels that tell as much as one alone, and how many count at most
-_USUAL = 0.2  # standard deviation of the logarithm of a factor
+_USUAL = 0.2  # standard deviation of the logarithms of factors, and of those of neighbouring steps
 _AROUND = 2.0  # standard deviation of the way over which factors are alike, in metres
 _CELL = 0.1  # metres
-_TELLS = 1.0  # least median by which the best factor is more likely than the others are on average
+_EXACT = 0.05  # standard deviation of a displacement that the floor tells, as a share
+_TELLS = 0.4  # least median by which the best factor is more likely than the others are on average
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,9 +56,7 @@ class FloorScale:
 
     def lengthened(self, edges: Edges) -> Edges:
         """Return edges whose displacements are multiplied."""
-        factor = np.sqrt(self.factors[edges.first] * self.factors[edges.second])
-        by = np.column_stack([factor, factor, np.ones_like(factor)])
-        return replace(edges, pose=edges.pose * by, information=edges.information / (by[:, :, None] * by[:, None]))
+        return _multiplied(edges, np.sqrt(self.factors[edges.first] * self.factors[edges.second]))
 
     def lengthening(self, compared: Pairs) -> Pairs:
         """Return a function that compares frames likewise, and multiplies the displacements."""
@@ -76,8 +76,10 @@ def shows_floor(view: PanoramaView) -> bool:
 
 def floor_scale(
     batches: Iterable[NDArray[np.uint8]], view: PanoramaView, steps: Edges, way: Array, height: float | None
-) -> FloorScale | None:
-    """Return what compared displacements must be multiplied by at each of n frames, None if the floor tells too little.
+) -> tuple[FloorScale, Edges] | None:
+    """Return what compared displacements must be multiplied by at each of n frames, and the steps as the floor tells.
+
+    Longer steps than the floor tells are left out, but for those to the next frame. None if the floor tells too little.
 
     Args:
         batches: the panoramas (B, 3, H, W) of the n frames, in order, whose middle looks ahead.
@@ -89,24 +91,49 @@ def floor_scale(
     slopes = np.tan(replace(view, height=round(_COLUMNS * view.height / view.width)).row_elevation())
     slopes = slopes[slopes < _BELOW]
     floors = np.concatenate([_floors(batch, view, len(slopes)) for batch in batches])
-    moved = np.hypot(steps.pose[:, 0], steps.pose[:, 1])
+    floors -= floors.mean(axis=0)  # the robot itself
+    moved, between = np.hypot(steps.pose[:, 0], steps.pose[:, 1]), steps.second - steps.first
     given = height is not None
     if height is None:
         some = np.flatnonzero((moved > _MOVES[0] / 2) & (moved < _MOVES[1]))
         some = some[np.unique(np.linspace(0, len(some) - 1, min(_TRIED, len(some))).astype(int))]
         tried = _likelihoods(floors, slopes, steps.take(some), _HEIGHTS)
         height = float(np.exp(-_HEIGHTS[tried.sum(axis=0).argmax()]))
-    short = np.flatnonzero((moved > _MOVES[0] * height) & (moved < _MOVES[1] * height))
-    used = steps.take(short)
-    found = _likelihoods(floors, slopes, used, _FACTORS - float(np.log(height)))
+    usual = {gap: np.median(moved[between == gap]) / height for gap in np.unique(between).tolist()}
+    told = [gap for gap, length in usual.items() if _MOVES[0] < length < _MOVES[1]]
+    used = np.flatnonzero(np.isin(between, told) & (moved > _LEAST * height))
+    near, moved = steps.take(used), moved[used]
+    found = _likelihoods(floors, slopes, near, _FACTORS - float(np.log(height)))
     if not len(found) or np.median(found.max(axis=1) - found.mean(axis=1)) < _TELLS:
         return None
     cell = np.round((way - way.min()) / _CELL).astype(int)
-    along = np.zeros((cell.max() + 1, len(_FACTORS)))
-    np.add.at(along, (cell[used.first] + cell[used.second]) // 2, found)
-    spread = _AROUND / _CELL
-    along = gaussian_filter1d(along, spread, axis=0, mode="constant") * spread * np.sqrt(2 * np.pi)
-    return FloorScale(np.exp(_peaks(along - (_FACTORS / _USUAL) ** 2 / 2))[cell], height, given)
+    middle = (cell[near.first] + cell[near.second]) // 2
+
+    def around(values: Array) -> Array:
+        """Return sums of values of the steps (p, k) around each cell of the way (c, k)."""
+        sums, spread = np.zeros((cell.max() + 1, values.shape[1])), _AROUND / _CELL
+        np.add.at(sums, middle, values)
+        return np.asarray(gaussian_filter1d(sums, spread, axis=0, mode="constant") * spread * np.sqrt(2 * np.pi))
+
+    usually = _peaks(around(found) - (_FACTORS / _USUAL) ** 2 / 2)[middle]
+    own = np.exp(_peaks(found - ((_FACTORS - usually[:, None]) / _USUAL) ** 2 / 2))
+    compared, by_floor = around(np.column_stack([moved, moved * own])).T
+    factors = np.where(compared > 1e-3, by_floor / np.maximum(compared, 1e-3), 1.0)[cell]
+    scale = FloorScale(factors, height, given)
+    every = np.sqrt(factors[steps.first] * factors[steps.second])
+    every[used] = own
+    kept = np.union1d(used, np.flatnonzero(between == 1))
+    steps = _multiplied(steps, every)
+    length = np.hypot(steps.pose[used, 0], steps.pose[used, 1])[:, None]
+    along = steps.pose[used, :2] / length / (_EXACT * length)
+    steps.information[used, :2, :2] += along[:, :, None] * along[:, None]
+    return scale, steps.take(kept)
+
+
+def _multiplied(edges: Edges, factors: Array) -> Edges:
+    """Return edges whose displacements are multiplied by factors (e,), as certain in proportion."""
+    by = np.column_stack([factors, factors, np.ones_like(factors)])
+    return replace(edges, pose=edges.pose * by, information=edges.information / (by[:, :, None] * by[:, None]))
 
 
 def _floors(batch: NDArray[np.uint8], view: PanoramaView, rows: int) -> NDArray[np.float32]:

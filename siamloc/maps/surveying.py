@@ -257,13 +257,13 @@ def of_descriptions(
     compared = comparing(compare, scaled(parts), progress)
     steps, seen, certain = compared_steps(compared, drive)
     moved = odometry_steps(wheels, seen, certain, drive, names, notes)
-    floor = None
+    floor: FloorScale | None = None
     if panoramas is not None and not np.isfinite(moved).any():
-        floor = _seen_floor(*panoramas, steps, seen, settings.height, notes)
-    if floor is not None:
-        every = np.arange(len(frames) - 1)
-        seen[:, :2] *= np.sqrt(floor.factors[every] * floor.factors[every + 1])[:, None]
-        steps, compared = floor.lengthened(steps), floor.lengthening(compared)
+        told = _told_by_floor(*panoramas, steps, seen, settings.height, notes)
+        if told is not None:
+            floor, steps = told
+            compared, next_one = floor.lengthening(compared), steps.second == steps.first + 1
+            seen[steps.first[next_one]] = steps.pose[next_one]
     fixed, start = anchored(start_of(moved, seen, drive), drive, frames, anchors)
     held = np.isin(np.arange(len(frames)), fixed)
     _check_ways(start, np.where(held, -1, drive), names)
@@ -335,24 +335,24 @@ def concluded(
     )
 
 
-def _seen_floor(
+def _told_by_floor(
     batches: Iterable[NDArray[np.uint8]],
     view: PanoramaView,
     steps: Edges,
     seen: Array,
     height: float | None,
     notes: list[str],
-) -> FloorScale | None:
+) -> tuple[FloorScale, Edges] | None:
     gap = np.nan_to_num(np.hypot(seen[:, 0], seen[:, 1]), nan=100.0)  # metres, between drives
-    floor = floor_scale(batches, view, steps, np.concatenate([[0.0], np.cumsum(gap)]), height)
-    if floor is None and height is not None:
+    told = floor_scale(batches, view, steps, np.concatenate([[0.0], np.cumsum(gap)]), height)
+    if told is None and height is not None:
         notes.append("the floor shows too little to tell lengths: the height of the camera is not used")
-    elif floor is not None and height is None:
+    elif told is not None and height is None:
         notes.append(
-            f"the scale is right if the camera is {floor.height:.2f} m above the floor: if not, give its height "
+            f"the scale is right if the camera is {told[0].height:.2f} m above the floor: if not, give its height "
             "(survey.height)"
         )
-    return floor
+    return told
 
 
 def comparing_descriptor(network: Descriptor | nn.Module | str, circular: bool) -> Any:
