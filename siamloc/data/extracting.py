@@ -19,7 +19,7 @@ from siamloc.data.frames import ODOMETRY, TILT, VIDEOS, FrameTable, advice
 from siamloc.data.manifest import manifest_of
 from siamloc.data.names import lighting_in
 from siamloc.data.reading import read
-from siamloc.data.recorded import images_of, joined
+from siamloc.data.recorded import check_taken, images_of, joined
 from siamloc.data.trajectory import Array, Axes, Form, Order, Trajectory, read_trajectory
 from siamloc.errors import ConfigError, DataError, Policy, leave_out
 from siamloc.progress import track
@@ -143,14 +143,17 @@ class Film:
 class Pictures:
     """A folder of pictures that is open inside a `with` block, with the methods of a `Bag`.
 
-    The times are those of a list, or the numbers at the end of the names. Pictures without them count as taken a second
-    apart, in the order of their names.
+    The times are those of a list, or those of the pictures (`siamloc.data.picture_times.taken_at`). Pictures without
+    them count as taken a second apart, in the order of their names.
+
+    Attributes:
+        taken: times in s (n,), NaN if unknown.
     """
 
     def __init__(self, path: Path, times: Path | None = None) -> None:
         self.path = path
-        files, taken = images_of(path, times)
-        kind = "pictures"
+        files, self.taken = images_of(path, times)
+        kind, taken = "pictures", self.taken
         if not np.isfinite(taken).all():
             kind = "pictures without times (give times=FILE, or they count as a second apart)"
             taken = np.arange(len(files), dtype=np.float64)
@@ -220,7 +223,7 @@ def extract(file: str | Path, out: str | Path, *, settings: Extraction = OF_FIEL
         columns = {"time": times}
         for what, names in (("poses", ("x", "y", "theta", *TILT)), ("odometry", ODOMETRY)):
             if (trajectory := given[what]) is not None:
-                columns |= dict(zip(names, _joined(times, trajectory, what, settings).T, strict=False))
+                columns |= dict(zip(names, _joined(recording, times, trajectory, what, settings).T, strict=False))
         if isinstance(recording, Bag) and (cameras := recording.calibrations()):
             write_json(folder / CALIBRATION, cameras)
     name = settings.sequence or path.stem
@@ -339,15 +342,19 @@ def _trajectory(recording: Bag | Film | Pictures, what: str, source: str, settin
             f"recording.{what}={source} is no topic of {recording.path}, no frame such as map:base_link, and no file"
         )
     found.flat(_axes(what, settings))
+    if isinstance(recording, Pictures):
+        check_taken(recording.taken)
     return found
 
 
-def _joined(times: Array, trajectory: Trajectory, what: str, settings: Extraction) -> Array:
+def _joined(
+    recording: Bag | Film | Pictures, times: Array, trajectory: Trajectory, what: str, settings: Extraction
+) -> Array:
     """Return the poses in the plane, roll and pitch (n, 5) at the times of the images (n,)."""
     try:
         return joined(times + settings.offset, trajectory, settings.gap, _axes(what, settings))
     except DataError as error:
-        if settings.clock == "bag":
+        if settings.clock == "bag" or not isinstance(recording, Bag):
             raise
         raise DataError(f"{error}; if the camera has a clock of its own, clock=bag takes the recorder's") from error
 

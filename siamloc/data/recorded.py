@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -11,14 +10,12 @@ import numpy as np
 from foundation.settings import Positive, shortened
 from siamloc.data.frames import ODOMETRY, TILT, FrameTable, advice, image_files, in_capture_order
 from siamloc.data.names import lighting_in
+from siamloc.data.picture_times import taken_at
 from siamloc.data.trajectory import Array, Axes, Form, Order, Trajectory, is_number, read_trajectory, seconds, text_rows
 from siamloc.data.trajectory_checks import doubts
 from siamloc.errors import DataError, leave_out, logger
 
-_STAMP = re.compile(r"\d+(?:\.\d+)?$")
-_IN_PARTS = re.compile(r"(\d{10})[_-](\d{9})$")  # s and ns
 _OTHER_UNIT = 300  # times as long a drive counts other units than seconds
-_COUNTER = 1e8, 1e4  # whole numbers below it, in smaller steps, count images and are no times
 _ANY_DRIVE = {"rgb", "data", "images", "image", "frames", "mav0", "cam0", "cam1", "image_0", "image_2"}
 
 
@@ -47,7 +44,8 @@ def read_recorded(
         poses: the trajectory; see `siamloc.data.trajectory.read_trajectory`. Without it frames have no poses.
         times: list of the images' times: a time on each line, in the order of the names, or a time and a file name, in
             either order, as `rgb.txt` of TUM and `data.csv` of EuRoC. Without it the time is the number at the end of
-            an image's name.
+            an image's name, what its camera wrote into the file, or the date and time in its name
+            (`siamloc.data.picture_times.taken_at`).
         odometry: the trajectory by the robot's wheels.
         form: form of the trajectories; found out if None.
         order: order of their quaternions, if it is another than that of the form.
@@ -63,20 +61,23 @@ def read_recorded(
         DataError: a file that cannot be used as it is (with line), names without times, or clocks that differ.
     """
     folder = Path(images).expanduser()
-    files, taken = images_of(folder, None if times is None else Path(times).expanduser())
+    given = {
+        what: read_trajectory(Path(file).expanduser(), form, order)
+        for what, file in (("poses", poses), ("odometry", odometry))
+        if file is not None
+    }
+    span = next((length for one in given.values() if (length := float(np.ptp(one.time))) > 0), None)
+    files, taken = images_of(folder, None if times is None else Path(times).expanduser(), span)
     columns: dict[str, Array] = {"time": taken}
-    given = {"poses": poses, "odometry": odometry}
-    for what, file in given.items():
-        if file is not None:
-            trajectory = read_trajectory(Path(file).expanduser(), form, order)
-            for doubt in doubts(trajectory, axes or ("robot" if np.isfinite(trajectory.time).all() else "camera")):
-                logger.warning("%s", doubt)
-            if np.isfinite(trajectory.time).all():
-                found = joined(taken + offset, trajectory, gap, axes or "robot")
-            else:
-                found = _in_order(files, trajectory, axes or "camera")
-            names = ODOMETRY if what == "odometry" else ("x", "y", "theta", *TILT)
-            columns |= dict(zip(names, found.T, strict=False))
+    for what, trajectory in given.items():
+        for doubt in doubts(trajectory, axes or ("robot" if np.isfinite(trajectory.time).all() else "camera")):
+            logger.warning("%s", doubt)
+        if np.isfinite(trajectory.time).all():
+            found = joined(taken + offset, trajectory, gap, axes or "robot")
+        else:
+            found = _in_order(files, trajectory, axes or "camera")
+        names = ODOMETRY if what == "odometry" else ("x", "y", "theta", *TILT)
+        columns |= dict(zip(names, found.T, strict=False))
     name = sequence or next((part for part in reversed(folder.absolute().parts) if part not in _ANY_DRIVE), "")
     labels = {"sequence": [name] * len(files), "lighting": [lighting or lighting_in(name)] * len(files)}
     frames = FrameTable(path=[str(file) for file in files], **columns, **labels)  # type: ignore[arg-type]
@@ -93,11 +94,7 @@ def joined(taken: Array, trajectory: Trajectory, gap: float, axes: Axes = "robot
     Raises:
         DataError: the images have no times, none was taken during the trajectory, or its frame does not stay upright.
     """
-    if not np.isfinite(taken).all():
-        raise DataError(
-            "the images have no times: their names do not end in a number of seconds or ns, so give times=FILE, with a "
-            "time on each line"
-        )
+    check_taken(taken)
     if taken.max() < trajectory.time[0] or taken.min() > trajectory.time[-1]:
         spans = float(np.ptp(taken)), float(np.ptp(trajectory.time))
         remedy = (
@@ -114,6 +111,15 @@ def joined(taken: Array, trajectory: Trajectory, gap: float, axes: Axes = "robot
     return trajectory.at(taken, gap).tilted(axes, trajectory)
 
 
+def check_taken(taken: Array) -> None:
+    """Refuse images without times."""
+    if not np.isfinite(taken).all():
+        raise DataError(
+            "the images have no times: neither do their names end in a number of seconds or ns, or hold a date and "
+            "time, nor did their camera write a time into each file, so give times=FILE, with a time on each line"
+        )
+
+
 def _in_order(files: Sequence[Path], trajectory: Trajectory, axes: Axes) -> Array:
     if len(files) != len(trajectory):
         raise DataError(
@@ -123,12 +129,13 @@ def _in_order(files: Sequence[Path], trajectory: Trajectory, axes: Axes) -> Arra
     return trajectory.tilted(axes)
 
 
-def images_of(folder: Path, times: Path | None = None) -> tuple[list[Path], Array]:
+def images_of(folder: Path, times: Path | None = None, span: float | None = None) -> tuple[list[Path], Array]:
     """Return the images of a folder and the times at which they were taken, in s; NaN if unknown.
 
     Args:
         folder: the folder.
         times: list of the times; see `read_recorded`.
+        span: as for `siamloc.data.trajectory.seconds`.
     """
     if not folder.is_dir():
         raise DataError(f"{folder} is not a folder of images")
@@ -138,33 +145,23 @@ def images_of(folder: Path, times: Path | None = None) -> tuple[list[Path], Arra
         what = shortened(", ".join(inside)) or "nothing"
         raise DataError(f"{folder} holds no images; it holds: {what}{advice(inside)}")
     if times is None:
-        return files, _of_names(files)
+        return files, taken_at(files, span)
     rows = text_rows(times)
     rows = rows[len(rows) > 1 and not any(map(is_number, rows[0][1])) :]  # without a line of names
     rows = [(line, words[::-1] if [*map(is_number, words)] == [False, True] else words) for line, words in rows]
     if len(rows[0][1]) == 1:
         if len(rows) != len(files):
             raise DataError(f"{times} holds {len(rows)} times for {len(files)} images in {folder}: expected one each")
-        return files, _times(times, rows)
+        return files, _times(times, rows, span)
     there = {file.name: file for file in files}
     listed = [(number, words) for number, words in rows if len(words) > 1 and Path(words[1]).name in there]
     if not listed:
         raise DataError(f"{times} names no image of {folder}: expected a time and the name of an image on each line")
-    return [there[Path(words[1]).name] for _, words in listed], _times(times, listed)
+    return [there[Path(words[1]).name] for _, words in listed], _times(times, listed, span)
 
 
-def _of_names(files: Sequence[Path]) -> Array:
-    stamps = [_STAMP.search(_IN_PARTS.sub(r"\1.\2", file.stem)) for file in files]
-    if all(stamps):
-        numbers = np.array([float(stamp[0]) for stamp in stamps if stamp])
-        large = numbers.max() >= _COUNTER[0] or np.ptp(numbers) >= _COUNTER[1] * len(numbers)
-        if large or any("." in stamp[0] for stamp in stamps if stamp):
-            return seconds(numbers, str(files[0].parent))
-    return np.full(len(files), np.nan)
-
-
-def _times(path: Path, rows: Sequence[tuple[int, list[str]]]) -> Array:
+def _times(path: Path, rows: Sequence[tuple[int, list[str]]], span: float | None) -> Array:
     try:
-        return seconds(np.array([words[0] for _, words in rows], dtype=np.float64), str(path))
+        return seconds(np.array([words[0] for _, words in rows], dtype=np.float64), str(path), span)
     except ValueError as error:
         raise DataError(f"{path} is not a list of times: {error}") from error

@@ -276,15 +276,17 @@ def read_trajectory(
     return Trajectory.of(seconds(numbers[:, 0], str(path)), numbers[:, 1:4], quaternion, str(path))
 
 
-def seconds(times: Array, source: str) -> Array:
+def seconds(times: Array, source: str, span: float | None = None) -> Array:
     """Return times in s that are given in s, ms, us or ns.
 
     Times since 1970 are known by their size. From any other start, whole numbers with a median step above 10 are in the
-    unit that brings this step nearest to 0.1 s, which is said; all others are s.
+    unit that brings this step nearest to 0.1 s, or the drive nearest to its known length, which is said; all others are
+    s.
 
     Args:
         times: (n,), in any order.
         source: the file or folder, for the line that says the unit.
+        span: how long the drive takes by other times, in s; None if unknown.
     """
     largest = np.abs(times).max(initial=0)
     steps = np.diff(np.unique(times))
@@ -293,10 +295,12 @@ def seconds(times: Array, source: str) -> Array:
     known = _THIS_CENTURY[0] <= largest * by_size <= _THIS_CENTURY[1] and np.ptp(times) <= _A_DRIVE * largest
     if (known and step * by_size <= _SLOWEST) or step <= _SPARSE or (times % 1).any():
         return times * (by_size if known else 1.0)
-    unit, factor = min(_FACTORS.items(), key=lambda one: abs(np.log(step * one[1] / _USUAL)))
-    if not _STEPS[0] <= step * factor <= _STEPS[1]:
+    units = _FACTORS if span is None else {"s": 1.0, **_FACTORS}
+    ratio = step / _USUAL if span is None else np.ptp(times) / span
+    unit, factor = min(units.items(), key=lambda one: abs(np.log(ratio * one[1])))
+    if unit == "s" or (span is None and not _STEPS[0] <= step * factor <= _STEPS[1]):
         return times * (by_size if known else 1.0)
-    _say_once(
+    say_once(
         f"{source}: the times from {times.min():.0f} to {times.max():.0f} are taken for {unit} since some start, in "
         f"steps of {step * factor:.3g} s: if that is wrong, write them in s"
     )
@@ -304,7 +308,8 @@ def seconds(times: Array, source: str) -> Array:
 
 
 @cache
-def _say_once(text: str) -> None:
+def say_once(text: str) -> None:
+    """Warn, unless the same was said before."""
     logger.warning("%s", text)
 
 

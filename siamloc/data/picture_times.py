@@ -1,0 +1,101 @@
+"""Times at which pictures were taken: in their names, or in the files, where cameras write them (EXIF)."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from datetime import datetime, timedelta, timezone
+from pathlib import Path
+
+import numpy as np
+
+from siamloc.data.trajectory import Array, say_once, seconds
+
+_STAMP = re.compile(r"\d+(?:\.\d+)?$")
+_IN_PARTS = re.compile(r"(\d{10})[_-](\d{9})$")  # s and ns
+_DATE = re.compile(  # 20260512_101523, 20260512_101523123, 2026-05-12 at 10.15.23, and the like
+    r"(?<!\d)(20\d\d)[-_.]?(\d\d)[-_.]?(\d\d)\D{0,4}(\d\d)[-_.:]?(\d\d)[-_.:]?(\d\d)(?:[-_.]?(\d{3,9}))?(?!\d)"
+)
+_COUNTER = 1e8, 1e4  # whole numbers below it, in smaller steps, count images and are no times
+_PICTURE_TAGS, _TAKEN, _FRACTION, _ZONE = 0x8769, 0x9003, 0x9291, 0x9011  # of EXIF
+
+
+def taken_at(files: Sequence[Path], span: float | None = None) -> Array:
+    """Return the times at which pictures were taken (n,), in s since 1970 or any other start; NaN if unknown.
+
+    The number at the end of a name is a time, unless a date or a counter; else the camera's own time in the file
+    (EXIF), else the date and time in the name.
+
+    Args:
+        files: pictures of one drive, in the order of their names.
+        span: as for `seconds`.
+    """
+    folder, dates = str(files[0].parent), _dates(files)
+    if dates is None and np.isfinite(stamps := _stamps(files, span)).all():
+        return stamps
+    if (held := _of_cameras(files)) is not None:
+        times, zoned = held
+    elif dates is not None:
+        times, zoned = dates, False
+    else:
+        return np.full(len(files), np.nan)
+    if not zoned:
+        say_once(
+            f"{folder}: the clock times of its pictures are taken for UTC: if they are local times, and poses are "
+            "joined by time, give offset=SECONDS, such as -7200 for a clock two hours ahead"
+        )
+    return times
+
+
+def _stamps(files: Sequence[Path], span: float | None) -> Array:
+    stamps = [_STAMP.search(_IN_PARTS.sub(r"\1.\2", file.stem)) for file in files]
+    if all(stamps):
+        numbers = np.array([float(stamp[0]) for stamp in stamps if stamp])
+        large = numbers.max() >= _COUNTER[0] or np.ptp(numbers) >= _COUNTER[1] * len(numbers)
+        if large or any("." in stamp[0] for stamp in stamps if stamp):
+            return seconds(numbers, str(files[0].parent), span)
+    return np.full(len(files), np.nan)
+
+
+def _dates(files: Sequence[Path]) -> Array | None:
+    """Return the dates and times in the names, in s since 1970 as if in UTC; None if they are not those of pictures."""
+    found = [match for file in files if (match := _DATE.search(file.stem))]
+    try:
+        times = [_utc(datetime(*map(int, match.groups()[:6]))) for match in found]  # type: ignore[arg-type]
+    except ValueError:  # a month 13
+        return None
+    parts = [match[7] or "0" for match in found]
+    if len(parts) < 2 or not (np.diff([float(part) for part in parts]) > 0).all():  # else it is a counter
+        times = [time + float(f"0.{part}") for time, part in zip(times, parts, strict=True)]
+    return _of_each(times, len(files))
+
+
+def _of_cameras(files: Sequence[Path]) -> tuple[Array, bool] | None:
+    """Return the times in the files, in s since 1970, and whether time zones are known; None if they are unknown."""
+    try:
+        from PIL import Image
+    except ModuleNotFoundError:  # a robot needs no times
+        return None
+    times, zoned = list[float](), True
+    for file in files:
+        try:
+            with Image.open(file) as picture:
+                held = picture.getexif().get_ifd(_PICTURE_TAGS)
+            tags = {key: str(value).strip(" \0") for key, value in held.items()}
+            taken = datetime.strptime(tags[_TAKEN], "%Y:%m:%d %H:%M:%S")
+            zone = datetime.strptime(tags[_ZONE], "%z").utcoffset() if tags.get(_ZONE) else None
+            times.append(_utc(taken - (zone or timedelta())) + float(f"0.{tags.get(_FRACTION) or 0}"))
+        except (OSError, KeyError, ValueError, SyntaxError):  # not a picture, or without a time
+            return None
+        zoned = zoned and zone is not None
+    made = _of_each(times, len(files))
+    return None if made is None else (made, zoned)
+
+
+def _of_each(times: Sequence[float], count: int) -> Array | None:
+    """Return times as an array; None if pictures lack them, or too many share one: then they are those of a drive."""
+    return np.array(times) if len(times) == count and len(set(times)) >= max(count / 4, min(count, 2)) else None
+
+
+def _utc(time: datetime) -> float:
+    return time.replace(tzinfo=timezone.utc).timestamp()
