@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Iterable, Sequence
+from functools import cache
 from typing import Literal
 
 from foundation.errors import ConfigError, DataError, FormatError, OldFormatError, SiamlocError, StorageError, hint
@@ -45,6 +46,12 @@ def installing(extra: str) -> str:
     "run pip install '.[live]' in the folder of siamloc's source"
     """
     return f"run pip install '.[{extra}]' in the folder of siamloc's source"
+
+
+@cache
+def say_once(text: str) -> None:
+    """Warn, unless the same was said before in this process."""
+    logger.warning("%s", text)
 
 
 def leave_out(problems: Sequence[str], total: int, what: str, on_error: str) -> None:

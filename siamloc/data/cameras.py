@@ -47,6 +47,11 @@ class EquirectangularCamera(CentralCamera):
         """Whether the left edge continues at the right one."""
         return self.turn == 360
 
+    @property
+    def whole(self) -> bool:
+        """Whether the picture shows everything."""
+        return self.highest is self.lowest is None and self.turn == 360
+
     def to_image(self, rays: Array, size: ImageSize) -> Array:
         """Return the pixels (..., 2) of unit rays (..., 3) in the camera's frame."""
         high, low = self._edges
@@ -67,7 +72,7 @@ class EquirectangularCamera(CentralCamera):
 
     def _fitting(self, size: ImageSize | None) -> ImageSize:
         rows, columns = super()._fitting(size)
-        if self.highest is self.lowest is None and self.turn == 360 and not twice_as_wide(rows, columns):
+        if self.whole and not twice_as_wide(rows, columns):
             raise ConfigError(
                 f"a whole equirectangular picture is twice as wide as high, and this one has {columns} x {rows} px: "
                 "cut black bars off, or of a part say unwrap.highest and unwrap.lowest in degrees"

@@ -22,7 +22,8 @@ from foundation.settings import Size, as_words, checked, leaves
 from siamloc.data.cameras import CAMERAS
 from siamloc.data.frames import image_files
 from siamloc.data.panorama import OmnidirectionalCamera, PanoramaView, PolarRing, unwrap
-from siamloc.errors import ConfigError, DataError, hint, logger
+from siamloc.data.two_lenses import wrong_lenses
+from siamloc.errors import ConfigError, DataError, hint, logger, say_once
 
 
 class UnreadableImageError(Exception):
@@ -36,6 +37,9 @@ class Preprocessing:
     Attributes:
         view: size of the panorama, and its elevations after unwrapping.
         camera: the camera whose omnidirectional images are unwrapped; None to resize only.
+        size: rows and columns of the pictures in whose pixels the camera's parameters count; others of the same shape
+            are scaled. None for any.
+        bits: how many bits images of 16 bits use; those of a folder say it if None.
 
     Example:
         >>> ring = Preprocessing.checked((64, 256), {"kind": "polar", "inner": 30})
@@ -47,6 +51,8 @@ class Preprocessing:
 
     view: PanoramaView
     camera: OmnidirectionalCamera | None
+    size: tuple[int, int] | None = dataclasses.field(default=None, compare=False)
+    bits: int | None = dataclasses.field(default=None, compare=False)
 
     @classmethod
     def checked(
@@ -183,7 +189,7 @@ class Preprocessing:
     def _read(self, path: str | Path) -> NDArray[np.uint8]:
         if len(files := self.files(path)) > 1 and files[0] == files[1]:
             raise DataError("its name lacks what unwrap.second replaces, so that no second picture is known")
-        first, *others = map(read_image, files)
+        first, *others = (read_image(file, self.bits) for file in files)
         if any(one.shape != first.shape for one in others):
             raise DataError(f"its second picture {files[1].name} has another size")
         return np.hstack([first, *others]) if others else first
@@ -195,7 +201,22 @@ class Preprocessing:
             size = (self.view.width, self.view.height)
             return np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), dtype=np.uint8)
         view = self.view if tilt is None or not np.any(tilt) else self.view.tilted(*tilt)
+        image = self._scaled(image)
+        if (fault := wrong_lenses(image, self.camera)) is not None:
+            raise DataError(fault)
         return unwrap(image, self.camera, view)
+
+    def _scaled(self, image: NDArray[np.uint8]) -> NDArray[np.uint8]:
+        """Return an image of the size in whose pixels the camera's parameters count."""
+        if self.size is None or image.shape[:2] == self.size:
+            return image
+        (rows, columns), (height, width) = self.size, image.shape[:2]
+        sizes = f"{width} x {height} px, and the camera's parameters count in those of {columns} x {rows}"
+        if abs(width * rows / (height * columns) - 1) > _ALIKE:
+            raise DataError(f"the picture has {sizes}: give pictures of that size")
+        say_once(f"the pictures have {sizes}: they are scaled, which is right if they show the same")
+        way = cv2.INTER_AREA if height > rows else cv2.INTER_LINEAR
+        return np.asarray(cv2.resize(image, (columns, rows), interpolation=way), dtype=np.uint8)
 
 
 def _name(kind: type) -> str:
@@ -256,15 +277,18 @@ def _hashable(value: Any) -> Any:
 
 
 _LARGEST = 16_384  # pixels per side of an image
-_LOOKED_AT = 8  # images of a folder, or some more
+_LOOKED_AT = 16  # images of a folder
+_ALIKE = 0.01  # by which the shapes of pictures may differ that are scaled
 _ONE_BY_ONE = Lock()  # a folder is looked at once, by one of the threads
 _HEADER = 200_000  # bytes in which a file says its size, after thumbnails
 
 
-def read_image(path: str | Path) -> NDArray[np.uint8]:
+def read_image(path: str | Path, bits: int | None = None) -> NDArray[np.uint8]:
     """Read an image file as (rows, columns, 3), uint8, BGR; grey images get three equal channels.
 
-    Of images of 16 bits, as many of the upper ones are dropped as the images of the folder leave empty.
+    Args:
+        path: the file.
+        bits: how many of 16 bits are in use; if None, as many as in the images of the folder.
 
     Raises:
         UnreadableImageError: the file is missing, empty, cut short, or not an image.
@@ -275,15 +299,16 @@ def read_image(path: str | Path) -> NDArray[np.uint8]:
         raise UnreadableImageError("the file does not exist") from error
     except (OSError, ValueError) as error:  # a name that no file can have
         raise UnreadableImageError(getattr(error, "strerror", None) or str(error)) from error
-    return decode_image(data, Path(path).absolute().parent)
+    return decode_image(data, Path(path).absolute().parent, bits)
 
 
-def decode_image(data: bytes, folder: Path | None = None) -> NDArray[np.uint8]:
+def decode_image(data: bytes, folder: Path | None = None, bits: int | None = None) -> NDArray[np.uint8]:
     """Decode the content of an image file as (rows, columns, 3), uint8, BGR; see `read_image`.
 
     Args:
         data: the content.
         folder: the folder whose images of 16 bits say how many of them are in use; this image does if None.
+        bits: how many are in use, where that is known.
 
     Raises:
         UnreadableImageError: the content is empty, cut short, too large, or not an image.
@@ -297,8 +322,7 @@ def decode_image(data: bytes, folder: Path | None = None) -> NDArray[np.uint8]:
     try:
         image = cv2.imdecode(np.frombuffer(data, dtype=np.uint8), cv2.IMREAD_COLOR)
         if (deep := _deep(data)) is not None:
-            with _ONE_BY_ONE:
-                bits = bits_used(deep) if folder is None else _bits_in(folder)
+            bits = bits or (bits_used(deep) if folder is None else _bits_in(folder))
             image = np.minimum(deep >> (bits - 8), 255)
     except cv2.error as error:
         raise UnreadableImageError(f"the image cannot be decoded ({error.err})") from error
@@ -318,17 +342,28 @@ def _deep(data: bytes) -> NDArray[np.uint16] | None:
 
 
 def bits_used(image: NDArray[Any]) -> int:
-    """Return how many bits an image uses; sensors have 10 or more."""
-    return max(int(image.max()).bit_length(), 10)
+    """Return how many bits the sensor of an image has: 10, 12, 14 or 16, since a dark image leaves upper ones empty."""
+    bits = max(int(image.max()).bit_length(), 10)
+    return bits + bits % 2
+
+
+def bits_of(path: str | Path) -> int | None:
+    """Return how many bits the images of 16 bits next to an image, itself among them, use; None if it has 8."""
+    return None if _deep(Path(path).read_bytes()) is None else _bits_in(Path(path).absolute().parent)
+
+
+def _bits_in(folder: Path) -> int:
+    with _ONE_BY_ONE:
+        return _bits_found(folder)
 
 
 @cache
-def _bits_in(folder: Path) -> int:
+def _bits_found(folder: Path) -> int:
     """Return how many bits the images of 16 bits in a folder use, so that all of them are brightened alike."""
     files, bits = image_files(folder), [0]
-    for file in files[:: max(len(files) // _LOOKED_AT, 1)]:
+    for number in np.unique(np.linspace(0, len(files) - 1, _LOOKED_AT).round().astype(int)):
         with suppress(OSError, cv2.error):
-            bits += [bits_used(image) for image in [_deep(file.read_bytes())] if image is not None]
+            bits += [bits_used(image) for image in [_deep(files[number].read_bytes())] if image is not None]
     most = max(bits) or 16
     if most < 16:
         logger.warning("%s: its images use %d of 16 bits, and are brightened alike", folder, most)

@@ -245,6 +245,13 @@ def seen(camera: OmnidirectionalCamera, view: PanoramaView, image_size: Sequence
     return found
 
 
+def in_pixels(camera: OmnidirectionalCamera, view: PanoramaView, image_size: tuple[int, int]) -> bool:
+    """Return whether a camera's parameters count in pixels of images of one size, and not by their shape alone."""
+    rows, columns = image_size
+    one, other = (np.stack(camera.sampling(view, size)) for size in (image_size, (2 * rows, 2 * columns)))
+    return not np.allclose(2 * one, other, atol=2, equal_nan=True)
+
+
 def finer(camera: OmnidirectionalCamera, view: PanoramaView, image_size: tuple[int, int]) -> PanoramaView:
     """Return a view with a whole number of points in each pixel, so that it is about as fine as the image."""
     points = getattr(camera, "points", None)

@@ -9,7 +9,8 @@ from pathlib import Path
 
 import numpy as np
 
-from siamloc.data.trajectory import Array, say_once, seconds
+from siamloc.data.trajectory import Array, seconds
+from siamloc.errors import say_once
 
 _STAMP = re.compile(r"\d+(?:\.\d+)?$")
 _IN_PARTS = re.compile(r"(\d{10})[_-](\d{9})$")  # s and ns

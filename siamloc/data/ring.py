@@ -25,6 +25,7 @@ from siamloc.data.panorama import OmnidirectionalCamera, PanoramaView, PolarRing
 from siamloc.data.presets import AutoRing
 from siamloc.data.rims import changes, guess, inner_rim, moved, outer_rim, shifts
 from siamloc.data.store import store_key
+from siamloc.data.two_lenses import two_circles
 from siamloc.errors import ConfigError, DataError, logger
 
 Array = NDArray[Any]
@@ -40,7 +41,6 @@ _BORDER = 12  # pixels next to a drawn panorama
 _VERSION = 2  # of how a ring is found
 _UNKNOWN = AutoRing()
 _XI = 0.85, 0.99  # the unified model's parameter of mirrors that are built, 2 e / (e^2 + 1)
-_DARK, _AROUND = 24, 1.05  # grey value of what a lens does not show, and radii from its centre on
 _OFF = 1.5  # pixels by which a picture's own radius may differ
 
 
@@ -196,8 +196,8 @@ def find_camera(images: Sequence[str], given: OmnidirectionalCamera | None = _UN
     """Find the camera of a drive by its pictures: their shape, or the ring of a mirror or of a lens that looks up.
 
     Pictures about twice as wide as high, 1.8 to 2.2 times, are those of two lenses side by side if the corners of both
-    halves are dark, and else whole equirectangular ones, unless they show a ring and are not exactly twice as wide.
-    Wider ones are panoramas. All others show a ring.
+    halves are dark in most of them, and else whole equirectangular ones, unless they show a ring and are not exactly
+    twice as wide. Wider ones are panoramas. All others show a ring.
 
     Args:
         images: files of the drive's pictures; those that cannot be read are left out.
@@ -224,7 +224,7 @@ def find_camera(images: Sequence[str], given: OmnidirectionalCamera | None = _UN
         raise DataError(f"none of the {len(images)} pictures can be read")
     rows, columns = pictures[0].shape[:2]
     if twice_as_wide(rows, columns):
-        if all(map(_two_circles, pictures)):
+        if 2 * sum(map(two_circles, pictures)) > len(pictures):
             return DualFisheyeCamera()
         if columns == 2 * rows or not _shows_ring(pictures):  # 4096 x 2160 px are a size of films, too
             return EquirectangularCamera()
@@ -291,16 +291,6 @@ def _shows_ring(pictures: Sequence[Array]) -> bool:
     except DataError:
         return False
     return True
-
-
-def _two_circles(picture: Array) -> bool:
-    """Return whether a picture (rows, columns, 3) is dark around the largest circles in its halves, and not in them."""
-    rows, columns = picture.shape[:2]
-    down, right = np.mgrid[:rows, :columns] + 0.5
-    side = columns / 2
-    outside = np.hypot(right % side - side / 2, down - rows / 2) > _AROUND * min(rows, side) / 2
-    dark = picture.mean(axis=2) < _DARK
-    return bool(dark[outside].mean() > 0.99 and dark[~outside].mean() < 0.5)
 
 
 def _apart(given: PolarRing, ring: PolarRing) -> float:

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cache
 from pathlib import Path
 from typing import Literal
 
@@ -19,7 +18,7 @@ from numpy.typing import NDArray
 from foundation.calls import typed
 from foundation.files import read_text
 from foundation.settings import NotNegative, Positive, shortened
-from siamloc.errors import DataError, logger
+from siamloc.errors import DataError, logger, say_once
 
 Array = NDArray[np.float64]
 Form = Literal["tum", "kitti", "euroc", "planar"]
@@ -305,12 +304,6 @@ def seconds(times: Array, source: str, span: float | None = None) -> Array:
         f"steps of {step * factor:.3g} s: if that is wrong, write them in s"
     )
     return times * factor
-
-
-@cache
-def say_once(text: str) -> None:
-    """Warn, unless the same was said before."""
-    logger.warning("%s", text)
 
 
 def text_rows(path: Path) -> list[tuple[int, list[str]]]:

@@ -10,7 +10,7 @@ from typing import Any, Literal
 
 from foundation.calls import typed
 from foundation.files import check_version, file_hash, read_json
-from foundation.settings import Count, misfit
+from foundation.settings import Count, Size, misfit
 from siamloc.data.decoding import Preprocessing, is_known
 from siamloc.errors import ConfigError, FormatError
 from siamloc.maps import CoarseLayer, ErrorModel, Refinement, VisualMap
@@ -53,10 +53,11 @@ _KEYS: dict[str, Any] = {
     "search": {"by": str},
     "errors": {"lost_above": float | None},
     "precisions": list,
+    "pictures": {"size": Size | None, "bits": Literal[10, 12, 14, 16] | None},
 }
 """What each key must hold."""
 _LONGEST = 64_000_000  # bytes of a description
-_MAY_LACK = ("heading", "refinement", "search", "errors", "precisions", "unit")
+_MAY_LACK = ("heading", "refinement", "search", "errors", "precisions", "unit", "pictures")
 
 
 @dataclass(frozen=True, repr=False)
@@ -69,8 +70,9 @@ class Bundle:
             `parity` (how far the exported descriptors are from the originals), `precision`, `heading` and `errors`
             (where they come from, None without), `refinement` (how poses are made finer than the map, None if they are
             not), `search` (how a coarse layer is searched first, None without one), `precisions` (size, speed and
-            accuracy in each precision, if one was chosen), `figures` (of its evaluation, None without), `sha256` by
-            file.
+            accuracy in each precision, if one was chosen), `figures` (of its evaluation, None without), `pictures` (of
+            the map: `size` if the camera's parameters count in their pixels, and how many `bits` of 16 are in use; None
+            otherwise), `sha256` by file.
         preprocessing: reads an image and makes a panorama of it, with image size and camera.
     """
 
@@ -194,7 +196,9 @@ class Bundle:
                 preprocessing = Preprocessing.of(about["preprocessing"])
         except (ConfigError, TypeError, KeyError) as error:
             raise FormatError(f"{described} is altered in preprocessing ({error}): export again") from error
-        return cls(path, about, preprocessing)
+        pictures = about.get("pictures") or {"size": None, "bits": None}
+        size = None if pictures["size"] is None else tuple(pictures["size"])
+        return cls(path, about, replace(preprocessing, size=size, bits=pictures["bits"]))
 
     @property
     def bytes(self) -> int:

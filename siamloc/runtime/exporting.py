@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shutil
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
 from os.path import commonprefix
 from pathlib import Path
@@ -14,7 +15,8 @@ import numpy as np
 from analytic import Descriptor, Fused
 from foundation.calls import typed
 from foundation.files import atomic_folder, file_hash, plain, read_json, write_json
-from siamloc.data.decoding import Preprocessing, size_of
+from siamloc.data.decoding import Preprocessing, bits_of, size_of
+from siamloc.data.panorama import in_pixels
 from siamloc.data.reading import path_keys
 from siamloc.errors import ConfigError, SiamlocError
 from siamloc.maps import Built, CoarseLayer, HierarchicalSearch, LayerSearch, VisualMap, match
@@ -127,6 +129,7 @@ def export(
         "heading": heading,
         "search": None if search is None or layer is None else search.plain(),
         "figures": None if figures is None else plain(dict(figures)),
+        "pictures": _pictures(parameters, known, images),
     }
     if (network := _network_in(given)) is not None:
         from siamloc.models import as_descriptor
@@ -420,6 +423,24 @@ def _own_camera(
             "know it from: give images="
         )
     return SampledCamera.of(made.camera, made.view, size)
+
+
+def _pictures(
+    parameters: Mapping[str, Any], known: VisualMap | None, images: PanoramaLibrary | None
+) -> dict[str, Any] | None:
+    """Return what the robot's pictures must have in common with the map's; None if no frame's file is there."""
+    tables = [one.frames for one in (known, images) if one is not None]
+    path = next((path for frames in tables for path in frames.path[:1].tolist() if Path(path).is_file()), None)
+    if path is None:
+        return None
+    size, kind = size_of(path), (parameters["camera"] or {}).get("kind", ":")
+    counts = False
+    if size is not None and ":" not in kind:  # a camera of one's own knows the size of its pictures
+        made = Preprocessing.of(parameters)
+        assert made.camera is not None
+        with suppress(ConfigError):  # a calibrated camera refuses other sizes itself
+            counts = in_pixels(made.camera, made.view, size)
+    return {"size": size if counts else None, "bits": bits_of(path)}
 
 
 def _check_replaceable(path: Path) -> None:

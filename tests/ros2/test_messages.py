@@ -41,6 +41,13 @@ def test_a_compressed_image_is_rgb(messages):
     np.testing.assert_array_equal(found, pixels)
 
 
+def test_a_compressed_image_of_twelve_bits_is_as_bright_as_those_of_the_map(messages):
+    data = cv2.imencode(".png", np.full((3, 4), 800, np.uint16))[1].tobytes()
+    message = CompressedImage(format="16UC1; png compressed", data=array("B", data))
+    assert (messages.pixels(message, 12) == 50).all()
+    assert (messages.pixels(message) == 200).all(), "it looks like ten bits"
+
+
 def test_an_image_that_cannot_be_used_is_refused_in_one_sentence(messages):
     with pytest.raises(DataError, match="got 'bayer_rggb8': convert"):
         messages.pixels(image("bayer_rggb8", 1)[0])

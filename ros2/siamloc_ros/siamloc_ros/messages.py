@@ -28,8 +28,12 @@ _NANO = 1_000_000_000
 _UNIT = 0.01  # how far the length of a quaternion may be from 1
 
 
-def pixels(message: Image | CompressedImage) -> NDArray[np.uint8]:
+def pixels(message: Image | CompressedImage, bits: int | None = None) -> NDArray[np.uint8]:
     """Return the image of a message (rows, columns, 3), RGB, without any padding of its rows.
+
+    Args:
+        message: the image.
+        bits: how many bits compressed images of 16 use; this image says it if None.
 
     Raises:
         DataError: an encoding that is not in `CHANNELS`, fewer bytes than the size says, or a damaged file.
@@ -37,7 +41,7 @@ def pixels(message: Image | CompressedImage) -> NDArray[np.uint8]:
     data = np.frombuffer(message.data, dtype=np.uint8)
     if isinstance(message, CompressedImage):
         try:
-            image = decode_image(data.tobytes())
+            image = decode_image(data.tobytes(), bits=bits)
         except UnreadableImageError as error:
             raise DataError(
                 f"a compressed image of {len(data)} bytes in the format {message.format!r} is damaged: {error}"

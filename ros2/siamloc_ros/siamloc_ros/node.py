@@ -67,6 +67,7 @@ class LocalizerNode(Node):
             name: checked(name, self.declare_parameter(name, value, kind).value) for name, value in DEFAULTS.items()
         }
         self.localizer = Localizer(self.given["bundle"], threads=self.given["threads"])
+        self.bits = self.localizer.bundle.preprocessing.bits
         if self.localizer.unit != "m":
             raise ConfigError(f"{self.given['bundle']} has a map in {self.localizer.unit}, but ROS takes metres")
         self.tracker = self.localizer.tracker() if self.given["track"] else None
@@ -107,7 +108,7 @@ class LocalizerNode(Node):
         time = messages.seconds(stamp)
         motion = moves([self.last, self.odometry.at(time)])[1] if self.tracker is not None and self.odometry else None
         try:
-            location = self.localizer.locate(messages.pixels(image), self.tracker, motion=motion)
+            location = self.localizer.locate(messages.pixels(image, self.bits), self.tracker, motion=motion)
         except DataError as error:  # the next image may be fine
             self.get_logger().error(str(error), throttle_duration_sec=_QUIET)
             self.diagnostics.publish(messages.diagnostic_message(stamp, bundle.path.name, None, str(error)))
@@ -148,7 +149,7 @@ class LocalizerNode(Node):
             response.success, response.message = False, "no image has arrived yet"
             return response
         try:
-            location = self.localizer.locate(messages.pixels(self.image))
+            location = self.localizer.locate(messages.pixels(self.image, self.bits))
         except DataError as error:
             response.success, response.message = False, str(error)
             return response

@@ -10,7 +10,7 @@ from siamloc.cli.compose import composed
 from siamloc.data import DualFisheyeCamera, FisheyeCamera, OCamCamera
 from siamloc.data.decoding import Preprocessing, UnreadableImageError, decode_image, read_image
 from siamloc.data.panorama import PanoramaView, PolarRing, unwrap
-from siamloc.errors import ConfigError
+from siamloc.errors import ConfigError, DataError
 
 
 def picture(rows: int = 48, columns: int = 64, seed: int = 0) -> np.ndarray:
@@ -80,6 +80,27 @@ def test_images_that_use_twelve_of_sixteen_bits_are_brightened_alike(ending, tmp
     assert "use 12 of 16 bits" in said.getMessage()
     whole = cv2.imencode(f".{ending}", shades << 8)[1].tobytes()
     np.testing.assert_array_equal(decode_image(whole)[..., 0], shades)
+
+
+def test_dark_images_of_sixteen_bits_use_as_many_as_their_sensor_has(tmp_path):
+    """The brightest of eleven bits is a dark one of twelve; and whoever knows the bits need not ask the folder."""
+    shades = np.arange(48 * 64, dtype=np.uint16).reshape(48, 64) % 2048
+    cv2.imwrite(str(tmp_path / "dark.png"), shades)
+    (content,) = (path.read_bytes() for path in tmp_path.iterdir())
+    for found in (read_image(tmp_path / "dark.png"), decode_image(content)):
+        np.testing.assert_array_equal(found[..., 0], shades >> 4)
+    for found in (read_image(tmp_path / "dark.png", bits=14), decode_image(content, bits=14)):
+        np.testing.assert_array_equal(found[..., 0], shades >> 6)
+
+
+def test_pictures_of_another_size_are_scaled_to_the_pixels_in_which_the_camera_counts(tmp_path, caplog):
+    ring = Preprocessing(PanoramaView(16, 64), PolarRing(centre=(63.5, 47.5), inner=10, outer=40), size=(96, 128))
+    whole, large = picture(96, 128), cv2.resize(picture(96, 128), (256, 192))
+    apart = ring.prepare(large).astype(int) - ring.prepare(whole)
+    assert np.abs(apart).mean() < 2
+    assert "have 256 x 192 px, and the camera's parameters count in those of 128 x 96: they are scaled" in caplog.text
+    with pytest.raises(DataError, match="the picture has 128 x 128 px, .* give pictures of that size"):
+        ring.prepare(picture(128, 128))
 
 
 def test_a_camera_that_does_not_fit(tmp_path):

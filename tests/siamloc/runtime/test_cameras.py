@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import subprocess
 import sys
 from dataclasses import dataclass
@@ -18,10 +19,12 @@ from siamloc.data import (
     FrameTable,
     PanoramaLibrary,
     PanoramaView,
+    PolarRing,
     check,
     concatenate,
     read,
 )
+from siamloc.data.two_lenses import two_circles
 from siamloc.errors import ConfigError, DataError
 from siamloc.jobs import Evaluate, Prepare
 from siamloc.maps import build
@@ -136,6 +139,60 @@ def test_another_camera_can_find_its_place_in_the_map(frames, tmp_path):
         known.check_images(library(frames, tmp_path, {"kind": "polar"}).preprocessing.parameters())
 
 
+def test_two_lenses_and_whole_pictures_are_not_taken_for_each_other(frames, tmp_path, caplog):
+    dual, whole = DualFisheyeCamera(), EquirectangularCamera()
+    (tmp_path / "dual").mkdir()
+    paths = [tmp_path / "dual" / f"{place}.png" for place in range(4)]
+    for place, path in enumerate(paths):
+        cv2.imwrite(str(path), seen_by(dual, WHOLE, place))
+    for camera, right, wrong, says in (
+        (whole, frames.path.tolist(), paths, "it shows the circles of two fisheye lenses.*unwrap=dual_fisheye"),
+        (dual, paths, frames.path.tolist(), "it is not dark where two fisheye lenses.*unwrap=equirectangular"),
+    ):
+        both = FrameTable(path=[*right, *wrong[2:]], x=np.arange(6.0), y=np.zeros(6), sequence=["monday"] * 6)
+        images = library(both, tmp_path, camera)
+        assert re.search(f"2 of 6 images cannot be read, the first: .*{says}", caplog.text)
+        export("hog", build("hog", images, images.frames, progress=False), tmp_path / "bundle")
+        localizer = Localizer(tmp_path / "bundle")
+        assert localizer.locate(right[3]).x == 3.0
+        for image in (str(wrong[3]), cv2.imread(str(wrong[3]))):
+            with pytest.raises(DataError, match=says):
+                localizer.locate(image)
+
+
+def test_a_whole_picture_without_ceiling_and_floor_shows_no_two_circles():
+    picture = np.full((256, 512, 3), 90, np.uint8)
+    picture[:86], picture[192:] = 0, 0  # beyond 30 and -45 degrees
+    assert not two_circles(picture)
+    assert two_circles(np.where(seen_by(DualFisheyeCamera(), WHOLE, 0) > 0, 90, 0))
+
+
+def test_the_robot_gets_size_and_bits_of_the_pictures_of_the_map(tmp_path, caplog):
+    """The camera of the robot gives larger pictures, and a dark image of its own says nothing of its sensor."""
+    bright = [np.repeat(picture[..., None], 3, axis=2) for picture in ring_pictures(6, (151.3, 108.6))[0]]
+    (tmp_path / "monday").mkdir()
+    paths = [tmp_path / "monday" / f"{number}.png" for number in range(6)]
+    for path, picture in zip(paths, bright, strict=True):
+        cv2.imwrite(str(path), picture.astype(np.uint16) << 4)
+    ring = PolarRing(centre=(151.3, 108.6), inner=20, outer=95)
+    images = library(FrameTable(path=paths, x=np.arange(6.0), y=np.zeros(6)), tmp_path, ring)
+    bundle = export("hog", build("hog", images, images.frames, progress=False), tmp_path / "bundle")
+    assert bundle.about["pictures"] == {"size": [220, 300], "bits": 12}
+    localizer = Localizer(tmp_path / "bundle")
+    assert localizer.locate(cv2.resize(bright[4], (600, 440))).x == 4.0
+    assert "600 x 440 px, and the camera's parameters count in those of 300 x 220: they are scaled" in caplog.text
+    with pytest.raises(DataError, match="300 x 300 px, .* give pictures of that size"):
+        localizer.locate(np.zeros((300, 300, 3), np.uint8))
+    (tmp_path / "alone").mkdir()
+    cv2.imwrite(str(tmp_path / "alone/0.png"), (bright[2] // 8).astype(np.uint16) << 4)
+    shown = []
+    localizer.locate(tmp_path / "alone/0.png", seen=shown.append)
+    assert shown[0].max() <= 32
+    whole = library(FrameTable(path=paths[:2], x=np.arange(2.0), y=np.zeros(2)), tmp_path, None)
+    about = export("hog", build("hog", whole, whole.frames, progress=False), tmp_path / "other").about
+    assert about["pictures"] == {"size": None, "bits": 12}
+
+
 def test_the_robot_gets_the_ring_that_the_drive_of_the_map_shows(tmp_path):
     tables = []
     for name, centre in (("monday", (151.3, 108.6)), ("friday", (147.0, 110.0))):
@@ -236,15 +293,18 @@ def test_commands_take_every_camera(frames, tmp_path, monkeypatch):
     (tmp_path / "own_camera.py").write_text(
         "from siamloc.data import EquirectangularCamera\nclass Mine(EquirectangularCamera):\n    pass\n"
     )
+    (tmp_path / "two.csv").write_text("image\ntwo.png\n")
+    cv2.imwrite(str(tmp_path / "two.png"), seen_by(DualFisheyeCamera(), WHOLE, 0))
     data = {"manifest": str(tmp_path / "robot.csv"), "image_size": list(SIZE), "cache": str(tmp_path / "cache")}
     for unwrap, name in (
         ("equirectangular", "EquirectangularCamera"),
         ({"kind": "dual_fisheye", "roll": 5}, "DualFisheyeCamera"),
         ({"kind": "own_camera:Mine"}, "Mine"),
     ):
-        images = Prepare.of({"data": data, "unwrap": unwrap}).run()
+        manifest = tmp_path / ("two.csv" if name == "DualFisheyeCamera" else "robot.csv")
+        images = Prepare.of({"data": {**data, "manifest": str(manifest)}, "unwrap": unwrap}).run()
         assert type(images.preprocessing.camera).__name__ == name
-        again = PanoramaLibrary(frames, **images.settings())
+        again = PanoramaLibrary(images.frames, **images.settings())
         np.testing.assert_array_equal(again.batch([0]), images.batch([0]))
     with pytest.raises(ConfigError, match=r"unwrap\.kind=nowhere:Mine cannot be imported"):
         Prepare.of({"data": data, "unwrap": {"kind": "nowhere:Mine"}})
