@@ -174,13 +174,18 @@ class Pictures:
 
 
 @typed
-def contents(file: str | Path) -> Contents:
+def contents(file: str | Path, times: str | Path | None = None) -> Contents:
     """Look into a recording: a ROS bag (.bag, .db3, .mcap or the folder of a ROS 2 bag), a video, a folder of pictures.
 
+    Args:
+        file: the recording.
+        times: list of the times of a folder of pictures; see `siamloc.data.recorded.read_recorded`.
+
     Raises:
+        ConfigError: times of a recording that has times of its own.
         DataError: the file does not exist, cannot be read, or is no recording.
     """
-    with _opened(Path(file).expanduser()) as source:
+    with _opened(Path(file).expanduser(), times) as source:
         frames = source.frames() if isinstance(source, Bag) else {}
         proposal = proposed(source.topics, frames) if isinstance(source, Bag) else {"images": next(iter(source.topics))}
         known = tuple(":".join(edge) for edge in frames)
@@ -209,7 +214,7 @@ def extract(file: str | Path, out: str | Path, *, settings: Extraction = OF_FIEL
     path, folder = Path(file).expanduser(), Path(out).expanduser()
     if path.is_dir() and path.resolve() == folder.resolve():
         raise ConfigError(f"{folder} is the recording itself: give another folder for its images")
-    found = contents(path)
+    found = contents(path, settings.times)
     sources = {what: getattr(settings, what) or found.proposal.get(what, "none") for what in SOURCES}
     if sources["images"] == "none":
         raise DataError(f"{path} holds no images; its topics: {', '.join(found.topics) or 'none'}")
@@ -237,7 +242,7 @@ def extract(file: str | Path, out: str | Path, *, settings: Extraction = OF_FIEL
     return read("manifest", manifest=folder / MANIFEST)
 
 
-def _opened(path: Path, times: str | None = None) -> Bag | Film | Pictures:
+def _opened(path: Path, times: str | Path | None = None) -> Bag | Film | Pictures:
     if not path.exists():
         raise DataError(f"there is no recording {path}")
     if times is not None and path.is_dir() and not (path / "metadata.yaml").is_file():
@@ -337,6 +342,11 @@ def _trajectory(recording: Bag | Film | Pictures, what: str, source: str, settin
         found = recording.poses(source, settings.clock)
     elif file.is_file():
         found = read_trajectory(file, settings.form, settings.order)
+        if not np.isfinite(found.time).all():
+            raise DataError(
+                f"recording.{what}={file} holds poses without times, one for each image: prepare data=trajectory "
+                f"data.images=FOLDER data.{what}={file} takes them in order"
+            )
     else:
         raise ConfigError(
             f"recording.{what}={source} is no topic of {recording.path}, no frame such as map:base_link, and no file"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
@@ -143,7 +144,7 @@ def images_of(folder: Path, times: Path | None = None, span: float | None = None
     if not files:
         inside = sorted(path.name for path in folder.iterdir())
         what = shortened(", ".join(inside)) or "nothing"
-        raise DataError(f"{folder} holds no images; it holds: {what}{advice(inside)}")
+        raise DataError(f"{folder} holds no images; it holds: {what}{advice(inside)}{_deeper(folder)}")
     if times is None:
         return files, taken_at(files, span)
     rows = text_rows(times)
@@ -158,6 +159,15 @@ def images_of(folder: Path, times: Path | None = None, span: float | None = None
     if not listed:
         raise DataError(f"{times} names no image of {folder}: expected a time and the name of an image on each line")
     return [there[Path(words[1]).name] for _, words in listed], _times(times, listed, span)
+
+
+def _deeper(folder: Path) -> str:
+    """Say which folder below another one holds images."""
+    for path in (path for pattern in ("*/", "*/*/", "*/*/*/") for path in sorted(folder.glob(pattern))):
+        with suppress(OSError):
+            if image_files(path):
+                return f"; there are some in {path}"
+    return ""
 
 
 def _times(path: Path, rows: Sequence[tuple[int, list[str]]], span: float | None) -> Array:

@@ -11,6 +11,7 @@ import numpy as np
 
 from analytic import Descriptor
 from foundation.files import write_picture
+from foundation.settings import as_words
 from siamloc.data import AutoRing, PanoramaLibrary, check, contents, extract, find_mounting, summary
 from siamloc.data.decoding import read_image
 from siamloc.data.extracting import MANIFEST, Contents, Extraction
@@ -82,12 +83,14 @@ class Prepare(DataJob):
         from siamloc import models
 
         if self.recording.file is not None:
-            found = contents(self.recording.file)
+            found = contents(self.recording.file, self.recording.times)
             say(found.describe())
             if self.recording.out is None:
-                given = [f"recording.{what}={source}" for what, source in found.proposal.items()]
-                out = f"recording.out={self.recording.file.stem}_frames"
-                say(f"next: {shlex.join(['siamloc', 'prepare', str(self.recording.file), *given, out])}")
+                usual, given = RecordingKeys().plain(), self.recording.plain()
+                chosen = {key: value for key, value in given.items() if key != "file" and value != usual[key]}
+                chosen = {**found.proposal, **chosen, "out": f"{self.recording.file.stem}_frames"}
+                words = as_words({f"recording.{key}": value for key, value in chosen.items()})
+                say(f"next: siamloc prepare {shlex.quote(str(self.recording.file))} {words}")
                 return found
             extract(self.recording.file, self.recording.out, settings=self.recording)
         frames = self.data.read()

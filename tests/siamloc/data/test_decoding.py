@@ -99,7 +99,7 @@ def test_pictures_of_another_size_are_scaled_to_the_pixels_in_which_the_camera_c
     apart = ring.prepare(large).astype(int) - ring.prepare(whole)
     assert np.abs(apart).mean() < 2
     assert "have 256 x 192 px, and the camera's parameters count in those of 128 x 96: they are scaled" in caplog.text
-    with pytest.raises(DataError, match="the picture has 128 x 128 px, .* give pictures of that size"):
+    with pytest.raises(DataError, match=r"the picture has 128 x 128 px, .* give pictures of that size"):
         ring.prepare(picture(128, 128))
 
 

@@ -362,6 +362,13 @@ def test_the_command_looks_first_and_then_extracts(bags, tmp_path, monkeypatch, 
             siamloc.data.contents(tmp_path / "monday")
         with pytest.raises(DataError, match=remedy):
             siamloc.data.contents(tmp_path / "monday" / name)
+    written(tmp_path / "pictures", ["1.png", "2.png"])
+    (tmp_path / "times.txt").write_text("5.5\n7.5\n")
+    capsys.readouterr()
+    assert main(["prepare", "pictures", "recording.times=times.txt", "recording.offset=3"]) == 0
+    shown = capsys.readouterr().out
+    assert "pictures: 2.0 s, 1 topic" in shown
+    assert shown.splitlines()[-1].endswith("recording.times=times.txt recording.offset=3 recording.out=pictures_frames")
     (tmp_path / "notes.txt").touch()
     with pytest.raises(DataError, match=r"is no recording: expected a file \.bag, \.db3"):
         siamloc.data.contents(tmp_path / "notes.txt")
@@ -441,6 +448,9 @@ def test_pictures_without_times_in_their_names_are_taken_a_second_apart(tmp_path
     with pytest.raises(ConfigError, match="is the recording itself"):
         siamloc.data.extract(pictures, pictures)
     assert "3 x pictures without times (give times=FILE," in siamloc.data.contents(pictures).describe()
+    (tmp_path / "00.txt").write_text("1 0 0 0 0 1 0 0 0 0 1 0\n" * 3)
+    with pytest.raises(DataError, match=r"holds poses without times, .* data\.poses=.*00\.txt takes them in order"):
+        siamloc.data.extract(pictures, tmp_path / "none", poses=str(tmp_path / "00.txt"))
     (tmp_path / "times.txt").write_text("100.5\n101.5\n103.5\n")
     frames = siamloc.data.extract(pictures, tmp_path / "timed", times=str(tmp_path / "times.txt"))
     assert frames.time.tolist() == [100.5, 101.5, 103.5]

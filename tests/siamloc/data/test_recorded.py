@@ -144,6 +144,12 @@ def test_what_cannot_be_joined_is_one_sentence(tmp_path, poses, names, more, say
         read_recorded(folder, poses, **more)
 
 
+def test_a_folder_of_folders_names_the_one_with_images(tmp_path):
+    images(tmp_path / "euroc/mav0/cam0/data", ["1403636580250000000.png"])
+    with pytest.raises(DataError, match=r"euroc holds no images; it holds: mav0; there are some in .*mav0/cam0/data$"):
+        read_recorded(tmp_path / "euroc")
+
+
 def test_a_reader_of_ones_own_is_one_function(tmp_path, monkeypatch):
     """It is known to `read`, to the settings and to the command line, with its own keys."""
     from siamloc.cli.compose import composed

@@ -181,7 +181,7 @@ def test_the_robot_gets_size_and_bits_of_the_pictures_of_the_map(tmp_path, caplo
     localizer = Localizer(tmp_path / "bundle")
     assert localizer.locate(cv2.resize(bright[4], (600, 440))).x == 4.0
     assert "600 x 440 px, and the camera's parameters count in those of 300 x 220: they are scaled" in caplog.text
-    with pytest.raises(DataError, match="300 x 300 px, .* give pictures of that size"):
+    with pytest.raises(DataError, match=r"300 x 300 px, .* give pictures of that size"):
         localizer.locate(np.zeros((300, 300, 3), np.uint8))
     (tmp_path / "alone").mkdir()
     cv2.imwrite(str(tmp_path / "alone/0.png"), (bright[2] // 8).astype(np.uint16) << 4)
