@@ -347,8 +347,10 @@ def _explained(error: Exception, words: list[str], kind: type[Job]) -> Exception
                 option(group, name)
             except ConfigError as wrong:
                 return wrong
-    if isinstance(error, DataError) and "data" in kind.GROUPS:
-        group = "recording" if any(word.startswith("recording.") for word in words) else "data"
+    of_data, recorded = "data" in kind.GROUPS, "recording" in getattr(kind, "__dataclass_fields__", {})
+    if isinstance(error, DataError) and (of_data or recorded):
+        recorded = recorded and (not of_data or any(word.startswith("recording.") for word in words))
+        group = "recording" if recorded else "data"
         return type(error)(_OF_A_READER.sub(rf"{group}.\1=", str(error)))
     text = " ".join(str(error).split())
     index = re.search(r"invalid literal for int\(\) .*'(\w+)'", text) if type(error) is ValueError else None

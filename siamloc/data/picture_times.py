@@ -73,24 +73,34 @@ def _dates(files: Sequence[Path]) -> Array | None:
 
 def _of_cameras(files: Sequence[Path]) -> tuple[Array, bool] | None:
     """Return the times in the files, in s since 1970, and whether time zones are known; None if they are unknown."""
+    if not (_of_camera(files[0]) or _of_camera(files[-1])):
+        return None
+    held = {file.name: _of_camera(file) for file in files}
+    if lacking := [name for name, one in held.items() if one is None]:
+        say_once(
+            f"{files[0].parent}: {len(lacking)} of {len(files)} pictures hold no time (EXIF), the first: {lacking[0]}; "
+            "so the times of the others are not used: take these out, or give times=FILE"
+        )
+    known = [one for one in held.values() if one is not None]
+    made = _of_each([time for time, _ in known], len(files))
+    return None if made is None else (made, all(zoned for _, zoned in known))
+
+
+def _of_camera(file: Path) -> tuple[float, bool] | None:
+    """Return the time in a file, in s since 1970, and whether its time zone is known; None if there is none."""
     try:
         from PIL import Image
     except ModuleNotFoundError:  # a robot needs no times
         return None
-    times, zoned = list[float](), True
-    for file in files:
-        try:
-            with Image.open(file) as picture:
-                held = picture.getexif().get_ifd(_PICTURE_TAGS)
-            tags = {key: str(value).strip(" \0") for key, value in held.items()}
-            taken = datetime.strptime(tags[_TAKEN], "%Y:%m:%d %H:%M:%S")
-            zone = datetime.strptime(tags[_ZONE], "%z").utcoffset() if tags.get(_ZONE) else None
-            times.append(_utc(taken - (zone or timedelta())) + float(f"0.{tags.get(_FRACTION) or 0}"))
-        except (OSError, KeyError, ValueError, SyntaxError):  # not a picture, or without a time
-            return None
-        zoned = zoned and zone is not None
-    made = _of_each(times, len(files))
-    return None if made is None else (made, zoned)
+    try:
+        with Image.open(file) as picture:
+            held = picture.getexif().get_ifd(_PICTURE_TAGS)
+        tags = {key: str(value).strip(" \0") for key, value in held.items()}
+        taken = datetime.strptime(tags[_TAKEN], "%Y:%m:%d %H:%M:%S")
+        zone = datetime.strptime(tags[_ZONE], "%z").utcoffset() if tags.get(_ZONE) else None
+        return _utc(taken - (zone or timedelta())) + float(f"0.{tags.get(_FRACTION) or 0}"), zone is not None
+    except (OSError, KeyError, ValueError, SyntaxError):  # not a picture, or without a time
+        return None
 
 
 def _of_each(times: Sequence[float], count: int) -> Array | None:

@@ -39,6 +39,7 @@ def test_the_words_of_the_command_are_the_settings_of_the_call(monkeypatch, caps
         ([], "file is not set: give it as file=VALUE"),
         (["nothing.mp4"], "there is no recording nothing.mp4"),
         (["empty"], "empty holds no images"),
+        (["counted", "recording.odometry=wheels.txt"], "so give recording.times=FILE"),
         (["a.mp4", "left_out=1"], "left_out must be a whole number from 2, got 1"),
         (["a.mp4", "unwrap=polr"], "polr"),
     ],
@@ -46,6 +47,9 @@ def test_the_words_of_the_command_are_the_settings_of_the_call(monkeypatch, caps
 def test_what_cannot_be_a_recording_is_named(words, says, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "empty").mkdir()
+    (tmp_path / "counted").mkdir()
+    (tmp_path / "counted/1.png").write_bytes(b"picture")
+    (tmp_path / "wheels.txt").write_text("0 0 0 0\n1 1 0 0\n")
     assert says in refused(capsys, "walk", *words)
     assert not (tmp_path / "walk").exists()
 

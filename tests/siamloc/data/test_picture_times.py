@@ -74,6 +74,12 @@ def test_counters_and_the_time_of_a_whole_drive_are_no_times(tmp_path, name, tag
     assert np.isnan(taken_at(files)).all()
 
 
+def test_one_picture_without_a_time_is_named(tmp_path, caplog):
+    tags = [*taken("0", "0", zone="+02:00"), {}]
+    assert np.isnan(taken_at(pictures(tmp_path / "monday", ["R001.jpg", "R002.jpg", "map.png"], tags))).all()
+    assert "1 of 3 pictures hold no time (EXIF), the first: map.png" in caplog.text
+
+
 def test_a_trajectory_is_joined_by_the_times_in_the_files(tmp_path):
     pictures(tmp_path / "monday", ["R0010023.jpg", "R0010024.jpg"], taken("0", "5", zone="+0200"))
     poses = tmp_path / "poses.txt"
