@@ -73,8 +73,8 @@ def takes(kind: Callable[Fields, Group]) -> Taking[Fields, Group]:
     values, or the fields. `help` and notebook completion show the fields one by one; in the docstring they replace the
     line about `settings`.
 
-    A type checker knows the fields, too: of a method with no other argument than `settings` from the class itself, of
-    other functions from their last parameter, `**fields: Unpack[...]` with a `TypedDict` of the same names.
+    A type checker knows the fields of a method with no other argument than `settings`; other functions end in
+    `**fields: Any`, and check them when they are called.
 
     Args:
         kind: the class, a subclass of `Settings`.

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Annotated, Any, Literal, TypedDict
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,9 +32,6 @@ _REPEATED, _SHORT = 9, 0.2  # searches, and seconds
 
 Way = Literal["spectral", "som", "sample"]
 
-if TYPE_CHECKING:
-    from typing_extensions import Unpack
-
 
 @dataclass(frozen=True)
 class Compact(Settings):
@@ -52,13 +49,6 @@ class Compact(Settings):
     ways: Annotated[tuple[Way, ...], several("of spectral, som and sample")] = ("spectral", "sample")
 
 
-class CompactFields(TypedDict, total=False):
-    """Keyword arguments with the names and types of the fields of `Compact`, for type checkers."""
-
-    nodes: Sequence[int]
-    ways: Sequence[Way]
-
-
 @takes(Compact)
 def compact(
     known: VisualMap,
@@ -70,7 +60,7 @@ def compact(
     name: str | None = None,
     seed: Seed = 0,
     settings: Compact = OF_FIELDS,
-    **fields: Unpack[CompactFields],
+    **fields: Any,
 ) -> Result:
     """Locate queries in maps with different numbers of nodes, each of which is represented by one descriptor.
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Annotated, Any, TypedDict
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,9 +27,6 @@ Images = NDArray[np.uint8]
 Locate = Callable[[Images], Answer]
 
 _UNITS = {"noise": "variance", "occlusion": "share of the columns", "turn": "degrees", "effect": "strength"}
-
-if TYPE_CHECKING:
-    from typing_extensions import Unpack
 
 
 def _levels(low: float, high: float) -> Rule:
@@ -104,21 +101,6 @@ class Robustness(Settings):
         return made
 
 
-class RobustnessFields(TypedDict, total=False):
-    """Keyword arguments with the names and types of the fields of `Robustness`, for type checkers."""
-
-    every: int
-    radius: float
-    noise: Sequence[float] | None
-    occlusion: Sequence[float] | None
-    bars: int
-    bar_colour: BarColour
-    bar_place: float | None
-    turn: Sequence[float]
-    effects: Sequence[str]
-    strengths: Sequence[float]
-
-
 @takes(Robustness)
 def robustness(
     known: VisualMap,
@@ -130,7 +112,7 @@ def robustness(
     name: str | None = None,
     seed: Seed = 0,
     settings: Robustness = OF_FIELDS,
-    **fields: Unpack[RobustnessFields],
+    **fields: Any,
 ) -> Result:
     """Measure how errors grow when the queries' images are disturbed.
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Annotated, Any, TypedDict
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -29,9 +29,6 @@ from siamloc.maps.hierarchy import HierarchicalRetrieval, HierarchicalSearch, La
 from siamloc.maps.ranking import NodeRanking, rank_by_position
 from siamloc.results import Columns
 from siamloc.stopwatch import Stopwatch
-
-if TYPE_CHECKING:
-    from typing_extensions import Unpack
 
 
 @dataclass(frozen=True)
@@ -75,16 +72,6 @@ class Hierarchical(Settings):
     ks: Counts = (1, 5, 10, 20)
 
 
-class HierarchicalFields(TypedDict, total=False):
-    """Keyword arguments with the names and types of the fields of `Hierarchical`, for type checkers."""
-
-    candidates: int
-    coarse: CoarseRanking | Mapping[str, Any]
-    along: int
-    radii: Sequence[float]
-    ks: Sequence[int]
-
-
 @takes(Hierarchical)
 def hierarchical(
     known: VisualMap,
@@ -96,7 +83,7 @@ def hierarchical(
     protocol: Protocol | Mapping[str, Any] | str = "cross_run",
     name: str | None = None,
     settings: Hierarchical = OF_FIELDS,
-    **fields: Unpack[HierarchicalFields],
+    **fields: Any,
 ) -> Result:
     """Locate queries by first ranking the nodes of a coarse layer and then searching the frames in the best of them.
 

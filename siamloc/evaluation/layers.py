@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
-from typing import TYPE_CHECKING, Any, Literal, TypedDict
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,9 +19,6 @@ from siamloc.maps import Built
 from siamloc.maps.coarse import CoarseLayer
 from siamloc.maps.visual_map import VisualMap
 from siamloc.results import Columns
-
-if TYPE_CHECKING:
-    from typing_extensions import Unpack
 
 
 @dataclass(frozen=True)
@@ -39,13 +36,6 @@ class MapMeasures(Settings):
     closure_gap: Count = 30
 
 
-class MapMeasuresFields(TypedDict, total=False):
-    """Keyword arguments with the names and types of the fields of `MapMeasures`, for type checkers."""
-
-    closure_radius: float
-    closure_gap: int
-
-
 @takes(MapMeasures)
 def mapping(
     known: VisualMap,
@@ -53,7 +43,7 @@ def mapping(
     *,
     name: str | None = None,
     settings: MapMeasures = OF_FIELDS,
-    **fields: Unpack[MapMeasuresFields],
+    **fields: Any,
 ) -> Result:
     """Measure the nodes of a map: compactness, agreement with the rooms, loop closures and cost.
 

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Annotated, Any, Literal, TypedDict
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,7 +23,6 @@ from siamloc.evaluation.estimates import (
     ESTIMATES,
     MATCHES,
     Estimates,
-    FilterSettings,
     learn,
     learned_errors,
     prepared,
@@ -36,9 +35,6 @@ from siamloc.evaluation.session import Baselines, Counts, Radii, Search, Session
 from siamloc.maps import VisualMap, motions
 from siamloc.maps.error_model import ErrorModel
 from siamloc.stopwatch import Stopwatch
-
-if TYPE_CHECKING:
-    from typing_extensions import Unpack
 
 Name = Literal["absolute", "room_retrieval"]
 
@@ -87,23 +83,6 @@ class Localization(Estimates):
             )
 
 
-class LocalizationFields(TypedDict, total=False):
-    """Keyword arguments with the names and types of the fields of `Localization`, for type checkers."""
-
-    filter: bool
-    filter_settings: FilterSettings | Mapping[str, Any]
-    filter_tune: bool
-    refine: Literal["none", "interpolate", "relative"]
-    neighbours: int
-    error_model: bool
-    lost_above: float
-    place_radius: float
-    names: Sequence[Name]
-    radii: Sequence[float]
-    ks: Sequence[int]
-    pairs: JudgedPairs | Mapping[str, Any]
-
-
 @takes(Localization)
 def localization(
     known: VisualMap,
@@ -116,7 +95,7 @@ def localization(
     name: str | None = None,
     seed: Seed = 0,
     settings: Localization = OF_FIELDS,
-    **fields: Unpack[LocalizationFields],
+    **fields: Any,
 ) -> Result:
     """Locate queries in a map and compare the results with their true poses and rooms.
 

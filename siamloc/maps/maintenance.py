@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import TYPE_CHECKING, Any, TypedDict
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -26,8 +26,6 @@ from siamloc.maps.thinning import Budget, thin
 from siamloc.maps.visual_map import VisualMap
 
 if TYPE_CHECKING:
-    from typing_extensions import Unpack
-
     from siamloc.data.library import PanoramaLibrary
 
 _REPEATS = 0.6  # share of the usual distance up to which two frames that would join show almost the same
@@ -70,22 +68,6 @@ class Maintenance(Budget):
             raise ConfigError(f"contradicted={self.contradicted} frames cannot be among window={self.window}: lower it")
         if self.growth is not None and self.growth < 1:
             raise ConfigError(f"growth={self.growth:g} would shrink a map that nothing contradicts: give 1 or more")
-
-
-class MaintenanceFields(TypedDict, total=False):
-    """Keyword arguments with the names and types of the fields of `Maintenance`, for type checkers."""
-
-    radius: float
-    usual: float | None
-    contradicted: int
-    window: int
-    forget: int | None
-    extend: bool
-    certain: float
-    growth: float | None
-    frames: int | None
-    per_square_metre: int | None
-    megabytes: float | None
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -152,7 +134,7 @@ def update(
     built: Built | None = None,
     progress: bool = True,
     settings: Maintenance = OF_FIELDS,
-    **fields: Unpack[MaintenanceFields],
+    **fields: Any,
 ) -> Update:
     """Find where a map is out of date, on another drive, and let the map follow.
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, TypedDict
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,9 +17,6 @@ from siamloc.maps.matching import learned_distances
 from siamloc.maps.reasons import Reason
 from siamloc.maps.search import slices
 from siamloc.maps.visual_map import VisualMap
-
-if TYPE_CHECKING:
-    from typing_extensions import Unpack
 
 _REACH = 1.5  # units: frames of one square metre are at most this far apart
 _PAIRS_AT_ONCE = 1 << 20
@@ -56,14 +53,6 @@ class Budget(Settings):
         return most if self.frames is None else min(most, self.frames)
 
 
-class BudgetFields(TypedDict, total=False):
-    """Keyword arguments with the names and types of the fields of `Budget`, for type checkers."""
-
-    frames: int | None
-    per_square_metre: int | None
-    megabytes: float | None
-
-
 @dataclass(frozen=True, eq=False)
 class Thinned:
     """A map within its budget.
@@ -78,7 +67,7 @@ class Thinned:
 
 
 @takes(Budget)
-def thin(known: VisualMap, *, settings: Budget = OF_FIELDS, **fields: Unpack[BudgetFields]) -> Thinned:
+def thin(known: VisualMap, *, settings: Budget = OF_FIELDS, **fields: Any) -> Thinned:
     """Forget frames of a map until it is within a budget.
 
     Frames that the last drives did not recognize are forgotten first, the most often contradicted before the others.

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -25,10 +25,7 @@ from siamloc.simulate.mesh import embree
 from siamloc.training.checks import check_loss, check_network
 from siamloc.training.fitting import augmentation_of, learn, process_rank
 from siamloc.training.run_folder import check_folder
-from siamloc.training.settings import Monitor, Training, TrainingFields
-
-if TYPE_CHECKING:
-    from typing_extensions import Unpack
+from siamloc.training.settings import Monitor, Training
 
 
 @typed
@@ -43,7 +40,7 @@ def pretrain(
     resume: bool = False,
     overwrite: bool = False,
     settings: Training | None = None,
-    **changes: Unpack[TrainingFields],
+    **changes: Any,
 ) -> Run:
     """Train a network in place on random buildings, which are drawn and rendered while the network learns.
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import shutil
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,16 +17,13 @@ from siamloc.data.decoding import read_image
 from siamloc.data.frames import FrameTable
 from siamloc.errors import DataError, SiamlocError
 from siamloc.maps import Built, CoarseLayer, VisualMap
-from siamloc.maps.maintenance import UPKEEP, Maintenance, MaintenanceFields, Update, updated
+from siamloc.maps.maintenance import UPKEEP, Maintenance, Update, updated
 from siamloc.maps.thinning import nearest
 from siamloc.runtime import bundle as files
 from siamloc.runtime.collecting import collected
 from siamloc.runtime.describing import analytic_descriptor
 from siamloc.runtime.localizer import Localizer
 from siamloc.runtime.thumbnails import jpeg, write_thumbnails
-
-if TYPE_CHECKING:
-    from typing_extensions import Unpack
 
 _AT_ONCE = 16  # panoramas that are described together
 
@@ -37,7 +34,7 @@ def update(
     folder: str | Path,
     *,
     settings: Maintenance = OF_FIELDS,
-    **fields: Unpack[MaintenanceFields],
+    **fields: Any,
 ) -> list[Update]:
     """Update the map of a bundle by the drives that `Localizer(bundle, collect=folder)` collected.
 

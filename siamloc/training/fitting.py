@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, cast
+from typing import Any, cast
 
 import numpy as np
 import torch
@@ -54,16 +54,13 @@ from siamloc.training.run_folder import (
     open_run,
     progress,
 )
-from siamloc.training.settings import Training, TrainingFields
+from siamloc.training.settings import Training
 from siamloc.training.stopping import StepCheckpoints, first_interrupt_asks, interrupts_raised
 from siamloc.training.trainer import computing, listed, on_gpu, precision_of, quiet, run_trainer, steps_of
 from siamloc.training.worst_queries import WorstQueries
 
 ensure_torchvision()
 from lightning.pytorch import Trainer  # noqa: E402
-
-if TYPE_CHECKING:
-    from typing_extensions import Unpack
 
 
 @takes(Training)
@@ -82,7 +79,7 @@ def fit(
     overwrite: bool = False,
     protocol: Mapping[str, Any] | None = None,
     settings: Training = OF_FIELDS,
-    **fields: Unpack[TrainingFields],
+    **fields: Any,
 ) -> Run:
     """Train a network on pairs of frames, or on batches of places, in place.
 

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any, Literal, TypedDict
+from typing import Literal
 
 from foundation.settings import Count, Positive, Probability, Seed, Settings, Workers
 from siamloc.data.pairs import PairSettings
@@ -96,23 +95,3 @@ class Training(Learning):
         super().__post_init__()
         if isinstance(self.pairs, PlaceSettings) and self.margin != Contrastive.margin:
             raise ConfigError(_OF_PAIRS.format("margin", "a loss of its own"))
-
-
-class TrainingFields(TypedDict, total=False):
-    """The fields of `Training` as keywords, for type checkers; groups may also be given as mappings."""
-
-    epochs: int
-    batch_size: int
-    seed: int
-    pairs: PairSettings | PlaceSettings | Mapping[str, Any]
-    optimizer: Optimizer | Mapping[str, Any]
-    clip: float | None
-    average: float | None
-    monitor: Monitor
-    recall_radius: float
-    patience: int | None
-    checkpoint_every: int | None
-    compile: Literal["auto"] | bool
-    workers: int
-    margin: float
-    augment_where: Literal["auto", "cpu", "gpu"]
