@@ -1,29 +1,21 @@
-"""Colours for the nodes of a map: neighbours differ clearly, also for colour-blind readers."""
+"""Colours for the nodes of a map: neighbours differ."""
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
-from functools import cache
 
-import cv2
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from matplotlib.colors import to_rgb
+from numpy.typing import ArrayLike
 
-# From Okabe and Ito 2008, and from Paul Tol's "muted" and "bright" schemes.
+# From Okabe and Ito 2008, and from Paul Tol's "muted" and "bright" schemes, for colour-blind readers as well.
 POOL = (
     "#0072B2", "#E69F00", "#009E73", "#D55E00", "#56B4E9", "#882255",
     "#F0E442", "#332288", "#AA4499", "#999933", "#117733", "#EE6677",
 )  # fmt: skip
 NO_NODE = "#CFCFCF"
-_ENOUGH = 30.0  # distance in CIELAB from which two colours count as clearly different
 _REACH = 1 / 25  # of the plan's longer side: nodes with frames this close are neighbours
-
-# Linear RGB as the colour-blind see it (Machado, Oliveira and Fernandes 2009, severity 1).
-_SIGHTS = (
-    np.eye(3),
-    np.array([[0.152286, 1.052583, -0.204868], [0.114503, 0.786281, 0.099216], [-0.003882, -0.048116, 1.051998]]),
-    np.array([[0.367322, 0.860646, -0.227968], [0.280085, 0.672501, 0.047413], [-0.01182, 0.04294, 0.968881]]),
-)
 
 
 def node_colours(
@@ -31,8 +23,8 @@ def node_colours(
 ) -> dict[int, str]:
     """Return a colour "#RRGGBB" from POOL for each node, the same for the same arguments.
 
-    Nodes with many neighbours choose first. Each takes a colour that differs clearly from those of its neighbours, or
-    as clearly as possible; among these, the one used by the fewest nodes.
+    Nodes with many neighbours choose first. Each takes a colour that none of its neighbours has, or as few as possible;
+    among these, the one used by the fewest nodes.
 
     Args:
         neighbours: pairs of nodes, in either order.
@@ -45,13 +37,11 @@ def node_colours(
             beside.setdefault(a, set()).add(b)
             beside.setdefault(b, set()).add(a)
     chosen = dict(fixed or {})
-    used = [sum(colour == other for other in chosen.values()) for colour in POOL]
+    used = Counter(chosen.values())
     for node in sorted((node for node in nodes if node not in chosen), key=lambda node: (-len(beside[node]), node)):
-        others = [chosen[other] for other in beside[node] if other in chosen]
-        apart = [min((contrast(colour, other) for other in others), default=np.inf) for colour in POOL]
-        best = max(range(len(POOL)), key=lambda i: (min(apart[i], _ENOUGH), -used[i], -i))
-        chosen[node] = POOL[best]
-        used[best] += 1
+        others = Counter(chosen[other] for other in beside[node] if other in chosen)
+        chosen[node] = min(POOL, key=lambda colour: (others[colour], used[colour]))
+        used[chosen[node]] += 1
     return {node: chosen[node] for node in nodes}
 
 
@@ -82,21 +72,6 @@ def neighbouring(xy: ArrayLike, labels: ArrayLike, edges: Iterable[Sequence[int]
     return pairs | {(int(a), int(b)) for a, b in near}
 
 
-@cache
-def contrast(one: str, other: str) -> float:
-    """Return the CIELAB distance of two colours "#RRGGBB", as the least sensitive of three kinds of sight sees it:
-    normal, protanopic and deuteranopic."""
-    return min(float(np.linalg.norm(_lab(one, sight) - _lab(other, sight))) for sight in range(len(_SIGHTS)))
-
-
 def ink(colour: str) -> str:
     """Return the more readable of "black" and "white" on a colour "#RRGGBB"."""
-    return "black" if _lab(colour, 0)[0] > 58 else "white"
-
-
-@cache
-def _lab(colour: str, sight: int) -> NDArray[np.float64]:
-    rgb = np.array([int(colour[i : i + 2], 16) for i in (1, 3, 5)]) / 255
-    linear = np.where(rgb <= 0.04045, rgb / 12.92, ((rgb + 0.055) / 1.055) ** 2.4)
-    seen = np.array([[np.clip(_SIGHTS[sight] @ linear, 0, 1)]], dtype=np.float32)
-    return np.asarray(cv2.cvtColor(seen, cv2.COLOR_LRGB2Lab)[0, 0], dtype=np.float64)
+    return "black" if np.dot(to_rgb(colour), (0.299, 0.587, 0.114)) > 0.5 else "white"
