@@ -63,7 +63,7 @@ def load_building(name_or_path: str | FilePath, seed: int = 0) -> Building:
     Building('mini', seed=0: rooms CR-A, 1PO-A, 2PO1-A, KT-A; 37 items; paths path1, path2)
 
     Raises:
-        DataError: no such building, or an impossible one; the message names the room and the line.
+        DataError: no such building, or an impossible one; the message names the room.
     """
     name = str(name_or_path)
     if name == "random":
@@ -262,7 +262,7 @@ def _paths(content: Entry, plan: Plan, seed: int, rng: Rng) -> Entry:
         if blocked_points(building, rounded(way)).any():
             raise DataError("the robot's way is too narrow")
         ways[name] = [[round(float(x), 3), round(float(y), 3)] for x, y in way]
-    paths = {name: Path(name, np.array(way), (0,) * len(way)) for name, way in ways.items()}
+    paths = {name: Path(name, np.array(way)) for name, way in ways.items()}
     check_paths(replace(building, paths=paths))
     return ways
 

@@ -341,5 +341,5 @@ def add_items(builder: MeshBuilder, building: Building, items: Iterable[Item]) -
             try:
                 KINDS[item.kind].build(builder, item, rng, *item.size)
             except ValueError as error:  # a part would have to lie between two ends that cross
-                where = f"{building.where(item.line)}: room {item.room!r}: {item.kind}"
+                where = f"{building.source}: room {item.room!r}: {item.kind}"
                 raise DataError(f"{where} is too small for its parts at {item.size}: give it a larger size") from error

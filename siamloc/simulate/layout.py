@@ -123,7 +123,6 @@ class Item:
         z: height of its base above the floor in metres.
         room: name of the room that the item is in.
         options: values of the keys that `items.KINDS` lists as options of the kind, such as "colour".
-        line: line of the building file, 0 if there is none.
     """
 
     kind: str
@@ -134,7 +133,6 @@ class Item:
     z: float
     room: str
     options: dict[str, Any] = field(default_factory=dict)
-    line: int = 0
 
     def footprint(self, margin: float = 0.0) -> Array:
         """Return the corners (4, 2) of the item's rectangle on the floor, counter-clockwise, enlarged by a margin."""
@@ -165,7 +163,6 @@ class Opening:
         rooms: names of the rooms on both sides; the second is "" for the outside.
         hinge: "low" or "high": the end along the wall where the leaf is hinged.
         into: name of the room into which the leaf swings.
-        line: line of the building file.
     """
 
     kind: str
@@ -178,7 +175,6 @@ class Opening:
     rooms: tuple[str, str]
     hinge: str = "low"
     into: str = ""
-    line: int = 0
 
     @property
     def passable(self) -> bool:
@@ -228,7 +224,6 @@ class Room:
         paint: linear colour that multiplies the walls' texture.
         wainscot: texture and height in metres of the lower part of the walls, or None.
         lamps: kind ("panel", "tube", "round") and counts along x and y.
-        line: line of the building file.
     """
 
     name: str
@@ -242,7 +237,6 @@ class Room:
     paint: tuple[float, float, float]
     wainscot: tuple[str, float] | None
     lamps: tuple[str, int, int]
-    line: int = 0
 
     @property
     def centre(self) -> tuple[float, float]:
@@ -262,12 +256,10 @@ class Path:
     Attributes:
         name: "path1", "path2".
         points: waypoints in metres (n, 2).
-        lines: lines of the building file, one for each point.
     """
 
     name: str
     points: Array
-    lines: tuple[int, ...]
 
 
 @dataclass(frozen=True)
@@ -302,10 +294,6 @@ class Building:
     def __repr__(self) -> str:
         rooms, paths = ", ".join(self.codes), ", ".join(self.paths)
         return f"Building({self.name!r}, seed={self.seed}: rooms {rooms}; {len(self.items)} items; paths {paths})"
-
-    def where(self, line: int) -> str:
-        """Return the building's file and, unless it is 0, the line, for the beginning of an error message."""
-        return f"{self.source}, line {line}" if line else self.source
 
     def room_index(self, name: str) -> int:
         """Return the index of a room, by its name, in the order of the building's rooms."""

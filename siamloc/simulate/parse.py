@@ -1,9 +1,10 @@
-"""Read a building file: YAML, keeping the line of every entry for messages."""
+"""Read a building file: YAML, checked entry by entry."""
 
 from __future__ import annotations
 
 import dataclasses
 import re
+from collections import Counter
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
 from itertools import combinations
@@ -127,7 +128,7 @@ def read_building_file(path: FilePath, seed: int) -> Building:
         seed: seed of the building's pictures, colours and small differences.
 
     Raises:
-        DataError: not YAML, or an impossible building; the message names the room and the line.
+        DataError: not YAML, or an impossible building; the message names the room.
     """
     try:
         content = yaml.load(read_text(path), _Loader)
@@ -155,10 +156,6 @@ def parse_building(content: Any, seed: int, source: str) -> Building:
     return _Parser(source).building(content, seed)
 
 
-def _line(entry: Any) -> int:
-    return getattr(entry, "line", 0)
-
-
 def _real(value: Any) -> Any:
     """Return a whole number as a float, also in a list."""
     if isinstance(value, tuple):
@@ -170,39 +167,37 @@ class _Parser:
     def __init__(self, source: str) -> None:
         self.source = source
 
-    def error(self, where: Any, message: str) -> DataError:
-        """Return the error of an entry, or of a line."""
-        line = where if isinstance(where, int) else _line(where)
-        return DataError(f"{self.source}, line {line}: {message}" if line else f"{self.source}: {message}")
+    def error(self, message: str) -> DataError:
+        """Return the error of an entry."""
+        return DataError(f"{self.source}: {message}")
 
     def entry(self, kind: type[EntryKind], entry: Any, what: str) -> EntryKind:
         """Return the values of an entry, checked; a key without a value counts as absent."""
         if wrong := complaint(entry, Keys):
-            raise self.error(entry, f"{what} {wrong}")
+            raise self.error(f"{what} {wrong}")
         for one in dataclasses.fields(kind):  # type: ignore[arg-type]
             if entry.get(one.name) is None and default_of(one) is dataclasses.MISSING:
-                raise self.error(entry, f"{what} needs {one.name!r}")
+                raise self.error(f"{what} needs {one.name!r}")
         known = fields_of(kind)
         try:
             return kind.of({key: value for key, value in entry.items() if value is not None or key not in known})
         except DataError as error:
-            raise self.error(entry, f"{what}: {error}") from None
+            raise self.error(f"{what}: {error}") from None
 
-    def choice(self, where: Any, value: Any, valid: Collection[str], what: str) -> str:
+    def choice(self, value: Any, valid: Collection[str], what: str) -> str:
         if str(value) not in valid:
-            raise self.error(where, f"{what} {value!r} is unknown; {hint(str(value), valid)}")
+            raise self.error(f"{what} {value!r} is unknown; {hint(str(value), valid)}")
         return str(value)
 
     def building(self, content: Any, seed: int) -> Building:
         given = self.entry(_Building, content, "a building")
         if not given.rooms:
-            raise self.error(content, "a building needs 'rooms'")
+            raise self.error("a building needs 'rooms'")
         name = str(FilePath(self.source).stem if given.name is None else given.name)
         if wrong := complaint(name, Word):
-            raise self.error(content, f"the building's name {wrong}: give it one as 'name'")
-        entries = {str(key): entry for key, entry in given.rooms.items()}
-        found = {key: self.entry(_Room, entry, f"room {key!r}") for key, entry in entries.items()}
-        rooms = {key: self.room(key, found[key], given.height, entry) for key, entry in entries.items()}
+            raise self.error(f"the building's name {wrong}: give it one as 'name'")
+        found = {str(key): self.entry(_Room, entry, f"room {str(key)!r}") for key, entry in given.rooms.items()}
+        rooms = {key: self.room(key, one, given.height) for key, one in found.items()}
         self.check_overlaps(rooms)
         openings = [self.door(entry, rooms) for entry in given.doors]
         openings += [self.window(entry, rooms[key], rooms) for key in rooms for entry in found[key].windows]
@@ -212,40 +207,39 @@ class _Parser:
         north, kinds = float(given.north), (given.part, given.materials)
         return Building(name, int(seed), self.source, north, rooms, tuple(openings), items, paths, *kinds)
 
-    def room(self, name: str, given: _Room, height: float, entry: Any) -> Room:
+    def room(self, name: str, given: _Room, height: float) -> Room:
         what = f"room {name!r}"
         if given.code is None and (wrong := complaint(name, Word)):
-            raise self.error(entry, f"{what}: without a 'code' of its own, its name {wrong}")
+            raise self.error(f"{what}: without a 'code' of its own, its name {wrong}")
         for axis, (low, high) in (("x", given.x), ("y", given.y)):
             if high - low < 0.8:
-                raise self.error(entry, f"{what} must be at least 0.8 m wide, but {axis} runs from {low} to {high}")
+                raise self.error(f"{what} must be at least 0.8 m wide, but {axis} runs from {low} to {high}")
         code = str(name if given.code is None else given.code)
         names = ("x", "y", "floor", "walls", "ceiling", "paint", "wainscot")
         values = {key: _real(getattr(given, key)) for key in names}
         high = float(given.height or height)
-        return Room(name=name, code=code, height=high, lamps=given.lamps, line=_line(entry), **values)
+        return Room(name=name, code=code, height=high, lamps=given.lamps, **values)
 
     def check_overlaps(self, rooms: dict[str, Room]) -> None:
         for b, a in combinations(rooms.values(), 2):
             width = min(a.x[1], b.x[1]) - max(a.x[0], b.x[0])
             depth = min(a.y[1], b.y[1]) - max(a.y[0], b.y[0])
             if width > 1e-6 and depth > 1e-6:
-                both = f"rooms {b.name!r} (line {b.line}) and {a.name!r}"
-                raise self.error(a.line, f"{both} overlap by {width:.2f} x {depth:.2f} m")
+                raise self.error(f"rooms {b.name!r} and {a.name!r} overlap by {width:.2f} x {depth:.2f} m")
 
     def door(self, entry: Any, rooms: dict[str, Room]) -> Opening:
         given = self.entry(_Door, entry, "a door")
-        a, b = (rooms[self.choice(entry, name, rooms, "room")] for name in given.between)
+        a, b = (rooms[self.choice(name, rooms, "room")] for name in given.between)
         what = f"the door between {a.name!r} and {b.name!r}"
         shared = shared_wall(a, b)
         if shared is None:
-            raise self.error(entry, f"rooms {a.name!r} and {b.name!r} share no wall for a door")
+            raise self.error(f"rooms {a.name!r} and {b.name!r} share no wall for a door")
         along, level, span = shared
-        into = b.name if given.into is None else self.choice(entry, given.into, (a.name, b.name), f"{what}: into")
+        into = b.name if given.into is None else self.choice(given.into, (a.name, b.name), f"{what}: into")
         bottom = (0.9 if given.kind == "pane" else 0.0) if given.bottom is None else given.bottom
         at, width, low, top = map(float, (given.at, given.width, bottom, given.height))
-        sides, line = (a.name, b.name), _line(entry)
-        opening = Opening(given.kind, along, level, at, width, low, top, sides, given.hinge, into, line)
+        sides = a.name, b.name
+        opening = Opening(given.kind, along, level, at, width, low, top, sides, given.hinge, into)
         self.check_within(opening, span, min(a.height, b.height), what)
         return opening
 
@@ -254,15 +248,15 @@ class _Parser:
         given = self.entry(_Window, entry, what)
         what, wall = f"{what} in its {given.wall} wall", SIDES[given.wall]
         at, width, sill, head = map(float, (given.at, given.width, given.sill, given.head))
-        level, line = wall.level(room), _line(entry)
-        opening = Opening("window", wall.along, level, at, width, sill, head, (room.name, ""), line=line)
+        level = wall.level(room)
+        opening = Opening("window", wall.along, level, at, width, sill, head, (room.name, ""))
         self.check_within(opening, wall.span(room), room.height, what)
         low, high = opening.interval
         for other in rooms.values():
             reach, span = getattr(other, wall.across), wall.span(other)
             near = reach[0] - 1e-6 <= level - wall.inwards * 0.05 <= reach[1] + 1e-6
             if other is not room and near and min(high, span[1]) > max(low, span[0]):
-                raise self.error(entry, f"{what} does not look outside but into {other.name!r}")
+                raise self.error(f"{what} does not look outside but into {other.name!r}")
         return opening
 
     def check_within(self, opening: Opening, span: tuple[float, float], ceiling: float, what: str) -> None:
@@ -272,25 +266,25 @@ class _Parser:
         if not inside or not 0 <= opening.bottom < opening.top <= ceiling:
             place = f"{opening.along} = {low:.2f} to {high:.2f} and height {opening.bottom:.2f} to {opening.top:.2f}"
             wall = f"{span[0]:.2f} to {span[1]:.2f} and 0 to {ceiling:.2f}"
-            raise self.error(opening, f"{what} lies outside its wall: {place}, the wall {wall}")
+            raise self.error(f"{what} lies outside its wall: {place}, the wall {wall}")
 
     def check_openings(self, openings: list[Opening]) -> None:
         for b, a in combinations(openings, 2):
             (low, high), (start, end) = a.interval, b.interval
             same = a.along == b.along and abs(a.level - b.level) < 1e-6 and set(a.rooms) & set(b.rooms) - {""}
             if same and low < end - 1e-6 and start < high - 1e-6:
-                place = f"between {a.along} = {low:.2f} and {high:.2f} (the other one: line {b.line})"
-                raise self.error(a, f"two openings of room {a.rooms[0]!r} overlap, {place}")
+                place = f"between {a.along} = {low:.2f} and {high:.2f}"
+                raise self.error(f"two openings of room {a.rooms[0]!r} overlap, {place}")
 
     def item(self, entry: Any, room: Room) -> Item:
         what = f"room {room.name!r}: an item"
         if isinstance(entry, Mapping):
-            what = f"room {room.name!r}: " + self.choice(entry, entry.get("kind"), KINDS, f"room {room.name!r}: item")
+            what = f"room {room.name!r}: " + self.choice(entry.get("kind"), KINDS, f"room {room.name!r}: item")
         given = self.entry(_Item, entry, what)
         spec = KINDS[given.kind]
         for key in fields_of(Options):
             if entry.get(key) is not None and key not in spec.options:
-                raise self.error(entry, f"{what} has no option {key!r}; {hint(key, spec.options)}")
+                raise self.error(f"{what} has no option {key!r}; {hint(key, spec.options)}")
         options = {key: entry[key] for key in spec.options if entry.get(key) is not None}
         size: Any = _real(given.size or spec.size)
         at: Any = _real(given.at)
@@ -301,39 +295,27 @@ class _Parser:
             wrong, facing = complaint(at, Metres), side.facing
             at = side.plan(at, side.level(room.inner()) + side.inwards * size[1] / 2)
         if wrong:
-            raise self.error(entry, f"{what}: at {wrong}")
+            raise self.error(f"{what}: at {wrong}")
         z = float(spec.z if given.z is None else given.z)
         x, y = at
-        item = Item(given.kind, x, y, facing, size, z, room.name, options, _line(entry))
+        item = Item(given.kind, x, y, facing, size, z, room.name, options)
         corners, inner, top = item.footprint(), np.array(room.inner(-0.02)), z + size[2]
         if (corners < inner[:, 0]).any() or (corners > inner[:, 1]).any() or top > room.height + 1e-6:
             place = f"at ({x:.2f}, {y:.2f}) with footprint {size[0]} x {size[1]} m, up to {top:.2f} m,"
-            raise self.error(entry, f"{what} {place} sticks out of the room, which is {room.height:.2f} m high")
+            raise self.error(f"{what} {place} sticks out of the room, which is {room.height:.2f} m high")
         return item
 
     def path(self, name: str, points: Any) -> Path:
         if not isinstance(points, list) or len(points) < 2:
-            raise self.error(points, f"path {name!r} needs at least two points [x, y]")
+            raise self.error(f"path {name!r} needs at least two points [x, y]")
         for point in points:
             if wrong := complaint(point, Pair):
-                raise self.error(_line(point) or points, f"path {name!r}: a point {wrong}")
-        return Path(name, np.array(points, dtype=np.float64), tuple(map(_line, points)))
-
-
-class _LineDict(dict[str, Any]):
-    """A mapping that knows the line it began on, counted from 1."""
-
-    line = 0
-
-
-class _LineList(list[Any]):
-    """A sequence that knows the line it began on."""
-
-    line = 0
+                raise self.error(f"path {name!r}: a point {wrong}")
+        return Path(name, np.array(points, dtype=np.float64))
 
 
 class _Loader(yaml.SafeLoader):
-    """Reads YAML into mappings and sequences that know their lines; rejects aliases, which can expand without end."""
+    """Reads YAML; rejects keys that appear twice, and aliases, which can expand without end."""
 
     def compose_node(self, parent: Any, index: Any) -> Any:
         """Compose the next node, unless it is an alias for another one."""
@@ -342,22 +324,11 @@ class _Loader(yaml.SafeLoader):
             raise yaml.composer.ComposerError(None, None, "aliases are not supported: write the value itself", mark)
         return super().compose_node(parent, index)
 
-    def with_line(self, node: Any) -> _LineDict | _LineList:
-        """Construct a mapping or a sequence; a key must not appear twice."""
-        value: _LineDict | _LineList
-        if isinstance(node, yaml.SequenceNode):
-            value = _LineList(self.construct_sequence(node, deep=True))
-        else:
-            seen = set()
-            for key, _ in node.value:
-                if str(key.value) in seen:
-                    message = f"the key {key.value!r} appears twice"
-                    raise yaml.constructor.ConstructorError(None, None, message, key.start_mark)
-                seen.add(str(key.value))
-            value = _LineDict(self.construct_mapping(node, deep=True))
-        value.line = node.start_mark.line + 1
-        return value
-
-
-_Loader.add_constructor("tag:yaml.org,2002:map", _Loader.with_line)
-_Loader.add_constructor("tag:yaml.org,2002:seq", _Loader.with_line)
+    def construct_mapping(self, node: Any, deep: bool = False) -> dict[Any, Any]:
+        """Construct a mapping; a key must not appear twice."""
+        keys = [str(key.value) for key, _ in node.value]
+        for key, count in Counter(keys).items():
+            if count > 1:
+                message = f"the key {key!r} appears twice"
+                raise yaml.constructor.ConstructorError(None, None, message, node.start_mark)
+        return super().construct_mapping(node, deep)

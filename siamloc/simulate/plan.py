@@ -47,7 +47,7 @@ def obstacles(building: Building, items: Iterable[Item] | None = None) -> tuple[
     for item in building.items if items is None else items:
         if KINDS[item.kind].blocks:
             segments += [*item.edges()]
-            names += [f"the {item.kind} of room {item.room!r}" + (f" (line {item.line})" if item.line else "")] * 4
+            names += [f"the {item.kind} of room {item.room!r}"] * 4
     return np.stack(segments), names
 
 
@@ -120,20 +120,20 @@ def check_paths(building: Building) -> None:
 
     Raises:
         DataError: a path that leaves the building or runs through a wall or an item; the message names the path's
-            point, the room and the line.
+            point and the room.
     """
     segments, names = obstacles(building)
     for path in building.paths.values():
-        where = [f"{building.where(line)}: path {path.name!r}" for line in path.lines]
+        what = f"{building.source}: path {path.name!r}"
         moves = np.stack([path.points[:-1], path.points[1:]], axis=1)
         hits = crossings(moves, segments)
         if hits.any():
             move, segment = np.argwhere(hits)[0]
             (x0, y0), (x1, y1) = moves[move]
             raise DataError(
-                f"{where[move + 1]} runs through {names[segment]} between ({x0:.2f}, {y0:.2f}) and "
+                f"{what} runs through {names[segment]} between ({x0:.2f}, {y0:.2f}) and "
                 f"({x1:.2f}, {y1:.2f}): move the point or open a door"
             )
-        for (x, y), stuck, prefix in zip(path.points, blocked_points(building, path.points), where, strict=True):
+        for (x, y), stuck in zip(path.points, blocked_points(building, path.points), strict=True):
             if stuck:
-                raise DataError(f"{prefix} leaves the free floor at ({x:.2f}, {y:.2f}), for a wall, an item or outside")
+                raise DataError(f"{what} leaves the free floor at ({x:.2f}, {y:.2f}), for a wall, an item or outside")

@@ -251,7 +251,7 @@ def _sequence(config: SimulateConfig, building: Building, run: Run) -> Path:
 def _description(config: SimulateConfig, building: Building, run: Run) -> dict[str, Any]:
     """Describe the images of a sequence; equal descriptions mean equal bytes."""
     camera = CAMERAS[config.camera]
-    layout = asdict(building, dict_factory=_without_lines)
+    layout = asdict(building)
     layout["paths"] = {name: path.points for name, path in building.paths.items()}
     del layout["source"]
     if building.materials == "standard":
@@ -275,11 +275,6 @@ def _description(config: SimulateConfig, building: Building, run: Run) -> dict[s
         "quality": _QUALITY,
         **{name: value for name in _OPTIONAL if (value := getattr(run, name)) != getattr(Run, name)},
     }
-
-
-def _without_lines(values: list[tuple[str, Any]]) -> dict[str, Any]:
-    """Leave out line numbers: a file with one more comment describes the same building."""
-    return {key: value for key, value in values if key != "line"}
 
 
 def _missing(config: SimulateConfig, building: Building, run: Run, drive: Track) -> list[tuple[Run, list[int]]]:

@@ -189,9 +189,9 @@ def _check_rounded(building: Building, path: Path, line: Array) -> None:
     if len(stuck):
         x, y = line[stuck[0]]
         corner = int(np.argmin(np.linalg.norm(path.points - line[stuck[0]], axis=1)))
-        number, room = path.lines[corner], room_codes(building, path.points[corner : corner + 1])[0]
+        room = room_codes(building, path.points[corner : corner + 1])[0]
         raise DataError(
-            f"{building.where(number)}: rounding the corners of path {path.name!r} leads into a wall or furniture of "
+            f"{building.source}: rounding the corners of path {path.name!r} leads into a wall or furniture of "
             f"room {room!r} at ({x:.2f}, {y:.2f}): add points around it"
         )
 
