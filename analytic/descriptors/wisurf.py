@@ -164,20 +164,12 @@ def wavelets(image: NDArray[np.float32], reach: int, circular: bool) -> tuple[ND
 
 
 def _runs(values: NDArray[np.float32], length: int, axis: int) -> NDArray[np.float32]:
-    """Return the sums of every `length` neighbours along an axis, which becomes shorter by length - 1.
-
-    Sums of 2, 4, 8 ... neighbours are combined, so that the work grows with the logarithm of the length.
-    """
+    """Return the sums of every `length` neighbours along an axis, which becomes shorter by length - 1."""
     values = values.swapaxes(0, axis)
     size = len(values) - length + 1
-    total, start, power = np.zeros_like(values[:size]), 0, 1
-    while length:
-        if length & 1:
-            total += values[start : start + size]
-            start += power
-        length >>= 1
-        values = values[:-power] + values[power:] if length else values
-        power *= 2
+    total = np.zeros_like(values[:size])
+    for start in range(length):
+        total += values[start : start + size]
     return total.swapaxes(0, axis)
 
 
