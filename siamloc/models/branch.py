@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from bisect import bisect_left
 from collections.abc import Sequence
 from functools import lru_cache
 from typing import cast
@@ -121,12 +120,16 @@ def feature_shape(name: str, image_size: tuple[int, int], circular: bool = False
     Raises:
         ConfigError: an unknown branch, or an image too small for it.
     """
-    shape = _shape_or_none(name, *image_size, circular)
-    if shape is None:
-        rows, columns = smallest_size(name, circular)
+    rows, columns = image_size
+    small = branch_spec(name).kind == "simple" and (rows < SIMPLE_GRID[0] or columns < SIMPLE_GRID[1])
+    try:
+        shape = layer_shapes(name, image_size, circular)[-1]
+    except RuntimeError:
+        small = True
+    if small or min(shape) < 1:
         raise ConfigError(
-            f"an image of {image_size[0]} x {image_size[1]} pixels is too small for the branch {name!r}: "
-            f"it needs at least {rows} x {columns}"
+            f"an image of {rows} x {columns} pixels is too small for the branch {name!r}: take larger images, or a "
+            "branch that shrinks them less"
         )
     return shape
 
@@ -157,21 +160,6 @@ def layer_shapes(name: str, image_size: tuple[int, int], circular: bool) -> list
             channels, rows, columns = features.shape[1:]
             found.append((channels, rows, columns))
     return found
-
-
-@lru_cache(maxsize=64)
-def smallest_size(name: str, circular: bool = False) -> tuple[int, int]:
-    """Return the smallest height and width in pixels that a branch takes, each found with the other side large.
-
-    Args:
-        name: a name in `BRANCHES`.
-        circular: whether convolutions and pools wrap around the azimuth.
-    """
-    if branch_spec(name).kind == "simple":
-        return SIMPLE_GRID
-    sides = range(257)
-    rows = bisect_left(sides, True, key=lambda side: _shape_or_none(name, side, 256, circular) is not None)
-    return rows, bisect_left(sides, True, key=lambda side: _shape_or_none(name, 256, side, circular) is not None)
 
 
 @lru_cache(maxsize=32)
@@ -235,16 +223,6 @@ def _torchvision_features(name: str) -> nn.Sequential:
 def _weightless(name: str, circular: bool) -> nn.Sequential:
     with torch.device("meta"):
         return _features(name, circular).eval()
-
-
-def _shape_or_none(name: str, rows: int, columns: int, circular: bool) -> tuple[int, int, int] | None:
-    if branch_spec(name).kind == "simple" and (rows < SIMPLE_GRID[0] or columns < SIMPLE_GRID[1]):
-        return None
-    try:
-        shape = layer_shapes(name, (rows, columns), circular)[-1]
-    except RuntimeError:
-        return None
-    return shape if min(shape) > 0 else None
 
 
 def residual_features(widths: Sequence[int], inputs: int = 3) -> nn.Sequential:
