@@ -27,7 +27,6 @@ from siamloc.training.place_batches import origins_of
 _SEEDS = 1 << 30  # of the training buildings; those of the validation follow
 _STEP = 1_000_003
 _VALIDATION_BUILDINGS, _VALIDATION_POSES = 3, 120
-_PATIENCE = 10.0  # seconds for a process to end
 Wanted = tuple[Any, ...]
 """Arguments of `draw_views`."""
 
@@ -87,22 +86,11 @@ class Renderer:
         )
 
     def close(self) -> None:
-        """End the processes at once; unfinished work is discarded."""
+        """End the processes; each finishes the building that it has begun, which is discarded."""
         pool, self._pool = self._pool, None
         self._coming.clear()
         if pool is not None:
-            # The executor would let each finish its building; before Python 3.14 it has no public way to stop them.
-            processes = list((getattr(pool, "_processes", None) or {}).values())
-            results = getattr(pool, "_result_queue", None)
             pool.shutdown(wait=False, cancel_futures=True)
-            for process in processes:
-                process.terminate()
-            for process in processes:
-                process.join(_PATIENCE)
-                process.kill()
-            if results is not None:
-                # A building that was half sent would never end; with no writer left, the reader notices.
-                results._writer.close()
 
 
 def building_seed(seed: int, number: int) -> int:

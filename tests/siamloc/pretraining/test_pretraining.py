@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import multiprocessing
-import os
-import struct
 import time
 from inspect import signature
 from typing import Any
@@ -25,7 +23,6 @@ from siamloc.pretraining import RECIPE, ViewSettings, pretrain, view_batches
 from siamloc.pretraining.view_batches import BuildingStream, Renderer, ViewBatches, building_seed
 from siamloc.simulate.buildings import Worlds
 from siamloc.simulate.camera import Cameras
-from siamloc.simulate.produce import rendering_processes
 from siamloc.simulate.views import Exposures, Imagings, Views, camera_of, draw_views
 
 SIZE = (16, 64)
@@ -252,18 +249,6 @@ def test_a_training_that_fails_leaves_no_process_behind(tmp_path):
         time.sleep(0.1)  # the thread of the executor collects them, alongside which `join` may return too early
     assert not {child.pid for child in multiprocessing.active_children()} - before
     assert not list((tmp_path / "a").rglob("*.ckpt"))
-
-
-def test_closing_while_a_building_is_half_sent_leaves_no_thread_waiting():
-    renderer = Renderer(1)
-    renderer._pool = pool = rendering_processes(1)
-    pool.submit(abs, 1).result()
-    reading = pool._executor_manager_thread
-    # The header of a message of 1,000 bytes and its first ones, as from a process that was ended in the middle.
-    os.write(pool._result_queue._writer.fileno(), struct.pack("!i", 1000) + b"half")
-    renderer.close()
-    reading.join(timeout=30)
-    assert not reading.is_alive(), "a script would wait for it at its end, for ever"
 
 
 def test_the_command_trains_and_says_how_to_go_on(rendered, tmp_path, capsys, monkeypatch):
