@@ -25,6 +25,7 @@ from siamloc.data.frames import FrameTable
 from siamloc.errors import ConfigError, DataError
 from siamloc.maps.matching import frame_distances
 from siamloc.maps.motion import motion_or_none, motions_of
+from siamloc.maps.thinning import near
 from siamloc.maps.visual_map import VisualMap
 
 _REACH = 4.0  # standard deviations; the weight beyond is below 4e-4 and covered by kidnapping
@@ -259,26 +260,9 @@ def _steps(frames: FrameTable) -> tuple[NDArray[np.float64], NDArray[np.float64]
 
 
 def _transitions(frames: FrameTable, sigma: float) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float64]]:
-    near = _near(frames.xy, _REACH * sigma)
-    near = near[frames.building[near[:, 0]] == frames.building[near[:, 1]]]
-    own = np.arange(len(frames))
-    source = np.concatenate([own, near[:, 0], near[:, 1]])
-    target = np.concatenate([own, near[:, 1], near[:, 0]])
-    squared = np.square(frames.xy[source] - frames.xy[target]).sum(axis=1)
-    weight = np.exp(-squared / (2 * sigma**2)) if sigma > 0 else np.ones(len(source))
+    source, target, apart = map(np.concatenate, zip(*near(frames, frames, _REACH * sigma), strict=True))
+    weight = np.exp(-np.square(apart) / (2 * sigma**2)) if sigma > 0 else np.ones(len(source))
     return source, target, weight / np.bincount(source, weight, minlength=len(frames))[source]
-
-
-def _near(xy: NDArray[np.float64], reach: float) -> NDArray[np.int64]:
-    """Return the pairs of positions (p, 2) within reach of each other, each pair once, the smaller row first."""
-    try:
-        from scipy.spatial import cKDTree
-    except ImportError:  # as on a robot
-        found = [np.flatnonzero(np.square(xy[row + 1 :] - one).sum(axis=1) <= reach**2) for row, one in enumerate(xy)]
-        rows = np.repeat(np.arange(len(xy)), [len(part) for part in found])
-        return np.column_stack([rows, rows + 1 + np.concatenate(found)]).astype(np.int64)
-    pairs: NDArray[np.int64] = cKDTree(xy).query_pairs(reach, output_type="ndarray").astype(np.int64)
-    return pairs
 
 
 @dataclass(frozen=True)
