@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -114,17 +113,6 @@ def joined(known: VisualMap, compared: Compared) -> RefinedPoses:
     )
 
 
-class _Answers(NamedTuple):
-    """Answers of k map frames for n queries, (n, k) each: position, entries of information, height of density."""
-
-    x: NDArray[np.float64]
-    y: NDArray[np.float64]
-    xx: NDArray[np.float64]
-    xy: NDArray[np.float64]
-    yy: NDArray[np.float64]
-    height: NDArray[np.float64]
-
-
 def _most_likely(
     at: NDArray[np.float64], about: NDArray[np.float64], probability: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
@@ -134,47 +122,45 @@ def _most_likely(
     their information and by how likely each is, at the point of the round before, not to be a stray one. The best of
     the points found is returned.
 
-    A robot processes one query at a time, where numpy's call overhead exceeds the computation, so 2 x 2 matrices are
-    written out by their entries.
+    Args:
+        at: where each answer says that the query was taken.
+        about: information (n, k, 2, 2) of the answers.
+        probability: that each answer is not a stray one (n, k).
     """
-    n, k = probability.shape
     middle = at[:, :1]
-    x, y = (at - middle)[..., 0], (at - middle)[..., 1]
-    xx, xy, yy = about[..., 0, 0], about[..., 0, 1], about[..., 1, 1]
-    answers = _Answers(x, y, xx, xy, yy, probability * np.sqrt(xx * yy - xy * xy) / (2 * np.pi))
-    summed = np.stack([xx, xy, yy, xx * x + xy * y, xy * x + yy * y], axis=2)
-    points = at - middle  # (n, k, 2): current point of the search from each answer
-    arrived = np.zeros((n, k, 1), dtype=bool)
+    at = at - middle
+    height = probability * np.sqrt(np.linalg.det(about)) / (2 * np.pi)
+
+    def weighed(points: NDArray[np.float64]) -> tuple[NDArray[np.float64], ...]:
+        """Return the weights, the shares and the densities (n, s, k) of the answers at points (n, s, 2).
+
+        A share is the probability that an answer is not a stray one. The weight is the share, reduced with the
+        answer's distance from the point.
+        """
+        away = points[:, :, None] - at[:, None]
+        near = 1 / (1 + np.einsum("nski,nkij,nskj->nsk", away, about, away) / FREEDOM)
+        density = height[:, None] * near ** ((FREEDOM + 2) / 2)
+        share = density / (density + STRAY)
+        return share * near, share, density
+
+    pulls = (about @ at[..., None])[..., 0]
+    points = at  # (n, k, 2): current point of the search from each answer
+    arrived = np.zeros((*probability.shape, 1), dtype=bool)
     for _ in range(_ROUNDS):
-        weight, _, _ = _weighed(points, answers)
-        sums = weight @ summed
-        a, b, c, right, up = (sums[..., one] for one in range(5))
-        size = a * c - b * b
-        moved = np.stack([c * right - b * up, a * up - b * right], axis=2) / np.maximum(size, _NOTHING)[..., None]
-        moved = np.where((size > _NOTHING)[..., None], moved, points)
+        weight, _, _ = weighed(points)
+        total = np.einsum("nsk,nkij->nsij", weight, about)
+        known = (np.linalg.det(total) > _NOTHING)[..., None]
+        total = np.where(known[..., None], total, np.eye(2))
+        moved = np.where(known, np.linalg.solve(total, (weight @ pulls)[..., None])[..., 0], points)
         moving = np.abs(moved - points).max(axis=2, keepdims=True) >= _STILL
         points = np.where(arrived, points, moved)  # so that a query alone has the same result as in a batch
         arrived |= ~moving
         if arrived.all():
             break
-    weight, share, density = _weighed(points, answers)
+    weight, share, density = weighed(points)
     likely = np.log(density + STRAY).sum(axis=2)
     best = np.arange(len(at)), likely.argmax(axis=1)
     return points[best] + middle[:, 0], weight[best], share[best]
-
-
-def _weighed(points: NDArray[np.float64], answers: _Answers) -> tuple[NDArray[np.float64], ...]:
-    """Return the weights, the shares and the densities (n, s, k) of the answers at points (n, s, 2).
-
-    A share is the probability that an answer is not a stray one. The weight is the share, reduced with the
-    answer's distance from the point.
-    """
-    dx, dy = points[..., :1] - answers.x[:, None], points[..., 1:] - answers.y[:, None]
-    squared = (answers.xx[:, None] * dx + 2 * answers.xy[:, None] * dy) * dx + answers.yy[:, None] * dy * dy
-    near = 1 / (1 + squared / FREEDOM)
-    density = answers.height[:, None] * near ** ((FREEDOM + 2) / 2)
-    share = density / (density + STRAY)
-    return share * near, share, density
 
 
 def _limit(share: float) -> float:
