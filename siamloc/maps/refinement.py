@@ -188,15 +188,5 @@ def _mean_heading(weight: NDArray[np.float64], headings: ArrayLike, k: int) -> N
         raise DataError(f"{len(weight)} queries need headings by {k} neighbours, got shape {angle.shape}")
     angle = angle[:, :k]
     known = np.isfinite(angle) & (weight > 0)
-    weight, angle = np.where(known, weight, 0.0), np.where(known, angle, 0.0)
-    # Relative to the first known heading, so that a single one is reproduced to the last bit.
-    first = np.take_along_axis(angle, known.argmax(axis=1)[:, None], axis=1)
-    turned = angle - first
-    mean = np.arctan2((weight * np.sin(turned)).sum(axis=1), (weight * np.cos(turned)).sum(axis=1))
-    return np.where(known.any(axis=1), _wrapped(first[:, 0] + mean), np.nan)
-
-
-def _wrapped(angle: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return angles in (-pi, pi]; those already in this range are unchanged."""
-    inside = (angle > -np.pi) & (angle <= np.pi)
-    return np.where(inside, angle, wrapped(angle))
+    directions = np.where(known, weight * np.exp(1j * np.where(known, angle, 0.0)), 0.0)
+    return np.where(known.any(axis=1), wrapped(np.angle(directions.sum(axis=1))), np.nan)
