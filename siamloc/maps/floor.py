@@ -37,7 +37,7 @@ _USUAL = 0.2  # standard deviation of the logarithms of factors, and of those of
 _AROUND = 2.0  # standard deviation of the way over which factors are alike, in metres
 _CELL = 0.1  # metres
 _EXACT = 0.05  # standard deviation of a displacement that the floor tells, as a share
-_TELLS = 0.4  # least median by which the best factor is more likely than the others are on average
+_TELLS = 0.4  # least by which the best factor is more likely than the others are on average
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,7 +104,8 @@ def floor_scale(
     used = np.flatnonzero(np.isin(between, told) & (moved > _LEAST * height))
     near, moved = steps.take(used), moved[used]
     found = _likelihoods(floors, slopes, near, _FACTORS - float(np.log(height)))
-    if not len(found) or np.median(found.max(axis=1) - found.mean(axis=1)) < _TELLS:
+    told_by = found.max(axis=1) - found.mean(axis=1)
+    if not len(found) or np.median(told_by) < _TELLS:
         return None
     cell = np.round((way - way.min()) / _CELL).astype(int)
     middle = (cell[near.first] + cell[near.second]) // 2
@@ -123,10 +124,10 @@ def floor_scale(
     every = np.sqrt(factors[steps.first] * factors[steps.second])
     every[used] = own
     kept = np.union1d(used, np.flatnonzero(between == 1))
-    steps = _multiplied(steps, every)
-    length = np.hypot(steps.pose[used, 0], steps.pose[used, 1])[:, None]
-    along = steps.pose[used, :2] / length / (_EXACT * length)
-    steps.information[used, :2, :2] += along[:, :, None] * along[:, None]
+    steps, sure = _multiplied(steps, every), used[told_by > _TELLS]
+    length = np.hypot(steps.pose[sure, 0], steps.pose[sure, 1])[:, None]
+    along = steps.pose[sure, :2] / length / (_EXACT * length)
+    steps.information[sure, :2, :2] += along[:, :, None] * along[:, None]
     return scale, steps.take(kept)
 
 
