@@ -20,6 +20,7 @@ from siamloc.data.decoding import size_of
 from siamloc.data.manifest import manifest_of
 from siamloc.errors import ConfigError, DataError
 from siamloc.maps import Survey, SurveySettings, VisualMap
+from siamloc.maps.floor import shows_floor
 from siamloc.models.registry import PRETRAINED_SIZE
 from siamloc.report import write_report
 from siamloc.report.draw.survey import save_survey
@@ -121,6 +122,7 @@ def walk(
         PanoramaLibrary, cache=folder / "panoramas", image_size=PRETRAINED_SIZE, unwrap=camera.unwrap_settings()
     )
     images = library(frames)
+    shows_floor(images, settings.survey.height)  # or refuse the height before the long work
     chosen = maps.key_frames(_NETWORK, images, frames, spacing=settings.spacing)
     say(f"key frames: {len(chosen)} of {len(images)}, each {settings.spacing:g} m or more from the last (spacing=)")
     if len(chosen) < _FEWEST:

@@ -16,7 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d
 
-from siamloc.data.panorama import PanoramaView
+from siamloc.data.library import PanoramaLibrary
+from siamloc.data.panorama import PanoramaView, PolarRing
+from siamloc.errors import ConfigError
 from siamloc.maps.loops import Pairs
 from siamloc.maps.pose_graph import Array, Edges
 
@@ -69,9 +71,22 @@ class FloorScale:
         return comparing
 
 
-def shows_floor(view: PanoramaView) -> bool:
-    """Return whether panoramas look down far enough for `floor_scale`."""
-    return int((np.tan(view.row_elevation()) < _BELOW).sum()) * 64 >= _FEWEST * view.height
+def shows_floor(images: PanoramaLibrary, height: float | None) -> bool:
+    """Return whether panoramas show enough of the floor, at known elevations.
+
+    Raises:
+        ConfigError: a height of the camera is given, and they do not.
+    """
+    view, rings = images.preprocessing.view, [isinstance(one, PolarRing) for one in images.cameras.values()]
+    rows = int((np.tan(view.row_elevation()) < _BELOW).sum())
+    shown = rows * 64 >= _FEWEST * view.height and not any(rings)
+    if height is not None and not shown:
+        raise ConfigError(
+            "survey.height needs panoramas that show the floor at known elevations: a ring of two radii does not say "
+            "what it sees, so give the camera's calibration (unwrap=calibrated), and let elevations reach -30 degrees "
+            "or lower"
+        )
+    return shown
 
 
 def floor_scale(

@@ -19,7 +19,7 @@ from foundation.settings import Count, Positive, Settings
 from siamloc.data.checks import wrong_odometry
 from siamloc.data.frames import ODOMETRY, FrameTable
 from siamloc.data.moves import relative, wrapped
-from siamloc.data.panorama import PanoramaView, PolarRing
+from siamloc.data.panorama import PanoramaView
 from siamloc.errors import ConfigError, DataError
 from siamloc.maps.comparing import ODDS, Compares, scaled
 from siamloc.maps.describing import build, descriptor_from
@@ -197,14 +197,7 @@ def survey(
     pairs, place = None if candidates is None else checked_pairs(candidates, len(frames)), np.full(len(frames), -1)
     wheels = frames.odometry if odometry is None else odometry_of(odometry, len(frames))
     frames, wheels = frames.take(order), wheels[order]
-    view, rings = images.preprocessing.view, [isinstance(one, PolarRing) for one in images.cameras.values()]
-    looks_down = shows_floor(view) and not any(rings)
-    if settings.height is not None and not looks_down:
-        raise ConfigError(
-            "survey.height needs panoramas that show the floor at known elevations: a ring of two radii does not say "
-            "what it sees, so give the camera's calibration (unwrap=calibrated), and let elevations reach -30 degrees "
-            "or lower"
-        )
+    looks_down = shows_floor(images, settings.height)
     check_lengths(frames)
     check_anchors(frames, anchors)
     for finding in wrong_odometry(frames.with_columns(**dict(zip(ODOMETRY, wheels.T, strict=True)))):
@@ -221,7 +214,7 @@ def survey(
         place[order] = np.arange(len(order))
         pairs = place[pairs]
     straight = (known.mounting.straight(batch) for batch in images.batches(frames))
-    panoramas = (straight, view) if looks_down else None
+    panoramas = (straight, images.preprocessing.view) if looks_down else None
     return of_descriptions(frames, known, wheels, described.compare, anchors, pairs, settings, progress, panoramas)
 
 

@@ -136,12 +136,6 @@ def test_lengthened_displacements_are_as_certain_in_proportion(drive):
     assert odds is steps.first
 
 
-def test_which_views_show_the_floor():
-    assert shows_floor(VIEW)
-    assert shows_floor(PanoramaView(height=64, width=256, bottom=-30))
-    assert not shows_floor(PanoramaView(height=64, width=256, bottom=-15))
-
-
 @pytest.mark.parametrize("options", [{"elevations": (30.0, -10.0)}, {"unwrap": PolarRing(inner=4, outer=15)}])
 def test_a_height_needs_a_floor_at_known_elevations(tmp_path, options):
     import cv2
@@ -152,3 +146,5 @@ def test_a_height_needs_a_floor_at_known_elevations(tmp_path, options):
     images = PanoramaLibrary(frames, tmp_path / "cache", image_size=(64, 256), **options)
     with pytest.raises(ConfigError, match=r"survey\.height needs panoramas that show the floor at known elevations"):
         survey("pretrained", images, frames, settings=SurveySettings(height=1.0), progress=False)
+    assert not shows_floor(images, None)
+    assert shows_floor(PanoramaLibrary(frames, tmp_path / "cache", image_size=(64, 256), elevations=(30, -30)), 1.0)
