@@ -38,8 +38,8 @@ _ALONE, _MOST = 6.0, 60.0  # pixels that tell as much as one alone, and how many
 _USUAL = 0.2  # standard deviation of the logarithms of factors, and of those of neighbouring steps
 _AROUND = 2.0  # standard deviation of the way over which factors are alike, in metres
 _CELL = 0.1  # metres
-_EXACT = 0.05  # standard deviation of a displacement that the floor tells, as a share
-_TELLS = 0.4  # least by which the best factor is more likely than the others are on average
+_EXACT = 0.05  # standard deviation of a displacement that a floor tells, as a share, however much pattern it has
+_TELLS = 0.4  # least median by which the best factor is more likely than the others are on average
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,8 +119,7 @@ def floor_scale(
     used = np.flatnonzero(np.isin(between, told) & (moved > _LEAST * height))
     near, moved = steps.take(used), moved[used]
     found = _likelihoods(floors, slopes, near, _FACTORS - float(np.log(height)))
-    told_by = found.max(axis=1) - found.mean(axis=1)
-    if not len(found) or np.median(told_by) < _TELLS:
+    if not len(found) or np.median(found.max(axis=1) - found.mean(axis=1)) < _TELLS:
         return None
     cell = np.round((way - way.min()) / _CELL).astype(int)
     middle = (cell[near.first] + cell[near.second]) // 2
@@ -131,18 +130,19 @@ def floor_scale(
         np.add.at(sums, middle, values)
         return np.asarray(gaussian_filter1d(sums, spread, axis=0, mode="constant") * spread * np.sqrt(2 * np.pi))
 
-    usually = _peaks(around(found) - (_FACTORS / _USUAL) ** 2 / 2)[middle]
-    own = np.exp(_peaks(found - ((_FACTORS - usually[:, None]) / _USUAL) ** 2 / 2))
+    usually = _peaks(around(found) - (_FACTORS / _USUAL) ** 2 / 2)[0][middle]
+    own, deviation = _peaks(found - ((_FACTORS - usually[:, None]) / _USUAL) ** 2 / 2)
+    own = np.exp(own)
     compared, by_floor = around(np.column_stack([moved, moved * own])).T
     factors = np.where(compared > 1e-3, by_floor / np.maximum(compared, 1e-3), 1.0)[cell]
     scale = FloorScale(factors, height, given)
     every = np.sqrt(factors[steps.first] * factors[steps.second])
     every[used] = own
     kept = np.union1d(used, np.flatnonzero(between == 1))
-    steps, sure = _multiplied(steps, every), used[told_by > _TELLS]
-    length = np.hypot(steps.pose[sure, 0], steps.pose[sure, 1])[:, None]
-    along = steps.pose[sure, :2] / length / (_EXACT * length)
-    steps.information[sure, :2, :2] += along[:, :, None] * along[:, None]
+    steps = _multiplied(steps, every)
+    length = np.hypot(steps.pose[used, 0], steps.pose[used, 1])
+    along = steps.pose[used, :2] / (length**2 * np.hypot(_EXACT, deviation))[:, None]
+    steps.information[used, :2, :2] += along[:, :, None] * along[:, None]
     return scale, steps.take(kept)
 
 
@@ -194,9 +194,9 @@ def _likelihoods(floors: NDArray[np.float32], slopes: Array, pairs: Edges, facto
     return made
 
 
-def _peaks(values: Array) -> Array:
-    """Return the factor's logarithm with the largest value in each row (n, q), between its steps by a parabola."""
+def _peaks(values: Array) -> tuple[Array, Array]:
+    """Return the logarithm of the most likely factor of each row (n, q), by a parabola, and its standard deviation."""
     rows, best = np.arange(len(values)), values.argmax(axis=1).clip(1, values.shape[1] - 2)
     before, here, after = (values[rows, best + by] for by in (-1, 0, 1))
-    bend = np.minimum(before - 2 * here + after, -1e-9)
-    return np.asarray(_FACTORS[best] + np.clip((before - after) / bend / 2, -1, 1) * _STEP)
+    bend = np.maximum(2 * here - before - after, 1e-9)
+    return _FACTORS[best] + np.clip((after - before) / bend / 2, -1, 1) * _STEP, _STEP / np.sqrt(bend)
