@@ -47,7 +47,7 @@ class WalkSettings(Settings):
         recording: what to take from the recording; poses are not used.
         unwrap: the camera, as for `PanoramaLibrary`; found if its kind is "auto" (`siamloc.data.find_camera`).
         spacing: distance of two key frames in metres, at least.
-        survey: how the survey searches loops.
+        survey: how the survey searches loops, and the height of the camera.
         left_out: every k-th key frame is left out of the map, to learn the expected errors, and to measure.
         lost_above: expected error in metres above which the robot counts as lost.
     """
@@ -96,8 +96,8 @@ def walk(
 
     Args:
         file: a video, a ROS bag, or a folder of pictures, with times in their names or in capture order. With odometry
-            (of the bag, or `recording={"odometry": FILE}`) the map is in metres; without, its scale may be off by a
-            tenth or more.
+            (of the bag, or `recording={"odometry": FILE}`), or the height of the camera (`survey={"height": 0.95}`),
+            the map is in metres; without, its scale may be off by a tenth or more.
         out: the folder for everything, which is then a run: `siamloc report`, `live` and `localize` take it as run=.
         say: receives the lines.
 

@@ -18,6 +18,7 @@ _DATE = re.compile(  # 20260512_101523, 20260512_101523123, 2026-05-12 at 10.15.
     r"(?<!\d)(20\d\d)[-_.]?(\d\d)[-_.]?(\d\d)\D{0,4}(\d\d)[-_.:]?(\d\d)[-_.:]?(\d\d)(?:[-_.]?(\d{3,9}))?(?!\d)"
 )
 _COUNTER = 1e8, 1e4  # whole numbers below it, in smaller steps, count images and are no times
+_A_SECOND = 30  # pictures of one second, at most
 _PICTURE_TAGS, _TAKEN, _FRACTION, _ZONE = 0x8769, 0x9003, 0x9291, 0x9011  # of EXIF
 
 
@@ -99,13 +100,29 @@ def _of_camera(file: Path) -> tuple[float, bool] | None:
         taken = datetime.strptime(tags[_TAKEN], "%Y:%m:%d %H:%M:%S")
         zone = datetime.strptime(tags[_ZONE], "%z").utcoffset() if tags.get(_ZONE) else None
         return _utc(taken - (zone or timedelta())) + float(f"0.{tags.get(_FRACTION) or 0}"), zone is not None
-    except (OSError, KeyError, ValueError, SyntaxError):  # not a picture, or without a time
+    except (
+        OSError,
+        KeyError,
+        ValueError,
+        SyntaxError,
+        Image.DecompressionBombError,
+    ):  # not a picture, or without a time
         return None
 
 
 def _of_each(times: Sequence[float], count: int) -> Array | None:
-    """Return times as an array; None if pictures lack them, or too many share one: then they are those of a drive."""
-    return np.array(times) if len(times) == count and len(set(times)) >= max(count / 4, min(count, 2)) else None
+    """Return times as an array; None if pictures lack them, or too many share one: then they are those of a drive.
+
+    Pictures of one second, by a clock that counts seconds, are spread over it.
+    """
+    if len(times) != count or len(set(times)) < max(count / _A_SECOND, min(count, 2)):
+        return None
+    made = np.array(times)
+    if not (made % 1).any():
+        order = np.argsort(made, kind="stable")
+        first, after = (np.searchsorted(made[order], made[order], side=side) for side in ("left", "right"))
+        made[order] += (np.arange(count) - first) / (after - first)
+    return made
 
 
 def _utc(time: datetime) -> float:

@@ -294,7 +294,12 @@ def seconds(times: Array, source: str, span: float | None = None) -> Array:
     known = _THIS_CENTURY[0] <= largest * by_size <= _THIS_CENTURY[1] and np.ptp(times) <= _A_DRIVE * largest
     if (known and step * by_size <= _SLOWEST) or step <= _SPARSE or (times % 1).any():
         return times * (by_size if known else 1.0)
-    units = _FACTORS if span is None else {"s": 1.0, **_FACTORS}
+    units = _FACTORS
+    if span is not None:  # of poses that the images lie within
+        units = {
+            unit: factor for unit, factor in {"s": 1.0, **_FACTORS}.items() if np.ptp(times) * factor <= 1.5 * span
+        }
+        units = units or _FACTORS
     ratio = step / _USUAL if span is None else np.ptp(times) / span
     unit, factor = min(units.items(), key=lambda one: abs(np.log(ratio * one[1])))
     if unit == "s" or (span is None and not _STEPS[0] <= step * factor <= _STEPS[1]):

@@ -38,8 +38,8 @@ def wrong_lenses(picture: Array, camera: OmnidirectionalCamera) -> str | None:
             "unwrap=dual_fisheye, or join the two with the camera's program"
         )
     if isinstance(camera, DualFisheyeCamera):
-        unseen = _unseen(camera, *picture.shape[:2])
-        if unseen.mean() > _LEAST and np.median(_few(picture)[unseen]) > _DARK:
+        unseen, few = _unseen(camera, *picture.shape[:2]), _few(picture)
+        if unseen.mean() > _LEAST and np.median(few[unseen]) > max(_DARK, _FLARE * np.median(few[~unseen])):
             return (
                 "it is not dark where two fisheye lenses show nothing, as if it were a whole equirectangular picture: "
                 "for such take unwrap=equirectangular"

@@ -9,6 +9,7 @@ agreement ([Kitt et al. 2011], who find the scale of monocular odometry by the p
 from __future__ import annotations
 
 from collections.abc import Iterable
+from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import cv2
@@ -16,8 +17,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d
 
+from siamloc.data.decoding import size_of
 from siamloc.data.library import PanoramaLibrary
-from siamloc.data.panorama import PanoramaView, PolarRing
+from siamloc.data.panorama import PanoramaView, PolarRing, seen
 from siamloc.errors import ConfigError
 from siamloc.maps.loops import Pairs
 from siamloc.maps.pose_graph import Array, Edges
@@ -25,15 +27,20 @@ from siamloc.maps.pose_graph import Array, Edges
 DEVIATION = 0.03
 """Standard deviation of the scale that follows from a known height, as a share."""
 _BELOW = -0.25  # tangent of the elevation from which on the floor is looked at: out to four heights
+_STEEPEST = -2.0  # and to where: the robot hides what is below it
 _FEWEST = 8  # rows of floor
-_COLUMNS = 256
+_SHOWN = 0.95  # share of the floor's pixels that a camera sees
+_COLUMNS, _ROWS = 256, 128  # of panoramas, and rows at most
+_BLUR = 3.0  # pixels: what is brighter or darker over a wider area is light, not pattern
+_STILL = 0.3  # share of the usual changes: pixels that change less show the robot itself
 _LANE = 0.5  # half the width of the lane that the robot drives in, in heights
 _MOVES = 0.2, 2.0  # least and largest displacement that is usual of frames so far apart, in heights
 _LEAST = 0.1  # least displacement, in heights
 _STEP = 0.05
 _FACTORS = np.linspace(-10, 10, 21) * _STEP  # logarithms of the factors that displacements are tried with
 _HEIGHTS = np.linspace(-18, 28, 47) * _STEP  # and of the reciprocal heights in metres
-_TRIED = 150  # displacements that tell an unknown height
+_TRIED = 150  # displacements that tell which height fits
+_WRONG = 0.4  # logarithm of a given height over that one that cannot be true
 _ALONE, _MOST = 6.0, 60.0  # pixels that tell as much as one alone, and how many count at most
 _USUAL = 0.2  # standard deviation of the logarithms of factors, and of those of neighbouring steps
 _AROUND = 2.0  # standard deviation of the way over which factors are alike, in metres
@@ -77,16 +84,38 @@ def shows_floor(images: PanoramaLibrary, height: float | None) -> bool:
     Raises:
         ConfigError: a height of the camera is given, and they do not.
     """
-    view, rings = images.preprocessing.view, [isinstance(one, PolarRing) for one in images.cameras.values()]
+    view = images.preprocessing.view
     rows = int((np.tan(view.row_elevation()) < _BELOW).sum())
-    shown = rows * 64 >= _FEWEST * view.height and not any(rings)
+    shown = min(len(_slopes(view)), rows) >= _FEWEST and _seen_by_cameras(images, view)
     if height is not None and not shown:
         raise ConfigError(
             "survey.height needs panoramas that show the floor at known elevations: a ring of two radii does not say "
-            "what it sees, so give the camera's calibration (unwrap=calibrated), and let elevations reach -30 degrees "
-            "or lower"
+            "what it sees, so give the camera's calibration (unwrap=calibrated), and let it and the panoramas see "
+            "the floor two heights of the camera away and nearer (elevations down to -30 degrees)"
         )
     return shown
+
+
+def _seen_by_cameras(images: PanoramaLibrary, view: PanoramaView) -> bool:
+    """Return whether the cameras of all drives see the rows that show the floor; resized panoramas count as seen."""
+    for name, rows in images.frames.rows_by("sequence").items():
+        camera, size = images.cameras[name], size_of(images.frames.path[rows[0]])
+        if camera is None:
+            continue
+        if isinstance(camera, PolarRing) or size is None:
+            return False
+        with suppress(ConfigError):  # a picture of another shape
+            if seen(camera, view, size)[np.tan(view.row_elevation()) < _BELOW].mean() >= _SHOWN:
+                continue
+        return False
+    return True
+
+
+def _slopes(view: PanoramaView) -> Array:
+    """Return the tangents of the elevations of the rows that show the floor, of panoramas with 256 columns."""
+    rows = min(round(_COLUMNS * view.height / view.width), _ROWS)
+    slopes = np.tan(replace(view, height=max(rows, 1)).row_elevation())
+    return np.asarray(slopes[(slopes < _BELOW) & (slopes > _STEEPEST)])
 
 
 def floor_scale(
@@ -103,20 +132,22 @@ def floor_scale(
         way: (n,) way that the robot drove, in metres, with gaps between drives.
         height: of the camera above the floor, in metres; None if unknown.
     """
-    slopes = np.tan(replace(view, height=round(_COLUMNS * view.height / view.width)).row_elevation())
-    slopes = slopes[slopes < _BELOW]
-    floors = np.concatenate([_floors(batch, view, len(slopes)) for batch in batches])
-    floors -= floors.mean(axis=0)  # the robot itself
+    slopes = _slopes(view)
+    floors = np.concatenate([_floors(batch, view) for batch in batches])
+    changes = floors.std(axis=0)
+    floors[:, changes < _STILL * np.median(changes)] = np.nan
     moved, between = np.hypot(steps.pose[:, 0], steps.pose[:, 1]), steps.second - steps.first
-    given = height is not None
-    if height is None:
-        some = np.flatnonzero((moved > _MOVES[0] / 2) & (moved < _MOVES[1]))
-        some = some[np.unique(np.linspace(0, len(some) - 1, min(_TRIED, len(some))).astype(int))]
-        tried = _likelihoods(floors, slopes, steps.take(some), _HEIGHTS)
-        height = float(np.exp(-_HEIGHTS[tried.sum(axis=0).argmax()]))
-    usual = {gap: np.median(moved[between == gap]) / height for gap in np.unique(between).tolist()}
+    some = np.flatnonzero((moved > _MOVES[0] / 2) & (moved < _MOVES[1]))
+    some = some[np.unique(np.linspace(0, len(some) - 1, min(_TRIED, len(some))).astype(int))]
+    tried = _likelihoods(floors, slopes, steps.take(some), _HEIGHTS)
+    fits, given = float(np.exp(-_HEIGHTS[tried.sum(axis=0).argmax()])), height is not None
+    height = fits if height is None else height
+    if abs(np.log(height / fits)) > _WRONG:
+        return None
+    moving = moved > _LEAST * height
+    usual = {gap: np.median(moved[moving & (between == gap)]) / height for gap in np.unique(between[moving]).tolist()}
     told = [gap for gap, length in usual.items() if _MOVES[0] < length < _MOVES[1]]
-    used = np.flatnonzero(np.isin(between, told) & (moved > _LEAST * height))
+    used = np.flatnonzero(np.isin(between, told) & moving)
     near, moved = steps.take(used), moved[used]
     found = _likelihoods(floors, slopes, near, _FACTORS - float(np.log(height)))
     if not len(found) or np.median(found.max(axis=1) - found.mean(axis=1)) < _TELLS:
@@ -152,14 +183,16 @@ def _multiplied(edges: Edges, factors: Array) -> Edges:
     return replace(edges, pose=edges.pose * by, information=edges.information / (by[:, :, None] * by[:, None]))
 
 
-def _floors(batch: NDArray[np.uint8], view: PanoramaView, rows: int) -> NDArray[np.float32]:
-    """Return the lowest rows of panoramas (B, rows, 256 + 4), relative to their surroundings, two columns wrapped."""
-    made = np.empty((len(batch), rows, _COLUMNS + 4), dtype=np.float32)
-    size, blur = (_COLUMNS, round(_COLUMNS * view.height / view.width)), _COLUMNS / 85
+def _floors(batch: NDArray[np.uint8], view: PanoramaView) -> NDArray[np.float32]:
+    """Return the floor in panoramas (B, rows, 256 + 4), relative to its surroundings, with two columns wrapped."""
+    rows = min(round(_COLUMNS * view.height / view.width), _ROWS)
+    slopes = np.tan(replace(view, height=rows).row_elevation())
+    floor, around = (slopes < _BELOW) & (slopes > _STEEPEST), round(5 * _BLUR)
+    made = np.empty((len(batch), int(floor.sum()), _COLUMNS + 4), dtype=np.float32)
     for one, panorama in zip(made, batch, strict=True):
-        grey = cv2.resize(panorama.mean(axis=0, dtype=np.float32), size, interpolation=cv2.INTER_AREA)
-        wide = np.pad(np.log(grey + 8), ((0, 0), (16, 16)), mode="wrap")
-        one[:] = (wide - cv2.GaussianBlur(wide, (0, 0), blur))[-rows:, 14:-14]
+        grey = cv2.resize(panorama.mean(axis=0, dtype=np.float32), (_COLUMNS, rows), interpolation=cv2.INTER_AREA)
+        wide = np.pad(np.log(grey + 8), ((0, 0), (around, around)), mode="wrap")
+        one[:] = (wide - cv2.GaussianBlur(wide, (0, 0), _BLUR))[floor, around - 2 : 2 - around]
     return made
 
 
@@ -169,7 +202,7 @@ def _likelihoods(floors: NDArray[np.float32], slopes: Array, pairs: Edges, facto
     Logarithms, up to a constant: those of a linear relation with normal errors between the floors as both ends see it.
 
     Args:
-        floors: (n, R, 256 + 4) floors that the frames see.
+        floors: (n, R, 256 + 4) floors that the frames see, NaN where they see the robot itself.
         slopes: (R,) tangent of the elevation of each row.
         pairs: displacements of the second frames as seen from the first.
         factors: displacements then count in heights of the camera.
@@ -179,16 +212,17 @@ def _likelihoods(floors: NDArray[np.float32], slopes: Array, pairs: Edges, facto
     step = (slopes[-1] - slopes[0]) / (len(slopes) - 1)
     by, made = np.exp(factors)[:, None], np.zeros((len(pairs), len(factors)))
     for row, (ahead, left, turn) in enumerate(pairs.pose):
-        seen, other = floors[pairs.first[row]], floors[pairs.second[row], :, 2:-2].ravel()
+        one, other = floors[pairs.first[row]], floors[pairs.second[row], :, 2:-2].ravel()
         cosine, sine = np.cos(turn), np.sin(turn)
         x_there, y_there = cosine * x - sine * y, sine * x + cosine * y
         lane = np.abs(ahead * y_there - left * x_there) < _LANE * np.hypot(ahead, left)
         x_there, y_there, other = x_there[lane] + by * ahead, y_there[lane] + by * left, other[lane]
         columns = (_COLUMNS / 2 - 0.5 - np.arctan2(y_there, x_there) * _COLUMNS / (2 * np.pi)) % _COLUMNS + 2
         rows = (-1 / np.hypot(x_there, y_there) - slopes[0]) / step
-        inside = (rows > 0) & (rows < len(slopes) - 1)
-        sampled = cv2.remap(seen, columns.astype(np.float32), rows.astype(np.float32), cv2.INTER_LINEAR)
-        both, own, others = ((one * inside).sum(axis=1) for one in (sampled * other, sampled**2, other**2))
+        sampled = cv2.remap(one, columns.astype(np.float32), rows.astype(np.float32), cv2.INTER_LINEAR)
+        inside = (rows > 0) & (rows < len(slopes) - 1) & np.isfinite(sampled) & np.isfinite(other)
+        products = (np.where(inside, of, 0) for of in (sampled * other, sampled**2, other**2))
+        both, own, others = (of.sum(axis=1) for of in products)
         alike = np.clip(both / np.sqrt(own * others + 1e-9), 0, 0.98)
         made[row] = -0.5 * np.log1p(-(alike**2)) * np.minimum(inside.sum(axis=1) / _ALONE, _MOST)
     return made

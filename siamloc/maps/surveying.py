@@ -58,8 +58,8 @@ class SurveySettings(Settings):
         apart: way between two frames of a drive that may be a loop, at least, in metres.
         alike: number of most similar frames that each frame is compared with, divided evenly among the drives, but at
             least two in each.
-        height: height of the camera above the floor, in metres, which tells the scale where there are neither odometry
-            nor anchors.
+        height: height of the camera above the floor, in metres, which tells the scale where neither odometry nor two
+            anchors do.
     """
 
     WHERE = "survey"
@@ -251,8 +251,11 @@ def of_descriptions(
     steps, seen, certain = compared_steps(compared, drive)
     moved = odometry_steps(wheels, seen, certain, drive, names, notes)
     floor: FloorScale | None = None
-    if panoramas is not None and not np.isfinite(moved).any():
-        told = _told_by_floor(*panoramas, steps, seen, settings.height, notes)
+    if np.isfinite(moved).any():
+        if settings.height is not None:
+            notes.append("odometry tells the scale: the height of the camera is not used")
+    elif panoramas is not None:
+        told = _told_by_floor(*panoramas, steps, seen, settings.height, notes, anchors)
         if told is not None:
             floor, steps = told
             compared, next_one = floor.lengthening(compared), steps.second == steps.first + 1
@@ -335,12 +338,16 @@ def _told_by_floor(
     seen: Array,
     height: float | None,
     notes: list[str],
+    anchors: FrameTable | None,
 ) -> tuple[FloorScale, Edges] | None:
     gap = np.nan_to_num(np.hypot(seen[:, 0], seen[:, 1]), nan=100.0)  # metres, between drives
     told = floor_scale(batches, view, steps, np.concatenate([[0.0], np.cumsum(gap)]), height)
     if told is None and height is not None:
-        notes.append("the floor shows too little to tell lengths: the height of the camera is not used")
-    elif told is not None and height is None:
+        notes.append(
+            "the height of the camera is not used: the floor shows too little, frames are too far apart, or the height "
+            "in metres is another one"
+        )
+    elif told is not None and height is None and (anchors is None or len(anchors) < 2):
         notes.append(
             f"the scale is right if the camera is {told[0].height:.2f} m above the floor: if not, give its height "
             "(survey.height)"

@@ -7,7 +7,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from siamloc.data import FrameTable, PanoramaLibrary, PanoramaView, PolarRing
+from siamloc.data import (
+    EquirectangularCamera,
+    FisheyeCamera,
+    FrameTable,
+    PanoramaLibrary,
+    PanoramaView,
+    PolarRing,
+)
 from siamloc.data.moves import relative
 from siamloc.errors import ConfigError
 from siamloc.maps import SurveySettings, survey
@@ -77,9 +84,23 @@ def test_the_floor_tells_where_lengths_are_wrong(drive):
 def test_the_robot_itself_does_not_stand_still_on_the_floor(drive):
     _, panoramas, steps = drive
     bodied = panoramas.copy()
-    bodied[..., -8:, :] = np.random.default_rng(1).integers(0, 255, (8, 256))
+    bodied[..., -16:, :] = np.random.default_rng(1).integers(0, 255, (16, 256))
     found, _ = floor_scale([bodied], VIEW, steps, np.arange(40) * 0.27, HEIGHT)
     np.testing.assert_allclose(found.factors, 1, atol=0.06)
+
+
+def test_walls_beside_the_lane_do_not_count(drive):
+    _, panoramas, steps = drive
+    walled, sides = panoramas.copy(), [*range(40, 88), *range(168, 216)]  # within 34 degrees of either side
+    walled[..., sides] = np.random.default_rng(1).integers(0, 255, (64, len(sides)))
+    found, _ = floor_scale([walled], VIEW, steps, np.arange(40) * 0.27, HEIGHT)
+    np.testing.assert_allclose(found.factors, 1, atol=0.06)
+
+
+@pytest.mark.parametrize("wrong", [0.3, 0.5, 2.5, 100])
+def test_a_height_that_cannot_be_true_is_not_used(drive, wrong):
+    _, panoramas, steps = drive
+    assert floor_scale([panoramas], VIEW, steps, np.arange(40) * 0.27, wrong * HEIGHT) is None
 
 
 def test_single_steps_are_right_where_comparisons_differ_from_pair_to_pair(drive):
@@ -136,7 +157,15 @@ def test_lengthened_displacements_are_as_certain_in_proportion(drive):
     assert odds is steps.first
 
 
-@pytest.mark.parametrize("options", [{"elevations": (30.0, -10.0)}, {"unwrap": PolarRing(inner=4, outer=15)}])
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"elevations": (30.0, -10.0)},
+        {"unwrap": PolarRing(inner=4, outer=15)},
+        {"unwrap": FisheyeCamera(fov=200, elevation=90)},
+        {"unwrap": EquirectangularCamera(highest=20, lowest=-20)},
+    ],
+)
 def test_a_height_needs_a_floor_at_known_elevations(tmp_path, options):
     import cv2
 
@@ -147,4 +176,5 @@ def test_a_height_needs_a_floor_at_known_elevations(tmp_path, options):
     with pytest.raises(ConfigError, match=r"survey\.height needs panoramas that show the floor at known elevations"):
         survey("pretrained", images, frames, settings=SurveySettings(height=1.0), progress=False)
     assert not shows_floor(images, None)
-    assert shows_floor(PanoramaLibrary(frames, tmp_path / "cache", image_size=(64, 256), elevations=(30, -30)), 1.0)
+    for good in ({"elevations": (30, -30)}, {"unwrap": FisheyeCamera(fov=200, elevation=-90)}):
+        assert shows_floor(PanoramaLibrary(frames, tmp_path / "cache", image_size=(64, 256), **good), 1.0)

@@ -152,6 +152,7 @@ def test_loops_undo_the_drift_of_odometry(surveyed):
     assert np.degrees(found.solution.gyro_bias[0]) == pytest.approx(0.5, abs=0.15)
     assert found.frames.x[0] == found.frames.y[0] == 0
     assert found.report()["loops"]["accepted"] == found.loops.accepted.sum() > 50
+    assert found.notes == ()
     assert "along" in found.summary()
 
 
