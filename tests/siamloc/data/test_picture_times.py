@@ -98,6 +98,23 @@ def test_pictures_without_times_are_joined_with_nothing(tmp_path):
     assert not (tmp_path / "out").exists()
 
 
+def test_pictures_of_one_second_are_spread_over_it(tmp_path):
+    clocks = [f"2026:05:12 12:59:{58 + number // 4:02d}" for number in range(8)]
+    files = pictures(
+        tmp_path / "monday", [f"R00{number}.jpg" for number in range(8)], [{0x9003: one} for one in clocks]
+    )
+    np.testing.assert_allclose(taken_at(files) - taken_at(files)[0], np.arange(8) / 4)
+
+
+def test_images_take_no_longer_than_the_trajectory(tmp_path):
+    """A minute of pictures, counted in ms, within an hour of poses."""
+    pictures(tmp_path / "monday", [f"{number}.png" for number in range(5)])
+    (tmp_path / "times.txt").write_text("".join(f"{15_000 * number}\n" for number in range(5)))
+    (tmp_path / "poses.txt").write_text("".join(f"{second} {second} 0 0 0 0 0 1\n" for second in range(3600)))
+    frames = read_recorded(tmp_path / "monday", tmp_path / "poses.txt", times=tmp_path / "times.txt")
+    np.testing.assert_allclose(frames.x, 15 * np.arange(5))
+
+
 @pytest.mark.parametrize("factor", [1, 1e3])
 def test_whole_numbers_count_what_the_trajectory_takes(tmp_path, factor):
     """Pictures every 15 s, or 15 ms as it would seem without the trajectory."""
