@@ -85,8 +85,8 @@ def shows_floor(images: PanoramaLibrary, height: float | None) -> bool:
         ConfigError: a height of the camera is given, and they do not.
     """
     view = images.preprocessing.view
-    rows = int((np.tan(view.row_elevation()) < _BELOW).sum())
-    shown = min(len(_slopes(view)), rows) >= _FEWEST and _seen_by_cameras(images, view)
+    own = np.tan(view.row_elevation()) < _BELOW
+    shown = min(_rows(view)[1].sum(), own.sum()) >= _FEWEST and _seen_by_cameras(images, own)
     if height is not None and not shown:
         raise ConfigError(
             "survey.height needs panoramas that show the floor at known elevations: a ring of two radii does not say "
@@ -96,8 +96,8 @@ def shows_floor(images: PanoramaLibrary, height: float | None) -> bool:
     return shown
 
 
-def _seen_by_cameras(images: PanoramaLibrary, view: PanoramaView) -> bool:
-    """Return whether the cameras of all drives see the rows that show the floor; resized panoramas count as seen."""
+def _seen_by_cameras(images: PanoramaLibrary, floor: NDArray[np.bool_]) -> bool:
+    """Return whether the cameras of all drives see the rows of the floor; resized panoramas count as seen."""
     for name, rows in images.frames.rows_by("sequence").items():
         camera, size = images.cameras[name], size_of(images.frames.path[rows[0]])
         if camera is None:
@@ -105,17 +105,17 @@ def _seen_by_cameras(images: PanoramaLibrary, view: PanoramaView) -> bool:
         if isinstance(camera, PolarRing) or size is None:
             return False
         with suppress(ConfigError):  # a picture of another shape
-            if seen(camera, view, size)[np.tan(view.row_elevation()) < _BELOW].mean() >= _SHOWN:
+            if seen(camera, images.preprocessing.view, size)[floor].mean() >= _SHOWN:
                 continue
         return False
     return True
 
 
-def _slopes(view: PanoramaView) -> Array:
-    """Return the tangents of the elevations of the rows that show the floor, of panoramas with 256 columns."""
+def _rows(view: PanoramaView) -> tuple[Array, NDArray[np.bool_]]:
+    """Return the tangent of the elevation of each row of panoramas with 256 columns, and which rows show the floor."""
     rows = min(round(_COLUMNS * view.height / view.width), _ROWS)
     slopes = np.tan(replace(view, height=max(rows, 1)).row_elevation())
-    return np.asarray(slopes[(slopes < _BELOW) & (slopes > _STEEPEST)])
+    return slopes, (slopes < _BELOW) & (slopes > _STEEPEST)
 
 
 def floor_scale(
@@ -132,8 +132,8 @@ def floor_scale(
         way: (n,) way that the robot drove, in metres, with gaps between drives.
         height: of the camera above the floor, in metres; None if unknown.
     """
-    slopes = _slopes(view)
-    floors = np.concatenate([_floors(batch, view) for batch in batches])
+    slopes, floor = _rows(view)
+    floors, slopes = np.concatenate([_floors(batch, floor) for batch in batches]), slopes[floor]
     changes = floors.std(axis=0)
     floors[:, changes < _STILL * np.median(changes)] = np.nan
     moved, between = np.hypot(steps.pose[:, 0], steps.pose[:, 1]), steps.second - steps.first
@@ -183,14 +183,12 @@ def _multiplied(edges: Edges, factors: Array) -> Edges:
     return replace(edges, pose=edges.pose * by, information=edges.information / (by[:, :, None] * by[:, None]))
 
 
-def _floors(batch: NDArray[np.uint8], view: PanoramaView) -> NDArray[np.float32]:
-    """Return the floor in panoramas (B, rows, 256 + 4), relative to its surroundings, with two columns wrapped."""
-    rows = min(round(_COLUMNS * view.height / view.width), _ROWS)
-    slopes = np.tan(replace(view, height=rows).row_elevation())
-    floor, around = (slopes < _BELOW) & (slopes > _STEEPEST), round(5 * _BLUR)
+def _floors(batch: NDArray[np.uint8], floor: NDArray[np.bool_]) -> NDArray[np.float32]:
+    """Return the floor in panoramas (B, R, 256 + 4), relative to its surroundings, with two columns wrapped."""
+    around = round(5 * _BLUR)
     made = np.empty((len(batch), int(floor.sum()), _COLUMNS + 4), dtype=np.float32)
     for one, panorama in zip(made, batch, strict=True):
-        grey = cv2.resize(panorama.mean(axis=0, dtype=np.float32), (_COLUMNS, rows), interpolation=cv2.INTER_AREA)
+        grey = cv2.resize(panorama.mean(axis=0, dtype=np.float32), (_COLUMNS, len(floor)), interpolation=cv2.INTER_AREA)
         wide = np.pad(np.log(grey + 8), ((0, 0), (around, around)), mode="wrap")
         one[:] = (wide - cv2.GaussianBlur(wide, (0, 0), _BLUR))[floor, around - 2 : 2 - around]
     return made
