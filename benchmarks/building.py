@@ -11,6 +11,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from scipy.spatial.distance import cdist
+
 import siamloc
 from siamloc.data import FrameTable, PanoramaLibrary
 from siamloc.evaluation.absolute import evaluate_absolute, neighbours
@@ -71,8 +73,9 @@ def located(building: Building, descriptor: Any, every: Sequence[int] = (5, 1)) 
         every: for each k, a map of every k-th frame of its drive.
 
     Returns:
-        {"5": {"cloudy": {"mean": ..., "excess": ..., "floor": ..., "p95": ..., "room": ...}, ...}, "1": ...}: mean
-        error, its excess over the floor, the floor, 95 % error, and the share of queries whose match is in their room.
+        {"5": {"cloudy": {"mean": ..., "excess": ..., "floor": ..., "p95": ..., "room": ..., "nearest_room": ...}, ...},
+        "1": ...}: mean error, its excess over the floor, the floor, 95 % error, the share of queries whose match is in
+        their room, and the share of those whose truly nearest map frame is.
     """
     # Map frames that are in no part need no description.
     common = math.gcd(*every)
@@ -84,6 +87,8 @@ def located(building: Building, descriptor: Any, every: Sequence[int] = (5, 1)) 
         nearest = siamloc.maps.match(part, asked.turning(), neighbours((1,), len(part)))
         result = evaluate_absolute(part, asked.frames, nearest, ks=(1,))
         right = part.frames.room[nearest.indices[:, 0]] == asked.frames.room
+        truly_nearest = cdist(asked.frames.xy, part.frames.xy).argmin(axis=1)
+        nearest_right = part.frames.room[truly_nearest] == asked.frames.room
         found[str(step)] = {
             light: {
                 "mean": group["error"]["mean"],
@@ -91,6 +96,7 @@ def located(building: Building, descriptor: Any, every: Sequence[int] = (5, 1)) 
                 "floor": group["floor"]["mean"],
                 "p95": group["error"]["p95"],
                 "room": float(right[asked.frames.lighting == light].mean()),
+                "nearest_room": float(nearest_right[asked.frames.lighting == light].mean()),
             }
             for light, group in result.parts["absolute"]["lighting"].items()
         }
