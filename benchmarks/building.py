@@ -74,8 +74,8 @@ def located(building: Building, descriptor: Any, every: Sequence[int] = (5, 1)) 
 
     Returns:
         {"5": {"cloudy": {"mean": ..., "excess": ..., "floor": ..., "p95": ..., "room": ..., "nearest_room": ...}, ...},
-        "1": ...}: mean error, its excess over the floor, the floor, 95 % error, the share of queries whose match is in
-        their room, and the share of those whose truly nearest map frame is.
+        "1": ...}: mean error, its excess over the floor, the floor, 95 % error, the share of queries whose most
+        alike map frame is in their room, and the share of those whose truly nearest map frame is.
     """
     # Map frames that are in no part need no description.
     common = math.gcd(*every)
@@ -86,7 +86,7 @@ def located(building: Building, descriptor: Any, every: Sequence[int] = (5, 1)) 
         part = known.take(range(0, len(known), step // common))
         nearest = siamloc.maps.match(part, asked.turning(), neighbours((1,), len(part)))
         result = evaluate_absolute(part, asked.frames, nearest, ks=(1,))
-        right = part.frames.room[nearest.indices[:, 0]] == asked.frames.room
+        right = part.frames.room[nearest.most_alike] == asked.frames.room
         truly_nearest = cdist(asked.frames.xy, part.frames.xy).argmin(axis=1)
         nearest_right = part.frames.room[truly_nearest] == asked.frames.room
         found[str(step)] = {

@@ -122,7 +122,7 @@ def evaluate_pairs(
 def evaluate_rooms(
     visual_map: VisualMap, frames: FrameTable, found: Retrieval, excluded: NDArray[np.bool_] | None = None
 ) -> Result:
-    """Predict that each query is in the room of its nearest map frame.
+    """Predict that each query is in the room of the map frame that looks most like it, which counts as the first.
 
     Args:
         visual_map: a map of m frames, all with room labels.
@@ -130,6 +130,8 @@ def evaluate_rooms(
         found: the nearest map frames of each query, `DEPTH` or fewer: then top-k and average precision use only these.
         excluded: (n, m) map frames that a query was not compared with.
     """
+    order = (found.indices != found.most_alike[:, None]).argsort(axis=1, kind="stable")
+    found = Retrieval(np.take_along_axis(found.indices, order, 1), np.take_along_axis(found.distances, order, 1))
     match = found.indices[:, 0]
     room, known = room_names(frames, visual_map.frames)
     predicted = known[match]

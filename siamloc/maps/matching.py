@@ -77,7 +77,7 @@ def match(
         near = known.learned_index.search(learned, compared, excluded=excluded, within=within).indices
         found, compared = with_learned(known, queries, found, near), 2 * compared
     ordered = reranked(known, queries, found, compares, compared)
-    return Retrieval(ordered.indices[:, :k], ordered.distances[:, :k])
+    return Retrieval(ordered.indices[:, :k], ordered.distances[:, :k], ordered.alike)
 
 
 @typed

@@ -29,7 +29,8 @@ def reranked(known: VisualMap, queries: Description, found: Retrieval, compares:
     map frames are joined to a pose, and map frames near it are preferred. With the log odds o, limited to -2 ... 4, and
     the distance p from that pose, limited to 2, a map frame at distance d gets the distance d + (4 - o) / 30 + 2 p.
     Without that pose, as in a map without headings, p is the distance that a map frame's own certain answer tells, and
-    2 for all others. Map frames after those compared get the distance d + 4.2, as other places.
+    2 for all others. Map frames after those compared get the distance d + 4.2, as other places. The map frame that
+    looks most like the query is that of the smallest distance d + (4 - o) / 30.
 
     Args:
         known: a map of m frames, with the orientation parts that are compared.
@@ -40,23 +41,25 @@ def reranked(known: VisualMap, queries: Description, found: Retrieval, compares:
     """
     parts, distances = queries.orientation, found.distances + _doubt(np.array(_ODDS[0])) + _NEARNESS * _AWAY
     assert parts is not None
+    alike = found.indices[:, 0].copy()
     for part in slices(len(found.indices), _AT_ONCE):
         answers = compare_with(known, parts[part], found.indices[part, :compared], compares)
-        distances[part, :compared] = _judged(known, found.distances[part, :compared], answers)
+        judged = found.distances[part, :compared] + _doubt(answers.match)
+        alike[part] = np.take_along_axis(found.indices[part], judged.argmin(axis=1)[:, None], 1)[:, 0]
+        distances[part, :compared] = judged + _NEARNESS * _away(known, judged, answers)
     order = distances.argsort(axis=1, kind="stable")
-    return Retrieval(np.take_along_axis(found.indices, order, 1), np.take_along_axis(distances, order, 1))
+    return Retrieval(np.take_along_axis(found.indices, order, 1), np.take_along_axis(distances, order, 1), alike)
 
 
-def _judged(known: VisualMap, distances: NDArray[np.float64], answers: Compared) -> NDArray[np.float64]:
-    """Return what becomes of the distances (n, k) of map frames by their answers."""
-    judged = distances + _doubt(answers.match)
+def _away(known: VisualMap, judged: NDArray[np.float64], answers: Compared) -> NDArray[np.float64]:
+    """Return how far map frames (n, k) are from where the best answers place the query, at most `_AWAY`."""
     pose = joined(known, answers.take(judged.argsort(axis=1, kind="stable")[:, :_JOINED]))
     away = np.linalg.norm(known.frames.xy[answers.rows] - pose.xy[:, None], axis=2)
     here = known.frames.building[answers.rows] == known.frames.building[pose.frame, None]
     certain = answers.match >= _ODDS[1]
     placed = here & np.isfinite(away) & (certain.any(axis=1) & np.isfinite(pose.theta))[:, None]
     alone = np.where(certain, np.hypot(answers.pose[..., 0], answers.pose[..., 1]), _AWAY)
-    return judged + _NEARNESS * np.minimum(np.where(placed, away, alone), _AWAY)
+    return np.minimum(np.where(placed, away, alone), _AWAY)
 
 
 def _doubt(odds: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -42,10 +42,17 @@ class Retrieval(Rows):
     Attributes:
         indices: rows of the references (n, k).
         distances: distances to them (n, k), non-decreasing along a row.
+        alike: row (n,) of the reference that looks most like each query, wherever it is; None if that is the first.
     """
 
     indices: NDArray[np.int64]
     distances: NDArray[np.float64]
+    alike: NDArray[np.int64] | None = None
+
+    @property
+    def most_alike(self) -> NDArray[np.int64]:
+        """Row (n,) of the reference that looks most like each query, whose room it shares: the nearest may not."""
+        return self.indices[:, 0] if self.alike is None else self.alike
 
 
 class VectorIndex:

@@ -269,7 +269,7 @@ class Localizer:
             x=float(xy[0]),
             y=float(xy[1]),
             theta=float(theta[0]),
-            room=str(known.frames.room[row]),
+            room=str(known.frames.room[found.most_alike[0]]),
             error_m=error,
             lost=lost,
             candidates=candidates,

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -34,6 +35,19 @@ def test_pairs_by_lighting() -> None:
         assert len(points) == 101
     assert 0 < measures["overall"]["overall"] < 1
     assert result.columns["correct"].mean() == measures["overall"]["overall"]
+
+
+def test_the_room_is_that_of_the_frame_that_looks_most_alike() -> None:
+    known, queries = scenes.visual_map(), scenes.frames(2, 9)
+    found = known.search(scenes.describe(queries, seed=2, noise=0.6), 40)
+    alike = found.indices[np.arange(9), np.arange(9)]
+    columns = room_retrieval.evaluate_rooms(known, queries, replace(found, alike=alike)).columns
+    assert columns["match"].tolist() == alike.tolist()
+    assert columns["predicted_room"].tolist() == known.frames.room[alike].tolist()
+    assert columns["descriptor_distance"].tolist() == found.distances[np.arange(9), np.arange(9)].tolist()
+    first = columns["first_rank"] == 1
+    assert first.any()
+    assert first.tolist() == columns["correct"].tolist()
 
 
 def test_rooms_by_the_nearest_frame() -> None:
