@@ -16,16 +16,13 @@ from numpy.typing import ArrayLike, NDArray
 from analytic import Description, Descriptor, Fused
 from analytic.descriptors.fused import NUMBERS
 from analytic.distances import DISTANCES
-from analytic.errors import known
 from foundation.calls import typed
 from foundation.files import plain
-from foundation.settings import leaves
 from siamloc.data.frames import FrameTable, concatenate
 from siamloc.data.mounting import Mounting
-from siamloc.data.panorama import PolarRing
-from siamloc.data.presets import AutoRing, ColdRing
 from siamloc.errors import ConfigError, DataError
 from siamloc.maps.aligned import AlignedIndex
+from siamloc.maps.checked_arrays import check_distance, checked_descriptors, checked_orientation
 from siamloc.maps.heading import (
     NetworkHeading,
     described,
@@ -36,13 +33,12 @@ from siamloc.maps.heading import (
     parts_of,
 )
 from siamloc.maps.history import History
+from siamloc.maps.identities import differences, exchangeable
 from siamloc.maps.map_file import read_map, write_map
-from siamloc.maps.packing import Precision, all_finite, shares_values
+from siamloc.maps.packing import Precision, shares_values
 from siamloc.maps.search import Retrieval, VectorIndex
 from siamloc.models.registry import COLOURS
 
-_RINGS = {kind.__name__ for kind in (PolarRing, AutoRing, ColdRing)}  # whose rows have no known elevations
-_FOUND = {"centre", "inner", "outer"}  # values of an `AutoRing` that may differ from drive to drive
 _SAMPLE = 512  # frames
 _SAME_COLOURS = 1e-6  # distance of colours that differ by rounding alone, as those of turned copies
 
@@ -92,25 +88,8 @@ class VisualMap:
     history: History = None  # type: ignore[assignment]
 
     def __post_init__(self) -> None:
-        values = np.asarray(self.descriptors)
-        if values.dtype.kind not in "buif" or values.ndim != 2 or 0 in values.shape:
-            raise DataError(
-                "a map needs descriptors that are real numbers, of shape (n, D), n and D at least 1, got "
-                f"{values.dtype} {values.shape}"
-            )
-        descriptors = _own(values.astype(np.float32, copy=False), self.descriptors)
-        descriptors.flags.writeable = False
-        if len(descriptors) != len(self.frames):
-            raise DataError(
-                f"a map needs one descriptor per frame, got {len(descriptors)} for {len(self.frames)} frames"
-            )
-        if not all_finite(descriptors):
-            bad = np.flatnonzero(~np.isfinite(descriptors).all(axis=1))
-            raise DataError(
-                f"{len(bad)} of {len(descriptors)} map descriptors hold values that are not finite, the first that of "
-                f"{self.frames.path[bad[0]]}: look at the model and at this image"
-            )
-        _check_distance(self.distance, descriptors.shape[1])
+        descriptors = checked_descriptors(self.descriptors, self.frames)
+        check_distance(self.distance, descriptors.shape[1])
         if self.has_colours and descriptors.shape[1] <= COLOURS:
             raise DataError(
                 f"a map with colours needs descriptors of more than {COLOURS} numbers, and these have "
@@ -122,7 +101,7 @@ class VisualMap:
         if self.heading is not None:
             object.__setattr__(self, "heading", plain(dict(self.heading)))
         if self.orientation is not None or self.heading is not None:
-            orientation = _checked_orientation(self.orientation, descriptors, halved=self.heading is not None)
+            orientation = checked_orientation(self.orientation, descriptors, halved=self.heading is not None)
             object.__setattr__(self, "orientation", orientation)
         object.__setattr__(self, "identity", plain(dict(self.identity)))
         if self.history is None:
@@ -441,7 +420,7 @@ class VisualMap:
             return self
         found = "holds nothing to find headings by"
         if self.heading is not None:
-            found = f"finds headings in another way: {_differences(self.heading, wanted)}"
+            found = f"finds headings in another way: {differences(self.heading, wanted)}"
         raise ConfigError(
             f"the map {found}: make it again with `siamloc map heading={heading.name}` and the same heading keys, or "
             "evaluate with heading=none"
@@ -483,10 +462,9 @@ class VisualMap:
                 values.
         """
         if "images" in self.identity:
-            cameras = [(one or {}).get("camera") for one in (self.identity["images"], preprocessing)]
-            modelled = all(one is not None and one.get("kind") not in _RINGS for one in cameras)
-            if modelled or _found_alike(*cameras):
-                preprocessing = {**preprocessing, "camera": cameras[0]}
+            camera, other = ((one or {}).get("camera") for one in (self.identity["images"], preprocessing))
+            if exchangeable(camera, other):
+                preprocessing = {**preprocessing, "camera": camera}
             self.check_describer({**self.identity, "images": preprocessing})
 
     def check_describer(self, identity: Mapping[str, Any]) -> None:
@@ -495,7 +473,7 @@ class VisualMap:
         Raises:
             ConfigError: another descriptor; the message lists the keys that differ, with both values.
         """
-        if self.identity and (listed := _differences(self.identity, plain(dict(identity)))):
+        if self.identity and (listed := differences(self.identity, plain(dict(identity)))):
             raise ConfigError(
                 f"the map was described differently from the queries: {listed}. "
                 "Describe the queries with the map's model, or build the map again"
@@ -530,59 +508,3 @@ class VisualMap:
         """
         loaded = read_map(path, cls)
         return loaded if descriptor is None else loaded.with_descriptor(descriptor)
-
-
-def _own(array: NDArray, given: Any) -> NDArray:
-    """Return an array that nothing else can write to: the array itself if read-only or freshly made, else a copy."""
-    shared = isinstance(given, np.ndarray) and np.may_share_memory(array, given)
-    return array.copy() if shared and array.flags.writeable else array
-
-
-def _checked_orientation(orientation: Any, descriptors: NDArray, *, halved: bool) -> NDArray:
-    """Return valid orientation parts, as the descriptors in another shape if both are the same values."""
-    array = _own(np.asarray(orientation), orientation)
-    frames = len(descriptors)
-    if halved:
-        fits = array.dtype == np.float16 and (array.ndim == 3 or array.shape[3:] == (2,))
-    else:
-        fits = array.dtype.kind in "fcu" and array.ndim == 3
-    if not fits or len(array) != frames or 0 in array.shape:
-        kind = "float16" if halved else "numbers"
-        raise DataError(
-            f"a map's orientation parts must be {kind} of shape ({frames}, K, F), got {array.dtype} {array.shape}"
-        )
-    same = array.dtype == descriptors.dtype and array.size == descriptors.size
-    if same and np.array_equal(array.reshape(descriptors.shape), descriptors):
-        return descriptors.reshape(array.shape)
-    if not all_finite(array):
-        raise DataError("a map's orientation parts hold values that are not finite: look at the images")
-    array.flags.writeable = False
-    return array
-
-
-def _found_alike(one: dict[str, Any] | None, other: dict[str, Any] | None) -> bool:
-    """Return whether two cameras are rings that are found in the pictures of each drive, with the same direction."""
-    if one is None or other is None or one.get("kind") not in (AutoRing.__name__, ColdRing.__name__):
-        return False
-    return {key: one[key] for key in one.keys() - _FOUND} == {key: other[key] for key in other.keys() - _FOUND}
-
-
-def _differences(ours: Mapping[str, Any], theirs: Mapping[str, Any]) -> str:
-    """Return a text with the keys in which two identities differ, and their values; empty if there are none."""
-    orders = [list(parts_of(one)) for one in (ours, theirs)]
-    if orders[0] != orders[1] and set(orders[0]) == set(orders[1]):
-        return f"the parts are {', '.join(orders[0])} in the map, {', '.join(orders[1])} here"
-    ours, theirs = ({key: repr(item) for key, item in leaves(one) if item != {}} for one in (ours, theirs))
-    keys = [key for key in {**ours, **theirs} if ours.get(key) != theirs.get(key)]
-    keys = ["name"] if "name" in keys else keys  # the parameters of different descriptors are unrelated
-    return "; ".join(f"{key} is {ours.get(key, 'absent')} in the map, {theirs.get(key, 'absent')} here" for key in keys)
-
-
-def _check_distance(name: str, width: int) -> None:
-    """Refuse an unknown distance, or one that makes all descriptors of this width alike."""
-    least = {"cosine": 2, "correlation": 3}.get(known(name, DISTANCES, "distance"), 1)
-    if width < least:
-        raise ConfigError(
-            f"distance={name} needs descriptors of {least} numbers or more, and these have {width}: use euclidean or "
-            "manhattan"
-        )

@@ -19,13 +19,21 @@ from siamloc.data.decoding import Preprocessing, bits_of, size_of
 from siamloc.data.panorama import in_pixels
 from siamloc.data.reading import path_keys
 from siamloc.errors import ConfigError, SiamlocError
-from siamloc.maps import Built, CoarseLayer, HierarchicalSearch, LayerSearch, VisualMap, match
+from siamloc.maps import Built, CoarseLayer, LayerSearch, VisualMap, match
 from siamloc.maps.comparing import comparison_of
 from siamloc.maps.describing import descriptor_from
 from siamloc.maps.heading import is_analytic, parts_of
 from siamloc.maps.packing import PRECISIONS, Precision
 from siamloc.runtime import bundle as files
 from siamloc.runtime.bundle import Bundle
+from siamloc.runtime.exportable import (
+    check_given,
+    check_learned,
+    check_replaceable,
+    checked_layer,
+    described_alike,
+    network_in,
+)
 from siamloc.runtime.localizer import Localizer
 from siamloc.runtime.own_camera import SampledCamera
 from siamloc.runtime.precision import CALIBRATION, Measured, measured, smallest, spread
@@ -103,7 +111,7 @@ def export(
         StorageError: the disk is full or cannot be written to.
     """
     folder = Path(folder).absolute()
-    _check_replaceable(folder)
+    check_replaceable(folder)
     held = {} if known is None else known.identity
     alone = list(parts_of(held).values()) or [held]
     analytic = [one for one in alone if is_analytic(one)]  # networks may wrap around or not
@@ -111,12 +119,12 @@ def export(
     given = descriptor_from(described_by, circular=circular, device=None)
     if isinstance(given, Fused) and known is not None:
         given = known.with_descriptor(given).descriptor  # with the weights of the map
-    identity, parameters = _described_alike(given, known, preprocessing)
-    _check_learned(known, errors, refinement)
+    identity, parameters = described_alike(given, known, preprocessing)
+    check_learned(known, errors, refinement)
     if layer is not None:
         search = search or LayerSearch()
-        layer = _checked_layer(known, layer, coarse_map, search)
-    _check_given(given, known, images, thumbnails, precision, validation)
+        layer = checked_layer(known, layer, coarse_map, search)
+    check_given(given, known, images, thumbnails, precision, validation)
     heading = None
     if known is not None and known.orientation is not None and known.heading_by.tells_heading:
         heading = {"identity": known.identity if known.heading is None else known.heading}
@@ -131,7 +139,7 @@ def export(
         "figures": None if figures is None else plain(dict(figures)),
         "pictures": _pictures(parameters, known, images),
     }
-    if (network := _network_in(given)) is not None:
+    if (network := network_in(given)) is not None:
         from siamloc.models import as_descriptor
         from siamloc.runtime.onnx_model import on_cpu
 
@@ -173,7 +181,7 @@ class _Ingredients:
         Raises:
             SiamlocError: the bundle differs from the original.
         """
-        module, known, finer = getattr(_network_in(self.given), "module", None), self.parts[files.MAP], None
+        module, known, finer = getattr(network_in(self.given), "module", None), self.parts[files.MAP], None
         if (refinement := self.parts[files.REFINEMENT]) is not None:
             finer = {"method": refinement.method, "neighbours": refinement.neighbours}
         moved = _portable(self.parts)
@@ -299,107 +307,6 @@ def _check_alike(
     }
 
 
-def _check_given(
-    given: Descriptor,
-    known: VisualMap | None,
-    images: PanoramaLibrary | None,
-    thumbnails: bool,
-    precision: str,
-    validation: FrameTable | None,
-) -> None:
-    """Check that thumbnails and precision have the data they are made from."""
-    if known is None:
-        if thumbnails or precision != "float32":
-            raise ConfigError(f"without a map there are neither pictures of it nor precision={precision}: give the map")
-        return
-    learns = precision == "auto" or (precision == "int8" and _network_in(given) is not None)
-    if images is None and (thumbnails or learns):
-        what = "a bundle with pictures of the map" if thumbnails else f"precision={precision}"
-        raise ConfigError(f"{what} needs the panoramas of the map's frames: give images=")
-    if images is not None:
-        known.check_images(images.preprocessing.parameters())
-    compared = validation is not None and validation.has_position.any() and known.frames.has_position.any()
-    if precision == "auto" and not compared:
-        raise ConfigError(
-            "precision=auto compares localization errors: give frames with positions as validation=, and a map with "
-            "positions"
-        )
-
-
-def _check_learned(known: VisualMap | None, errors: ErrorModel | None, refinement: Refinement | None) -> None:
-    """Check that errors and refinement were learned on the map, and fit together."""
-    from siamloc.maps.refinement import check_compares
-
-    for part in (errors, refinement):
-        if part is not None and (known is None or not part.learned_on(known)):
-            raise ConfigError(f"the {part.NOUN} was learned on another map than the bundle's: learn it again")
-    if known is not None and refinement is not None and refinement.method == "relative":
-        check_compares(known)
-    method = "none" if refinement is None else refinement.method
-    if errors is not None and errors.refine != method:
-        raise ConfigError(
-            f"the error model is for poses with refine={errors.refine}, but the robot makes them with refine={method}: "
-            "give errors and refinement of the same evaluation, repeated if it is older"
-        )
-
-
-def _checked_layer(
-    known: VisualMap | None, layer: CoarseLayer | Built, coarse: VisualMap | None, search: LayerSearch
-) -> CoarseLayer:
-    """Return the nodes, after checking that a robot can search them first."""
-    if known is None:
-        raise ConfigError("a coarse layer needs the map that it was built over: give the map")
-    if coarse is not None and not is_analytic(coarse.identity):
-        raise ConfigError("on the robot, nodes are ranked by the map itself or by an analytic descriptor")
-    if isinstance(layer, Built):
-        layer.check_map(known if coarse is None else coarse)
-        layer = layer.layer
-    HierarchicalSearch(known, layer, coarse=coarse, settings=search)
-    return layer
-
-
-def _described_alike(
-    descriptor: Descriptor, known: VisualMap | None, preprocessing: Preprocessing | None
-) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Return the descriptor's identity and how panoramas are made.
-
-    Raises:
-        ConfigError: a robot cannot describe images in this way, or those of the map were described otherwise.
-    """
-    network = _network_in(descriptor)
-    for one in descriptor.parts.values() if isinstance(descriptor, Fused) else [descriptor]:
-        if one is not network and not is_analytic(one.identity):
-            raise ConfigError(f"only networks and analytic descriptors can be exported, not {one.name}")
-    if (network is None or isinstance(descriptor, Fused)) and known is None:
-        raise ConfigError(
-            f"a bundle by {descriptor.name} needs a map: run `siamloc map descriptor={descriptor.name}` first"
-        )
-    identity = plain(descriptor.identity)
-    held = None if known is None else known.identity.get("images")
-    if preprocessing is None and held is None:
-        raise ConfigError(
-            "without a map that records how its panoramas are made, the bundle cannot know it: give "
-            "preprocessing=images.preprocessing"
-        )
-    parameters = plain(held if preprocessing is None else preprocessing.parameters())
-    if known is not None:
-        known.check_describer({**identity, "images": parameters} if held is not None else identity)
-    return identity, parameters
-
-
-def _network_in(descriptor: Descriptor) -> Any:
-    """Return the descriptor itself if it is a network, or the part of a fused one that is; None if there is none.
-
-    Raises:
-        ConfigError: several parts are networks.
-    """
-    parts = descriptor.parts if isinstance(descriptor, Fused) else {descriptor.name: descriptor}
-    networks = {name: one for name, one in parts.items() if getattr(one, "module", None) is not None}
-    if len(networks) > 1:
-        raise ConfigError(f"a bundle holds one network, and {' and '.join(networks)} are networks: fuse one of them")
-    return next(iter(networks.values()), None)
-
-
 def _own_camera(
     parameters: Mapping[str, Any],
     given: Preprocessing | None,
@@ -441,15 +348,3 @@ def _pictures(
         with suppress(ConfigError):  # a calibrated camera refuses other sizes itself
             counts = in_pixels(made.camera, made.view, size)
     return {"size": size if counts else None, "bits": bits_of(path)}
-
-
-def _check_replaceable(path: Path) -> None:
-    """Check that the path does not exist, or is an empty folder, or holds an older bundle and nothing else."""
-    if not path.exists():
-        return
-    if not path.is_dir():
-        raise ConfigError(f"{path} is a file: name a folder for the bundle")
-    names = {file.name for file in path.iterdir()}
-    others = sorted(names - {files.DESCRIPTION, *files.PARTS})
-    if others or (names and files.DESCRIPTION not in names):
-        raise ConfigError(f"{path} holds other files, such as {(others or sorted(names))[0]}: name another folder")
