@@ -29,8 +29,9 @@ Array = NDArray[np.float64]
 
 STRAIGHT = 2.0
 """Degrees of yaw that are left as they are: they cost next to nothing, and an estimate may be off by as much."""
-NEAR = 0.15
-"""Offset of the camera that is left as it is, in the unit of the positions: comparisons are biased by half as much."""
+NEAR = 0.2
+"""Offset of the camera that is left as it is, in the unit of the positions: comparisons are biased by up to 0.15 m in a
+house whose walls are always on one side."""
 CERTAIN = 2.0
 """Largest deviation of a yaw that a map makes up for, in degrees."""
 _FEWEST = 12  # pairs, of those that turn as well
