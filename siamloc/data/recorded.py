@@ -18,6 +18,8 @@ from siamloc.errors import DataError, leave_out, logger
 
 _OTHER_UNIT = 300  # times as long a drive counts other units than seconds
 _ANY_DRIVE = {"rgb", "data", "images", "image", "frames", "mav0", "cam0", "cam1", "image_0", "image_2"}
+_ANY_DRIVE |= {"image_00", "image_01", "image_02", "image_03"}
+_TIMES = "timestamps.txt"  # of the raw data of KITTI, beside the folder of the images
 
 
 def read_recorded(
@@ -44,9 +46,10 @@ def read_recorded(
         images: folder of the images.
         poses: the trajectory; see `siamloc.data.trajectory.read_trajectory`. Without it frames have no poses.
         times: list of the images' times: a time on each line, in the order of the names, or a time and a file name, in
-            either order, as `rgb.txt` of TUM and `data.csv` of EuRoC. Without it the time is the number at the end of
-            an image's name, what its camera wrote into the file, or the date and time in its name
-            (`siamloc.data.picture_times.taken_at`).
+            either order, as `rgb.txt` of TUM and `data.csv` of EuRoC; a time may be a date with a time of day, in UTC.
+            Without it the time is the number at the end of an image's name, what its camera wrote into the file, or
+            the date and time in its name (`siamloc.data.picture_times.taken_at`), else that in `timestamps.txt` in or
+            beside the folder, as in the raw data of KITTI.
         odometry: the trajectory by the robot's wheels.
         form: form of the trajectories; found out if None.
         order: order of their quaternions, if it is another than that of the form.
@@ -146,7 +149,11 @@ def images_of(folder: Path, times: Path | None = None, span: float | None = None
         what = shortened(", ".join(inside)) or "nothing"
         raise DataError(f"{folder} holds no images; it holds: {what}{advice(inside)}{_deeper(folder)}")
     if times is None:
-        return files, taken_at(files, span)
+        taken = taken_at(files, span)
+        beside = [path for place in (folder, folder.parent) if (path := place / _TIMES).is_file()]
+        if np.isfinite(taken).all() or not beside:
+            return files, taken
+        times = beside[0]
     rows = text_rows(times)
     rows = rows[len(rows) > 1 and not any(map(is_number, rows[0][1])) :]  # without a line of names
     rows = [(line, words[::-1] if [*map(is_number, words)] == [False, True] else words) for line, words in rows]

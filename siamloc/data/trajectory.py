@@ -7,8 +7,10 @@ maybe more columns. Planar: `time x y heading`, in rad.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
+from datetime import datetime, timezone
 from pathlib import Path
 from typing import Literal
 
@@ -46,6 +48,7 @@ _WHOLE_TURN = 2 * np.pi + 0.01
 _EXACTLY = 1e-6  # rad
 _NO_GAP = 1e9  # s
 _COLUMNS = {"tum": 8, "kitti": 12, "euroc": 8, "planar": 4}
+_DATED = re.compile(r"(\d{4}-\d\d-\d\d)[ T](\d\d:\d\d:\d\d)(\.\d+)?Z?(?=[\s,]|$)")  # 2011-09-26 13:02:25.964
 
 
 @dataclass(frozen=True, eq=False)
@@ -314,11 +317,13 @@ def seconds(times: Array, source: str, span: float | None = None) -> Array:
 def text_rows(path: Path) -> list[tuple[int, list[str]]]:
     """Return the line number and the words of each line of a text file that is neither empty nor a comment.
 
+    A date with a time of day becomes a number of seconds since 1970, as in UTC.
+
     Raises:
         DataError: the file cannot be read, or is empty.
     """
     try:
-        lines = read_text(path).removeprefix("\ufeff").splitlines()
+        lines = _DATED.sub(_since_1970, read_text(path).removeprefix("\ufeff")).splitlines()
     except (OSError, ValueError) as error:
         raise DataError(f"{path} cannot be read: {getattr(error, 'strerror', None) or error}") from error
     rows = [(number, line.replace(",", " ").split()) for number, line in enumerate(lines, 1)]
@@ -326,6 +331,11 @@ def text_rows(path: Path) -> list[tuple[int, list[str]]]:
     if not rows:
         raise DataError(f"{path} is empty: expected a line for each entry")
     return rows
+
+
+def _since_1970(dated: re.Match[str]) -> str:
+    time = datetime.fromisoformat(f"{dated[1]} {dated[2]}").replace(tzinfo=timezone.utc)
+    return f"{time.timestamp():.0f}{dated[3] or ''}"
 
 
 def read_numbers(path: Path) -> tuple[Array, bool]:

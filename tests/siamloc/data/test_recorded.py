@@ -108,6 +108,25 @@ def test_times_in_a_list(tmp_path, poses, written):
     np.testing.assert_allclose(frames.x, 0.5 * np.array(numbers))
 
 
+@pytest.mark.parametrize("separator", [" ", "T"])
+def test_dates_beside_the_images(tmp_path, poses, separator):
+    """As in the raw data of KITTI: 2013-06-24 is the day of the start."""
+    folder = images(tmp_path / "drive_1/image_02/data", ["0000000000.png", "0000000001.png"])
+    dates = [f"2013-06-24{separator}20:23:0{second}.250000000" for second in (0, 2)]
+    (folder.parent / "timestamps.txt").write_text("\n".join(dates) + "\n")
+    zero = 1372105380.25 - START  # 2013-06-24 20:23:00.25 UTC
+    frames = read_recorded(folder, straight(tmp_path / "then.txt", start=1372105380))
+    np.testing.assert_allclose(frames.time - START, [zero, zero + 2])
+    np.testing.assert_allclose(frames.x, [0.125, 1.125], atol=1e-6)  # times of this size are known to 0.2 us
+    assert set(frames.sequence.tolist()) == {"drive_1"}
+    named = tmp_path / "list.csv"
+    named.write_text(f"image,time\n0000000001.png,{dates[0]}\n")
+    np.testing.assert_allclose(read_recorded(folder, times=named).time - START, [zero])
+    named.write_text("2013-13-24 20:23:00\n2013-13-24 20:23:01\n")
+    with pytest.raises(DataError, match=r"list\.csv cannot be read: month must be in"):
+        read_recorded(folder, times=named)
+
+
 def test_kitti_has_a_pose_for_each_image(tmp_path):
     """A camera that looks along z of its first pose, drives ahead 2 m and turns right, which is clockwise."""
     folder = images(tmp_path / "image_0", ["000000.png", "000001.png"])
