@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from itertools import islice
 from pathlib import Path
 from typing import Any, Literal
@@ -56,8 +56,13 @@ _ENCODINGS: dict[str, tuple[int, str, int | None]] = {
 _ENCODINGS |= {f"{name[:-1]}16": (one, "u2", code) for name, (one, _, code) in _ENCODINGS.items() if name[-1] == "8"}
 _FILES = {b"\xff\xd8\xff": ".jpg", b"\x89PNG": ".png"}  # the first bytes of compressed images
 _NOT_OF_THE_ROBOT = ("goal", "initialpose", "target")  # in topics of poses where someone wants the robot to be
+_NOT_PICTURES = ("depth", "disparity")  # in topics of images that show no light
 _FEW = 10  # messages: a topic with fewer is not the poses along a drive
 _LOOKED_AT = 2000  # messages of a topic of frames, to know which frames there are
+
+
+class Damaged(DataError):
+    """One image that cannot be used, among others that can."""
 
 
 class Bag:
@@ -91,10 +96,13 @@ class Bag:
     def __exit__(self, *_: object) -> None:
         self._reader.close()
 
-    def images(self, topic: str, clock: Clock = "stamp") -> Iterator[tuple[int, bytes | NDArray[np.uint8], str]]:
+    def images(
+        self, topic: str, clock: Clock = "stamp"
+    ) -> Iterator[tuple[int, bytes | NDArray[np.uint8] | Damaged, str]]:
         """Yield the time in ns of each image of a topic, the image, and the ending of its file.
 
-        An image that is compressed comes as the bytes of its file, others as pixels (rows, columns, 3), RGB.
+        An image that is compressed comes as the bytes of its file, others as pixels (rows, columns, 3), RGB. In place
+        of one that cannot be used comes the reason.
 
         Raises:
             DataError: no such topic, or one without images; an encoding that is not known; or a bag cut short.
@@ -102,15 +110,22 @@ class Bag:
         shift = self._shift(topic)
         for time, message in self._messages(topic, IMAGES, clock):
             if hasattr(message, "encoding"):
-                yield time, self._pixels(topic, message, shift), ".jpg"
+                try:
+                    yield time, self._pixels(topic, message, shift), ".jpg"
+                except Damaged as error:
+                    yield time, error, ""
                 continue
             content = bytes(message.data)
             ending = next((end for begin, end in _FILES.items() if content.startswith(begin)), None)
-            if ending is None:
+            if ending is not None:
+                yield time, content, ending
+            elif any(word in message.format.lower() for word in ("jpeg", "jpg", "png")):
+                reason = f"the image at {time / 1e9:.3f} s, of {len(content)} bytes, is neither JPEG nor PNG"
+                yield time, Damaged(reason), ""
+            else:
                 raise DataError(
                     f"{self.path}: images of {topic} are compressed as {message.format!r}, expected JPEG or PNG"
                 )
-            yield time, content, ending
 
     def poses(self, source: str, clock: Clock = "stamp") -> Trajectory:
         """Return the poses of a topic, or of a frame in another one, such as "map:base_link".
@@ -191,7 +206,10 @@ class Bag:
         _, first = next(self._messages(topic, IMAGES, "bag"), (0, None))
         if _ENCODINGS.get(getattr(first, "encoding", ""), _ENCODINGS["rgb8"])[1] == "u1":
             return 0
-        bits = max(bits_used(self._numbers(topic, one)) for _, one in self._messages(topic, IMAGES, "bag"))
+        bits = 8
+        for _, one in self._messages(topic, IMAGES, "bag"):
+            with suppress(Damaged):
+                bits = max(bits, bits_used(self._numbers(topic, one)))
         if bits < 16:
             logger.warning("%s: the images of %s use %d of 16 bits, and are brightened alike", self.path, topic, bits)
         return bits - 8
@@ -207,9 +225,9 @@ class Bag:
         order = ">" if message.is_bigendian else "<"
         row = message.width * channels * int(kind[1])
         raw = np.frombuffer(message.data, dtype=np.uint8)
-        if message.step < row or len(raw) < message.step * message.height:
+        if not row * message.height or message.step < row or len(raw) < message.step * message.height:
             size = f"{message.width} x {message.height} px in {message.encoding}"
-            raise DataError(f"{self.path}: an image of {topic} has {len(raw)} bytes, too few for {size}")
+            raise Damaged(f"the image at {_stamp(message) / 1e9:.3f} s has {len(raw)} bytes, too few for {size}")
         rows = raw[: message.step * message.height].reshape(message.height, message.step)[:, :row]
         return np.ascontiguousarray(rows).view(order + kind).reshape(message.height, message.width, channels)
 
@@ -263,8 +281,9 @@ def _trajectory(rows: list[Any], source: str) -> Trajectory:
 def proposed(topics: Mapping[str, tuple[str, int]], frames: Mapping[Edge, int]) -> dict[str, str]:
     """Return the sources that a recording most likely means: "images", "poses" and "odometry", where there are any.
 
-    Images of a camera for all directions come before others. Poses are those of a topic that is named after a source of
-    true poses, else the robot in the frame "map" or "world", else those of another topic with poses along a drive.
+    Images of a camera for all directions come before others, and depth comes last. Poses are those of a topic that is
+    named after a source of true poses, else the robot in the frame "map" or "world", else those of another topic with
+    poses along a drive.
     """
     kinds = {name: KINDS.get(kind, "") for name, (kind, _) in topics.items()}
     counts = {name: count for name, (_, count) in topics.items() if count}
@@ -295,7 +314,10 @@ def proposed(topics: Mapping[str, tuple[str, int]], frames: Mapping[Edge, int]) 
     named = [name for name in poses if any(word in name.lower() for word in true)]
     wheels = best("odometry", ("wheel", "odom"))
     candidates = {
-        "images": best("images", ("omni", "360", "pano", "equirect", "fisheye", "theta")),
+        "images": sorted(
+            best("images", ("omni", "360", "pano", "equirect", "fisheye", "theta")),
+            key=lambda name: any(word in name.lower() for word in _NOT_PICTURES),
+        ),
         "poses": [*named, *below("map", "world"), *poses, *(name for name in wheels if "truth" in name)],
         "odometry": [*(name for name in wheels if "truth" not in name), *below("odom")],
     }

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from foundation.calls import OF_FIELDS, takes, typed
 from foundation.files import read_json, write_bytes, write_json, write_picture, write_text
 from foundation.settings import Count, Positive, Settings, Text
-from siamloc.data.bags import KINDS, Bag, Clock, proposed
+from siamloc.data.bags import KINDS, Bag, Clock, Damaged, proposed
 from siamloc.data.frames import ODOMETRY, TILT, VIDEOS, FrameTable, advice
 from siamloc.data.manifest import manifest_of
 from siamloc.data.names import lighting_in
@@ -53,7 +53,8 @@ class Extraction(Settings):
         every: take every k-th image.
         rate: images per second, at most; all if None.
         sequence: name of the drive; the recording's name if empty.
-        on_error: "skip" or "raise", for images without a pose, or out of order where a rate is asked for.
+        on_error: "skip" or "raise", for images that are damaged or have no pose, or out of order where a rate is
+            asked for.
     """
 
     WHERE: ClassVar[str] = "recording"
@@ -280,15 +281,18 @@ def _write_images(
     """
     strict = settings.on_error == "raise"
     found: dict[int, str] = {}
-    late, same = list[str](), list[str]()
+    late, same, damaged = list[str](), list[str](), list[str]()
     apart = None if settings.rate is None else round(1e9 / settings.rate)
     due, last = 0.0, 0
     count = recording.topics.get(topic, ("", 0))[1]
     messages = track(recording.images(topic, settings.clock), count, f"extracting {recording.path.name}")
     for number, (time, image, ending) in enumerate(messages):
-        if strict and (late or same):
+        if strict and (late or same or damaged):
             break
         if number % settings.every:
+            continue
+        if isinstance(image, Damaged):
+            damaged.append(str(image))
             continue
         if time in found:
             same.append(f"{time / 1e9:.3f} s")
@@ -309,6 +313,7 @@ def _write_images(
                 write_bytes(file, image)
             else:
                 write_picture(file, image, _QUALITY)
+    leave_out(damaged, count, f"images of {topic} in {recording.path} cannot be used", settings.on_error)
     if not found:
         raise DataError(f"{recording.path}: {topic} holds no images")
     what = f"images of {recording.path} were recorded after later ones, which a rate leaves out"

@@ -200,6 +200,8 @@ def test_the_poses_along_a_drive_are_proposed(tmp_path, form):
     np.testing.assert_allclose(frames.x, [0.5])
     topics = {"/goal_pose": ("geometry_msgs/msg/PoseStamped", 99), "/arm_pose": ("geometry_msgs/msg/PoseStamped", 12)}
     assert proposed(topics, {}) == {"poses": "/arm_pose"}
+    cameras = {"/depth/image": ("sensor_msgs/msg/Image", 99), "/color/image": ("sensor_msgs/msg/Image", 9)}
+    assert proposed(cameras, {}) == {"images": "/color/image"}
     topics["/ground_truth"] = ("geometry_msgs/msg/PoseStamped", 10)
     assert proposed(topics, {("map", "base_link"): 5})["poses"] == "/ground_truth"
 
@@ -300,6 +302,26 @@ def test_bad_images_and_poses(tmp_path):
     ):
         with pytest.raises(DataError, match=says):
             siamloc.data.extract(bag.path, tmp_path / "out", **given)
+
+
+def test_a_damaged_image_does_not_end_an_extraction(tmp_path, caplog):
+    bag = Written(tmp_path / "bag", "sqlite3")
+    grey = PICTURES[0][:, :, 1].astype("<u2")
+    with bag.writer:
+        for number in range(4):
+            time = START + number * 10**9
+            content = b"" if number == 0 else jpeg(PICTURES[number])
+            fields = {"format": "bgr8; jpeg compressed bgr8", "data": np.frombuffer(content, dtype=np.uint8)}
+            name = "sensor_msgs/msg/CompressedImage"
+            bag.write("/compressed", name, time, header=bag.header(time), **fields)
+            bag.image("/raw", time, grey, "mono16", **({"height": 99} if number == 2 else {}))
+    for topic, left_out in (("/compressed", 0), ("/raw", 2)):
+        caplog.clear()
+        frames = siamloc.data.extract(bag.path, tmp_path / topic[1:], images=topic, poses="none")
+        np.testing.assert_allclose(frames.time - START / 1e9, [t for t in range(4) if t != left_out])
+        assert f"1 of 4 images of {topic} in {bag.path} cannot be used, the first: the image at" in caplog.text
+        with pytest.raises(DataError, match="on_error=skip leaves them out"):
+            siamloc.data.extract(bag.path, tmp_path / "strict", images=topic, poses="none", on_error="raise")
 
 
 def film(path):
