@@ -42,10 +42,10 @@ class Written:
     def make_time(self, sec, nanosec):
         return self.types.types["builtin_interfaces/msg/Time"](sec=sec, nanosec=nanosec)
 
-    def pose(self, x, y, theta, kind="Pose"):
+    def pose(self, x, y, theta, kind="Pose", z=0.0):
         point, vector = ("position", "Point") if kind == "Pose" else ("translation", "Vector3")
         turn = "orientation" if kind == "Pose" else "rotation"
-        at = self.make(f"geometry_msgs/msg/{vector}", x=float(x), y=float(y), z=0.0)
+        at = self.make(f"geometry_msgs/msg/{vector}", x=float(x), y=float(y), z=z)
         look = self.make("geometry_msgs/msg/Quaternion", x=0.0, y=0.0, z=np.sin(theta / 2), w=np.cos(theta / 2))
         return self.make(f"geometry_msgs/msg/{kind}", **{point: at, turn: look})
 
@@ -72,12 +72,12 @@ class Written:
         fields = {"child_frame_id": "base_link", "pose": self.covariant(self.pose(x, y, theta)), "twist": twist}
         self.write(topic, "nav_msgs/msg/Odometry", time, header=self.header(time, "odom"), **fields)
 
-    def transform(self, topic, time, parent, child, x, y, theta, received=None):
+    def transform(self, topic, time, parent, child, x, y, theta, received=None, z=0.0):
         one = self.make(
             "geometry_msgs/msg/TransformStamped",
             header=self.header(time, parent),
             child_frame_id=child,
-            transform=self.pose(x, y, theta, "Transform"),
+            transform=self.pose(x, y, theta, "Transform", z),
         )
         self.write(topic, "tf2_msgs/msg/TFMessage", received or time, transforms=[one])
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from itertools import islice
 from pathlib import Path
@@ -58,6 +58,8 @@ _FILES = {b"\xff\xd8\xff": ".jpg", b"\x89PNG": ".png"}  # the first bytes of com
 _NOT_OF_THE_ROBOT = ("goal", "initialpose", "target")  # in topics of poses where someone wants the robot to be
 _NOT_PICTURES = ("depth", "disparity")  # in topics of images that show no light
 _FEW = 10  # messages: a topic with fewer is not the poses along a drive
+_BASES = ("base_footprint", "base_link")  # frames of the robot; the first is on the floor
+_FIXED = 0.01  # m by which the height of a camera that is fixed on the robot may vary
 _LOOKED_AT = 2000  # messages of a topic of frames, to know which frames there are
 
 
@@ -135,19 +137,27 @@ class Bag:
         """
         if source not in self.topics and ":" in source:
             parent, child = (name.lstrip("/") for name in source.split(":", 1))
-            return self._chained(parent, child, clock)
+            return self._between(self._transforms(clock), parent, child)
         rows = [(time, *_pose(message)) for time, message in self._messages(source, (*ODOMETRY, *POSES), clock)]
         return _trajectory(rows, f"{self.path}, {source}")
 
-    def frames(self) -> dict[Edge, int]:
-        """Return how often the first messages of the topics of frames give each frame in its parent."""
-        found: dict[Edge, int] = {}
-        for topic in self._named(TRANSFORMS):
-            for _, message in islice(self._messages(topic, TRANSFORMS, "stamp"), _LOOKED_AT):
-                for one in message.transforms:
-                    edge = _edge(one)
-                    found[edge] = found.get(edge, 0) + 1
-        return found
+    def frames(self) -> tuple[Edge, ...]:
+        """Return the frames that the first messages of the topics of frames give, each with its parent."""
+        return tuple(self._transforms("stamp", _LOOKED_AT))
+
+    def height(self, topic: str) -> dict[str, float]:
+        """Return the height in m at which the camera of a topic is fixed above the robot's base, by the base's name.
+
+        Empty if the first messages of the topics of frames do not say it.
+        """
+        _, first = next(self._messages(topic, IMAGES, "bag"), (0, None))
+        rows = self._transforms("stamp", _LOOKED_AT)
+        for base in _BASES:
+            with suppress(DataError):
+                above = self._between(rows, base, first.header.frame_id.lstrip("/") if first else "").position[:, 2]
+                if above.min() > 0 and np.ptp(above) < _FIXED:
+                    return {base: float(above.mean())}
+        return {}
 
     def calibrations(self) -> dict[str, dict[str, Any]]:
         """Return the first calibration of each camera as plain values, by topic."""
@@ -178,28 +188,35 @@ class Bag:
                 stamp = _stamp(message) if clock == "stamp" and hasattr(message, "header") else 0
                 yield stamp or received, message
 
-    def _chained(self, parent: str, child: str, clock: Clock) -> Trajectory:
-        """Return the poses of a frame in one above it, along the frames between the two."""
+    def _transforms(self, clock: Clock, most: int | None = None) -> dict[Edge, list[Any]]:
+        """Return the times and poses of each frame in its parent, of the first messages of each topic of frames."""
         rows: dict[Edge, list[Any]] = {}
         for topic in self._named(TRANSFORMS):
-            for received, message in self._messages(topic, TRANSFORMS, clock):
+            for received, message in islice(self._messages(topic, TRANSFORMS, clock), most):
                 for one in message.transforms:
                     row = ((_stamp(one) if clock == "stamp" else 0) or received, *_pose(one))
                     if topic.endswith("tf_static"):  # the last one holds for all times, however often it is repeated
                         rows[_edge(one)] = [row]
                     else:
                         rows.setdefault(_edge(one), []).append(row)
+        return rows
+
+    def _between(self, rows: Mapping[Edge, list[Any]], parent: str, child: str) -> Trajectory:
+        """Return the poses of a frame in another one, up and down the tree of frames between the two."""
         above = {lower: upper for upper, lower in rows}
-        path = [child]
-        while path[-1] != parent and path[-1] in above and len(path) <= len(above):
-            path.append(above[path[-1]])
-        if path[-1] != parent or len(path) < 2:
+        up, down = _ancestors(parent, above), _ancestors(child, above)
+        shared = next((frame for frame in down if frame in up), None)
+        if shared is None or parent == child:
             known = [f"{upper}:{lower}" for upper, lower in rows]
             raise DataError(f"{self.path} has no frame {child!r} below {parent!r}; {hint(f'{parent}:{child}', known)}")
-        links = [
-            _trajectory(rows[edge], f"{self.path}, {':'.join(edge)}") for edge in zip(path[1:], path, strict=False)
-        ]
-        return composed(links[::-1], f"{self.path}, {parent}:{child}")
+
+        def link(frame: str) -> Trajectory:
+            edge = above[frame], frame
+            return _trajectory(rows[edge], f"{self.path}, {':'.join(edge)}")
+
+        links = [link(frame).inverse() for frame in up[: up.index(shared)]]
+        links += [link(frame) for frame in down[: down.index(shared)][::-1]]
+        return composed(links, f"{self.path}, {parent}:{child}")
 
     def _shift(self, topic: str) -> int:
         """Return how many of 16 bits to drop: sensors of 10 to 14 bits leave the upper ones empty in all images."""
@@ -260,6 +277,14 @@ def _edge(message: Any) -> Edge:
     return message.header.frame_id.lstrip("/"), message.child_frame_id.lstrip("/")
 
 
+def _ancestors(frame: str, above: Mapping[str, str]) -> list[str]:
+    """Return a frame and those above it, upwards."""
+    path = [frame]
+    while path[-1] in above and above[path[-1]] not in path:
+        path.append(above[path[-1]])
+    return path
+
+
 def _pose(message: Any) -> tuple[float, ...]:
     """Return x, y, z and the quaternion x, y, z, w of a message."""
     if hasattr(message, "transform"):
@@ -278,7 +303,7 @@ def _trajectory(rows: list[Any], source: str) -> Trajectory:
     return Trajectory.of(times / 1e9, values[:, :3], values[:, 3:], source)
 
 
-def proposed(topics: Mapping[str, tuple[str, int]], frames: Mapping[Edge, int]) -> dict[str, str]:
+def proposed(topics: Mapping[str, tuple[str, int]], frames: Iterable[Edge]) -> dict[str, str]:
     """Return the sources that a recording most likely means: "images", "poses" and "odometry", where there are any.
 
     Images of a camera for all directions come before others, and depth comes last. Poses are those of a topic that is
@@ -295,14 +320,8 @@ def proposed(topics: Mapping[str, tuple[str, int]], frames: Mapping[Edge, int]) 
     def below(*parents: str) -> list[str]:
         above = {lower: upper for upper, lower in frames}
         found = []
-        for robot in ("base_footprint", "base_link"):
-            at, seen = robot, {robot}
-            while at in above and above[at] not in seen:
-                at = above[at]
-                seen.add(at)
-                if at in parents:
-                    found.append(f"{at}:{robot}")
-                    break
+        for robot in _BASES:
+            found += [f"{at}:{robot}" for at in _ancestors(robot, above)[1:] if at in parents][:1]
         return found
 
     true = ("truth", "gt", "vicon", "mocap", "amcl", "slam")

@@ -87,6 +87,7 @@ class Contents:
         frames: frames in others, such as "odom:base_link", that the recording gives poses of.
         proposal: which of them most likely give the images, poses and odometry.
     """
+        height: height in m of the proposed camera above the robot's base, by the base's name, if the frames say it.
 
     file: Path
     seconds: float
@@ -94,6 +95,7 @@ class Contents:
     frames: tuple[str, ...] = ()
     proposal: dict[str, str] = field(default_factory=dict)
 
+    height: dict[str, float] = field(default_factory=dict)
     def describe(self) -> str:
         """Return a line for the recording, one for each topic, and one for what is proposed."""
         width = max(map(len, self.topics), default=0)
@@ -105,6 +107,9 @@ class Contents:
         if self.frames:
             lines.append(f"  frames: {', '.join(self.frames)}")
         lacking = [what for what in SOURCES if what not in self.proposal]
+        for base, height in self.height.items():
+            usable = "" if base == "base_footprint" else f", if {base} is on the floor"
+            lines.append(f"  the camera is {height:.2f} m above {base}: survey.height={height:.2f}{usable}")
         said = [f"{what}={source}" for what, source in self.proposal.items()] + [f"no {what}" for what in lacking]
         return "\n".join([*lines, f"proposed: {', '.join(said)}"])
 
@@ -187,10 +192,13 @@ def contents(file: str | Path, times: str | Path | None = None) -> Contents:
         DataError: the file does not exist, cannot be read, or is no recording.
     """
     with _opened(Path(file).expanduser(), times) as source:
-        frames = source.frames() if isinstance(source, Bag) else {}
-        proposal = proposed(source.topics, frames) if isinstance(source, Bag) else {"images": next(iter(source.topics))}
-        known = tuple(":".join(edge) for edge in frames)
-        return Contents(source.path, source.seconds, dict(source.topics), known, proposal)
+        about = source.path, source.seconds, dict(source.topics)
+        if not isinstance(source, Bag):
+            return Contents(*about, proposal={"images": next(iter(source.topics))})
+        frames = source.frames()
+        proposal = proposed(source.topics, frames)
+        height = source.height(proposal["images"]) if frames and "images" in proposal else {}
+        return Contents(*about, tuple(":".join(edge) for edge in frames), proposal, height)
 
 
 @takes(Extraction)

@@ -147,12 +147,18 @@ class Trajectory:
         Roll and pitch are NaN for a frame that is always exactly level: nobody measured them.
         """
         ahead, up = AXES[axes]
-        inverse = self.quaternion * np.array([-1, -1, -1, 1])
-        seen = turned(inverse, (whole or self)._upwards(axes)) @ np.stack([ahead, np.cross(up, ahead), up], axis=1)
+        seen = turned(self.inverse().quaternion, (whole or self)._upwards(axes)) @ np.stack(
+            [ahead, np.cross(up, ahead), up], axis=1
+        )
         tilt = np.column_stack([np.arctan2(seen[:, 1], seen[:, 2]), -np.arcsin(seen[:, 0].clip(-1, 1))])
         if not (np.abs(tilt) > _EXACTLY).any():
             tilt[:] = np.nan
         return np.column_stack([self.flat(axes, whole), tilt])
+
+    def inverse(self) -> Trajectory:
+        """Return the poses of the world's frame as seen from this one."""
+        back = self.quaternion * np.array([-1, -1, -1, 1])
+        return Trajectory(self.time, -turned(back, self.position), back, self.source)
 
     def _upwards(self, axes: Axes) -> Array:
         """Return the axis of the world (3,), or its opposite, to which the frame's own direction upwards points."""

@@ -199,11 +199,31 @@ def test_the_poses_along_a_drive_are_proposed(tmp_path, form):
     frames = siamloc.data.extract(bag.path, tmp_path / "out", poses="/map:/camera")
     np.testing.assert_allclose(frames.x, [0.5])
     topics = {"/goal_pose": ("geometry_msgs/msg/PoseStamped", 99), "/arm_pose": ("geometry_msgs/msg/PoseStamped", 12)}
-    assert proposed(topics, {}) == {"poses": "/arm_pose"}
+    assert proposed(topics, []) == {"poses": "/arm_pose"}
     cameras = {"/depth/image": ("sensor_msgs/msg/Image", 99), "/color/image": ("sensor_msgs/msg/Image", 9)}
-    assert proposed(cameras, {}) == {"images": "/color/image"}
+    assert proposed(cameras, []) == {"images": "/color/image"}
     topics["/ground_truth"] = ("geometry_msgs/msg/PoseStamped", 10)
-    assert proposed(topics, {("map", "base_link"): 5})["poses"] == "/ground_truth"
+    assert proposed(topics, [("map", "base_link")])["poses"] == "/ground_truth"
+
+
+@pytest.mark.parametrize("base", ["base_link", "base_footprint"])
+def test_frames_up_and_down_the_tree(tmp_path, base):
+    """Odometry that sees the map from the robot, whose camera is 0.9 m above a base."""
+    bag = Written(tmp_path / "bag", "sqlite3")
+    with bag.writer:
+        bag.image("/image", START, PICTURES[0], header=bag.header(START, "/camera"))
+        bag.transform(
+            "/tf_static", START, "base_link", "camera", 0.1, 0, 0.7, z=0.8 if base == "base_footprint" else 0.9
+        )
+        if base == "base_footprint":
+            bag.transform("/tf_static", START, "base_link", base, 0.1, 0, 0, z=-0.1)
+        for number in range(2):  # of a robot at (1, 2) that looks along y
+            bag.transform("/tf", START + number * 10**9, "base_link", "map", -2, 1, -np.pi / 2)
+    found = siamloc.data.contents(bag.path)
+    assert found.height == pytest.approx({base: 0.9})
+    assert f"0.90 m above {base}: survey.height=0.90" in found.describe()
+    frames = siamloc.data.extract(bag.path, tmp_path / "out", poses="map:base_link")
+    np.testing.assert_allclose([frames.x[0], frames.y[0], frames.theta[0]], [1, 2, np.pi / 2], atol=1e-9)
 
 
 def test_frames_by_the_clock_of_the_recorder(tmp_path):
