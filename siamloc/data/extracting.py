@@ -21,7 +21,8 @@ from siamloc.data.names import lighting_in
 from siamloc.data.reading import read
 from siamloc.data.recorded import check_taken, images_of, joined
 from siamloc.data.trajectory import Array, Axes, Form, Order, Trajectory, read_trajectory
-from siamloc.errors import ConfigError, DataError, Policy, leave_out
+from siamloc.data.trajectory_checks import doubts
+from siamloc.errors import ConfigError, DataError, Policy, leave_out, logger
 from siamloc.progress import track
 
 SOURCES = ("images", "poses", "odometry")
@@ -86,16 +87,16 @@ class Contents:
             "pictures".
         frames: frames in others, such as "odom:base_link", that the recording gives poses of.
         proposal: which of them most likely give the images, poses and odometry.
-    """
         height: height in m of the proposed camera above the robot's base, by the base's name, if the frames say it.
+    """
 
     file: Path
     seconds: float
     topics: dict[str, tuple[str, int]]
     frames: tuple[str, ...] = ()
     proposal: dict[str, str] = field(default_factory=dict)
-
     height: dict[str, float] = field(default_factory=dict)
+
     def describe(self) -> str:
         """Return a line for the recording, one for each topic, and one for what is proposed."""
         width = max(map(len, self.topics), default=0)
@@ -106,10 +107,10 @@ class Contents:
             lines.append(f"  {name:<{width}}  {count} x {kind}{rate}{f' ({used})' if used else ''}")
         if self.frames:
             lines.append(f"  frames: {', '.join(self.frames)}")
-        lacking = [what for what in SOURCES if what not in self.proposal]
         for base, height in self.height.items():
             usable = "" if base == "base_footprint" else f", if {base} is on the floor"
             lines.append(f"  the camera is {height:.2f} m above {base}: survey.height={height:.2f}{usable}")
+        lacking = [what for what in SOURCES if what not in self.proposal]
         said = [f"{what}={source}" for what, source in self.proposal.items()] + [f"no {what}" for what in lacking]
         return "\n".join([*lines, f"proposed: {', '.join(said)}"])
 
@@ -365,6 +366,8 @@ def _trajectory(recording: Bag | Film | Pictures, what: str, source: str, settin
             f"recording.{what}={source} is no topic of {recording.path}, no frame such as map:base_link, and no file"
         )
     found.flat(_axes(what, settings))
+    for doubt in doubts(found, _axes(what, settings)):
+        logger.warning("%s", doubt)
     if isinstance(recording, Pictures):
         check_taken(recording.taken)
     return found

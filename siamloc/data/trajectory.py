@@ -255,6 +255,9 @@ def read_trajectory(
     """
     path = Path(file)
     numbers, commas = read_numbers(path)
+    names = [word.lower() for word in text_rows(path)[0][1]]
+    if "x" in names and names[1:3] != ["x", "y"]:
+        raise DataError(f"{path} has the columns {', '.join(names)}: expected the time, x and y first")
     if numbers.shape[1] == 16 and (numbers[:, 12:] == [0, 0, 0, 1]).all():
         numbers = numbers[:, :12]
     by_width: dict[int, Form] = {4: "planar", 12: "kitti"}

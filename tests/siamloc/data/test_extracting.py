@@ -253,6 +253,14 @@ def test_poses_are_looked_at_before_images_are_written(bags, tmp_path, monkeypat
     np.testing.assert_allclose(frames.x, 1 + np.arange(5.0), atol=1e-5)
 
 
+def test_doubts_about_poses_are_said(bags, tmp_path, caplog):
+    """A robot that never turns: in the other order of its quaternions it is upright, too, but on its head."""
+    rows = [(START / 1e9 - 1 + t, t, 0, 0, 1, 0, 0, 0) for t in range(8)]
+    (tmp_path / "poses.txt").write_text("".join(" ".join(map(str, row)) + "\n" for row in rows))
+    siamloc.data.extract(bags["mcap"], tmp_path / "out", poses=str(tmp_path / "poses.txt"))
+    assert "stands on its head" in caplog.text
+
+
 def test_a_bag_cut_short_is_one_sentence(bags, tmp_path):
     for form, suffix in (("ros1", ".bag"), ("sqlite3", ".db3"), ("mcap", ".mcap")):
         file = bags[form] if form == "ros1" else next(bags[form].glob(f"*{suffix}"))
@@ -396,7 +404,9 @@ def test_the_command_looks_first_and_then_extracts(bags, tmp_path, monkeypatch, 
         siamloc.data.contents(tmp_path)
     (tmp_path / "monday").mkdir()
     (tmp_path / "monday" / "night_0.db3").touch()
-    with pytest.raises(DataError, match=r"monday holds no images; it holds: night_0\.db3"):
+    with pytest.raises(
+        DataError, match=r"monday holds no images; it holds: night_0\.db3; \.db3: give the file of the bag"
+    ):
         siamloc.data.contents(tmp_path / "monday")
     for name, remedy in (("a.HEIC", "; .heic: convert them to JPEG"), ("b.insp", "; .insp: export .* renamed to .jpg")):
         (tmp_path / "monday" / name).touch()

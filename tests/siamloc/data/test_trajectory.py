@@ -168,6 +168,7 @@ BAD = {
     r"line 2: expected 8 numbers, got '1 0 0 x": "0 0 0 0 0 0 0 1\n1 0 0 x 0 0 0 1\n",
     "line 2: expected lines of numbers, 4, 8 or 12 for a trajectory, got 'the robot'": "some notes\nthe robot\n",
     "has 5 numbers on a line, and a trajectory in tum form has 8": "0 1 2 3 4\n",
+    "has the columns time, theta, x, y: expected the time, x and y first": "time,theta,x,y\n0,1,2,3\n1,1,2,3\n",
     "the matrix of pose 2 is not a rotation": "1 0 0 0 0 1 0 0 0 0 1 0\n1 0 0 0 0 2 0 0 0 0 1 0\n",
     "is not three numbers and a quaternion": "0 0 nan 0 0 0 0 1\n",
 }
