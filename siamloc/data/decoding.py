@@ -189,10 +189,16 @@ class Preprocessing:
     def _read(self, path: str | Path) -> NDArray[np.uint8]:
         if len(files := self.files(path)) > 1 and files[0] == files[1]:
             raise DataError("its name lacks what unwrap.second replaces, so that no second picture is known")
-        first, *others = (read_image(file, self.bits) for file in files)
-        if any(one.shape != first.shape for one in others):
+        first = read_image(files[0], self.bits)
+        if len(files) == 1:
+            return first
+        try:
+            second = read_image(files[1], self.bits)
+        except UnreadableImageError as error:
+            raise UnreadableImageError(f"its second picture {files[1].name}: {error}") from error
+        if second.shape != first.shape:
             raise DataError(f"its second picture {files[1].name} has another size")
-        return np.hstack([first, *others]) if others else first
+        return np.hstack([first, second])
 
     def _picture(
         self, image: NDArray[np.uint8], tilt: NDArray[np.float64] | Sequence[float] | None

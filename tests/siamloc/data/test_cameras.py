@@ -176,7 +176,7 @@ def test_two_pictures_of_two_lenses_are_read_as_one(tmp_path):
     with pytest.raises(UnreadableImageError, match=r"its name lacks what unwrap\.second replaces"):
         made.panorama(tmp_path / "b.png")
     (tmp_path / "a_10_1.png").unlink()
-    with pytest.raises(UnreadableImageError, match="does not exist"):
+    with pytest.raises(UnreadableImageError, match=r"its second picture a_10_1\.png: the file does not exist"):
         made.panorama(tmp_path / "a_00_1.png")
 
 
