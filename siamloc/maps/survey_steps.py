@@ -27,6 +27,7 @@ _JUMP, _FROZEN = 1.0, 5  # metres beyond three times the compared way; frames
 _WAY = 0.3  # metres over which units and signs are judged
 _TURNED = np.radians(3)  # a turn that comparisons see for certain
 _ENOUGH = 10  # steps from which units and signs are judged
+_ALONG = 0.5  # length of the mean of the directions by odometry, as seen from those by comparison, as unit vectors
 
 
 def comparing(compare: Compares, parts: NDArray[np.float32], progress: bool) -> Pairs:
@@ -101,7 +102,7 @@ def odometry_steps(
     frozen, as comparisons (n - 1, 3) show that are certain (n - 1,). `notes` gets a sentence about each such part.
 
     Raises:
-        DataError: odometry in another unit, in degrees, or of turns with the wrong sign.
+        DataError: odometry in another unit, in degrees, or of turns with the wrong sign or other directions.
     """
     steps = moves(odometry)[1:]
     steps[drive[1:] != drive[:-1]] = np.nan
@@ -118,6 +119,8 @@ def odometry_steps(
         _check_odometry(said, odometry[rows], seen[rows[:-1]], certain[rows[:-1]])
         reset = mine & (way > 3 * compared + _JUMP)
         frozen = _runs(mine & (way < 0.1 * compared) & (compared > _SURE), _FROZEN)
+        unmoved = (drive[1:] == number) & (way < _STILL) & (np.abs(steps[:, 2]) < _ROLLED)
+        frozen = _touched(unmoved | frozen, frozen)  # with the steps that images do not see for certain, and the next
         for bad, text in ((reset, "jumps"), (frozen, "stands still while the images move")):
             if bad.any():
                 frame = int(np.flatnonzero(bad)[0]) + 1 - int(np.flatnonzero(drive == number)[0])
@@ -127,7 +130,7 @@ def odometry_steps(
 
 
 def _check_odometry(said: str, odometry: Array, seen: Array, certain: NDArray[np.bool_]) -> None:
-    """Refuse odometry (n, 3) of a drive whose unit or sign is not that of the compared steps (n - 1, 3).
+    """Refuse odometry (n, 3) of a drive whose unit, sign or directions are not those of compared steps (n - 1, 3).
 
     It is judged over as many frames as the robot needs for 0.3 m, so that frames may be dense.
     """
@@ -146,18 +149,24 @@ def _check_odometry(said: str, odometry: Array, seen: Array, certain: NDArray[np
     if not _UNITS[0] <= ratio <= _UNITS[1]:
         raise DataError(f"{said} moves {ratio:.3g} times as far as its images show: give odom_x and odom_y in metres")
     turning = (np.abs(by_images[:, 2]) > _TURNED) & np.isfinite(raw)
-    if turning.sum() < _ENOUGH:
-        return
-    slope = float(np.median(raw[turning] / by_images[turning, 2]))
-    if abs(slope) > 10:
+    if turning.sum() >= _ENOUGH:
+        slope = float(np.median(raw[turning] / by_images[turning, 2]))
+        if abs(slope) > 10:
+            raise DataError(
+                f"{said} turns {slope:.0f} times as far as its images show: give odom_theta in radians, not degrees, "
+                "counter-clockwise"
+            )
+        if float(np.mean(by_wheels[turning, 2] * by_images[turning, 2] < 0)) > 0.7:
+            raise DataError(
+                f"{said} turns left where its images turn right: headings grow counter-clockwise and the columns of a "
+                "panorama run clockwise; give odom_theta with the other sign, or mirror the panoramas"
+            )
+    direction = np.arctan2(by_wheels[moving, 1], by_wheels[moving, 0])
+    direction -= np.arctan2(by_images[moving, 1], by_images[moving, 0])
+    if moving.sum() >= _ENOUGH and np.abs(np.exp(1j * direction).mean()) < _ALONG:
         raise DataError(
-            f"{said} turns {slope:.0f} times as far as its images show: give odom_theta in radians, not degrees, "
-            "counter-clockwise"
-        )
-    if float(np.mean(np.sign(by_wheels[turning, 2]) == np.sign(by_images[turning, 2]))) < 0.3:
-        raise DataError(
-            f"{said} turns left where its images turn right: headings grow counter-clockwise and the columns of a "
-            "panorama run clockwise; give odom_theta with the other sign, or mirror the panoramas"
+            f"{said} moves in other directions than its images show: odom_theta must be the heading in the frame of "
+            "odom_x and odom_y, in radians counter-clockwise, and each row that of its image"
         )
 
 
@@ -192,10 +201,22 @@ def from_own_start(odometry: Array, drive: NDArray[np.int64]) -> Array:
     return found
 
 
+def _touched(flags: NDArray[np.bool_], some: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Return the flags (n,) of runs that contain some of others (n,), and the one after each run."""
+    found = np.zeros_like(flags)
+    for begin, end in _spans(flags):
+        found[begin : end + 1] |= some[begin:end].any()
+    return found
+
+
 def _runs(flags: NDArray[np.bool_], least: int) -> NDArray[np.bool_]:
     """Return the flags (n,) of runs of at least so many."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], flags, [False]]).astype(np.int8)))
     found = np.zeros_like(flags)
-    for begin, end in edges.reshape(-1, 2):
+    for begin, end in _spans(flags):
         found[begin:end] = end - begin >= least
     return found
+
+
+def _spans(flags: NDArray[np.bool_]) -> NDArray[np.int64]:
+    """Return where runs of flags (n,) begin, and where they have ended (r, 2)."""
+    return np.flatnonzero(np.diff(np.concatenate([[False], flags, [False]]).astype(np.int8))).reshape(-1, 2)

@@ -185,8 +185,9 @@ def survey(
     Raises:
         ConfigError: a network that does not compare; a height, but panoramas that do not show the floor.
         DataError: a drive with fewer than 10 frames, with times that go back, or one that stands still; odometry in
-            another unit, in degrees or of turns with the wrong sign; drives that have no place in common; anchors that
-            are not among the frames, or without a pose; candidates that are not pairs of rows.
+            another unit, in degrees or of other turns or directions than the images; drives that have no place in
+            common; anchors that are not among the frames, or without a pose; candidates that are not
+            pairs of rows.
 
     Example:
         >>> found = siamloc.maps.survey("pretrained", images, monday)  # doctest: +SKIP
@@ -196,7 +197,7 @@ def survey(
     order = np.concatenate([*frames.rows_by("sequence").values(), np.empty(0, np.int64)])
     pairs, place = None if candidates is None else checked_pairs(candidates, len(frames)), np.full(len(frames), -1)
     wheels = frames.odometry if odometry is None else odometry_of(odometry, len(frames))
-    frames, wheels = frames.take(order), wheels[order]
+    frames, wheels = frames.take(order), np.where(np.isfinite(wheels), wheels, np.nan)[order]
     looks_down = shows_floor(images, settings.height)
     check_lengths(frames)
     check_anchors(frames, anchors)
@@ -245,6 +246,11 @@ def of_descriptions(
     names = list(frames.rows_by("sequence"))
     drive = np.array([names.index(name) for name in frames.sequence.tolist()], dtype=np.int64)
     notes: list[str] = []
+    if described.mounting.mirrored:
+        notes.append(
+            "the panoramas are taken to be mirrored, since they turn against the odometry: if they are not, odom_y and "
+            "odom_theta have the wrong sign, and the map is mirrored"
+        )
     parts = described.turning().orientation
     assert parts is not None
     compared = comparing(compare, scaled(parts), progress)

@@ -13,6 +13,7 @@ from analytic import Description
 from analytic.descriptors.thumbnail import Thumbnail
 from siamloc.data import FrameTable, PanoramaLibrary, concatenate
 from siamloc.data.decoding import Preprocessing
+from siamloc.data.mounting import Mounting
 from siamloc.data.moves import chained, composed, relative, wrapped
 from siamloc.errors import ConfigError, DataError
 from siamloc.maps import LiveSurvey, VisualMap, survey
@@ -89,7 +90,7 @@ def drifting(poses, scale=1.02, degrees=0.5, seed=0) -> np.ndarray:
 def surveyed(monkeypatch):
     """Return a function that surveys drives with these true poses (by name)."""
 
-    def run(drives, *, scale=1.0, noise=0.02, odometry=True, mirrored=False, seed=0, **options):
+    def run(drives, *, scale=1.0, noise=0.02, odometry=True, mirrored=False, seed=0, made=None, **options):
         table = concatenate(
             [
                 FrameTable(path=[f"{name}/{n}.png" for n in range(len(poses))], sequence=[name] * len(poses))
@@ -100,8 +101,9 @@ def surveyed(monkeypatch):
 
         def built(network, images, frames, progress):
             rows = [table.identities().index(key) for key in frames.identities()]
-            made = VisualMap(places_of(true)[rows], frames, orientation=numbered(rows), heading={"name": "network"})
-            return replace(made, describes=network)
+            of = {"orientation": numbered(rows), "heading": {"name": "network"}, "made": made or {}}
+            known = VisualMap(places_of(true)[rows], frames, **of)
+            return replace(known, describes=network)
 
         monkeypatch.setattr(sys.modules["siamloc.maps.surveying"], "build", built)
         wheels = None
@@ -253,9 +255,43 @@ def test_parts_of_the_odometry_that_cannot_be_true_are_left_out(surveyed):
     found, true, _ = surveyed({"monday": poses}, odometry=wheels)
     assert off(found, true) < 0.1
     text = "; ".join(found.notes)
-    for part in ("jumps at 1 steps, first before frame 30", "stands still while the images move at 10", "for 5 frames"):
+    for part in ("jumps at 1 steps, first before frame 30", "stands still while the images move at 11", "for 5 frames"):
         assert part in text
     assert found.report()["notes"] == list(found.notes)
+
+
+def test_frozen_odometry_is_left_out_with_steps_that_images_do_not_see_and_the_step_after(surveyed, monkeypatch):
+    poses = eights()
+    wheels = drifting(poses)
+    steps = relative(wheels, np.arange(89), np.arange(1, 90))
+    caught_up = relative(wheels, np.array([50]), np.array([63]))[0]
+    steps[50:62], steps[62] = 0, caught_up
+    wheels = chained(np.concatenate([np.zeros((1, 3)), steps]))
+    compare = TrueComparison.compare
+
+    def unsure(self, queries, known):
+        pose, information, odds = compare(self, queries, known)
+        rows = np.rint(queries[:, 0, 0] / queries[:, 1, 0]).astype(int) - 2
+        return pose, information, np.where(np.isin(rows, [51, 57, 58]), -5.0, odds)
+
+    monkeypatch.setattr(TrueComparison, "compare", unsure)
+    found, _, _ = surveyed({"monday": poses}, odometry=wheels)
+    assert not np.isin(np.arange(50, 63), found.graph.wheels.first).any()
+    assert len(found.graph.wheels) == 89 - 13
+
+
+def test_odometry_of_zeros_is_left_out(surveyed):
+    poses = eights()
+    found, true, _ = surveyed({"monday": poses}, odometry=np.zeros((90, 3)))
+    assert off(found, true) < 0.1
+    assert found.fixed_by == "pictures"
+    assert "stands still while the images move" in found.notes[0]
+
+
+def test_mirrored_panoramas_are_noted(surveyed):
+    found, _, _ = surveyed({"monday": eights()}, made={"mounting": Mounting(mirrored=True).plain()})
+    assert any("the panoramas are taken to be mirrored" in note for note in found.notes)
+    assert not surveyed({"monday": eights()})[0].notes
 
 
 def test_what_cannot_be_surveyed_is_a_sentence(surveyed):
@@ -265,6 +301,7 @@ def test_what_cannot_be_surveyed_is_a_sentence(surveyed):
         (wheels * [100, 100, 1], "moves 102 times as far as its images show: give odom_x and odom_y in metres"),
         (wheels * [1, 1, 180 / np.pi], "odom_theta looks like degrees"),
         (wheels * [1, -1, -1], "turns left where its images turn right"),
+        (wheels[:, [1, 0, 2]], "moves in other directions than its images show"),
         (wheels[:50], r"shape \(90, 3\), got \(50, 3\)"),
     ):
         with pytest.raises(DataError, match=says):
