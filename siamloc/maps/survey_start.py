@@ -95,14 +95,16 @@ def check_anchors(frames: FrameTable, anchors: FrameTable | None) -> None:
     """Check that anchors are frames of a survey and have poses.
 
     Raises:
-        DataError: an anchor that is not among the frames, or without a pose.
+        DataError: an anchor that is not among the frames, is given twice, or without a pose.
     """
     if anchors is None:
         return
-    rows = set(frames.identities())
-    missing = [key for key in anchors.identities() if key not in rows]
+    rows, given = set(frames.identities()), anchors.identities()
+    missing = [key for key in given if key not in rows]
     if missing:
         raise DataError(f"the anchor {missing[0][1]} is not among the {len(frames)} frames of the survey")
+    if twice := sorted({key for key in given if given.count(key) > 1}):
+        raise DataError(f"the anchor {twice[0][1]} is given twice: give each frame once")
     unknown = ~(anchors.has_position & np.isfinite(anchors.theta))
     if unknown.any():
         raise DataError(f"the anchor {anchors.path[unknown][0]} has no pose: give its x, y and theta")

@@ -46,6 +46,7 @@ if TYPE_CHECKING:
 
 _FEWEST = 10  # frames of a drive
 _LEAST_WAY = 1.0  # metres of a drive
+_DOUBTED = 0.1  # median weight of the comparisons with an anchor below which its pose is doubted
 _ENOUGH = 1e-3  # m or rad to which a graph is solved to judge its loops
 _ROUGHLY = 1e6  # degrees of freedom with which no measurement is weighted down
 
@@ -186,7 +187,7 @@ def survey(
         ConfigError: a network that does not compare; a height, but panoramas that do not show the floor.
         DataError: a drive with fewer than 10 frames, with times that go back, or one that stands still; odometry in
             another unit, in degrees or of other turns or directions than the images; drives that have no place in
-            common; anchors that are not among the frames, or without a pose; candidates that are not
+            common; anchors that are not among the frames, are given twice, or without a pose; candidates that are not
             pairs of rows.
 
     Example:
@@ -308,6 +309,12 @@ def concluded(
     if not loops.accepted.any():
         found = "contradict all other measurements" if (loops.reason == Reason.CONTRADICTED).any() else "were not found"
         notes.append(f"loops {found}: drift is not undone; a drive that visits places again has loops")
+    doubted = _doubted_anchors(whole, solution)
+    if doubted.size:
+        notes.append(
+            f"{doubted.size} of {len(graph.fixed)} anchors contradict the images around them, the first is "
+            f"{frames.path[doubted[0]]}: check their poses"
+        )
     by = "height" if floor is not None and floor.given else "pictures"
     by = "anchors" if len(graph.fixed) > 1 else "odometry" if len(graph.wheels) else by
     x, y, theta = solution.poses.T
@@ -335,6 +342,13 @@ def concluded(
         tuple(notes),
         floor,
     )
+
+
+def _doubted_anchors(graph: PoseGraph, solution: Solution) -> NDArray[np.int64]:
+    """Return the rows of the fixed frames whose comparisons with others the solution weighs down, most of them."""
+    first, second = graph.pictures.first, graph.pictures.second
+    weights = (solution.weight[(first == row) | (second == row)] for row in graph.fixed)
+    return graph.fixed[[bool(len(one)) and bool(np.median(one) < _DOUBTED) for one in weights]]
 
 
 def _told_by_floor(

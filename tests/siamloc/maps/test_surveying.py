@@ -294,6 +294,22 @@ def test_mirrored_panoramas_are_noted(surveyed):
     assert not surveyed({"monday": eights()})[0].notes
 
 
+def test_an_anchor_that_contradicts_the_images_is_noted(surveyed):
+    poses = eights()
+
+    def anchors(rows, x=0.0):
+        return FrameTable(
+            path=[f"monday/{row}.png" for row in rows], sequence=["monday"] * len(rows),
+            x=poses[rows, 0] + x, y=poses[rows, 1], theta=poses[rows, 2],
+        )  # fmt: skip
+
+    found, _, _ = surveyed({"monday": poses}, anchors=anchors([5, 40, 80], np.array([0, 3.0, 0])))
+    assert "1 of 3 anchors contradict the images around them, the first is monday/40.png" in found.notes[-1]
+    assert not surveyed({"monday": poses}, anchors=anchors([5, 40, 80]))[0].notes
+    with pytest.raises(DataError, match=r"anchor .*5\.png is given twice"):
+        surveyed({"monday": poses}, anchors=anchors([5, 5]))
+
+
 def test_what_cannot_be_surveyed_is_a_sentence(surveyed):
     poses = eights()
     wheels = drifting(poses)
