@@ -30,6 +30,8 @@ if TYPE_CHECKING:
 
 _REPEATS = 0.6  # share of the usual distance up to which two frames that would join show almost the same
 _ELSEWHERE = (Reason.NEW_PLACE, Reason.BEYOND, Reason.UNSURE, Reason.HELD)
+_SOME, _FEW, _MOST = 10, 0.25, 0.6  # frames, and shares of them that agree: with other axes, at most and at least
+_MOTIONS = 300  # that are tried
 UPKEEP = "upkeep"
 """Key of `VisualMap.made` under which a map keeps what its next update needs."""
 
@@ -170,8 +172,8 @@ def update(
 
     Raises:
         ConfigError: a setting out of range, or an image size or descriptor other than the map's.
-        DataError: a map frame without a position, no frame of the drive with a certain one, positions in two units,
-            nodes over another map, or an incremental map without its mapper.
+        DataError: a map frame without a position, no frame of the drive with a certain one, positions in two units or
+            with other axes than the map's, nodes over another map, or an incremental map without its mapper.
         AnalyticError: a mapper that is read-only.
 
     Example:
@@ -290,6 +292,7 @@ def _joining(
         row_of[numbers_of(built.layer)] = np.arange(len(known))
         frames = (drive.description.take(slice(row, row + 1)) for row in range(len(drive)))
         located = row_of[[mapper.locate(frame).frame for frame in frames]]
+    _check_axes(drive.frames, known.frames.take(located), settings.radius)
     known_place = found.away <= settings.radius
     off = np.linalg.norm(known.frames.xy[located] - drive.frames.xy, axis=1)
     contradicts = (off > settings.radius) | (known.frames.building[located] != drive.frames.building)
@@ -308,6 +311,31 @@ def _joining(
         assert usual is not None
         reason[rows[repeated(drive.take(rows), settings.radius, _REPEATS * usual)]] = Reason.REPEATED
     return reason, contradicts
+
+
+def _check_axes(drive: FrameTable, located: FrameTable, radius: float) -> None:
+    """Refuse a drive whose positions have axes of their own: one rigid motion brings most to where they are located.
+
+    Args:
+        drive: its frames (n).
+        located: the map frames that resemble them most (n).
+        radius: distance within which positions agree.
+    """
+    same = drive.building == located.building
+    given, found = ((one.x + 1j * one.y)[same] for one in (drive, located))
+    if len(given) < _SOME or (np.abs(found - given) <= radius).mean() > _FEW:
+        return
+    first, second = np.random.default_rng(0).integers(len(given), size=(2, _MOTIONS))
+    wanted, moved = given[second] - given[first], found[second] - found[first]
+    rigid = (np.abs(wanted) > 4 * radius) & (np.abs(np.abs(moved) - np.abs(wanted)) < radius)
+    turn, first = np.exp(1j * np.angle(moved[rigid] / wanted[rigid]))[:, None], first[rigid]
+    agree = np.abs(turn * (given - given[first, None]) + found[first, None] - found) <= radius
+    if agree.any() and agree.mean(axis=1).max() >= _MOST:
+        raise DataError(
+            f"the drive's positions have other axes than the map's: one motion brings {agree.sum(axis=1).max()} of "
+            f"{len(given)} frames to where the map locates them. Leave x and y out, give them as odom_x and odom_y, or "
+            "name the building if it is another one that looks alike"
+        )
 
 
 def _told(

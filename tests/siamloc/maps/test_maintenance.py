@@ -173,6 +173,15 @@ def test_frames_of_the_map_and_uncertain_ones_are_not_judged(known, drives):
         update(known, drives[1], drive, deviation=[0, 0, 0])
 
 
+def test_positions_with_other_axes_than_the_map_are_refused(known, drives):
+    drive = drives[2]["same"]
+    for moved in ({"x": drive.x + 3.0}, {"x": -drive.y + 40.0, "y": drive.x}):
+        with pytest.raises(DataError, match=r"other axes than the map's: one motion brings .* of 120 frames"):
+            update(known, drives[1], drive.with_columns(**moved), progress=False)
+    away = drive.with_columns(x=drive.x + 40.0, building=["annex"] * FRAMES)
+    assert update(known, drives[1], away, progress=False).added.any()
+
+
 def test_few_contradictions_are_no_evidence(known, drives):
     brief = drives[2]["changed"].take(np.r_[0:20, 55:69, 100:120])
     assert update(known, drives[1], brief, progress=False, **COUNTS).contradicted.sum() <= 14
