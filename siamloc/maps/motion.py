@@ -51,9 +51,13 @@ def motion_or_none(motion: ArrayLike | None) -> NDArray[np.float64] | None:
     """
     if motion is None:
         return None
-    given = np.asarray(motion, dtype=np.float64)
+    said = f"a motion is {_WORDS}: three numbers, got {motion!r}"
+    try:
+        given = np.asarray(motion, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise DataError(said) from error
     if given.shape != (3,) or np.isinf(given).any():
-        raise DataError(f"a motion is {_WORDS}: three numbers, got {motion!r}")
+        raise DataError(said)
     if abs(given[2]) > 2 * np.pi:
         raise DataError(f"the turn of a motion is in rad, at most one full turn, got {given[2]:g}")
     return None if np.isnan(given).any() else given

@@ -313,6 +313,7 @@ class VisualMap:
         own: dict[str, Any] = {"frames": frames, "orientation": parts, "history": None}
         return replace(self, descriptors=description.position, **own)
 
+    @typed
     def merge(self, other: VisualMap) -> VisualMap:
         """Return the map of the frames of this map, followed by the frames of another map.
 

@@ -85,6 +85,8 @@ def test_frames_join_and_leave_a_map_with_their_counts(tmp_path: Path) -> None:
         known.add(more, analytic.Description(np.ones((6, 2))))
     with pytest.raises(ConfigError, match=r"described differently.*width is 3 in the map, 4 here"):
         known.merge(replace(known, identity={**IDENTITY, "width": 4}))
+    with pytest.raises(ConfigError, match="other must be a VisualMap"):
+        known.merge(None)  # type: ignore[arg-type]
 
 
 def test_added_frames_keep_what_headings_need() -> None:
