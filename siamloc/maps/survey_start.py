@@ -102,7 +102,10 @@ def check_anchors(frames: FrameTable, anchors: FrameTable | None) -> None:
     rows, given = set(frames.identities()), anchors.identities()
     missing = [key for key in given if key not in rows]
     if missing:
-        raise DataError(f"the anchor {missing[0][1]} is not among the {len(frames)} frames of the survey")
+        drive, path = missing[0]
+        raise DataError(
+            f"the anchor {path} of drive {drive or '(unnamed)'} is not among the {len(frames)} frames of the survey"
+        )
     if twice := sorted({key for key in given if given.count(key) > 1}):
         raise DataError(f"the anchor {twice[0][1]} is given twice: give each frame once")
     unknown = ~(anchors.has_position & np.isfinite(anchors.theta))

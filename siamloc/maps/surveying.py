@@ -28,6 +28,7 @@ from siamloc.maps.loops import Loops, Reason, checked_pairs, edges_of, far_apart
 from siamloc.maps.pose_graph import SCALE, Array, Edges, PoseGraph, Solution, covariances, of_shape, solve
 from siamloc.maps.survey_start import anchored, brought_together, check_anchors
 from siamloc.maps.survey_steps import (
+    BEFORE,
     compared_steps,
     comparing,
     from_own_start,
@@ -46,7 +47,7 @@ if TYPE_CHECKING:
 
 _FEWEST = 10  # frames of a drive
 _LEAST_WAY = 1.0  # metres of a drive
-_DOUBTED = 0.1  # median weight of the comparisons with an anchor below which its pose is doubted
+_DOUBTED = 0.1  # weight of comparisons below which an anchor is doubted
 _ENOUGH = 1e-3  # m or rad to which a graph is solved to judge its loops
 _ROUGHLY = 1e6  # degrees of freedom with which no measurement is weighted down
 
@@ -305,6 +306,7 @@ def concluded(
         floor: what the floor says about displacements.
     """
     notes, drive = list(notes), graph.drive
+    steps = graph.pictures
     whole, solution, loops = _solved(graph, loops, start)
     if not loops.accepted.any():
         found = "contradict all other measurements" if (loops.reason == Reason.CONTRADICTED).any() else "were not found"
@@ -314,6 +316,12 @@ def concluded(
         notes.append(
             f"{doubted.size} of {len(graph.fixed)} anchors contradict the images around them, the first is "
             f"{frames.path[doubted[0]]}: check their poses"
+        )
+    elif len(graph.fixed) > 1 and (torn := _torn(steps, solution.weight)).size:
+        name, before = frames.sequence[torn[0]], int((drive[: torn[0]] == drive[torn[0]]).sum())
+        notes.append(
+            f"the anchors contradict the images: drive {name or '(unnamed)'} is torn before its frame {before}: check "
+            "the poses of the anchors, in metres and rad"
         )
     by = "height" if floor is not None and floor.given else "pictures"
     by = "anchors" if len(graph.fixed) > 1 else "odometry" if len(graph.wheels) else by
@@ -349,6 +357,15 @@ def _doubted_anchors(graph: PoseGraph, solution: Solution) -> NDArray[np.int64]:
     first, second = graph.pictures.first, graph.pictures.second
     weights = (solution.weight[(first == row) | (second == row)] for row in graph.fixed)
     return graph.fixed[[bool(len(one)) and bool(np.median(one) < _DOUBTED) for one in weights]]
+
+
+def _torn(steps: Edges, weight: Array) -> NDArray[np.int64]:
+    """Return the frames before which a drive is torn: the solution weighs down all steps across, by their weights."""
+    across = np.full(int(steps.second.max()) + 1, np.nan)
+    for later in range(1, max(BEFORE) + 1):
+        there = steps.first + later <= steps.second
+        np.fmax.at(across, (steps.first + later)[there], weight[: len(steps)][there])
+    return np.flatnonzero(across < _DOUBTED)
 
 
 def _told_by_floor(

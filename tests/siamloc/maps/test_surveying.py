@@ -177,7 +177,7 @@ def test_anchors_fix_position_direction_and_scale(surveyed):
     np.testing.assert_allclose(found.frames.xy[[3, 40, 77]], true[[3, 40, 77], :2], atol=1e-12)
     assert found.fixed_by == "anchors"
     assert found.solution.wheel_scale[0] == pytest.approx(1.02, abs=0.01)
-    with pytest.raises(DataError, match=r"anchor .*nowhere\.png is not among the 90 frames"):
+    with pytest.raises(DataError, match=r"anchor .*nowhere\.png of drive monday is not among the 90 frames"):
         surveyed({"monday": poses}, anchors=anchors.with_columns(path=["nowhere.png"] * 3))
     with pytest.raises(DataError, match=r"anchor monday/3\.png has no pose"):
         surveyed({"monday": poses}, anchors=anchors.with_columns(theta=[np.nan, 0, 0]))
@@ -306,6 +306,8 @@ def test_an_anchor_that_contradicts_the_images_is_noted(surveyed):
     found, _, _ = surveyed({"monday": poses}, anchors=anchors([5, 40, 80], np.array([0, 3.0, 0])))
     assert "1 of 3 anchors contradict the images around them, the first is monday/40.png" in found.notes[-1]
     assert not surveyed({"monday": poses}, anchors=anchors([5, 40, 80]))[0].notes
+    found, _, _ = surveyed({"monday": poses}, anchors=anchors([5, 80], np.array([0, 900.0])))
+    assert "the anchors contradict the images: drive monday is torn before its frame" in found.notes[-1]
     with pytest.raises(DataError, match=r"anchor .*5\.png is given twice"):
         surveyed({"monday": poses}, anchors=anchors([5, 5]))
 
