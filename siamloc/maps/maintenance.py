@@ -29,7 +29,6 @@ if TYPE_CHECKING:
     from siamloc.data.library import PanoramaLibrary
 
 _REPEATS = 0.6  # share of the usual distance up to which two frames that would join show almost the same
-_ELSEWHERE = (Reason.NEW_PLACE, Reason.BEYOND, Reason.UNSURE, Reason.HELD)
 _SOME, _FEW, _MOST = 10, 0.25, 0.6  # frames, and shares of them that agree: with other axes, at most and at least
 _MOTIONS = 300  # that are tried
 UPKEEP = "upkeep"
@@ -84,6 +83,7 @@ class Update:
         drive: the n readable frames of the drive, in their order.
         reason: (n,) of `Reason`: why each frame of the drive joined the map, or did not.
         contradicted: (n,) whether a frame taken in a known place was located elsewhere, or is unlike the map there.
+        known_place: (n,) whether a frame was taken in a place of the map, with a certain position.
         window: number of frames in known places without which a map is not judged.
     """
 
@@ -94,6 +94,7 @@ class Update:
     drive: FrameTable
     reason: NDArray[np.object_]
     contradicted: NDArray[np.bool_]
+    known_place: NDArray[np.bool_]
     window: int
 
     @property
@@ -105,11 +106,6 @@ class Update:
     def forgotten(self) -> NDArray[np.bool_]:
         """Which frames of the map before left it (m,)."""
         return among(self.map_reason, GONE)
-
-    @property
-    def known_place(self) -> NDArray[np.bool_]:
-        """Which frames of the drive were taken in places of the map, with certain positions (n,)."""
-        return ~among(self.reason, _ELSEWHERE)
 
     def summary(self) -> str:
         """Return one line about the evidence, and about the frames that joined the map and left it."""
@@ -218,9 +214,10 @@ def update(
     readable = np.array([key in kept for key in keys]) | ~used
     reason = np.full(len(drive), Reason.UNSURE, dtype=object)
     reason[sure] = Reason.HELD
-    reason, contradicted, now = reason[readable], np.zeros(readable.sum(), dtype=bool), used[readable]
-    reason[now], contradicted[now] = found.reason, found.contradicted
-    return replace(found, drive=drive.take(readable), reason=reason, contradicted=contradicted)
+    reason, now = reason[readable], used[readable]
+    contradicted, known_place = np.zeros((2, len(now)), dtype=bool)
+    reason[now], contradicted[now], known_place[now] = found.reason, found.contradicted, found.known_place
+    return replace(found, drive=drive.take(readable), reason=reason, contradicted=contradicted, known_place=known_place)
 
 
 def updated(
@@ -262,7 +259,8 @@ def updated(
     after = replace(after, made={**after.made, UPKEEP: upkeep})
     if built is not None and after.digest != known.digest:
         built = followed(built, after, kept, node[rows], mapper)
-    return Update(after, built, before, map_reason, drive.frames, reason, contradicted, settings.window)
+    known_place, window = found.away <= settings.radius, settings.window
+    return Update(after, built, before, map_reason, drive.frames, reason, contradicted, known_place, window)
 
 
 def _upkeep(known: VisualMap, settings: Maintenance) -> dict[str, Any]:

@@ -153,6 +153,7 @@ def test_new_places_join_the_map_unless_it_is_not_extended(known, drives):
     assert short.summary().endswith("to judge the map, at least window=5 are needed")
     found = update(part, drives[1], beyond, progress=False)
     assert {"NEW_PLACE"} <= set(named(found.reason)) <= {"NEW_PLACE", "REPEATED"}
+    assert "0 of 0 frames in known places" in found.summary()
     assert f"{found.added.sum()} show new places; {found.added.sum()} joined the map" in found.summary()
     assert lost(found.known, drives, "changed") < lost(part, drives, "changed")
 

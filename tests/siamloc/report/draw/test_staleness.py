@@ -33,7 +33,7 @@ def test_an_update_shows_what_joined_and_left():
     left, joined = [Reason.KEPT] * 3 + [Reason.FORGOTTEN] + [Reason.KEPT] * 2, [Reason.ADDED, Reason.EXPLAINED]
     reasons = (np.array(one, dtype=object) for one in (left, joined))
     map_reason, reason = reasons
-    found = Update(KNOWN, None, KNOWN, map_reason, drive, reason, np.ones(2, bool), 5)
+    found = Update(KNOWN, None, KNOWN, map_reason, drive, reason, np.ones(2, bool), np.ones(2, bool), 5)
     shown = dots(staleness_picture(found))
     assert shown["left the map"] == [[1.4, 0.5]]
     assert shown["joined the map"] == [[1.0, 0.4]]
