@@ -412,6 +412,9 @@ def test_a_survey_goes_on_frame_by_frame(surveyed, wheeled):
     assert list(found.report()["odometry"]) == (["monday"] if wheeled else [])
     with pytest.raises(DataError, match="needs the map of its frames"):
         LiveSurvey(network, whole, held)
+    if wheeled:
+        with pytest.raises(DataError, match="the heading of odometry is in rad: it turned by"):
+            live.add(np.full((3, 1, 1), 89, np.uint8), "90.png", odometry=wheels[-1] * [1, 1, 180 / np.pi])
 
 
 def test_a_live_survey_goes_on_with_the_lengths_of_the_floor(surveyed):
