@@ -98,6 +98,8 @@ def build(
             "not: leave it out"
         )
     _check_elevations(by, images)
+    if not len(frames):
+        raise DataError("there are no frames to describe: the table is empty")
     readable = images.readable(frames)
     if not len(readable):
         raise DataError(f"none of the images of the {len(frames)} map frames could be read")

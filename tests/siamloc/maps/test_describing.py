@@ -103,6 +103,8 @@ def test_what_cannot_be_built(images, tmp_path):
         build("thumbnail", flat, frames, heading="hog")
     with pytest.raises(DataError, match="none of the images of the 1 map frames could be read"):
         build("hog", library, frames.take([6]))
+    with pytest.raises(DataError, match="the table is empty"):
+        build("hog", library, frames.take([]))
 
 
 def test_ranking_settings_that_make_no_sense(images):
