@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from foundation.calls import OF_FIELDS, takes
 from foundation.settings import Count, Positive, Share
 from siamloc.data.frames import FrameTable, concatenate
-from siamloc.errors import ConfigError, DataError
+from siamloc.errors import ConfigError, DataError, logger
 from siamloc.maps.comparing import comparison_of
 from siamloc.maps.describing import build
 from siamloc.maps.evidence import Judged, enough_of, judged, map_reasons, repeated, usual_distance
@@ -346,6 +346,7 @@ def _told(
     reason = map_reasons(known, found, drive.frames.lighting.tolist())
     drives = [name for name in drive.frames.rows_by("sequence") if name]
     if drives and set(drives) <= set(upkeep["drives"]):
+        logger.warning("the map counted drive %s before: give each drive a name of its own", ", ".join(drives))
         return known, reason
     upkeep["drives"] = [*dict.fromkeys([*upkeep["drives"], *drives])]
     old, confirmed = known.history, reason == Reason.CONFIRMED

@@ -81,10 +81,12 @@ def test_a_drive_that_looks_as_before_changes_little(known, drives):
     assert update(known, drives[1], drives[2]["same"], progress=False).added.sum() <= 0.05 * FRAMES
 
 
-def test_a_drive_is_counted_once(known, drives):
+def test_a_drive_is_counted_once(known, drives, caplog):
     found = update(known, drives[1], drives[2]["same"], progress=False, **COUNTS)
+    assert not caplog.messages
     again = update(found.known, drives[1], drives[2]["same"], progress=False, **COUNTS)
     assert again.known.history.confirmed.max() == 1
+    assert "the map counted drive same before" in caplog.text
 
 
 @pytest.mark.parametrize("settings", [{}, COUNTS])
