@@ -168,8 +168,9 @@ def update(
 
     Raises:
         ConfigError: a setting out of range, or an image size or descriptor other than the map's.
-        DataError: a map frame without a position, no frame of the drive with a certain one, positions in two units or
-            with other axes than the map's, nodes over another map, or an incremental map without its mapper.
+        DataError: frames of several drives, a map frame without a position, no frame of the drive with a certain one,
+            positions in two units or with other axes than the map's, nodes over another map, or an incremental map
+            without its mapper.
         AnalyticError: a mapper that is read-only.
 
     Example:
@@ -184,6 +185,11 @@ def update(
         1
     """
     concatenate([known.frames, drive])  # refuses positions in two units
+    if len(drives := drive.rows_by("sequence")) > 1:
+        raise DataError(
+            f"an update takes one drive, and these frames are of {len(drives)}: call it for each in turn, with the "
+            "map of the update before"
+        )
     describe = partial(
         build, known.descriptor, images, heading=known.heading_descriptor, mounting=known.mounting, progress=progress
     )
@@ -202,10 +208,12 @@ def update(
         sure = sure & (spread <= settings.certain)
     keys, held = drive.identities(), set(known.frames.identities())
     new = np.array([key not in held for key in keys], dtype=bool)
+    if not new.any():
+        raise DataError(f"all {len(drive)} frames of the drive are in the map already: update it by another drive")
     if not (sure & new).any():
         raise DataError(
-            f"of {len(drive)} frames of the drive, {int((~sure).sum())} have no certain position, and the others are "
-            "in the map already: give their x and y, or a map whose descriptor compares images, which locates them"
+            f"none of the {int(new.sum())} frames of the drive that the map lacks has a certain position: give their x "
+            "and y, or a map whose descriptor compares images, which locates them"
         )
     used = sure & new
     part = describe(drive.take(used)) if seen is None else seen.take(used)

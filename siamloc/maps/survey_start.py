@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from collections import Counter
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import NDArray
 
-from siamloc.data.frames import FrameTable
+from siamloc.data.frames import FrameTable, concatenate
 from siamloc.data.moves import composed, inverse, wrapped
 from siamloc.errors import DataError
 from siamloc.maps.loops import Loops
@@ -89,6 +92,20 @@ def _most_agreed(start: Array, known: NDArray[np.int64], own: NDArray[np.int64],
     best = int(agreeing.sum(axis=1).argmax())
     places = len(np.unique(known[some][agreeing[best]] // _PLACE))
     return int(agreeing[best].sum()), places, origins[best]
+
+
+def of_drives(tables: Sequence[FrameTable]) -> FrameTable:
+    """Join tables that each hold other drives.
+
+    Raises:
+        DataError: no table, or two with drives of one name.
+    """
+    counts = Counter(name for table in tables for name in table.rows_by("sequence"))
+    if not counts or max(counts.values()) > 1:
+        twice = next((name or "(unnamed)" for name, count in counts.items() if count > 1), None)
+        found = "got none" if twice is None else f"and {twice} is in two: give each drive a sequence of its own"
+        raise DataError(f"a survey needs tables of different drives, {found}")
+    return concatenate(tables)
 
 
 def check_anchors(frames: FrameTable, anchors: FrameTable | None) -> None:

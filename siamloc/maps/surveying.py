@@ -26,7 +26,7 @@ from siamloc.maps.describing import build, descriptor_from
 from siamloc.maps.floor import DEVIATION, FloorScale, floor_scale, shows_floor
 from siamloc.maps.loops import Loops, Reason, checked_pairs, edges_of, far_apart, judged, judged_again, most_alike
 from siamloc.maps.pose_graph import SCALE, Array, Edges, PoseGraph, Solution, covariances, of_shape, solve
-from siamloc.maps.survey_start import anchored, brought_together, check_anchors
+from siamloc.maps.survey_start import anchored, brought_together, check_anchors, of_drives
 from siamloc.maps.survey_steps import (
     BEFORE,
     compared_steps,
@@ -154,7 +154,7 @@ class Survey:
 def survey(
     network: Descriptor | nn.Module | str,
     images: PanoramaLibrary,
-    frames: FrameTable,
+    frames: FrameTable | Sequence[FrameTable],
     *,
     odometry: ArrayLike | None = None,
     anchors: FrameTable | None = None,
@@ -172,7 +172,8 @@ def survey(
     Args:
         network: a network that compares images, built with relative=True; "pretrained" is the shipped one.
         images: panoramas of the frames.
-        frames: n frames, in capture order within each drive (`sequence`); the unit of the result is the metre.
+        frames: n frames, in capture order within each drive (`sequence`), or a table for each drive, together of n
+            frames; the unit of the result is the metre.
         odometry: (n, 3) x, y in metres and heading in rad by the robot's wheels, or by any other source that is right
             over short ways, each drive in a frame of its own; NaN where unknown. Those of `frames` if None.
         anchors: some of the frames, with their true poses, which fix position, direction and scale of the whole.
@@ -196,6 +197,7 @@ def survey(
         >>> known = siamloc.maps.build("pretrained", images, found.frames)  # doctest: +SKIP
     """
     settings = SurveySettings() if settings is None else settings
+    frames = frames if isinstance(frames, FrameTable) else of_drives(frames)
     order = np.concatenate([*frames.rows_by("sequence").values(), np.empty(0, np.int64)])
     pairs, place = None if candidates is None else checked_pairs(candidates, len(frames)), np.full(len(frames), -1)
     wheels = frames.odometry if odometry is None else odometry_of(odometry, len(frames))

@@ -89,6 +89,11 @@ def test_a_drive_is_counted_once(known, drives, caplog):
     assert "the map counted drive same before" in caplog.text
 
 
+def test_drives_are_counted_one_by_one(known, drives):
+    with pytest.raises(DataError, match="takes one drive, and these frames are of 2"):
+        update(known, drives[1], drives[1].frames.select(sequence=["same", "later"]))
+
+
 @pytest.mark.parametrize("settings", [{}, COUNTS])
 def test_what_the_map_lacks_is_added_where_it_is_missing(known, drives, settings):
     before = lost(known, drives, "later")
@@ -170,7 +175,7 @@ def test_frames_of_the_map_and_uncertain_ones_are_not_judged(known, drives):
     assert found.added[60:80].any()
     assert found.contradicted.shape == (FRAMES,)
     assert not found.contradicted[:60].any()
-    with pytest.raises(DataError, match="of 120 frames of the drive, 120 have no certain position"):
+    with pytest.raises(DataError, match="none of the 120 frames of the drive that the map lacks has a certain position"):
         update(known, drives[1], drive, deviation=np.full(FRAMES, 0.1), certain=0.05)
     with pytest.raises(DataError, match=r"120 frames of the drive need a deviation each, got shape \(3,\)"):
         update(known, drives[1], drive, deviation=[0, 0, 0])
@@ -274,7 +279,7 @@ def test_what_cannot_be_updated_is_refused(known, drives, tmp_path):
         update(known, images, drive["same"], contradicted=6)
     with pytest.raises(ConfigError, match=r"growth=0\.5 would shrink a map"):
         update(known, images, drive["same"], growth=0.5)
-    with pytest.raises(DataError, match="120 have no certain position"):
+    with pytest.raises(DataError, match="none of the 120 frames"):
         update(known, images, drive["same"].with_columns(x=np.full(FRAMES, np.nan)))
     lacking = replace(known, frames=known.frames.with_columns(x=np.full(FRAMES, np.nan)))
     with pytest.raises(DataError, match="120 of the 120 map frames have no position"):

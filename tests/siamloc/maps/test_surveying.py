@@ -90,13 +90,12 @@ def drifting(poses, scale=1.02, degrees=0.5, seed=0) -> np.ndarray:
 def surveyed(monkeypatch):
     """Return a function that surveys drives with these true poses (by name)."""
 
-    def run(drives, *, scale=1.0, noise=0.02, odometry=True, mirrored=False, seed=0, made=None, **options):
-        table = concatenate(
-            [
-                FrameTable(path=[f"{name}/{n}.png" for n in range(len(poses))], sequence=[name] * len(poses))
-                for name, poses in drives.items()
-            ]
-        )
+    def run(drives, *, scale=1.0, noise=0.02, odometry=True, mirrored=False, seed=0, made=None, joined=True, **options):
+        tables = [
+            FrameTable(path=[f"{name}/{n}.png" for n in range(len(poses))], sequence=[name] * len(poses))
+            for name, poses in drives.items()
+        ]
+        table = concatenate(tables)
         true = np.concatenate(list(drives.values()))
 
         def built(network, images, frames, progress):
@@ -115,7 +114,7 @@ def surveyed(monkeypatch):
         found = survey(
             TrueComparison(true, scale, noise, seed, mirrored),
             images,
-            table,
+            table if joined else tables,
             odometry=wheels,
             progress=False,
             **options,
@@ -204,6 +203,8 @@ def test_drives_are_brought_together(surveyed):
     assert off(found, true) < 0.08
     assert found.graph.drive.tolist() == [0] * 60 + [1] * 60 + [2] * 30
     assert list(found.report()["odometry"]) == ["monday", "tuesday", "night"]
+    apart, _, _ = surveyed(drives, joined=False)
+    assert apart.frames == found.frames
     with pytest.raises(DataError, match="no places were found that elsewhere and monday have in common"):
         surveyed({"monday": eights(2), "elsewhere": np.add(eights(2), [50.0, 0, 0])})
 
@@ -331,6 +332,16 @@ def test_what_cannot_be_surveyed_is_a_sentence(surveyed):
     straight = np.column_stack([0.3 * np.arange(40), np.zeros((40, 2))])
     found, _, _ = surveyed({"monday": straight})
     assert "loops were not found" in found.notes[-1]
+
+
+@pytest.mark.parametrize(
+    ("names", "says"),
+    [([], "got none"), (["monday", "monday"], "monday is in two"), (["", ""], r"\(unnamed\) is in two")],
+)
+def test_tables_of_drives_hold_different_drives(names, says):
+    tables = [FrameTable(path=[f"{n}.png"], sequence=[name]) for n, name in enumerate(names)]
+    with pytest.raises(DataError, match=says):
+        survey("pretrained", object.__new__(Panoramas), tables)
 
 
 def test_two_anchors_bend_a_long_straight_drive(surveyed):
