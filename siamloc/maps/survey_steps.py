@@ -145,7 +145,8 @@ def _check_odometry(said: str, odometry: Array, seen: Array, certain: NDArray[np
     by_wheels, raw = relative(odometry, first, first + back), odometry[first + back, 2] - odometry[first, 2]
     way, wanted = (np.hypot(one[:, 0], one[:, 1]) for one in (by_wheels, by_images))
     moving = (wanted > _SURE) & (way > 0)
-    ratio = float(np.median(way[moving] / wanted[moving])) if moving.sum() >= _ENOUGH else 1.0
+    judged, weight = moving.sum() >= _ENOUGH, wanted[moving]  # by the way, so that noise at rest counts little
+    ratio = float(np.median(np.repeat(way[moving] / weight, (weight / _SURE).astype(int)))) if judged else 1.0
     if not _UNITS[0] <= ratio <= _UNITS[1]:
         raise DataError(f"{said} moves {ratio:.3g} times as far as its images show: give odom_x and odom_y in metres")
     turning = (np.abs(by_images[:, 2]) > _TURNED) & np.isfinite(raw)
@@ -163,7 +164,7 @@ def _check_odometry(said: str, odometry: Array, seen: Array, certain: NDArray[np
             )
     direction = np.arctan2(by_wheels[moving, 1], by_wheels[moving, 0])
     direction -= np.arctan2(by_images[moving, 1], by_images[moving, 0])
-    if moving.sum() >= _ENOUGH and np.abs(np.exp(1j * direction).mean()) < _ALONG:
+    if judged and np.abs(np.average(np.exp(1j * direction), weights=weight)) < _ALONG:
         raise DataError(
             f"{said} moves in other directions than its images show: odom_theta must be the heading in the frame of "
             "odom_x and odom_y, in radians counter-clockwise, and each row that of its image"

@@ -289,6 +289,15 @@ def test_odometry_of_zeros_is_left_out(surveyed):
     assert "stands still while the images move" in found.notes[0]
 
 
+def test_odometry_of_a_robot_that_rests_most_of_the_time_is_used(surveyed):
+    poses = eights(2)
+    poses = np.concatenate([poses, np.tile(poses[-1], (180, 1))])
+    wheels = drifting(poses) + 1e-4 * np.random.default_rng(1).normal(size=poses.shape)
+    found, true, _ = surveyed({"monday": poses}, odometry=wheels)
+    assert off(found, true) < 0.1
+    assert found.fixed_by == "odometry"
+
+
 def test_mirrored_panoramas_are_noted(surveyed):
     found, _, _ = surveyed({"monday": eights()}, made={"mounting": Mounting(mirrored=True).plain()})
     assert any("the panoramas are taken to be mirrored" in note for note in found.notes)
