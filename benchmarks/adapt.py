@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 
 import siamloc
-from benchmarks.building import mean_and_range
+from benchmarks.building import mean_and_range, opened
 from benchmarks.report import Report, hardware, parser
 from siamloc.data import FrameTable, PanoramaLibrary
 
@@ -43,7 +43,8 @@ def main() -> None:
     arguments.add_argument("--seeds", type=int, default=3)
     options = arguments.parse_args()
     report = Report("adapt", options.out)
-    name, images = opened(options.data)
+    name, frames = opened(options.data)
+    images = PanoramaLibrary(frames.select(sequence=[MAP, *QUERIES]), image_size=RECIPE.image_size)
     drive, asked = images.frames.select(sequence=MAP), images.frames.select(sequence=QUERIES)
     before = located(siamloc.models.pretrained(), images, drive, asked)
     print(f"{name}, before: {before}", flush=True)
@@ -53,15 +54,6 @@ def main() -> None:
     rows = report.kept(rows) if options.keep else rows
     print(f"{options.seeds} seeds: mean (lowest to highest); {hardware()['cpu']}\n\n{table(rows)}")
     report.write({"seeds": options.seeds, "rows": rows})
-
-
-def opened(data: Path) -> tuple[str, PanoramaLibrary]:
-    """Return the name of a building and its panoramas."""
-    if data.is_file():
-        name, frames = data.resolve().parent.name, siamloc.data.read("manifest", manifest=data)
-    else:
-        name, frames = data.resolve().name, siamloc.data.read("cold", root=data)
-    return name, PanoramaLibrary(frames.select(sequence=[MAP, *QUERIES]), image_size=RECIPE.image_size)
 
 
 def adapted(images: PanoramaLibrary, drive: FrameTable, asked: FrameTable, seed: int) -> dict[str, Any]:

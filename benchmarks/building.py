@@ -42,6 +42,13 @@ class Building:
         return self.frames.select(sequence=list(names)).every(every)
 
 
+def opened(data: Path) -> tuple[str, FrameTable]:
+    """Return the name and the frames of a building: of the folder of a rendered one, or of a manifest."""
+    if data.is_file():
+        return data.resolve().parent.name, siamloc.data.read("manifest", manifest=data)
+    return data.resolve().name, siamloc.data.read("cold", root=data)
+
+
 def report_name(name: str, folder: Path) -> str:
     """Return the name of a benchmark's file, which includes the building unless it is the usual one."""
     building = folder.resolve().name

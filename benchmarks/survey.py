@@ -27,7 +27,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import siamloc
-from benchmarks.building import LIGHTINGS
+from benchmarks.building import LIGHTINGS, opened
 from benchmarks.report import Report, hardware, parser
 from foundation.files import read_json
 from siamloc.data import FrameTable, PanoramaLibrary
@@ -63,11 +63,8 @@ def main() -> None:
 
 def measured(data: Path, seeds: int) -> tuple[str, dict[str, Any]]:
     """Return the name of a building, and its figures."""
-    if data.is_file():
-        name, frames, height = data.resolve().parent.name, siamloc.data.read("manifest", manifest=data), _HEIGHT
-    else:
-        name, frames = data.resolve().name, siamloc.data.read("cold", root=data)
-        height = read_json(next(data.rglob("camera.json")))["height"]
+    name, frames = opened(data)
+    height = _HEIGHT if data.is_file() else read_json(next(data.rglob("camera.json")))["height"]
     images = PanoramaLibrary(frames, image_size=PRETRAINED_SIZE)
     frames = images.readable(frames)
     drives = {light: last(frames, pattern).spaced(METRES) for light, pattern in DRIVES.items()}
