@@ -185,10 +185,10 @@ def update(
         1
     """
     concatenate([known.frames, drive])  # refuses positions in two units
-    if len(drives := drive.rows_by("sequence")) > 1:
+    if len(drives := drive.rows_by("sequence")) != 1:
         raise DataError(
-            f"an update takes one drive, and these frames are of {len(drives)}: call it for each in turn, with the "
-            "map of the update before"
+            f"an update takes the frames of one drive, and these are of {len(drives)}: call it for each in turn, with "
+            "the map of the update before"
         )
     describe = partial(
         build, known.descriptor, images, heading=known.heading_descriptor, mounting=known.mounting, progress=progress

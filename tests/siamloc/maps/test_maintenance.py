@@ -90,8 +90,10 @@ def test_a_drive_is_counted_once(known, drives, caplog):
 
 
 def test_drives_are_counted_one_by_one(known, drives):
-    with pytest.raises(DataError, match="takes one drive, and these frames are of 2"):
-        update(known, drives[1], drives[1].frames.select(sequence=["same", "later"]))
+    both = drives[1].frames.select(sequence=["same", "later"])
+    for frames, count in ((both, 2), (both.take([]), 0)):
+        with pytest.raises(DataError, match=f"takes the frames of one drive, and these are of {count}"):
+            update(known, drives[1], frames)
 
 
 @pytest.mark.parametrize("settings", [{}, COUNTS])
