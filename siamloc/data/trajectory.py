@@ -255,9 +255,6 @@ def read_trajectory(
     """
     path = Path(file)
     numbers, commas = read_numbers(path)
-    names = [word.lower() for word in text_rows(path)[0][1]]
-    if "x" in names and names[1:3] != ["x", "y"]:
-        raise DataError(f"{path} has the columns {', '.join(names)}: expected the time, x and y first")
     if numbers.shape[1] == 16 and (numbers[:, 12:] == [0, 0, 0, 1]).all():
         numbers = numbers[:, :12]
     by_width: dict[int, Form] = {4: "planar", 12: "kitti"}
@@ -332,7 +329,8 @@ def text_rows(path: Path) -> list[tuple[int, list[str]]]:
         DataError: the file cannot be read, or is empty.
     """
     try:
-        lines = _DATED.sub(_since_1970, read_text(path).removeprefix("\ufeff")).splitlines()
+        text = read_text(path).removeprefix("\ufeff")
+        lines = (_DATED.sub(_since_1970, text) if ":" in text else text).splitlines()
     except (OSError, ValueError) as error:
         raise DataError(f"{path} cannot be read: {getattr(error, 'strerror', None) or error}") from error
     rows = [(number, line.replace(",", " ").split()) for number, line in enumerate(lines, 1)]
@@ -349,9 +347,9 @@ def _since_1970(dated: re.Match[str]) -> str:
 
 def read_numbers(path: Path) -> tuple[Array, bool]:
     """Return the numbers of a file (n, columns), and whether commas separate them."""
-    rows = text_rows(path)
+    rows, names = text_rows(path), list[str]()
     if len(rows) > 1 and not is_number(rows[0][1][0]):  # a line of names
-        rows = rows[1:]
+        names, rows = [word.lower() for word in rows[0][1]], rows[1:]
     width = len(rows[0][1])
     expected = f"{width} numbers" if is_number(rows[0][1][0]) else "lines of numbers, 4, 8 or 12 for a trajectory"
     for number, words in rows:
@@ -361,6 +359,8 @@ def read_numbers(path: Path) -> tuple[Array, bool]:
                 f"{path}, line {number}: expected {expected}, got {line!r}: it is cut short, or no trajectory; "
                 "poses by the names of images are a manifest, a table with the columns image, x, y and theta"
             )
+    if "x" in names and names[1:3] != ["x", "y"]:
+        raise DataError(f"{path} has the columns {', '.join(names)}: expected the time, x and y first")
     return np.array([words for _, words in rows], dtype=np.float64), "," in read_text(path)
 
 
