@@ -117,11 +117,11 @@ class Bag:
                 except Damaged as error:
                     yield time, error, ""
                 continue
-            content = bytes(message.data)
+            content, kind = bytes(message.data), message.format.lower()
             ending = next((end for begin, end in _FILES.items() if content.startswith(begin)), None)
             if ending is not None:
                 yield time, content, ending
-            elif any(word in message.format.lower() for word in ("jpeg", "jpg", "png")):
+            elif "depth" not in kind and any(word in kind for word in ("jpeg", "jpg", "png")):
                 reason = f"the image at {time / 1e9:.3f} s, of {len(content)} bytes, is neither JPEG nor PNG"
                 yield time, Damaged(reason), ""
             else:

@@ -314,6 +314,8 @@ def test_bad_images_and_poses(tmp_path):
         bag.image("/short", START, PICTURES[0], height=1000)
         data = {"format": "h264", "data": np.zeros(9, np.uint8)}
         bag.write("/film", "sensor_msgs/msg/CompressedImage", START, header=bag.header(START), **data)
+        data["format"] = "16UC1; compressedDepth png"
+        bag.write("/depth", "sensor_msgs/msg/CompressedImage", START, header=bag.header(START), **data)
         bag.image("/good", START, PICTURES[0])
         bag.odometry("/odom", START, 0, 0, 0)
         pose = bag.pose(0, 0, 0)
@@ -323,6 +325,7 @@ def test_bad_images_and_poses(tmp_path):
         ({"images": "/strange"}, "have the encoding 'bgr10'; did you mean"),
         ({"images": "/short"}, "has 9216 bytes, too few for 64 x 1000 px in bgr8"),
         ({"images": "/film"}, "compressed as 'h264', expected JPEG or PNG"),
+        ({"images": "/depth"}, "compressed as '16UC1; compressedDepth png', expected JPEG or PNG"),
         (
             {"images": "/good", "poses": "/zero"},
             "pose 1, 0 0 0 0 0 0 0, is not three numbers and a quaternion",
