@@ -208,7 +208,9 @@ class Bag:
         shared = next((frame for frame in down if frame in up), None)
         if shared is None or parent == child:
             known = [f"{upper}:{lower}" for upper, lower in rows]
-            raise DataError(f"{self.path} has no frame {child!r} below {parent!r}; {hint(f'{parent}:{child}', known)}")
+            raise DataError(
+                f"{self.path} has no frames from {parent!r} to {child!r}; {hint(f'{parent}:{child}', known)}"
+            )
 
         def link(frame: str) -> Trajectory:
             edge = above[frame], frame

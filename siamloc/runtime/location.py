@@ -38,7 +38,8 @@ class Location:
         y: position, as x.
         theta: heading in rad in (-pi, pi], counter-clockwise; NaN if the bundle gives no headings, or if that of the
             nearest map frame is unknown.
-        room: room of the map frame that looks most like the image, or "".
+        room: room of the map frame that looks most like the image, or ""; that of the nearest one if a coarse layer is
+            searched first, and that of the tracked one with a `SequenceFilter`.
         error_m: expected error of x and y in their unit, metres by default; NaN if the bundle holds no error model, or
             if the image shows nothing of what the map shows.
         lost: whether the expected error is above the threshold that the error model was learned with, or the image

@@ -297,7 +297,7 @@ def test_messages_that_nobody_knows(tmp_path):
             ConfigError,
             "recording.poses=/nowhere is no topic of .*, no frame such as map:base",
         ),
-        ({"poses": "map:camera"}, DataError, "has no frame 'camera' below 'map'; .*valid: odom:base_link, map:odom"),
+        ({"poses": "map:camera"}, DataError, "has no frames from 'map' to 'camera'; .*valid: odom:base_link, map:odom"),
         ({"poses": "/omni/image_raw"}, DataError, "holds sensor_msgs/msg/Image, expected nav_msgs/msg/Odometry or"),
         ({"every": 0}, ConfigError, "recording.every must be a whole number from 1"),
     ],
