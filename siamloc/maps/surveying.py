@@ -307,24 +307,13 @@ def concluded(
         notes: sentences about parts of the data that are not used.
         floor: what the floor says about displacements.
     """
-    notes, drive = list(notes), graph.drive
-    steps = graph.pictures
+    notes = list(notes)
     whole, solution, loops = _solved(graph, loops, start)
     if not loops.accepted.any():
         found = "contradict all other measurements" if (loops.reason == Reason.CONTRADICTED).any() else "were not found"
         notes.append(f"loops {found}: drift is not undone; a drive that visits places again has loops")
-    doubted = _doubted_anchors(whole, solution)
-    if doubted.size:
-        notes.append(
-            f"{doubted.size} of {len(graph.fixed)} anchors contradict the images around them, the first is "
-            f"{frames.path[doubted[0]]}: check their poses"
-        )
-    elif len(graph.fixed) > 1 and (torn := _torn(steps, solution.weight)).size:
-        name, before = frames.sequence[torn[0]], int((drive[: torn[0]] == drive[torn[0]]).sum())
-        notes.append(
-            f"the anchors contradict the images: drive {name or '(unnamed)'} is torn before its frame {before}: check "
-            "the poses of the anchors, in metres and rad"
-        )
+    if len(graph.fixed) > 1:
+        notes += _doubts(frames, whole, graph.pictures, solution)
     by = "height" if floor is not None and floor.given else "pictures"
     by = "anchors" if len(graph.fixed) > 1 else "odometry" if len(graph.wheels) else by
     x, y, theta = solution.poses.T
@@ -346,7 +335,7 @@ def concluded(
         scale_deviation,
         loops,
         graph,
-        from_own_start(odometry, drive),
+        from_own_start(odometry, graph.drive),
         solution,
         by,
         tuple(notes),
@@ -354,11 +343,22 @@ def concluded(
     )
 
 
-def _doubted_anchors(graph: PoseGraph, solution: Solution) -> NDArray[np.int64]:
-    """Return the rows of the fixed frames whose comparisons with others the solution weighs down, most of them."""
-    first, second = graph.pictures.first, graph.pictures.second
-    weights = (solution.weight[(first == row) | (second == row)] for row in graph.fixed)
-    return graph.fixed[[bool(len(one)) and bool(np.median(one) < _DOUBTED) for one in weights]]
+def _doubts(frames: FrameTable, graph: PoseGraph, steps: Edges, solution: Solution) -> list[str]:
+    """Say which anchors contradict the comparisons with other frames, most of which the solution weighs down."""
+    ends = np.concatenate([graph.pictures.first, graph.pictures.second])
+    votes = np.bincount(ends, np.where(np.tile(solution.weight, 2) < _DOUBTED, 1, -1), minlength=len(frames))
+    if (doubted := graph.fixed[votes[graph.fixed] > 0]).size:
+        return [
+            f"{doubted.size} of {len(graph.fixed)} anchors contradict the images around them, the first is "
+            f"{frames.path[doubted[0]]}: check their poses"
+        ]
+    if not (torn := _torn(steps, solution.weight)).size:
+        return []
+    name, before = frames.sequence[torn[0]], int((graph.drive[: torn[0]] == graph.drive[torn[0]]).sum())
+    return [
+        f"the anchors contradict the images: drive {name or '(unnamed)'} is torn before its frame {before}: check the "
+        "poses of the anchors, in metres and rad"
+    ]
 
 
 def _torn(steps: Edges, weight: Array) -> NDArray[np.int64]:

@@ -316,6 +316,9 @@ def test_an_anchor_that_contradicts_the_images_is_noted(surveyed):
     found, _, _ = surveyed({"monday": poses}, anchors=anchors([5, 40, 80], np.array([0, 3.0, 0])))
     assert "1 of 3 anchors contradict the images around them, the first is monday/40.png" in found.notes[-1]
     assert not surveyed({"monday": poses}, anchors=anchors([5, 40, 80]))[0].notes
+    wheels = drifting(poses)
+    wheels[1:] += [0.9, 0, 0]  # a first step that contradicts the images
+    assert not surveyed({"monday": poses}, odometry=wheels, anchors=anchors([0]))[0].notes  # one anchor cannot
     found, _, _ = surveyed({"monday": poses}, anchors=anchors([5, 80], np.array([0, 900.0])))
     assert "the anchors contradict the images: drive monday is torn before its frame" in found.notes[-1]
     with pytest.raises(DataError, match=r"anchor .*5\.png is given twice"):
