@@ -123,8 +123,8 @@ def check_anchors(frames: FrameTable, anchors: FrameTable | None) -> None:
         raise DataError(
             f"the anchor {path} of drive {drive or '(unnamed)'} is not among the {len(frames)} frames of the survey"
         )
-    if twice := sorted({key for key in given if given.count(key) > 1}):
-        raise DataError(f"the anchor {twice[0][1]} is given twice: give each frame once")
+    if twice := [path for (_, path), count in Counter(given).items() if count > 1]:
+        raise DataError(f"the anchor {twice[0]} is given twice: give each frame once")
     unknown = ~(anchors.has_position & np.isfinite(anchors.theta))
     if unknown.any():
         raise DataError(f"the anchor {anchors.path[unknown][0]} has no pose: give its x, y and theta")
