@@ -111,7 +111,7 @@ class LiveSurvey:
         wheels = odometry_of(np.full((1, 3), np.nan) if odometry is None else np.asarray(odometry)[None], 1)
         turn = float(np.abs(wheels[0, 2] - self._odometry[-1, 2]))
         if turn > 2 * np.pi and abs(wheels[0, 2]) > 2 * np.pi:
-            raise DataError(f"the heading of odometry is in rad: it turned by {turn:.4g} since the last frame")
+            raise DataError(f"odometry turned by {turn:.4g} since the last frame: give its heading in rad")
         n, description = len(self), self._network.describe(self._mounting.straight(panorama)[None])
         parts = scaled(description.orientation)
         learned = description.position[:, : self._descriptors.rows.shape[1]]

@@ -51,7 +51,7 @@ class Retrieval(Rows):
 
     @property
     def most_alike(self) -> NDArray[np.int64]:
-        """Row (n,) of the reference that looks most like each query, whose room it shares: the nearest may not."""
+        """Row (n,) of the reference that looks most like each query: the nearest may stand in another room."""
         return self.indices[:, 0] if self.alike is None else self.alike
 
 
