@@ -24,11 +24,11 @@ from siamloc.errors import ConfigError, DataError
 from siamloc.maps.comparing import ODDS, Compares, scaled
 from siamloc.maps.describing import build, descriptor_from
 from siamloc.maps.floor import DEVIATION, FloorScale, floor_scale, shows_floor
-from siamloc.maps.loops import Loops, Reason, checked_pairs, edges_of, far_apart, judged, judged_again, most_alike
-from siamloc.maps.pose_graph import SCALE, Array, Edges, PoseGraph, Solution, covariances, of_shape, solve
+from siamloc.maps.loops import Loops, checked_pairs, far_apart, judged, most_alike
+from siamloc.maps.pose_graph import SCALE, Array, Edges, PoseGraph, Solution, covariances, of_shape
+from siamloc.maps.survey_solving import doubts, solved
 from siamloc.maps.survey_start import anchored, brought_together, check_anchors, of_drives
 from siamloc.maps.survey_steps import (
-    BEFORE,
     compared_steps,
     comparing,
     from_own_start,
@@ -47,9 +47,6 @@ if TYPE_CHECKING:
 
 _FEWEST = 10  # frames of a drive
 _LEAST_WAY = 1.0  # metres of a drive
-_DOUBTED = 0.1  # weight of comparisons below which an anchor is doubted
-_ENOUGH = 1e-3  # m or rad to which a graph is solved to judge its loops
-_ROUGHLY = 1e6  # degrees of freedom with which no measurement is weighted down
 
 
 @dataclass(frozen=True)
@@ -307,13 +304,8 @@ def concluded(
         notes: sentences about parts of the data that are not used.
         floor: what the floor says about displacements.
     """
-    notes = list(notes)
-    whole, solution, loops = _solved(graph, loops, start)
-    if not loops.accepted.any():
-        found = "contradict all other measurements" if (loops.reason == Reason.CONTRADICTED).any() else "were not found"
-        notes.append(f"loops {found}: drift is not undone; a drive that visits places again has loops")
-    if len(graph.fixed) > 1:
-        notes += _doubts(frames, whole, graph.pictures, solution)
+    whole, solution, loops = solved(graph, loops, start)
+    notes = [*notes, *doubts(frames, graph, whole, solution, loops)]
     by = "height" if floor is not None and floor.given else "pictures"
     by = "anchors" if len(graph.fixed) > 1 else "odometry" if len(graph.wheels) else by
     x, y, theta = solution.poses.T
@@ -341,33 +333,6 @@ def concluded(
         tuple(notes),
         floor,
     )
-
-
-def _doubts(frames: FrameTable, graph: PoseGraph, steps: Edges, solution: Solution) -> list[str]:
-    """Say which anchors contradict the comparisons with other frames, most of which the solution weighs down."""
-    ends = np.concatenate([graph.pictures.first, graph.pictures.second])
-    votes = np.bincount(ends, np.where(np.tile(solution.weight, 2) < _DOUBTED, 1, -1), minlength=len(frames))
-    if (doubted := graph.fixed[votes[graph.fixed] > 0]).size:
-        return [
-            f"{doubted.size} of {len(graph.fixed)} anchors contradict the images around them, the first is "
-            f"{frames.path[doubted[0]]}: check their poses"
-        ]
-    if not (torn := _torn(steps, solution.weight)).size:
-        return []
-    name, before = frames.sequence[torn[0]], int((graph.drive[: torn[0]] == graph.drive[torn[0]]).sum())
-    return [
-        f"the anchors contradict the images: drive {name or '(unnamed)'} is torn before its frame {before}: check the "
-        "poses of the anchors, in metres and rad"
-    ]
-
-
-def _torn(steps: Edges, weight: Array) -> NDArray[np.int64]:
-    """Return the frames before which a drive is torn: the solution weighs down all steps across, by their weights."""
-    across = np.full(int(steps.second.max()) + 1, np.nan)
-    for later in range(1, max(BEFORE) + 1):
-        there = steps.first + later <= steps.second
-        np.fmax.at(across, (steps.first + later)[there], weight[: len(steps)][there])
-    return np.flatnonzero(across < _DOUBTED)
 
 
 def _told_by_floor(
@@ -431,31 +396,3 @@ def _check_ways(start: Array, drive: NDArray[np.int64], names: list[str]) -> Non
                 f"drive {name or '(unnamed)'} stays within {_LEAST_WAY:g} m of where it begins: a survey needs a drive "
                 "that moves"
             )
-
-
-def _solved(graph: PoseGraph, loops: Loops, start: Array) -> tuple[PoseGraph, Solution, Loops]:
-    """Solve the graph with the accepted loops, judge all of them again, and solve until nothing changes.
-
-    A refused loop is accepted once at most, after all contradicted ones are out.
-    """
-    reason, steps, may_return = loops.reason.copy(), graph.pictures, True
-    starts: list[Array | Solution] = [start]
-    while True:
-        used = np.flatnonzero(reason == Reason.ACCEPTED)
-        graph = replace(graph, pictures=Edges.concatenate([steps, edges_of(loops.take(used))]))
-        if starts[0] is start:  # a robust solution that begins far off may take what is right for wrong
-            starts.append(solve(graph, start, _ROUGHLY).poses)
-        solution = min((solve(graph, one, enough=_ENOUGH) for one in starts), key=lambda one: one.cost)
-        weight = np.zeros(len(loops))
-        weight[used] = solution.weight[len(steps) :]
-        loops, starts = replace(loops, reason=reason.copy(), weight=weight), [solution]
-        seen = relative(solution.poses, loops.first, loops.second) * [solution.scale, solution.scale, 1]
-        contradicted, confirmed = judged_again(loops, seen)
-        if contradicted.any():
-            reason[contradicted] = Reason.CONTRADICTED
-        elif may_return and confirmed.any():
-            reason[confirmed], may_return = Reason.ACCEPTED, False
-        else:
-            solution = solve(graph, solution)
-            weight[used] = solution.weight[len(steps) :]
-            return graph, solution, replace(loops, weight=weight)

@@ -1,0 +1,92 @@
+"""Solve the graph of a survey: which loops are true, and what the solution says against anchors."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from siamloc.data.frames import FrameTable
+from siamloc.data.moves import relative
+from siamloc.maps.loops import Loops, Reason, edges_of, judged_again
+from siamloc.maps.pose_graph import Array, Edges, PoseGraph, Solution, solve
+from siamloc.maps.survey_steps import BEFORE
+
+_DOUBTED = 0.1  # weight of comparisons below which an anchor is doubted
+_ENOUGH = 1e-3  # m or rad to which a graph is solved to judge its loops
+_ROUGHLY = 1e6  # degrees of freedom with which no measurement is weighted down
+
+
+def solved(graph: PoseGraph, loops: Loops, start: Array) -> tuple[PoseGraph, Solution, Loops]:
+    """Solve the graph with the accepted loops, judge all of them again, and solve until nothing changes.
+
+    A refused loop is accepted once at most, after all contradicted ones are out.
+    """
+    reason, steps, may_return = loops.reason.copy(), graph.pictures, True
+    starts: list[Array | Solution] = [start]
+    while True:
+        used = np.flatnonzero(reason == Reason.ACCEPTED)
+        graph = replace(graph, pictures=Edges.concatenate([steps, edges_of(loops.take(used))]))
+        if starts[0] is start:  # a robust solution that begins far off may take what is right for wrong
+            starts.append(solve(graph, start, _ROUGHLY).poses)
+        solution = min((solve(graph, one, enough=_ENOUGH) for one in starts), key=lambda one: one.cost)
+        weight = np.zeros(len(loops))
+        weight[used] = solution.weight[len(steps) :]
+        loops, starts = replace(loops, reason=reason.copy(), weight=weight), [solution]
+        seen = relative(solution.poses, loops.first, loops.second) * [solution.scale, solution.scale, 1]
+        contradicted, confirmed = judged_again(loops, seen)
+        if contradicted.any():
+            reason[contradicted] = Reason.CONTRADICTED
+        elif may_return and confirmed.any():
+            reason[confirmed], may_return = Reason.ACCEPTED, False
+        else:
+            solution = solve(graph, solution)
+            weight[used] = solution.weight[len(steps) :]
+            return graph, solution, replace(loops, weight=weight)
+
+
+def doubts(frames: FrameTable, graph: PoseGraph, whole: PoseGraph, solution: Solution, loops: Loops) -> list[str]:
+    """Return sentences about missing loops, and about anchors that the images contradict.
+
+    Args:
+        frames: the frames (n).
+        graph: steps and odometry.
+        whole: the same with the accepted loops.
+        solution: what follows from it.
+        loops: judged loops.
+    """
+    notes = []
+    if not loops.accepted.any():
+        found = "contradict all other measurements" if (loops.reason == Reason.CONTRADICTED).any() else "were not found"
+        notes.append(f"loops {found}: drift is not undone; a drive that visits places again has loops")
+    if len(graph.fixed) < 2:
+        return notes
+    if (doubted := _doubted_anchors(whole, solution)).size:
+        notes.append(
+            f"{doubted.size} of {len(graph.fixed)} anchors contradict the images around them, the first is "
+            f"{frames.path[doubted[0]]}: check their poses"
+        )
+    elif (torn := _torn(graph.pictures, solution.weight)).size:
+        name, before = frames.sequence[torn[0]], int((graph.drive[: torn[0]] == graph.drive[torn[0]]).sum())
+        notes.append(
+            f"the anchors contradict the images: drive {name or '(unnamed)'} is torn before its frame {before}: check "
+            "the poses of the anchors, in metres and rad"
+        )
+    return notes
+
+
+def _doubted_anchors(graph: PoseGraph, solution: Solution) -> NDArray[np.int64]:
+    """Return the rows of the fixed frames whose comparisons with others the solution weighs down, most of them."""
+    ends = np.concatenate([graph.pictures.first, graph.pictures.second])
+    votes = np.bincount(ends, np.where(np.tile(solution.weight, 2) < _DOUBTED, 1, -1), minlength=len(graph.drive))
+    return graph.fixed[votes[graph.fixed] > 0]
+
+
+def _torn(steps: Edges, weight: Array) -> NDArray[np.int64]:
+    """Return the frames before which a drive is torn: the solution weighs down all steps across, by their weights."""
+    across = np.full(int(steps.second.max()) + 1, np.nan)
+    for later in range(1, max(BEFORE) + 1):
+        there = steps.first + later <= steps.second
+        np.fmax.at(across, (steps.first + later)[there], weight[: len(steps)][there])
+    return np.flatnonzero(across < _DOUBTED)
