@@ -153,7 +153,10 @@ def images_of(folder: Path, times: Path | None = None, span: float | None = None
         beside = [path for place in (folder, folder.parent) if (path := place / _TIMES).is_file()]
         if np.isfinite(taken).all() or not beside:
             return files, taken
-        times = beside[0]
+        if len(text_rows(beside[0])) == len(files):
+            return images_of(folder, beside[0], span)
+        logger.warning("%s is not used: it has no time for each of the %d images of %s", beside[0], len(files), folder)
+        return files, taken
     rows = text_rows(times)
     rows = rows[len(rows) > 1 and not any(map(is_number, rows[0][1])) :]  # without a line of names
     rows = [(line, words[::-1] if [*map(is_number, words)] == [False, True] else words) for line, words in rows]

@@ -109,7 +109,7 @@ def test_times_in_a_list(tmp_path, poses, written):
 
 
 @pytest.mark.parametrize("separator", [" ", "T"])
-def test_dates_beside_the_images(tmp_path, poses, separator):
+def test_dates_beside_the_images(tmp_path, poses, separator, caplog):
     """As in the raw data of KITTI: 2013-06-24 is the day of the start."""
     folder = images(tmp_path / "drive_1/image_02/data", ["0000000000.png", "0000000001.png"])
     dates = [f"2013-06-24{separator}20:23:0{second}.250000000" for second in (0, 2)]
@@ -125,6 +125,9 @@ def test_dates_beside_the_images(tmp_path, poses, separator):
     named.write_text("2013-13-24 20:23:00\n2013-13-24 20:23:01\n")
     with pytest.raises(DataError, match=r"list\.csv cannot be read: month must be in"):
         read_recorded(folder, times=named)
+    (folder / "0000000001.png").unlink()  # some of the images were copied
+    assert np.isnan(read_recorded(folder).time).all()
+    assert "timestamps.txt is not used: it has no time for each of the 1 images" in caplog.text
 
 
 def test_kitti_has_a_pose_for_each_image(tmp_path):
