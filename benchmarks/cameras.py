@@ -35,6 +35,7 @@ from siamloc.data import (
     seen,
     unwrap,
 )
+from siamloc.evaluation.metrics import error_floor
 from siamloc.report.draw.look import style
 from siamloc.simulate import Run, build_scene, load_building, render
 from siamloc.simulate.camera import Camera, OmnidirectionalCamera, PanoramaCamera
@@ -119,8 +120,7 @@ def drives(folder: Path, camera: Camera) -> FrameTable:
 def located(known: siamloc.maps.VisualMap, images: PanoramaLibrary) -> dict[str, Any]:
     """Return the errors of the queries in m: those of the nearest map frames, and those of the refined poses."""
     queries = images.frames.select(sequence="query")
-    apart = np.linalg.norm(queries.xy[:, None] - known.frames.xy[None], axis=2).min(axis=1)
-    queries = queries.take(apart < _NEAR)
+    queries = queries.take(error_floor(known.frames.xy, queries.xy) < _NEAR)
     asked = Description.concatenate(list(siamloc.maps.describe(known, images, queries)))
     found = siamloc.maps.match(known, asked, _COMPARED)
     poses = siamloc.maps.refine(known, asked, found)

@@ -19,13 +19,12 @@ import tempfile
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 import siamloc
 from benchmarks.building import LIGHTINGS, MAP
+from benchmarks.refinement import by_light
 from benchmarks.report import Report, hardware, parser
-from siamloc.data import FrameTable, PanoramaLibrary
-from siamloc.evaluation.metrics import localization_error
+from siamloc.data import PanoramaLibrary
+from siamloc.evaluation.metrics import error_floor, localization_error
 
 RECIPE = siamloc.training.recipe("modern")
 QUERIES = ("*seq2_cloudy1", "*seq2_night1", "*seq2_sunny1")
@@ -70,33 +69,22 @@ def located(images: PanoramaLibrary, descriptor: Any) -> dict[str, dict[str, dic
     """Return floor, mean, excess and 95 % of the error in m, and its mean when refined, by map and lighting."""
     whole = siamloc.maps.build(descriptor, images, images.frames.select(sequence=list(MAP)), progress=False)
     asked = siamloc.maps.build(descriptor, images, images.frames.select(sequence=list(QUERIES)), progress=False)
+    parts, refines = asked.turning(), getattr(asked.descriptor, "compares", False)
     found: dict[str, dict[str, dict[str, float]]] = {}
     for every, compared in COMPARED.items():
         known = whole.take(range(0, len(whole), every))
-        nearest = siamloc.maps.match(known, asked.turning(), compared)
-        refines = getattr(asked.descriptor, "compares", False)
-        poses = siamloc.maps.refine(known, asked.turning(), nearest, k=compared) if refines else None
-        found[str(every)] = {
-            light: errors(known.frames, asked.frames, nearest.indices[:, 0], poses, asked.frames.lighting == light)
-            for light in LIGHTINGS
-        }
+        nearest = siamloc.maps.match(known, parts, compared)
+        error = localization_error(known.frames.xy[nearest.indices[:, 0]], asked.frames.xy)
+        floor = error_floor(known.frames.xy, asked.frames.xy)
+        finer = {}
+        if refines:
+            poses = siamloc.maps.refine(known, parts, nearest, k=compared)
+            finer["refined"] = localization_error(poses.xy, asked.frames.xy)
+        found[str(every)] = by_light(
+            asked.frames, floor=floor, mean=error, excess=error - floor, p95=(error, 95), **finer
+        )
     print(found, flush=True)
     return found
-
-
-def errors(known: FrameTable, asked: FrameTable, match: Any, poses: Any, shown: Any) -> dict[str, float]:
-    """Return the figures of the queries that are shown."""
-    error = localization_error(known.xy[match], asked.xy)[shown]
-    floor = np.linalg.norm(asked.xy[shown, None] - known.xy, axis=2).min(axis=1)
-    row = {
-        "floor": floor.mean(),
-        "mean": error.mean(),
-        "excess": (error - floor).mean(),
-        "p95": np.percentile(error, 95),
-    }
-    if poses is not None:
-        row["refined"] = localization_error(poses.xy, asked.xy)[shown].mean()
-    return {name: float(value) for name, value in row.items()}
 
 
 def judge(report: Report, rows: dict[str, list[dict[str, Any]]]) -> None:

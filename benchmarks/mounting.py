@@ -23,6 +23,7 @@ import siamloc
 from analytic import Description
 from benchmarks.report import Report, parser
 from siamloc.data import FrameTable, Mounting, PanoramaLibrary, PanoramaView
+from siamloc.evaluation.metrics import error_floor
 from siamloc.simulate import Run, build_scene, load_building
 from siamloc.simulate.camera import PanoramaCamera
 from siamloc.simulate.rendering import frames as rendered
@@ -97,8 +98,7 @@ def _stored(folder: Path, images: NDArray[np.uint8], poses: NDArray[np.float64],
 
 def _mean_error(known: siamloc.maps.VisualMap, images: PanoramaLibrary, queries: FrameTable) -> float:
     """Return the mean error of refined poses in m."""
-    apart = np.linalg.norm(queries.xy[:, None] - known.frames.xy[None], axis=2).min(axis=1)
-    queries = queries.take(apart < _NEAR)
+    queries = queries.take(error_floor(known.frames.xy, queries.xy) < _NEAR)
     asked = Description.concatenate(list(siamloc.maps.describe(known, images, queries)))
     poses = siamloc.maps.refine(known, asked, siamloc.maps.match(known, asked, 8))
     return float(np.linalg.norm(np.asarray(poses.xy) - queries.xy, axis=1).mean())

@@ -15,6 +15,7 @@ import numpy as np
 
 from benchmarks.report import Report, parser
 from siamloc.data.cold import read_cold
+from siamloc.evaluation.metrics import error_floor
 
 
 def gradient_histograms(panorama: np.ndarray, cells: int = 8, bins: int = 32) -> np.ndarray:
@@ -65,7 +66,7 @@ def main() -> None:
         if name == home:
             continue
         error = errors(map_d, map_xy, described[name], part.xy)
-        floor = np.linalg.norm(part.xy[:, None] - map_xy[None], axis=2).min(axis=1)
+        floor = error_floor(map_xy, part.xy)
         pooled.setdefault(str(part.lighting[0]), []).append(error)
         lines.append({"sequence": name, "queries": len(part), "mean_m": error.mean(), "median_m": np.median(error),
                       "floor_m": floor.mean(), "over_2m": float((error > 2).mean())})  # fmt: skip

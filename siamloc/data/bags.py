@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
+from functools import cached_property
 from itertools import islice
 from pathlib import Path
 from typing import Any, Literal
@@ -143,7 +144,7 @@ class Bag:
 
     def frames(self) -> tuple[Edge, ...]:
         """Return the frames that the first messages of the topics of frames give, each with its parent."""
-        return tuple(self._transforms("stamp", _LOOKED_AT))
+        return tuple(self._first_transforms)
 
     def height(self, topic: str) -> dict[str, float]:
         """Return the height in m at which the camera of a topic is fixed above the robot's base, by the base's name.
@@ -151,10 +152,11 @@ class Bag:
         Empty if the first messages of the topics of frames do not say it.
         """
         _, first = next(self._messages(topic, IMAGES, "bag"), (0, None))
-        rows = self._transforms("stamp", _LOOKED_AT)
         for base in _BASES:
             with suppress(DataError):
-                above = self._between(rows, base, first.header.frame_id.lstrip("/") if first else "").position[:, 2]
+                above = self._between(
+                    self._first_transforms, base, first.header.frame_id.lstrip("/") if first else ""
+                ).position[:, 2]
                 if above.min() > 0 and np.ptp(above) < _FIXED:
                     return {base: float(above.mean())}
         return {}
@@ -187,6 +189,10 @@ class Bag:
                 message = self._reader.deserialize(raw, connection.msgtype)
                 stamp = _stamp(message) if clock == "stamp" and hasattr(message, "header") else 0
                 yield stamp or received, message
+
+    @cached_property
+    def _first_transforms(self) -> dict[Edge, list[Any]]:
+        return self._transforms("stamp", _LOOKED_AT)
 
     def _transforms(self, clock: Clock, most: int | None = None) -> dict[Edge, list[Any]]:
         """Return the times and poses of each frame in its parent, of the first messages of each topic of frames."""

@@ -18,7 +18,7 @@ from siamloc.errors import DataError, leave_out, logger
 
 _OTHER_UNIT = 300  # times as long a drive counts other units than seconds
 _ANY_DRIVE = {"rgb", "data", "images", "image", "frames", "mav0", "cam0", "cam1", "image_0", "image_2"}
-_ANY_DRIVE |= {"image_00", "image_01", "image_02", "image_03"}
+_ANY_DRIVE |= {f"image_0{number}" for number in range(4)}
 _TIMES = "timestamps.txt"  # of the raw data of KITTI, beside the folder of the images
 
 
@@ -150,13 +150,12 @@ def images_of(folder: Path, times: Path | None = None, span: float | None = None
         raise DataError(f"{folder} holds no images; it holds: {what}{advice(inside)}{_deeper(folder)}")
     if times is None:
         taken = taken_at(files, span)
-        beside = [path for place in (folder, folder.parent) if (path := place / _TIMES).is_file()]
-        if np.isfinite(taken).all() or not beside:
+        times = next((path for place in (folder, folder.parent) if (path := place / _TIMES).is_file()), None)
+        if np.isfinite(taken).all() or times is None:
             return files, taken
-        if len(text_rows(beside[0])) == len(files):
-            return images_of(folder, beside[0], span)
-        logger.warning("%s is not used: it has no time for each of the %d images of %s", beside[0], len(files), folder)
-        return files, taken
+        if len(text_rows(times)) != len(files):
+            logger.warning("%s is not used: it has no time for each of the %d images of %s", times, len(files), folder)
+            return files, taken
     rows = text_rows(times)
     rows = rows[len(rows) > 1 and not any(map(is_number, rows[0][1])) :]  # without a line of names
     rows = [(line, words[::-1] if [*map(is_number, words)] == [False, True] else words) for line, words in rows]

@@ -46,7 +46,9 @@ def solved(graph: PoseGraph, loops: Loops, start: Array) -> tuple[PoseGraph, Sol
             return graph, solution, replace(loops, weight=weight)
 
 
-def doubts(frames: FrameTable, graph: PoseGraph, whole: PoseGraph, solution: Solution, loops: Loops) -> list[str]:
+def solution_notes(
+    frames: FrameTable, graph: PoseGraph, whole: PoseGraph, solution: Solution, loops: Loops
+) -> list[str]:
     """Return sentences about missing loops, and about anchors that the images contradict.
 
     Args:

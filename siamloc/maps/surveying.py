@@ -26,7 +26,7 @@ from siamloc.maps.describing import build, descriptor_from
 from siamloc.maps.floor import DEVIATION, FloorScale, floor_scale, shows_floor
 from siamloc.maps.loops import Loops, checked_pairs, far_apart, judged, most_alike
 from siamloc.maps.pose_graph import SCALE, Array, Edges, PoseGraph, Solution, covariances, of_shape
-from siamloc.maps.survey_solving import doubts, solved
+from siamloc.maps.survey_solving import solution_notes, solved
 from siamloc.maps.survey_start import anchored, brought_together, check_anchors, of_drives
 from siamloc.maps.survey_steps import (
     compared_steps,
@@ -305,7 +305,7 @@ def concluded(
         floor: what the floor says about displacements.
     """
     whole, solution, loops = solved(graph, loops, start)
-    notes = [*notes, *doubts(frames, graph, whole, solution, loops)]
+    notes = [*notes, *solution_notes(frames, graph, whole, solution, loops)]
     by = "height" if floor is not None and floor.given else "pictures"
     by = "anchors" if len(graph.fixed) > 1 else "odometry" if len(graph.wheels) else by
     x, y, theta = solution.poses.T
