@@ -17,6 +17,7 @@ from siamloc.evaluation.calibration import calibration_measures
 from siamloc.evaluation.metrics import localization_error
 from siamloc.evaluation.result import Result
 from siamloc.evaluation.session import Search, Session
+from siamloc.maps.comparing import comparison_of
 from siamloc.maps.error_model import ErrorModel
 from siamloc.maps.joining import RefinedPoses
 from siamloc.maps.motion import motions
@@ -139,7 +140,7 @@ def search_validation(session: Session, frames: FrameTable | None, settings: Est
     tuned = settings.filter and settings.filter_tune
     search = Search(known, np.flatnonzero(has), k, refinement=refinement(settings, known), with_distances=tuned)
     searches, elsewhere = {"validation": search}, None
-    if settings.error_model and settings.refine != "relative":
+    if settings.error_model and comparison_of(known) is None:
         offsets = (known.frames.xy - xy for xy in frames.xy[search.rows])
         near = np.stack([np.hypot(*offset.T) <= _ELSEWHERE * settings.place_radius for offset in offsets])
         enough = (~near).sum(axis=1) >= k
@@ -359,12 +360,10 @@ def learned_errors(
         "queries": len(validation.frames),
     }
     model = replace(model, refine=settings.refine, lost_above=settings.lost_above, map_digest=known.digest)
-    right, poses = np.flatnonzero(errors <= settings.lost_above), None
-    if model.of_poses:
-        poses = validation.search.found.refined.take(right)
+    right = np.flatnonzero(errors <= settings.lost_above)
     other = None if validation.elsewhere is None else validation.elsewhere.found.retrieval
     try:
-        model = model.with_foreign(found.take(right), xy, poses, other)
+        model = model.with_foreign(found.take(right), xy, other)
     except DataError as error:
         skipped["foreign"] = str(error)
     return model, {**about, "foreign_above": model.foreign_above}

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Literal
 
@@ -13,6 +12,7 @@ from foundation.calls import typed
 from foundation.settings import Count, Natural, NotNegative, Positive
 from siamloc.errors import ConfigError, DataError
 from siamloc.maps.learned import Learned
+from siamloc.maps.reranking import STRANGE
 from siamloc.maps.search import Retrieval
 
 if TYPE_CHECKING:
@@ -23,7 +23,6 @@ _FEWEST = 10
 # Chosen on drives through two buildings; benchmarks/foreign.py measures them on others.
 _KEPT = 0.99  # share of the correct answers that are not foreign
 _BETWEEN = 0.55  # position of the threshold between the strangest of these, 0, and the median of elsewhere, 1
-_MATCH = math.log(0.95 / 0.05)  # odds, as a logarithm, from which a match counts
 _AGREEMENT, _UNTOLD = 0.02, 1e6  # smallest agreement used, and the deviation of a pose about which nothing is known
 
 
@@ -69,14 +68,15 @@ class ErrorModel(Learned):
         lost_above: the expected error above which the robot counts as lost; None if no threshold was chosen.
         foreign_above: the strangeness above which a query shows nothing that is on the map, so that the robot is lost
             whatever the expected error, see `with_foreign`; None if it was not learned.
-        foreign_weight: weight of the best match's descriptor distance in the strangeness; 0 with refined poses.
+        foreign_weight: weight of the best match's distance in the strangeness, beside the score; None if that distance
+            alone is the strangeness, as where images are compared.
         map_digest: digest of the map it was learned on; "" if unknown.
         refine: the poses whose errors are predicted: "none" for those of the nearest map frames, or a method of
             `siamloc.maps.Refinement`.
     """
 
     FORMAT = "siamloc-error-model"
-    VERSION = 5
+    VERSION = 6
     NOUN = "error model"
 
     score: Literal["ratio", "pose"]
@@ -89,7 +89,7 @@ class ErrorModel(Learned):
     map_digest: str = ""
     refine: Literal["none", "interpolate", "relative"] = "none"
     foreign_above: float | None = None
-    foreign_weight: NotNegative = 0.0
+    foreign_weight: NotNegative | None = None
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -198,65 +198,59 @@ class ErrorModel(Learned):
         expected = self.predict(found, map_xy, poses)
         if self.lost_above is None:
             return expected, None
-        return expected, (expected > self.lost_above) | self.foreign(found, map_xy, poses)
+        return expected, (expected > self.lost_above) | self.foreign(found, map_xy)
 
-    def foreign(self, found: Retrieval, map_xy: ArrayLike, poses: RefinedPoses | None = None) -> NDArray[np.bool_]:
+    def foreign(self, found: Retrieval, map_xy: ArrayLike) -> NDArray[np.bool_]:
         """Return which queries (n,) show nothing that is on the map; none if no threshold was learned.
 
         Arguments and errors as for `judged`.
         """
         if self.foreign_above is None:
             return np.zeros(len(found), dtype=bool)
-        return np.logical_not(self._strangeness(found, map_xy, poses) <= self.foreign_above)  # NaN counts as foreign
+        return np.logical_not(self._strangeness(found, map_xy) <= self.foreign_above)  # NaN counts as foreign
 
-    def with_foreign(
-        self, right: Retrieval, map_xy: ArrayLike, poses: RefinedPoses | None = None, elsewhere: Retrieval | None = None
-    ) -> ErrorModel:
+    def with_foreign(self, right: Retrieval, map_xy: ArrayLike, elsewhere: Retrieval | None = None) -> ErrorModel:
         """Return a model that also recognizes images from another building, or from another camera, as foreign.
 
-        No such images are needed. A query with a refined pose is foreign if there is no map frame, among those compared
-        with it, that was taken near it with a probability of at least 95 % (`RefinedPoses.match`). For other queries,
-        places outside the map are imitated by removing the map's own places from it: strangeness is the model's score
-        plus the best match's descriptor distance, in units of its usual value elsewhere, and the threshold lies about
-        halfway between the strangeness of correct answers and of answers elsewhere. Either threshold lies above all
-        correct answers except the strangest 1 %.
+        No such images are needed. If the queries were compared with the map frames (`siamloc.maps.match`), the distance
+        of the best match tells how little of the map each shows, whatever the light: the threshold is
+        `siamloc.maps.reranking.STRANGE`. For other queries, places outside the map are imitated by removing the map's
+        own places from it: strangeness is the model's score plus the best match's distance, in units of its usual value
+        elsewhere, and the threshold lies about halfway between the strangeness of correct answers and of answers
+        elsewhere. Either threshold lies above all correct answers except the strangest 1 %.
 
         Args:
             right: search results of validation queries that were located well.
             map_xy: (m, 2) positions of the map's frames.
-            poses: refined poses of these queries, for a model that was learned from refined poses.
             elsewhere: search results of validation queries among the map frames far from where they were taken; not
-                needed with refined poses.
+                needed for queries that were compared.
 
         Raises:
             ConfigError: as for `judged`.
-            DataError: fewer than 10 queries located well, or, without refined poses, fewer than 10 elsewhere.
+            DataError: fewer than 10 queries located well, or, where they were not compared, fewer than 10 elsewhere.
         """
-        if poses is not None:  # poses without any comparison carry no information
-            told = np.flatnonzero(np.isfinite(poses.match))
-            right, poses = right.take(told), poses.take(told)
-        others = 0 if elsewhere is None else len(elsewhere)
-        if len(right) < _FEWEST or not (self.of_poses or others >= _FEWEST):
+        compared, others = right.alike is not None, 0 if elsewhere is None else len(elsewhere)
+        if len(right) < _FEWEST or not (compared or others >= _FEWEST):
             raise DataError(
                 f"foreign queries are learned from at least {_FEWEST} validation queries that are located well, and, "
-                f"without refined poses, from as many with map frames far from them, got {len(right)} and {others}"
+                f"unless images are compared, from as many with map frames far from them, got {len(right)} and {others}"
             )
-        if self.of_poses or elsewhere is None:
-            return replace(self, foreign_above=max(-_MATCH, self._strangest(right, map_xy, poses)))
+        if compared or elsewhere is None:
+            model = replace(self, foreign_weight=None)
+            return replace(model, foreign_above=max(STRANGE, model._strangest(right, map_xy)))
         model = replace(self, foreign_weight=1 / (float(np.median(elsewhere.distances[:, 0])) or 1.0))
-        strangest = model._strangest(right, map_xy, None)
-        usual = float(np.median(model._strangeness(elsewhere, map_xy, None)))
+        strangest = model._strangest(right, map_xy)
+        usual = float(np.median(model._strangeness(elsewhere, map_xy)))
         return replace(model, foreign_above=strangest + _BETWEEN * max(0.0, usual - strangest))
 
-    def _strangest(self, right: Retrieval, map_xy: ArrayLike, poses: RefinedPoses | None) -> float:
+    def _strangest(self, right: Retrieval, map_xy: ArrayLike) -> float:
         """Return the strangeness that only the strangest of the correct answers exceed."""
-        return float(np.quantile(self._strangeness(right, map_xy, poses), _KEPT, method="lower"))
+        return float(np.quantile(self._strangeness(right, map_xy), _KEPT, method="lower"))
 
-    def _strangeness(self, found: Retrieval, map_xy: ArrayLike, poses: RefinedPoses | None) -> NDArray[np.float64]:
+    def _strangeness(self, found: Retrieval, map_xy: ArrayLike) -> NDArray[np.float64]:
         """Return how little of the map each query shows (n,)."""
-        if self.of_poses:
-            return -_given(poses).match
-        return self.scores(found, map_xy) + self.foreign_weight * found.distances[:, 0]
+        nearest = found.distances[:, 0]
+        return nearest if self.foreign_weight is None else self.scores(found, map_xy) + self.foreign_weight * nearest
 
 
 def _given(poses: RefinedPoses | None) -> RefinedPoses:

@@ -334,7 +334,7 @@ class Localizer:
         if self._errors is not None:
             errors, verdict = self._errors.judged(found, self._placed.frames.xy, pose)
             expected, lost = float(errors[0]), None if verdict is None else bool(verdict[0])
-            if lost and self._errors.foreign(found, self._placed.frames.xy, pose)[0]:
+            if lost and self._errors.foreign(found, self._placed.frames.xy)[0]:
                 expected = math.nan  # the expected error holds for images from the map's surroundings only
         if self._refinement is not None and pose is not None:
             pose = pose.widened(self._refinement.widening)

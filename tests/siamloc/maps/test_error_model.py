@@ -9,8 +9,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from siamloc.errors import ConfigError, DataError, FormatError
-from siamloc.maps import RefinedPoses, Retrieval
+from siamloc.maps import Retrieval
 from siamloc.maps.error_model import ErrorModel, ratio_score
+from siamloc.maps.reranking import STRANGE
 from tests.oracles import calibration as oracle
 from tests.siamloc.maps.conftest import retrieval
 
@@ -108,33 +109,26 @@ def test_what_lies_elsewhere_is_foreign_and_right_answers_are_not() -> None:
     assert not scaled.judged(near, xy)[1].any()
 
 
-def matched(odds: np.ndarray) -> RefinedPoses:
-    n = len(odds)
-    return RefinedPoses(
-        np.zeros((n, 2)), np.zeros(n), np.tile(np.eye(2), (n, 1, 1)), np.ones(n), np.arange(n), odds.astype(float)
-    )
+def compared(distances: list[float]) -> Retrieval:
+    """Return matches of a map that compares images, the best one at these distances."""
+    nearest = np.array(distances)
+    n = len(nearest)
+    return Retrieval(np.tile([0, 1], (n, 1)), np.stack([nearest, nearest + 1], axis=1), np.zeros(n, dtype=np.int64))
 
 
-def test_with_refined_poses_the_odds_of_a_match_tell_what_is_foreign(tmp_path: Path) -> None:
+@pytest.mark.parametrize("score", ["ratio", "pose"])
+def test_where_images_are_compared_the_distance_tells_what_is_foreign(score, tmp_path: Path) -> None:
     rng = np.random.default_rng(0)
-    xy = rng.uniform(0, 30, (30, 2))
-    near = looked_for(rng, 0.4)
-    model = replace(MODEL, score="pose", refine="relative", lost_above=5.0)
-    model = model.with_foreign(near, xy, matched(rng.normal(9, 0.1, 200)))
-    assert model.foreign_weight == 0
-    assert model.foreign_above == pytest.approx(np.log(0.05 / 0.95)), "a match is likely by 95 %"
-    odds = np.array([9.0, 3.0, 2.9, -9.0, -np.inf, np.nan])
-    called = [False, False, True, True, True, True]
-    assert model.judged(looked_for(rng, 0.4, 6), xy, matched(odds))[1].tolist() == called
-    assert model.foreign(looked_for(rng, 0.4, 6), xy, matched(odds)).tolist() == called
-    # Where right answers are no likely matches, 99 % of them are none the less not foreign.
-    assert model.with_foreign(near, xy, matched(np.arange(200) - 100)).foreign_above == 98
-    strays = np.where(np.arange(200) < 190, -np.inf, 9.0)
-    assert model.with_foreign(near, xy, matched(strays)).foreign_above == model.foreign_above, "-inf was not compared"
+    xy = rng.uniform(0, 30, (2, 2))
+    model = replace(MODEL, score=score, refine="relative" if score == "pose" else "none", lost_above=5.0)
+    model = model.with_foreign(compared([0.3] * 200), xy)
+    assert model.foreign_weight is None
+    assert model.foreign_above == STRANGE, "nothing elsewhere is needed"
+    assert model.foreign(compared([0.2, 4.6, STRANGE, 5.1, np.nan]), xy).tolist() == [False, False, False, True, True]
+    # Where right answers look strange, 99 % of them are none the less not foreign.
+    assert model.with_foreign(compared(list(np.arange(200) / 10)), xy).foreign_above == 19.7
     with pytest.raises(DataError, match=r"at least 10 validation queries .* got 9 and 0"):
-        model.with_foreign(looked_for(rng, 0.4, 9), xy, matched(np.full(9, 9.0)))
-    with pytest.raises(ConfigError, match="learned from refined poses: give it those"):
-        model.with_foreign(near, xy)
+        model.with_foreign(compared([0.3] * 9), xy)
     model.save(tmp_path / "error.json")
     assert ErrorModel.load(tmp_path / "error.json") == model
 
@@ -164,8 +158,8 @@ def test_what_is_foreign_is_not_learned_from_a_few() -> None:
     ("values", "message"),
     [
         ({"format": "other"}, "this is not a siamloc error model"),
-        ({**MODEL.as_dict(), "version": 6}, "format version 6, this siamloc reads version 5: update siamloc"),
-        ({**MODEL.as_dict(), "version": 4}, "format version 4, this siamloc reads version 5: make it again"),
+        ({**MODEL.as_dict(), "version": 7}, "format version 7, this siamloc reads version 6: update siamloc"),
+        ({**MODEL.as_dict(), "version": 5}, "format version 5, this siamloc reads version 6: make it again"),
         ({**MODEL.as_dict(), "foreign_weight": -1}, "not a whole error model"),
         ({**MODEL.as_dict(), "knots": [0.5]}, "not a whole error model"),
         ({**MODEL.as_dict(), "errors": [3, 2, 1]}, "not a whole error model"),
