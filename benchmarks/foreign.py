@@ -38,18 +38,20 @@ CORRIDOR = Path(__file__).parents[2] / "shared" / "data" / "corridor" / "manifes
 EVERY = (1, 5)
 
 
-def lost_of(
-    queries: list[Description], known: siamloc.maps.VisualMap, model: siamloc.maps.ErrorModel
-) -> tuple[NDArray[np.bool_], NDArray[np.float64]]:
-    """Return which queries are lost, and their estimated positions."""
+def judged(
+    queries: list[Description], known: siamloc.maps.VisualMap, models: dict[str, siamloc.maps.ErrorModel]
+) -> dict[str, tuple[NDArray[np.bool_], NDArray[np.float64]]]:
+    """Return by each model which queries are lost, and their estimated positions."""
     finer = siamloc.maps.Refinement("relative")
-    lost, xy = list[Any](), list[Any]()
+    lost, xy = ({name: list[Any]() for name in models} for _ in range(2))
     for query in queries:
         found = siamloc.maps.match(known, query, 20)
-        poses = finer.poses(known, query, found) if model.of_poses else None
-        lost.append(model.judged(found, known.frames.xy, poses)[1])
-        xy.append(known.frames.xy[found.indices[:, 0]] if poses is None else poses.xy)
-    return np.concatenate(lost), np.concatenate(xy)
+        poses = finer.poses(known, query, found)
+        nearest = known.frames.xy[found.indices[:, 0]]
+        for name, model in models.items():
+            lost[name].append(model.judged(found, known.frames.xy, poses)[1])
+            xy[name].append(poses.xy if model.of_poses else nearest)
+    return {name: (np.concatenate(lost[name]), np.concatenate(xy[name])) for name in models}
 
 
 def main() -> None:
@@ -78,26 +80,29 @@ def main() -> None:
                 chosen = mapped.take(np.arange(0, len(mapped), every))
                 known = siamloc.maps.build("pretrained", images[home], chosen, progress=False)
                 validation = frames[home].select(sequence=drives[1])
-                for name, way in WAYS.items():
-                    model = siamloc.evaluation.error_model(known, images[home], validation, **way)
-                    row: dict[str, Any] = {"way": name, "map": home, "every": every, "lost": {}, "refused": {}}
-                    foreign = list[NDArray[np.bool_]]()
-                    for place, table in frames.items():
-                        for drive in table.rows_by("sequence"):
-                            if place == home and drive in drives[:2]:
-                                continue
-                            queries = table.select(sequence=drive)
-                            if (place, drive) not in described:
-                                found = siamloc.maps.describing.describe(known.descriptor, images[place], queries)
-                                described[place, drive] = list(found)
-                            lost, xy = lost_of(described[place, drive], known, model)
+                models = {
+                    name: siamloc.evaluation.error_model(known, images[home], validation, **way)
+                    for name, way in WAYS.items()
+                }
+                found = {name: {"way": name, "map": home, "every": every, "lost": {}, "refused": {}} for name in WAYS}
+                foreign: dict[str, list[NDArray[np.bool_]]] = {name: [] for name in WAYS}
+                for place, table in frames.items():
+                    for drive in table.rows_by("sequence"):
+                        if place == home and drive in drives[:2]:
+                            continue
+                        queries = table.select(sequence=drive)
+                        if (place, drive) not in described:
+                            parts = siamloc.maps.describing.describe(known.descriptor, images[place], queries)
+                            described[place, drive] = list(parts)
+                        for name, (lost, xy) in judged(described[place, drive], known, models).items():
                             if place == home:
                                 right = np.hypot(*(xy - queries.xy).T) <= 1.0
-                                row["lost"][drive] = float(lost[right].mean())
+                                found[name]["lost"][drive] = float(lost[right].mean())
                             else:
-                                row["refused"][f"{place} {drive}"] = float(lost.mean())
-                                foreign.append(lost)
-                    row["refused_of_all"] = float(np.concatenate(foreign).mean())
+                                found[name]["refused"][f"{place} {drive}"] = float(lost.mean())
+                                foreign[name].append(lost)
+                for name, row in found.items():
+                    row["refused_of_all"] = float(np.concatenate(foreign[name]).mean())
                     rows.append(row)
                     print(f"{name}, {home}, every {every}: lost {row['lost']}, refused {row['refused']}", flush=True)
     for row in rows:
