@@ -37,6 +37,7 @@ from siamloc.training.settings import Training
 
 _FRAMES = 50  # at least
 _ALIKE = 0.98  # similarity above which two frames are of one step, however alike all frames of the drive are
+_IN_ORDER = 0.75  # share of frames that resemble the next one; half of those in no order do, and most of a drive
 _STRETCH = 8  # steps
 _HELD_OUT = 4  # one stretch of this many
 _SAMPLE = 1000  # frames at most from which the median similarity is computed
@@ -79,7 +80,7 @@ class Adapting:
 
         Raises:
             ConfigError: validation frames.
-            DataError: several drives, too few frames, or frames of one spot.
+            DataError: several drives, too few frames, frames of one spot, or frames in no order.
         """
         if not isinstance(settings.pairs, PlaceSettings) or settings.pairs.by != "steps":
             return None
@@ -99,11 +100,19 @@ class Adapting:
             )
         if resumed is not None and (resumed.checkpoints / "last.ckpt").is_file():
             network = load(resumed, which="untrained")
-        steps = steps_of(_described(network, images, frames))
+        described = _described(network, images, frames)
+        steps = steps_of(described)
         if steps[-1] + 1 < 2 * _STRETCH:
             raise DataError(
-                f"the frames of this drive look so alike that they make {steps[-1] + 1} steps, and pairs.by=steps "
-                f"learns from {2 * _STRETCH} or more: give a drive through several rooms"
+                f"the frames of this drive look so alike that their number of steps is {steps[-1] + 1}, and "
+                f"pairs.by=steps learns from {2 * _STRETCH} or more: give a drive through several rooms"
+            )
+        successive = np.einsum("nd,nd->n", described[:-1], described[1:])
+        if (shown := (successive > _median_similarity(described)).mean()) < _IN_ORDER:
+            raise DataError(
+                f"{shown:.0%} of the frames look more like the next one than two frames of the drive typically do, and "
+                f"{_IN_ORDER:.0%} or more do in a drive: pairs.by=steps learns from the order of the frames, so give "
+                "them in the order in which they were taken, or with times"
             )
         drive = frames.with_columns(x=steps, y=np.zeros(len(steps)), building=[""] * len(steps))
         return cls(replace(drive, unit="steps"), _weights(network))
@@ -196,14 +205,19 @@ def steps_of(descriptors: NDArray[np.float32]) -> NDArray[np.int64]:
         >>> steps_of(np.column_stack([np.cos(angle), np.sin(angle)])).tolist()
         [0, 0, 0, 1, 1, 1, 2, 2, 2, 3]
     """
-    sample = descriptors[np.unique(np.linspace(0, len(descriptors) - 1, _SAMPLE).round().astype(np.int64))]
-    level = min((1 + np.median(sample @ sample.T)) / 2, _ALIKE)
+    level = min((1 + _median_similarity(descriptors)) / 2, _ALIKE)
     steps, first = np.zeros(len(descriptors), np.int64), 0
     for row in range(1, len(descriptors)):
         leaves = descriptors[row] @ descriptors[first] < level
         first = row if leaves else first
         steps[row] = steps[row - 1] + leaves
     return steps
+
+
+def _median_similarity(descriptors: NDArray[np.float32]) -> float:
+    """Return the median of the similarities of all frames of a drive, from their descriptors (n, D) of unit length."""
+    sample = descriptors[np.unique(np.linspace(0, len(descriptors) - 1, _SAMPLE).round().astype(np.int64))]
+    return float(np.median(sample @ sample.T))
 
 
 def _described(network: nn.Module, images: PanoramaLibrary, frames: FrameTable) -> NDArray[np.float32]:

@@ -139,7 +139,10 @@ def test_drives_without_an_order_to_learn_from_are_refused(adapt, drives):
         adapt(Cells(), frames)
     with pytest.raises(DataError, match="50 frames of a drive or more, and there are 49"):
         adapt(Cells(), frames.take(slice(49)))
-    with pytest.raises(DataError, match="look so alike that they make 1 steps"):
+    with pytest.raises(DataError, match="look so alike that their number of steps is 1"):
         adapt(Cells(), frames.select(sequence="still"))
+    mixed = np.random.default_rng(2).permutation(FRAMES)
+    with pytest.raises(DataError, match="give them in the order in which they were taken"):
+        adapt(Cells(), frames.select(sequence="drive").take(mixed))
     with pytest.raises(ConfigError, match="leave the validation out"):
         adapt(Cells(), frames.select(sequence="drive"), validation=frames.select(sequence="still"))
