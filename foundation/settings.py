@@ -227,11 +227,12 @@ def as_words(values: Mapping[str, Any]) -> str:
 
 
 def shortened(text: str, most: int = 120) -> str:
-    """Shorten a text for an error message: a long one is cut in the middle.
+    """Put a text on one line for an error message: a long one is cut in the middle.
 
     >>> shortened("x" * 200, 20)
     'xxxxxxxx ... xxxxxxx'
     """
+    text = " ".join(text.split())
     if len(text) <= most:
         return text
     left = (most - 4) // 2

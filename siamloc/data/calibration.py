@@ -211,7 +211,7 @@ def _yaml(file: Path, text: str) -> dict[str, Any]:
     try:
         found = yaml.safe_load(text)
     except (yaml.YAMLError, ValueError, RecursionError) as error:
-        raise DataError(f"{file} is not YAML: {shortened(' '.join(str(error).split()))}") from error
+        raise DataError(f"{file} is not YAML: {shortened(str(error))}") from error
     if not isinstance(found, dict):
         raise DataError(f"{file} is not a calibration file: {_READ}")
     return {str(name): one.get("data", one) if isinstance(one, dict) else one for name, one in found.items()}

@@ -125,7 +125,7 @@ def read_occupancy(path: str | Path) -> OccupancyMap:
         about = yaml.safe_load(read_text(file))
     except (OSError, ValueError, RecursionError, yaml.YAMLError) as error:
         reason = str(getattr(error, "strerror", None) or error)
-        raise DataError(f"the map {file} cannot be read: {shortened(' '.join(reason.split()))}") from error
+        raise DataError(f"the map {file} cannot be read: {shortened(reason)}") from error
     missing = [key for key in _NEEDED if key not in about] if isinstance(about, Mapping) else list(_NEEDED)
     if missing:
         raise DataError(f"{file} is not the YAML file of a map server: {', '.join(missing)} missing")

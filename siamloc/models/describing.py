@@ -310,7 +310,12 @@ def _described(
 
 
 def _as_images(batch: Any) -> Tensor:
-    images = batch.detach() if isinstance(batch, Tensor) else torch.from_numpy(np.ascontiguousarray(batch))
+    if not isinstance(batch, Tensor):
+        batch = np.ascontiguousarray(batch)
+        if batch.dtype.kind not in "buif":
+            raise DataError(f"images must be arrays or tensors, uint8 or floating point in [0, 1], got {batch.dtype}")
+        batch = torch.from_numpy(batch)
+    images = batch.detach()
     if images.ndim == 3 and images.shape[0] != 3:
         images = images.unsqueeze(1)
     while images.ndim < 4:

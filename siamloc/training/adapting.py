@@ -37,7 +37,7 @@ from siamloc.training.settings import Training
 
 _FRAMES = 50  # at least
 _ALIKE = 0.98  # similarity above which two frames are of one step, however alike all frames of the drive are
-_IN_ORDER = 0.75  # share of frames that resemble the next one; half of those in no order do, and most of a drive
+_IN_ORDER = 0.65  # share of frames that resemble the next one: half of those in no order do, and most of a drive
 _STRETCH = 8  # steps
 _HELD_OUT = 4  # one stretch of this many
 _SAMPLE = 1000  # frames at most from which the median similarity is computed

@@ -86,6 +86,7 @@ def test_describing_is_in_full_precision_under_autocast():
 @pytest.mark.parametrize(
     ("images", "message"),
     [
+        ("photo.jpg", "images must be arrays or tensors"),
         (np.zeros((2, 4, *SIZE), np.uint8), "images must have shape"),
         (np.zeros((0, 3, *SIZE), np.uint8), "images must have shape"),
         (np.zeros((2, 3, 64, 32), np.uint8), r"shape \(B, 3, 32, 64\)"),
