@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from siamloc.data.moves import chained, moves, relative
+from siamloc.data.moves import chained, moves, relative, wrapped
 from siamloc.errors import DataError
 from siamloc.maps.comparing import ODDS, Compares
 from siamloc.maps.loops import Pairs
@@ -27,6 +27,7 @@ _JUMP, _FROZEN = 1.0, 5  # metres beyond three times the compared way; frames
 _WAY = 0.3  # metres over which units and signs are judged
 _TURNED = np.radians(3)  # a turn that comparisons see for certain
 _ENOUGH = 10  # steps from which units and signs are judged
+_LATE = 10  # rows by which odometry may be late, at most
 _ALONG = 0.5  # length of the mean of the directions by odometry, as seen from those by comparison, as unit vectors
 
 
@@ -102,7 +103,7 @@ def odometry_steps(
     frozen, as comparisons (n - 1, 3) show that are certain (n - 1,). `notes` gets a sentence about each such part.
 
     Raises:
-        DataError: odometry in another unit, in degrees, or of turns with the wrong sign or other directions.
+        DataError: odometry in another unit, in degrees, of turns with the wrong sign or other directions, or late.
     """
     steps = moves(odometry)[1:]
     steps[drive[1:] != drive[:-1]] = np.nan
@@ -130,7 +131,7 @@ def odometry_steps(
 
 
 def _check_odometry(said: str, odometry: Array, seen: Array, certain: NDArray[np.bool_]) -> None:
-    """Refuse odometry (n, 3) of a drive whose unit, sign or directions are not those of compared steps (n - 1, 3).
+    """Refuse odometry (n, 3) of a drive whose unit, sign, times or directions are not those of compared steps.
 
     It is judged over as many frames as the robot needs for 0.3 m, so that frames may be dense.
     """
@@ -162,6 +163,12 @@ def _check_odometry(said: str, odometry: Array, seen: Array, certain: NDArray[np
                 f"{said} turns left where its images turn right: headings grow counter-clockwise and the columns of a "
                 "panorama run clockwise; give odom_theta with the other sign, or mirror the panoramas"
             )
+        late = _rows_late(odometry[:, 2], by_images[turning, 2], first[turning], back)
+        if late != 0:
+            raise DataError(
+                f"{said} turns {abs(late)} row{'s' * (abs(late) > 1)} {'after' if late > 0 else 'before'} its images "
+                "do: give each image the odometry of its own time, and correct the offset between their times"
+            )
     direction = np.arctan2(by_wheels[moving, 1], by_wheels[moving, 0])
     direction -= np.arctan2(by_images[moving, 1], by_images[moving, 0])
     if judged and np.abs(np.average(np.exp(1j * direction), weights=weight)) < _ALONG:
@@ -169,6 +176,27 @@ def _check_odometry(said: str, odometry: Array, seen: Array, certain: NDArray[np
             f"{said} moves in other directions than its images show: odom_theta must be the heading in the frame of "
             "odom_x and odom_y, in radians counter-clockwise, and each row that of its image"
         )
+
+
+def _rows_late(heading: Array, turns: Array, first: NDArray[np.int64], back: int) -> int:
+    """Return by how many rows headings (n,) are late, negative if early; 0 unless another row fits twice as well.
+
+    Args:
+        heading: by odometry, in rad.
+        turns: by comparisons, from some rows to those `back` rows later (k,), in rad.
+        first: these rows (k,).
+        back: number of rows.
+    """
+    inner = (first >= _LATE) & (first + back + _LATE < len(heading))
+    late = np.arange(-_LATE, _LATE + 1)
+    rows = first[inner] + late[:, None]
+    off = np.abs(wrapped(heading[rows + back] - heading[rows] - turns[inner]))
+    known = np.isfinite(off).all(axis=0)
+    if known.sum() < _ENOUGH * back:
+        return 0
+    typical = np.median(off[:, known], axis=1)
+    best = int(typical.argmin())
+    return int(late[best]) if typical[best] < typical[_LATE] / 2 else 0
 
 
 def wheel_edges(steps: Array) -> Edges:

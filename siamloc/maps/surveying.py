@@ -185,9 +185,9 @@ def survey(
     Raises:
         ConfigError: a network that does not compare; a height, but panoramas that do not show the floor.
         DataError: a drive with fewer than 10 frames, with times that go back, or one that stands still; odometry in
-            another unit, in degrees or of other turns or directions than the images; drives that have no place in
-            common; anchors that are not among the frames, are given twice, or without a pose; candidates that are not
-            pairs of rows.
+            another unit, in degrees, or of other turns, times or directions than the images; drives that have no place
+            in common; anchors that are not among the frames, are given twice, or without a pose; candidates that are
+            not pairs of rows.
 
     Example:
         >>> found = siamloc.maps.survey("pretrained", images, monday)  # doctest: +SKIP

@@ -394,6 +394,17 @@ def test_units_and_signs_of_dense_frames_are_judged_as_well(surveyed):
             surveyed({"monday": poses}, odometry=changed, noise=0.003)
 
 
+@pytest.mark.parametrize(("late", "says"), [(3, "3 rows after"), (1, "1 row after"), (-2, "2 rows before")])
+def test_odometry_of_other_images_is_refused(surveyed, late, says):
+    rng = np.random.default_rng(3)
+    turns = np.radians(6) * rng.normal(size=90)
+    poses = chained(np.column_stack([np.full(90, 0.3), np.zeros(90), turns]))
+    wheels = drifting(poses)
+    assert surveyed({"monday": poses}, odometry=wheels)[0].fixed_by == "odometry"
+    with pytest.raises(DataError, match=rf"turns {says} its images do: give each image the odometry of its own time"):
+        surveyed({"monday": poses}, odometry=wheels[np.clip(np.arange(90) - late, 0, 89)])
+
+
 def test_frames_out_of_order_are_refused_before_any_image_is_described(surveyed, monkeypatch):
     monkeypatch.setattr(sys.modules["siamloc.maps.surveying"], "descriptor_from", None)
     table = FrameTable(path=[f"{n}.png" for n in range(12)], time=[*range(6), 3, *range(6, 11)])
