@@ -47,6 +47,7 @@ if TYPE_CHECKING:
 
 _FEWEST = 10  # frames of a drive
 _LEAST_WAY = 1.0  # metres of a drive
+_KNOWN = 0.3  # share of the steps of a drive that images or odometry show, at least: fewer where images are shuffled
 
 
 @dataclass(frozen=True)
@@ -184,10 +185,10 @@ def survey(
 
     Raises:
         ConfigError: a network that does not compare; a height, but panoramas that do not show the floor.
-        DataError: a drive with fewer than 10 frames, with times that go back, or one that stands still; odometry in
-            another unit, in degrees, or of other turns, times or directions than the images; drives that have no place
-            in common; anchors that are not among the frames, are given twice, or without a pose; candidates that are
-            not pairs of rows.
+        DataError: a drive with fewer than 10 frames, in another order than that of their times, or one that stands
+            still; odometry in another unit, in degrees, or of other turns, times or directions than the images; drives
+            that have no place in common; anchors that are not among the frames, are given twice, or without a pose;
+            candidates that are not pairs of rows.
 
     Example:
         >>> found = siamloc.maps.survey("pretrained", images, monday)  # doctest: +SKIP
@@ -257,6 +258,7 @@ def of_descriptions(
     compared = comparing(compare, scaled(parts), progress)
     steps, seen, certain = compared_steps(compared, drive)
     moved = odometry_steps(wheels, seen, certain, drive, names, notes)
+    _check_steps(certain | np.isfinite(moved).all(axis=1), drive, names)
     floor: FloorScale | None = None
     if np.isfinite(moved).any():
         if settings.height is not None:
@@ -386,6 +388,17 @@ def check_lengths(frames: FrameTable) -> None:
             raise DataError(f"{said} has {len(rows)} frames: a survey needs {_FEWEST} or more of each")
         if (np.diff(times[np.isfinite(times)]) < 0).any():
             raise DataError(f"the times of {said} go back: give its frames in the order in which they were taken")
+
+
+def _check_steps(known: NDArray[np.bool_], drive: NDArray[np.int64], names: list[str]) -> None:
+    for number, name in enumerate(names):
+        mine = known[(drive[1:] == number) & (drive[:-1] == number)]
+        if mine.mean() < _KNOWN:
+            raise DataError(
+                f"only {mine.sum()} of {len(mine)} images of drive {name or '(unnamed)'} are like the one before: give "
+                "its frames in the order in which they were taken, sorted by time, and less than a metre apart, or "
+                "give odometry"
+            )
 
 
 def _check_ways(start: Array, drive: NDArray[np.int64], names: list[str]) -> None:

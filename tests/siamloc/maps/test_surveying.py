@@ -394,6 +394,16 @@ def test_units_and_signs_of_dense_frames_are_judged_as_well(surveyed):
             surveyed({"monday": poses}, odometry=changed, noise=0.003)
 
 
+def test_shuffled_images_alone_are_refused(surveyed):
+    x = np.arange(60) * 0.3
+    poses = np.column_stack([x, np.sin(x / 3), np.arctan(np.cos(x / 3) / 3)])
+    shuffled = poses[np.random.default_rng(0).permutation(60)]
+    with pytest.raises(DataError, match=r"only \d+ of 59 images of drive monday are like .* sorted by time"):
+        surveyed({"monday": shuffled}, odometry=False)
+    assert surveyed({"monday": shuffled}, odometry=shuffled)[0].fixed_by == "odometry"
+    assert surveyed({"monday": poses}, odometry=False)[0].fixed_by == "pictures"
+
+
 @pytest.mark.parametrize(("late", "says"), [(3, "3 rows after"), (1, "1 row after"), (-2, "2 rows before")])
 def test_odometry_of_other_images_is_refused(surveyed, late, says):
     rng = np.random.default_rng(3)
