@@ -85,6 +85,11 @@ class CentralCamera(Settings):
         rays[self._hidden(rays)] = np.nan
         return rays @ self._axes
 
+    def shows(self, pixels: Array, image_size: ImageSize | None = None) -> Array:
+        """Return which pixels (..., 2) look at something (...), bool."""
+        shown: Array = np.isfinite(self.back_project(pixels, image_size)[..., 0])
+        return shown
+
     def sampling(self, view: PanoramaView, image_size: ImageSize) -> tuple[Array, Array]:
         """Return the columns (H, W) and rows (H, W) in the picture of a panorama's pixels, NaN where unseen."""
         pixels = self.project(view.directions(), image_size)

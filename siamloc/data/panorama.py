@@ -110,6 +110,8 @@ class OmnidirectionalCamera(Protocol, Hashable):
 
     Attributes:
         wraps: optional; True if the left edge of the image continues at its right edge.
+        shows: optional; a method that returns which pixels (..., 2), column and row, of an image of a size show
+            something (...), bool: the others, such as the black around the circle of a fisheye, are not used.
     """
 
     def sampling(self, view: PanoramaView, image_size: tuple[int, int]) -> tuple[Array, Array]:
@@ -270,6 +272,8 @@ def _step(columns: Array, rows: Array) -> float:
 
 _FINEST = 4  # points in a pixel of the panorama, along each of its sides
 _LEAST = 0.02  # share of the panorama that a camera must see
+_CLEAR = 0.99  # weight of the pixels that show something, among those between which a point lies
+_BLOCKS = 768  # of an image, along a side, at most: a block counts as shown if its corners are
 
 
 def _tables(
@@ -277,7 +281,7 @@ def _tables(
 ) -> tuple[Array, Array, Array, tuple[int, int]]:
     """Return the columns and rows of an image to sample (kH, kW), float32, for k x k points in each pixel; which pixels
     are seen (H, W); and the size to which the image is shrunk before, since points that lie more than a pixel apart
-    would alias. Points that are not seen are moved to the nearest ones that are."""
+    would alias. Points that are not seen, or not clearly, are moved to the nearest ones that are."""
     columns, rows = camera.sampling(view, image_size)
     sees = _inside(columns, rows, image_size)
     if sees.mean() < _LEAST:
@@ -293,13 +297,33 @@ def _tables(
     if shrink > 1:
         columns = (columns + 0.5) * (width / image_size[1]) - 0.5
         rows = (rows + 0.5) * (height / image_size[0]) - 0.5
-    columns, rows = _filled(columns, rows, inside)
     if not getattr(camera, "wraps", False):
         columns = columns.clip(0, width - 1)
-    return columns.astype(np.float32), rows.clip(0, height - 1).astype(np.float32), sees, (height, width)
+    rows = rows.clip(0, height - 1)
+    shown = _shown(camera, image_size, (height, width))
+    right, down = (np.nan_to_num(one).astype(np.float32) for one in (columns, rows))
+    clear = inside & (cv2.remap(shown, right, down, cv2.INTER_LINEAR, borderMode=cv2.BORDER_WRAP) > _CLEAR)
+    columns, rows = _filled(columns, rows, clear if clear.any() else inside)
+    return columns.astype(np.float32), rows.astype(np.float32), sees, (height, width)
 
 
 _cached_tables = lru_cache(maxsize=8)(_tables)
+
+
+@lru_cache(maxsize=8)
+def _shown(camera: OmnidirectionalCamera, image_size: tuple[int, int], size: tuple[int, int]) -> Array:
+    """Return 1 for each pixel of a shrunk image that shows something at all its corners, otherwise 0, float32.
+
+    Pixels of a large image are judged in blocks.
+    """
+    if not hasattr(camera, "shows"):
+        return np.ones(size, dtype=np.float32)
+    rows, columns = (
+        np.linspace(-0.5, side - 0.5, min(count, _BLOCKS) + 1) for side, count in zip(image_size, size, strict=True)
+    )
+    corner = camera.shows(np.stack(np.meshgrid(columns, rows), axis=-1), image_size)
+    whole = corner[1:, 1:] & corner[1:, :-1] & corner[:-1, 1:] & corner[:-1, :-1]
+    return cv2.resize(whole.astype(np.float32), size[::-1])
 
 
 def _inside(columns: Array, rows: Array, image_size: tuple[int, int]) -> Array:

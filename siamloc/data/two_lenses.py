@@ -65,4 +65,4 @@ def _unseen(camera: DualFisheyeCamera, rows: int, columns: int) -> Array:
     """Return which of few pixels the lenses do not show."""
     down, right = np.mgrid[:rows, :columns]
     pixels = _few(np.stack([right, down], axis=-1)).astype(np.float64)
-    return np.isnan(camera.back_project(pixels, (rows, columns))[..., 0])
+    return ~camera.shows(pixels, (rows, columns))

@@ -208,6 +208,19 @@ def test_a_tilt_is_taken_out(name):
     assert (unwrap(image, camera, VIEW.tilted(0, 0)) == unwrap(image, camera, VIEW)).all()
 
 
+@pytest.mark.parametrize("rows", [240, 800])
+@pytest.mark.parametrize(
+    "camera", [FisheyeCamera(elevation=90, fov=210.0), DualFisheyeCamera(*[FisheyeCamera(fov=180.0)] * 2)]
+)
+def test_the_black_around_a_circle_is_not_mixed_into_a_panorama(camera, rows):
+    size = (rows, rows * (2 if isinstance(camera, DualFisheyeCamera) else 1))
+    pixels = np.stack(np.meshgrid(np.arange(size[1]), np.arange(rows)), axis=-1)
+    picture = np.where(camera.shows(pixels, size), 158, 0).astype(np.uint8)
+    view = PanoramaView(64, 256, top=30.0, bottom=-15.0)  # down to the edge of the fisheye's circle
+    assert seen(camera, view, size).all()
+    assert (unwrap(picture, camera, view) == 158).all()
+
+
 def test_the_seam_of_a_whole_picture_is_closed_and_no_other_camera_wraps():
     ramp = np.tile(np.abs(np.linspace(-255, 255, 512)).astype(np.uint8), (256, 1))  # bright behind
     panorama = unwrap(ramp, EquirectangularCamera(), PanoramaView(32, 1024))
