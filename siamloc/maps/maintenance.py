@@ -339,8 +339,9 @@ def _check_axes(drive: FrameTable, located: FrameTable, radius: float) -> None:
     if agree.any() and agree.mean(axis=1).max() >= _MOST:
         raise DataError(
             f"the drive's positions have other axes than the map's: one motion brings {agree.sum(axis=1).max()} of "
-            f"{len(given)} frames to where the map locates them. Leave x and y out, give them as odom_x and odom_y, or "
-            "name the building if it is another one that looks alike"
+            f"{len(given)} frames to where the map locates them. Leave x and y out, or give them as odom_x and odom_y. "
+            "If the drive shows a place that the map lacks, and that only looks like one of its own, give its frames "
+            "another name in the column building"
         )
 
 
