@@ -12,7 +12,6 @@ from foundation.calls import typed
 from foundation.settings import Count, Natural, NotNegative, Positive
 from siamloc.errors import ConfigError, DataError
 from siamloc.maps.learned import Learned
-from siamloc.maps.reranking import STRANGE
 from siamloc.maps.search import Retrieval
 
 if TYPE_CHECKING:
@@ -22,6 +21,7 @@ _GROUP = 25  # validation queries behind each value of the model, at least
 _FEWEST = 10
 # Chosen on drives through two buildings; benchmarks/foreign.py measures them on others.
 _KEPT = 0.99  # share of the correct answers that are not foreign
+_STRANGE = 0.85  # `Retrieval.strangeness` of images that show nothing of the map, at least
 _BETWEEN = 0.55  # position of the threshold between the strangest of these, 0, and the median of elsewhere, 1
 _AGREEMENT, _UNTOLD = 0.02, 1e6  # smallest agreement used, and the deviation of a pose about which nothing is known
 
@@ -68,8 +68,8 @@ class ErrorModel(Learned):
         lost_above: the expected error above which the robot counts as lost; None if no threshold was chosen.
         foreign_above: the strangeness above which a query shows nothing that is on the map, so that the robot is lost
             whatever the expected error, see `with_foreign`; None if it was not learned.
-        foreign_weight: weight of the best match's distance in the strangeness, beside the score; None if that distance
-            alone is the strangeness, as where images are compared.
+        foreign_weight: weight of the best match's distance in the strangeness, beside the score; None where images are
+            compared, which tells the strangeness (`Retrieval.strangeness`).
         map_digest: digest of the map it was learned on; "" if unknown.
         refine: the poses whose errors are predicted: "none" for those of the nearest map frames, or a method of
             `siamloc.maps.Refinement`.
@@ -212,12 +212,12 @@ class ErrorModel(Learned):
     def with_foreign(self, right: Retrieval, map_xy: ArrayLike, elsewhere: Retrieval | None = None) -> ErrorModel:
         """Return a model that also recognizes images from another building, or from another camera, as foreign.
 
-        No such images are needed. If the queries were compared with the map frames (`siamloc.maps.match`), the distance
-        of the best match tells how little of the map each shows, whatever the light: the threshold is
-        `siamloc.maps.reranking.STRANGE`. For other queries, places outside the map are imitated by removing the map's
-        own places from it: strangeness is the model's score plus the best match's distance, in units of its usual value
-        elsewhere, and the threshold lies about halfway between the strangeness of correct answers and of answers
-        elsewhere. Either threshold lies above all correct answers except the strangest 1 %.
+        No such images are needed. If the queries were compared with the map frames by `siamloc.maps.match`, that tells
+        how little of the map each shows (`Retrieval.strangeness`), and 0.85 is too little. For other queries, places
+        outside the map are imitated by removing the map's own places from it: strangeness is the model's score plus the
+        best match's distance, in units of its usual value elsewhere, and the threshold lies about halfway between the
+        strangeness of correct answers and of answers elsewhere. Either threshold lies above all correct answers except
+        the strangest 1 %.
 
         Args:
             right: search results of validation queries that were located well.
@@ -229,7 +229,7 @@ class ErrorModel(Learned):
             ConfigError: as for `judged`.
             DataError: fewer than 10 queries located well, or, where they were not compared, fewer than 10 elsewhere.
         """
-        compared, others = right.alike is not None, 0 if elsewhere is None else len(elsewhere)
+        compared, others = right.strangeness is not None, 0 if elsewhere is None else len(elsewhere)
         if len(right) < _FEWEST or not (compared or others >= _FEWEST):
             raise DataError(
                 f"foreign queries are learned from at least {_FEWEST} validation queries that are located well, and, "
@@ -237,7 +237,7 @@ class ErrorModel(Learned):
             )
         if compared or elsewhere is None:
             model = replace(self, foreign_weight=None)
-            return replace(model, foreign_above=max(STRANGE, model._strangest(right, map_xy)))
+            return replace(model, foreign_above=max(_STRANGE, model._strangest(right, map_xy)))
         model = replace(self, foreign_weight=1 / (float(np.median(elsewhere.distances[:, 0])) or 1.0))
         strangest = model._strangest(right, map_xy)
         usual = float(np.median(model._strangeness(elsewhere, map_xy)))
@@ -249,8 +249,11 @@ class ErrorModel(Learned):
 
     def _strangeness(self, found: Retrieval, map_xy: ArrayLike) -> NDArray[np.float64]:
         """Return how little of the map each query shows (n,)."""
-        nearest = found.distances[:, 0]
-        return nearest if self.foreign_weight is None else self.scores(found, map_xy) + self.foreign_weight * nearest
+        if self.foreign_weight is not None:
+            return self.scores(found, map_xy) + self.foreign_weight * found.distances[:, 0]
+        if found.strangeness is None:
+            raise ConfigError("the error model was learned from compared images: search with siamloc.maps.match")
+        return found.strangeness
 
 
 def _given(poses: RefinedPoses | None) -> RefinedPoses:

@@ -6,7 +6,7 @@ candidate node are compared with it together. With all nodes as candidates, the 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Annotated, Literal
 
 import numpy as np
@@ -189,15 +189,18 @@ class HierarchicalSearch:
         searched = members[0] + np.where(nodes == UNASSIGNED, 0, members[nodes + 1]).sum(axis=1)
         if (searched == 0).any():
             raise DataError(f"{int((searched == 0).sum())} of {n} queries have no candidate node: nothing to search")
-        best = Retrieval(np.zeros((n, k), dtype=np.int64), np.full((n, k), np.inf))
+        strangeness = np.full(n, np.inf)  # until a comparison tells it
+        best = Retrieval(np.zeros((n, k), dtype=np.int64), np.full((n, k), np.inf), strangeness=strangeness)
         step = max(1, _FOUND // (k * (nodes.shape[1] + 1)))
         for start in range(0, n, step):
             part = slice(start, min(start + step, n))
-            self._fill(Retrieval(best.indices[part], best.distances[part]), described.take(part), nodes[part])
+            self._fill(best.take(part), described.take(part), nodes[part])
         if len(self._steps):
             searched = searched + self._fill_along(best, described, nodes)
         empty = np.isinf(best.distances)
         best.indices[empty] = np.broadcast_to(best.indices[:, :1], empty.shape)[empty]
+        if np.isinf(strangeness).any():
+            best = replace(best, strangeness=None)
         node = self.layer.labels[best.indices[:, 0]]
         return HierarchicalRetrieval(best, node, nodes, searched, ranking.compared)
 
@@ -210,6 +213,7 @@ class HierarchicalSearch:
                 continue
             everyone = np.arange(len(nodes)) if node == UNASSIGNED else np.flatnonzero((nodes == node).any(axis=1))
             found = match(self.known, queries.take(everyone), k, within=rows)
+            _keep_least(best, everyone, found)
             hits.append((np.repeat(everyone, found.indices.shape[1]), found.indices.ravel(), found.distances.ravel()))
         query, frame, apart = (np.concatenate(column) for column in zip(*hits, strict=True))
         order = np.lexsort((frame, apart, query))
@@ -233,8 +237,15 @@ class HierarchicalSearch:
         for row in np.flatnonzero(further.any(axis=1)).tolist():
             rows = beside[row][further[row]]
             found = match(self.known, queries.take(slice(row, row + 1)), k, within=rows)
+            _keep_least(best, np.array([row]), found)
             frame = np.concatenate([best.indices[row], found.indices[0]])
             apart = np.concatenate([best.distances[row], found.distances[0]])
             order = np.lexsort((frame, apart))[:k]
             best.indices[row], best.distances[row] = frame[order], apart[order]
         return further.sum(axis=1)
+
+
+def _keep_least(best: Retrieval, queries: NDArray[np.int64], found: Retrieval) -> None:
+    """Keep, in place, the least strangeness that some queries (q,) have in any part of the map."""
+    if best.strangeness is not None and found.strangeness is not None:
+        best.strangeness[queries] = np.minimum(best.strangeness[queries], found.strangeness)

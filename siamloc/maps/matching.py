@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -77,7 +78,7 @@ def match(
         near = known.learned_index.search(learned, compared, excluded=excluded, within=within).indices
         found, compared = with_learned(known, queries, found, near), 2 * compared
     ordered = reranked(known, queries, found, compares, compared)
-    return Retrieval(ordered.indices[:, :k], ordered.distances[:, :k], ordered.alike)
+    return replace(ordered, indices=ordered.indices[:, :k], distances=ordered.distances[:, :k])
 
 
 @typed

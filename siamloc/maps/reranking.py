@@ -19,11 +19,7 @@ _NEARNESS = 2.0  # distance between descriptors that weighs as much as 1 between
 _AWAY = 2.0  # largest distance between positions that counts, in their unit
 _JOINED = 3  # map frames whose answers are joined to a pose
 _AT_ONCE = 256  # queries
-STRANGE = 5.05
-"""Distance, by the comparison, beyond which even the nearest map frame shows another place than the query.
-
-To a network that learned with the loss `soft_contrastive`, places that share nothing are 1 apart; a match that is less
-than certain adds 4 and what it lacks. Chosen with the network `pretrained` on drives through nine buildings."""
+_STRANGE_PER_ODDS = 0.1  # strangeness that one log odds takes away
 
 
 def reranked(known: VisualMap, queries: Description, found: Retrieval, compares: Compares, compared: int) -> Retrieval:
@@ -37,6 +33,10 @@ def reranked(known: VisualMap, queries: Description, found: Retrieval, compares:
     2 for all others. Map frames after those compared get the distance d + 4.2, as other places. The map frame that
     looks most like the query is that of the smallest distance d + (4 - o) / 30.
 
+    The strangeness of a query is the smallest d - o / 10, with o as it is: in another light, descriptors still resemble
+    each other where comparisons are less certain. To a network that learned with the loss `soft_contrastive`, places
+    that share nothing are 1 apart.
+
     Args:
         known: a map of m frames, with the orientation parts that are compared.
         queries: n descriptions with orientation parts, by `known.describe`.
@@ -46,14 +46,16 @@ def reranked(known: VisualMap, queries: Description, found: Retrieval, compares:
     """
     parts, distances = queries.orientation, found.distances + _doubt(np.array(_ODDS[0])) + _NEARNESS * _AWAY
     assert parts is not None
-    alike = found.indices[:, 0].copy()
+    alike, strangeness = found.indices[:, 0].copy(), np.empty(len(found.indices))
     for part in slices(len(found.indices), _AT_ONCE):
         answers = compare_with(known, parts[part], found.indices[part, :compared], compares)
+        strangeness[part] = (found.distances[part, :compared] - _STRANGE_PER_ODDS * answers.match).min(axis=1)
         judged = found.distances[part, :compared] + _doubt(answers.match)
         alike[part] = np.take_along_axis(found.indices[part], judged.argmin(axis=1)[:, None], 1)[:, 0]
         distances[part, :compared] = judged + _NEARNESS * _away(known, judged, answers)
     order = distances.argsort(axis=1, kind="stable")
-    return Retrieval(np.take_along_axis(found.indices, order, 1), np.take_along_axis(distances, order, 1), alike)
+    indices = np.take_along_axis(found.indices, order, 1)
+    return Retrieval(indices, np.take_along_axis(distances, order, 1), alike, strangeness)
 
 
 def _away(known: VisualMap, judged: NDArray[np.float64], answers: Compared) -> NDArray[np.float64]:

@@ -43,11 +43,13 @@ class Retrieval(Rows):
         indices: rows of the references (n, k).
         distances: distances to them (n, k), non-decreasing along a row.
         alike: row (n,) of the reference that looks most like each query, wherever it is; None if that is the first.
+        strangeness: how little of any reference each query shows (n,), by comparing images; None without a comparison.
     """
 
     indices: NDArray[np.int64]
     distances: NDArray[np.float64]
     alike: NDArray[np.int64] | None = None
+    strangeness: NDArray[np.float64] | None = None
 
     @property
     def most_alike(self) -> NDArray[np.int64]:

@@ -11,7 +11,6 @@ from hypothesis import strategies as st
 from siamloc.errors import ConfigError, DataError, FormatError
 from siamloc.maps import Retrieval
 from siamloc.maps.error_model import ErrorModel, ratio_score
-from siamloc.maps.reranking import STRANGE
 from tests.oracles import calibration as oracle
 from tests.siamloc.maps.conftest import retrieval
 
@@ -109,26 +108,27 @@ def test_what_lies_elsewhere_is_foreign_and_right_answers_are_not() -> None:
     assert not scaled.judged(near, xy)[1].any()
 
 
-def compared(distances: list[float]) -> Retrieval:
-    """Return matches of a map that compares images, the best one at these distances."""
-    nearest = np.array(distances)
-    n = len(nearest)
-    return Retrieval(np.tile([0, 1], (n, 1)), np.stack([nearest, nearest + 1], axis=1), np.zeros(n, dtype=np.int64))
+def compared(strangeness: list[float]) -> Retrieval:
+    """Return matches of a map that compares images."""
+    n = len(strangeness)
+    return Retrieval(np.tile([0, 1], (n, 1)), np.tile([0.5, 1.0], (n, 1)), None, np.array(strangeness))
 
 
 @pytest.mark.parametrize("score", ["ratio", "pose"])
-def test_where_images_are_compared_the_distance_tells_what_is_foreign(score, tmp_path: Path) -> None:
+def test_where_images_are_compared_their_strangeness_tells_what_is_foreign(score, tmp_path: Path) -> None:
     rng = np.random.default_rng(0)
     xy = rng.uniform(0, 30, (2, 2))
     model = replace(MODEL, score=score, refine="relative" if score == "pose" else "none", lost_above=5.0)
     model = model.with_foreign(compared([0.3] * 200), xy)
     assert model.foreign_weight is None
-    assert model.foreign_above == STRANGE, "nothing elsewhere is needed"
-    assert model.foreign(compared([0.2, 4.6, STRANGE, 5.1, np.nan]), xy).tolist() == [False, False, False, True, True]
+    assert model.foreign_above == 0.85, "nothing elsewhere is needed"
+    assert model.foreign(compared([0.2, -0.4, 0.85, 0.9, np.nan]), xy).tolist() == [False, False, False, True, True]
     # Where right answers look strange, 99 % of them are none the less not foreign.
     assert model.with_foreign(compared(list(np.arange(200) / 10)), xy).foreign_above == 19.7
     with pytest.raises(DataError, match=r"at least 10 validation queries .* got 9 and 0"):
         model.with_foreign(compared([0.3] * 9), xy)
+    with pytest.raises(ConfigError, match=r"search with siamloc\.maps\.match"):
+        model.foreign(Retrieval(np.zeros((1, 1), dtype=int), np.zeros((1, 1))), xy)
     model.save(tmp_path / "error.json")
     assert ErrorModel.load(tmp_path / "error.json") == model
 

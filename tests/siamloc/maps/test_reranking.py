@@ -76,6 +76,7 @@ def test_the_frame_next_to_the_pose_is_preferred_if_a_comparison_is_certain(cert
     distances[8:] = np.arange(8, FRAMES) / 20 + 0.2 + 4
     assert found.indices[0, 0] == (6 if certain else 1 if odds[1] > 4 else 0)
     np.testing.assert_allclose(found.distances[0], np.sort(distances), atol=0.01)
+    assert found.strangeness == pytest.approx(np.full(2, (np.arange(8) / 20 - odds[:8] / 10).min()), abs=1e-6)
     assert found.most_alike.tolist() == [0, 0]  # whatever the pose
     assert match(known, QUERY, 1).most_alike.tolist() == [0, 0]
     assert Retrieval.concatenate([found.take([1]), found.take([0])]).most_alike.tolist() == [0, 0]
