@@ -10,7 +10,7 @@ import pytest
 from analytic import Description
 from analytic.descriptors.thumbnail import Thumbnail
 from siamloc.data import FrameTable
-from siamloc.maps import Retrieval, VisualMap, frame_distances, match
+from siamloc.maps import CoarseLayer, HierarchicalSearch, NodeRanking, Retrieval, VisualMap, frame_distances, match
 from siamloc.models.registry import COLOURS
 
 FRAMES = 12
@@ -178,3 +178,12 @@ def test_without_a_comparison_the_descriptors_decide(case):
 
 def test_no_queries_give_no_frames():
     assert match(map_of(np.zeros(FRAMES)), QUERY.take(slice(0, 0)), 3).indices.shape == (0, 3)
+
+
+def test_a_search_in_nodes_keeps_the_least_strangeness_of_any_part():
+    known = map_of([1.0] * 6 + [5.0] * 6)
+    search = HierarchicalSearch(known, CoarseLayer.of_labels(known, [0] * 6 + [1] * 5 + [-1]), along=1)
+    ranking = NodeRanking(np.array([[0, -1], [0, 1]]), np.array([1, 2]))
+    found = search.search(QUERY, ranking, 2).found
+    np.testing.assert_allclose(found.strangeness, [-0.1, 6 / 20 - 0.5], atol=1e-6)
+    assert found.take([1]).strangeness.shape == (1,)
