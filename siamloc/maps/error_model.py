@@ -21,7 +21,7 @@ _GROUP = 25  # validation queries behind each value of the model, at least
 _FEWEST = 10
 # Chosen on drives through two buildings; benchmarks/foreign.py measures them on others.
 _KEPT = 0.99  # share of the correct answers that are not foreign
-_STRANGE = 0.85  # `Retrieval.strangeness` of images that show nothing of the map, at least
+_STRANGE = 0.78  # `Retrieval.strangeness` of images that show nothing of the map, at least
 _BETWEEN = 0.55  # position of the threshold between the strangest of these, 0, and the median of elsewhere, 1
 _AGREEMENT, _UNTOLD = 0.02, 1e6  # smallest agreement used, and the deviation of a pose about which nothing is known
 
@@ -213,7 +213,7 @@ class ErrorModel(Learned):
         """Return a model that also recognizes images from another building, or from another camera, as foreign.
 
         No such images are needed. If the queries were compared with the map frames by `siamloc.maps.match`, that tells
-        how little of the map each shows (`Retrieval.strangeness`), and 0.85 is too little. For other queries, places
+        how little of the map each shows (`Retrieval.strangeness`): above 0.78 it is too little. For other queries, places
         outside the map are imitated by removing the map's own places from it: strangeness is the model's score plus the
         best match's distance, in units of its usual value elsewhere, and the threshold lies about halfway between the
         strangeness of correct answers and of answers elsewhere. Either threshold lies above all correct answers except

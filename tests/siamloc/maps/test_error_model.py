@@ -121,8 +121,8 @@ def test_where_images_are_compared_their_strangeness_tells_what_is_foreign(score
     model = replace(MODEL, score=score, refine="relative" if score == "pose" else "none", lost_above=5.0)
     model = model.with_foreign(compared([0.3] * 200), xy)
     assert model.foreign_weight is None
-    assert model.foreign_above == 0.85, "nothing elsewhere is needed"
-    assert model.foreign(compared([0.2, -0.4, 0.85, 0.9, np.nan]), xy).tolist() == [False, False, False, True, True]
+    assert model.foreign_above == 0.78, "nothing elsewhere is needed"
+    assert model.foreign(compared([0.2, -0.4, 0.78, 0.8, np.nan]), xy).tolist() == [False, False, False, True, True]
     # Where right answers look strange, 99 % of them are none the less not foreign.
     assert model.with_foreign(compared(list(np.arange(200) / 10)), xy).foreign_above == 19.7
     with pytest.raises(DataError, match=r"at least 10 validation queries .* got 9 and 0"):
