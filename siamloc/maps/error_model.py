@@ -213,11 +213,11 @@ class ErrorModel(Learned):
         """Return a model that also recognizes images from another building, or from another camera, as foreign.
 
         No such images are needed. If the queries were compared with the map frames by `siamloc.maps.match`, that tells
-        how little of the map each shows (`Retrieval.strangeness`): above 0.78 it is too little. For other queries, places
-        outside the map are imitated by removing the map's own places from it: strangeness is the model's score plus the
-        best match's distance, in units of its usual value elsewhere, and the threshold lies about halfway between the
-        strangeness of correct answers and of answers elsewhere. Either threshold lies above all correct answers except
-        the strangest 1 %.
+        how little of the map each shows (`Retrieval.strangeness`), and from 0.78 on it is nothing. For other queries,
+        places outside the map are imitated by removing the map's own places from it: strangeness is the model's score
+        plus the best match's distance, in units of its usual value elsewhere, and the threshold lies about halfway
+        between the strangeness of correct answers and of answers elsewhere. Either threshold lies above all correct
+        answers except the strangest 1 %.
 
         Args:
             right: search results of validation queries that were located well.
