@@ -273,7 +273,7 @@ def _step(columns: Array, rows: Array) -> float:
 _FINEST = 4  # points in a pixel of the panorama, along each of its sides
 _LEAST = 0.02  # share of the panorama that a camera must see
 _CLEAR = 0.99  # weight of the pixels that show something, among those between which a point lies
-_BLOCKS = 768  # of an image, along a side, at most: a block counts as shown if its corners are
+_BLOCKS = 768  # of an image, along a side, at most: a block shows something if all its corners do
 
 
 def _tables(
@@ -281,7 +281,7 @@ def _tables(
 ) -> tuple[Array, Array, Array, tuple[int, int]]:
     """Return the columns and rows of an image to sample (kH, kW), float32, for k x k points in each pixel; which pixels
     are seen (H, W); and the size to which the image is shrunk before, since points that lie more than a pixel apart
-    would alias. Points that are not seen, or not clearly, are moved to the nearest ones that are."""
+    would alias. Points that are not seen are moved to the nearest ones that are."""
     columns, rows = camera.sampling(view, image_size)
     sees = _inside(columns, rows, image_size)
     if sees.mean() < _LEAST:
@@ -289,41 +289,54 @@ def _tables(
             f"the camera sees {sees.mean():.0%} of a panorama from {view.top:g} to {view.bottom:g} degrees in an image "
             f"of {image_size[1]} x {image_size[0]} px: correct its parameters, where it looks, or the view"
         )
-    if (fine := finer(camera, view, image_size)) is not view:
-        columns, rows = camera.sampling(fine, image_size)
+    columns, rows = points_of(camera, finer(camera, view, image_size), image_size)
     inside = _inside(columns, rows, image_size)
-    shrink = max(1, int(_step(columns, rows)))
-    height, width = (max(2, round(side / shrink)) for side in image_size)
-    if shrink > 1:
-        columns = (columns + 0.5) * (width / image_size[1]) - 0.5
-        rows = (rows + 0.5) * (height / image_size[0]) - 0.5
+    height, width = _shrunk_size(columns, rows, image_size)
+    columns, rows = _filled(*_shrunk(columns, rows, image_size, (height, width)), inside)
     if not getattr(camera, "wraps", False):
         columns = columns.clip(0, width - 1)
-    rows = rows.clip(0, height - 1)
-    shown = _shown(camera, image_size, (height, width))
-    right, down = (np.nan_to_num(one).astype(np.float32) for one in (columns, rows))
-    clear = inside & (cv2.remap(shown, right, down, cv2.INTER_LINEAR, borderMode=cv2.BORDER_WRAP) > _CLEAR)
-    columns, rows = _filled(columns, rows, clear if clear.any() else inside)
-    return columns.astype(np.float32), rows.astype(np.float32), sees, (height, width)
+    return columns.astype(np.float32), rows.clip(0, height - 1).astype(np.float32), sees, (height, width)
 
 
 _cached_tables = lru_cache(maxsize=8)(_tables)
 
 
-@lru_cache(maxsize=8)
-def _shown(camera: OmnidirectionalCamera, image_size: tuple[int, int], size: tuple[int, int]) -> Array:
-    """Return 1 for each pixel of a shrunk image that shows something at all its corners, otherwise 0, float32.
+def points_of(camera: OmnidirectionalCamera, view: PanoramaView, image_size: tuple[int, int]) -> tuple[Array, Array]:
+    """Return where the pixels of a panorama (H, W) lie in an image, NaN where unseen.
 
-    Pixels of a large image are judged in blocks.
+    Where a camera tells what it `shows`, points between pixels that do not all show something are moved to the nearest
+    others: the black around the circle of a fisheye is not mixed in.
     """
+    columns, rows = camera.sampling(view, image_size)
     if not hasattr(camera, "shows"):
-        return np.ones(size, dtype=np.float32)
-    rows, columns = (
+        return columns, rows
+    inside, size = _inside(columns, rows, image_size), _shrunk_size(columns, rows, image_size)
+    y, x = (
         np.linspace(-0.5, side - 0.5, min(count, _BLOCKS) + 1) for side, count in zip(image_size, size, strict=True)
     )
-    corner = camera.shows(np.stack(np.meshgrid(columns, rows), axis=-1), image_size)
+    corner = camera.shows(np.stack(np.meshgrid(x, y), axis=-1), image_size)
     whole = corner[1:, 1:] & corner[1:, :-1] & corner[:-1, 1:] & corner[:-1, :-1]
-    return cv2.resize(whole.astype(np.float32), size[::-1])
+    shown = cv2.resize(whole.astype(np.float32), size[::-1])
+    at = (np.nan_to_num(one).astype(np.float32) for one in _shrunk(columns, rows, image_size, size))
+    clear = inside & (cv2.remap(shown, *at, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE) > _CLEAR)
+    if not clear.any():
+        return columns, rows
+    column, row = _filled(columns, rows, clear)
+    return np.where(inside, column, np.nan), np.where(inside, row, np.nan)
+
+
+def _shrunk_size(columns: Array, rows: Array, image_size: tuple[int, int]) -> tuple[int, int]:
+    """Return the size to which an image is shrunk so that neighbouring points lie about a pixel apart."""
+    shrink = max(1, int(_step(columns, rows)))
+    height, width = (max(2, round(side / shrink)) for side in image_size)
+    return height, width
+
+
+def _shrunk(columns: Array, rows: Array, image_size: tuple[int, int], size: tuple[int, int]) -> tuple[Array, Array]:
+    """Return where points of an image lie after it was shrunk."""
+    if size == image_size:
+        return columns, rows
+    return (columns + 0.5) * (size[1] / image_size[1]) - 0.5, (rows + 0.5) * (size[0] / image_size[0]) - 0.5
 
 
 def _inside(columns: Array, rows: Array, image_size: tuple[int, int]) -> Array:

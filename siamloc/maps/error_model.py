@@ -227,9 +227,12 @@ class ErrorModel(Learned):
 
         Raises:
             ConfigError: as for `judged`.
-            DataError: fewer than 10 queries located well, or, where they were not compared, fewer than 10 elsewhere.
+            DataError: fewer than 10 queries located well; where they were not compared, a model of refined poses, or
+                fewer than 10 queries elsewhere.
         """
         compared, others = right.strangeness is not None, 0 if elsewhere is None else len(elsewhere)
+        if self.of_poses and not compared:
+            raise DataError("foreign queries are learned from refined poses only if the map's distance is euclidean")
         if len(right) < _FEWEST or not (compared or others >= _FEWEST):
             raise DataError(
                 f"foreign queries are learned from at least {_FEWEST} validation queries that are located well, and, "

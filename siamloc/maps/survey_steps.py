@@ -28,6 +28,7 @@ _WAY = 0.3  # metres over which units and signs are judged
 _TURNED = np.radians(3)  # a turn that comparisons see for certain
 _ENOUGH = 10  # steps from which units and signs are judged
 _LATE = 10  # rows by which odometry may be late, at most
+_NEXT_TO_NOTHING = np.radians(1)  # error of a turn
 _ALONG = 0.5  # length of the mean of the directions by odometry, as seen from those by comparison, as unit vectors
 
 
@@ -181,6 +182,8 @@ def _check_odometry(said: str, odometry: Array, seen: Array, certain: NDArray[np
 def _rows_late(heading: Array, turns: Array, first: NDArray[np.int64], back: int) -> int:
     """Return by how many rows headings (n,) are late, negative if early; 0 unless another row fits twice as well.
 
+    Rows within half of `_WAY` are not told apart, nor errors below a degree: such odometry is good enough.
+
     Args:
         heading: by odometry, in rad.
         turns: by comparisons, from some rows to those `back` rows later (k,), in rad.
@@ -196,7 +199,8 @@ def _rows_late(heading: Array, turns: Array, first: NDArray[np.int64], back: int
         return 0
     typical = np.median(off[:, known], axis=1)
     best = int(typical.argmin())
-    return int(late[best]) if typical[best] < typical[_LATE] / 2 else 0
+    wrong = 2 * abs(late[best]) >= back and typical[_LATE] > max(2 * typical[best], _NEXT_TO_NOTHING)
+    return int(late[best]) if wrong else 0
 
 
 def wheel_edges(steps: Array) -> Edges:

@@ -258,7 +258,7 @@ def of_descriptions(
     compared = comparing(compare, scaled(parts), progress)
     steps, seen, certain = compared_steps(compared, drive)
     moved = odometry_steps(wheels, seen, certain, drive, names, notes)
-    _check_steps(certain | np.isfinite(moved).all(axis=1), drive, names)
+    known = certain | np.isfinite(moved).all(axis=1)
     floor: FloorScale | None = None
     if np.isfinite(moved).any():
         if settings.height is not None:
@@ -271,6 +271,7 @@ def of_descriptions(
             seen[steps.first[next_one]] = steps.pose[next_one]
     fixed, start = anchored(start_of(moved, seen, drive), drive, frames, anchors)
     held = np.isin(np.arange(len(frames)), fixed)
+    _check_steps(known, np.where(held, -1, drive), names)
     _check_ways(start, np.where(held, -1, drive), names)
     path, apart = np.cumsum(np.hypot(*np.diff(start[:, :2], axis=0, prepend=start[:1, :2]).T)), settings.apart
     if pairs is None:
@@ -393,11 +394,11 @@ def check_lengths(frames: FrameTable) -> None:
 def _check_steps(known: NDArray[np.bool_], drive: NDArray[np.int64], names: list[str]) -> None:
     for number, name in enumerate(names):
         mine = known[(drive[1:] == number) & (drive[:-1] == number)]
-        if mine.mean() < _KNOWN:
+        if len(mine) and mine.mean() < _KNOWN:
             raise DataError(
                 f"only {mine.sum()} of {len(mine)} images of drive {name or '(unnamed)'} are like the one before: give "
-                "its frames in the order in which they were taken, sorted by time, and less than a metre apart, or "
-                "give odometry"
+                "its frames in the order in which they were taken, sorted by time, at most two metres apart, or give "
+                "odometry"
             )
 
 

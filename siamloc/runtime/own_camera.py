@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from foundation.arrays import read_headed, write_arrays
-from siamloc.data.panorama import OmnidirectionalCamera, PanoramaView, finer
+from siamloc.data.panorama import OmnidirectionalCamera, PanoramaView, finer, points_of
 from siamloc.errors import ConfigError, FormatError
 
 _FORMAT, _VERSION = "siamloc camera", 1
@@ -38,7 +38,7 @@ class SampledCamera:
     def of(cls, camera: OmnidirectionalCamera, view: PanoramaView, image_size: tuple[int, int]) -> SampledCamera:
         """Sample a camera."""
         fine = finer(camera, view, image_size)
-        columns, rows = (np.asarray(one, dtype=np.float32) for one in camera.sampling(fine, image_size))
+        columns, rows = (np.asarray(one, dtype=np.float32) for one in points_of(camera, fine, image_size))
         return cls(columns, rows, fine.height // view.height, image_size, bool(getattr(camera, "wraps", False)))
 
     def sampling(self, view: PanoramaView, image_size: tuple[int, int]) -> tuple[NDArray[Any], NDArray[Any]]:

@@ -110,9 +110,9 @@ class Adapting:
         successive = np.einsum("nd,nd->n", described[:-1], described[1:])
         if (shown := (successive > _median_similarity(described)).mean()) < _IN_ORDER:
             raise DataError(
-                f"{shown:.0%} of the frames look more like the next one than two frames of the drive typically do, and "
-                f"{_IN_ORDER:.0%} or more do in a drive: pairs.by=steps learns from the order of the frames, so give "
-                "them in the order in which they were taken, or with times"
+                f"the frames of this drive are in no order, or too far apart: only {shown:.0%} look more like the next "
+                "one than two frames of the drive usually do. Give them in the order in which they were taken, at most "
+                "two metres apart"
             )
         drive = frames.with_columns(x=steps, y=np.zeros(len(steps)), building=[""] * len(steps))
         return cls(replace(drive, unit="steps"), _weights(network))

@@ -129,6 +129,9 @@ def test_where_images_are_compared_their_strangeness_tells_what_is_foreign(score
         model.with_foreign(compared([0.3] * 9), xy)
     with pytest.raises(ConfigError, match=r"search with siamloc\.maps\.match"):
         model.foreign(Retrieval(np.zeros((1, 1), dtype=int), np.zeros((1, 1))), xy)
+    pose = replace(MODEL, score="pose", refine="relative")
+    with pytest.raises(DataError, match="only if the map's distance is euclidean"):
+        pose.with_foreign(looked_for(rng, 0.4), xy, elsewhere=looked_for(rng, 0.9))
     model.save(tmp_path / "error.json")
     assert ErrorModel.load(tmp_path / "error.json") == model
 

@@ -70,6 +70,14 @@ def test_a_drive_is_located_by_all_of_it(poses):
     assert 0.3 < off.mean() / np.median(found.deviation) < 2
 
 
+def test_the_frames_of_a_map_need_no_order(poses):
+    known, drive = maps(TrueComparison(poses, 1.0, 0.02), poses)
+    some = known.take(np.random.default_rng(0).permutation(60)[:30])
+    days = np.where(np.arange(30) < 29, "monday", "sunday")
+    found = locate(replace(some, frames=some.frames.with_columns(sequence=days)), drive, progress=False)
+    assert np.hypot(*(found.xy - poses[60:, :2]).T).mean() < 0.05
+
+
 def test_what_was_moved_is_outvoted(poses):
     by = Moved(poses, 80, 90)
     known, drive = maps(by, poses, **wheels(poses))

@@ -23,6 +23,7 @@ from siamloc.data import (
     check,
     concatenate,
     read,
+    unwrap,
 )
 from siamloc.data.two_lenses import two_circles
 from siamloc.errors import ConfigError, DataError
@@ -31,6 +32,7 @@ from siamloc.maps import build
 from siamloc.models import as_descriptor, load, pretrained
 from siamloc.models import build as build_network
 from siamloc.runtime import Bundle, Localizer, export, locate_all
+from siamloc.runtime.own_camera import SampledCamera
 from siamloc.training import fit
 from tests.siamloc.data.test_ring import drive as ring_pictures
 
@@ -102,8 +104,6 @@ def test_a_camera_of_ones_own_travels_in_the_bundle_without_its_code(frames, tmp
     assert here.bundle.preprocessing == images.preprocessing, "the class is at hand here"
     assert here.locate(frames.path[1], tilt=[0, 0]).x == 1.0
     sampled = Bundle.open(tmp_path / "bundle").load("camera.npz")
-    from siamloc.data import unwrap
-
     whole = cv2.imread(frames.path[3])
     view = images.preprocessing.view
     np.testing.assert_allclose(unwrap(whole, sampled, view).astype(int), unwrap(whole, Third(), view), atol=1)
@@ -296,13 +296,13 @@ def test_commands_take_every_camera(frames, tmp_path, monkeypatch):
     (tmp_path / "two.csv").write_text("image\ntwo.png\n")
     cv2.imwrite(str(tmp_path / "two.png"), seen_by(DualFisheyeCamera(), WHOLE, 0))
     data = {"manifest": str(tmp_path / "robot.csv"), "image_size": list(SIZE), "cache": str(tmp_path / "cache")}
-    for unwrap, name in (
+    for how, name in (
         ("equirectangular", "EquirectangularCamera"),
         ({"kind": "dual_fisheye", "roll": 5}, "DualFisheyeCamera"),
         ({"kind": "own_camera:Mine"}, "Mine"),
     ):
         manifest = tmp_path / ("two.csv" if name == "DualFisheyeCamera" else "robot.csv")
-        images = Prepare.of({"data": {**data, "manifest": str(manifest)}, "unwrap": unwrap}).run()
+        images = Prepare.of({"data": {**data, "manifest": str(manifest)}, "unwrap": how}).run()
         assert type(images.preprocessing.camera).__name__ == name
         again = PanoramaLibrary(images.frames, **images.settings())
         np.testing.assert_array_equal(again.batch([0]), images.batch([0]))
@@ -310,3 +310,10 @@ def test_commands_take_every_camera(frames, tmp_path, monkeypatch):
         Prepare.of({"data": data, "unwrap": {"kind": "nowhere:Mine"}})
     assert "own_camera" in sys.modules
     assert Path(sys.modules["own_camera"].__file__).parent == tmp_path
+
+
+def test_a_camera_without_its_code_keeps_the_black_around_a_circle_out():
+    camera, view, size = FisheyeCamera(elevation=90, fov=210.0), PanoramaView(64, 256, 30.0, -15.0), (240, 240)
+    pixels = np.stack(np.meshgrid(np.arange(240), np.arange(240)), axis=-1)
+    picture = np.where(camera.shows(pixels, size), 158, 0).astype(np.uint8)
+    assert (unwrap(picture, SampledCamera.of(camera, view, size), view) == 158).all()
