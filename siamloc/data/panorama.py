@@ -317,8 +317,8 @@ def points_of(camera: OmnidirectionalCamera, view: PanoramaView, image_size: tup
     corner = camera.shows(np.stack(np.meshgrid(x, y), axis=-1), image_size)
     whole = corner[1:, 1:] & corner[1:, :-1] & corner[:-1, 1:] & corner[:-1, :-1]
     shown = cv2.resize(whole.astype(np.float32), size[::-1])
-    at = (np.nan_to_num(one).astype(np.float32) for one in _shrunk(columns, rows, image_size, size))
-    clear = inside & (cv2.remap(shown, *at, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE) > _CLEAR)
+    column, row = (np.nan_to_num(one).astype(np.float32) for one in _shrunk(columns, rows, image_size, size))
+    clear = inside & (cv2.remap(shown, column, row, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE) > _CLEAR)
     if not clear.any():
         return columns, rows
     column, row = _filled(columns, rows, clear)
