@@ -258,7 +258,9 @@ def test_what_gives_no_images_is_said(bundle, tmp_path, name, says):
 
 def test_what_the_parts_lack_is_not_told(world, bundle, tmp_path):
     _, known, errors = world
-    foreign = Localizer(rewritten(bundle, tmp_path / "foreign", errors=replace(errors, foreign_above=-1e6)))
+    foreign = Localizer(
+        rewritten(bundle, tmp_path / "foreign", errors=replace(errors, foreign_above=-1e6, foreign_weight=1.0))
+    )
     found = [foreign.locate(picture) for picture in PICTURES]
     assert all(one.lost and np.isnan(one.error_m) for one in found), "no image shows anything of the map"
     assert "expected error" not in found[0].describe()

@@ -142,7 +142,7 @@ def test_drives_without_an_order_to_learn_from_are_refused(adapt, drives):
     with pytest.raises(DataError, match="look so alike that their number of steps is 1"):
         adapt(Cells(), frames.select(sequence="still"))
     mixed = np.random.default_rng(2).permutation(FRAMES)
-    with pytest.raises(DataError, match="give them in the order in which they were taken"):
+    with pytest.raises(DataError, match="Give them in the order in which they were taken"):
         adapt(Cells(), frames.select(sequence="drive").take(mixed))
     with pytest.raises(ConfigError, match="leave the validation out"):
         adapt(Cells(), frames.select(sequence="drive"), validation=frames.select(sequence="still"))
