@@ -311,18 +311,28 @@ def points_of(camera: OmnidirectionalCamera, view: PanoramaView, image_size: tup
     if not hasattr(camera, "shows"):
         return columns, rows
     inside, size = _inside(columns, rows, image_size), _shrunk_size(columns, rows, image_size)
+    column, row = (np.nan_to_num(one).astype(np.float32) for one in _shrunk(columns, rows, image_size, size))
+    shown = cv2.remap(_shown(camera, image_size, size), column, row, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    clear = inside & (shown > _CLEAR)
+    if not clear.any() or (clear == inside).all():
+        return columns, rows
+    column, row = _filled(columns, rows, clear)
+    return np.where(inside, column, np.nan), np.where(inside, row, np.nan)
+
+
+@lru_cache(maxsize=8)  # the same for every tilt
+def _shown(camera: Any, image_size: tuple[int, int], size: tuple[int, int]) -> Array:
+    """Return 1 for each pixel of a shrunk image, or block of pixels, that shows something at all its corners, else 0.
+
+    Returns:
+        float32, of the shrunk size.
+    """
     y, x = (
         np.linspace(-0.5, side - 0.5, min(count, _BLOCKS) + 1) for side, count in zip(image_size, size, strict=True)
     )
     corner = camera.shows(np.stack(np.meshgrid(x, y), axis=-1), image_size)
     whole = corner[1:, 1:] & corner[1:, :-1] & corner[:-1, 1:] & corner[:-1, :-1]
-    shown = cv2.resize(whole.astype(np.float32), size[::-1])
-    column, row = (np.nan_to_num(one).astype(np.float32) for one in _shrunk(columns, rows, image_size, size))
-    clear = inside & (cv2.remap(shown, column, row, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE) > _CLEAR)
-    if not clear.any():
-        return columns, rows
-    column, row = _filled(columns, rows, clear)
-    return np.where(inside, column, np.nan), np.where(inside, row, np.nan)
+    return cv2.resize(whole.astype(np.float32), size[::-1])
 
 
 def _shrunk_size(columns: Array, rows: Array, image_size: tuple[int, int]) -> tuple[int, int]:
