@@ -1,0 +1,249 @@
+"""Compare ways to sum up the features of a panorama in 2,048 numbers, on the branch of the shipped network.
+
+`magnitudes` is the head that ships, without weights, and `gem` and `bands` are heads of siamloc. The others are common
+in visual place recognition: residuals to clusters [Arandjelovic 2016], optimal transport to clusters with a dustbin
+[Izquierdo 2024], and attention of learned queries. Those with weights are trained on views of random buildings with
+the loss of pretraining, and are also measured before that. The branch does not change: it was trained with
+`magnitudes`, so the table says which head to put on it, not what another branch would learn with another head.
+
+The map is the first drive under its first light; the queries are the second drive, under three other lights. All
+buildings are drawn like those of pretraining; none of them belongs to a data set or to the shipped network's training.
+
+    python -m benchmarks.aggregations [--buildings 150] [--seeds 3]
+"""
+
+from __future__ import annotations
+
+import statistics
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from itertools import chain
+from typing import Any
+
+import numpy as np
+import torch
+import torch.nn.functional as F
+from torch import Tensor, nn
+
+import siamloc
+from benchmarks.report import Report, milliseconds, parser
+from siamloc.models.batch_losses import make_loss
+from siamloc.models.origins import Origins
+from siamloc.models.registry import PRETRAINED_SIZE
+from siamloc.pretraining import RECIPE
+from siamloc.simulate import Views, draw_views
+from siamloc.simulate.camera import Cameras
+from siamloc.simulate.produce import rendering_processes
+
+OUTPUTS, CLUSTERS, QUERIES, HIDDEN = 2048, 64, 16, 256
+LIGHTS, SPACING = 3, 0.3
+STEPS = {"0.6": 2, "3": 10, "6": 20}  # metres between map frames, and the one frame in so many that they are
+LEARNED_FROM, JUDGED_IN, JUDGING = 600_000_000, 700_000_000, 30  # seeds of the buildings, and their number
+BATCHES, RATE = 1500, 1e-3
+TOGETHER, PLACES, IMAGES, RADIUS = 4, 16, 4, 2.0  # buildings of a batch, and the places of each, as in pretraining
+BY_PANORAMA = 200  # timed
+
+
+class Clusters(nn.Module):
+    """Sums of the residuals of reduced features to learned centres, softly assigned [Arandjelovic 2016]."""
+
+    def __init__(self, channels: int) -> None:
+        super().__init__()
+        size = OUTPUTS // CLUSTERS
+        self.assign, self.reduce = nn.Conv2d(channels, CLUSTERS, 1), nn.Conv2d(channels, size, 1)
+        self.centres = nn.Parameter(0.1 * torch.randn(CLUSTERS, size))
+
+    def forward(self, features: Tensor) -> Tensor:
+        share = self.assign(features).flatten(2).softmax(dim=1)
+        sums = share @ self.reduce(features).flatten(2).mT - share.sum(dim=2, keepdim=True) * self.centres
+        return F.normalize(F.normalize(sums, dim=2).flatten(1))
+
+
+class Transport(nn.Module):
+    """Sums of reduced features by optimal transport to learned clusters and a dustbin [Izquierdo 2024]."""
+
+    def __init__(self, channels: int) -> None:
+        super().__init__()
+        self.score, self.reduce = (
+            nn.Sequential(nn.Conv2d(channels, HIDDEN, 1), nn.ReLU(), nn.Conv2d(HIDDEN, outputs, 1))
+            for outputs in (CLUSTERS, OUTPUTS // CLUSTERS)
+        )
+        self.dustbin = nn.Parameter(torch.ones(1))
+
+    def forward(self, features: Tensor) -> Tensor:
+        score = self.score(features).flatten(2)
+        cells = score.shape[2]
+        score = torch.cat([score, self.dustbin.expand(len(score), 1, cells)], dim=1)
+        wanted = torch.ones(CLUSTERS + 1)  # one cell for each cluster, and the rest for the dustbin
+        wanted[-1] = max(cells - CLUSTERS, 1)
+        wanted = (wanted * cells / wanted.sum()).log()
+        rows = score.new_zeros(len(score), CLUSTERS + 1, 1)
+        for _ in range(3):
+            columns = -torch.logsumexp(score + rows, dim=1, keepdim=True)
+            rows = wanted[:, None] - torch.logsumexp(score + columns, dim=2, keepdim=True)
+        share = (score + rows + columns).exp()[:, :-1]
+        return F.normalize(F.normalize(share @ self.reduce(features).flatten(2).mT, dim=2).flatten(1))
+
+
+class Attention(nn.Module):
+    """Means of reduced features, weighted by how well they match learned queries."""
+
+    def __init__(self, channels: int) -> None:
+        super().__init__()
+        self.match, self.reduce = nn.Conv2d(channels, QUERIES, 1), nn.Conv2d(channels, OUTPUTS // QUERIES, 1)
+
+    def forward(self, features: Tensor) -> Tensor:
+        share = self.match(features).flatten(2).softmax(dim=2)
+        return F.normalize(F.normalize(share @ self.reduce(features).flatten(2).mT, dim=2).flatten(1))
+
+
+HEADS: dict[str, Callable[[int], nn.Module]] = {
+    "magnitudes": lambda _: siamloc.models.pretrained().head,
+    "gem": lambda _: _head("gem"),
+    "bands": lambda _: _head("bands"),
+    "clusters": Clusters,
+    "transport": Transport,
+    "attention": Attention,
+}
+
+
+@dataclass
+class Seen:
+    """The features (N, C, h, w) of one building's images in half precision, and where the images come from."""
+
+    features: Tensor
+    views: Views
+
+
+def main() -> None:
+    """Train and judge each head, print a table and write the file."""
+    arguments = parser(__doc__)
+    arguments.add_argument("--buildings", type=int, default=150, help="number of buildings to learn from")
+    arguments.add_argument("--seeds", type=int, default=3)
+    options = arguments.parse_args()
+    report = Report("aggregations", options.out)
+    judging = list(seen(JUDGED_IN, JUDGING, poses=200, cameras="built_in"))
+    learning = list(seen(LEARNED_FROM, options.buildings, poses=60, cameras="panoramas"))
+    rows: dict[str, dict[str, Any]] = {}
+    for name, head_of in HEADS.items():
+        made = []
+        for seed in range(options.seeds):
+            torch.manual_seed(seed)
+            made.append(head_of(judging[0].features.shape[1]))
+        rows[name] = {"weights": sum(one.numel() for one in made[0].parameters()), **timed(made[0], judging[0])}
+        rows[name]["at first"] = [judged(head, judging) for head in made[: 1 if name == "magnitudes" else None]]
+        if rows[name]["weights"]:
+            for seed, head in enumerate(made):
+                learn(head, learning, seed)
+            rows[name]["trained"] = [judged(head, judging) for head in made]
+        print(table({name: rows[name]}), flush=True)
+    print(f"\n{table(rows)}\n")
+    report.write({"buildings": options.buildings, "judging": JUDGING, "outputs": OUTPUTS, "rows": rows})
+
+
+def seen(first: int, count: int, poses: int, cameras: Cameras) -> Iterator[Seen]:
+    """Draw so many buildings, two drives through each under three lights, and describe their images."""
+    network = siamloc.models.pretrained().eval()
+    network.head = nn.Identity()  # type: ignore[assignment] # so that the network returns the features
+    about: dict[str, Any] = {"drives": 2, "lights": LIGHTS, "poses": poses, "spacing": SPACING, "worlds": "any"}
+    with rendering_processes(2) as pool:
+        drawn = [pool.submit(draw_views, first + n, PRETRAINED_SIZE, cameras=cameras, **about) for n in range(count)]
+        while drawn:
+            views = drawn.pop(0).result()
+            with torch.no_grad():
+                parts = [network(part / 255).half() for part in torch.from_numpy(views.images).split(64)]
+            yield Seen(torch.cat(parts), views)
+
+
+def learn(head: nn.Module, buildings: list[Seen], seed: int) -> None:
+    """Train a head on features, with the loss of pretraining."""
+    loss, rng = make_loss(**(RECIPE.loss or {})), np.random.default_rng(seed)
+    optimizer = torch.optim.AdamW(head.parameters(), lr=RATE, weight_decay=0.01)
+    schedule = torch.optim.lr_scheduler.OneCycleLR(optimizer, RATE, total_steps=BATCHES, pct_start=0.2)
+    for _ in range(BATCHES):
+        features, origins = batch([buildings[n] for n in rng.choice(len(buildings), TOGETHER, replace=False)], rng)
+        optimizer.zero_grad()
+        loss(head(features), origins).backward()
+        nn.utils.clip_grad_norm_(head.parameters(), 1.0)
+        optimizer.step()
+        schedule.step()
+
+
+def batch(buildings: list[Seen], rng: np.random.Generator) -> tuple[Tensor, Origins]:
+    """Draw places of some buildings, and images of each place."""
+    features, columns, overlap = [], [], []
+    for number, one in enumerate(buildings):
+        views = one.views
+        places = rng.choice(len(views), min(PLACES, len(views)), replace=False)
+        near = [np.flatnonzero(np.linalg.norm(views.xy - views.xy[at], axis=1) <= RADIUS) for at in places]
+        rows = np.unique([*places, *chain.from_iterable(rng.choice(rows, IMAGES - 1) for rows in near)])
+        features.append(one.features[rows])
+        apart = 1_000_000 * number  # rooms and frames of two buildings are never the same
+        columns.append(
+            (views.xy[rows] - views.xy.mean(axis=0), 0 * rows + number, views.room[rows] + apart, rows + apart)
+        )
+        overlap.append(torch.from_numpy(views.overlap[np.ix_(views.pose[rows], views.pose[rows])]).float())
+    xy, building, room, frame = (torch.from_numpy(np.concatenate(column)) for column in zip(*columns, strict=True))
+    origins = Origins(xy.float(), building, room, frame, overlap=torch.block_diag(*overlap))
+    return torch.cat(features).float(), origins
+
+
+def judged(head: nn.Module, buildings: list[Seen]) -> dict[str, Any]:
+    """Return, for each map, the mean error in m above the floor and the share of right rooms; means over buildings."""
+    found: dict[str, list[tuple[float, float]]] = {step: [] for step in STEPS}
+    for building in buildings:
+        views = building.views
+        with torch.no_grad():
+            described = torch.cat([head(part.float()) for part in building.features.split(64)])
+        first, asked = np.flatnonzero(views.light == 0), np.flatnonzero(views.light >= LIGHTS)
+        for step, every in STEPS.items():
+            known = first[::every]
+            best = known[(described[asked] @ described[known].T).argmax(dim=1).numpy()]
+            apart = np.linalg.norm(views.xy[asked, None] - views.xy[known], axis=2).min(axis=1)
+            error = np.linalg.norm(views.xy[asked] - views.xy[best], axis=1)
+            right = views.room[asked] == views.room[best]
+            found[step].append((float(error.mean() - apart.mean()), float(right.mean())))
+    return {
+        step: {
+            "excess": statistics.mean(error for error, _ in pairs),
+            "rooms": statistics.mean(room for _, room in pairs),
+        }
+        for step, pairs in found.items()
+    }
+
+
+def timed(head: nn.Module, building: Seen) -> dict[str, float]:
+    """Return the median time of a head for one panorama."""
+    features = building.features[:1].float()
+    with torch.no_grad():
+        return milliseconds(lambda: head(features), BY_PANORAMA)
+
+
+def table(rows: dict[str, dict[str, Any]]) -> str:
+    """Return a table of the excess and the rooms, means over the seeds."""
+    lines = [f"| head | | {' | '.join(f'{step} m' for step in STEPS)} |", "|---|---|" + "---|" * len(STEPS)]
+    for name, row in rows.items():
+        for when in ("at first", "trained"):
+            if when in row:
+                cells = [
+                    f"{statistics.mean(one[step]['excess'] for one in row[when]):.3f}; "
+                    f"{statistics.mean(one[step]['rooms'] for one in row[when]):.1%}"
+                    for step in STEPS
+                ]
+                lines.append(f"| {name} | {when} | {' | '.join(cells)} |")
+    return "\n".join(lines)
+
+
+def _head(name: str) -> nn.Module:
+    """Return a head of siamloc with new weights, drawn from torch's generator."""
+    made = siamloc.models.build(
+        *("panoresnet_wide", name, PRETRAINED_SIZE),
+        seed=int(torch.randint(1 << 30, ())),
+        circular=True,
+        outputs=OUTPUTS,
+    )
+    return made.head
+
+
+if __name__ == "__main__":
+    main()
