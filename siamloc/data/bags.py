@@ -90,7 +90,9 @@ class Bag:
             raise ModuleNotFoundError(lacking(error), name=error.name) from error
 
         with self._whole():
-            self._reader = AnyReader([self.path], default_typestore=get_typestore(Stores.ROS2_HUMBLE))
+            named = self.path.suffix == ".bag" and self.path.is_dir()  # rosbags takes it for a bag of ROS 1
+            paths = [path for end in ("db3", "mcap") for path in self.path.glob(f"*.{end}")] if named else [self.path]
+            self._reader = AnyReader(paths, default_typestore=get_typestore(Stores.ROS2_HUMBLE))
             self._reader.open()
             self.topics = {name: (str(one.msgtype), one.msgcount) for name, one in self._reader.topics.items()}
             self.seconds = max(self._reader.duration, 0) / 1e9 if any(count for _, count in self.topics.values()) else 0
@@ -210,6 +212,8 @@ class Bag:
     def _between(self, rows: Mapping[Edge, list[Any]], parent: str, child: str) -> Trajectory:
         """Return the poses of a frame in another one, up and down the tree of frames between the two."""
         above = {lower: upper for upper, lower in rows}
+        if (parent, child) in rows:
+            above[child] = parent  # a frame may have several, if more than one program says where it is
         up, down = _ancestors(parent, above), _ancestors(child, above)
         shared = next((frame for frame in down if frame in up), None)
         if shared is None or parent == child:

@@ -48,11 +48,11 @@ class CentralCamera(Settings):
 
     def to_image(self, rays: Array, size: ImageSize) -> Array:
         """Return the pixels (..., 2) of unit rays (..., 3) in the camera's frame; NaN for those that are not shown."""
-        raise NotImplementedError
+        raise self._lacks("to_image", "the pixels of rays")
 
     def to_ray(self, pixels: Array, size: ImageSize) -> Array:
         """Return the rays (..., 3), of any length, in the camera's frame of pixels (..., 2); NaN for those without."""
-        raise NotImplementedError
+        raise self._lacks("to_ray", "the rays of pixels")
 
     def project(self, directions: Array, image_size: ImageSize | None = None) -> Array:
         """Return the pixels (..., 2), column and row, at which directions (..., 3) of the robot's frame appear.
@@ -70,7 +70,12 @@ class CentralCamera(Settings):
         size = self._fitting(image_size)
         rays = np.asarray(directions, dtype=np.float64) @ self._axes.T
         rays /= np.linalg.norm(rays, axis=-1, keepdims=True)
-        pixels = self.to_image(rays, size)
+        pixels = np.array(self.to_image(rays, size), dtype=np.float64)
+        if pixels.shape != (*rays.shape[:-1], 2):
+            raise ConfigError(
+                f"{type(self).__name__}.to_image must return pixels (..., 2), {(*rays.shape[:-1], 2)} for rays "
+                f"{rays.shape}, got {pixels.shape}: stack columns and rows along the last axis"
+            )
         pixels[self._hidden(rays)] = np.nan
         return pixels
 
@@ -94,6 +99,9 @@ class CentralCamera(Settings):
         """Return the columns (H, W) and rows (H, W) in the picture of a panorama's pixels, NaN where unseen."""
         pixels = self.project(view.directions(), image_size)
         return pixels[..., 0], pixels[..., 1]
+
+    def _lacks(self, method: str, returns: str) -> ConfigError:
+        return ConfigError(f"{type(self).__name__} lacks the method `{method}`, which returns {returns}: implement it")
 
     @cached_property
     def _axes(self) -> Array:
@@ -149,11 +157,11 @@ class LensCamera(CentralCamera):
 
     def to_plane(self, rays: Array) -> tuple[Array, Array]:
         """Return the points (...), (...) of the plane at which unit rays (..., 3) appear; NaN for none."""
-        raise NotImplementedError
+        raise self._lacks("to_plane", "the points of the plane at which rays appear")
 
     def from_plane(self, x: Array, y: Array) -> Array:
         """Return the rays (..., 3) of points of the plane; NaN for none."""
-        raise NotImplementedError
+        raise self._lacks("from_plane", "the rays of points of the plane")
 
     def to_image(self, rays: Array, size: ImageSize) -> Array:
         """Return the pixels (..., 2) of unit rays (..., 3) in the camera's frame; NaN for those that are not shown."""

@@ -87,6 +87,10 @@ class Preprocessing:
             if kind == "none" and options:
                 raise ConfigError(f"unwrap.kind={kind} has no parameters, got {next(iter(options))!r}: leave it out")
             return cls(view, _calibrated(options) if kind == "calibrated" else _camera(kind, options))
+        if isinstance(unwrap, type):
+            raise ConfigError(
+                f"a camera must be an object, got the class {unwrap.__name__}: call it with its parameters"
+            )
         if unwrap is not None and not (dataclasses.is_dataclass(unwrap) and hasattr(unwrap, "sampling")):
             raise ConfigError(f"a camera must be a dataclass with a method `sampling`, got {unwrap!r}")
         return cls(PanoramaView(*size, **edges), cast("OmnidirectionalCamera | None", unwrap))

@@ -22,7 +22,7 @@ from foundation.settings import Count, Positive, shortened
 from siamloc.data.archives import ADDRESS, Archive, archives
 from siamloc.data.cold import CAMERAS, read_list
 from siamloc.data.protocol import ROLES, Protocol
-from siamloc.errors import ConfigError, DataError
+from siamloc.errors import ConfigError, DataError, logger
 from siamloc.progress import track
 
 SUMS = "SHA256SUMS"
@@ -114,6 +114,8 @@ def fetch(
                     _obtain(one, folder, f"{mirror.rstrip('/')}/{one.folder}.tar", keep, timeout, tries)
                 except DataError as error:  # the others may still be there
                     lost[one.sequence] = str(error)
+                    if len(wanted) > 1:
+                        logger.warning("%s cannot be fetched: %s", one.sequence, error)
                     unreachable = str(error) if isinstance(error, _Unreachable) else ""
     found = _inventory(folder, wanted)
     if lost:

@@ -16,7 +16,7 @@ from foundation.files import atomic_folder, content_key, parsed_json, storage_er
 from foundation.locks import locked
 from foundation.threads import in_order, processors
 from siamloc.data.decoding import Preprocessing, UnreadableImageError
-from siamloc.errors import DataError, leave_out, logger
+from siamloc.errors import ConfigError, DataError, leave_out, logger
 from siamloc.progress import track
 
 VERSION = 1
@@ -168,6 +168,8 @@ def _write(
             return preprocessing.panorama(paths[row], None if tilts is None else tilts[row])
         except UnreadableImageError as error:
             return error
+        except ConfigError as error:
+            raise ConfigError(f"{paths[row]}: {error}") from error
 
     with (folder / "panoramas.npy").open("wb") as file:
         header = {"descr": "|u1", "fortran_order": False, "shape": (len(paths), 3, *size)}

@@ -13,9 +13,11 @@ from siamloc.data import (
     DualFisheyeCamera,
     EquirectangularCamera,
     FisheyeCamera,
+    FrameTable,
     HyperbolicMirror,
     LensCamera,
     OCamCamera,
+    PanoramaLibrary,
     PanoramaView,
     UnifiedCamera,
     azimuth_column,
@@ -254,6 +256,49 @@ def test_a_model_of_ones_own_needs_two_methods():
     assert made.parameters()["camera"]["kind"] == f"{__name__}:Stereographic"
     assert Preprocessing.of(made.parameters()) == made
     assert Preprocessing.checked((64, 256), made.unwrap_settings()) == made
+
+
+@dataclass(frozen=True)
+class OneWay(CentralCamera):
+    """A model of one's own that lacks the way back."""
+
+    def to_image(self, rays, size):
+        return 100 * rays[..., :2] + np.array(size) / 2
+
+
+@dataclass(frozen=True)
+class Apart(OneWay):
+    """A model of one's own that returns columns and rows apart."""
+
+    def to_image(self, rays, size):
+        return rays[..., 0], rays[..., 1]
+
+
+@pytest.mark.parametrize(
+    ("camera", "message"),
+    [
+        (OneWay(), "OneWay lacks the method `to_ray`, which returns the rays of pixels: implement it"),
+        (CentralCamera(), "CentralCamera lacks the method `to_image`"),
+        (LensCamera(fx=9), "LensCamera lacks the method `to_plane`"),
+        (Apart(), r"Apart.to_image must return pixels .*\(64, 256, 2\) for rays .*, got \(2, 64, 256\): stack columns"),
+    ],
+)
+def test_what_a_model_of_ones_own_lacks(camera, message):
+    with pytest.raises(ConfigError, match=message):
+        unwrap(np.zeros((480, 640, 3), np.uint8), camera, VIEW)
+
+
+def test_a_class_is_no_camera():
+    with pytest.raises(ConfigError, match="must be an object, got the class EquirectangularCamera: call it"):
+        Preprocessing.checked((64, 256), EquirectangularCamera)
+
+
+def test_the_picture_that_does_not_fit_is_named(tmp_path):
+    for name, rows in (("fits", 320), ("odd", 480)):
+        cv2.imwrite(str(tmp_path / f"{name}.png"), np.zeros((rows, 640, 3), np.uint8))
+    frames = FrameTable(path=[tmp_path / "fits.png", tmp_path / "odd.png"])
+    with pytest.raises(ConfigError, match=r"odd\.png: a whole equirectangular picture is twice as wide"):
+        PanoramaLibrary(frames, tmp_path / "cache", image_size=(8, 32), unwrap=EquirectangularCamera())
 
 
 @pytest.mark.parametrize(

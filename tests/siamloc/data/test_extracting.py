@@ -97,6 +97,26 @@ def test_compressed_images_are_kept_as_they_are(tmp_path, form):
     assert set(frames.sequence.tolist()) == {"monday"}
 
 
+def test_a_frame_in_two_others_is_found_in_both(tmp_path):
+    bag = Written(tmp_path / "bag", "mcap")
+    with bag.writer:
+        for number, picture in enumerate(PICTURES):
+            time = START + number * 10**9
+            bag.image("/omni/image_raw", time, picture)
+            bag.transform("/tf", time, "odom", "base_link", number, 0, 0)
+            bag.transform("/tf", time, "map", "base_link", 10 + number, 0, 0)
+    frames = siamloc.data.extract(bag.path, tmp_path / "out", poses="map:base_link", odometry="odom:base_link")
+    np.testing.assert_allclose(frames.x, 10 + np.arange(5), atol=1e-6)
+    np.testing.assert_allclose(frames.odometry[:, 0], np.arange(5), atol=1e-6)
+
+
+@pytest.mark.parametrize("form", ["sqlite3", "mcap"])
+def test_the_folder_of_a_bag_of_ros_2_may_end_like_one_of_ros_1(tmp_path, form):
+    assert (
+        len(siamloc.data.extract(drive(tmp_path / "drive", form).rename(tmp_path / "drive.bag"), tmp_path / "out")) == 5
+    )
+
+
 def test_frames_are_chained(bags, tmp_path):
     """The robot's way in odom, turned by 90 degrees and moved to (10, 20)."""
     frames = siamloc.data.extract(bags["sqlite3"], tmp_path, poses="map:base_link", odometry="none")

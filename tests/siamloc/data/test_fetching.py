@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import hashlib
 import io
+import re
 import sys
 import tarfile
 import threading
@@ -204,6 +205,14 @@ def test_one_missing_archive_does_not_stop_the_others(server, tmp_path):
         siamloc.data.fetch("cold", protocol, tmp_path, mirror=server.address)
     found = siamloc.data.fetch("cold", protocol, tmp_path, only_list=True)
     assert found.table() == f"{NAME}: 3 frames\nfreiburg_a_seq2_sunny4: missing"
+
+
+def test_the_reason_of_each_failure_is_said(server, tmp_path, caplog):
+    server.files[PATH] = tar(further=[tarfile.TarInfo("../evil")])
+    with pytest.raises(DataError, match="2 of 2 sequences could not be fetched"):
+        siamloc.data.fetch("cold", [NAME, "freiburg_a_seq2_sunny4"], tmp_path, mirror=server.address)
+    assert re.search(f"{NAME} cannot be fetched: .* holds ../evil", caplog.text)
+    assert re.search("freiburg_a_seq2_sunny4 cannot be fetched: .* 404 Not Found", caplog.text)
 
 
 def test_an_archive_that_lies_there_is_unpacked(tmp_path):
