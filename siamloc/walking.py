@@ -15,7 +15,17 @@ from foundation.calls import OF_FIELDS, takes
 from foundation.files import write_text
 from foundation.settings import Positive, Rule, Settings, Text
 from siamloc import evaluation, maps, runtime
-from siamloc.data import Extraction, PanoramaLibrary, Preprocessing, extract, find_camera, read
+from siamloc.data import (
+    AutoRing,
+    Extraction,
+    HyperbolicMirror,
+    PanoramaLibrary,
+    PolarRing,
+    Preprocessing,
+    extract,
+    find_camera,
+    read,
+)
 from siamloc.data.decoding import size_of
 from siamloc.data.manifest import manifest_of
 from siamloc.errors import ConfigError, DataError
@@ -118,6 +128,10 @@ def walk(
     size = size_of(frames.path[0])
     shape = f" (unwrap=), for pictures of {size[1]} x {size[0]} px" if size else " (unwrap=)"
     say(f"camera: {camera.words()}{shape}")
+    if isinstance(given.camera, AutoRing) and isinstance(ring := camera.camera, HyperbolicMirror | PolarRing):
+        front = f"the robot's front {ring.forward:g} degrees clockwise from the picture's top (unwrap.forward=)"
+        mirrored = "mirrored" if ring.mirrored else "not mirrored"
+        say(f"direction: taken, since a ring does not show it: {front}, and the picture {mirrored} (unwrap.mirrored=)")
     library = partial(
         PanoramaLibrary, cache=folder / "panoramas", image_size=PRETRAINED_SIZE, unwrap=camera.unwrap_settings()
     )

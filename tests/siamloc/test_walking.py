@@ -93,4 +93,16 @@ def test_a_short_way_is_refused(mini, tmp_path):
         siamloc.walk(pictures, tmp_path / "robot", spacing=0.25)
 
 
+def test_a_ring_does_not_show_its_direction(mini, tmp_path, monkeypatch):
+    pictures, said = tmp_path / "monday", []
+    pictures.mkdir()
+    for number, path in enumerate(mini[0].path.tolist()[:3]):
+        (pictures / f"{START + number / 2:.1f}.jpeg").hardlink_to(path)
+    ring = siamloc.data.PolarRing(centre=(255.5, 63.5), inner=10, outer=60, forward=90)
+    monkeypatch.setattr("siamloc.walking.find_camera", lambda *_: ring)
+    with pytest.raises(DataError, match="key frames"):
+        siamloc.walk(pictures, tmp_path / "robot", say=said.append)
+    assert "front 90 degrees clockwise from the picture's top (unwrap.forward=), and the picture mirrored" in said[2]
+
+
 pytestmark = pytest.mark.slow
