@@ -31,6 +31,7 @@ if TYPE_CHECKING:
 _REPEATS = 0.6  # share of the usual distance up to which two frames that would join show almost the same
 _SOME, _FEW, _MOST = 10, 0.25, 0.6  # frames, and shares of them that agree: with other axes, at most and at least
 _MOTIONS = 300  # that are tried
+_UNIT = 50.0  # ratio of distances from which on they are in another unit, such as millimetres
 UPKEEP = "upkeep"
 """Key of `VisualMap.made` under which a map keeps what its next update needs."""
 
@@ -169,8 +170,8 @@ def update(
     Raises:
         ConfigError: a setting out of range, or an image size or descriptor other than the map's.
         DataError: frames of several drives, a map frame without a position, no frame of the drive with a certain one,
-            positions in two units or with other axes than the map's, nodes over another map, or an incremental map
-            without its mapper.
+            positions in two units or with other axes than the map's, headings in degrees or clockwise that the map
+            would compare, nodes over another map, or an incremental map without its mapper.
         AnalyticError: a mapper that is read-only.
 
     Example:
@@ -190,6 +191,11 @@ def update(
             f"an update takes the frames of one drive, and these are of {len(drives)}: call it for each in turn, with "
             "the map of the update before"
         )
+    if comparison_of(known) is not None:
+        from siamloc.data.checks import wrong_headings
+
+        for finding in wrong_headings(drive):
+            raise DataError(f"the headings of the drive cannot be compared: {finding}")
     describe = partial(
         build, known.descriptor, images, heading=known.heading_descriptor, mounting=known.mounting, progress=progress
     )
@@ -320,7 +326,7 @@ def _joining(
 
 
 def _check_axes(drive: FrameTable, located: FrameTable, radius: float) -> None:
-    """Refuse a drive whose positions have axes of their own: one rigid motion brings most to where they are located.
+    """Refuse a drive whose positions have axes or a unit of their own: one motion brings most to where it is located.
 
     Args:
         drive: its frames (n).
@@ -332,16 +338,23 @@ def _check_axes(drive: FrameTable, located: FrameTable, radius: float) -> None:
     if len(given) < _SOME or (np.abs(found - given) <= radius).mean() > _FEW:
         return
     first, second = np.random.default_rng(0).integers(len(given), size=(2, _MOTIONS))
-    wanted, moved = given[second] - given[first], found[second] - found[first]
-    rigid = (np.abs(wanted) > 4 * radius) & (np.abs(np.abs(moved) - np.abs(wanted)) < radius)
-    turn, first = np.exp(1j * np.angle(moved[rigid] / wanted[rigid]))[:, None], first[rigid]
-    agree = np.abs(turn * (given - given[first, None]) + found[first, None] - found) <= radius
-    if agree.any() and agree.mean(axis=1).max() >= _MOST:
+    moved = found[second] - found[first]
+    for axes, exchanged in ((given, ""), (given.conj(), ", with x and y exchanged or one of them reversed,")):
+        wanted = axes[second] - axes[first]
+        rigid = (np.abs(wanted) > 4 * radius) & (np.abs(np.abs(moved) - np.abs(wanted)) < radius)
+        some = rigid | ((np.abs(moved) > 4 * radius) & (np.abs(wanted) > _UNIT * np.abs(moved)))
+        turn, start = (moved[some] / wanted[some])[:, None], first[some]
+        turn /= np.where(rigid[some, None], np.abs(turn), 1)
+        agree = (np.abs(turn * (axes - axes[start, None]) + found[start, None] - found) <= radius).sum(axis=1)
+        if not agree.size or agree.max() < _MOST * len(given):
+            continue
+        length = float(np.abs(turn[agree.argmax(), 0]))
+        unit = "" if length > 0.5 else f" and a factor of {length:.2g}, as between units,"
         raise DataError(
-            f"the drive's positions have other axes than the map's: one motion brings {agree.sum(axis=1).max()} of "
-            f"{len(given)} frames to where the map locates them. Leave x and y out, or give them as odom_x and odom_y. "
-            "If the drive shows a place that the map lacks, and that only looks like one of its own, give its frames "
-            "another name in the column building"
+            f"the drive's positions have other axes than the map's: one motion{exchanged}{unit} brings {agree.max()} "
+            f"of {len(given)} frames to where the map locates them. Leave x and y out, or give them as odom_x and "
+            "odom_y. If the drive shows a place that the map lacks, and that only looks like one of its own, give its "
+            "frames another name in the column building"
         )
 
 

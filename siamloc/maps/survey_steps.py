@@ -29,7 +29,7 @@ _TURNED = np.radians(3)  # a turn that comparisons see for certain
 _ENOUGH = 10  # steps from which units and signs are judged
 _LATE = 10  # rows by which odometry may be late, at most
 _NEXT_TO_NOTHING = np.radians(1)  # error of a turn
-_ALONG = 0.5  # length of the mean of the directions by odometry, as seen from those by comparison, as unit vectors
+_ALONG = 0.5  # mean cosine of the angles between the directions by odometry and by comparison, at least
 
 
 def comparing(compare: Compares, parts: NDArray[np.float32], progress: bool) -> Pairs:
@@ -113,7 +113,9 @@ def odometry_steps(
         said = f"the odometry of drive {name or '(unnamed)'}"
         unknown = int((~np.isfinite(odometry[drive == number]).all(axis=1)).sum())
         if unknown > 0 and np.isfinite(odometry).any():
-            notes.append(f"{said} is unknown for {unknown} frames: images alone bridge the gap")
+            seldom = unknown < (drive == number).sum() and not np.isfinite(way[drive[1:] == number]).any()
+            then = "it is not used, since no two frames in a row have it" if seldom else "images alone bridge the gap"
+            notes.append(f"{said} is unknown for {unknown} frames: {then}")
         mine = (drive[1:] == number) & np.isfinite(way) & certain
         if not mine.any():
             continue
@@ -172,7 +174,7 @@ def _check_odometry(said: str, odometry: Array, seen: Array, certain: NDArray[np
             )
     direction = np.arctan2(by_wheels[moving, 1], by_wheels[moving, 0])
     direction -= np.arctan2(by_images[moving, 1], by_images[moving, 0])
-    if judged and np.abs(np.average(np.exp(1j * direction), weights=weight)) < _ALONG:
+    if judged and np.average(np.cos(direction), weights=weight) < _ALONG:
         raise DataError(
             f"{said} moves in other directions than its images show: odom_theta must be the heading in the frame of "
             "odom_x and odom_y, in radians counter-clockwise, and each row that of its image"

@@ -13,7 +13,8 @@ from siamloc.cli import main
 from siamloc.data import FrameTable, PanoramaLibrary
 from siamloc.errors import ConfigError, DataError
 from siamloc.evaluation import mapping
-from siamloc.maps import Built, History, Reason, VisualMap, build, group, match, update
+from siamloc.maps import Built, History, Reason, VisualMap, build, group, maintenance, match, update
+from siamloc.maps.maintenance import updated
 from tests.siamloc.cli.commands import done, refused
 
 FRAMES, STEP, ROWS, COLUMNS = 120, 4, 16, 64
@@ -190,6 +191,33 @@ def test_positions_with_other_axes_than_the_map_are_refused(known, drives):
             update(known, drives[1], drive.with_columns(**moved), progress=False)
     away = drive.with_columns(x=drive.x + 40.0, building=["annex"] * FRAMES)
     assert update(known, drives[1], away, progress=False).added.any()
+
+
+@pytest.mark.parametrize(
+    ("made", "says"),
+    [
+        (lambda x, y: (y, x), "one motion, with x and y exchanged or one of them reversed, brings 40 of 40"),
+        (lambda x, y: (x, -y), "one motion, with x and y exchanged or one of them reversed, brings 40 of 40"),
+        (lambda x, y: (1000 * x, 1000 * y), r"one motion and a factor of 0\.001, as between units, brings 40 of 40"),
+    ],
+)
+def test_positions_that_are_exchanged_reversed_or_in_another_unit_are_refused(made, says):
+    angle, out = 0.15 * np.arange(40), 2 + 0.1 * np.arange(40)  # a spiral, which no motion brings into its mirror image
+    x, y = out * np.cos(angle), out * np.sin(angle)
+    descriptors = np.column_stack([x, y]).astype(np.float32)
+    known = VisualMap(descriptors, FrameTable(path=[f"{n}.png" for n in range(40)], x=x, y=y))
+    moved = dict(zip("xy", made(x, y), strict=True))
+    with pytest.raises(DataError, match=says):
+        updated(known, VisualMap(descriptors, FrameTable(path=[f"drive/{n}.png" for n in range(40)], **moved)))
+
+
+def test_headings_in_degrees_are_refused_where_they_would_be_compared(known, drives, monkeypatch):
+    _, images, drive = drives
+    x, y = np.cos(0.1 * np.arange(FRAMES)), np.sin(0.1 * np.arange(FRAMES))
+    turned = drive["same"].with_columns(x=x, y=y, theta=90 + np.degrees(0.1 * np.arange(FRAMES)))
+    monkeypatch.setattr(maintenance, "comparison_of", lambda _: object())
+    with pytest.raises(DataError, match="headings of the drive cannot be compared: theta looks like degrees"):
+        update(known, images, turned)
 
 
 def test_few_contradictions_are_no_evidence(known, drives):

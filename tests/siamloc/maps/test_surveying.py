@@ -281,6 +281,25 @@ def test_frozen_odometry_is_left_out_with_steps_that_images_do_not_see_and_the_s
     assert len(found.graph.wheels) == 89 - 13
 
 
+def test_odometry_of_every_second_frame_is_said_to_be_of_no_use(surveyed):
+    poses = eights()
+    wheels = drifting(poses)
+    wheels[::2] = np.nan
+    found, _, _ = surveyed({"monday": poses}, odometry=wheels)
+    assert found.fixed_by == "pictures"
+    assert "is unknown for 45 frames: it is not used, since no two frames in a row have it" in found.notes[0]
+
+
+def test_odometry_with_x_and_y_exchanged_is_refused_on_a_way_along_one_axis(surveyed):
+    n = np.arange(100)
+    turn = np.pi / 2 * (n >= 85) + 0.15 * np.sin(0.4 * n)
+    steps = np.column_stack([np.full(100, 0.3), np.zeros(100), np.diff(turn, prepend=turn[0])])
+    poses = chained(steps)
+    assert surveyed({"monday": poses}, odometry=drifting(poses))[0].fixed_by == "odometry"
+    with pytest.raises(DataError, match="moves in other directions than its images show"):
+        surveyed({"monday": poses}, odometry=drifting(poses)[:, [1, 0, 2]])
+
+
 def test_odometry_of_zeros_is_left_out(surveyed):
     poses = eights()
     found, true, _ = surveyed({"monday": poses}, odometry=np.zeros((90, 3)))
