@@ -86,22 +86,26 @@ def atomic_folder(path: str | Path) -> Iterator[Path]:
     """Yield an empty temporary folder next to `path` that becomes `path` when the block ends without an error.
 
     An older folder is replaced as a whole. After an error nothing is left behind and the older folder stays as it was.
+    A kill in the instant between the two leaves the older folder beside `path`, under a name that ends in `.old`.
 
     Raises:
         StorageError: the disk is full or refuses.
     """
-    path = Path(path)
-    with scratch_folder(path) as fresh, scratch_folder(path) as older:
+    path = real_path(path)
+    with scratch_folder(path) as fresh:
         yield fresh
         if not path.exists():
             fresh.replace(path)
             return
-        path.replace(older)
+        if not path.is_dir():
+            raise NotADirectoryError(errno.ENOTDIR, "not a folder")
+        older = path.replace(fresh.with_suffix(".old"))
         try:
             fresh.replace(path)
         except BaseException:
             older.replace(path)
             raise
+        shutil.rmtree(older, ignore_errors=True)
 
 
 @contextmanager

@@ -184,6 +184,37 @@ def test_a_folder_that_cannot_be_replaced_stays(tmp_path, monkeypatch):
     assert [item.name for item in tmp_path.iterdir()] == ["folder"]
 
 
+KILLED_WHILE_REPLACING = """
+import os, sys
+from pathlib import Path
+from foundation.files import atomic_folder
+real = Path.replace
+Path.replace = lambda self, target: (real(self, target), os._exit(9))
+with atomic_folder(sys.argv[1]) as fresh:
+    (fresh / "new").touch()
+"""
+
+
+def test_a_kill_while_a_folder_is_replaced_leaves_the_older_one_beside_it(tmp_path):
+    path = tmp_path / "folder"
+    path.mkdir()
+    (path / "old").touch()
+    run(KILLED_WHILE_REPLACING, path)
+    write_text(tmp_path / "other", "clears what was left")
+    (older,) = tmp_path.glob(".folder.*.old")
+    assert [item.name for item in older.iterdir()] == ["old"]
+    with atomic_folder(path) as fresh:
+        (fresh / "newer").touch()
+    assert older.is_dir()
+
+
+def test_a_folder_does_not_replace_a_file(tmp_path):
+    (tmp_path / "taken").write_text("mine")
+    with pytest.raises(StorageError, match="a file stands where a folder is needed"), atomic_folder(tmp_path / "taken"):
+        pass
+    assert [(item.name, item.read_text()) for item in tmp_path.iterdir()] == [("taken", "mine")]
+
+
 @pytest.mark.parametrize("name", ["", "."])
 def test_a_file_needs_a_name(name):
     with pytest.raises(StorageError, match="names no file"):
