@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import statistics
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import chain
 from typing import Any
 
@@ -109,7 +109,7 @@ HEADS: dict[str, Callable[[int], nn.Module]] = {
 
 @dataclass
 class Seen:
-    """The features (N, C, h, w) of one building's images in half precision, and where the images come from."""
+    """The features (N, C, h, w) of one building's images in half precision, and where they come from."""
 
     features: Tensor
     views: Views
@@ -152,7 +152,7 @@ def seen(first: int, count: int, poses: int, cameras: Cameras) -> Iterator[Seen]
             views = drawn.pop(0).result()
             with torch.no_grad():
                 parts = [network(part / 255).half() for part in torch.from_numpy(views.images).split(64)]
-            yield Seen(torch.cat(parts), views)
+            yield Seen(torch.cat(parts), replace(views, images=views.images[:0]))
 
 
 def learn(head: nn.Module, buildings: list[Seen], seed: int) -> None:
@@ -174,7 +174,7 @@ def batch(buildings: list[Seen], rng: np.random.Generator) -> tuple[Tensor, Orig
     features, columns, overlap = [], [], []
     for number, one in enumerate(buildings):
         views = one.views
-        places = rng.choice(len(views), min(PLACES, len(views)), replace=False)
+        places = rng.choice(len(views.xy), min(PLACES, len(views.xy)), replace=False)
         near = [np.flatnonzero(np.linalg.norm(views.xy - views.xy[at], axis=1) <= RADIUS) for at in places]
         rows = np.unique([*places, *chain.from_iterable(rng.choice(rows, IMAGES - 1) for rows in near)])
         features.append(one.features[rows])

@@ -128,10 +128,10 @@ def walk(
     size = size_of(frames.path[0])
     shape = f" (unwrap=), for pictures of {size[1]} x {size[0]} px" if size else " (unwrap=)"
     say(f"camera: {camera.words()}{shape}")
-    if isinstance(given.camera, AutoRing) and isinstance(ring := camera.camera, HyperbolicMirror | PolarRing):
-        front = f"the robot's front {ring.forward:g} degrees clockwise from the picture's top (unwrap.forward=)"
+    ring = camera.camera
+    if wheels == "without" and isinstance(given.camera, AutoRing) and isinstance(ring, HyperbolicMirror | PolarRing):
         mirrored = "mirrored" if ring.mirrored else "not mirrored"
-        say(f"direction: taken, since a ring does not show it: {front}, and the picture {mirrored} (unwrap.mirrored=)")
+        say(f"direction: the robot is taken to drive ahead, and the picture to be {mirrored} (unwrap.mirrored=)")
     library = partial(
         PanoramaLibrary, cache=folder / "panoramas", image_size=PRETRAINED_SIZE, unwrap=camera.unwrap_settings()
     )

@@ -27,6 +27,8 @@ if TYPE_CHECKING:
 
     from siamloc.data.library import PanoramaLibrary
 
+_UNPOSED_YAW = 5.0  # degrees that are left as they are without poses: a straight camera's yaw is off by up to 3 then
+
 
 @typed
 def build(
@@ -45,7 +47,8 @@ def build(
     """Describe frames and return the map in which queries are searched.
 
     A network that compares images also estimates how the camera is mounted, as `siamloc.data.find_mounting` does; the
-    map takes that into account whenever it describes panoramas or refines poses.
+    map takes that into account whenever it describes panoramas or refines poses. Without poses, the robot is taken to
+    drive ahead.
 
     Args:
         described_by: a network (B, 3, H, W) -> (B, D), any descriptor, or the name of an analytic one such as "hog"; or
@@ -117,8 +120,10 @@ def build(
     found = descriptions(mounting)
     if mounting is None and second is None and images.circular and getattr(by, "compares", False):
         assert found.orientation is not None
-        estimated = estimate(readable, found.orientation, by.compare)  # type: ignore[attr-defined]
-        if (mounting := estimated.mounting) != Mounting():
+        posed = bool((np.isfinite(readable.theta) & readable.has_position).any())
+        estimated = estimate(readable, found.orientation, by.compare, posed)  # type: ignore[attr-defined]
+        mounting = estimated.mounting if posed or abs(estimated.yaw) > _UNPOSED_YAW else Mounting()
+        if mounting != Mounting():
             logger.warning("the camera is not mounted straight, which the map makes up for: %s", estimated.summary())
             if replace(mounting, ahead=0.0, left=0.0) != Mounting():  # an offset leaves the panoramas as they are
                 found = descriptions(mounting)

@@ -102,7 +102,7 @@ def test_a_ring_does_not_show_its_direction(mini, tmp_path, monkeypatch):
     monkeypatch.setattr("siamloc.walking.find_camera", lambda *_: ring)
     with pytest.raises(DataError, match="key frames"):
         siamloc.walk(pictures, tmp_path / "robot", say=said.append)
-    assert "front 90 degrees clockwise from the picture's top (unwrap.forward=), and the picture mirrored" in said[2]
+    assert said[2] == "direction: the robot is taken to drive ahead, and the picture to be mirrored (unwrap.mirrored=)"
 
 
 pytestmark = pytest.mark.slow

@@ -53,6 +53,15 @@ def test_the_map_finds_the_mounting_and_keeps_it(robots):
     assert found.yaw == pytest.approx(MOUNTED.yaw, abs=1)
 
 
+@pytest.mark.parametrize(("camera", "yaw"), [("straight", 0), ("mounted", -MOUNTED.yaw)])  # as seen, mirrored
+def test_without_poses_a_robot_that_drives_ahead_tells_the_yaw(drives, tmp_path, camera, yaw):
+    images = PanoramaLibrary(drives[camera], tmp_path, image_size=SIZE)
+    unposed = FrameTable(path=drives[camera].path)
+    found = siamloc.maps.build(siamloc.models.pretrained(), images, unposed, progress=False).mounting
+    assert found.yaw == pytest.approx(yaw, abs=5 if yaw else 0)
+    assert not found.mirrored
+
+
 def test_panoramas_of_another_size_tell_the_mounting_too(drives, tmp_path):
     images = PanoramaLibrary(drives["mounted"], tmp_path, image_size=(128, 512))
     network = siamloc.models.as_descriptor(siamloc.models.pretrained())
