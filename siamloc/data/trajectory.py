@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from foundation.calls import typed
 from foundation.files import read_text
 from foundation.settings import NotNegative, Positive, shortened
-from siamloc.errors import DataError, logger, say_once
+from siamloc.errors import DataError, leave_out, logger, say_once
 
 Array = NDArray[np.float64]
 Form = Literal["tum", "kitti", "euroc", "planar"]
@@ -74,21 +74,30 @@ class Trajectory:
     def of(cls, time: Array, position: Array, quaternion: Array, source: str) -> Trajectory:
         """Make a trajectory of poses in any order of time; of poses with the same time the first is kept.
 
+        Poses without finite values, and with a quaternion of zeros, such as robots send before they know where they
+        are, are left out.
+
         Raises:
-            DataError: no poses, a value that is not finite, or a quaternion that is not of unit length.
+            DataError: no poses, or a quaternion that is not of unit length.
         """
         if not len(position):
             raise DataError(f"{source} holds no poses")
         length = np.linalg.norm(quaternion, axis=1)
-        values = np.column_stack([position, length])
-        wrong = ~np.isfinite(values).all(axis=1) | (np.abs(length - 1) > _UNIT_LENGTH)
+        rows = [
+            f"pose {row + 1}, {' '.join(f'{value:g}' for value in values)}"
+            for row, values in enumerate(np.column_stack([position, quaternion]).tolist())
+        ]
+        empty = ~np.isfinite(np.column_stack([position, length])).all(axis=1) | (length == 0)
+        what = f"poses of {source} are not three finite numbers and a quaternion"
+        leave_out([rows[row] for row in np.flatnonzero(empty)], len(rows), what, "skip")
+        wrong = ~empty & (np.abs(length - 1) > _UNIT_LENGTH)
         if wrong.any():
             row = int(wrong.argmax())
-            numbers = " ".join(f"{value:g}" for value in (*position[row], *quaternion[row]))
             raise DataError(
-                f"{source}: pose {row + 1}, {numbers}, is not three numbers and a quaternion of length 1, but of "
+                f"{source}: {rows[row]}, is not three numbers and a quaternion of length 1, but of "
                 f"length {length[row]:.3g}: check the order of the columns"
             )
+        time, position, quaternion, length = (part[~empty] for part in (time, position, quaternion, length))
         order = np.arange(len(time))
         if np.isfinite(time).all():
             order = np.unique(time, return_index=True)[1]

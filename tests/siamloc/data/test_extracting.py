@@ -348,7 +348,7 @@ def test_bad_images_and_poses(tmp_path):
         ({"images": "/depth"}, "compressed as '16UC1; compressedDepth png', expected JPEG or PNG"),
         (
             {"images": "/good", "poses": "/zero"},
-            "pose 1, 0 0 0 0 0 0 0, is not three numbers and a quaternion",
+            "not three finite numbers and a quaternion, the first: pose 1, 0 0 0 0 0 0 0; nothing remains",
         ),
     ):
         with pytest.raises(DataError, match=says):

@@ -163,14 +163,14 @@ BAD = {
     r"pose 2, .* is not three numbers and a quaternion of length 1, but of length 1\.04": (
         "0 0 0 0 0 0 0 1\n1 0 0 0 0.3 0 0 1\n"
     ),
-    r"pose 1, .* but of length 0: check": "0 0 0 0 0 0 0 0\n",
+    r"quaternion, the first: pose 1, 0 0 0 0 0 0 0; nothing remains": "0 0 0 0 0 0 0 0\n",
     r"line 3: expected 8 numbers, got '1 0 0': it is cut short": "0 0 0 0 0 0 0 1\n1 0 0 0 0 0 0 1\n1 0 0",
     r"line 2: expected 8 numbers, got '1 0 0 x": "0 0 0 0 0 0 0 1\n1 0 0 x 0 0 0 1\n",
     "line 2: expected lines of numbers, 4, 8 or 12 for a trajectory, got 'the robot'": "some notes\nthe robot\n",
     "has 5 numbers on a line, and a trajectory in tum form has 8": "0 1 2 3 4\n",
     "has the columns time, theta, x, y: expected the time, x and y first": "time,theta,x,y\n0,1,2,3\n1,1,2,3\n",
     "the matrix of pose 2 is not a rotation": "1 0 0 0 0 1 0 0 0 0 1 0\n1 0 0 0 0 2 0 0 0 0 1 0\n",
-    "is not three numbers and a quaternion": "0 0 nan 0 0 0 0 1\n",
+    "1 of 1 poses .* are not three finite numbers": "0 0 nan 0 0 0 0 1\n",
 }
 
 
@@ -180,6 +180,15 @@ def test_what_is_no_trajectory_is_one_sentence(tmp_path, says):
     file.write_text(BAD[says])
     with pytest.raises(DataError, match=says):
         read_trajectory(file).flat()
+
+
+def test_poses_from_before_a_robot_knows_one_are_left_out(tmp_path, caplog):
+    file = tmp_path / "poses.txt"
+    file.write_text("0 0 0 0 0 0 0 0\n1 nan nan nan 0 0 0 1\n2 5 0 0 0 0 0 1\n3 6 0 0 0 0 0 1\n")
+    found = read_trajectory(file)
+    np.testing.assert_array_equal(found.time, [2, 3])
+    np.testing.assert_array_equal(found.position[:, 0], [5, 6])
+    assert "2 of 4 poses" in caplog.text
 
 
 def test_the_other_order_can_be_given(tmp_path):
