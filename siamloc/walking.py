@@ -28,6 +28,7 @@ from siamloc.data import (
 )
 from siamloc.data.decoding import size_of
 from siamloc.data.manifest import manifest_of
+from siamloc.data.picture_checks import drive_faults
 from siamloc.errors import ConfigError, DataError
 from siamloc.maps import Survey, SurveySettings, VisualMap
 from siamloc.maps.floor import shows_floor
@@ -137,6 +138,8 @@ def walk(
     )
     images = library(frames)
     shows_floor(images, settings.survey.height)  # or refuse the height before the long work
+    for fault in drive_faults(frames, images):
+        say(f"note: {fault}")
     chosen = maps.key_frames(_NETWORK, images, frames, spacing=settings.spacing)
     say(f"key frames: {len(chosen)} of {len(images)}, each {settings.spacing:g} m or more from the last (spacing=)")
     if len(chosen) < _FEWEST:

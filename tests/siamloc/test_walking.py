@@ -105,4 +105,16 @@ def test_a_ring_does_not_show_its_direction(mini, tmp_path, monkeypatch):
     assert said[2] == "direction: the robot is taken to drive ahead, and the picture to be mirrored (unwrap.mirrored=)"
 
 
+def test_faults_of_the_pictures_are_said_first(mini, tmp_path):
+    pictures, said = tmp_path / "monday", []
+    pictures.mkdir()
+    for number, path in enumerate(mini[0].path.tolist()[:12]):
+        image = cv2.imread(path)
+        image[: len(image) // 2] = 0
+        cv2.imwrite(str(pictures / f"{START + number / 2:.1f}.png"), image)
+    with pytest.raises(DataError, match="key frames"):
+        siamloc.walk(pictures, tmp_path / "robot", say=said.append)
+    assert "note: 12 of 12 images are more than 40% black: use a longer exposure" in said
+
+
 pytestmark = pytest.mark.slow
