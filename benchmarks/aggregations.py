@@ -7,9 +7,10 @@ the loss of pretraining, and are also measured before that. The branch does not 
 `magnitudes`, so the table says which head to put on it, not what another branch would learn with another head.
 
 The map is the first drive under its first light; the queries are the second drive, under three other lights. All
-buildings are drawn like those of pretraining; none of them belongs to a data set or to the shipped network's training.
+buildings and panorama cameras are drawn like those of pretraining, and the images are not augmented; no building belongs
+to a data set or to the shipped network's training.
 
-    python -m benchmarks.aggregations [--buildings 150] [--seeds 3]
+    python -m benchmarks.aggregations [--buildings 100] [--seeds 3]
 """
 
 from __future__ import annotations
@@ -32,14 +33,14 @@ from siamloc.models.origins import Origins
 from siamloc.models.registry import PRETRAINED_SIZE
 from siamloc.pretraining import RECIPE
 from siamloc.simulate import Views, draw_views
-from siamloc.simulate.camera import Cameras
 from siamloc.simulate.produce import rendering_processes
 
-OUTPUTS, CLUSTERS, QUERIES, HIDDEN = 2048, 64, 16, 256
+OUTPUTS, CLUSTERS, QUERIES, HIDDEN = 2048, 16, 16, 256  # a panorama has 64 cells of features
 LIGHTS, SPACING = 3, 0.3
+DRAWN: dict[str, Any] = {"cameras": "panoramas", "worlds": "any", "imaging": "drawn"}
 STEPS = {"0.6": 2, "3": 10, "6": 20}  # metres between map frames, and the one frame in so many that they are
 LEARNED_FROM, JUDGED_IN, JUDGING = 600_000_000, 700_000_000, 30  # seeds of the buildings, and their number
-BATCHES, RATE = 1500, 1e-3
+BATCHES, RATE = 600, 1e-3
 TOGETHER, PLACES, IMAGES, RADIUS = 4, 16, 4, 2.0  # buildings of a batch, and the places of each, as in pretraining
 BY_PANORAMA = 200  # timed
 
@@ -75,8 +76,8 @@ class Transport(nn.Module):
         cells = score.shape[2]
         score = torch.cat([score, self.dustbin.expand(len(score), 1, cells)], dim=1)
         wanted = torch.ones(CLUSTERS + 1)  # one cell for each cluster, and the rest for the dustbin
-        wanted[-1] = max(cells - CLUSTERS, 1)
-        wanted = (wanted * cells / wanted.sum()).log()
+        wanted[-1] = cells - CLUSTERS
+        wanted = wanted.log()
         rows = score.new_zeros(len(score), CLUSTERS + 1, 1)
         for _ in range(3):
             columns = -torch.logsumexp(score + rows, dim=1, keepdim=True)
@@ -118,12 +119,12 @@ class Seen:
 def main() -> None:
     """Train and judge each head, print a table and write the file."""
     arguments = parser(__doc__)
-    arguments.add_argument("--buildings", type=int, default=150, help="number of buildings to learn from")
+    arguments.add_argument("--buildings", type=int, default=100, help="number of buildings to learn from")
     arguments.add_argument("--seeds", type=int, default=3)
     options = arguments.parse_args()
     report = Report("aggregations", options.out)
-    judging = list(seen(JUDGED_IN, JUDGING, poses=200, cameras="built_in"))
-    learning = list(seen(LEARNED_FROM, options.buildings, poses=60, cameras="panoramas"))
+    judging = list(seen(JUDGED_IN, JUDGING, poses=160))
+    learning = list(seen(LEARNED_FROM, options.buildings, poses=60))
     rows: dict[str, dict[str, Any]] = {}
     for name, head_of in HEADS.items():
         made = []
@@ -141,18 +142,18 @@ def main() -> None:
     report.write({"buildings": options.buildings, "judging": JUDGING, "outputs": OUTPUTS, "rows": rows})
 
 
-def seen(first: int, count: int, poses: int, cameras: Cameras) -> Iterator[Seen]:
+def seen(first: int, count: int, poses: int) -> Iterator[Seen]:
     """Draw so many buildings, two drives through each under three lights, and describe their images."""
     network = siamloc.models.pretrained().eval()
     network.head = nn.Identity()  # type: ignore[assignment] # so that the network returns the features
-    about: dict[str, Any] = {"drives": 2, "lights": LIGHTS, "poses": poses, "spacing": SPACING, "worlds": "any"}
+    about: dict[str, Any] = {"drives": 2, "lights": LIGHTS, "poses": poses, "spacing": SPACING}
     with rendering_processes(2) as pool:
-        drawn = [pool.submit(draw_views, first + n, PRETRAINED_SIZE, cameras=cameras, **about) for n in range(count)]
+        drawn = [pool.submit(draw_views, first + n, PRETRAINED_SIZE, **about, **DRAWN) for n in range(count)]
         while drawn:
             views = drawn.pop(0).result()
             with torch.no_grad():
                 parts = [network(part / 255).half() for part in torch.from_numpy(views.images).split(64)]
-            yield Seen(torch.cat(parts), replace(views, images=views.images[:0]))
+            yield Seen(torch.cat(parts), replace(views, images=views.images[:0].copy()))
 
 
 def learn(head: nn.Module, buildings: list[Seen], seed: int) -> None:
