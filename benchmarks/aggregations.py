@@ -7,8 +7,8 @@ the loss of pretraining, and are also measured before that. The branch does not 
 `magnitudes`, so the table says which head to put on it, not what another branch would learn with another head.
 
 The map is the first drive under its first light; the queries are the second drive, under three other lights. All
-buildings and panorama cameras are drawn like those of pretraining, and the images are not augmented; no building belongs
-to a data set or to the shipped network's training.
+buildings and panorama cameras are drawn like those of pretraining, and the images are not augmented; no building
+belongs to a data set or to the shipped network's training.
 
     python -m benchmarks.aggregations [--buildings 100] [--seeds 3]
 """

@@ -99,13 +99,13 @@ def atomic_folder(path: str | Path) -> Iterator[Path]:
             return
         if not path.is_dir():
             raise NotADirectoryError(errno.ENOTDIR, "not a folder")
-        older = path.replace(fresh.with_suffix(".old"))
+        older = path.replace(fresh.with_name(f"{fresh.name.rpartition('.tmp')[0]}.old"))
         try:
             fresh.replace(path)
         except BaseException:
             older.replace(path)
             raise
-        shutil.rmtree(older, ignore_errors=True)
+        older.replace(fresh)  # which is removed
 
 
 @contextmanager

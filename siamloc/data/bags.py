@@ -91,8 +91,8 @@ class Bag:
 
         with self._whole():
             named = self.path.suffix == ".bag" and self.path.is_dir()  # rosbags takes it for a bag of ROS 1
-            paths = [path for end in ("db3", "mcap") for path in self.path.glob(f"*.{end}")] if named else [self.path]
-            self._reader = AnyReader(paths, default_typestore=get_typestore(Stores.ROS2_HUMBLE))
+            paths = [path for end in ("db3", "mcap") for path in self.path.glob(f"*.{end}")] if named else []
+            self._reader = AnyReader(paths or [self.path], default_typestore=get_typestore(Stores.ROS2_HUMBLE))
             self._reader.open()
             self.topics = {name: (str(one.msgtype), one.msgcount) for name, one in self._reader.topics.items()}
             self.seconds = max(self._reader.duration, 0) / 1e9 if any(count for _, count in self.topics.values()) else 0

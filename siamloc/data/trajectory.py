@@ -74,11 +74,11 @@ class Trajectory:
     def of(cls, time: Array, position: Array, quaternion: Array, source: str) -> Trajectory:
         """Make a trajectory of poses in any order of time; of poses with the same time the first is kept.
 
-        Poses without finite values, and with a quaternion of zeros, such as robots send before they know where they
-        are, are left out.
+        Poses with a time, but without finite values or with a quaternion of zeros, such as robots send before they
+        know where they are, are left out.
 
         Raises:
-            DataError: no poses, or a quaternion that is not of unit length.
+            DataError: no poses, without times a value that is not finite, or a quaternion that is not of unit length.
         """
         if not len(position):
             raise DataError(f"{source} holds no poses")
@@ -87,10 +87,11 @@ class Trajectory:
             f"pose {row + 1}, {' '.join(f'{value:g}' for value in values)}"
             for row, values in enumerate(np.column_stack([position, quaternion]).tolist())
         ]
-        empty = ~np.isfinite(np.column_stack([position, length])).all(axis=1) | (length == 0)
+        known = np.isfinite(np.column_stack([position, length])).all(axis=1) & (length > 0)
+        empty = ~known & np.isfinite(time)
         what = f"poses of {source} are not three finite numbers and a quaternion"
         leave_out([rows[row] for row in np.flatnonzero(empty)], len(rows), what, "skip")
-        wrong = ~empty & (np.abs(length - 1) > _UNIT_LENGTH)
+        wrong = ~empty & ~(known & (np.abs(length - 1) <= _UNIT_LENGTH))
         if wrong.any():
             row = int(wrong.argmax())
             raise DataError(

@@ -47,8 +47,8 @@ def build(
     """Describe frames and return the map in which queries are searched.
 
     A network that compares images also estimates how the camera is mounted, as `siamloc.data.find_mounting` does; the
-    map takes that into account whenever it describes panoramas or refines poses. Without poses, the robot is taken to
-    drive ahead.
+    map takes that into account whenever it describes panoramas or refines poses. Without positions, the robot is taken
+    to drive ahead.
 
     Args:
         described_by: a network (B, 3, H, W) -> (B, D), any descriptor, or the name of an analytic one such as "hog"; or
@@ -120,7 +120,7 @@ def build(
     found = descriptions(mounting)
     if mounting is None and second is None and images.circular and getattr(by, "compares", False):
         assert found.orientation is not None
-        posed = bool((np.isfinite(readable.theta) & readable.has_position).any())
+        posed = bool(readable.has_position.any())
         estimated = estimate(readable, found.orientation, by.compare, posed)  # type: ignore[attr-defined]
         mounting = estimated.mounting if posed or abs(estimated.yaw) > _UNPOSED_YAW else Mounting()
         if mounting != Mounting():

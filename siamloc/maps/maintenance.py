@@ -191,11 +191,6 @@ def update(
             f"an update takes the frames of one drive, and these are of {len(drives)}: call it for each in turn, with "
             "the map of the update before"
         )
-    if comparison_of(known) is not None:
-        from siamloc.data.checks import wrong_headings
-
-        for finding in wrong_headings(drive):
-            raise DataError(f"the headings of the drive cannot be compared: {finding}")
     describe = partial(
         build, known.descriptor, images, heading=known.heading_descriptor, mounting=known.mounting, progress=progress
     )
@@ -206,6 +201,11 @@ def update(
         seen = describe(drive)
         drive = locate(known, seen, progress=progress)
         seen, deviation = replace(seen, frames=drive), drive.deviation
+    elif comparison_of(known) is not None:
+        from siamloc.data.checks import wrong_headings
+
+        for finding in wrong_headings(drive):
+            raise DataError(f"the headings of the drive cannot be compared: {finding}")
     sure = drive.has_position
     if deviation is not None:
         spread = np.asarray(deviation, dtype=np.float64)
@@ -345,16 +345,19 @@ def _check_axes(drive: FrameTable, located: FrameTable, radius: float) -> None:
         some = rigid | ((np.abs(moved) > 4 * radius) & (np.abs(wanted) > _UNIT * np.abs(moved)))
         turn, start = (moved[some] / wanted[some])[:, None], first[some]
         turn /= np.where(rigid[some, None], np.abs(turn), 1)
-        agree = (np.abs(turn * (axes - axes[start, None]) + found[start, None] - found) <= radius).sum(axis=1)
+        near = np.abs(turn * (axes - axes[start, None]) + found[start, None] - found) <= radius
+        moved_away = rigid[some, None] | (np.abs(found - found[start, None]) > radius)  # any unit keeps what stays
+        agree = (near & moved_away).sum(axis=1)
         if not agree.size or agree.max() < _MOST * len(given):
             continue
-        length = float(np.abs(turn[agree.argmax(), 0]))
+        best = agree.argmax()
+        length = float(np.abs(turn[best, 0]))
         unit = "" if length > 0.5 else f" and a factor of {length:.2g}, as between units,"
         raise DataError(
-            f"the drive's positions have other axes than the map's: one motion{exchanged}{unit} brings {agree.max()} "
-            f"of {len(given)} frames to where the map locates them. Leave x and y out, or give them as odom_x and "
-            "odom_y. If the drive shows a place that the map lacks, and that only looks like one of its own, give its "
-            "frames another name in the column building"
+            f"the drive's positions have other axes than the map's: one motion{exchanged}{unit} brings "
+            f"{near[best].sum()} of {len(given)} frames to where the map locates them. Leave x and y out, or give them "
+            "as odom_x and odom_y. If the drive shows a place that the map lacks, and that only looks like one of its "
+            "own, give its frames another name in the column building"
         )
 
 

@@ -17,7 +17,6 @@ from siamloc.maps.pose_graph import Array
 _NEAR, _ALIKE = 3.0, np.radians(20)  # how far a loop between drives may be off before drift is undone: metres, rad
 _MEETING = 3  # loops that must agree about how two drives lie
 _VOTERS = 500  # loops at most that are compared with each other for that
-_FARTHER = 3.0  # ratio of the distance of two anchors and the way between them, as by odometry or images, at most
 _PLACE = 10  # frames of a place: a meeting at a single place is told
 
 
@@ -143,9 +142,6 @@ def anchored(
         drive: number of the drive of each frame (n,).
         frames: the frames (n).
         anchors: frames with poses; those whose image could not be read are left out.
-
-    Raises:
-        DataError: anchors much farther apart than the robot drove between them.
     """
     rows = {key: row for row, key in enumerate(frames.identities())}
     there = [] if anchors is None else [row for row, key in enumerate(anchors.identities()) if key in rows]
@@ -159,16 +155,6 @@ def anchored(
         mine = np.flatnonzero(drive[fixed] == number)
         mine = mine[np.argsort(fixed[mine])]
         frame = np.flatnonzero(drive == number)
-        way = np.append(0, np.cumsum(np.hypot(*np.diff(start[frame, :2], axis=0).T)))[
-            np.searchsorted(frame, fixed[mine])
-        ]
-        apart = np.hypot(*np.diff(true[mine, :2], axis=0).T)
-        if (far := np.flatnonzero(apart > _FARTHER * np.diff(way) + 1)).size:
-            paths, at = held.path[mine].tolist(), far[0]
-            raise DataError(
-                f"the anchors {paths[at]} and {paths[at + 1]} are {apart[at]:.4g} m apart, and the robot drove "
-                f"{way[at + 1] - way[at]:.3g} m between them: give their x and y in metres"
-            )
         origin = composed(true[mine[:1]], inverse(start[fixed[mine[:1]]]))
         start[frame] = composed(np.tile(origin, (len(frame), 1)), start[frame])
         off = true[mine] - start[fixed[mine]]

@@ -177,7 +177,8 @@ def _check_odometry(said: str, odometry: Array, seen: Array, certain: NDArray[np
     if judged and np.average(np.cos(direction), weights=weight) < _ALONG:
         raise DataError(
             f"{said} moves in other directions than its images show: odom_theta must be the heading in the frame of "
-            "odom_x and odom_y, in radians counter-clockwise, and each row that of its image"
+            "odom_x and odom_y, in radians counter-clockwise, each row that of its image, and the middle of a panorama "
+            "must look ahead"
         )
 
 

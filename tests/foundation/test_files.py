@@ -195,8 +195,9 @@ with atomic_folder(sys.argv[1]) as fresh:
 """
 
 
-def test_a_kill_while_a_folder_is_replaced_leaves_the_older_one_beside_it(tmp_path):
-    path = tmp_path / "folder"
+@pytest.mark.parametrize("name", ["folder", "folder.v2"])
+def test_a_kill_while_a_folder_is_replaced_leaves_the_older_one_beside_it(tmp_path, name):
+    path = tmp_path / name
     path.mkdir()
     (path / "old").touch()
     run(KILLED_WHILE_REPLACING, path)

@@ -112,6 +112,7 @@ def test_faults_of_the_pictures_are_said_first(mini, tmp_path):
         image = cv2.imread(path)
         image[: len(image) // 2] = 0
         cv2.imwrite(str(pictures / f"{START + number / 2:.1f}.png"), image)
+    (pictures / f"{START + 9:.1f}.png").write_bytes(b"cut short")  # which is left out
     with pytest.raises(DataError, match="key frames"):
         siamloc.walk(pictures, tmp_path / "robot", say=said.append)
     assert "note: 12 of 12 images are more than 40% black: use a longer exposure" in said

@@ -171,6 +171,7 @@ BAD = {
     "has the columns time, theta, x, y: expected the time, x and y first": "time,theta,x,y\n0,1,2,3\n1,1,2,3\n",
     "the matrix of pose 2 is not a rotation": "1 0 0 0 0 1 0 0 0 0 1 0\n1 0 0 0 0 2 0 0 0 0 1 0\n",
     "1 of 1 poses .* are not three finite numbers": "0 0 nan 0 0 0 0 1\n",
+    "pose 2, nan 0 0 0 0 0 1, is not three numbers": "1 0 0 0 0 1 0 0 0 0 1 0\n1 0 0 nan 0 1 0 0 0 0 1 0\n",
 }
 
 
