@@ -39,8 +39,9 @@ def started(code, *arguments):
 
 
 def test_once_stops_and_cleans_up():
-    said = started(WAITS, 0).communicate(timeout=60)
-    assert said == ("clean\n", "siamloc: interrupted\n")
+    with started(WAITS, 0) as process:  # `communicate` would pass over what `readline` has read ahead
+        assert (process.stdout.read(), process.stderr.read()) == ("clean\n", "siamloc: interrupted\n")
+    assert process.returncode == 130
 
 
 IGNORES = """
