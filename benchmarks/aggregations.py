@@ -38,7 +38,7 @@ from siamloc.simulate.produce import rendering_processes
 OUTPUTS, CLUSTERS, QUERIES, HIDDEN = 2048, 16, 16, 256  # a panorama has 64 cells of features
 LIGHTS, SPACING = 3, 0.3
 DRAWN: dict[str, Any] = {"cameras": "panoramas", "worlds": "any", "imaging": "drawn"}
-STEPS = {"0.6": 2, "3": 10, "6": 20}  # metres between map frames, and the one frame in so many that they are
+STEPS = (2, 10, 20)  # one frame in so many is in the map
 LEARNED_FROM, JUDGED_IN, JUDGING = 600_000_000, 700_000_000, 30  # seeds of the buildings, and their number
 BATCHES, RATE = 600, 1e-3
 TOGETHER, PLACES, IMAGES, RADIUS = 4, 16, 4, 2.0  # buildings of a batch, and the places of each, as in pretraining
@@ -191,19 +191,19 @@ def batch(buildings: list[Seen], rng: np.random.Generator) -> tuple[Tensor, Orig
 
 def judged(head: nn.Module, buildings: list[Seen]) -> dict[str, Any]:
     """Return, for each map, the mean error in m above the floor and the share of right rooms; means over buildings."""
-    found: dict[str, list[tuple[float, float]]] = {step: [] for step in STEPS}
+    found: dict[str, list[tuple[float, float]]] = {str(every): [] for every in STEPS}
     for building in buildings:
         views = building.views
         with torch.no_grad():
             described = torch.cat([head(part.float()) for part in building.features.split(64)])
         first, asked = np.flatnonzero(views.light == 0), np.flatnonzero(views.light >= LIGHTS)
-        for step, every in STEPS.items():
+        for every in STEPS:
             known = first[::every]
             best = known[(described[asked] @ described[known].T).argmax(dim=1).numpy()]
             apart = np.linalg.norm(views.xy[asked, None] - views.xy[known], axis=2).min(axis=1)
             error = np.linalg.norm(views.xy[asked] - views.xy[best], axis=1)
             right = views.room[asked] == views.room[best]
-            found[step].append((float(error.mean() - apart.mean()), float(right.mean())))
+            found[str(every)].append((float(error.mean() - apart.mean()), float(right.mean())))
     return {
         step: {
             "excess": statistics.mean(error for error, _ in pairs),
@@ -222,14 +222,17 @@ def timed(head: nn.Module, building: Seen) -> dict[str, float]:
 
 def table(rows: dict[str, dict[str, Any]]) -> str:
     """Return a table of the excess and the rooms, means over the seeds."""
-    lines = [f"| head | | {' | '.join(f'{step} m' for step in STEPS)} |", "|---|---|" + "---|" * len(STEPS)]
+    lines = [
+        f"| head | | {' | '.join(f'{every * SPACING:g} m' for every in STEPS)} |",
+        "|---|---|" + "---|" * len(STEPS),
+    ]
     for name, row in rows.items():
         for when in ("at first", "trained"):
             if when in row:
                 cells = [
-                    f"{statistics.mean(one[step]['excess'] for one in row[when]):.3f}; "
-                    f"{statistics.mean(one[step]['rooms'] for one in row[when]):.1%}"
-                    for step in STEPS
+                    f"{statistics.mean(one[str(every)]['excess'] for one in row[when]):.3f}; "
+                    f"{statistics.mean(one[str(every)]['rooms'] for one in row[when]):.1%}"
+                    for every in STEPS
                 ]
                 lines.append(f"| {name} | {when} | {' | '.join(cells)} |")
     return "\n".join(lines)
