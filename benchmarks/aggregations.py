@@ -6,19 +6,20 @@ in visual place recognition: residuals to clusters [Arandjelovic 2016], optimal 
 the loss of pretraining, and are also measured before that. The branch does not change: it was trained with
 `magnitudes`, so the table says which head to put on it, not what another branch would learn with another head.
 
-The map is the first drive under its first light; the queries are the second drive, under three other lights. All
-buildings and panorama cameras are drawn like those of pretraining, and the images are not augmented; no building
-belongs to a data set or to the shipped network's training.
+They learn from the same batches, those of pretraining without augmentation, from a seed that the shipped network was
+not trained with. They are judged in other buildings, drawn alike: the map is the first drive under its first light; the
+queries are the second drive, under three other lights.
 
-    python -m benchmarks.aggregations [--buildings 100] [--seeds 3]
+    python -m benchmarks.aggregations [--seeds 3]
 """
 
 from __future__ import annotations
 
 import statistics
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
-from itertools import chain
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import asdict, dataclass, replace
+from functools import cache, partial
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -28,20 +29,21 @@ from torch import Tensor, nn
 
 import siamloc
 from benchmarks.report import Report, milliseconds, parser
+from siamloc.data.places import PlaceSettings
 from siamloc.models.batch_losses import make_loss
 from siamloc.models.origins import Origins
 from siamloc.models.registry import PRETRAINED_SIZE
-from siamloc.pretraining import RECIPE
+from siamloc.pretraining import RECIPE, ViewSettings
+from siamloc.pretraining.view_batches import BuildingStream, Renderer, ViewBatches
 from siamloc.simulate import Views, draw_views
 from siamloc.simulate.produce import rendering_processes
 
 OUTPUTS, CLUSTERS, QUERIES, HIDDEN = 2048, 16, 16, 256  # a panorama has 64 cells of features
 LIGHTS, SPACING = 3, 0.3
-DRAWN: dict[str, Any] = {"cameras": "panoramas", "worlds": "any", "imaging": "drawn"}
+VIEWS = ViewSettings(cameras="panoramas")
 STEPS = (2, 10, 20)  # one frame in so many is in the map
-LEARNED_FROM, JUDGED_IN, JUDGING = 600_000_000, 700_000_000, 30  # seeds of the buildings, and their number
-BATCHES, RATE = 600, 1e-3
-TOGETHER, PLACES, IMAGES, RADIUS = 4, 16, 4, 2.0  # buildings of a batch, and the places of each, as in pretraining
+JUDGED_IN, JUDGING, POSES = 700_000_000, 30, 160  # seed of the first building, number of buildings, poses of a drive
+LEARNED_FROM, BATCHES, RATE = 7, 600, 1e-3  # seed of the batches, their number, and the largest learning rate
 BY_PANORAMA = 200  # timed
 
 
@@ -119,74 +121,73 @@ class Seen:
 def main() -> None:
     """Train and judge each head, print a table and write the file."""
     arguments = parser(__doc__)
-    arguments.add_argument("--buildings", type=int, default=100, help="number of buildings to learn from")
     arguments.add_argument("--seeds", type=int, default=3)
     options = arguments.parse_args()
     report = Report("aggregations", options.out)
-    judging = list(seen(JUDGED_IN, JUDGING, poses=160))
-    learning = list(seen(LEARNED_FROM, options.buildings, poses=60))
+    judging = list(seen())
+    made: dict[str, list[nn.Module]] = {name: [] for name in HEADS}
+    for name, seed in product(HEADS, range(options.seeds)):
+        torch.manual_seed(seed)
+        made[name].append(HEADS[name](judging[0].features.shape[1]))
+    made["magnitudes"] = made["magnitudes"][:1]  # without weights, all are the same
     rows: dict[str, dict[str, Any]] = {}
-    for name, head_of in HEADS.items():
-        made = []
-        for seed in range(options.seeds):
-            torch.manual_seed(seed)
-            made.append(head_of(judging[0].features.shape[1]))
-        rows[name] = {"weights": sum(one.numel() for one in made[0].parameters()), **timed(made[0], judging[0])}
-        rows[name]["at first"] = [judged(head, judging) for head in made[: 1 if name == "magnitudes" else None]]
-        if rows[name]["weights"]:
-            for seed, head in enumerate(made):
-                learn(head, learning, seed)
-            rows[name]["trained"] = [judged(head, judging) for head in made]
-        print(table({name: rows[name]}), flush=True)
+    for name, heads in made.items():
+        weights = sum(one.numel() for one in heads[0].parameters())
+        rows[name] = {"weights": weights, **timed(heads[0], judging[0])}
+        rows[name]["at first"] = [judged(head, judging) for head in heads]
+    print(f"\n{table(rows)}\n", flush=True)
+    trained = {name: heads for name, heads in made.items() if rows[name]["weights"]}
+    learn([head for heads in trained.values() for head in heads])
+    for name, heads in trained.items():
+        rows[name]["trained"] = [judged(head, judging) for head in heads]
     print(f"\n{table(rows)}\n")
-    report.write({"buildings": options.buildings, "judging": JUDGING, "outputs": OUTPUTS, "rows": rows})
+    settings = {**asdict(VIEWS), "batches": BATCHES, "judging": JUDGING, "outputs": OUTPUTS, "seeds": options.seeds}
+    report.write({"settings": settings, "rows": rows})
 
 
-def seen(first: int, count: int, poses: int) -> Iterator[Seen]:
-    """Draw so many buildings, two drives through each under three lights, and describe their images."""
+@cache
+def branch() -> nn.Module:
+    """Return the shipped network without its head: it returns features (B, C, h, w)."""
     network = siamloc.models.pretrained().eval()
-    network.head = nn.Identity()  # type: ignore[assignment] # so that the network returns the features
-    about: dict[str, Any] = {"drives": 2, "lights": LIGHTS, "poses": poses, "spacing": SPACING}
+    network.head = nn.Identity()  # type: ignore[assignment]
+    return network
+
+
+def seen() -> Iterator[Seen]:
+    """Draw the buildings to judge in, two drives through each under three lights, and describe their images."""
     with rendering_processes(2) as pool:
-        drawn = [pool.submit(draw_views, first + n, PRETRAINED_SIZE, **about, **DRAWN) for n in range(count)]
+        about = {"poses": POSES, "lights": LIGHTS, "spacing": SPACING, "worlds": VIEWS.worlds, "imaging": VIEWS.imaging}
+        drawn = [
+            pool.submit(partial(draw_views, JUDGED_IN + n, PRETRAINED_SIZE, cameras=VIEWS.cameras, **about))
+            for n in range(JUDGING)
+        ]
         while drawn:
             views = drawn.pop(0).result()
             with torch.no_grad():
-                parts = [network(part / 255).half() for part in torch.from_numpy(views.images).split(64)]
+                parts = [branch()(part / 255).half() for part in torch.from_numpy(views.images).split(64)]
             yield Seen(torch.cat(parts), replace(views, images=views.images[:0].copy()))
 
 
-def learn(head: nn.Module, buildings: list[Seen], seed: int) -> None:
-    """Train a head on features, with the loss of pretraining."""
-    loss, rng = make_loss(**(RECIPE.loss or {})), np.random.default_rng(seed)
-    optimizer = torch.optim.AdamW(head.parameters(), lr=RATE, weight_decay=0.01)
-    schedule = torch.optim.lr_scheduler.OneCycleLR(optimizer, RATE, total_steps=BATCHES, pct_start=0.2)
-    for _ in range(BATCHES):
-        features, origins = batch([buildings[n] for n in rng.choice(len(buildings), TOGETHER, replace=False)], rng)
-        optimizer.zero_grad()
-        loss(head(features), origins).backward()
-        nn.utils.clip_grad_norm_(head.parameters(), 1.0)
-        optimizer.step()
-        schedule.step()
-
-
-def batch(buildings: list[Seen], rng: np.random.Generator) -> tuple[Tensor, Origins]:
-    """Draw places of some buildings, and images of each place."""
-    features, columns, overlap = [], [], []
-    for number, one in enumerate(buildings):
-        views = one.views
-        places = rng.choice(len(views.xy), min(PLACES, len(views.xy)), replace=False)
-        near = [np.flatnonzero(np.linalg.norm(views.xy - views.xy[at], axis=1) <= RADIUS) for at in places]
-        rows = np.unique([*places, *chain.from_iterable(rng.choice(rows, IMAGES - 1) for rows in near)])
-        features.append(one.features[rows])
-        apart = 1_000_000 * number  # rooms and frames of two buildings are never the same
-        columns.append(
-            (views.xy[rows] - views.xy.mean(axis=0), 0 * rows + number, views.room[rows] + apart, rows + apart)
-        )
-        overlap.append(torch.from_numpy(views.overlap[np.ix_(views.pose[rows], views.pose[rows])]).float())
-    xy, building, room, frame = (torch.from_numpy(np.concatenate(column)) for column in zip(*columns, strict=True))
-    origins = Origins(xy.float(), building, room, frame, overlap=torch.block_diag(*overlap))
-    return torch.cat(features).float(), origins
+def learn(heads: Sequence[nn.Module]) -> None:
+    """Train heads on the same batches, with the loss of pretraining."""
+    places = PlaceSettings.of({**RECIPE.training["pairs"], "epoch_batches": BATCHES})
+    renderer = Renderer(1)
+    batches = ViewBatches(BuildingStream(renderer, PRETRAINED_SIZE, VIEWS, LEARNED_FROM), places)
+    loss = make_loss(**(RECIPE.loss or {}))
+    optimizers = [torch.optim.AdamW(head.parameters(), lr=RATE, weight_decay=0.01) for head in heads]
+    cycles = [torch.optim.lr_scheduler.OneCycleLR(one, RATE, total_steps=BATCHES, pct_start=0.2) for one in optimizers]
+    for number in range(BATCHES):
+        item = batches[0, number]
+        origins = Origins(**{key: item[key] for key in ("xy", "building", "room", "frame", "overlap")})
+        with torch.no_grad():
+            features = branch()(item["images"] / 255)
+        for head, optimizer, cycle in zip(heads, optimizers, cycles, strict=True):
+            optimizer.zero_grad()
+            loss(head(features), origins).backward()
+            nn.utils.clip_grad_norm_(head.parameters(), 1.0)
+            optimizer.step()
+            cycle.step()
+    renderer.close()
 
 
 def judged(head: nn.Module, buildings: list[Seen]) -> dict[str, Any]:

@@ -83,19 +83,19 @@ class Trajectory:
         if not len(position):
             raise DataError(f"{source} holds no poses")
         length = np.linalg.norm(quaternion, axis=1)
-        rows = [
-            f"pose {row + 1}, {' '.join(f'{value:g}' for value in values)}"
-            for row, values in enumerate(np.column_stack([position, quaternion]).tolist())
-        ]
+
+        def said(row: int) -> str:
+            return f"pose {row + 1}, {' '.join(f'{value:g}' for value in (*position[row], *quaternion[row]))}"
+
         known = np.isfinite(np.column_stack([position, length])).all(axis=1) & (length > 0)
         empty = ~known & np.isfinite(time)
         what = f"poses of {source} are not three finite numbers and a quaternion"
-        leave_out([rows[row] for row in np.flatnonzero(empty)], len(rows), what, "skip")
+        leave_out([said(row) for row in np.flatnonzero(empty).tolist()], len(position), what, "skip")
         wrong = ~empty & ~(known & (np.abs(length - 1) <= _UNIT_LENGTH))
         if wrong.any():
             row = int(wrong.argmax())
             raise DataError(
-                f"{source}: {rows[row]}, is not three numbers and a quaternion of length 1, but of "
+                f"{source}: {said(row)}, is not three numbers and a quaternion of length 1, but of "
                 f"length {length[row]:.3g}: check the order of the columns"
             )
         time, position, quaternion, length = (part[~empty] for part in (time, position, quaternion, length))

@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from foundation.calls import OF_FIELDS, takes
 from foundation.settings import Count, Positive, Share
+from siamloc.data.checks import wrong_headings
 from siamloc.data.frames import FrameTable, concatenate
 from siamloc.errors import ConfigError, DataError, logger
 from siamloc.maps.comparing import comparison_of
@@ -202,8 +203,6 @@ def update(
         drive = locate(known, seen, progress=progress)
         seen, deviation = replace(seen, frames=drive), drive.deviation
     elif comparison_of(known) is not None:
-        from siamloc.data.checks import wrong_headings
-
         for finding in wrong_headings(drive):
             raise DataError(f"the headings of the drive cannot be compared: {finding}")
     sure = drive.has_position
