@@ -211,9 +211,9 @@ class Bag:
 
     def _between(self, rows: Mapping[Edge, list[Any]], parent: str, child: str) -> Trajectory:
         """Return the poses of a frame in another one, up and down the tree of frames between the two."""
+        if (parent, child) in rows:  # a frame may have several, if more than one program says where it is
+            return _trajectory(rows[parent, child], f"{self.path}, {parent}:{child}")
         above = {lower: upper for upper, lower in rows}
-        if (parent, child) in rows:
-            above[child] = parent  # a frame may have several, if more than one program says where it is
         up, down = _ancestors(parent, above), _ancestors(child, above)
         shared = next((frame for frame in down if frame in up), None)
         if shared is None or parent == child:
@@ -290,10 +290,19 @@ def _edge(message: Any) -> Edge:
 
 
 def _ancestors(frame: str, above: Mapping[str, str]) -> list[str]:
-    """Return a frame and those above it, upwards."""
+    """Return a frame and those above it, upwards.
+
+    Raises:
+        DataError: frames in a loop.
+    """
     path = [frame]
-    while path[-1] in above and above[path[-1]] not in path:
+    while path[-1] in above:
         path.append(above[path[-1]])
+        if path[-1] in path[:-1]:
+            raise DataError(
+                f"the recording's frames form a loop ({', '.join(path)}, each given in the next): name two neighbours, "
+                f"such as {path[1]}:{path[0]}, or a topic of poses"
+            )
     return path
 
 
@@ -333,7 +342,8 @@ def proposed(topics: Mapping[str, tuple[str, int]], frames: Iterable[Edge]) -> d
         above = {lower: upper for upper, lower in frames}
         found = []
         for robot in _BASES:
-            found += [f"{at}:{robot}" for at in _ancestors(robot, above)[1:] if at in parents][:1]
+            with suppress(DataError):  # frames in a loop
+                found += [f"{at}:{robot}" for at in _ancestors(robot, above)[1:] if at in parents][:1]
         return found
 
     true = ("truth", "gt", "vicon", "mocap", "amcl", "slam")

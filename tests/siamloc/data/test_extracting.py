@@ -246,6 +246,22 @@ def test_frames_up_and_down_the_tree(tmp_path, base):
     np.testing.assert_allclose([frames.x[0], frames.y[0], frames.theta[0]], [1, 2, np.pi / 2], atol=1e-9)
 
 
+def test_frames_in_a_loop_are_refused_unless_a_pair_is_named(tmp_path):
+    bag = Written(tmp_path / "bag", "sqlite3")
+    with bag.writer:
+        bag.image("/image", START, PICTURES[0], header=bag.header(START, "camera"))
+        bag.transform("/tf_static", START, "base_link", "camera", 0.1, 0, 0)
+        bag.transform("/tf", START, "odom", "base_link", 3, 0, 0)
+        bag.transform("/tf", START, "base_link", "odom", -2, 0, 0)
+    found = siamloc.data.contents(bag.path)
+    assert found.proposal == {"images": "/image"}
+    assert found.height == {}
+    with pytest.raises(DataError, match=r"loop \(odom, base_link, odom, each .* such as base_link:odom, or a topic"):
+        siamloc.data.extract(bag.path, tmp_path / "out", poses="odom:camera")
+    frames = siamloc.data.extract(bag.path, tmp_path / "out", poses="odom:base_link")
+    np.testing.assert_allclose(frames.x, [3])
+
+
 def test_frames_by_the_clock_of_the_recorder(tmp_path):
     """The robot counts from its start, also in the frames."""
     bag = Written(tmp_path / "bag", "sqlite3")
