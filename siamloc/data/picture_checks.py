@@ -77,6 +77,11 @@ def mounted(found: MountingEstimate, unit: str = "m") -> str | None:
 
 def exposure(grey: Array) -> str | None:
     """Look for pictures (n, H, W) in which much is too dark or too bright to tell anything apart."""
+    if _SHARE < (always := (grey <= _DARK).all(axis=0).mean()) < 1:
+        return (
+            f"{always:.0%} of the panorama is black in all images: check unwrap, and what covers the camera, or use a "
+            "longer exposure"
+        )
     for share, how, what in (
         ((grey <= _DARK).mean(axis=(1, 2)), "black", "longer"),
         ((grey >= _BRIGHT).mean(axis=(1, 2)), "white", "shorter"),

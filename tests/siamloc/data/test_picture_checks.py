@@ -53,6 +53,11 @@ def without_a_part(panoramas):
     return panoramas
 
 
+def without_the_floor(panoramas):
+    panoramas[:, :, H // 2 :] = 0
+    return panoramas
+
+
 def with_robot(panoramas):
     panoramas[:, :, 28:, 40:90] = panoramas[0, :, 28:, 40:90]
     return panoramas
@@ -73,6 +78,7 @@ def tilted(panoramas):
     [
         (lambda one: one // 30, "60 of 60 images are more than 40% black: use a longer exposure"),
         (lambda one: np.clip(one.astype(int) * 4, 0, 255).astype(np.uint8), "more than 40% white: use a shorter"),
+        (without_the_floor, "50% of the panorama is black in all images: check unwrap"),
         (blurred, "60 of 60 images are blurred"),
         (cut, "there is a seam where the panoramas begin and end"),
         (lambda one: np.concatenate([one[..., :30], one[..., 40:], one[..., -10:]], axis=3), "a seam at column 30"),
