@@ -54,7 +54,7 @@ def check(
         'theta looks like degrees: 7 of 8 headings lie beyond one turn, up to 315. Give radians (multiply by pi / 180).'
     """
     found = [*wrong_headings(frames), *wrong_odometry(frames), *_missing(frames), *_drives(frames)]
-    pictures = [] if images is None else _pictures(frames, images, described_by)
+    pictures = [] if images is None else wrong_pictures(frames, images, described_by)
     return [*found, *_sizes(frames, images), *_copies(frames), *pictures]
 
 
@@ -285,8 +285,10 @@ def _unseen(camera: OmnidirectionalCamera, view: PanoramaView, size: tuple[int, 
         )
 
 
-def _pictures(frames: FrameTable, images: PanoramaLibrary, described_by: Descriptor | None) -> Iterator[str]:
-    """Look at the panoramas of each drive."""
+def wrong_pictures(
+    frames: FrameTable, images: PanoramaLibrary, described_by: Descriptor | None = None
+) -> Iterator[str]:
+    """Yield the faults that the panoramas of each drive show; see `drive_faults`."""
     for name, rows in frames.rows_by("sequence").items():
         for fault in drive_faults(images.readable(frames.take(rows)), images, described_by):
             yield f"sequence {name or '(unnamed)'}: {fault}."

@@ -4,13 +4,16 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 
 import siamloc
 from foundation.files import read_json
+from siamloc.cli import main
 from siamloc.data import FrameTable
 from siamloc.data.moves import chained, moves, wrapped
+from siamloc.errors import DataError
 from tests.drawn import write_manifest
 from tests.siamloc.cli.commands import done, refused
 from tests.surveyed import a_survey
@@ -46,6 +49,19 @@ def test_the_command_writes_what_the_next_commands_read(tmp_path, monkeypatch, c
     lines = (out / "surveyed.csv").read_text().splitlines()
     assert lines[0] == "image,x,y,theta,sequence,deviation,theta_deviation"
     assert lines[1].startswith("../data/monday/0.png,4.0,0.0,")
+
+
+def test_faults_of_the_panoramas_are_said_before_the_survey(tmp_path, monkeypatch, capsys):
+    manifest = write_manifest(tmp_path / "data", {"monday": "cloudy"}, frames_per_room=4)
+    for picture in (tmp_path / "data/monday").iterdir():
+        cv2.imwrite(str(picture), cv2.imread(str(picture)) // 40)
+
+    def survey(*_, **__):
+        raise DataError("the long work begins")
+
+    monkeypatch.setattr("siamloc.jobs.survey.survey", survey)
+    assert main(["survey", f"data.manifest={manifest}", f"out={tmp_path / 'survey'}"]) == 2
+    assert "note: sequence monday: 12 of 12 images are more than" in capsys.readouterr().out
 
 
 def test_a_network_that_does_not_compare_is_refused(tmp_path, trained, data, capsys):
