@@ -55,7 +55,7 @@ def check(
     """
     found = [*wrong_headings(frames), *wrong_odometry(frames), *_missing(frames), *_drives(frames)]
     pictures = [] if images is None else wrong_pictures(frames, images, described_by)
-    return [*found, *_sizes(frames, images), *_copies(frames), *pictures]
+    return [*found, *wrong_sizes(frames, images), *_copies(frames), *pictures]
 
 
 @typed
@@ -238,7 +238,7 @@ def _drives(frames: FrameTable) -> Iterator[str]:
             yield f"{_count(same, len(own))} of {drive} have the time of the frame before: check the unit of the times."
 
 
-def _sizes(frames: FrameTable, images: PanoramaLibrary | None) -> Iterator[str]:
+def wrong_sizes(frames: FrameTable, images: PanoramaLibrary | None) -> Iterator[str]:
     """Check the sizes of some images."""
     counts: Counter[tuple[int, ...]] = Counter()
     for row in np.unique(np.linspace(0, len(frames) - 1, _PROBED).astype(int)) if len(frames) else []:

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any, ClassVar
 
 from siamloc.data import read
-from siamloc.data.checks import wrong_pictures
+from siamloc.data.checks import wrong_pictures, wrong_sizes
 from siamloc.data.protocol import Protocol
 from siamloc.jobs.choices import Device, Folder
 from siamloc.jobs.job import Say, quiet
@@ -60,7 +60,7 @@ class SurveyDrives(DataJob):
         every = self.protocol.map.sequences is None
         role = replace(self.protocol.map, sequences=("*",)) if every else self.protocol.map
         images, roles = replace(self, protocol=Protocol(map=role)).open_roles("map")
-        for fault in wrong_pictures(roles["map"], images):
+        for fault in (*wrong_sizes(roles["map"], images), *wrong_pictures(roles["map"], images)):
             say(f"note: {fault}")
         described = models.as_descriptor(network, self.device)
         found = survey(described, images, roles["map"], anchors=anchors, settings=self.survey)

@@ -54,14 +54,16 @@ def test_the_command_writes_what_the_next_commands_read(tmp_path, monkeypatch, c
 def test_faults_of_the_panoramas_are_said_before_the_survey(tmp_path, monkeypatch, capsys):
     manifest = write_manifest(tmp_path / "data", {"monday": "cloudy"}, frames_per_room=4)
     for picture in (tmp_path / "data/monday").iterdir():
-        cv2.imwrite(str(picture), cv2.imread(str(picture)) // 40)
+        cv2.imwrite(str(picture), cv2.resize(cv2.imread(str(picture)), (64, 48)) // 40)
 
     def survey(*_, **__):
         raise DataError("the long work begins")
 
     monkeypatch.setattr("siamloc.jobs.survey.survey", survey)
     assert main(["survey", f"data.manifest={manifest}", f"out={tmp_path / 'survey'}"]) == 2
-    assert "note: sequence monday: 12 of 12 images are more than" in capsys.readouterr().out
+    said = capsys.readouterr().out
+    assert "note: images of 64 x 48 px (columns x rows) are resized to 256 x 64 without unwrapping" in said
+    assert "note: sequence monday: 12 of 12 images are more than" in said
 
 
 def test_a_network_that_does_not_compare_is_refused(tmp_path, trained, data, capsys):
