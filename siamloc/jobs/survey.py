@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, ClassVar
 
+from foundation.settings import as_words
 from siamloc.data import read
 from siamloc.data.checks import wrong_pictures, wrong_sizes
 from siamloc.data.protocol import Protocol
@@ -68,6 +69,8 @@ class SurveyDrives(DataJob):
             say(f"note: {note}")
         say(found.summary())
         save_survey(found, self.out, self.plain())
-        by = "descriptor=pretrained" if self.network == "pretrained" else f"run={self.network}"
-        say(f"next: siamloc map {by} data.manifest={Path(self.out) / 'surveyed.csv'} 'protocol.map.sequences=[\"*\"]'")
+        by = {"descriptor": "pretrained"} if self.network == "pretrained" else {"run": self.network}
+        given = by | {"data.manifest": str(Path(self.out) / "surveyed.csv"), "protocol.map.sequences": '["*"]'}
+        camera = "" if self.preprocessing.camera is None else f" {self.preprocessing.words()}"
+        say(f"next: siamloc map {as_words(given)}{camera}")
         return found

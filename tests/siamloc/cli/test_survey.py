@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from pathlib import Path
 
 import cv2
@@ -32,15 +33,17 @@ def test_the_command_writes_what_the_next_commands_read(tmp_path, monkeypatch, c
     monkeypatch.setattr("siamloc.jobs.survey.survey", survey)
     anchors = tmp_path / "anchors.csv"
     anchors.write_text(manifest.read_text().replace("monday/", "data/monday/"))
-    out = tmp_path / "survey"
-    done("survey", f"data.manifest={manifest}", f"anchors={anchors}", f"out={out}", "survey.alike=5")
+    out = tmp_path / "my survey"
+    camera = ["unwrap=equirectangular", "unwrap.turn=300"]
+    done("survey", f"data.manifest={manifest}", f"anchors={anchors}", f"out={out}", "survey.alike=5", *camera)
     assert given["size"] == (64, 256)
     assert given["settings"].alike == 5
     assert set(given["frames"].sequence.tolist()) == {"monday"}
     assert given["anchors"].has_position.all()
     shown = capsys.readouterr().out
     assert "2 used, 2 refused" in shown
-    assert f"data.manifest={out / 'surveyed.csv'}" in shown
+    words = shlex.split(shown.splitlines()[-1])
+    assert {f"data.manifest={out / 'surveyed.csv'}", 'protocol.map.sequences=["*"]', *camera} <= set(words)
     assert {path.name for path in out.iterdir()} == {"surveyed.csv", "survey.json", "survey.png", "survey.gif"}
     figures = read_json(out / "survey.json")
     assert figures["loops"] == {"accepted": 2, "unlike": 0, "alone": 1, "contradicted": 1}
