@@ -156,7 +156,7 @@ class Localize(Robot):
 
         located = locate_all(localizer, self.images, on_error=self.on_error, track=self.track, odometry=self.odometry)
         target = self.target
-        off, faults, count, stopped = list[float](), 0, 0, False
+        off, faults, first, count, stopped = list[float](), 0, "", 0, False
         head, line = ("", None) if self.format == "table" else LINES[f".{self.format}"]
         if head:
             say(head.rstrip("\n"))
@@ -166,6 +166,7 @@ class Localize(Robot):
                     say(line(one).rstrip("\n") if line else one.describe(localizer.unit))
                     count += 1
                     faults += one.location is None
+                    first = first or one.fault
                     if not math.isnan(one.off_by):
                         off.append(one.off_by)
             except KeyboardInterrupt:
@@ -175,7 +176,7 @@ class Localize(Robot):
                     _note(f"{count - faults} of {count} images located before this: {target}")
                 raise
         if count == faults and not stopped:
-            raise DataError(f"none of the {count} images could be read")
+            raise DataError(f"none of the {count} images could be located, the first: {first}")
         if target is not None and self.folder is not None and target.parent == Run(self.folder).folder:
             Run(self.folder).record_written([target])
         conclude = _note if line else say

@@ -28,6 +28,7 @@ from siamloc.data import (
 from siamloc.data.two_lenses import two_circles
 from siamloc.errors import ConfigError, DataError
 from siamloc.jobs import Evaluate, Prepare
+from siamloc.jobs.robot import Localize
 from siamloc.maps import build
 from siamloc.models import as_descriptor, load, pretrained
 from siamloc.models import build as build_network
@@ -183,6 +184,10 @@ def test_the_robot_gets_size_and_bits_of_the_pictures_of_the_map(tmp_path, caplo
     assert "600 x 440 px, and the camera's parameters count in those of 300 x 220: they are scaled" in caplog.text
     with pytest.raises(DataError, match=r"300 x 300 px, .* give pictures of that size"):
         localizer.locate(np.zeros((300, 300, 3), np.uint8))
+    cv2.imwrite(str(tmp_path / "square.png"), np.zeros((300, 300, 3), np.uint8))
+    job = {"bundle": tmp_path / "bundle", "images": (str(tmp_path / "square.png"),), "out": tmp_path / "found.csv"}
+    with pytest.raises(DataError, match=r"none of the 1 images could be located, the first: .*300 x 300 px"):
+        Localize(**job).run()
     (tmp_path / "alone").mkdir()
     cv2.imwrite(str(tmp_path / "alone/0.png"), (bright[2] // 8).astype(np.uint16) << 4)
     shown = []
