@@ -1,4 +1,4 @@
-"""`thin`: keep a map within a budget, by forgetting frames that are no longer recognized, then redundant ones."""
+"""`thin`: keep a map within a budget, by forgetting one of two frames nearby that look alike, time and again."""
 
 from __future__ import annotations
 
@@ -70,10 +70,10 @@ class Thinned:
 def thin(known: VisualMap, *, settings: Budget = OF_FIELDS, **fields: Any) -> Thinned:
     """Forget frames of a map until it is within a budget.
 
-    Frames that the last drives did not recognize are forgotten first, the most often contradicted before the others.
-    Then, of the two frames nearby whose descriptors are the most alike, the one that the last drive found more changed
-    is forgotten, or confirmed less often, or the later one if both were alike, and so on. Frames of one place under
-    different lights are less alike than consecutive frames, and so stay longer.
+    Of the two frames nearby whose descriptors are the most alike, the one that the last drives did not recognize is
+    forgotten (the one contradicted more often), or else the one that the last drive found more changed, or confirmed
+    less often, or the later one, and so on. Frames of one place under different lights, or before and after a change,
+    are less alike than consecutive frames, and so stay longer.
 
     Args:
         known: the map.
@@ -98,25 +98,24 @@ def thin(known: VisualMap, *, settings: Budget = OF_FIELDS, **fields: Any) -> Th
     _, cell, in_cell = np.unique(squares, axis=0, return_inverse=True, return_counts=True)
     cell, left = cell.reshape(-1), len(known)
 
-    def forget(row: int, why: Reason) -> bool:
+    confirmed, contradicted = known.history.confirmed, known.history.contradicted
+    change = np.nan_to_num(known.history.change)  # frames that no drive has passed show the place as it is
+
+    def forget(row: int) -> bool:
         nonlocal left
         over = (per_cell is not None and in_cell[cell[row]] > per_cell) or (most is not None and left > most)
         if over:
-            reason[row], left = why, left - 1
+            reason[row], left = Reason.UNRECOGNIZED if contradicted[row] else Reason.REDUNDANT, left - 1
             in_cell[cell[row]] -= 1
         return over
 
-    confirmed, contradicted = known.history.confirmed, known.history.contradicted
-    change = np.nan_to_num(known.history.change)  # frames that no drive has passed show the place as it is
-    for row in np.argsort(-contradicted, kind="stable")[: np.count_nonzero(contradicted)].tolist():
-        forget(row, Reason.UNRECOGNIZED)
     reach, widest = _REACH, float(np.ptp(known.frames.xy, axis=0).sum()) + _REACH
     while (most is not None and left > most) or (per_cell is not None and (in_cell > per_cell).any()):
         kept = np.flatnonzero(reason == Reason.KEPT)
         for pair in kept[_alike(known.take(kept), min(reach, widest))].tolist():
             if (reason[pair] == Reason.KEPT).all():
-                first, second = sorted(pair, key=lambda row: (-change[row], confirmed[row], -row))
-                _ = forget(first, Reason.REDUNDANT) or forget(second, Reason.REDUNDANT)
+                first, second = sorted(pair, key=lambda row: (-contradicted[row], -change[row], confirmed[row], -row))
+                _ = forget(first) or forget(second)
         if reach > widest:
             break  # one frame in each building
         reach *= 2
