@@ -111,7 +111,9 @@ class MapFrames(RunJob):
         target = map_places(run, self.titles)[0]
         known.save(target)
         run.record_written([target])
-        say(f"map: {target}, {len(known)} frames, descriptors of {known.width} numbers")
+        bare = len(known) - int(known.frames.has_position.sum())
+        without = f", {bare} of which have no position and locate nothing" if 0 < bare < len(known) else ""
+        say(f"map: {target}, {len(known)} frames{without}, descriptors of {known.width} numbers")
         if "fusion" in known.made:
             say(f"weights: {known.made['fusion']}")
         if known.heading is not None and known.orientation is not None:

@@ -1,4 +1,4 @@
-"""Queries without a pose or a room: they are located, not scored, and every command says so."""
+"""Frames without a pose or a room: queries are located, not scored, and every command says so."""
 
 from __future__ import annotations
 
@@ -138,3 +138,9 @@ def test_rooms_that_the_map_lacks_are_not_called_left_out(given, tmp_path):
     texts = [part.text for part in page_of(tmp_path).all("p")]
     (note,) = [text for text in texts if "that the map lacks" in text]
     assert note.startswith("16 of 24 queries are in rooms that the map lacks")
+
+
+def test_a_map_says_which_of_its_frames_locate_nothing(without, words, tmp_path, capsys):
+    some = without("x", which=lambda row: row["sequence"] == "first" and int(row["time"]) < 5)
+    done("map", *words, f"run={tmp_path}", "descriptor=hog", f"data.manifest={some}")
+    assert "24 frames, 5 of which have no position and locate nothing" in capsys.readouterr().out
