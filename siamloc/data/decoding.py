@@ -38,8 +38,7 @@ class Preprocessing:
         view: size of the panorama, and its elevations after unwrapping.
         camera: the camera whose omnidirectional images are unwrapped; None to resize only.
         size: rows and columns of the pictures in whose pixels the camera's parameters count; others of the same shape
-            are scaled. Without a camera, those of the map's pictures: others of another shape are a warning. None for
-            any.
+            are scaled. None for any.
         bits: how many bits images of 16 bits use; those of a folder say it if None.
 
     Example:
@@ -209,11 +208,6 @@ class Preprocessing:
         self, image: NDArray[np.uint8], tilt: NDArray[np.float64] | Sequence[float] | None
     ) -> NDArray[np.uint8]:
         if self.camera is None:
-            if self.size is not None and not _alike(image.shape[:2], self.size):
-                say_once(
-                    f"the pictures have {image.shape[1]} x {image.shape[0]} px, and those of the map {self.size[1]} x "
-                    f"{self.size[0]}, another shape: places are not recognized if they are no such panoramas"
-                )
             size = (self.view.width, self.view.height)
             return np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), dtype=np.uint8)
         view = self.view if tilt is None or not np.any(tilt) else self.view.tilted(*tilt)
@@ -228,16 +222,11 @@ class Preprocessing:
             return image
         (rows, columns), (height, width) = self.size, image.shape[:2]
         sizes = f"{width} x {height} px, and the camera's parameters count in those of {columns} x {rows}"
-        if not _alike((height, width), self.size):
+        if abs(width * rows / (height * columns) - 1) > _ALIKE:
             raise DataError(f"the picture has {sizes}: give pictures of that size")
         say_once(f"the pictures have {sizes}: they are scaled, which is right if they show the same")
         way = cv2.INTER_AREA if height > rows else cv2.INTER_LINEAR
         return np.asarray(cv2.resize(image, (columns, rows), interpolation=way), dtype=np.uint8)
-
-
-def _alike(size: tuple[int, ...], other: tuple[int, ...]) -> bool:
-    """Return whether pictures of two sizes, rows and columns, have the same shape."""
-    return abs(size[1] * other[0] / (size[0] * other[1]) - 1) <= _ALIKE
 
 
 def _name(kind: type) -> str:

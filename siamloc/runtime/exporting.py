@@ -341,7 +341,7 @@ def _pictures(
     if path is None:
         return None
     size, kind = size_of(path), (parameters["camera"] or {}).get("kind", ":")
-    counts = parameters["camera"] is None
+    counts = False
     if size is not None and ":" not in kind:  # a camera of one's own knows the size of its pictures
         made = Preprocessing.of(parameters)
         assert made.camera is not None
