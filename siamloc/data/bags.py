@@ -213,13 +213,22 @@ class Bag:
         """Return the poses of a frame in another one, up and down the tree of frames between the two."""
         if (parent, child) in rows:  # a frame may have several, if more than one program says where it is
             return _trajectory(rows[parent, child], f"{self.path}, {parent}:{child}")
-        above = {lower: upper for upper, lower in rows}
-        up, down = _ancestors(parent, above), _ancestors(child, above)
+        above = {lower: upper for upper, lower in rows if upper != lower}
+        down = _ancestors(child, above)
+        up = [parent] if parent in down else _ancestors(parent, above)
         shared = next((frame for frame in down if frame in up), None)
         if shared is None or parent == child:
             known = [f"{upper}:{lower}" for upper, lower in rows]
             raise DataError(
                 f"{self.path} has no frames from {parent!r} to {child!r}; {hint(f'{parent}:{child}', known)}"
+            )
+
+        used = [*up[: up.index(shared)], *down[: down.index(shared) + 1]]
+        looped = [frame for frame in used if above.get(_ancestors(frame, above)[-1]) == frame]
+        if len(looped) > 1:
+            raise DataError(
+                f"{self.path}: the frames {', '.join(looped)} form a loop, so that two ways lead from {parent} to {child}: "
+                f"name a pair that the recording has, such as {above[looped[0]]}:{looped[0]}, or a topic of poses"
             )
 
         def link(frame: str) -> Trajectory:
@@ -290,19 +299,10 @@ def _edge(message: Any) -> Edge:
 
 
 def _ancestors(frame: str, above: Mapping[str, str]) -> list[str]:
-    """Return a frame and those above it, upwards.
-
-    Raises:
-        DataError: frames in a loop.
-    """
+    """Return a frame and those above it, upwards, each once where they form a loop."""
     path = [frame]
-    while path[-1] in above:
+    while path[-1] in above and above[path[-1]] not in path:
         path.append(above[path[-1]])
-        if path[-1] in path[:-1]:
-            raise DataError(
-                f"the recording's frames form a loop ({', '.join(path)}, each given in the next): name two neighbours, "
-                f"such as {path[1]}:{path[0]}, or a topic of poses"
-            )
     return path
 
 
@@ -342,8 +342,7 @@ def proposed(topics: Mapping[str, tuple[str, int]], frames: Iterable[Edge]) -> d
         above = {lower: upper for upper, lower in frames}
         found = []
         for robot in _BASES:
-            with suppress(DataError):  # frames in a loop
-                found += [f"{at}:{robot}" for at in _ancestors(robot, above)[1:] if at in parents][:1]
+            found += [f"{at}:{robot}" for at in _ancestors(robot, above)[1:] if at in parents][:1]
         return found
 
     true = ("truth", "gt", "vicon", "mocap", "amcl", "slam")

@@ -112,7 +112,7 @@ class MapFrames(RunJob):
         known.save(target)
         run.record_written([target])
         bare = len(known) - int(known.frames.has_position.sum())
-        without = f", {bare} of which have no position and locate nothing" if 0 < bare < len(known) else ""
+        without = f", {bare} of which have no position: images most like them get none" if 0 < bare < len(known) else ""
         say(f"map: {target}, {len(known)} frames{without}, descriptors of {known.width} numbers")
         if "fusion" in known.made:
             say(f"weights: {known.made['fusion']}")

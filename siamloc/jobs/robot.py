@@ -176,7 +176,7 @@ class Localize(Robot):
                     _note(f"{count - faults} of {count} images located before this: {target}")
                 raise
         if count == faults and not stopped:
-            raise DataError(f"none of the {count} images could be located, the first: {first}")
+            raise DataError(f"none of the {count} images could be located: {first}")
         if target is not None and self.folder is not None and target.parent == Run(self.folder).folder:
             Run(self.folder).record_written([target])
         conclude = _note if line else say

@@ -69,8 +69,10 @@ class SurveyDrives(DataJob):
             say(f"note: {note}")
         say(found.summary())
         save_survey(found, self.out, self.plain())
-        by = {"descriptor": "pretrained"} if self.network == "pretrained" else {"run": self.network}
+        shipped = self.network == "pretrained"
+        by = {"descriptor": "pretrained"} if shipped else {"run": self.network}
         given = by | {"data.manifest": str(Path(self.out) / "surveyed.csv"), "protocol.map.sequences": '["*"]'}
-        camera = "" if self.preprocessing.camera is None else f" {self.preprocessing.words()}"
+        plain = shipped and self.preprocessing.camera is None  # a run has a camera of its own
+        camera = "" if plain else f" {self.preprocessing.words()}"
         say(f"next: siamloc map {as_words(given)}{camera}")
         return found

@@ -68,7 +68,7 @@ class Thinned:
 
 @takes(Budget)
 def thin(known: VisualMap, *, settings: Budget = OF_FIELDS, **fields: Any) -> Thinned:
-    """Forget frames of a map until it is within a budget.
+    """Forget frames of a map until it is within a budget; one of each building stays in any case.
 
     Of the two frames nearby whose descriptors are the most alike, the one that the last drives did not recognize is
     forgotten (the one contradicted more often), or else the one that the last drive found more changed, or confirmed
@@ -101,21 +101,15 @@ def thin(known: VisualMap, *, settings: Budget = OF_FIELDS, **fields: Any) -> Th
     confirmed, contradicted = known.history.confirmed, known.history.contradicted
     change = np.nan_to_num(known.history.change)  # frames that no drive has passed show the place as it is
 
-    def forget(row: int) -> bool:
-        nonlocal left
-        over = (per_cell is not None and in_cell[cell[row]] > per_cell) or (most is not None and left > most)
-        if over:
-            reason[row], left = Reason.UNRECOGNIZED if contradicted[row] else Reason.REDUNDANT, left - 1
-            in_cell[cell[row]] -= 1
-        return over
-
     reach, widest = _REACH, float(np.ptp(known.frames.xy, axis=0).sum()) + _REACH
     while (most is not None and left > most) or (per_cell is not None and (in_cell > per_cell).any()):
         kept = np.flatnonzero(reason == Reason.KEPT)
         for pair in kept[_alike(known.take(kept), min(reach, widest))].tolist():
             if (reason[pair] == Reason.KEPT).all():
-                first, second = sorted(pair, key=lambda row: (-contradicted[row], -change[row], confirmed[row], -row))
-                _ = forget(first) or forget(second)
+                row = max(pair, key=lambda row: (contradicted[row], change[row], -confirmed[row], row))
+                if (per_cell is not None and in_cell[cell[row]] > per_cell) or (most is not None and left > most):
+                    reason[row], left = Reason.UNRECOGNIZED if contradicted[row] else Reason.REDUNDANT, left - 1
+                    in_cell[cell[row]] -= 1
         if reach > widest:
             break  # one frame in each building
         reach *= 2

@@ -254,10 +254,11 @@ def test_frames_in_a_loop_are_refused_unless_a_pair_is_named(tmp_path):
         bag.transform("/tf", START, "odom", "base_link", 3, 0, 0)
         bag.transform("/tf", START, "base_link", "odom", -2, 0, 0)
     found = siamloc.data.contents(bag.path)
-    assert found.proposal == {"images": "/image"}
-    assert found.height == {}
-    with pytest.raises(DataError, match=r"loop \(odom, base_link, odom, each .* such as base_link:odom, or a topic"):
+    assert found.proposal == {"images": "/image", "odometry": "odom:base_link"}
+    with pytest.raises(DataError, match=r"base_link, odom form a loop, .* such as odom:base_link, or a topic"):
         siamloc.data.extract(bag.path, tmp_path / "out", poses="odom:camera")
+    below = siamloc.data.extract(bag.path, tmp_path / "below", poses="base_link:camera")
+    np.testing.assert_allclose(below.x, [0.1])
     frames = siamloc.data.extract(bag.path, tmp_path / "out", poses="odom:base_link")
     np.testing.assert_allclose(frames.x, [3])
 

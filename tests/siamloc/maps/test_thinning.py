@@ -65,6 +65,12 @@ def test_each_building_and_each_square_has_its_own_budget():
     assert names(found) == ["KEPT", "REDUNDANT", "KEPT", "KEPT"]
 
 
+def test_a_good_frame_stays_though_one_of_the_next_square_that_was_contradicted_looks_like_it():
+    frames = placed([(0.9, 0.1), (0.1, 0.1), (1.1, 0.1)])
+    known = VisualMap([[0.0], [3.0], [0.1]], frames, history=History([0] * 3, [0, 1, 1], [np.nan] * 3))
+    assert names(thin(known, per_square_metre=1)) == ["KEPT", "UNRECOGNIZED", "KEPT"]
+
+
 def test_pairs_nearby_are_those_of_a_loop_over_all(monkeypatch):
     monkeypatch.setattr("siamloc.maps.thinning._PAIRS_AT_ONCE", 50)
     rng = np.random.default_rng(0)

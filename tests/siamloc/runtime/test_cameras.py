@@ -186,7 +186,7 @@ def test_the_robot_gets_size_and_bits_of_the_pictures_of_the_map(tmp_path, caplo
         localizer.locate(np.zeros((300, 300, 3), np.uint8))
     cv2.imwrite(str(tmp_path / "square.png"), np.zeros((300, 300, 3), np.uint8))
     job = {"bundle": tmp_path / "bundle", "images": (str(tmp_path / "square.png"),), "out": tmp_path / "found.csv"}
-    with pytest.raises(DataError, match=r"none of the 1 images could be located, the first: .*300 x 300 px"):
+    with pytest.raises(DataError, match=r"none of the 1 images could be located: .*300 x 300 px"):
         Localize(**job).run()
     (tmp_path / "alone").mkdir()
     cv2.imwrite(str(tmp_path / "alone/0.png"), (bright[2] // 8).astype(np.uint16) << 4)
