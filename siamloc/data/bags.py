@@ -227,7 +227,7 @@ class Bag:
         looped = [frame for frame in used if above.get(_ancestors(frame, above)[-1]) == frame]
         if len(looped) > 1:
             raise DataError(
-                f"{self.path}: the frames {', '.join(looped)} form a loop, so that two ways lead from {parent} to {child}: "
+                f"{self.path}: the frames {', '.join(looped)} form a loop: two ways lead from {parent} to {child}; "
                 f"name a pair that the recording has, such as {above[looped[0]]}:{looped[0]}, or a topic of poses"
             )
 
