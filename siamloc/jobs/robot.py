@@ -131,7 +131,7 @@ class Localize(Robot):
         """Locate the images, say each location as soon as it is known, and return the number of located images.
 
         Raises:
-            DataError: no image can be read.
+            DataError: no image can be located.
             KeyboardInterrupt: after the last line, if the user stopped it.
         """
         if self.update and self.collect is None:
