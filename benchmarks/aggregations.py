@@ -10,7 +10,7 @@ They learn from the same batches, those of pretraining without augmentation, fro
 not trained with. They are judged in other buildings, drawn alike: the map is the first drive under its first light; the
 queries are the second drive, under three other lights.
 
-    python -m benchmarks.aggregations [--seeds 3]
+    OMP_NUM_THREADS=1 python -m benchmarks.aggregations [--seeds 3]
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ LIGHTS, SPACING = 3, 0.3
 VIEWS = ViewSettings(cameras="panoramas")
 STEPS = (2, 10, 20)  # one frame in so many is in the map
 JUDGED_IN, JUDGING, POSES = 700_000_000, 30, 160  # seed of the first building, number of buildings, poses of a drive
-LEARNED_FROM, BATCHES, RATE = 7, 600, 1e-3  # seed of the batches, their number, and the largest learning rate
+LEARNED_FROM, BATCHES, RATE = 7, 400, 1e-3  # seed of the batches, their number, and the largest learning rate
 BY_PANORAMA = 200  # timed
 
 
