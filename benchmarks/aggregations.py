@@ -17,8 +17,9 @@ from __future__ import annotations
 
 import statistics
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import closing
 from dataclasses import asdict, dataclass, replace
-from functools import cache, partial
+from functools import cache
 from itertools import product
 from typing import Any
 
@@ -35,8 +36,7 @@ from siamloc.models.origins import Origins
 from siamloc.models.registry import PRETRAINED_SIZE
 from siamloc.pretraining import RECIPE, ViewSettings
 from siamloc.pretraining.view_batches import BuildingStream, Renderer, ViewBatches
-from siamloc.simulate import Views, draw_views
-from siamloc.simulate.produce import rendering_processes
+from siamloc.simulate import Views
 
 OUTPUTS, CLUSTERS, QUERIES, HIDDEN = 2048, 16, 16, 256  # a panorama has 64 cells of features
 LIGHTS, SPACING = 3, 0.3
@@ -149,20 +149,19 @@ def main() -> None:
 def branch() -> nn.Module:
     """Return the shipped network without its head: it returns features (B, C, h, w)."""
     network = siamloc.models.pretrained().eval()
-    network.head = nn.Identity()  # type: ignore[assignment]
+    network.register_module("head", nn.Identity())
     return network
 
 
 def seen() -> Iterator[Seen]:
     """Draw the buildings to judge in, two drives through each under three lights, and describe their images."""
-    with rendering_processes(2) as pool:
-        about = {"poses": POSES, "lights": LIGHTS, "spacing": SPACING, "worlds": VIEWS.worlds, "imaging": VIEWS.imaging}
-        drawn = [
-            pool.submit(partial(draw_views, JUDGED_IN + n, PRETRAINED_SIZE, cameras=VIEWS.cameras, **about))
-            for n in range(JUDGING)
-        ]
-        while drawn:
-            views = drawn.pop(0).result()
+    settings = replace(VIEWS, poses=POSES, lights=LIGHTS, spacing=SPACING)
+    wanted = [settings.drawn(JUDGED_IN + n, PRETRAINED_SIZE) for n in range(JUDGING)]
+    with closing(Renderer(2)) as renderer:
+        for one in wanted:
+            renderer.begin(one)
+        for one in wanted:
+            views = renderer.views(one)
             with torch.no_grad():
                 parts = [branch()(part / 255).half() for part in torch.from_numpy(views.images).split(64)]
             yield Seen(torch.cat(parts), replace(views, images=views.images[:0].copy()))
@@ -171,23 +170,22 @@ def seen() -> Iterator[Seen]:
 def learn(heads: Sequence[nn.Module]) -> None:
     """Train heads on the same batches, with the loss of pretraining."""
     places = PlaceSettings.of({**RECIPE.training["pairs"], "epoch_batches": BATCHES})
-    renderer = Renderer(1)
-    batches = ViewBatches(BuildingStream(renderer, PRETRAINED_SIZE, VIEWS, LEARNED_FROM), places)
     loss = make_loss(**(RECIPE.loss or {}))
     optimizers = [torch.optim.AdamW(head.parameters(), lr=RATE, weight_decay=0.01) for head in heads]
     cycles = [torch.optim.lr_scheduler.OneCycleLR(one, RATE, total_steps=BATCHES, pct_start=0.2) for one in optimizers]
-    for number in range(BATCHES):
-        item = batches[0, number]
-        origins = Origins(**{key: item[key] for key in ("xy", "building", "room", "frame", "overlap")})
-        with torch.no_grad():
-            features = branch()(item["images"] / 255)
-        for head, optimizer, cycle in zip(heads, optimizers, cycles, strict=True):
-            optimizer.zero_grad()
-            loss(head(features), origins).backward()
-            nn.utils.clip_grad_norm_(head.parameters(), 1.0)
-            optimizer.step()
-            cycle.step()
-    renderer.close()
+    with closing(Renderer(1)) as renderer:
+        batches = ViewBatches(BuildingStream(renderer, PRETRAINED_SIZE, VIEWS, LEARNED_FROM), places)
+        for number in range(BATCHES):
+            item = batches[0, number]
+            origins = Origins(**{key: item[key] for key in ("xy", "building", "room", "frame", "overlap")})
+            with torch.no_grad():
+                features = branch()(item["images"] / 255)
+            for head, optimizer, cycle in zip(heads, optimizers, cycles, strict=True):
+                optimizer.zero_grad()
+                loss(head(features), origins).backward()
+                nn.utils.clip_grad_norm_(head.parameters(), 1.0)
+                optimizer.step()
+                cycle.step()
 
 
 def judged(head: nn.Module, buildings: list[Seen]) -> dict[str, Any]:

@@ -33,10 +33,7 @@ def quick(seed: int, wanted: ViewSettings | None = None) -> tuple[int, float]:
     """Return the number of images of a building, and the CPU seconds they took."""
     wanted = wanted or ViewSettings()
     begin = time.process_time()
-    views = draw_views(
-        *(seed, RECIPE.image_size, wanted.drives, wanted.lights, wanted.poses, wanted.spacing),
-        *(wanted.cameras, wanted.exposure, wanted.worlds, wanted.imaging),
-    )
+    views = draw_views(*wanted.drawn(seed, RECIPE.image_size))
     return len(views), time.process_time() - begin
 
 

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Any, Literal
 
 from foundation.settings import Count, Positive, Settings, Thousand, Workers
 from siamloc.errors import ConfigError
@@ -54,6 +55,13 @@ class ViewSettings(Settings):
                 f"a batch cannot be of views.together={self.together} buildings where views.held={self.held} are in "
                 "memory: set views.held larger"
             )
+
+    def drawn(self, seed: int, image_size: Sequence[int]) -> tuple[Any, ...]:
+        """Return the arguments of `siamloc.simulate.draw_views` for the building of a seed."""
+        return (
+            *(seed, tuple(image_size), self.drives, self.lights, self.poses, self.spacing),
+            *(self.cameras, self.exposure, self.worlds, self.imaging),
+        )
 
 
 _MODERN = RECIPES["modern"]

@@ -145,12 +145,8 @@ class BuildingStream:
         return [self._here[number] for number in numbers]
 
     def _wanted(self, number: int) -> Wanted:
-        settings = self.settings
         seed = building_seed(self.seed, number * self.world_size + self.rank)
-        return (
-            *(seed, tuple(self.image_size), settings.drives, settings.lights, settings.poses, settings.spacing),
-            *(settings.cameras, settings.exposure, settings.worlds, settings.imaging),
-        )
+        return self.settings.drawn(seed, self.image_size)
 
 
 def frames_of(views: Views, name: str, ordinary: bool = False) -> FrameTable:
