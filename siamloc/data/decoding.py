@@ -19,9 +19,10 @@ from numpy.typing import NDArray
 
 from foundation.files import plain
 from foundation.settings import Size, as_words, checked, leaves
-from siamloc.data.cameras import CAMERAS
+from siamloc.data.cameras import CAMERAS, EquirectangularCamera
 from siamloc.data.frames import image_files
 from siamloc.data.panorama import OmnidirectionalCamera, PanoramaView, PolarRing, unwrap
+from siamloc.data.photo_sphere import levelled
 from siamloc.data.two_lenses import wrong_lenses
 from siamloc.errors import ConfigError, DataError, hint, logger, say_once
 
@@ -145,14 +146,18 @@ class Preprocessing:
 
         Args:
             path: the file; of two pictures of a `DualFisheyeCamera`, the front one.
-            tilt: roll and pitch of the robot in rad, which are taken out; see `PanoramaView.tilted`.
+            tilt: roll and pitch of the robot in rad, which are taken out; see `PanoramaView.tilted`. Without one, the
+                tilt that an equirectangular picture says it had.
 
         Raises:
             UnreadableImageError: the file is missing, empty, cut short, or not an image.
             ConfigError: the camera does not fit the image.
         """
+        own = self
+        if isinstance(self.camera, EquirectangularCamera) and (tilt is None or not np.any(tilt)):
+            own = dataclasses.replace(self, camera=levelled(self.camera, path))
         try:
-            picture = self._picture(self._read(path), tilt)
+            picture = own._picture(self._read(path), tilt)
         except DataError as error:
             raise UnreadableImageError(str(error)) from error
         except cv2.error as error:

@@ -17,6 +17,7 @@ from siamloc.data.cameras import twice_as_wide
 from siamloc.data.decoding import Preprocessing, size_of
 from siamloc.data.frames import FrameTable
 from siamloc.data.panorama import OmnidirectionalCamera
+from siamloc.data.photo_sphere import is_equirectangular
 from siamloc.data.ring import fitted
 from siamloc.data.store import Store, open_store
 from siamloc.errors import ConfigError, DataError, FormatError, Policy, logger
@@ -227,12 +228,15 @@ def _check_simulated(frames: FrameTable, preprocessing: Preprocessing) -> None:
 
 
 def _warn_of_equirectangular(frames: FrameTable, preprocessing: Preprocessing, circular: bool) -> None:
-    """Warn if whole equirectangular pictures, ceiling and floor included, are squeezed into panoramas."""
+    """Warn if equirectangular pictures, ceiling and floor included, are squeezed into panoramas."""
     view = preprocessing.view
     size = size_of(frames.path[0]) if circular and preprocessing.camera is None else None
-    if size is not None and twice_as_wide(*size) and size[0] >= 256 and view.width > 3 * view.height:
+    if size is None:
+        return
+    shaped = twice_as_wide(*size) and size[0] >= 256 and view.width > 3 * view.height
+    if shaped or is_equirectangular(frames.path[0]):
         logger.warning(
-            "images of %d x %d px look like whole equirectangular pictures, squeezed into panoramas of %d x %d: "
+            "images of %d x %d px look like equirectangular pictures, squeezed into panoramas of %d x %d: "
             "use unwrap=equirectangular (in Python unwrap=EquirectangularCamera()), which shows %g to %g degrees",
             *(size[1], size[0], view.width, view.height, view.top, view.bottom),
         )

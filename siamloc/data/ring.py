@@ -20,8 +20,9 @@ from numpy.typing import NDArray
 from foundation.calls import typed
 from foundation.files import read_json, storage_errors, write_json
 from siamloc.data.cameras import DualFisheyeCamera, EquirectangularCamera, HyperbolicMirror, twice_as_wide
-from siamloc.data.decoding import Preprocessing, UnreadableImageError, read_image
+from siamloc.data.decoding import Preprocessing, UnreadableImageError, read_image, size_of
 from siamloc.data.panorama import OmnidirectionalCamera, PanoramaView, PolarRing, unwrap
+from siamloc.data.photo_sphere import framed, is_equirectangular
 from siamloc.data.presets import AutoRing
 from siamloc.data.rims import changes, guess, inner_rim, moved, outer_rim, shifts
 from siamloc.data.store import store_key
@@ -150,13 +151,16 @@ def fitted(preprocessing: Preprocessing, paths: Sequence[str], cache: Path) -> P
     """Return how the pictures of one drive become panoramas: an `AutoRing` gets the ring that the drive shows.
 
     A ring that was given stays where the drive shows none that is sure, or only one that is far from it. The ring is
-    kept in the cache, as long as the pictures and the given ring stay the same.
+    kept in the cache, as long as the pictures and the given ring stay the same. A whole `EquirectangularCamera` gets
+    the part of the sphere that the first picture says it shows.
 
     Raises:
         DataError: no ring was given, and the drive shows none that is sure.
         StorageError: the disk is full or cannot be written to.
     """
     given = preprocessing.camera
+    if isinstance(given, EquirectangularCamera):
+        return replace(preprocessing, camera=framed(given, paths[0], size_of(paths[0])))
     if not isinstance(given, AutoRing):
         return preprocessing
     kept = cache / f"{store_key(paths, preprocessing)}.ring{_VERSION}.json"
@@ -195,9 +199,10 @@ def _of_drive(given: AutoRing, paths: Sequence[str]) -> AutoRing:
 def find_camera(images: Sequence[str], given: OmnidirectionalCamera | None = _UNKNOWN) -> OmnidirectionalCamera | None:
     """Find the camera of a drive by its pictures: their shape, or the ring of a mirror or of a lens that looks up.
 
-    Pictures about twice as wide as high, 1.8 to 2.2 times, are those of two lenses side by side if the corners of both
-    halves are dark in most of them, and else whole equirectangular ones, unless they show a ring and are not exactly
-    twice as wide. Wider ones are panoramas. All others show a ring.
+    Pictures that say so in their metadata are equirectangular. Of others, those about twice as wide as high, 1.8 to
+    2.2 times, are of two lenses side by side if the corners of both halves are dark in most of them, and else whole
+    equirectangular ones, unless they show a ring and are not exactly twice as wide. Wider ones are panoramas. All
+    others show a ring.
 
     Args:
         images: files of the drive's pictures; those that cannot be read are left out.
@@ -223,6 +228,8 @@ def find_camera(images: Sequence[str], given: OmnidirectionalCamera | None = _UN
     if not pictures:
         raise DataError(f"none of the {len(images)} pictures can be read")
     rows, columns = pictures[0].shape[:2]
+    if is_equirectangular(images[0]):
+        return framed(EquirectangularCamera(), images[0], (rows, columns))
     if twice_as_wide(rows, columns):
         if 2 * sum(map(two_circles, pictures)) > len(pictures):
             return DualFisheyeCamera()

@@ -20,7 +20,7 @@ from siamloc.errors import ConfigError, DataError, leave_out, logger
 from siamloc.progress import track
 
 VERSION = 1
-_SAMPLING = 4  # version of how panoramas are sampled from the images of cameras
+_SAMPLING = 5  # version of how panoramas are sampled from the images of cameras
 
 
 @dataclass(frozen=True)

@@ -260,7 +260,7 @@ def test_what_a_camera_does_not_see_or_nobody_unwraps_is_said(frames, tmp_path, 
     library(whole, tmp_path, EquirectangularCamera())
     assert "equirectangular" not in caplog.text
     library(whole, tmp_path, None)
-    assert "look like whole equirectangular pictures, squeezed into panoramas of 128 x 32: use unwrap=" in caplog.text
+    assert "look like equirectangular pictures, squeezed into panoramas of 128 x 32: use unwrap=" in caplog.text
 
 
 def test_a_network_says_which_view_it_is_for_and_the_library_makes_it(frames, tmp_path):
