@@ -8,6 +8,9 @@ from siamloc.data import EquirectangularCamera, FrameTable, PanoramaLibrary
 from siamloc.data.decoding import Preprocessing
 from siamloc.data.photo_sphere import framed, is_equirectangular, levelled
 from siamloc.data.ring import find_camera
+from siamloc.errors import DataError
+from siamloc.maps import build
+from siamloc.runtime import Localizer, export
 
 SIZE, WIDE = (64, 128), 1024  # of the panoramas, and pixels of a whole picture
 ELEVATIONS = (30.0, -45.0)
@@ -146,3 +149,16 @@ def test_a_part_that_is_only_resized_is_warned_of(tmp_path, caplog):
     frames = FrameTable(path=[saved(tmp_path / "a.jpg", part, **said)])
     PanoramaLibrary(frames, tmp_path / "cache")
     assert "images of 1024 x 320 px look like equirectangular pictures" in caplog.text
+
+
+def test_the_robot_takes_pictures_of_the_part_that_the_map_s_pictures_show(tmp_path):
+    part, said = cropped(0, WIDE, 100, 420)
+    (tmp_path / "drive").mkdir()
+    paths = [saved(tmp_path / f"drive/{number}.jpg", np.roll(part, 70 * number, axis=1), **said) for number in range(3)]
+    frames = FrameTable(path=paths, x=np.arange(3.0), y=np.zeros(3))
+    images = PanoramaLibrary(frames, tmp_path / "cache", image_size=SIZE, unwrap={"kind": "equirectangular"})
+    export("hog", build("hog", images, frames, progress=False), tmp_path / "bundle")
+    localizer = Localizer(tmp_path / "bundle")
+    assert localizer.locate(paths[1]).x == localizer.locate(cv2.imread(paths[1])[..., ::-1]).x == 1
+    with pytest.raises(DataError, match=r"1024 x 512 px, .* give pictures of that size"):
+        localizer.locate(photo())
