@@ -19,6 +19,7 @@ from siamloc.data.frames import FrameTable
 from siamloc.data.library import PanoramaLibrary
 from siamloc.data.pairs import diameter
 from siamloc.data.panorama import OmnidirectionalCamera, PanoramaView, seen
+from siamloc.data.photo_sphere import stated
 from siamloc.data.picture_checks import drive_faults
 
 _SHORTEST, _LONGEST = 1e-3, 20.0  # m, usual steps between two images of a robot indoors
@@ -240,11 +241,16 @@ def _drives(frames: FrameTable) -> Iterator[str]:
 
 def wrong_sizes(frames: FrameTable, images: PanoramaLibrary | None) -> Iterator[str]:
     """Check the sizes of some images."""
-    counts: Counter[tuple[int, ...]] = Counter()
+    counts: Counter[tuple[int, int]] = Counter()
+    shown: dict[tuple[int, int], str] = {}
     for row in np.unique(np.linspace(0, len(frames) - 1, _PROBED).astype(int)) if len(frames) else []:
         with suppress(UnreadableImageError):
-            counts[read_image(frames.path[row]).shape[:2]] += 1
-    if len({round(width / height, 1) for height, width in counts}) > 1:
+            rows, columns = read_image(path := frames.path[row]).shape[:2]
+            counts[rows, columns] += 1
+            shown[rows, columns] = path
+    camera = next(iter(images.cameras.values())) if images is not None else None
+    placed = getattr(camera, "whole", False)  # pictures of another shape say what they show
+    if len({round(width / height, 1) for height, width in counts}) > 1 and not placed:
         listed = ", ".join(f"{width} x {height} px ({count})" for (height, width), count in counts.items())
         yield (
             f"images have different shapes, among those looked at {listed}: they would be resized to one size and look "
@@ -253,10 +259,11 @@ def wrong_sizes(frames: FrameTable, images: PanoramaLibrary | None) -> Iterator[
     if images is None or not counts:
         return
     height, width = counts.most_common(1)[0][0]
-    if (camera := next(iter(images.cameras.values()))) is not None:
-        yield from _unseen(camera, images.preprocessing.view, (height, width))
+    if camera is not None:
+        own = stated(camera, shown[height, width], (height, width))
+        yield from _unseen(own, images.preprocessing.view, (height, width))
         return
-    if frames.tilt.any():
+    if np.isfinite(frames.tilt).any():
         yield (
             "the robot's roll and pitch are known, but images that are only resized are not levelled: choose their "
             "camera, such as unwrap=equirectangular."

@@ -19,10 +19,10 @@ from numpy.typing import NDArray
 
 from foundation.files import plain
 from foundation.settings import Size, as_words, checked, leaves
-from siamloc.data.cameras import CAMERAS, EquirectangularCamera
+from siamloc.data.cameras import CAMERAS
 from siamloc.data.frames import image_files
 from siamloc.data.panorama import OmnidirectionalCamera, PanoramaView, PolarRing, unwrap
-from siamloc.data.photo_sphere import levelled
+from siamloc.data.photo_sphere import stated
 from siamloc.data.two_lenses import wrong_lenses
 from siamloc.errors import ConfigError, DataError, hint, logger, say_once
 
@@ -146,18 +146,18 @@ class Preprocessing:
 
         Args:
             path: the file; of two pictures of a `DualFisheyeCamera`, the front one.
-            tilt: roll and pitch of the robot in rad, which are taken out; see `PanoramaView.tilted`. Without one, the
-                tilt that an equirectangular picture says it had.
+            tilt: roll and pitch of the robot in rad, which are taken out; see `PanoramaView.tilted`. If None or NaN,
+                the tilt that an equirectangular picture says it had is taken out.
 
         Raises:
             UnreadableImageError: the file is missing, empty, cut short, or not an image.
             ConfigError: the camera does not fit the image.
         """
-        own = self
-        if isinstance(self.camera, EquirectangularCamera) and (tilt is None or not np.any(tilt)):
-            own = dataclasses.replace(self, camera=levelled(self.camera, path))
+        known = tilt is not None and bool(np.isfinite(tilt).all())
         try:
-            picture = own._picture(self._read(path), tilt)
+            image = self._read(path)
+            own = dataclasses.replace(self, camera=stated(self.camera, path, image.shape[:2], levelled=known))
+            picture = own._picture(image, tilt if known else None)
         except DataError as error:
             raise UnreadableImageError(str(error)) from error
         except cv2.error as error:

@@ -91,7 +91,7 @@ class PanoramaLibrary:
         _check_simulated(frames, self.preprocessing)
         _warn_of_equirectangular(frames, self.preprocessing, circular)
         tilt = frames.tilt
-        tilted = self.preprocessing.camera is not None and bool(tilt.any())
+        tilted = self.preprocessing.camera is not None and bool(np.isfinite(tilt).any())
         self._stores: list[Store] = []
         self.cameras: dict[str, OmnidirectionalCamera | None] = {}
         store_of = np.full(len(frames), -1, dtype=np.int64)

@@ -6,21 +6,86 @@ https://developers.google.com/streetview/spherical-metadata.
 
 from __future__ import annotations
 
-import math
 import re
 from contextlib import suppress
-from dataclasses import replace
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
+from typing import Any
+
+import numpy as np
 
 from siamloc.data.cameras import EquirectangularCamera
+from siamloc.data.central import ImageSize
+from siamloc.data.panorama import Array
 
 _HEADER = 1 << 18  # bytes in which a file says what it is, after a thumbnail
 _PROPERTY = re.compile(rb"""GPano:(\w+)\s*(?:=\s*["']|>)\s*([^"'<\s]+)""")  # an attribute, or an element
-_PLACED = "FullPanoWidthPixels", "CroppedAreaImageWidthPixels", "CroppedAreaLeftPixels"
+_PLACED = (
+    *("FullPanoWidthPixels", "CroppedAreaImageWidthPixels", "CroppedAreaLeftPixels"),
+    *("FullPanoHeightPixels", "CroppedAreaImageHeightPixels", "CroppedAreaTopPixels"),
+)
 _SHAPES = 0.02  # by which two ratios of width and height may differ
 
 
-def properties(path: str | Path) -> dict[str, str]:
+@dataclass(frozen=True)
+class _Part(EquirectangularCamera):
+    """A part of a picture whose middle is `right` degrees to the right of the optical axis, which is the whole's."""
+
+    right: float = 0.0
+
+    def to_image(self, rays: Array, size: ImageSize) -> Array:
+        return super().to_image(rays @ self._turned.T, size)
+
+    def to_ray(self, pixels: Array, size: ImageSize) -> Array:
+        return super().to_ray(pixels, size) @ self._turned
+
+    @property
+    def _turned(self) -> Array:
+        sine, cosine = np.sin(np.radians(self.right)), np.cos(np.radians(self.right))
+        return np.array([[cosine, 0, -sine], [0, 1, 0], [sine, 0, cosine]])
+
+
+def is_equirectangular(path: str | Path) -> bool:
+    """Return whether a picture says that it is equirectangular, whole or a part."""
+    return _properties(path).get("ProjectionType", "").lower() == "equirectangular"
+
+
+def stated(camera: Any, path: str | Path, size: ImageSize, *, levelled: bool = False) -> Any:
+    """Return the camera of one picture: a whole `EquirectangularCamera` with what the picture says of itself.
+
+    Args:
+        camera: any other one is returned as it is. A tilt or a part of its own stays.
+        path: the picture.
+        size: its rows and columns: a part that has another shape is none, since the picture was edited.
+        levelled: whether its tilt is known and taken out elsewhere.
+    """
+    if not isinstance(camera, EquirectangularCamera) or not (said := _properties(path)):
+        return camera
+    numbers = {name: number for name, text in said.items() if (number := _number(text)) is not None}
+    camera = _placed(camera, [numbers.get(name) for name in _PLACED], size)
+    pitch, roll = numbers.get("PosePitchDegrees", 0.0), numbers.get("PoseRollDegrees", 0.0)
+    if levelled or camera.elevation or camera.roll or abs(pitch) > 90 or abs(roll) > 180:
+        return camera
+    return replace(camera, elevation=pitch, roll=roll)
+
+
+def _placed(camera: EquirectangularCamera, numbers: list[float | None], size: ImageSize) -> EquirectangularCamera:
+    """Return the camera that shows a part of the sphere, of `_PLACED`; as it is if that makes no sense."""
+    known = [number for number in numbers if number is not None]
+    if len(known) < len(_PLACED) or not camera.whole:
+        return camera
+    full, wide, left, whole, high, top = known
+    inside = 0 <= left <= left + wide <= full and 0 <= top <= top + high <= whole
+    if not inside or min(wide, high) <= 0 or (wide, high) == (full, whole) or not _alike(full, 2 * whole):
+        return camera
+    if not _alike(wide * size[0], high * size[1]):
+        return camera
+    own = {one.name: getattr(camera, one.name) for one in fields(camera)}
+    own |= {"highest": 90 - 180 * top / whole, "lowest": 90 - 180 * (top + high) / whole, "turn": 360 * wide / full}
+    return _Part(**own, right=360 * ((left + wide / 2) / full - 0.5))
+
+
+def _properties(path: str | Path) -> dict[str, str]:
     """Return the Photo Sphere properties of a picture by their names; none if it has none, or cannot be read."""
     try:
         with Path(path).open("rb") as file:
@@ -30,54 +95,11 @@ def properties(path: str | Path) -> dict[str, str]:
     return {name.decode(): value.decode(errors="replace") for name, value in found}
 
 
-def is_equirectangular(path: str | Path) -> bool:
-    """Return whether a picture says that it is equirectangular, whole or a part."""
-    return properties(path).get("ProjectionType", "").lower() == "equirectangular"
-
-
-def framed(
-    camera: EquirectangularCamera, path: str | Path, size: tuple[int, int] | None = None
-) -> EquirectangularCamera:
-    """Return the camera that shows the part of the sphere that a picture says it shows.
-
-    Args:
-        camera: is returned as it is unless it is whole, or if the picture says nothing that fits its shape.
-        path: the picture.
-        size: its rows and columns; not compared if None.
-    """
-    said = properties(path)
-    full, wide, left = (_number(said, name) for name in _PLACED)
-    whole, high, top = (_number(said, name.replace("Width", "Height").replace("Left", "Top")) for name in _PLACED)
-    sane = min(full, wide, whole, high) > 0 <= min(left, top) and left + wide <= full and top + high <= whole
-    if not (camera.whole and sane and _alike(full, 2 * whole)) or (wide, high) == (full, whole):
-        return camera
-    if size is not None and not _alike(wide * size[0], high * size[1]):  # edited since, without a word
-        return camera
-    middle = (left + wide / 2) / full - 0.5
-    return replace(
-        camera,
-        highest=90 - 180 * top / whole,
-        lowest=90 - 180 * (top + high) / whole,
-        turn=360 * wide / full,
-        azimuth=camera.azimuth - 360 * middle,
-    )
-
-
-def levelled(camera: EquirectangularCamera, path: str | Path) -> EquirectangularCamera:
-    """Return the camera with the tilt that a picture says it had; as it is if its own tilt is given."""
-    if camera.elevation or camera.roll:
-        return camera
-    said = properties(path)
-    pitch, roll = (_number(said, f"Pose{name}Degrees") for name in ("Pitch", "Roll"))
-    return replace(camera, elevation=pitch, roll=roll)
-
-
-def _number(said: dict[str, str], name: str) -> float:
-    """Return the number of a property; 0 if it is not there, or is none."""
+def _number(text: str) -> float | None:
     with suppress(ValueError):
-        if math.isfinite(number := float(said.get(name, "0"))):
+        if np.isfinite(number := float(text)):
             return number
-    return 0.0
+    return None
 
 
 def _alike(one: float, other: float) -> bool:

@@ -20,9 +20,9 @@ from numpy.typing import NDArray
 from foundation.calls import typed
 from foundation.files import read_json, storage_errors, write_json
 from siamloc.data.cameras import DualFisheyeCamera, EquirectangularCamera, HyperbolicMirror, twice_as_wide
-from siamloc.data.decoding import Preprocessing, UnreadableImageError, read_image, size_of
+from siamloc.data.decoding import Preprocessing, UnreadableImageError, read_image
 from siamloc.data.panorama import OmnidirectionalCamera, PanoramaView, PolarRing, unwrap
-from siamloc.data.photo_sphere import framed, is_equirectangular
+from siamloc.data.photo_sphere import is_equirectangular
 from siamloc.data.presets import AutoRing
 from siamloc.data.rims import changes, guess, inner_rim, moved, outer_rim, shifts
 from siamloc.data.store import store_key
@@ -151,16 +151,13 @@ def fitted(preprocessing: Preprocessing, paths: Sequence[str], cache: Path) -> P
     """Return how the pictures of one drive become panoramas: an `AutoRing` gets the ring that the drive shows.
 
     A ring that was given stays where the drive shows none that is sure, or only one that is far from it. The ring is
-    kept in the cache, as long as the pictures and the given ring stay the same. A whole `EquirectangularCamera` gets
-    the part of the sphere that the first picture says it shows.
+    kept in the cache, as long as the pictures and the given ring stay the same.
 
     Raises:
         DataError: no ring was given, and the drive shows none that is sure.
         StorageError: the disk is full or cannot be written to.
     """
     given = preprocessing.camera
-    if isinstance(given, EquirectangularCamera):
-        return replace(preprocessing, camera=framed(given, paths[0], size_of(paths[0])))
     if not isinstance(given, AutoRing):
         return preprocessing
     kept = cache / f"{store_key(paths, preprocessing)}.ring{_VERSION}.json"
@@ -228,8 +225,8 @@ def find_camera(images: Sequence[str], given: OmnidirectionalCamera | None = _UN
     if not pictures:
         raise DataError(f"none of the {len(images)} pictures can be read")
     rows, columns = pictures[0].shape[:2]
-    if is_equirectangular(images[0]):
-        return framed(EquirectangularCamera(), images[0], (rows, columns))
+    if any(map(is_equirectangular, _spread(images))):
+        return EquirectangularCamera()
     if twice_as_wide(rows, columns):
         if 2 * sum(map(two_circles, pictures)) > len(pictures):
             return DualFisheyeCamera()
@@ -284,12 +281,16 @@ def draw_ring(picture: Array, ring: PolarRing, view: PanoramaView | None = None)
 def _readable(paths: Sequence[str]) -> list[Array]:
     """Return up to `_MOST` pictures of a drive, spread over it; those that cannot be read are left out."""
     pictures = []
-    for number in np.linspace(0, len(paths) - 1, min(len(paths), _MOST)).round().astype(int).tolist():
+    for path in _spread(paths):
         try:
-            pictures.append(read_image(paths[number]))
+            pictures.append(read_image(path))
         except UnreadableImageError:
             continue
     return pictures
+
+
+def _spread(paths: Sequence[str]) -> list[str]:
+    return [paths[row] for row in np.linspace(0, len(paths) - 1, min(len(paths), _MOST)).round().astype(int).tolist()]
 
 
 def _shows_ring(pictures: Sequence[Array]) -> bool:

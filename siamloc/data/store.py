@@ -63,7 +63,7 @@ def open_store(
         paths: images to decode.
         cache: folder of the stores, created if necessary.
         preprocessing: how an image becomes a panorama.
-        tilts: roll and pitch of the robot in rad in each image (n, 2), which are taken out; None if it stayed level.
+        tilts: roll and pitch of the robot in rad in each image (n, 2), which are taken out; NaN or None if unknown.
         on_error: "skip" leaves unreadable images out and reports them, "raise" stops at the first.
         workers: decoding threads; one per core, up to 16, if None.
 

@@ -246,7 +246,7 @@ class Watch(Robot):
             say(f"{page.url} shows where the robot is; Ctrl-C stops it")
             try:
                 page.join()
-                say(f"{page.count} images, all done: the page stays until Ctrl-C")
+                say(f"{page.summary}; the page stays until Ctrl-C")
                 while True:
                     time.sleep(60)
             except KeyboardInterrupt:

@@ -20,6 +20,7 @@ from scipy.ndimage import gaussian_filter1d
 from siamloc.data.decoding import size_of
 from siamloc.data.library import PanoramaLibrary
 from siamloc.data.panorama import PanoramaView, PolarRing, seen
+from siamloc.data.photo_sphere import stated
 from siamloc.errors import ConfigError
 from siamloc.maps.loops import Pairs
 from siamloc.maps.pose_graph import Array, Edges
@@ -99,13 +100,14 @@ def shows_floor(images: PanoramaLibrary, height: float | None) -> bool:
 def _seen_by_cameras(images: PanoramaLibrary, floor: NDArray[np.bool_]) -> bool:
     """Return whether the cameras of all drives see the rows of the floor; resized panoramas count as seen."""
     for name, rows in images.frames.rows_by("sequence").items():
-        camera, size = images.cameras[name], size_of(images.frames.path[rows[0]])
+        path = images.frames.path[rows[0]]
+        camera, size = images.cameras[name], size_of(path)
         if camera is None:
             continue
         if isinstance(camera, PolarRing) or size is None:
             return False
         with suppress(ConfigError):  # a picture of another shape
-            if seen(camera, images.preprocessing.view, size)[floor].mean() >= _SHOWN:
+            if seen(stated(camera, path, size), images.preprocessing.view, size)[floor].mean() >= _SHOWN:
                 continue
         return False
     return True

@@ -346,5 +346,5 @@ def _pictures(
         made = Preprocessing.of(parameters)
         assert made.camera is not None
         with suppress(ConfigError):  # a calibrated camera refuses other sizes itself
-            counts = in_pixels(made.camera, made.view, size) or not getattr(made.camera, "whole", True)
+            counts = in_pixels(made.camera, made.view, size)
     return {"size": size if counts else None, "bits": bits_of(path)}

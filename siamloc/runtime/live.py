@@ -109,6 +109,7 @@ class Live:
         self._state: dict[str, Any] = {"status": "waiting", "number": 0, "text": "waiting for the first image"}
         self._way: deque[tuple[int, list[Any]]] = deque(maxlen=_TRACK)
         self._panorama: NDArray[np.uint8] | None = None
+        self._left_out, self._why = 0, ""
         self._fault: Exception | None = None
         self._loop: asyncio.AbstractEventLoop | None = None
         self._up = threading.Event()
@@ -135,8 +136,15 @@ class Live:
 
     @property
     def count(self) -> int:
-        """Number of images located so far."""
+        """Number of images so far."""
         return int(self._state["number"])
+
+    @property
+    def summary(self) -> str:
+        """How many images were located so far, and why the first of those that were not could not be."""
+        if not self._left_out:
+            return f"{self.count} images, all located"
+        return f"{self._left_out} of {self.count} images could not be located, the first: {self._why}"
 
     def join(self, seconds: float | None = None) -> bool:
         """Wait until the last image is located, and return whether it is; the page stays until `close`.
@@ -163,7 +171,6 @@ class Live:
 
     def _play(self) -> None:
         """Locate the images, and publish each outcome."""
-        text = "the end of the images"
         try:
             located = locate_all(
                 self._localizer, self._images, track=self._track, seen=self._keep, odometry=self._odometry
@@ -179,7 +186,7 @@ class Live:
         except Exception as error:  # a page that stops says why
             ours = isinstance(error, SiamlocError)
             self._fault = error if ours else DataError(f"locating ended ({type(error).__name__}: {error})")
-            text = str(self._fault)
+        text = self.summary if self._fault is None else str(self._fault)
         self._publish({**self._state, "status": "fault" if self._fault else "ended", "text": text})
         self._ended.set()
 
@@ -191,6 +198,8 @@ class Live:
         state: dict[str, Any] = {"status": "running", "number": number, "name": Path(one.image).name, "text": one.fault}
         if location is None:
             state["status"] = "left out"
+            self._left_out += 1
+            self._why = self._why or one.fault
         else:
             told = one.as_dict()
             for candidate in told["candidates"]:  # viewers need not know the folders

@@ -126,7 +126,7 @@ def locate_all(
         here = wheels.get(abspath(name), UNKNOWN)  # noqa: PTH100
         motion = moves([last[:3], here[:3]])[1] if wheels else None
         try:
-            location = localizer.locate(image, tracker, seen, motion, here[3:])
+            location = localizer.locate(image, tracker, seen, motion, here[3:] if np.isfinite(here[3:]).all() else None)
             last = here
             yield Located(name, location, pose=pose)
         except DataError as error:

@@ -13,14 +13,14 @@ from siamloc.data.frames import FrameTable
 from siamloc.data.manifest import read_rows
 from siamloc.errors import DataError
 
-UNKNOWN: NDArray[np.float64] = np.array([np.nan] * 3 + [0.0] * 2)
+UNKNOWN: NDArray[np.float64] = np.full(5, np.nan)
 UNKNOWN.flags.writeable = False
 
 
 def read_odometry(table: str | Path) -> dict[str, NDArray[np.float64]]:
     """Read the poses that a robot computed from its wheels, and its tilt (5,), by the path of the image.
 
-    They are x, y and heading in rad, NaN if unknown, and roll and pitch in rad, 0 if unknown.
+    They are x, y and heading in rad, and roll and pitch in rad; NaN if unknown.
 
     Args:
         table: a manifest, or any CSV table with the columns `image`, `odom_x`, `odom_y` and `odom_theta`, and perhaps

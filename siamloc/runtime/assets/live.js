@@ -123,7 +123,7 @@ function say(state, lost) {
   const banner = $("banner"), calm = state.status === "ended" || state.status === "left out" || state.status === "waiting";
   const silent = !lost && state.status === "running";
   banner.className = silent ? "silent" : calm ? "calm" : "";
-  banner.textContent = silent ? "" : state.status === "ended" ? `End of the drive after ${state.number} images`
+  banner.textContent = silent ? "" : state.status === "ended" ? `End of the drive: ${state.text}`
     : state.status === "running" ? "Lost: this image shows nothing that is on the map, or the expected error is too large"
       : state.text;
 }

@@ -4,11 +4,10 @@ import cv2
 import numpy as np
 import pytest
 
-from siamloc.data import EquirectangularCamera, FrameTable, PanoramaLibrary
+from siamloc.data import EquirectangularCamera, FrameTable, PanoramaLibrary, PolarRing, check, seen
 from siamloc.data.decoding import Preprocessing
-from siamloc.data.photo_sphere import framed, is_equirectangular, levelled
+from siamloc.data.photo_sphere import is_equirectangular, stated
 from siamloc.data.ring import find_camera
-from siamloc.errors import DataError
 from siamloc.maps import build
 from siamloc.runtime import Localizer, export
 
@@ -51,10 +50,13 @@ def saved(path, picture, form="attributes", **said):
     return str(path)
 
 
-def cropped(left, right, top, bottom):
+def cropped(left, right, top, bottom, picture=None):
     said = {"ProjectionType": "equirectangular", "FullPanoWidthPixels": WIDE, "FullPanoHeightPixels": WIDE // 2}
     said |= {"CroppedAreaImageWidthPixels": right - left, "CroppedAreaImageHeightPixels": bottom - top}
-    return photo()[top:bottom, left:right], said | {"CroppedAreaLeftPixels": left, "CroppedAreaTopPixels": top}
+    return (photo() if picture is None else picture)[top:bottom, left:right], said | {
+        "CroppedAreaLeftPixels": left,
+        "CroppedAreaTopPixels": top,
+    }
 
 
 def difference(one, other):
@@ -75,41 +77,53 @@ def test_pictures_are_levelled_by_the_tilt_that_they_state(tmp_path, form, pitch
 
 
 def test_a_tilt_that_the_user_gives_goes_before_that_of_the_picture(tmp_path):
-    path = saved(tmp_path / "a.jpg", photo(10.0), PosePitchDegrees=10.0)
-    whole, mounted = EquirectangularCamera(), EquirectangularCamera(elevation=3.0)
-    assert levelled(mounted, path) == mounted
-    assert levelled(whole, path).elevation == 10
+    path = saved(tmp_path / "a.jpg", photo(), PosePitchDegrees=10.0)  # was levelled since, without a word
+    whole, mounted, size = EquirectangularCamera(), EquirectangularCamera(elevation=3.0), (WIDE // 2, WIDE)
+    assert stated(mounted, path, size) == mounted
+    assert stated(whole, path, size, levelled=True) == whole
+    assert stated(whole, path, size).elevation == 10
     make = Preprocessing.checked(SIZE, whole, ELEVATIONS)
-    given = make.panorama(path, [0.0, np.radians(10.0)])  # the front down, contrary to what the picture says
-    np.testing.assert_array_equal(given, make.prepare(cv2.imread(path)[..., ::-1], [0.0, np.radians(10.0)]))
+    level = make.prepare(cv2.imread(path)[..., ::-1])
+    np.testing.assert_array_equal(make.panorama(path, [0.0, 0.0]), level)
+    assert difference(make.panorama(path), level) > 5
+    assert difference(make.panorama(path, [np.nan, np.nan]), level) > 5
+    for known, columns in ((False, {}), (True, {"roll": [0.0], "pitch": [0.0]})):
+        frames = FrameTable(path=[path], **columns)
+        images = PanoramaLibrary(frames, tmp_path / "cache", image_size=SIZE, unwrap=whole, elevations=ELEVATIONS)
+        assert (difference(images.batch([0])[0], level) < 1) == known
 
 
-def test_a_part_is_placed_where_it_was(tmp_path):
-    part, said = cropped(0, WIDE, 100, 420)
-    paths = [saved(tmp_path / f"{number}.jpg", part, **said) for number in range(2)]
-    whole = saved(tmp_path / "whole.jpg", photo())
-    images = PanoramaLibrary(
-        FrameTable(path=paths), tmp_path / "cache", unwrap=EquirectangularCamera(), elevations=ELEVATIONS
-    )
-    camera = images.cameras[""]
-    assert (camera.turn, camera.azimuth) == (360, 0)
-    assert (camera.highest, camera.lowest) == pytest.approx((90 - 180 * 100 / 512, 90 - 180 * 420 / 512))
-    expected = Preprocessing.checked((128, 512), EquirectangularCamera(), ELEVATIONS).panorama(whole)
-    assert difference(images.batch([0])[0], expected) < 1
-    assert find_camera(paths) == camera
-    assert Preprocessing(images.preprocessing.view, camera).words().startswith("unwrap=equirectangular unwrap.highest=")
+@pytest.mark.parametrize("place", [(0, WIDE, 100, 420), (WIDE // 2, WIDE - 100, 60, 480), (200, 840, 80, 400)])
+@pytest.mark.parametrize(("pitch", "roll"), [(0.0, 0.0), (10.0, -8.0)])
+def test_a_part_is_placed_where_it_was_and_levelled(tmp_path, place, pitch, roll):
+    """The last one is twice as wide as high, as a whole picture is."""
+    part, said = cropped(*place, photo(pitch, roll))
+    path = saved(tmp_path / "a.jpg", part, **said, PosePitchDegrees=pitch, PoseRollDegrees=roll)
+    whole = Preprocessing.checked(SIZE, EquirectangularCamera(azimuth=30), ELEVATIONS)
+    camera = stated(whole.camera, path, part.shape[:2])
+    shown = seen(camera, whole.view, part.shape[:2])
+    shown &= cv2.erode(shown.astype(np.uint8), np.ones((3, 3))) > 0
+    assert shown.mean() > 0.2
+    off = np.abs(whole.panorama(path).astype(float) - whole.panorama(saved(tmp_path / "whole.jpg", photo())))
+    assert off[:, shown].mean() < 1
+    pixels = np.array([[5.0, 100.0], [part.shape[1] - 9.0, 140.0]])
+    np.testing.assert_allclose(camera.project(camera.back_project(pixels, part.shape[:2]), part.shape[:2]), pixels)
 
 
-def test_a_part_of_the_turn_looks_where_its_middle_was(tmp_path):
-    left, right = WIDE // 2, WIDE - 100  # to the right of the middle
-    part, said = cropped(left, right, 60, 480)
-    path = saved(tmp_path / "a.jpg", part, **said)
-    camera = framed(EquirectangularCamera(azimuth=10), path, part.shape[:2])
-    seen = camera.back_project(np.array([[0.0, 100.0], [part.shape[1] - 1.0, 100.0]]), part.shape[:2])
-    there = EquirectangularCamera(azimuth=10).back_project(
-        np.array([[left, 160.0], [right - 1.0, 160.0]]), (WIDE // 2, WIDE)
-    )
-    np.testing.assert_allclose(seen, there, atol=1e-12)
+def test_each_picture_of_a_drive_shows_its_own_part(tmp_path):
+    (tmp_path / "0.jpg").write_bytes(b"")
+    paths = [str(tmp_path / "0.jpg"), saved(tmp_path / "1.jpg", photo())]
+    for number, place in enumerate([(0, WIDE, 100, 420), (200, 840, 80, 400)], 2):
+        part, said = cropped(*place)
+        paths.append(saved(tmp_path / f"{number}.jpg", part, **said))
+    assert find_camera(paths) == EquirectangularCamera()
+    frames = FrameTable(path=paths, x=np.arange(4.0), y=np.zeros(4), room=["a"] * 4)
+    images = PanoramaLibrary(frames, tmp_path / "cache", image_size=SIZE, unwrap={"kind": "equirectangular"})
+    assert [one["path"] for one in images.rejected] == paths[:1]
+    assert difference(images.batch([1])[0], images.batch([0])[0]) < 1
+    middle = slice(SIZE[1] // 2 - 20, SIZE[1] // 2 + 20)
+    assert difference(images.batch([2])[0][..., middle], images.batch([0])[0][..., middle]) < 1
+    assert not [one for one in check(images.frames, images) if "shape" in one or "does not see" in one]
 
 
 @pytest.mark.parametrize(
@@ -119,14 +133,20 @@ def test_a_part_of_the_turn_looks_where_its_middle_was(tmp_path):
         {"FullPanoHeightPixels": WIDE},
         {"FullPanoWidthPixels": "none"},
         {"CroppedAreaTopPixels": -4},
+        {"CroppedAreaTopPixels": ""},
         {"CroppedAreaLeftPixels": 40},
         {"FullPanoWidthPixels": "inf"},
+        {"PosePitchDegrees": "1e300"},
+        {"PoseRollDegrees": -181},
+        {"PosePitchDegrees": "nan"},
     ],
 )
 def test_properties_that_make_no_sense_say_nothing(tmp_path, wrong):
     part, said = cropped(0, WIDE, 100, 420)
+    if "Pose" in next(iter(wrong)):
+        part, said = photo(), {"ProjectionType": "equirectangular"}
     path = saved(tmp_path / "a.jpg", part, **{**said, **wrong})
-    assert framed(EquirectangularCamera(), path, part.shape[:2]) == EquirectangularCamera()
+    assert stated(EquirectangularCamera(), path, part.shape[:2]) == EquirectangularCamera()
     assert is_equirectangular(path)
 
 
@@ -134,14 +154,15 @@ def test_what_the_user_says_of_a_part_stays(tmp_path):
     part, said = cropped(0, WIDE, 100, 420)
     path = saved(tmp_path / "a.jpg", part, **said)
     given = EquirectangularCamera(highest=40, lowest=-60)
-    assert framed(given, path, part.shape[:2]) == given
+    assert stated(given, path, part.shape[:2]) == given
 
 
-def test_pictures_without_properties_and_missing_ones_say_nothing(tmp_path):
-    path = saved(tmp_path / "a.jpg", photo())
-    for one in (path, tmp_path / "missing.jpg"):
-        assert not is_equirectangular(one)
-        assert levelled(EquirectangularCamera(), one) == framed(EquirectangularCamera(), one) == EquirectangularCamera()
+def test_pictures_without_properties_missing_ones_and_other_cameras_say_nothing(tmp_path):
+    whole, ring = EquirectangularCamera(), PolarRing()
+    for path in (saved(tmp_path / "a.jpg", photo()), tmp_path / "missing.jpg"):
+        assert not is_equirectangular(path)
+        assert stated(whole, path, (WIDE // 2, WIDE)) == whole
+    assert stated(ring, saved(tmp_path / "b.jpg", photo(), PosePitchDegrees=5), (WIDE // 2, WIDE)) == ring
 
 
 def test_a_part_that_is_only_resized_is_warned_of(tmp_path, caplog):
@@ -151,14 +172,26 @@ def test_a_part_that_is_only_resized_is_warned_of(tmp_path, caplog):
     assert "images of 1024 x 320 px look like equirectangular pictures" in caplog.text
 
 
-def test_the_robot_takes_pictures_of_the_part_that_the_map_s_pictures_show(tmp_path):
-    part, said = cropped(0, WIDE, 100, 420)
+def test_what_a_part_does_not_show_is_no_seam(tmp_path):
+    part, said = cropped(100, 900, 60, 480)
+    paths = [saved(tmp_path / f"{number}.jpg", np.roll(part, number, axis=1), **said) for number in range(12)]
+    frames = FrameTable(path=paths, x=np.arange(12.0), y=np.zeros(12), room=["a"] * 12)
+    images = PanoramaLibrary(frames, tmp_path / "cache", image_size=SIZE, unwrap={"kind": "equirectangular"})
+    found = check(frames, images)
+    assert [one for one in found if "does not see" in one]
+    assert not [one for one in found if "seam" in one or "horizon" in one]
+
+
+def test_the_robot_places_each_picture_as_the_map_did(tmp_path):
     (tmp_path / "drive").mkdir()
-    paths = [saved(tmp_path / f"drive/{number}.jpg", np.roll(part, 70 * number, axis=1), **said) for number in range(3)]
+    paths = []
+    for number in range(3):
+        part, said = cropped(0, WIDE, 100, 420, np.roll(photo(), 70 * number, axis=1))
+        paths.append(saved(tmp_path / f"drive/{number}.jpg", part, **said))
     frames = FrameTable(path=paths, x=np.arange(3.0), y=np.zeros(3))
     images = PanoramaLibrary(frames, tmp_path / "cache", image_size=SIZE, unwrap={"kind": "equirectangular"})
     export("hog", build("hog", images, frames, progress=False), tmp_path / "bundle")
     localizer = Localizer(tmp_path / "bundle")
-    assert localizer.locate(paths[1]).x == localizer.locate(cv2.imread(paths[1])[..., ::-1]).x == 1
-    with pytest.raises(DataError, match=r"1024 x 512 px, .* give pictures of that size"):
-        localizer.locate(photo())
+    other, said = cropped(0, WIDE, 90, 400, np.roll(photo(), 70, axis=1))
+    for image in (paths[1], np.roll(photo(), 70, axis=1)[..., ::-1], saved(tmp_path / "b.jpg", other, **said)):
+        assert localizer.locate(image).x == 1

@@ -185,7 +185,11 @@ def test_images_that_cannot_be_read_are_left_out_and_said(world, tmp_path):
     (tmp_path / "a.png").write_bytes(b"nothing")
     with served(world, tmp_path, fps=0) as page:
         page.join(30)
-        assert state_of(page)["number"] == 1
+        state = state_of(page)
+        assert (state["number"], state["status"]) == (1, "ended")
+        assert state["text"] == page.summary
+        assert page.summary.startswith("1 of 1 images could not be located, the first: ")
+        assert "not an image" in page.summary
         assert asked(page, "/live.jpg")[0] == 404
 
 
@@ -228,7 +232,7 @@ def test_the_command_serves_until_it_is_interrupted(world):
     try:
         url = process.stdout.readline()
         assert url.startswith("http://127.0.0.1:")
-        assert process.stdout.readline() == f"{count} images, all done: the page stays until Ctrl-C\n"
+        assert process.stdout.readline() == f"{count} images, all located; the page stays until Ctrl-C\n"
         process.send_signal(2)
         assert process.wait(20) == 130
         assert process.stderr.read() == ""
