@@ -286,7 +286,7 @@ def test_a_browser_watches_a_drive(world, tmp_path):
         assert told[:3] == ["end of the drive", str(count + 1), "<b>a.png"]
         assert told[3] != "–"
         assert len(told[4].split(", ")) == 2
-        assert told[5] == f"End of the drive after {count + 1} images"
+        assert told[5] == f"End of the drive: {count + 1} images, all located"
         assert told[6:] == [json.loads(asked(page, "/map.json")[2])["frames"], 1, 3]
         browser.wait("document.getElementById('match').complete && document.getElementById('match').naturalWidth > 0")
         places = {url.split("?")[0].rpartition("/")[0] for url in browser.requests() if url.startswith("http")}
