@@ -28,6 +28,7 @@ from siamloc.data import (
 )
 from siamloc.data.decoding import size_of
 from siamloc.data.manifest import manifest_of
+from siamloc.data.photo_sphere import stated
 from siamloc.data.picture_checks import drive_faults
 from siamloc.errors import ConfigError, DataError
 from siamloc.maps import Survey, SurveySettings, VisualMap
@@ -128,7 +129,8 @@ def walk(
     camera = replace(given, camera=find_camera(frames.path.tolist(), given.camera))
     size = size_of(frames.path[0])
     shape = f" (unwrap=), for pictures of {size[1]} x {size[0]} px" if size else " (unwrap=)"
-    say(f"camera: {camera.words()}{shape}")
+    placed = size is not None and stated(camera.camera, frames.path[0], size) != camera.camera
+    say(f"camera: {camera.words()}{shape}{', each placed and levelled by what it says of itself' * placed}")
     ring = camera.camera
     if wheels == "without" and isinstance(given.camera, AutoRing) and isinstance(ring, HyperbolicMirror | PolarRing):
         mirrored = "mirrored" if ring.mirrored else "not mirrored"
