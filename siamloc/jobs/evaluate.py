@@ -30,6 +30,7 @@ from siamloc.jobs.stored import map_file, map_known
 from siamloc.jobs.sweep import of_layer, of_results, own_folder, sweep_suffix, swept, with_swept
 from siamloc.jobs.tasks import BuildingsTask, RobustnessTask, Task
 from siamloc.maps import Built, VisualMap
+from siamloc.maps.history import UPKEEP
 from siamloc.models.registry import PRETRAINED_SIZE
 from siamloc.results import read_results
 from siamloc.runs import Run
@@ -283,8 +284,8 @@ class Evaluate(RunJob):
             return known.with_heading(heading).with_distance(self.distance), images, frames
         if known is not None and roles:
             raise ConfigError(
-                f"{path} was made of other frames than protocol.map asks for: run `siamloc map` again with the "
-                "intended protocol.map keys"
+                f"{path} was made of other frames than protocol.map asks for: leave the protocol.map keys out, or run "
+                "`siamloc map` again with the intended ones"
             )
         images, frames = self.open_roles("map", *dict.fromkeys([*roles, *self.learned_from]))
         self._note_what_training_saw(say, frames.get("query"))
@@ -313,14 +314,15 @@ class Evaluate(RunJob):
                 )
 
     def _is_wanted(self, known: VisualMap) -> bool:
-        """Whether a saved map was made from the frames that the protocol asks for."""
-        role = known.made.get("role")
-        if role is not None:
-            return Protocol.of({"map": role}).map == self.protocol.map
-        if self.protocol.map == Role():  # a map made in Python, and no other frames requested
+        """Whether a saved map was made, before any update, from the frames that the protocol asks for."""
+        role = known.made.get("role", {})  # of a map made in Python unknown
+        if Protocol.of({"map": role}).map == self.protocol.map:
             return True
-        asked = self.protocol.frames("map", self.data.read())
-        return asked.identities() == known.frames.identities()
+        asked = self.protocol.frames("map", self.data.read()).identities()
+        if UPKEEP not in known.made:
+            return asked == known.frames.identities()
+        left = known.frames.take(~known.joined).identities()  # updates may have forgotten some
+        return set(left) <= set(asked) and len(asked) == known.made[UPKEEP].get("before")
 
     def _layer(self, say: Say, known: VisualMap, label: str) -> tuple[Built, Path]:
         """Return the configured layer over a map and its folder: an existing one, if it fits.

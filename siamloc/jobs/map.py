@@ -126,13 +126,8 @@ class MapFrames(RunJob):
             run.record_written(files_in(folder))
             say(built.summary(folder))
         if not swept():
-            further = {} if self.descriptor.name in OF_A_RUN else {"descriptor": label, **self._changed()}
-            if self.build.name != "none":
-                further |= {"task": "hierarchical", "build": self.build.title}
             protocol = self._for_evaluation()
-            command = "export" if protocol is None else "evaluate"
-            shown = {"run": str(run.folder), **self.model.branch.own, **(protocol or {}), **further}
-            say(f"next: siamloc {command} {as_words(shown)}")
+            self._say_next(say, "export" if protocol is None else "evaluate", protocol or {})
         return known
 
     def _maintained(self, say: Say) -> VisualMap:
@@ -161,23 +156,36 @@ class MapFrames(RunJob):
                 f"with `siamloc map build={name} update.sequences=[...]`, or remove the folder"
             )
         drives = replace(self, protocol=Protocol(map=Role(sequences=self.update.sequences)))
-        images, roles = drives.open_roles("map", known=known)
+        known.check_frames(self.data.read(), whole=False)
+        images, roles = drives.open_roles("map")
         settings = Maintenance.of({key: value for key, value in self.update.plain().items() if key != "sequences"})
-        before = known.digest
+        before, updates = known.digest, []
         for name, rows in roles["map"].rows_by("sequence").items():
             found = maps.update(known, images, roles["map"].take(rows), built=built, settings=settings)
             known, built = found.known, found.built
+            updates.append(found)
             say(f"{name}: {found.summary()}" if name else found.summary())
         if known.digest != before:
             # Removed first and written last: an interruption leaves no nodes next to a map that they do not fit.
             (folder / "layer.npz").unlink(missing_ok=True)
         known.save(path)
-        save(staleness_picture(found), path.with_name("staleness.png"))
+        save(staleness_picture(*updates), picture := path.with_name("staleness.png"))
         if built is not None and known.digest != before:
             built.save(folder)
-        written = [path, path.with_name("staleness.png")]
-        self.here.record_written([*written, *(files_in(folder) if built is not None else [])])
+        self.here.record_written([path, picture, *(files_in(folder) if built is not None else [])])
+        say(f"picture: {picture}")
+        if not swept():
+            self._say_next(say, "export", {})
         return known
+
+    def _say_next(self, say: Say, command: str, protocol: Mapping[str, Any]) -> None:
+        """Say which command goes on with the map, with settings of the protocol."""
+        label = self.descriptor.title
+        further = {} if self.descriptor.name in OF_A_RUN else {"descriptor": label, **self._changed()}
+        if self.build.name != "none":
+            further |= {"task": "hierarchical", "build": self.build.title}
+        shown = {"run": str(self.here.folder), **self.model.branch.own, **protocol, **further}
+        say(f"next: siamloc {command} {as_words(shown)}")
 
     def _for_evaluation(self) -> dict[str, Any] | None:
         """Return the settings of the protocol that an evaluation does not find in the run, with a drive to query.

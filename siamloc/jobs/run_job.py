@@ -14,7 +14,7 @@ from analytic import DESCRIPTORS, Descriptor, Fused, descriptor
 from analytic.descriptors.fused import SIGN, distinct
 from foundation.settings import Seed, as_words
 from siamloc.data.decoding import Preprocessing
-from siamloc.data.frames import FrameTable
+from siamloc.data.frames import FrameTable, concatenate
 from siamloc.data.library import PanoramaLibrary
 from siamloc.data.mounting import GivenMounting
 from siamloc.data.protocol import Protocol, Role
@@ -73,8 +73,8 @@ class DataJob(Job):
         """
         table = self.data.read()
         roles = self.protocol.roles(table, *names)
-        if known is not None:
-            known.check_frames(table)
+        if known is not None and len(lacking := known.check_frames(table)):
+            table = concatenate([table, lacking])
         tables = [*roles.values(), *([] if known is None else [known.frames])]
         sequences = sorted({name for frames in tables for name in frames.sequence.tolist()})
         images = self.data.library(table.take(np.isin(table.sequence, sequences)), self.unwrap)

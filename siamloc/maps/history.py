@@ -9,6 +9,9 @@ from numpy.typing import NDArray
 
 from foundation.columns import Rows
 
+UPKEEP = "upkeep"
+"""Key of `VisualMap.made` under which a map keeps what its next update needs."""
+
 
 @dataclass(frozen=True, eq=False)
 class History(Rows):

@@ -20,7 +20,7 @@ from siamloc.maps.describing import build
 from siamloc.maps.evidence import Judged, enough_of, judged, map_reasons, repeated, usual_distance
 from siamloc.maps.following import followed, left_by, nodes_of, numbers_of
 from siamloc.maps.grouping import Built
-from siamloc.maps.history import History
+from siamloc.maps.history import UPKEEP, History
 from siamloc.maps.matching import match
 from siamloc.maps.reasons import GONE, JOINED, Reason, among
 from siamloc.maps.thinning import Budget, thin
@@ -33,8 +33,6 @@ _REPEATS = 0.6  # share of the usual distance up to which two frames that would 
 _SOME, _FEW, _MOST = 10, 0.25, 0.6  # frames, and shares of them that agree: with other axes, at most and at least
 _MOTIONS = 300  # that are tried
 _UNIT = 50.0  # ratio of distances from which on they are in another unit, such as millimetres
-UPKEEP = "upkeep"
-"""Key of `VisualMap.made` under which a map keeps what its next update needs."""
 
 
 @dataclass(frozen=True)
@@ -277,8 +275,12 @@ def updated(
 
 
 def _upkeep(known: VisualMap, settings: Maintenance) -> dict[str, Any]:
-    """Return what a map keeps for its updates: its frames, the usual distance, and the drives that were counted."""
-    upkeep = {"frames": len(known), "drives": [], "usual": None, "learned": None, **known.made.get(UPKEEP, {})}
+    """Return what a map keeps for its updates: numbers of frames, the usual distance, and the drives that were counted.
+
+    The numbers are that of the frames before the first update, and the same with those of new places.
+    """
+    upkeep = {"before": len(known), "frames": len(known), "drives": [], "usual": None, "learned": None}
+    upkeep |= known.made.get(UPKEEP, {})
     how = [settings.usual, settings.radius]
     if upkeep["learned"] != how:  # learned once: frames that join are unlike their neighbours by choice
         distance = None if settings.usual is None else usual_distance(known, settings.radius, settings.usual)

@@ -32,7 +32,7 @@ from siamloc.maps.heading import (
     is_analytic,
     parts_of,
 )
-from siamloc.maps.history import History
+from siamloc.maps.history import UPKEEP, History
 from siamloc.maps.identities import differences, exchangeable
 from siamloc.maps.map_file import read_map, write_map
 from siamloc.maps.packing import Precision, shares_values
@@ -427,27 +427,43 @@ class VisualMap:
             "evaluate with heading=none"
         )
 
-    def check_frames(self, frames: FrameTable) -> None:
+    @property
+    def joined(self) -> NDArray[np.bool_]:
+        """Which frames are of a drive that updated the map (n,)."""
+        return np.isin(self.frames.sequence, np.array(self.made.get(UPKEEP, {}).get("drives", []), dtype=np.str_))
+
+    def check_frames(self, frames: FrameTable, *, whole: bool = True) -> FrameTable:
         """Check that a data set still holds the map's frames at the positions and in the rooms stored in the map.
+
+        Frames without a position or a room in the data, such as those that an update located, agree with any.
+
+        Args:
+            frames: the frames of the data set.
+            whole: whether the data must hold all frames of the map but those that joined it by an update.
+
+        Returns:
+            The frames of the map that are not in the data.
 
         Raises:
             ConfigError: a frame is missing, or has another position or room than in the map.
         """
         rows = {key: row for row, key in enumerate(frames.identities())}
-        missing = [key for key in self.frames.identities() if key not in rows]
-        if missing:
+        row = np.array([rows.get(key, -1) for key in self.frames.identities()])
+        missing = self.frames.path[(row < 0) & ~self.joined]
+        if whole and len(missing):
             raise ConfigError(
-                f"{len(missing)} of the map's {len(self)} frames are not in the data, the first is {missing[0][1]}: "
+                f"{len(missing)} of the map's {len(self)} frames are not in the data, the first is {missing[0]}: "
                 "use the data that the map was made of, or make the map again"
             )
-        found = frames.take([rows[key] for key in self.frames.identities()])
-        moved = ~np.isclose(found.xy, self.frames.xy, rtol=0, atol=1e-9, equal_nan=True).all(axis=1)
-        changed = self.frames.path[moved | (found.room != self.frames.room)]
+        there, found = self.frames.take(row >= 0), frames.take(row[row >= 0])
+        moved = (np.isfinite(found.xy) & ~np.isclose(found.xy, there.xy, rtol=0, atol=1e-9)).any(axis=1)
+        changed = there.path[moved | ((found.room != there.room) & (found.room != ""))]
         if len(changed):
             raise ConfigError(
                 f"{len(changed)} of the map's {len(self)} frames have another position or room in the data now, the "
                 f"first is {changed[0]}: make the map again with `siamloc map`"
             )
+        return self.frames.take(row < 0)
 
     def check_images(self, preprocessing: Mapping[str, Any]) -> None:
         """Check that panoramas of queries are made in the same way as panoramas of the map.

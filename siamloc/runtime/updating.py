@@ -17,7 +17,8 @@ from siamloc.data.decoding import read_image
 from siamloc.data.frames import FrameTable
 from siamloc.errors import DataError, SiamlocError
 from siamloc.maps import Built, CoarseLayer, VisualMap
-from siamloc.maps.maintenance import UPKEEP, Maintenance, Update, updated
+from siamloc.maps.history import UPKEEP
+from siamloc.maps.maintenance import Maintenance, Update, updated
 from siamloc.maps.thinning import nearest
 from siamloc.runtime import bundle as files
 from siamloc.runtime.collecting import collected

@@ -31,17 +31,17 @@ def staleness(known: VisualMap) -> NDArray[np.float64]:
 
 
 @style()
-def staleness_picture(found: Update | VisualMap) -> Picture:
+def staleness_picture(*found: Update | VisualMap) -> Picture:
     """Draw on the plan where the building has changed: the mean staleness of the map frames in each square.
 
-    Dots are map frames, and rings those that the last drives contradicted. After an update, the frames that joined the
+    Dots are map frames, and rings those that the last drives contradicted. After updates, the frames that joined the
     map and those that left it are marked as well.
 
     Args:
-        found: an update, or a map that was updated.
+        found: a map that was updated, or the updates of a map by several drives, one after the other.
     """
-    update: Any = found if hasattr(found, "before") else None
-    known: Any = found if update is None else update.before
+    updates: list[Any] = [one for one in found if hasattr(one, "before")]
+    known: Any = updates[-1].before if updates else found[-1]
     frames, stale = known.frames, staleness(known)
     side = max(_LEAST, float(np.ptp(frames.xy, axis=0).max()) / _CELLS)
     extent = np.ptp(frames.xy, axis=0)
@@ -67,18 +67,12 @@ def staleness_picture(found: Update | VisualMap) -> Picture:
     _dots(axes, frames.xy[~against], "map frame", color=SOFT, s=5, alpha=0.7)
     _dots(axes, frames.xy[against], "contradicted", facecolor=PAPER, edgecolor=INK, s=22, linewidths=1.0)
     title = f"{len(known):,} map frames"
-    if update is not None:
-        _dots(axes, frames.xy[update.forgotten], "left the map", color=INK, s=30, marker="x", linewidths=1.3)
-        _dots(
-            axes,
-            update.drive.xy[update.added],
-            "joined the map",
-            color=SERIES[0],
-            edgecolor=PAPER,
-            s=26,
-            linewidths=0.6,
-        )
-        title += f": {int(update.added.sum())} joined, {int(update.forgotten.sum())} left"
+    if updates:
+        left = np.concatenate([one.before.frames.xy[one.forgotten] for one in updates])
+        joined = np.concatenate([one.drive.xy[one.added] for one in updates])
+        _dots(axes, left, "left the map", color=INK, s=30, marker="x", linewidths=1.3)
+        _dots(axes, joined, "joined the map", color=SERIES[0], edgecolor=PAPER, s=26, linewidths=0.6)
+        title = f"{len(updates[0].before):,} map frames: {len(joined)} joined, {len(left)} left"
     axes.set(title=title, xlabel=f"x [{frames.unit}]", ylabel=f"y [{frames.unit}]", aspect="equal")
     axes.autoscale_view()
     axes.grid(False)

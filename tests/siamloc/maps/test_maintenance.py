@@ -326,6 +326,48 @@ def test_what_cannot_be_updated_is_refused(known, drives, tmp_path):
         known.merge(build("thumbnail", images, drive["same"], progress=False))
 
 
+def test_data_that_say_nothing_of_the_frames_that_joined_agree_with_the_map(known, drives):
+    after = update(known, drives[1], drives[2]["changed"], progress=False).known
+    table, joined = drives[1].frames, after.frames.select(sequence="changed")
+    unplaced = np.where(table.sequence == "changed", np.nan, table.x)
+    assert not len(after.check_frames(table.with_columns(x=unplaced, room=[""] * len(table))))
+    assert after.check_frames(drives[2]["old"]) == joined
+    assert after.check_frames(drives[2]["changed"], whole=False) == after.frames.select(sequence="old")
+    with pytest.raises(ConfigError, match=f"of the map's {len(after)} frames are not in the data"):
+        after.check_frames(drives[2]["changed"])
+    for column in ({"y": np.full(len(table), 0.1)}, {"room": ["attic"] * len(table)}):
+        with pytest.raises(ConfigError, match="another position or room in the data now"):
+            after.check_frames(table.with_columns(**column), whole=False)
+
+
+def test_the_command_takes_drives_together_and_in_tables_of_their_own(drives, tmp_path, capsys):
+    header, *rows = (drives[0] / "manifest.csv").read_text().splitlines()
+
+    def table(*names):
+        path = tmp_path / f"{'-'.join(names)}.csv"
+        path.write_text("\n".join([header, *(row for row in rows if row.rpartition(",")[2] in names)]))
+        return f"data.manifest={path}"
+
+    common = ["descriptor=hog", f"run={tmp_path / 'run'}", f"data.image_size=[{ROWS},{COLUMNS}]"]
+    done("map", *common, table("old"), "protocol.map.sequences=['*']")
+    done("map", *common, table("changed"), "update.sequences=[changed]")
+    capsys.readouterr()
+    done("map", *common, table(*DRIVES), "update.sequences=[later,same]", "update.forget=2")
+    said, (saved,) = capsys.readouterr().out, tmp_path.glob("run/evaluation/hog/map.npz")
+    assert f"picture: {saved.with_name('staleness.png')}" in said
+    assert said.splitlines()[-1] == f"next: siamloc export run={tmp_path / 'run'} descriptor=hog"
+    known = VisualMap.load(saved)
+    assert known.joined.any()
+    assert 0 < (~known.joined).sum() < FRAMES, "of those that it was made of, some were forgotten"
+    asked = ["evaluate", *common, "task=absolute", "protocol.query.sequences=[new]", "task.plots=false"]
+    done(*asked, table(*DRIVES), "protocol.map.sequences=[old]", "task.baselines=[]")
+    without = [table("old", "new"), "protocol.map.sequences=[old]", f"out={tmp_path / 'out'}"]
+    done(*asked, *without, "task.baselines=[thumbnail]")  # of all map frames
+    for role in ("sequences=[old,later]", "every=2"):
+        more = [table(*DRIVES), "protocol.map.sequences=[old]", f"protocol.map.{role}", "overwrite=true"]
+        assert "was made of other frames than protocol.map asks for" in refused(capsys, *asked, *more)
+
+
 def test_the_command_maintains_the_saved_map_and_its_nodes(drives, tmp_path, capsys):
     words = ["data=manifest", f"data.manifest={drives[0] / 'manifest.csv'}", f"data.image_size=[{ROWS},{COLUMNS}]"]
     common = ["descriptor=hog", f"run={tmp_path / 'run'}", "build=incremental"]

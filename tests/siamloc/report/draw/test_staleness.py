@@ -39,6 +39,19 @@ def test_an_update_shows_what_joined_and_left():
     assert shown["joined the map"] == [[1.0, 0.4]]
 
 
+def test_updates_by_several_drives_show_what_joined_and_left_by_each():
+    def found(before, left, x):
+        map_reason = np.where(np.arange(len(before)) == left, Reason.FORGOTTEN, Reason.KEPT).astype(object)
+        drive, reason = FrameTable(path=["a.png"], x=[x], y=[0.4]), np.array([Reason.ADDED], dtype=object)
+        return Update(before, None, before, map_reason, drive, reason, np.ones(1, bool), np.ones(1, bool), 5)
+
+    figure = staleness_picture(found(KNOWN, 3, 1.0), found(KNOWN.take(np.arange(5)), 0, 2.0))
+    shown = dots(figure)
+    assert shown["left the map"] == [[1.4, 0.5], [0.2, 0.5]]
+    assert shown["joined the map"] == [[1.0, 0.4], [2.0, 0.4]]
+    assert figure.axes[0].get_title(loc="left") + figure.axes[0].get_title() == "6 map frames: 2 joined, 2 left"
+
+
 def test_a_map_that_no_drive_passed_has_no_squares():
     figure = staleness_picture(replace(KNOWN, history=None))
     assert not len(figure.axes[0].collections[0].get_paths())
