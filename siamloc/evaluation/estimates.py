@@ -155,9 +155,15 @@ def refinement(settings: Estimates, known: VisualMap) -> Refinement | None:
 
     Returns:
         None if `settings.refine` is "none".
+
+    Raises:
+        DataError: `refine` is "relative", and the map has headings that cannot be right.
     """
     if settings.refine == "none":
         return None
+    if settings.refine == "relative":
+        for finding in wrong_headings(known.frames):
+            raise DataError(f"task.refine=relative depends on the headings of the map: {finding}")
     return Refinement(settings.refine, settings.neighbours, settings.place_radius, map_digest=known.digest)
 
 
@@ -165,11 +171,8 @@ def prepared(settings: Estimates, search: Search) -> Search:
     """Return a search with the distances and refined poses that the settings of `Estimates` need.
 
     Raises:
-        DataError: `refine` is "relative", and the map has headings that cannot be right.
+        DataError: as for `refinement`.
     """
-    if settings.refine == "relative":
-        for finding in wrong_headings(search.known.frames):
-            raise DataError(f"task.refine=relative depends on the headings of the map: {finding}")
     finer = refinement(settings, search.known)
     wanted = max(search.k, 0 if finer is None else finer.neighbours, MATCHES if settings.error_model else 0)
     k = most_neighbours(wanted, len(search.known), search.excluded)

@@ -8,6 +8,8 @@ from pathlib import Path
 from typing import Any, ClassVar, Literal
 
 from foundation.settings import as_words
+from siamloc.evaluation.estimates import refinement
+from siamloc.evaluation.localize import Localization
 from siamloc.jobs.choices import Folder
 from siamloc.jobs.job import Say, quiet
 from siamloc.jobs.run_job import RunJob, files_in
@@ -26,7 +28,8 @@ class Export(RunJob):
     Writes a bundle with the descriptor (the network as ONNX, or an analytic descriptor), the map and the image
     preprocessing, and compares its output with the original's. If the map holds headings, the robot also gets its
     own. After an evaluation with task.error_model=true it gets its expected error and whether it is lost; after one
-    with task.refine its poses are refined in the same way, finer than the map.
+    with task.refine its poses are refined in the same way, finer than the map, with covariances that are learned if it
+    had a validation drive.
 
         run=FOLDER              the run
         bundle=FOLDER           output folder; inside the run if not given
@@ -37,6 +40,8 @@ class Export(RunJob):
                                 and shows what each loses
         build=spectral          the coarse layer that `siamloc map build=spectral` made, for the robot to search first,
                                 as set by task=hierarchical task.candidates=1
+        task.refine=relative    poses finer than the map without any evaluation; task.neighbours=3. Without a drive
+                                with positions nothing is learned, and their covariances are too small
         thumbnails=true         small images of the map frames, which `siamloc live` shows
 
     Example:
@@ -63,7 +68,7 @@ class Export(RunJob):
         else:
             evaluation = run.evaluation(label)
             further["errors"] = ErrorModel.saved(evaluation / "error_model.json", known)
-            further["refinement"] = Refinement.saved(evaluation / "refinement.json", known)
+            further["refinement"] = self._refinement(evaluation / "refinement.json", known)
             further["figures"] = _figures_in(evaluation / "results.json")
             if self.build.name != "none":
                 further["layer"] = Built.load(run.layer(label, self.build.title))
@@ -93,6 +98,17 @@ class Export(RunJob):
             return {}
         return {"candidates": task["candidates"], "along": task["along"], **{k: task["coarse"][k] for k in _RANKING}}
 
+    def _refinement(self, path: Path, known: VisualMap) -> Refinement | None:
+        """Return how an evaluation of the map refined poses; or how the task asks for, where that differs."""
+        saved = Refinement.saved(path, known)
+        if not isinstance(self.task, Localization) or self.task.refine == "none":
+            return saved
+        asked = refinement(self.task, known.placed())
+        assert asked is not None
+        if saved is not None and (saved.method, saved.neighbours) == (asked.method, asked.neighbours):
+            return saved
+        return asked
+
     def _further_steps(self, known: VisualMap, errors: ErrorModel | None, refinement: Refinement | None) -> list[str]:
         """Return lines that say what else could be exported for the robot."""
         label, lines = self.descriptor.title, []
@@ -105,13 +121,17 @@ class Export(RunJob):
         if errors is None:
             if (folder / "error_model.json").is_file():
                 lines.append("error_model.json left out, it was learned on another map")
-            lines.append(f"for expected errors: siamloc evaluate {named} task.error_model=true, then export again")
+            step = f"siamloc evaluate {named} task.error_model=true"
+            step += "" if refinement is None else f" task.refine={refinement.method}"
+            lines.append(f"for expected errors, by drives with positions: {step}, then export again")
         if refinement is None:
             if (folder / "refinement.json").is_file():
                 lines.append("refinement.json left out, it was learned on another map")
-            elif getattr(known.descriptor, "compares", False):
-                step = f"siamloc evaluate {named} task.refine=relative"
-                lines.append(f"for poses finer than the map: {step}, then export again")
+            if getattr(known.descriptor, "compares", False):
+                again = "export again with task.refine=relative"
+                if errors is not None:  # is of poses that are not refined
+                    again = f"siamloc evaluate {named} task.error_model=true task.refine=relative, then export again"
+                lines.append(f"for poses finer than the map: {again}")
         return lines
 
 

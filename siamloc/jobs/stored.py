@@ -181,7 +181,9 @@ def _kept(
 ) -> dict[str, Any]:
     """Return the stored settings by section of the job."""
     model, training, kept = record.get("model", {}), record.get("training", {}), dict[str, Any]()
-    data = dict(record.get("data") or (made or {}).get("data") or {})
+    data, of_map = dict(record.get("data") or {}), (made or {}).get("data") or {}
+    if of_map.get("kind") and not (replaces_map and data):  # a map made in Python may not know where its frames are
+        data = dict(of_map)
     if data.get("kind"):
         kept |= {"unwrap": data.pop("unwrap", None) or {"kind": "none"}, "data": data}
     if "protocol" in record:

@@ -42,6 +42,11 @@ def test_from_a_map_to_a_located_photograph(flat, given, tmp_path, capsys):
     said = capsys.readouterr().out
     assert "the robot gets: position, heading" in said
     assert f"siamloc evaluate run={tmp_path} descriptor=pretrained task.error_model=true" in said
+    assert "for poses finer than the map: export again with task.refine=relative" in said
+    done("export", f"run={tmp_path}", "descriptor=pretrained", "task.refine=relative")
+    said = capsys.readouterr().out
+    assert "the robot gets: position (by comparison with 3 map frames), heading" in said
+    assert "for poses finer" not in said
     done("localize", f"run={tmp_path}", f"images=['{flat.parent / 'first/0000.png'}']")
     assert "heading" in capsys.readouterr().out
 

@@ -43,6 +43,17 @@ def test_data_of_another_kind_replace_those_of_the_map(run):
     assert (same.data.where["manifest"], same.data.circular) == (Path("robot.csv"), False)
 
 
+def test_a_map_that_was_made_of_other_data_than_its_run_is_searched_with_its_own(run):
+    settings = {"data": {"kind": "manifest", "manifest": "training.csv"}}
+    record = {"format": "siamloc-run", "version": 2, "settings": settings, "written": []}
+    (Path(run) / "run.json").write_text(json.dumps(record))
+    chosen = {"run": run, "descriptor": {"name": "thumbnail"}}
+    for job, name in ((Evaluate, "robot.csv"), (Export, "robot.csv"), (MapFrames, "training.csv")):
+        assert job.of(chosen).data.where["manifest"] == Path(name)
+    given = {**chosen, "data": {"manifest": "third.csv"}}
+    assert Evaluate.of(given).data.where["manifest"] == Path("third.csv")
+
+
 def test_a_map_of_an_older_siamloc_is_replaced_but_not_searched(run):
     file = Path(run) / "evaluation/thumbnail/map.npz"
     with np.load(file) as archive:
