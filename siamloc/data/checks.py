@@ -263,7 +263,7 @@ def wrong_sizes(frames: FrameTable, images: PanoramaLibrary | None) -> Iterator[
         own = stated(camera, shown[height, width], (height, width))
         yield from _unseen(own, images.preprocessing.view, (height, width))
         return
-    if np.isfinite(frames.tilt).any():
+    if np.nan_to_num(frames.tilt).any():
         yield (
             "the robot's roll and pitch are known, but images that are only resized are not levelled: choose their "
             "camera, such as unwrap=equirectangular."

@@ -157,7 +157,7 @@ class Preprocessing:
         try:
             image = self._read(path)
             own = dataclasses.replace(self, camera=stated(self.camera, path, image.shape[:2], levelled=known))
-            picture = own._picture(image, tilt if known else None)
+            picture = own._picture(image, tilt)
         except DataError as error:
             raise UnreadableImageError(str(error)) from error
         except cv2.error as error:
@@ -215,7 +215,7 @@ class Preprocessing:
         if self.camera is None:
             size = (self.view.width, self.view.height)
             return np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), dtype=np.uint8)
-        view = self.view if tilt is None or not np.any(tilt) else self.view.tilted(*tilt)
+        view = self.view if tilt is None or not np.nan_to_num(tilt).any() else self.view.tilted(*tilt)
         image = self._scaled(image)
         if (fault := wrong_lenses(image, self.camera)) is not None:
             raise DataError(fault)

@@ -91,13 +91,13 @@ class PanoramaLibrary:
         _check_simulated(frames, self.preprocessing)
         _warn_of_equirectangular(frames, self.preprocessing, circular)
         tilt = frames.tilt
-        tilted = self.preprocessing.camera is not None and bool(np.isfinite(tilt).any())
         self._stores: list[Store] = []
         self.cameras: dict[str, OmnidirectionalCamera | None] = {}
         store_of = np.full(len(frames), -1, dtype=np.int64)
         row_in = np.full(len(frames), -1, dtype=np.int64)
         for number, (sequence, rows) in enumerate(frames.rows_by("sequence").items()):
             paths = frames.path[rows].tolist()
+            tilted = self.preprocessing.camera is not None and np.isfinite(tilt[rows]).any()
             tilts = tilt[rows] if tilted else None
             own = fitted(self.preprocessing, paths, self._cache)
             self.cameras[sequence] = own.camera

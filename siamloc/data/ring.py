@@ -20,9 +20,9 @@ from numpy.typing import NDArray
 from foundation.calls import typed
 from foundation.files import read_json, storage_errors, write_json
 from siamloc.data.cameras import DualFisheyeCamera, EquirectangularCamera, HyperbolicMirror, twice_as_wide
-from siamloc.data.decoding import Preprocessing, UnreadableImageError, read_image
+from siamloc.data.decoding import Preprocessing, UnreadableImageError, read_image, size_of
 from siamloc.data.panorama import OmnidirectionalCamera, PanoramaView, PolarRing, unwrap
-from siamloc.data.photo_sphere import is_equirectangular
+from siamloc.data.photo_sphere import is_equirectangular, stated
 from siamloc.data.presets import AutoRing
 from siamloc.data.rims import changes, guess, inner_rim, moved, outer_rim, shifts
 from siamloc.data.store import store_key
@@ -225,8 +225,10 @@ def find_camera(images: Sequence[str], given: OmnidirectionalCamera | None = _UN
     if not pictures:
         raise DataError(f"none of the {len(images)} pictures can be read")
     rows, columns = pictures[0].shape[:2]
-    if any(map(is_equirectangular, _spread(images))):
-        return EquirectangularCamera()
+    whole = EquirectangularCamera()
+    for path in filter(is_equirectangular, _spread(images)):
+        if (size := size_of(path)) and (twice_as_wide(*size) or stated(whole, path, size).highest is not None):
+            return whole
     if twice_as_wide(rows, columns):
         if 2 * sum(map(two_circles, pictures)) > len(pictures):
             return DualFisheyeCamera()

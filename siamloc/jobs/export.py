@@ -105,7 +105,8 @@ class Export(RunJob):
             return saved
         asked = refinement(self.task, known.placed())
         assert asked is not None
-        if saved is not None and (saved.method, saved.neighbours) == (asked.method, asked.neighbours):
+        wanted = asked.neighbours  # the default asks for no number
+        if saved and saved.method == asked.method and wanted in (saved.neighbours, Localization().neighbours):
             return saved
         return asked
 
@@ -129,7 +130,7 @@ class Export(RunJob):
                 lines.append("refinement.json left out, it was learned on another map")
             if getattr(known.descriptor, "compares", False):
                 again = "export again with task.refine=relative"
-                if errors is not None:  # is of poses that are not refined
+                if errors is not None or not isinstance(self.task, Localization):  # is of poses that are not refined
                     again = f"siamloc evaluate {named} task.error_model=true task.refine=relative, then export again"
                 lines.append(f"for poses finer than the map: {again}")
         return lines

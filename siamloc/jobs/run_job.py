@@ -139,9 +139,8 @@ class RunJob(DataJob):
             loaded = only_map(Run(Path(str(values["run"])))) if own and not told else {}
             for path, known in loaded.items():
                 values = {**values, "descriptor": descriptor_of(path, known) or chosen}
-            values = with_settings_of_the_run(
-                values, given, cls.key_names(), replaces_map=cls.REPLACES_MAP, loaded=loaded
-            )
+            replaces = cls.REPLACES_MAP and not (values.get("update") or {}).get("sequences")
+            values = with_settings_of_the_run(values, given, cls.key_names(), replaces_map=replaces, loaded=loaded)
         elif set(names_in(chosen)) & set(OF_A_RUN) and chosen.get("run") is None:
             otherwise = "train one first with `siamloc train run=FOLDER`, or choose a descriptor that needs none"
             raise ConfigError(f"no run is named: {suggested_run(f'{otherwise}, descriptor=hog')}")

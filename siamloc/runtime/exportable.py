@@ -86,7 +86,8 @@ def check_learned(known: VisualMap | None, errors: ErrorModel | None, refinement
     if errors is not None and errors.refine != method:
         raise ConfigError(
             f"the error model is for poses with refine={errors.refine}, but the robot makes them with refine={method}: "
-            "give errors and refinement of the same evaluation, repeated if it is older"
+            "give errors and refinement of the same evaluation, of task.error_model=true and task.refine, repeated if "
+            "it is older"
         )
 
 

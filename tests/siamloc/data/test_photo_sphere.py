@@ -11,6 +11,7 @@ from siamloc.data.ring import find_camera
 from siamloc.maps import build
 from siamloc.runtime import Localizer, export
 
+KIND = "equirectangular"
 SIZE, WIDE = (64, 128), 1024  # of the panoramas, and pixels of a whole picture
 ELEVATIONS = (30.0, -45.0)
 
@@ -51,7 +52,7 @@ def saved(path, picture, form="attributes", **said):
 
 
 def cropped(left, right, top, bottom, picture=None):
-    said = {"ProjectionType": "equirectangular", "FullPanoWidthPixels": WIDE, "FullPanoHeightPixels": WIDE // 2}
+    said = {"ProjectionType": KIND, "FullPanoWidthPixels": WIDE, "FullPanoHeightPixels": WIDE // 2}
     said |= {"CroppedAreaImageWidthPixels": right - left, "CroppedAreaImageHeightPixels": bottom - top}
     return (photo() if picture is None else picture)[top:bottom, left:right], said | {
         "CroppedAreaLeftPixels": left,
@@ -170,6 +171,13 @@ def test_a_part_that_is_only_resized_is_warned_of(tmp_path, caplog):
     frames = FrameTable(path=[saved(tmp_path / "a.jpg", part, **said)])
     PanoramaLibrary(frames, tmp_path / "cache")
     assert "images of 1024 x 320 px look like equirectangular pictures" in caplog.text
+
+
+def test_a_picture_that_was_cut_since_is_not_taken_for_a_whole_one(tmp_path):
+    part, said = cropped(0, WIDE, 100, 420)
+    paths = [saved(tmp_path / "a.jpg", part[:300], **said), saved(tmp_path / "b.jpg", part[:300], ProjectionType=KIND)]
+    assert find_camera(paths) is None
+    assert find_camera([*paths, saved(tmp_path / "c.jpg", part, **said)]) == EquirectangularCamera()
 
 
 def test_what_a_part_does_not_show_is_no_seam(tmp_path):

@@ -50,6 +50,8 @@ def test_a_map_that_was_made_of_other_data_than_its_run_is_searched_with_its_own
     chosen = {"run": run, "descriptor": {"name": "thumbnail"}}
     for job, name in ((Evaluate, "robot.csv"), (Export, "robot.csv"), (MapFrames, "training.csv")):
         assert job.of(chosen).data.where["manifest"] == Path(name)
+    updating = MapFrames.of({**chosen, "update": {"sequences": ["tuesday"]}})
+    assert updating.data.where["manifest"] == Path("robot.csv")
     given = {**chosen, "data": {"manifest": "third.csv"}}
     assert Evaluate.of(given).data.where["manifest"] == Path("third.csv")
 

@@ -254,6 +254,8 @@ def test_what_a_camera_does_not_see_or_nobody_unwraps_is_said(frames, tmp_path, 
     assert not [one for one in check(frames, library(frames, tmp_path, EquirectangularCamera())) if "see" in one]
     leaning = frames.with_columns(roll=np.full(4, 0.1))
     assert any("are not levelled" in one for one in check(leaning, library(leaning, tmp_path, None)))
+    upright = frames.with_columns(roll=np.zeros(4), pitch=np.zeros(4))
+    assert not any("are not levelled" in one for one in check(upright, library(upright, tmp_path, None)))
     caplog.clear()
     cv2.imwrite(str(tmp_path / "whole.png"), seen_by(EquirectangularCamera(), (256, 512), 0))
     whole = FrameTable(path=[tmp_path / "whole.png"])
