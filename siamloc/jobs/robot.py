@@ -151,6 +151,7 @@ class Localize(Robot):
     def _located(self, say: Say) -> int:
         """Locate the images, and return the number of located images."""
         localizer = self.localizer()
+        from siamloc.maps.motion import WrongUnitError
         from siamloc.runtime import locate_all, written
         from siamloc.runtime.stream import LINES
 
@@ -171,8 +172,8 @@ class Localize(Robot):
                         off.append(one.off_by)
             except KeyboardInterrupt:
                 stopped = True
-            except DataError:
-                if count and target is not None:
+            except DataError as error:
+                if count and target is not None and not isinstance(error, WrongUnitError):
                     _note(f"{count - faults} of {count} images located before this: {target}")
                 raise
         if count == faults and not stopped:

@@ -8,10 +8,71 @@ from numpy.typing import ArrayLike, NDArray
 from foundation.calls import typed
 from siamloc.data.checks import wrong_odometry
 from siamloc.data.frames import FrameTable
-from siamloc.data.moves import moves
+from siamloc.data.moves import composed, moves
 from siamloc.errors import DataError
 
 _WORDS = "the distance ahead, the distance to the left and the turn to the left in rad, NaN where unknown"
+_FEWEST, _KEPT, _FAR = 15, 30, 3.0  # places from which a unit is judged, at least and at most, and steps between two
+_ALIKE, _RIGHT = 0.9, 3.0  # share of the pairs of places that agree; factor that no drift explains
+
+
+class WrongUnitError(DataError):
+    """Motions in another unit than that of the positions of the map."""
+
+
+class UnitOfMotion:
+    """Judge once a drive whether its motions are in the unit of the map, by the places where its images are recognized.
+
+    The way between two places as seen by the images, and as told by the motions, differ by one factor and one turn for
+    most pairs of places if the unit is wrong. They do not if wheels slip, nor if the robot stands, is carried or lost.
+
+    Args:
+        length: distance the robot moves between two queries, in units of x and y.
+    """
+
+    def __init__(self, length: float) -> None:
+        self.length = length
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget the drive."""
+        self._driven, self._judged = np.zeros((1, 3)), False
+        self._places = np.empty((0, 2), dtype=np.complex128)  # by images and by motions
+
+    def step(self, motion: NDArray[np.float64] | None, xy: NDArray[np.float64] | None) -> None:
+        """Take a motion (3,), None if unknown, and the position (2,) by the image after it, None if not recognized.
+
+        Raises:
+            WrongUnitError: the motions of the drive are in another unit.
+        """
+        if self._judged:
+            return
+        if motion is None:
+            self.reset()
+        else:
+            self._driven = composed(self._driven, motion[None])
+        if xy is None:
+            return
+        place = np.array([[complex(*xy), complex(*self._driven[0, :2])]])
+        if len(self._places) and np.abs(place - self._places[-1])[0, 0] < self.length:
+            return
+        self._places = np.concatenate([self._places[1 - _KEPT :], place])
+        first, second = np.triu_indices(len(self._places), 1)
+        seen, driven = (self._places[second] - self._places[first]).T
+        far = np.abs(seen) > _FAR * self.length
+        if len(self._places) < _FEWEST or far.sum() < _FEWEST:
+            return
+        ratio = driven[far] / seen[far]
+        usual = complex(np.median(ratio.real), np.median(ratio.imag))
+        if (np.abs(ratio - usual) < abs(usual) / 2).mean() < _ALIKE:
+            return
+        if not 1 / _RIGHT <= abs(usual) <= _RIGHT:
+            self.reset()
+            raise WrongUnitError(
+                f"the odometry of the robot moves {abs(usual):.3g} times as far as its images show: give it in the "
+                "unit of the map's positions, such as metres"
+            )
+        self._judged = True
 
 
 @typed

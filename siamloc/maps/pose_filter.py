@@ -21,11 +21,12 @@ from foundation.settings import Positive, Probability
 from siamloc.data.moves import wrapped
 from siamloc.errors import DataError
 from siamloc.maps.joining import FREEDOM, RefinedPoses
-from siamloc.maps.motion import motion_or_none, motions_of
+from siamloc.maps.motion import UnitOfMotion, motion_or_none, motions_of
 
 _STORIES = 5
 _STRAY = 0.15  # density of poses that are wrong, per square unit of the positions
 _TRUSTED = 0.05  # probability below which a pose is considered stray
+_RECOGNIZED = 0.5  # agreement from which a pose says where the robot is
 _NEVER = 1e-9  # probability of what no answer agrees on
 _NEAR = 0.05  # share of a step: stories this close to each other are merged
 _ACCELERATION = 0.5  # standard deviation of the change of the step between two queries, as a share of the usual step
@@ -90,11 +91,13 @@ class PoseFilter:
     @typed
     def __init__(self, step: Positive, kidnapping: Probability = 1e-3) -> None:
         self.length, self.kidnapping = float(step), float(kidnapping)
+        self._unit = UnitOfMotion(self.length)
         self.reset()
 
     def reset(self) -> None:
         """Forget all queries: the robot may be anywhere."""
         self._stories: list[_Story] = []
+        self._unit.reset()
 
     def step(
         self, pose: RefinedPoses, motion: ArrayLike | None = None, covariance: ArrayLike | None = None
@@ -114,17 +117,20 @@ class PoseFilter:
 
         Raises:
             DataError: not exactly one pose, or a motion or a covariance of another form.
+            WrongUnitError: motions in another unit than the poses, as soon as enough poses show it.
         """
         if len(pose) != 1:
             raise DataError(f"a step takes the pose of one query, got {len(pose)}")
         about, move = pose.information[0], motion_or_none(motion)
+        told = bool(about.any() and np.isfinite(about).all() and np.isfinite(pose.xy).all())
+        self._unit.step(move, pose.xy[0] if told and pose.agreement[0] >= _RECOGNIZED else None)
         if move is None:
             stories = [self._moved(story) for story in self._stories]
         else:
             noise = self._noise(move) if covariance is None else _checked(covariance)
             stories = [_driven(_with_heading(story), move, noise) for story in self._stories]
             self._last = move
-        if about.any() and np.isfinite(about).all() and np.isfinite(pose.xy).all():
+        if told:
             spread, seen = np.linalg.inv(about), pose.xy[0]
             best = max((story.evidence for story in stories), default=0.0)
             begun = _Story(np.concatenate([seen, np.zeros(2)]), _blocks(spread, self.length**2 * np.eye(2)), 0, 1, pose)

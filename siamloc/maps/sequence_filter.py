@@ -24,7 +24,7 @@ from foundation.settings import Positive, Probability
 from siamloc.data.frames import FrameTable
 from siamloc.errors import ConfigError, DataError
 from siamloc.maps.matching import frame_distances
-from siamloc.maps.motion import motion_or_none, motions_of
+from siamloc.maps.motion import UnitOfMotion, motion_or_none, motions_of
 from siamloc.maps.thinning import near
 from siamloc.maps.visual_map import VisualMap
 
@@ -74,11 +74,13 @@ class SequenceFilter:
     @typed
     def __init__(self, motion: MotionModel, temperature: Positive, kidnapping: Probability = 1e-3) -> None:
         self.motion, self.temperature, self.kidnapping = motion, float(temperature), float(kidnapping)
+        self._unit = UnitOfMotion(motion.step)
         self.reset()
 
     def reset(self) -> None:
         """Forget all queries: the robot may be anywhere."""
         self.belief = np.full(len(self.motion), 1 / len(self.motion))
+        self._unit.reset()
 
     def step(self, distances: ArrayLike, motion: ArrayLike | None = None) -> NDArray[np.float64]:
         """Update the belief with one query and return it (m,).
@@ -90,6 +92,7 @@ class SequenceFilter:
 
         Raises:
             DataError: not one distance for each map frame, or none that is finite; or a motion of another form.
+            WrongUnitError: motions in another unit than the map, as soon as enough queries show it.
         """
         apart = np.asarray(distances, dtype=np.float64)
         # NaN and -infinity show in the smallest value.
@@ -99,6 +102,7 @@ class SequenceFilter:
                 f"not compared, got shape {apart.shape}"
             )
         move = motion_or_none(motion)
+        self._unit.step(move, self.motion.xy[apart.argmin()])
         length = None if move is None else float(np.hypot(*move[:2]))
         expected = (1 - self.kidnapping) * self.motion.predict(self.belief, length) + self.kidnapping / len(apart)
         # The most likely frame has likelihood 1, so the sum cannot vanish.
@@ -228,6 +232,7 @@ class MotionModel:
         if length < self.step:
             share = length / self.step
             return (1 - share) * belief + share * self.predict(belief)
+        length = max(self.step, min(length, self._extent))  # beyond, any place is as likely
         usual, variance = (step**2 + self.spacing**2 / 6 for step in (self.step, length))
         if usual == 0:  # all frames are in one place
             return self.predict(belief)
@@ -238,6 +243,10 @@ class MotionModel:
         for _ in range(parts):
             belief = np.bincount(self.target, weight * belief[self.source], minlength=len(self)).astype(np.float64)
         return belief
+
+    @cached_property
+    def _extent(self) -> float:
+        return float(np.hypot(*np.ptp(self.xy, axis=0)))
 
     @cached_property
     def _squared(self) -> NDArray[np.float64]:

@@ -181,7 +181,8 @@ class Localizer:
 
         Raises:
             ConfigError: a motion without a tracker.
-            DataError: the image cannot be read, is empty, or has another shape; or a motion or tilt of another form.
+            DataError: the image cannot be read, is empty, or has another shape; a motion or tilt of another form; or
+                motions in another unit than the map, once enough images are recognized along a way.
         """
         start = time.perf_counter()
         _check_motion(tracker, motion)
@@ -203,7 +204,7 @@ class Localizer:
 
         Raises:
             ConfigError: a motion without a tracker.
-            DataError: another shape or type; or a motion of another form.
+            DataError: another shape or type; a motion of another form; or motions in another unit, as for `locate`.
         """
         start = time.perf_counter()
         _check_motion(tracker, motion)

@@ -22,6 +22,7 @@ from siamloc.data.frames import VIDEOS, image_files
 from siamloc.data.moves import moves
 from siamloc.data.names import NamedPose, parse_name
 from siamloc.errors import ConfigError, DataError
+from siamloc.maps.motion import WrongUnitError
 from siamloc.runtime.localizer import Localizer
 from siamloc.runtime.location import Location
 from siamloc.runtime.wheels import UNKNOWN, read_odometry
@@ -109,7 +110,8 @@ def locate_all(
     Raises:
         ConfigError: no images given, a bundle that cannot follow a robot, or odometry without `track`.
         DataError: a file that does not exist, a folder without images, a video or a camera that gives no image, a
-            camera that stops, or odometry that cannot be used or is of other images.
+            camera that stops, or odometry that cannot be used, is of other images, or is in another unit than the map,
+            which the first images that are recognized along a way show.
     """
     if odometry is not None and not track:
         raise ConfigError(f"odometry={odometry} says how the robot is followed: set track=true (in Python track=True)")
@@ -130,7 +132,7 @@ def locate_all(
             last = here
             yield Located(name, location, pose=pose)
         except DataError as error:
-            if on_error == "raise":
+            if on_error == "raise" or isinstance(error, WrongUnitError):
                 raise
             yield Located(name, None, str(error), pose)
 
@@ -231,7 +233,7 @@ def written(path: str | Path, located: Iterable[Located]) -> Generator[Located, 
     """Write locations to a file while passing them on; the file appears after the last location.
 
     The file is also written, with all locations up to there, if the caller stops early, is interrupted, or an image
-    after the first raises an error.
+    after the first raises an error; but not if the odometry is in another unit, which makes all locations wrong.
 
     Args:
         path: a table with `COLUMNS`, name.csv, or one line of JSON per location, name.jsonl.
@@ -254,7 +256,7 @@ def written(path: str | Path, located: Iterable[Located]) -> Generator[Located, 
                 count += 1
                 yield one
         except (GeneratorExit, KeyboardInterrupt, DataError) as stop:
-            if not count and not isinstance(stop, GeneratorExit):
+            if isinstance(stop, WrongUnitError) or not (count or isinstance(stop, GeneratorExit)):
                 raise
             stopped = stop
     if stopped is not None and not isinstance(stopped, GeneratorExit):

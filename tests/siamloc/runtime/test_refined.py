@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 import math
 import shutil
@@ -26,10 +27,12 @@ from siamloc.maps import (
     match,
     temperature_of_map,
 )
+from siamloc.maps.motion import WrongUnitError
 from siamloc.maps.sequence_filter import spacing_of
 from siamloc.models import as_descriptor, build
-from siamloc.runtime import Bundle, Localizer, export, locate_all
+from siamloc.runtime import Bundle, Localizer, export, locate_all, written
 from siamloc.runtime.onnx_model import export_relative, relative_parity
+from siamloc.runtime.stream import Located
 from tests.siamloc.runtime.conftest import SIZE, altered, batch, drive, mapped, rewritten
 
 PICTURES, FRAMES = drive(2)
@@ -180,7 +183,7 @@ def test_the_robot_drives_on_where_only_map_frames_without_positions_look_alike(
     np.testing.assert_allclose([after.x, after.y], ahead)
 
 
-def test_images_are_followed_by_a_table_of_odometry(bundle, tmp_path):
+def test_images_are_followed_by_a_table_of_odometry(bundle, tmp_path, monkeypatch):
     localizer, at = Localizer(bundle), chained(motion_of(6))
     folder = tmp_path / "drive"
     folder.mkdir()
@@ -201,6 +204,16 @@ def test_images_are_followed_by_a_table_of_odometry(bundle, tmp_path):
     without = [one.location for one in locate_all(localizer, files, track=True)]
     assert np.abs(np.subtract([one.x for one in found], [one.x for one in without])).max() > 0.05
 
+    def another_unit(*_):
+        raise WrongUnitError("another unit")
+
+    with monkeypatch.context() as changed:
+        changed.setattr(PoseFilter, "step", another_unit)
+        located = locate_all(localizer, folder, track=True, odometry=wheels)
+        passing = written(tmp_path / "found.csv", itertools.chain([Located("0.png", None)], located))
+        with pytest.raises(WrongUnitError):  # not an image that is left out
+            list(passing)
+    assert not (tmp_path / "found.csv").exists()
     with pytest.raises(ConfigError, match=r"odometry=.* says how the robot is followed: set track=true"):
         next(locate_all(localizer, folder, odometry=wheels))
     wheels.write_text("image,odom_x,odom_y,odom_theta\nother.png,0,0,0\n")
