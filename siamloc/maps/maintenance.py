@@ -23,6 +23,8 @@ from siamloc.maps.grouping import Built
 from siamloc.maps.history import UPKEEP, History
 from siamloc.maps.matching import match
 from siamloc.maps.reasons import GONE, JOINED, Reason, among
+from siamloc.maps.refinement import refine
+from siamloc.maps.search import Retrieval
 from siamloc.maps.thinning import Budget, thin
 from siamloc.maps.visual_map import VisualMap
 
@@ -32,6 +34,8 @@ if TYPE_CHECKING:
 _REPEATS = 0.6  # share of the usual distance up to which two frames that would join show almost the same
 _SOME, _FEW, _MOST = 10, 0.25, 0.6  # frames, and shares of them that agree: with other axes, at most and at least
 _MOTIONS = 300  # that are tried
+_COMPARED, _SURE = 3, 0.5  # map frames that locate each frame, and the share of them that agree where it is located
+_OFF = 0.25  # metres that positions by comparison may be off, as those that comparisons are judged by
 _UNIT = 50.0  # ratio of distances from which on they are in another unit, such as millimetres
 
 
@@ -208,15 +212,24 @@ def update(
         spread = np.asarray(deviation, dtype=np.float64)
         if spread.shape != (len(drive),):
             raise DataError(f"{len(drive)} frames of the drive need a deviation each, got shape {spread.shape}")
+        if (spread < 0).any():
+            raise DataError(f"a deviation is 0 or more, or NaN where it is unknown, got {np.nanmin(spread):g}")
         sure = sure & (spread <= settings.certain)
     keys, held = drive.identities(), set(known.frames.identities())
     new = np.array([key not in held for key in keys], dtype=bool)
     if not new.any():
         raise DataError(f"all {len(drive)} frames of the drive are in the map already: update it by another drive")
     if not (sure & new).any():
+        there = (new & drive.has_position).any()
         raise DataError(
-            f"none of the {int(new.sum())} frames of the drive that the map lacks has a certain position: give their x "
-            "and y, or a map whose descriptor compares images, which locates them"
+            f"none of the {int(new.sum())} frames of the drive that the map lacks has "
+            + (
+                f"a deviation of at most certain={settings.certain:g}: leave the deviations out if the positions are "
+                "good, or give a larger certain"
+                if there
+                else "a certain position: give their x and y, or a map whose descriptor compares images, which locates "
+                "them"
+            )
         )
     used = sure & new
     part = describe(drive.take(used)) if seen is None else seen.take(used)
@@ -297,15 +310,16 @@ def _joining(
     settings: Maintenance,
 ) -> tuple[NDArray[np.object_], NDArray[np.bool_]]:
     """Return why each frame of a drive (n,) joins the map or not, and which contradict it (n,)."""
-    mapper = None if built is None else built.mapper
-    if built is None or mapper is None:
-        located = match(known, drive.turning()).indices[:, 0]
-    else:
+    mapper, alike = None if built is None else built.mapper, match(known, drive.turning(), _COMPARED)
+    located = alike.indices[:, 0]
+    if built is not None and mapper is not None:
         row_of = np.zeros(len(mapper), dtype=np.int64)
         row_of[numbers_of(built.layer)] = np.arange(len(known))
         frames = (drive.description.take(slice(row, row + 1)) for row in range(len(drive)))
         located = row_of[[mapper.locate(frame).frame for frame in frames]]
-    _check_axes(drive.frames, known.frames.take(located), settings.radius)
+    there = known.frames.take(located)
+    _check_axes(drive.frames, there.building, there.xy, settings.radius)
+    _check_refined(known, drive, alike)
     known_place = found.away <= settings.radius
     off = np.linalg.norm(known.frames.xy[located] - drive.frames.xy, axis=1)
     contradicts = (off > settings.radius) | (known.frames.building[located] != drive.frames.building)
@@ -326,17 +340,22 @@ def _joining(
     return reason, contradicts
 
 
-def _check_axes(drive: FrameTable, located: FrameTable, radius: float) -> None:
+def _check_axes(
+    drive: FrameTable, building: NDArray[np.str_], xy: NDArray[np.float64], radius: float, few: float = _FEW
+) -> None:
     """Refuse a drive whose positions have axes or a unit of their own: one motion brings most to where it is located.
 
     Args:
         drive: its frames (n).
-        located: the map frames that resemble them most (n).
+        building: the building in which each is located (n,).
+        xy: where each is located (n, 2).
         radius: distance within which positions agree.
+        few: share of the frames that agree with other axes, at most.
     """
-    same = drive.building == located.building
-    given, found = ((one.x + 1j * one.y)[same] for one in (drive, located))
-    if len(given) < _SOME or (np.abs(found - given) <= radius).mean() > _FEW:
+    same = drive.building == building
+    given, found = ((one[:, 0] + 1j * one[:, 1])[same] for one in (drive.xy, xy))
+    agreeing = int((np.abs(found - given) <= radius).sum())
+    if len(given) < _SOME or agreeing > few * len(given):
         return
     first, second = np.random.default_rng(0).integers(len(given), size=(2, _MOTIONS))
     moved = found[second] - found[first]
@@ -346,20 +365,45 @@ def _check_axes(drive: FrameTable, located: FrameTable, radius: float) -> None:
         some = rigid | ((np.abs(moved) > 4 * radius) & (np.abs(wanted) > _UNIT * np.abs(moved)))
         turn, start = (moved[some] / wanted[some])[:, None], first[some]
         turn /= np.where(rigid[some, None], np.abs(turn), 1)
-        near = np.abs(turn * (axes - axes[start, None]) + found[start, None] - found) <= radius
+        at = turn * (axes - axes[start, None]) + found[start, None]
+        near = np.abs(at - found) <= radius
         moved_away = rigid[some, None] | (np.abs(found - found[start, None]) > radius)  # any unit keeps what stays
         agree = (near & moved_away).sum(axis=1)
-        if not agree.size or agree.max() < _MOST * len(given):
+        if not agree.size or agree.max() < max(_MOST * len(given), 2 * agreeing):
             continue
         best = agree.argmax()
         length = float(np.abs(turn[best, 0]))
         unit = "" if length > 0.5 else f" and a factor of {length:.2g}, as between units,"
+        if not (exchanged or unit):
+            degrees = abs(np.degrees(np.angle(turn[best, 0])))
+            unit = f" by {np.median(np.abs(at[best] - given)):.2f} {drive.unit} and {degrees:.0f} degrees"
         raise DataError(
             f"the drive's positions have other axes than the map's: one motion{exchanged}{unit} brings "
-            f"{near[best].sum()} of {len(given)} frames to where the map locates them. Leave x and y out, or give them "
-            "as odom_x and odom_y. If the drive shows a place that the map lacks, and that only looks like one of its "
-            "own, give its frames another name in the column building"
+            f"{near[best].sum()} of {len(given)} frames to where the map locates them. Leave x, y and theta out, so "
+            "that the drive is located in the map, or give them as odom_x, odom_y and odom_theta. If the drive shows a "
+            "place that the map lacks, and that only looks like one of its own, give its frames another name in the "
+            "column building"
         )
+
+
+def _check_refined(known: VisualMap, drive: VisualMap, found: Retrieval) -> None:
+    """Refuse a drive whose axes differ by little from the map's, where comparisons tell its positions that well.
+
+    Args:
+        known: the map.
+        drive: the drive (n frames).
+        found: the map frames that resemble them most.
+
+    Raises:
+        DataError: half of the positions are off by more than `_OFF`, and one motion puts them right.
+    """
+    compares, described, placed = comparison_of(known), drive.turning(), np.isfinite(known.frames.theta)
+    if compares is None or described.orientation is None or not placed.all() or known.frames.unit != "m":
+        return
+    poses = refine(known, described, found, compares)
+    sure = np.flatnonzero(poses.agreement >= _SURE)
+    building = known.frames.building[poses.frame[sure]]
+    _check_axes(drive.frames.take(sure), building, poses.xy[sure], _OFF, 0.5)
 
 
 def _told(

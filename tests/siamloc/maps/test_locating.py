@@ -112,6 +112,27 @@ def test_frames_that_the_map_takes_for_elsewhere_join_it_and_those_that_misled_a
     assert (after.map_reason == Reason.CONTRADICTED).any()
 
 
+def test_axes_that_differ_by_less_than_the_radius_are_refused_where_images_are_compared(poses):
+    known, drive = maps(TrueComparison(poses, 1.0, 0.05), poses)
+
+    def updated_with(shift, turn):
+        cos, sin = np.cos(turn), np.sin(turn)
+        x, y, theta = (poses[60:] @ [[cos, sin, 0], [-sin, cos, 0], [0, 0, 1]] + [shift, 0, turn]).T
+        frames = drive.frames.with_columns(x=x, y=y, theta=theta, sequence=["tuesday"] * 60)
+        return updated(known, replace(drive, frames=frames))
+
+    updated_with(0.0, 0.0)
+    updated_with(0.1, np.radians(1))
+    for shift, turn, says in (
+        (0.5, 0.0, r"by 0\.[45]\d m and \d degrees"),
+        (0.0, np.radians(10), "and (9|10|11) degrees"),
+    ):
+        with pytest.raises(
+            DataError, match=f"other axes than the map's: one motion .*{says} brings .* x, y and theta out"
+        ):
+            updated_with(shift, turn)
+
+
 def test_comparisons_in_metres_say_nothing_about_a_map_in_pixels(poses):
     known, drive = maps(Moved(poses, 80, 90), poses)
     x, y, theta = poses[60:].T

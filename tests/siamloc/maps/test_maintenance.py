@@ -178,8 +178,11 @@ def test_frames_of_the_map_and_uncertain_ones_are_not_judged(known, drives):
     assert found.added[60:80].any()
     assert found.contradicted.shape == (FRAMES,)
     assert not found.contradicted[:60].any()
-    with pytest.raises(DataError, match="none of the 120 frames of the drive that the map lacks"):
-        update(known, drives[1], drive, deviation=np.full(FRAMES, 0.1), certain=0.05)
+    for deviation in (0.1, np.nan):
+        with pytest.raises(DataError, match=r"none of the 120 frames .* has a deviation of at most certain=0\.05"):
+            update(known, drives[1], drive, deviation=np.full(FRAMES, deviation), certain=0.05)
+    with pytest.raises(DataError, match="a deviation is 0 or more, or NaN where it is unknown, got -1"):
+        update(known, drives[1], drive, deviation=-np.ones(FRAMES))
     with pytest.raises(DataError, match=r"120 frames of the drive need a deviation each, got shape \(3,\)"):
         update(known, drives[1], drive, deviation=[0, 0, 0])
 
