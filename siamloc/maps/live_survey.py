@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from os.path import abspath
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -68,6 +69,7 @@ class LiveSurvey:
     _wheels: Edges
     _loops: Loops
     _paths: list[str]
+    _files: set[str]
     _floor: FloorScale | None
 
     @typed
@@ -101,13 +103,19 @@ class LiveSurvey:
         """Add a frame, and return its pose (3,): x, y and heading in rad.
 
         Args:
-            panorama: (3, H, W), as a `PanoramaLibrary` gives it.
+            panorama: (3, H, W), uint8, as a `PanoramaLibrary` gives it.
             path: the file of the image.
             odometry: x, y and heading by the robot's wheels, in the frame of the drive's odometry; None if unknown.
 
         Raises:
-            DataError: odometry that is not three numbers, or whose heading is not in rad.
+            DataError: odometry that is not three numbers, or whose heading is not in rad; a frame that the drive has
+                already; or a panorama of another type or shape.
         """
+        if panorama.dtype != np.uint8 or panorama.ndim != 3 or len(panorama) != 3:
+            raise DataError(f"a panorama is uint8 of shape (3, H, W), got {panorama.dtype} {panorama.shape}")
+        place = abspath(path)  # noqa: PTH100
+        if place in self._files:
+            raise DataError(f"the drive has the frame {path} already: give each frame a path of its own")
         wheels = odometry_of(np.full((1, 3), np.nan) if odometry is None else np.asarray(odometry)[None], 1)
         turn = float(np.abs(wheels[0, 2] - self._odometry[-1, 2]))
         if turn > 2 * np.pi and abs(wheels[0, 2]) > 2 * np.pi:
@@ -137,6 +145,7 @@ class LiveSurvey:
         self._descriptors.append(learned)
         self._parts.append(parts)
         self._paths.append(path)
+        self._files.add(place)
         loops = loops_of(edges.take(slice(close, None)), odds[close:], ODDS)
         self._loops = agreed(Loops.concatenate([self._loops, loops]), self._poses, self._drive, n)
         self._solve()
@@ -156,6 +165,7 @@ class LiveSurvey:
 
     def _continue(self, found: Survey) -> None:
         self._found, self._loops, self._paths, self._floor = found, found.loops, [], found.floor
+        self._files = {path for name, path in found.frames.identities() if name == found.frames.sequence[-1]}
         self._steps, self._wheels, self._drive = found.graph.pictures, found.graph.wheels, found.graph.drive
         self._odometry, self._poses = found.frames.odometry, found.solution.poses.copy()
         self._way = np.cumsum(np.hypot(*np.diff(self._poses[:, :2], axis=0, prepend=self._poses[:1, :2]).T))

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from siamloc.data.frames import FrameTable, concatenate
-from siamloc.data.moves import composed, inverse, wrapped
+from siamloc.data.moves import TURN, composed, inverse, wrapped
 from siamloc.errors import DataError
 from siamloc.maps.loops import Loops
 from siamloc.maps.pose_graph import Array
@@ -18,6 +18,8 @@ _NEAR, _ALIKE = 3.0, np.radians(20)  # how far a loop between drives may be off 
 _MEETING = 3  # loops that must agree about how two drives lie
 _VOTERS = 500  # loops at most that are compared with each other for that
 _PLACE = 10  # frames of a place: a meeting at a single place is told
+_UNIT, _SHORT = 10.0, 0.3  # ratio of ways from which on units differ, and metres by which an anchor may be off
+_COMPARED = 30  # anchors of a drive that are compared with each other, at most
 
 
 def brought_together(
@@ -142,6 +144,9 @@ def anchored(
         drive: number of the drive of each frame (n,).
         frames: the frames (n).
         anchors: frames with poses; those whose image could not be read are left out.
+
+    Raises:
+        DataError: anchors of a drive that are in another unit than its way, in degrees, or mirrored.
     """
     rows = {key: row for row, key in enumerate(frames.identities())}
     there = [] if anchors is None else [row for row, key in enumerate(anchors.identities()) if key in rows]
@@ -155,6 +160,8 @@ def anchored(
         mine = np.flatnonzero(drive[fixed] == number)
         mine = mine[np.argsort(fixed[mine])]
         frame = np.flatnonzero(drive == number)
+        some = mine[np.unique(np.linspace(0, len(mine) - 1, _COMPARED).astype(np.int64))]
+        _check_poses(frames.sequence[frame[0]], start[frame], fixed[some] - frame[0], true[some])
         origin = composed(true[mine[:1]], inverse(start[fixed[mine[:1]]]))
         start[frame] = composed(np.tile(origin, (len(frame), 1)), start[frame])
         off = true[mine] - start[fixed[mine]]
@@ -162,3 +169,38 @@ def anchored(
         start[frame] += np.column_stack([np.interp(frame, fixed[mine], one) for one in off.T])
     start[fixed, :2] = true[:, :2]
     return fixed, start
+
+
+def _check_poses(name: str, start: Array, rows: NDArray[np.int64], true: Array) -> None:
+    """Refuse the poses (k, 3) of anchors if all of them contradict the start poses (n, 3) of their drive alike.
+
+    Args:
+        name: the drive.
+        start: by odometry or comparisons.
+        rows: the anchors' rows among these (k,).
+        true: the poses of the anchors.
+    """
+    first, second = np.triu_indices(len(rows), 1)
+    apart = np.hypot(*(true[second] - true[first])[:, :2].T)
+    path = np.cumsum(np.hypot(*np.diff(start[:, :2], axis=0, prepend=start[:1, :2]).T))[rows]
+    way, said = path[second] - path[first], f"the anchors of drive {name or '(unnamed)'}"
+    if len(first) and (apart > _UNIT * (way + _SHORT)).all():
+        raise DataError(
+            f"{said} are {np.median(apart / (way + _SHORT)):.3g} times as far apart as the robot drove between them: "
+            "give their x and y in metres"
+        )
+    turned, wanted = (one[second, 2] - one[first, 2] for one in (true, start[rows]))
+    telling = np.abs(np.sin(wanted)) > np.sin(_ALIKE)
+
+    def fits(turn: Array) -> bool:
+        return bool(np.median(np.abs(wrapped(turn - wanted)[telling])) < _ALIKE)
+
+    if not telling.any() or fits(turned):
+        return
+    if np.abs(true[:, 2]).max() > TURN and fits(np.radians(turned)):
+        raise DataError(f"{said} have theta in degrees, as the turns between them show: give radians")
+    if telling.sum() >= _MEETING and fits(-turned):
+        raise DataError(
+            f"{said} turn left where its images turn right: headings grow counter-clockwise; give their y and theta "
+            "with the other sign, or mirror the panoramas"
+        )

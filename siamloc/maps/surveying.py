@@ -187,8 +187,8 @@ def survey(
         ConfigError: a network that does not compare; a height, but panoramas that do not show the floor.
         DataError: a drive with fewer than 10 frames, in another order than that of their times, or one that stands
             still; odometry in another unit, in degrees, or of other turns, times or directions than the images; drives
-            that have no place in common; anchors that are not among the frames, are given twice, or without a pose;
-            candidates that are not pairs of rows.
+            that have no place in common; anchors that are not among the frames, are given twice, or without a pose,
+            or all of them in another unit, in degrees, or mirrored; candidates that are not pairs of rows.
 
     Example:
         >>> found = siamloc.maps.survey("pretrained", images, monday)  # doctest: +SKIP

@@ -338,10 +338,28 @@ def test_an_anchor_that_contradicts_the_images_is_noted(surveyed):
     wheels = drifting(poses)
     wheels[1:] += [0.9, 0, 0]  # a first step that contradicts the images
     assert not surveyed({"monday": poses}, odometry=wheels, anchors=anchors([0]))[0].notes  # one anchor cannot
-    found, _, _ = surveyed({"monday": poses}, anchors=anchors([5, 80], np.array([0, 900.0])))
+    found, _, _ = surveyed({"monday": poses}, anchors=anchors([5, 80], np.array([0, 90.0])))
     assert "the anchors contradict the images: drive monday is torn before its frame" in found.notes[-1]
     with pytest.raises(DataError, match=r"anchor .*5\.png is given twice"):
         surveyed({"monday": poses}, anchors=anchors([5, 5]))
+
+
+@pytest.mark.parametrize("wheeled", [True, False])
+def test_anchors_in_another_unit_or_mirrored_are_refused(surveyed, wheeled):
+    poses, rows = eights(), [5, 40, 62, 80]
+    for factor, says in (
+        ([1000, 1000, 1], r"drive monday are \d+ times as far apart as the robot drove between them: give their x"),
+        ([1, 1, 180 / np.pi], "drive monday have theta in degrees"),
+        ([1, -1, -1], "drive monday turn left where its images turn right"),
+    ):
+        x, y, theta = (poses[rows] * factor).T
+        path, name = [f"monday/{row}.png" for row in rows], ["monday"] * len(rows)
+        with pytest.raises(DataError, match=says):
+            surveyed(
+                {"monday": poses},
+                odometry=drifting(poses) if wheeled else False,
+                anchors=FrameTable(path=path, sequence=name, x=x, y=y, theta=theta),
+            )
 
 
 def test_what_cannot_be_surveyed_is_a_sentence(surveyed):
@@ -478,6 +496,12 @@ def test_a_survey_goes_on_frame_by_frame(surveyed, wheeled):
     if wheeled:
         with pytest.raises(DataError, match=r"odometry turned by .* since the last frame: give its heading in rad"):
             live.add(np.full((3, 1, 1), 89, np.uint8), "90.png", odometry=wheels[-1] * [1, 1, 180 / np.pi])
+    for old in (before.frames.path[3], "89.png"):
+        with pytest.raises(DataError, match=r"the drive has the frame .* already"):
+            live.add(np.full((3, 1, 1), 89, np.uint8), old)
+    for panorama in (np.full((3, 1, 1), 0.5), np.zeros((1, 1, 3), np.uint8)):
+        with pytest.raises(DataError, match=r"a panorama is uint8 of shape \(3, H, W\), got"):
+            live.add(panorama, "90.png")
 
 
 def test_a_live_survey_goes_on_with_the_lengths_of_the_floor(surveyed):
