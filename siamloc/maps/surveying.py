@@ -188,7 +188,7 @@ def survey(
         DataError: a drive with fewer than 10 frames, in another order than that of their times, or one that stands
             still; odometry in another unit, in degrees, or of other turns, times or directions than the images; drives
             that have no place in common; anchors that are not among the frames, are given twice, or without a pose,
-            or all of them in another unit, in degrees, or mirrored; candidates that are not pairs of rows.
+            or most of them in another unit, in degrees, or mirrored; candidates that are not pairs of rows.
 
     Example:
         >>> found = siamloc.maps.survey("pretrained", images, monday)  # doctest: +SKIP
