@@ -216,8 +216,8 @@ def test_pairs_that_do_not_count_change_neither_the_loss_nor_its_gradients(netwo
         losses[-1].backward()
         gradients.append([orientation.grad, *(one.grad.clone() for one in network.relative.parameters())])
     torch.testing.assert_close(losses[1], losses[0])
-    for one, other in zip(*gradients, strict=True):
-        torch.testing.assert_close(other, one, rtol=1e-4, atol=1e-5)
+    for one, other in zip(*gradients, strict=True):  # sums in another order are off by a share of their largest terms
+        torch.testing.assert_close(other, one, rtol=0, atol=1e-4 * max(float(one.abs().max()), 1e-2))
 
 
 def seen_in_a_round_room(where: Tensor, theta: Tensor, seed: int, field: float = 2 * math.pi) -> Tensor:
