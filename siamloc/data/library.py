@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -16,8 +17,8 @@ from foundation.settings import Thousand, shortened
 from siamloc.data.cameras import twice_as_wide
 from siamloc.data.decoding import Preprocessing, size_of
 from siamloc.data.frames import FrameTable
-from siamloc.data.panorama import OmnidirectionalCamera
-from siamloc.data.photo_sphere import is_equirectangular
+from siamloc.data.panorama import OmnidirectionalCamera, seen
+from siamloc.data.photo_sphere import is_equirectangular, stated
 from siamloc.data.ring import fitted
 from siamloc.data.store import Store, open_store
 from siamloc.errors import ConfigError, DataError, FormatError, Policy, logger
@@ -165,6 +166,19 @@ class PanoramaLibrary:
             DataError: a frame that the library was not made from.
         """
         return frames.take(self._found(frames) >= 0)
+
+    def seen(self, sequence: str) -> NDArray[np.bool_] | None:
+        """Return which pixels (H, W) of its panoramas the camera of a drive sees, by the drive's first picture.
+
+        Returns:
+            None without a camera, or if the picture's size is unknown or does not fit the camera.
+        """
+        path = str(self.frames.path[self.frames.sequence == sequence][0])
+        camera, size = self.cameras[sequence], size_of(path)
+        if camera is not None and size is not None:
+            with suppress(ConfigError):  # a picture of another shape
+                return seen(stated(camera, path, size), self.preprocessing.view, size)
+        return None
 
     def batch(self, rows: ArrayLike) -> NDArray[np.uint8]:
         """Return panoramas (B, 3, H, W), uint8, RGB, by row numbers (B,) in any order, repeated or not.

@@ -6,21 +6,17 @@ moves through the picture with what stays where it is.
 
 from __future__ import annotations
 
-from contextlib import suppress
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from analytic import Descriptor
-from siamloc.data.decoding import size_of
 from siamloc.data.frames import FrameTable
 from siamloc.data.library import PanoramaLibrary
 from siamloc.data.mounting import CERTAIN, Mounting, MountingEstimate, find_mounting
 from siamloc.data.moves import wrapped
-from siamloc.data.panorama import column_azimuth, seen
-from siamloc.data.photo_sphere import stated
-from siamloc.errors import ConfigError
+from siamloc.data.panorama import column_azimuth
 
 Array = NDArray[Any]
 
@@ -48,7 +44,8 @@ def drive_faults(frames: FrameTable, images: PanoramaLibrary, described_by: Desc
     if len(frames) < _FEWEST:
         return []
     spread = np.unique(np.linspace(0, len(frames) - 1, _LOOKED_AT).astype(int))
-    turn = images.circular and _sees_all_around(images, frames)
+    sees = images.seen(str(frames.sequence[0]))
+    turn = images.circular and (sees is None or bool(sees.any(axis=0).all()))  # what is not seen is filled
     found = picture_faults(images.batch(images.rows(frames.take(spread))), turn)
     if images.circular:
         part = frames.take(slice(0, _IN_A_ROW))
@@ -61,17 +58,6 @@ def drive_faults(frames: FrameTable, images: PanoramaLibrary, described_by: Desc
         if mounting.mirrored is None:
             found.append(direction(seen, wrapped(np.diff(part.theta))))
     return [fault for fault in found if fault is not None]
-
-
-def _sees_all_around(images: PanoramaLibrary, frames: FrameTable) -> bool:
-    """Whether the camera of a drive shows something in all columns; what it does not see is filled."""
-    path, size = frames.path[0], size_of(frames.path[0])
-    camera = images.cameras[str(frames.sequence[0])]
-    if camera is None or size is None:
-        return True
-    with suppress(ConfigError):  # a picture of another shape
-        return bool(seen(stated(camera, path, size), images.preprocessing.view, size).any(axis=0).all())
-    return True
 
 
 def picture_faults(panoramas: NDArray[np.uint8], circular: bool) -> list[str | None]:

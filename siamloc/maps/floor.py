@@ -9,7 +9,6 @@ agreement ([Kitt et al. 2011], who find the scale of monocular odometry by the p
 from __future__ import annotations
 
 from collections.abc import Iterable
-from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import cv2
@@ -17,10 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d
 
-from siamloc.data.decoding import size_of
 from siamloc.data.library import PanoramaLibrary
-from siamloc.data.panorama import PanoramaView, PolarRing, seen
-from siamloc.data.photo_sphere import stated
+from siamloc.data.panorama import PanoramaView, PolarRing
 from siamloc.errors import ConfigError
 from siamloc.maps.loops import Pairs
 from siamloc.maps.pose_graph import Array, Edges
@@ -99,17 +96,11 @@ def shows_floor(images: PanoramaLibrary, height: float | None) -> bool:
 
 def _seen_by_cameras(images: PanoramaLibrary, floor: NDArray[np.bool_]) -> bool:
     """Return whether the cameras of all drives see the rows of the floor; resized panoramas count as seen."""
-    for name, rows in images.frames.rows_by("sequence").items():
-        path = images.frames.path[rows[0]]
-        camera, size = images.cameras[name], size_of(path)
-        if camera is None:
-            continue
-        if isinstance(camera, PolarRing) or size is None:
+    for name in images.frames.rows_by("sequence"):
+        camera = images.cameras[name]
+        sees = None if camera is None or isinstance(camera, PolarRing) else images.seen(name)
+        if camera is not None and (sees is None or sees[floor].mean() < _SHOWN):
             return False
-        with suppress(ConfigError):  # a picture of another shape
-            if seen(stated(camera, path, size), images.preprocessing.view, size)[floor].mean() >= _SHOWN:
-                continue
-        return False
     return True
 
 
