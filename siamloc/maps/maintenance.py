@@ -15,6 +15,7 @@ from foundation.settings import Count, Positive, Share
 from siamloc.data.checks import wrong_headings
 from siamloc.data.frames import FrameTable, concatenate
 from siamloc.errors import ConfigError, DataError, logger
+from siamloc.maps.axes import check_axes
 from siamloc.maps.comparing import comparison_of
 from siamloc.maps.describing import build
 from siamloc.maps.evidence import Judged, enough_of, judged, map_reasons, repeated, usual_distance
@@ -23,8 +24,6 @@ from siamloc.maps.grouping import Built
 from siamloc.maps.history import UPKEEP, History
 from siamloc.maps.matching import match
 from siamloc.maps.reasons import GONE, JOINED, Reason, among
-from siamloc.maps.refinement import refine
-from siamloc.maps.search import Retrieval
 from siamloc.maps.thinning import Budget, thin
 from siamloc.maps.visual_map import VisualMap
 
@@ -32,11 +31,7 @@ if TYPE_CHECKING:
     from siamloc.data.library import PanoramaLibrary
 
 _REPEATS = 0.6  # share of the usual distance up to which two frames that would join show almost the same
-_SOME, _FEW, _MOST = 10, 0.25, 0.6  # frames, and shares of them that agree: with other axes, at most and at least
-_MOTIONS = 300  # that are tried
-_COMPARED, _SURE = 3, 0.5  # map frames that locate each frame, and the share of them that agree where it is located
-_OFF = 0.25  # metres that positions by comparison may be off, as those that comparisons are judged by
-_UNIT = 50.0  # ratio of distances from which on they are in another unit, such as millimetres
+_COMPARED = 3  # map frames that locate each frame
 
 
 @dataclass(frozen=True)
@@ -317,9 +312,7 @@ def _joining(
         row_of[numbers_of(built.layer)] = np.arange(len(known))
         frames = (drive.description.take(slice(row, row + 1)) for row in range(len(drive)))
         located = row_of[[mapper.locate(frame).frame for frame in frames]]
-    there = known.frames.take(located)
-    _check_axes(drive.frames, there.building, there.xy, settings.radius)
-    _check_refined(known, drive, alike)
+    check_axes(known, drive, alike, located, settings.radius)
     known_place = found.away <= settings.radius
     off = np.linalg.norm(known.frames.xy[located] - drive.frames.xy, axis=1)
     contradicts = (off > settings.radius) | (known.frames.building[located] != drive.frames.building)
@@ -338,72 +331,6 @@ def _joining(
         assert usual is not None
         reason[rows[repeated(drive.take(rows), settings.radius, _REPEATS * usual)]] = Reason.REPEATED
     return reason, contradicts
-
-
-def _check_axes(
-    drive: FrameTable, building: NDArray[np.str_], xy: NDArray[np.float64], radius: float, few: float = _FEW
-) -> None:
-    """Refuse a drive whose positions have axes or a unit of their own: one motion brings most to where it is located.
-
-    Args:
-        drive: its frames (n).
-        building: the building in which each is located (n,).
-        xy: where each is located (n, 2).
-        radius: distance within which positions agree.
-        few: share of the frames that agree with other axes, at most.
-    """
-    same = drive.building == building
-    given, found = ((one[:, 0] + 1j * one[:, 1])[same] for one in (drive.xy, xy))
-    agreeing = int((np.abs(found - given) <= radius).sum())
-    if len(given) < _SOME or agreeing > few * len(given):
-        return
-    first, second = np.random.default_rng(0).integers(len(given), size=(2, _MOTIONS))
-    moved = found[second] - found[first]
-    for axes, exchanged in ((given, ""), (given.conj(), ", with x and y exchanged or one of them reversed,")):
-        wanted = axes[second] - axes[first]
-        rigid = (np.abs(wanted) > 4 * radius) & (np.abs(np.abs(moved) - np.abs(wanted)) < radius)
-        some = rigid | ((np.abs(moved) > 4 * radius) & (np.abs(wanted) > _UNIT * np.abs(moved)))
-        turn, start = (moved[some] / wanted[some])[:, None], first[some]
-        turn /= np.where(rigid[some, None], np.abs(turn), 1)
-        at = turn * (axes - axes[start, None]) + found[start, None]
-        near = np.abs(at - found) <= radius
-        moved_away = rigid[some, None] | (np.abs(found - found[start, None]) > radius)  # any unit keeps what stays
-        agree = (near & moved_away).sum(axis=1)
-        if not agree.size or agree.max() < max(_MOST * len(given), 2 * agreeing):
-            continue
-        best = agree.argmax()
-        length = float(np.abs(turn[best, 0]))
-        unit = "" if length > 0.5 else f" and a factor of {length:.2g}, as between units,"
-        if not (exchanged or unit):
-            degrees = abs(np.degrees(np.angle(turn[best, 0])))
-            unit = f" by {np.median(np.abs(at[best] - given)):.2f} {drive.unit} and {degrees:.0f} degrees"
-        raise DataError(
-            f"the drive's positions have other axes than the map's: one motion{exchanged}{unit} brings "
-            f"{near[best].sum()} of {len(given)} frames to where the map locates them. Leave x, y and theta out, so "
-            "that the drive is located in the map, or give them as odom_x, odom_y and odom_theta. If the drive shows a "
-            "place that the map lacks, and that only looks like one of its own, give its frames another name in the "
-            "column building"
-        )
-
-
-def _check_refined(known: VisualMap, drive: VisualMap, found: Retrieval) -> None:
-    """Refuse a drive whose axes differ by little from the map's, where comparisons tell its positions that well.
-
-    Args:
-        known: the map.
-        drive: the drive (n frames).
-        found: the map frames that resemble them most.
-
-    Raises:
-        DataError: half of the positions are off by more than `_OFF`, and one motion puts them right.
-    """
-    compares, described, placed = comparison_of(known), drive.turning(), np.isfinite(known.frames.theta)
-    if compares is None or described.orientation is None or not placed.all() or known.frames.unit != "m":
-        return
-    poses = refine(known, described, found, compares)
-    sure = np.flatnonzero(poses.agreement >= _SURE)
-    building = known.frames.building[poses.frame[sure]]
-    _check_axes(drive.frames.take(sure), building, poses.xy[sure], _OFF, 0.5)
 
 
 def _told(

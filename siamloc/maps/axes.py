@@ -1,0 +1,91 @@
+"""Whether the positions of a drive have the axes and the unit of a map: `check_axes` compares them with the answers."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from siamloc.data.frames import FrameTable
+from siamloc.errors import DataError
+from siamloc.maps.comparing import comparison_of
+from siamloc.maps.refinement import refine
+from siamloc.maps.search import Retrieval
+from siamloc.maps.visual_map import VisualMap
+
+_SOME, _FEW, _MOST = 10, 0.25, 0.6  # frames, and shares of them that agree: with other axes, at most and at least
+_MOTIONS = 300  # that are tried
+_SURE, _HALF = 0.5, 0.5  # shares that agree: of the map frames, where a frame is located; of such frames
+_OFF = 0.25  # metres that positions by comparison may be off, as those that comparisons are judged by
+_UNIT = 50.0  # ratio of distances from which on they are in another unit, such as millimetres
+
+
+def check_axes(known: VisualMap, drive: VisualMap, alike: Retrieval, located: NDArray[np.int64], radius: float) -> None:
+    """Refuse a drive whose positions have axes or a unit of their own.
+
+    Where the map compares images, axes are found that differ by little, too.
+
+    Args:
+        known: a map whose frames all have positions.
+        drive: the drive (n frames), whose frames all have positions.
+        alike: the map frames that resemble them most.
+        located: the map frame at which each is located (n,).
+        radius: distance within which positions agree.
+
+    Raises:
+        DataError: the positions are not where the frames are located, and one motion puts them right.
+    """
+    there = known.frames.take(located)
+    _check_motion(drive.frames, there.building, there.xy, radius, _FEW)
+    compares, described, placed = comparison_of(known), drive.turning(), np.isfinite(known.frames.theta)
+    if compares is None or described.orientation is None or not placed.all() or known.frames.unit != "m":
+        return
+    poses = refine(known, described, alike, compares)
+    sure = np.flatnonzero(poses.agreement >= _SURE)
+    building = known.frames.building[poses.frame[sure]]
+    _check_motion(drive.frames.take(sure), building, poses.xy[sure], _OFF, _HALF)
+
+
+def _check_motion(
+    drive: FrameTable, building: NDArray[np.str_], xy: NDArray[np.float64], radius: float, few: float
+) -> None:
+    """Refuse a drive if one motion brings most of its positions to where it is located, and few are there already.
+
+    Args:
+        drive: its frames (n).
+        building: the building in which each is located (n,).
+        xy: where each is located (n, 2).
+        radius: distance within which positions agree.
+        few: share of the frames that agree with other axes, at most.
+    """
+    same = drive.building == building
+    given, found = ((one[:, 0] + 1j * one[:, 1])[same] for one in (drive.xy, xy))
+    agreeing = int((np.abs(found - given) <= radius).sum())
+    if len(given) < _SOME or agreeing > few * len(given):
+        return
+    first, second = np.random.default_rng(0).integers(len(given), size=(2, _MOTIONS))
+    moved = found[second] - found[first]
+    for axes, exchanged in ((given, ""), (given.conj(), ", with x and y exchanged or one of them reversed,")):
+        wanted = axes[second] - axes[first]
+        rigid = (np.abs(wanted) > 4 * radius) & (np.abs(np.abs(moved) - np.abs(wanted)) < radius)
+        some = rigid | ((np.abs(moved) > 4 * radius) & (np.abs(wanted) > _UNIT * np.abs(moved)))
+        turn, start = (moved[some] / wanted[some])[:, None], first[some]
+        turn /= np.where(rigid[some, None], np.abs(turn), 1)
+        at = turn * (axes - axes[start, None]) + found[start, None]
+        near = np.abs(at - found) <= radius
+        moved_away = rigid[some, None] | (np.abs(found - found[start, None]) > radius)  # any unit keeps what stays
+        agree = (near & moved_away).sum(axis=1)
+        if not agree.size or agree.max() < max(_MOST * len(given), 2 * agreeing):
+            continue
+        best = agree.argmax()
+        length = float(np.abs(turn[best, 0]))
+        unit = "" if length > 0.5 else f" and a factor of {length:.2g}, as between units,"
+        if not (exchanged or unit):
+            degrees = abs(np.degrees(np.angle(turn[best, 0])))
+            unit = f" by {np.median(np.abs(at[best] - given)):.2f} {drive.unit} and {degrees:.0f} degrees"
+        raise DataError(
+            f"the drive's positions have other axes than the map's: one motion{exchanged}{unit} brings "
+            f"{near[best].sum()} of {len(given)} frames to where the map locates them. Leave x, y and theta out, so "
+            "that the drive is located in the map, or give them as odom_x, odom_y and odom_theta. If the drive shows a "
+            "place that the map lacks, and that only looks like one of its own, give its frames another name in the "
+            "column building"
+        )
