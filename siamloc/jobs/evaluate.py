@@ -321,7 +321,7 @@ class Evaluate(RunJob):
         asked = self.protocol.frames("map", self.data.read()).identities()
         if UPKEEP not in known.made:
             return asked == known.frames.identities()
-        left = known.frames.take(~known.joined).identities()  # updates may have forgotten some
+        left = known.frames.take(~known.history.joined).identities()  # updates may have forgotten some
         return set(left) <= set(asked) and len(asked) == known.made[UPKEEP].get("before")
 
     def _layer(self, say: Say, known: VisualMap, label: str) -> tuple[Built, Path]:

@@ -22,6 +22,7 @@ class History(Rows):
         contradicted: (n,) number of drives that passed the frame and did not recognize it, since the last that did.
         change: (n,) how unlike the frame the last drive that passed it looked there: the smallest distance between
             their descriptors, as a multiple of the usual distance between neighbours in the map; NaN if unknown.
+        joined: (n,) whether the frame is of a drive that updated the map; none is if not given.
 
     Raises:
         ValueError: columns of other lengths, or numbers of drives that are not whole numbers from 0.
@@ -30,15 +31,19 @@ class History(Rows):
     confirmed: NDArray[np.int64]
     contradicted: NDArray[np.int64]
     change: NDArray[np.float64]
+    joined: NDArray[np.bool_] = None  # type: ignore[assignment]
 
     def __post_init__(self) -> None:
+        if self.joined is None:
+            object.__setattr__(self, "joined", np.zeros(len(self.confirmed), dtype=bool))
+        kinds = {"change": np.float64, "joined": np.bool_}
         for one in fields(self):
             column = np.array(getattr(self, one.name))
             if column.shape != (len(self.confirmed),):
                 raise ValueError(f"{one.name} has shape {column.shape}, not that of {len(self.confirmed)} frames")
-            if one.name != "change" and (column.dtype.kind not in "iu" or (column < 0).any()):
+            if one.name not in kinds and (column.dtype.kind not in "iu" or (column < 0).any()):
                 raise ValueError(f"{one.name} must be whole numbers from 0")
-            column = column.astype(np.float64 if one.name == "change" else np.int64)
+            column = column.astype(kinds.get(one.name, np.int64))
             column.flags.writeable = False
             object.__setattr__(self, one.name, column)
 

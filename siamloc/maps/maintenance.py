@@ -274,7 +274,9 @@ def updated(
     if mapper is not None:
         rows = rows[np.argsort(node[rows], kind="stable")]  # as the mapper counts them
     after = before if len(kept) == len(before) else before.take(kept)
-    after = after.merge(drive.take(rows)) if len(rows) else after
+    if len(rows):
+        history = replace(History.none(len(rows)), joined=np.ones(len(rows), dtype=bool))
+        after = after.merge(replace(drive.take(rows), history=history))
     after = replace(after, made={**after.made, UPKEEP: upkeep})
     if built is not None and after.digest != known.digest:
         built = followed(built, after, kept, node[rows], mapper)
@@ -351,6 +353,7 @@ def _told(
         old.confirmed + confirmed,
         np.where(confirmed, 0, old.contradicted + (reason == Reason.CONTRADICTED)),
         np.where(found.passed, found.changed / (upkeep["usual"] or np.nan), old.change),
+        old.joined,
     )
     if settings.forget is not None:
         reason[(reason == Reason.CONTRADICTED) & (history.contradicted >= settings.forget)] = Reason.FORGOTTEN

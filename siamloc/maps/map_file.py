@@ -48,7 +48,7 @@ def write_map(path: str | Path, known: Any, precision: Precision) -> None:
         header["orientation"] = list(known.orientation.shape)
         if not shares_values(known.orientation, known.descriptors):
             arrays["orientation"] = known.orientation
-    if known.history.confirmed.any() or known.history.contradicted.any():
+    if any(column.any() for column in (known.history.confirmed, known.history.contradicted, known.history.joined)):
         arrays |= {f"history_{name}": column for name, column in vars(known.history).items()}
     # Columns without any value are left out: `FrameTable` fills them in.
     columns = known.frames.columns().items()

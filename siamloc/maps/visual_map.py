@@ -32,7 +32,7 @@ from siamloc.maps.heading import (
     is_analytic,
     parts_of,
 )
-from siamloc.maps.history import UPKEEP, History
+from siamloc.maps.history import History
 from siamloc.maps.identities import differences, exchangeable
 from siamloc.maps.map_file import read_map, write_map
 from siamloc.maps.packing import Precision, shares_values
@@ -427,11 +427,6 @@ class VisualMap:
             "evaluate with heading=none"
         )
 
-    @property
-    def joined(self) -> NDArray[np.bool_]:
-        """Which frames are of a drive that updated the map (n,)."""
-        return np.isin(self.frames.sequence, np.array(self.made.get(UPKEEP, {}).get("drives", []), dtype=np.str_))
-
     def check_frames(self, frames: FrameTable, *, whole: bool = True) -> FrameTable:
         """Check that a data set still holds the map's frames at the positions and in the rooms stored in the map.
 
@@ -449,7 +444,7 @@ class VisualMap:
         """
         rows = {key: row for row, key in enumerate(frames.identities())}
         row = np.array([rows.get(key, -1) for key in self.frames.identities()])
-        missing = self.frames.path[(row < 0) & ~self.joined]
+        missing = self.frames.path[(row < 0) & ~self.history.joined]
         if whole and len(missing):
             raise ConfigError(
                 f"{len(missing)} of the map's {len(self)} frames are not in the data, the first is {missing[0]}: "

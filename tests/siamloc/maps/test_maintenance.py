@@ -343,6 +343,19 @@ def test_data_that_say_nothing_of_the_frames_that_joined_agree_with_the_map(know
             after.check_frames(table.with_columns(**column), whole=False)
 
 
+@pytest.mark.parametrize("name", ["", "old"])
+def test_frames_that_joined_are_told_from_the_maps_own_by_themselves_and_not_by_a_name(known, drives, tmp_path, name):
+    library, frames = drives[1], drives[2]["changed"].with_columns(sequence=[name] * FRAMES)
+    images = PanoramaLibrary(frames, tmp_path / "cache", image_size=(ROWS, COLUMNS))
+    after = update(known, images, frames, progress=False).known
+    after.save(tmp_path / "map.npz")
+    read = VisualMap.load(tmp_path / "map.npz")
+    held = set(drives[2]["old"].identities())
+    assert read.history.joined.tolist() == [frame not in held for frame in read.frames.identities()]
+    assert 0 < read.history.joined.sum() < len(read)
+    assert read.check_frames(library.frames) == read.frames.take(read.history.joined)
+
+
 def test_the_command_takes_drives_together_and_in_tables_of_their_own(drives, tmp_path, capsys):
     header, *rows = (drives[0] / "manifest.csv").read_text().splitlines()
 
@@ -360,8 +373,8 @@ def test_the_command_takes_drives_together_and_in_tables_of_their_own(drives, tm
     assert f"picture: {saved.with_name('staleness.png')}" in said
     assert said.splitlines()[-1] == f"next: siamloc export run={tmp_path / 'run'} descriptor=hog"
     known = VisualMap.load(saved)
-    assert known.joined.any()
-    assert 0 < (~known.joined).sum() < FRAMES, "of those that it was made of, some were forgotten"
+    assert known.history.joined.any()
+    assert 0 < (~known.history.joined).sum() < FRAMES, "of those that it was made of, some were forgotten"
     asked = ["evaluate", *common, "task=absolute", "protocol.query.sequences=[new]", "task.plots=false"]
     done(*asked, table(*DRIVES), "protocol.map.sequences=[old]", "task.baselines=[]")
     without = [table("old", "new"), "protocol.map.sequences=[old]", f"out={tmp_path / 'out'}"]
