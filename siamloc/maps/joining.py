@@ -14,6 +14,8 @@ from siamloc.maps.visual_map import VisualMap
 
 FREEDOM = 4.0  # degrees of freedom of the t-distribution described by the information
 STRAY = 1.0  # density of answers that are wrong, per square unit of the positions
+_CORRELATION = 0.5  # of the errors of two answers for a query, which share its image and its surroundings
+_LEAST = 0.01  # standard deviation of x and y that no number of answers falls below, in m
 _ROUNDS = 6
 _STILL = 1e-4  # units: a search that moves by less has converged
 _NOTHING = 1e-12  # determinants of information below this count as zero
@@ -27,7 +29,7 @@ class RefinedPoses(Rows):
         xy: (n, 2), in the unit of the positions; the map frame's own position if nothing could be compared.
         theta: (n,) in rad, in (-pi, pi]; NaN if nothing could be compared.
         information: (n, 2, 2) inverse of the scale matrix of x and y in a t-distribution with 4 degrees of freedom;
-            zeros if nothing could be compared. Errors of the answers for a query are correlated: see `widening`.
+            zeros if nothing could be compared. It contains the deviations of the map's frames, where they are known.
         agreement: (n,) share of the answers that agree on the pose, from 0 to 1.
         frame: (n,) the map frame whose answer has the largest weight.
         match: (n,) logarithm of the odds that a map frame was taken near the query, the largest of all compared frames;
@@ -106,7 +108,7 @@ def joined(known: VisualMap, compared: Compared) -> RefinedPoses:
     return RefinedPoses(
         np.where(nothing[:, None], known.frames.xy[rows[:, 0]], robot),
         np.where(nothing, np.nan, heading),
-        (weight[..., None, None] * about).sum(axis=1),
+        _together((weight[..., None, None] * about).sum(axis=1), share, np.nan_to_num(known.frames.deviation[rows])),
         share.mean(axis=1),
         rows[np.arange(n), share.argmax(axis=1)],
         odds.max(axis=1),
@@ -161,6 +163,23 @@ def _most_likely(
     likely = np.log(density + STRAY).sum(axis=2)
     best = np.arange(len(at)), likely.argmax(axis=1)
     return points[best] + middle[:, 0], weight[best], share[best]
+
+
+def _together(
+    information: NDArray[np.float64], share: NDArray[np.float64], deviation: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Return the information of poses (n, 2, 2) whose answers have correlated errors.
+
+    Args:
+        information: sum of that of the answers (n, 2, 2).
+        share: of the answers (n, k), see `_most_likely`.
+        deviation: standard deviations of the positions of their map frames (n, k), which neighbours have in common.
+    """
+    told = (np.linalg.det(information) > _NOTHING)[:, None, None]
+    answers = np.maximum(share.sum(axis=1), 1)
+    spread = np.linalg.inv(np.where(told, information, np.eye(2))) * (1 + _CORRELATION * (answers - 1))[:, None, None]
+    of_map = (share * deviation**2).sum(axis=1) / answers
+    return np.where(told, np.linalg.inv(spread + (_LEAST**2 + of_map)[:, None, None] * np.eye(2)), 0.0)
 
 
 def _limit(share: float) -> float:
