@@ -121,12 +121,14 @@ def refined(building: Building, network: siamloc.models.Network) -> dict[str, An
         nearest = siamloc.maps.match(part, asked, k)
         poses = siamloc.maps.refine(part, asked, nearest, k=k)
         apart = siamloc.maps.refine(part, other, siamloc.maps.match(part, other, k), k=k)
+        unlearned = poses.inside(queries.xy)
         poses = poses.widened(apart.widening(validation.xy))
         followed = siamloc.maps.PoseFilter(_STEP).run(poses, queries.sequence)
         found[str(every)] = by_light(
             queries,
             **errors_of(part, nearest, queries, poses.xy, poses.theta),
             inside=poses.inside(queries.xy),
+            inside_unlearned=unlearned,
             followed=localization_error(followed.xy, queries.xy),
         )
     print(found, flush=True)
