@@ -22,7 +22,7 @@ from siamloc.maps.error_model import ErrorModel
 from siamloc.maps.joining import RefinedPoses
 from siamloc.maps.motion import motions
 from siamloc.maps.pose_filter import PoseFilter
-from siamloc.maps.refinement import Refinement
+from siamloc.maps.refinement import Refinement, check_compares
 from siamloc.maps.sequence_filter import MotionModel, SequenceFilter, temperature_of_map, tune_filter
 from siamloc.maps.visual_map import VisualMap
 from siamloc.results import FURTHER, Columns
@@ -157,6 +157,7 @@ def refinement(settings: Estimates, known: VisualMap) -> Refinement | None:
         None if `settings.refine` is "none".
 
     Raises:
+        ConfigError: `refine` is "relative", and the map's descriptor does not compare.
         DataError: `refine` is "relative", and the map has headings that cannot be right.
     """
     if settings.refine == "none":
@@ -164,6 +165,7 @@ def refinement(settings: Estimates, known: VisualMap) -> Refinement | None:
     if settings.refine == "relative":
         for finding in wrong_headings(known.frames):
             raise DataError(f"task.refine=relative depends on the headings of the map: {finding}")
+        check_compares(known)  # before the queries are described
     return Refinement(settings.refine, settings.neighbours, settings.place_radius, map_digest=known.digest)
 
 
@@ -171,7 +173,7 @@ def prepared(settings: Estimates, search: Search) -> Search:
     """Return a search with the distances and refined poses that the settings of `Estimates` need.
 
     Raises:
-        DataError: as for `refinement`.
+        ConfigError, DataError: as for `refinement`.
     """
     finer = refinement(settings, search.known)
     wanted = max(search.k, 0 if finer is None else finer.neighbours, MATCHES if settings.error_model else 0)

@@ -123,7 +123,7 @@ def test_filter_interpolation_and_expected_errors(world):
         evaluation.localization(own, images, tuesday, validation=sunday, error_model=True)
 
 
-def test_poses_by_comparison_with_map_frames(world, tmp_path):
+def test_poses_by_comparison_with_map_frames(world, tmp_path, monkeypatch):
     images, monday, tuesday, sunday, reads = world
     network = build("panoresnet", "magnitudes", images.image_shape[1:], circular=True, relative=True)
     known = maps.build(network, images, monday, progress=False)
@@ -184,6 +184,7 @@ def test_poses_by_comparison_with_map_frames(world, tmp_path):
     with pytest.raises(DataError, match="tracked by its odometry: odom_theta looks like degrees"):
         evaluation.localization(known, images, degrees, filter=True)
     assert followed.plot("tracked_plan").axes
+    monkeypatch.setattr(PanoramaLibrary, "batches", lambda *_: pytest.fail("images were described"))
     with pytest.raises(ConfigError, match=r"reads does not tell .*task\.refine=interpolate"):
         evaluation.localization(reads, images, tuesday, refine="relative")
 
