@@ -177,7 +177,7 @@ class Adapting:
         )
         print(
             f"check on the drive: frames held out are found {errors[0]:.2f} steps off on average before the training; "
-            f"{result}",
+            f"{result}\ncheckpoint: {run.checkpoint()}",
             file=sys.stderr,
         )
 

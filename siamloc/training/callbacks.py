@@ -150,10 +150,13 @@ class Curves(Checkpoint):
             validated.
         pace: speed of the training, for the printed lines.
         patience: number of epochs without a better figure after which the training stops; never if None.
+        checked: whether a check after the training chooses the weights, which then prints the checkpoint.
     """
 
-    def __init__(self, run: Run, monitor: str | None, pace: Pace, patience: int | None = None) -> None:
-        self._run, self._monitor, self._pace, self._patience = run, monitor, pace, patience
+    def __init__(
+        self, run: Run, monitor: str | None, pace: Pace, patience: int | None = None, *, checked: bool = False
+    ) -> None:
+        self._run, self._monitor, self._pace, self._patience, self._checked = run, monitor, pace, patience, checked
         self._rows: list[dict[str, float]] = []
         self._start = (0.0, 0)
         self._logged_before = files_logged(run)
@@ -204,10 +207,11 @@ class Curves(Checkpoint):
             parts.append(f"{self._pace.images_per_second:.0f} images/s")
             parts.append(f"{self._pace.waiting:.0%} of the time waiting for data")
         checkpoint = self._run.checkpoints / ("last.ckpt" if best is None else "best.ckpt")
+        kept = "" if self._checked else f"checkpoint: {checkpoint}; "
         self._tell(trainer, ", ".join(parts))
         board = any(isinstance(logger, TensorBoardLogger) for logger in trainer.loggers)
         curves = f"tensorboard --logdir {self._run.tensorboard}" if board else str(self._run.metrics)
-        self._tell(trainer, f"checkpoint: {checkpoint}; curves: {curves}")
+        self._tell(trainer, f"{kept}curves: {curves}")
 
     def state_dict(self) -> dict[str, Any]:
         """Return the rows so far, for the checkpoint."""

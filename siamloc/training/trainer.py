@@ -59,7 +59,9 @@ def run_trainer(run: Run, settings: Training, further: Mapping[str, Any] | None,
     loggers = loggers_of(run, options.pop("logger", TRAINER["logger"]))
     pace = Pace()
     guard = FiniteGuard()
-    own_callbacks = [_Seeds(settings.seed), guard, pace, Curves(run, monitor, pace, settings.patience)]
+    checked = getattr(settings.pairs, "by", None) == "steps"
+    curves = Curves(run, monitor, pace, settings.patience, checked=checked)
+    own_callbacks = [_Seeds(settings.seed), guard, pace, curves]
     callbacks = [*listed(options.pop("callbacks", None)), *own_callbacks]
     steps = StepCheckpoints(run.checkpoints / "last.ckpt", settings.checkpoint_every, guard)
     if settings.average is not None:

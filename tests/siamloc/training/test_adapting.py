@@ -91,7 +91,11 @@ def test_it_learns_what_the_order_shows_and_the_run_holds_what_is_kept(adapt, dr
 def test_a_training_that_does_not_help_keeps_the_weights(adapt, capsys):
     network = Cells()
     run = adapt(network, optimizer={**CHANGES["optimizer"], "learning_rate": 1e-6})
-    assert "the weights from before are kept" in capsys.readouterr().err
+    said = capsys.readouterr().err
+    assert "the weights from before are kept" in said
+    assert said.count("checkpoint: ") == 1
+    assert f"checkpoint: {run.checkpoint()}\n" in said
+    assert run.checkpoint().name == "best.ckpt"
     assert (network.weight == 1).all()
     assert (siamloc.models.load(run, network=Cells()).weight == 1).all()
     assert (siamloc.models.load(run, which="last", network=Cells()).weight != 1).any()
