@@ -26,6 +26,10 @@ from siamloc.runs import runs_in
 
 OF_SWEEPS = ("map", "evaluate")
 """Commands that do their work for each run if the folder of a sweep is given."""
+_SHARING = ("prepare", "train", "map", "evaluate", "export")
+"""Commands that experiments set keys for."""
+_OUTPUT = ("out", "bundle", "run")
+"""Keys that name the folder a command writes to, in the order in which they are looked for."""
 # Keep Hydra from changing the folder and from writing files or log lines.
 _HYDRA = (
     "hydra/job_logging=none",
@@ -114,7 +118,8 @@ def completed(kind: type[Job], line: str) -> list[str]:
     from hydra.plugins.completion_plugin import DefaultCompletionPlugin
 
     with _initialized(kind, []):
-        return DefaultCompletionPlugin(GlobalHydra.instance().config_loader())._query(_NAME, line)
+        found = DefaultCompletionPlugin(GlobalHydra.instance().config_loader())._query(_NAME, line)
+    return [word for word in found if not _only_of_others(_key(word), kind)]
 
 
 @contextmanager
@@ -155,7 +160,30 @@ def _made(kind: type[Job], config: DictConfig, words: list[str]) -> Job:
 
 def together(kind: type[Job]) -> list[type[Job]]:
     """Return the jobs that an experiment sets keys for, if this job is one of them; otherwise only this job."""
-    return [job_of(name) for name in ("prepare", "train", "map", "evaluate", "export")] if kind.SHARED else [kind]
+    return [job_of(name) for name in _SHARING] if kind.SHARED else [kind]
+
+
+def _only_of_others(key: str, kind: type[Job]) -> list[str]:
+    """Return the commands that have a key, if this job has none of it but shares experiments with them."""
+    top = re.split("[./]", key)[0]
+    if not kind.SHARED or top in kind.key_names():
+        return []
+    return [name for name in _SHARING if top in job_of(name).key_names()]
+
+
+def _check_own(words: list[str], kind: type[Job]) -> None:
+    """Refuse keys of other commands: experiments set them for all commands, but whoever types one means this command.
+
+    Raises:
+        ConfigError: a key that only other commands have.
+    """
+    for key in (_key(word) for word in words if "=" in word and not word.startswith("-")):
+        if others := _only_of_others(key, kind):
+            command = next(name for name in _SHARING if job_of(name) is kind)
+            folder = next((name for name in _OUTPUT if name in kind.key_names()), None)
+            todo = f"the folder that it writes to is {folder}=FOLDER" if folder and key in _OUTPUT else "leave it out"
+            having = ", ".join(f"siamloc {name}" for name in others)
+            raise ConfigError(f"siamloc {command} has no key {key!r}, which is a key of {having}: {todo}")
 
 
 def _register(kind: type[Job], words: list[str]) -> None:
@@ -289,6 +317,7 @@ def _meant(words: list[str], kind: type[Job]) -> list[str]:
     """Return the words as Hydra is to read them, after checking them."""
     words = list(map(_with_quotes, words))
     _check_words(words)
+    _check_own(words, kind)
     return [_as_meant(word, kind) for word in words]
 
 

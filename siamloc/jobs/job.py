@@ -50,7 +50,7 @@ class Job(Settings):
     Attributes:
         GROUPS: the groups of options, each with the option that is chosen by default.
         MORE: further values, which replace those of options and defaults.
-        SHARED: other jobs whose keys are accepted and ignored, as experiments set keys for all of them.
+        SHARED: whether experiments set keys for this job, and also keys of other jobs, which are ignored.
         ALONE: the key that a word without "=" gives the value of.
         BY_HYDRA: whether Hydra composes the settings; the robot runs without it.
     """

@@ -1,12 +1,15 @@
+import re
 import shutil
 
 import pytest
 
+from siamloc.cli.completion import candidates
 from siamloc.cli.compose import composed
 from siamloc.data import Protocol
 from siamloc.errors import ConfigError
 from siamloc.jobs import Evaluate, MapFrames, Prepare, Pretrain, Preview, Report, SurveyDrives, Train, Walk
 from siamloc.jobs.options import choices, config_folder, groups, option
+from tests.siamloc.cli.commands import refused
 
 CALIBRATION = """\
 image_width: 640
@@ -159,3 +162,37 @@ def test_other_arguments_of_the_trainer_are_added_with_a_plus():
         composed("train", words)
     config = composed("train", [*words[:2], f"+{words[2]}"])
     assert config.trainer.further == {"limit_train_batches": 3}
+
+
+@pytest.mark.parametrize(
+    ("command", "word", "says"),
+    [
+        (
+            "export",
+            "out=x",
+            "no key 'out', which is a key of siamloc evaluate: the folder that it writes to is bundle=",
+        ),
+        ("map", "out=x", "no key 'out', which is a key of siamloc evaluate: the folder that it writes to is run="),
+        ("evaluate", "precision=int8", "has no key 'precision', which is a key of siamloc export: leave it out"),
+        ("map", "+loss.margin=1", "has no key 'loss.margin', which is a key of siamloc train: leave it out"),
+        ("prepare", "model/branch=vgg16", "no key 'model/branch', which is a key of siamloc train, siamloc map, "),
+    ],
+)
+def test_keys_that_only_another_command_has_are_refused(command, word, says, capsys):
+    words = ["data=freiburg_sim", word]
+    with pytest.raises(ConfigError, match=re.escape(says)):
+        composed(command, words)
+    assert says in refused(capsys, command, "-m", *words, "data.name=a,b")
+
+
+@pytest.mark.parametrize("command", ["prepare", "train", "map", "evaluate", "export"])
+def test_an_experiment_may_set_keys_of_other_commands(command):
+    words = [] if command in ("prepare", "train") else ["descriptor=hog"]
+    composed(command, ["experiment=corridor_published", "data.manifest=x", *words])
+
+
+def test_the_tab_key_offers_the_keys_of_the_command():
+    assert candidates("siamloc export o") == []
+    assert candidates("siamloc evaluate o") == ["out=", "overwrite="]
+    assert candidates("siamloc map exp") == ["experiment="]
+    assert candidates("siamloc map mo") == ["model.", "model/", "mounting."]
