@@ -321,6 +321,8 @@ class HyperbolicMirror(Settings):
         focal_parameter: p in metres (semi-latus rectum).
         forward: direction of the robot's front in the image, in degrees clockwise from the image's upper edge.
         mirrored: False for images that were flipped left to right after they were taken.
+        presumed: whether the eccentricity is presumed, as by `siamloc.data.ring.likely_mirror`: a height of the camera
+            above the floor then says nothing about lengths.
 
     Raises:
         ConfigError: an eccentricity that is not above 1, a focal parameter or focal length that is not positive, or a
@@ -337,6 +339,7 @@ class HyperbolicMirror(Settings):
     focal_parameter: Positive = 0.03
     forward: float = 0.0
     mirrored: bool = True
+    presumed: bool = False
 
     @property
     def camera_depth(self) -> float:

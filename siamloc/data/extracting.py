@@ -108,8 +108,9 @@ class Contents:
         if self.frames:
             lines.append(f"  frames: {', '.join(self.frames)}")
         for base, height in self.height.items():
-            usable = "" if base == "base_footprint" else f", if {base} is on the floor"
-            lines.append(f"  the camera is {height:.2f} m above {base}: survey.height={height:.2f}{usable}")
+            floor = "" if base == "base_footprint" else f"{base} is on the floor, and "
+            usable = f"if {floor}the camera is not a ring of two radii"
+            lines.append(f"  the camera is {height:.2f} m above {base}: survey.height={height:.2f}, {usable}")
         lacking = [what for what in SOURCES if what not in self.proposal]
         said = [f"{what}={source}" for what, source in self.proposal.items()] + [f"no {what}" for what in lacking]
         return "\n".join([*lines, f"proposed: {', '.join(said)}"])

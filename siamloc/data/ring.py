@@ -253,7 +253,8 @@ def likely_mirror(ring: PolarRing) -> HyperbolicMirror | PolarRing:
     xi = float(np.clip(sines / (np.cos(bottom) - share * np.cos(top)), *_XI))  # radius ~ cos(up) / (xi - sin(up))
     eccentricity = (1 + np.sqrt(1 - xi**2)) / xi
     focal = ring.outer * (xi - np.sin(top)) / np.cos(top) / np.sqrt(1 - xi**2)
-    return HyperbolicMirror(focal, focal, *ring.centre, eccentricity, forward=ring.forward, mirrored=ring.mirrored)
+    found = HyperbolicMirror(focal, focal, *ring.centre, eccentricity, presumed=True)
+    return replace(found, forward=ring.forward, mirrored=ring.mirrored)
 
 
 def draw_ring(picture: Array, ring: PolarRing, view: PanoramaView | None = None) -> Array:

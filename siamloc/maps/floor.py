@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d
 
+from siamloc.data.cameras import HyperbolicMirror
 from siamloc.data.library import PanoramaLibrary
 from siamloc.data.panorama import PanoramaView, PolarRing
 from siamloc.errors import ConfigError
@@ -77,21 +78,27 @@ class FloorScale:
 
 
 def shows_floor(images: PanoramaLibrary, height: float | None) -> bool:
-    """Return whether panoramas show enough of the floor, at known elevations.
+    """Return whether panoramas show enough of the floor, at elevations that are known or presumed.
 
     Raises:
-        ConfigError: a height of the camera is given, and they do not.
+        ConfigError: a height of the camera is given, and they do not, or at presumed elevations.
     """
     view = images.preprocessing.view
     own = np.tan(view.row_elevation()) < _BELOW
     shown = min(_rows(view)[1].sum(), own.sum()) >= _FEWEST and _seen_by_cameras(images, own)
-    if height is not None and not shown:
+    if height is not None and not (shown and elevations_known(images)):
         raise ConfigError(
             "survey.height needs panoramas that show the floor at known elevations: a ring of two radii does not say "
             "what it sees, so give the camera's calibration (unwrap=calibrated), and let it and the panoramas see "
             "the floor two heights of the camera away and nearer (elevations down to -30 degrees)"
         )
     return shown
+
+
+def elevations_known(images: PanoramaLibrary) -> bool:
+    """Return whether no camera is a mirror that is presumed in a ring, so that a height of the camera gives metres."""
+    cameras = images.cameras.values()
+    return not any(isinstance(camera, HyperbolicMirror) and camera.presumed for camera in cameras)
 
 
 def _seen_by_cameras(images: PanoramaLibrary, floor: NDArray[np.bool_]) -> bool:

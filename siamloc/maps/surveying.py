@@ -23,7 +23,7 @@ from siamloc.data.panorama import PanoramaView
 from siamloc.errors import ConfigError, DataError
 from siamloc.maps.comparing import ODDS, Compares, scaled
 from siamloc.maps.describing import build, descriptor_from
-from siamloc.maps.floor import DEVIATION, FloorScale, floor_scale, shows_floor
+from siamloc.maps.floor import DEVIATION, FloorScale, elevations_known, floor_scale, shows_floor
 from siamloc.maps.loops import Loops, checked_pairs, far_apart, judged, most_alike
 from siamloc.maps.pose_graph import SCALE, Array, Edges, PoseGraph, Solution, covariances, of_shape
 from siamloc.maps.survey_solving import solution_notes, solved
@@ -217,7 +217,7 @@ def survey(
         place[order] = np.arange(len(order))
         pairs = place[pairs]
     straight = (known.mounting.straight(batch) for batch in images.batches(frames))
-    panoramas = (straight, images.preprocessing.view) if looks_down else None
+    panoramas = (straight, images.preprocessing.view, elevations_known(images)) if looks_down else None
     return of_descriptions(frames, known, wheels, described.compare, anchors, pairs, settings, progress, panoramas)
 
 
@@ -230,7 +230,7 @@ def of_descriptions(
     pairs: NDArray[np.int64] | None,
     settings: SurveySettings,
     progress: bool,
-    panoramas: tuple[Iterable[NDArray[np.uint8]], PanoramaView] | None = None,
+    panoramas: tuple[Iterable[NDArray[np.uint8]], PanoramaView, bool] | None = None,
 ) -> Survey:
     """Survey frames (n), drive by drive, by their descriptions; see `survey`.
 
@@ -243,7 +243,8 @@ def of_descriptions(
         pairs: (p, 2) candidates for loops, -1 for a frame that is left out; those that look alike if None.
         settings: how loops are searched, and the height of the camera.
         progress: whether to show the progress.
-        panoramas: those of the frames, in batches, and their view, if they show the floor.
+        panoramas: those of the frames, in batches, their view, and whether its elevations are known, if they show the
+            floor.
     """
     names = list(frames.rows_by("sequence"))
     drive = np.array([names.index(name) for name in frames.sequence.tolist()], dtype=np.int64)
@@ -341,6 +342,7 @@ def concluded(
 def _told_by_floor(
     batches: Iterable[NDArray[np.uint8]],
     view: PanoramaView,
+    known: bool,
     steps: Edges,
     seen: Array,
     height: float | None,
@@ -354,7 +356,7 @@ def _told_by_floor(
             "the height of the camera is not used: the floor shows too little, frames are too far apart, or the height "
             "in metres is another one"
         )
-    elif told is not None and height is None and (anchors is None or len(anchors) < 2):
+    elif told is not None and known and height is None and (anchors is None or len(anchors) < 2):
         notes.append(
             f"the scale is right if the camera is {told[0].height:.2f} m above the floor: if not, give its height "
             "(survey.height)"

@@ -196,6 +196,7 @@ def test_the_camera_of_a_ring_is_found_with_what_is_known_of_it(columns, tmp_pat
     pictures, centres = drive(size=(220, columns))
     camera = find_camera(written(tmp_path, pictures), AutoRing(forward=90, mirrored=False))
     assert (camera.forward, camera.mirrored) == (90, False)
+    assert camera.presumed
     assert np.hypot(camera.cx - centres[0][0], camera.cy - centres[0][1]) < 0.3
     ahead = camera.project([np.cos(np.pi / 6), 0, np.sin(np.pi / 6)])
     assert abs(np.hypot(*(ahead - [camera.cx, camera.cy])) - OUTER) < 0.5  # the rim is at 30 degrees

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import cv2
 import numpy as np
 import pytest
 
@@ -16,10 +17,12 @@ from siamloc.data import (
     PolarRing,
 )
 from siamloc.data.moves import relative
+from siamloc.data.ring import likely_mirror
 from siamloc.errors import ConfigError
 from siamloc.maps import SurveySettings, survey
 from siamloc.maps.floor import floor_scale, shows_floor
 from siamloc.maps.pose_graph import Edges
+from siamloc.maps.surveying import _told_by_floor
 
 VIEW = PanoramaView(height=64, width=256)
 HEIGHT = 0.7
@@ -157,6 +160,13 @@ def test_lengthened_displacements_are_as_certain_in_proportion(drive):
     assert odds is steps.first
 
 
+def grey_frames(folder) -> FrameTable:
+    """Write 12 grey pictures of 32 x 32 px, and return their frames."""
+    for number in range(12):
+        cv2.imwrite(str(folder / f"{number}.png"), np.full((32, 32, 3), number, np.uint8))
+    return FrameTable(path=[str(folder / f"{number}.png") for number in range(12)])
+
+
 @pytest.mark.parametrize(
     "options",
     [
@@ -167,14 +177,31 @@ def test_lengthened_displacements_are_as_certain_in_proportion(drive):
     ],
 )
 def test_a_height_needs_a_floor_at_known_elevations(tmp_path, options):
-    import cv2
-
-    for number in range(12):
-        cv2.imwrite(str(tmp_path / f"{number}.png"), np.full((32, 32, 3), number, np.uint8))
-    frames = FrameTable(path=[str(tmp_path / f"{number}.png") for number in range(12)])
+    frames = grey_frames(tmp_path)
     images = PanoramaLibrary(frames, tmp_path / "cache", image_size=(64, 256), **options)
     with pytest.raises(ConfigError, match=r"survey\.height needs panoramas that show the floor at known elevations"):
         survey("pretrained", images, frames, settings=SurveySettings(height=1.0), progress=False)
     assert not shows_floor(images, None)
     for good in ({"elevations": (30, -30)}, {"unwrap": FisheyeCamera(fov=200, elevation=-90)}):
         assert shows_floor(PanoramaLibrary(frames, tmp_path / "cache", image_size=(64, 256), **good), 1.0)
+
+
+def test_no_height_gives_metres_below_a_mirror_that_is_presumed_in_a_ring(tmp_path):
+    frames, mirror = grey_frames(tmp_path), likely_mirror(PolarRing(centre=(15.5, 15.5), inner=4, outer=15))
+    presumed, known = (
+        PanoramaLibrary(frames, tmp_path / "cache", image_size=(64, 256), unwrap=camera)
+        for camera in (mirror, replace(mirror, presumed=False))
+    )
+    assert shows_floor(known, 1.0)
+    assert shows_floor(presumed, None)
+    with pytest.raises(ConfigError, match=r"survey\.height needs .* a ring of two radii does not say what it sees"):
+        shows_floor(presumed, 1.0)
+
+
+@pytest.mark.parametrize("known", [True, False])
+def test_a_height_is_asked_for_only_where_it_gives_metres(drive, known):
+    _, panoramas, steps = drive
+    notes: list[str] = []
+    floor, _ = _told_by_floor([panoramas], VIEW, known, steps, np.full((39, 3), 0.27), None, notes, None)
+    assert [note.partition(" is right if the camera is ")[0] for note in notes] == ["the scale"] * known
+    assert floor.height == pytest.approx(HEIGHT, rel=0.06)
