@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -47,7 +47,9 @@ class Extraction(Settings):
         times: list of the times of a folder of pictures; see `siamloc.data.recorded.read_recorded`.
         form: form of the files with trajectories; found out if None. See `siamloc.data.trajectory.read_trajectory`.
         order: order of their quaternions, if it is another than that of the form.
-        axes: whose poses they are; see `siamloc.data.trajectory.Trajectory.flat`.
+        axes: whose poses and odometry they are; see `siamloc.data.trajectory.Trajectory.flat`. With "camera", one of
+            the two may be a robot's: poses or odometry that stay upright only as a robot's are, and odometry next to
+            poses has those axes with which it stays upright best.
         clock: "stamp" for the times that the messages carry, "bag" for those at which they were recorded.
         offset: seconds to add to the times of the images for those of the poses. The time in a video begins with 0.
         gap: longest time between two poses, in s, over which poses are interpolated.
@@ -229,6 +231,7 @@ def extract(file: str | Path, out: str | Path, *, settings: Extraction = OF_FIEL
     sources = {what: getattr(settings, what) or found.proposal.get(what, "none") for what in SOURCES}
     if sources["images"] == "none":
         raise DataError(f"{path} holds no images; its topics: {', '.join(found.topics) or 'none'}")
+    settings = replace(settings, poses=sources["poses"])
     with _opened(path, settings.times) as recording:
         given = {what: _trajectory(recording, what, sources[what], settings) for what in SOURCES[1:]}
         about = _identity(path, sources["images"])
@@ -366,8 +369,9 @@ def _trajectory(recording: Bag | Film | Pictures, what: str, source: str, settin
         raise ConfigError(
             f"recording.{what}={source} is no topic of {recording.path}, no frame such as map:base_link, and no file"
         )
-    found.flat(_axes(what, settings))
-    for doubt in doubts(found, _axes(what, settings)):
+    axes = _axes(found, what, settings)
+    found.flat(axes)
+    for doubt in doubts(found, axes):
         logger.warning("%s", doubt)
     if isinstance(recording, Pictures):
         check_taken(recording.taken)
@@ -379,12 +383,16 @@ def _joined(
 ) -> Array:
     """Return the poses in the plane, roll and pitch (n, 5) at the times of the images (n,)."""
     try:
-        return joined(times + settings.offset, trajectory, settings.gap, _axes(what, settings))
+        return joined(times + settings.offset, trajectory, settings.gap, _axes(trajectory, what, settings))
     except DataError as error:
         if settings.clock == "bag" or not isinstance(recording, Bag):
             raise
         raise DataError(f"{error}; if the camera has a clock of its own, clock=bag takes the recorder's") from error
 
 
-def _axes(what: str, settings: Extraction) -> Axes:
-    return settings.axes if what == "poses" else "robot"
+def _axes(trajectory: Trajectory, what: str, settings: Extraction) -> Axes:
+    """Return the given axes, or those of a robot if a camera's are given for the other source; see `Extraction`."""
+    if settings.axes == "camera" and what == "odometry" and settings.poses != "none":
+        return "camera" if trajectory.upright("camera") > trajectory.upright("robot") else "robot"
+    only_a_robot = trajectory.stays_upright("robot") and not trajectory.stays_upright("camera")
+    return "robot" if only_a_robot else settings.axes

@@ -165,6 +165,14 @@ class Trajectory:
             tilt[:] = np.nan
         return np.column_stack([self.flat(axes, whole), tilt])
 
+    def upright(self, axes: Axes) -> float:
+        """Return how well the frame's direction upwards keeps to one axis of the world, from 0 to 1; see `flat`."""
+        return float(np.abs(turned(self.quaternion, AXES[axes][1]).mean(axis=0)).max())
+
+    def stays_upright(self, axes: Axes) -> bool:
+        """Return whether `flat` takes the poses for those of a frame with such axes."""
+        return self.upright(axes) >= _TILTED
+
     def inverse(self) -> Trajectory:
         """Return the poses of the world's frame as seen from this one."""
         back = self.quaternion * np.array([-1, -1, -1, 1])
@@ -173,7 +181,7 @@ class Trajectory:
     def _upwards(self, axes: Axes) -> Array:
         """Return the axis of the world (3,), or its opposite, to which the frame's own direction upwards points."""
         mean = turned(self.quaternion, AXES[axes][1]).mean(axis=0)
-        if not np.abs(mean).max() >= _TILTED:
+        if not self.stays_upright(axes):
             raise DataError(f"{self.source}: {self._why_tilted(axes)}")
         return np.asarray(np.where(np.abs(mean) == np.abs(mean).max(), np.sign(mean), 0.0))
 

@@ -531,6 +531,30 @@ def test_a_folder_of_pictures_is_a_recording(tmp_path):
         np.testing.assert_array_equal(cv2.imread(path), picture)
 
 
+@pytest.mark.parametrize("odometry", ["robot", "camera"])
+@pytest.mark.parametrize("poses", [None, "robot", "camera"])
+def test_odometry_may_be_that_of_a_camera(tmp_path, poses, odometry):
+    """On a circle of 2 m to the left; as a camera writes it, z ahead and y down, in a world of such axes, too."""
+    pictures = written(tmp_path / "monday", [f"{100 + number}.0.png" for number in range(5)])
+    turned = 0.3 * np.arange(5)
+    x, y = 2 * np.sin(turned), 2 * (1 - np.cos(turned))
+    rows = {
+        "robot": [f"{100 + n} {x[n]} {y[n]} 0 0 0 {np.sin(a / 2)} {np.cos(a / 2)}" for n, a in enumerate(turned)],
+        "camera": [f"{100 + n} {-y[n]} 0 {x[n]} 0 {-np.sin(a / 2)} 0 {np.cos(a / 2)}" for n, a in enumerate(turned)],
+    }
+    for name, lines in rows.items():
+        (tmp_path / name).write_text("\n".join(lines))
+    given = {"odometry": str(tmp_path / odometry), "poses": str(tmp_path / poses) if poses else "none"}
+    frames = siamloc.data.extract(pictures, tmp_path / "out", **given, axes="camera")
+    for found in [frames.odometry, *([np.column_stack([frames.xy, frames.theta])] if poses else [])]:
+        start = np.tile(found[0], (5, 1))
+        moved = siamloc.data.moves.composed(siamloc.data.moves.inverse(start), found)
+        np.testing.assert_allclose(moved, np.column_stack([x, y, turned]), atol=1e-4)
+    if "camera" in (poses, odometry):
+        with pytest.raises(DataError, match="those of a camera, not of a robot: give axes=camera"):
+            siamloc.data.extract(pictures, tmp_path / "out", **given)
+
+
 def test_pictures_without_times_in_their_names_are_taken_a_second_apart(tmp_path):
     pictures = written(tmp_path / "monday", [f"picture_{number}.png" for number in (1, 2, 10)])
     frames = siamloc.data.extract(pictures, tmp_path / "out")
