@@ -186,11 +186,22 @@ class Bag:
                 f"{', '.join(self._named(types)) or 'none'}"
             )
         with self._whole():
-            connections = [one for one in self._reader.connections if one.topic == topic]
+            connections, unstamped = [one for one in self._reader.connections if one.topic == topic], 0
             for connection, received, raw in self._reader.messages(connections):
                 message = self._reader.deserialize(raw, connection.msgtype)
-                stamp = _stamp(message) if clock == "stamp" and hasattr(message, "header") else 0
+                stamped = clock == "stamp" and hasattr(message, "header")
+                stamp = _stamp(message) if stamped else 0
+                unstamped += stamped and not stamp
                 yield stamp or received, message
+        self._warn_of_unstamped(topic, unstamped, "messages")
+
+    def _warn_of_unstamped(self, topic: str, count: int, what: str) -> None:
+        if count:
+            logger.warning(
+                "%s: %d of the %s of %s have no time in their header and get that at which they were recorded, which may be "
+                "another clock than that of other topics: clock=bag takes the recorder's for all",
+                *(self.path, count, what, topic),
+            )
 
     @cached_property
     def _first_transforms(self) -> dict[Edge, list[Any]]:
@@ -200,13 +211,18 @@ class Bag:
         """Return the times and poses of each frame in its parent, of the first messages of each topic of frames."""
         rows: dict[Edge, list[Any]] = {}
         for topic in self._named(TRANSFORMS):
+            static, unstamped = topic.endswith("tf_static"), 0
             for received, message in islice(self._messages(topic, TRANSFORMS, clock), most):
                 for one in message.transforms:
-                    row = ((_stamp(one) if clock == "stamp" else 0) or received, *_pose(one))
-                    if topic.endswith("tf_static"):  # the last one holds for all times, however often it is repeated
+                    stamp = _stamp(one) if clock == "stamp" else 0
+                    unstamped += clock == "stamp" and not stamp
+                    row = (stamp or received, *_pose(one))
+                    if static:  # the last one holds for all times, however often it is repeated
                         rows[_edge(one)] = [row]
                     else:
                         rows.setdefault(_edge(one), []).append(row)
+            if not static and most is None:
+                self._warn_of_unstamped(topic, unstamped, "frames")
         return rows
 
     def _between(self, rows: Mapping[Edge, list[Any]], parent: str, child: str) -> Trajectory:

@@ -477,6 +477,31 @@ def test_a_camera_that_stamps_nothing_anew_is_warned_of(tmp_path, caplog):
     assert len(siamloc.data.extract(bag.path, tmp_path / "all", clock="bag")) == 4
 
 
+def test_messages_without_a_stamp_are_warned_of(tmp_path, caplog):
+    bag = Written(tmp_path / "bag", "sqlite3")
+    with bag.writer:
+        for number in range(4):
+            time = START + number * 10**9
+            bag.image("/image", time, PICTURES[0], header=bag.header(0 if number == 2 else time))
+            pose = bag.pose(number, 0, 0)
+            bag.write("/pose", "geometry_msgs/msg/PoseStamped", time, header=bag.header(0), pose=pose)
+            bag.transform("/tf", 0, "map", "base_link", number, 0, 0, received=time)
+            bag.transform("/tf_static", 0, "base_link", "camera", 0, 0, 0, received=time)  # as many robots send it
+    said = r": {} of {} have no time in their header and get that at which they were recorded.*clock=bag takes"
+    for poses, of_poses in (
+        ("/pose", said.format("4 of the messages", "/pose")),
+        ("map:camera", said.format("4 of the frames", "/tf")),
+    ):
+        caplog.clear()
+        frames = siamloc.data.extract(bag.path, tmp_path / "out", poses=poses)
+        np.testing.assert_allclose(frames.x, np.arange(4))
+        assert [bool(re.search(of_poses, text)) for text in caplog.messages] == [True, False]
+        assert re.search(said.format("1 of the messages", "/image"), caplog.messages[1])
+    caplog.clear()
+    siamloc.data.extract(bag.path, tmp_path / "out", clock="bag")
+    assert not caplog.messages
+
+
 def test_a_strict_extraction_stops_at_the_first_image_that_is_left_out(tmp_path):
     strict = {"on_error": "raise"}
     names = [f"{time}.png" for time in (100.0, 100.5, 101.0, 104.0)]
