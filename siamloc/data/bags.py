@@ -198,8 +198,8 @@ class Bag:
     def _warn_of_unstamped(self, topic: str, count: int, what: str) -> None:
         if count:
             logger.warning(
-                "%s: %d of the %s of %s have no time in their header and get that at which they were recorded, which may be "
-                "another clock than that of other topics: clock=bag takes the recorder's for all",
+                "%s: %d of the %s of %s have no time in their header and get that at which they were recorded, which "
+                "may be another clock than that of other topics: clock=bag takes the recorder's for all",
                 *(self.path, count, what, topic),
             )
 

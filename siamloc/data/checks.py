@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from analytic import Descriptor
 from foundation.calls import typed
 from foundation.files import file_hash
-from siamloc.data.decoding import UnreadableImageError, read_image
+from siamloc.data.decoding import UnreadableImageError, read_image, size_of
 from siamloc.data.frames import FrameTable
 from siamloc.data.library import PanoramaLibrary
 from siamloc.data.pairs import diameter
@@ -25,6 +25,7 @@ from siamloc.data.picture_checks import drive_faults
 _SHORTEST, _LONGEST = 1e-3, 20.0  # m, usual steps between two images of a robot indoors
 _PROBED = 32  # images of a data set that are opened for their size
 _FITS, _FAILS = 0.9, 0.7  # how well headings follow the direction of travel, from 0 (not at all) to 1
+_PANORAMIC = 1.8  # times as wide as high: the least of whole pictures of a 360-degree camera
 _TURN = 2 * np.pi
 
 
@@ -55,7 +56,8 @@ def check(
         'theta looks like degrees: 7 of 8 headings lie beyond one turn, up to 315. Give radians (multiply by pi / 180).'
     """
     found = [*wrong_headings(frames), *wrong_odometry(frames), *_missing(frames), *_drives(frames)]
-    pictures = [] if images is None else wrong_pictures(frames, images, described_by)
+    judged = images is not None and not _are_rings(frames, images)
+    pictures = wrong_pictures(frames, images, described_by) if images is not None and judged else []
     return [*found, *wrong_sizes(frames, images), *_copies(frames), *pictures]
 
 
@@ -277,6 +279,15 @@ def wrong_sizes(frames: FrameTable, images: PanoramaLibrary | None) -> Iterator[
             "fisheye lens their camera, such as unwrap=polar, others an image_size of their own shape"
             + (", and circular=false if they do not show the full turn." if images.circular else ".")
         )
+
+
+def _are_rings(frames: FrameTable, images: PanoramaLibrary) -> bool:
+    """Return whether images that are only resized are a mirror's or a lens's, by their shape; see `wrong_sizes`."""
+    size = next((size for path in frames.path.tolist() if (size := size_of(path)) is not None), None)
+    if size is None or not images.circular or any(camera is not None for camera in images.cameras.values()):
+        return False
+    shape = size[1] / size[0]
+    return shape <= _PANORAMIC and images.image_size[1] / images.image_size[0] > 1.5 * shape
 
 
 def _unseen(camera: OmnidirectionalCamera, view: PanoramaView, size: tuple[int, int]) -> Iterator[str]:

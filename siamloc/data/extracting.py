@@ -15,7 +15,7 @@ from foundation.calls import OF_FIELDS, takes, typed
 from foundation.files import read_json, write_bytes, write_json, write_picture, write_text
 from foundation.settings import Count, Positive, Settings, Text
 from siamloc.data.bags import KINDS, Bag, Clock, Damaged, proposed
-from siamloc.data.frames import ODOMETRY, TILT, VIDEOS, FrameTable, advice
+from siamloc.data.frames import BAGS, ODOMETRY, TILT, VIDEOS, FrameTable, advice
 from siamloc.data.manifest import manifest_of
 from siamloc.data.names import lighting_in
 from siamloc.data.reading import read
@@ -30,7 +30,6 @@ MANIFEST = "frames.csv"
 """The manifest in the folder of an extracted recording."""
 CALIBRATION = "camera_info.json"
 """The calibrations of the cameras in a bag, by topic."""
-BAGS = (".bag", ".db3", ".mcap")
 _KEPT = "recording.json"
 _QUALITY = 95  # of the JPEG files of images that were not compressed
 

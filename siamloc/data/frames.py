@@ -23,10 +23,11 @@ _ADVICE = {  # on formats that are not read
     (".dng", ".raw", ".arw", ".cr2", ".nef"): "export them as JPEG",
     (".insv", ".360"): "export a whole 360-degree video (.mp4, unwrap=equirectangular) with the camera's program; an "
     ".insv that is renamed to .mp4 is the video of one lens or of two (unwrap=dual_fisheye)",
-    (".bag", ".db3", ".mcap"): "give the file of the bag itself",
     (".insp",): "export whole 360-degree pictures (.jpg) with the camera's program; an .insp that is renamed to .jpg "
     "shows the two lenses (unwrap=dual_fisheye)",
 }
+BAGS = (".bag", ".db3", ".mcap")
+"""Endings of the files of ROS bags."""
 VIDEOS = (".mp4", ".avi", ".mkv", ".mov", ".webm", ".mjpeg", ".mpg")
 """Endings of the videos that are read."""
 _TEXT = ("path", "room", "sequence", "lighting", "building")

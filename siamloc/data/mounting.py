@@ -21,7 +21,7 @@ from foundation.settings import Settings
 from siamloc.data.drive_pairs import ahead, near_pairs, successive_pairs, travel
 from siamloc.data.frames import FrameTable
 from siamloc.data.library import PanoramaLibrary
-from siamloc.data.moves import relative, wrapped
+from siamloc.data.moves import inverse, relative, wrapped
 from siamloc.data.panorama import PanoramaView, PolarRing
 from siamloc.errors import ConfigError
 
@@ -45,6 +45,10 @@ _SURE = 3  # deviations from which on the camera's offset counts
 _RIMS = (25.0, -50.0)  # elevations in degrees taken for the outer and inner rim of a mirror, where nobody knows them
 _HARDLY_TURNS = "the drive hardly turns: whether panoramas are mirrored, and the camera's offset, are unknown"
 _UNPOSED = "whether panoramas are mirrored, and the camera's offset, are unknown without poses"
+_EXCHANGED = (
+    "the camera moves in the images as if the poses were those of the map as seen from the robot: exchange the two "
+    "frames, such as map:base_link for base_link:map, or invert the poses"
+)
 _ROUNDS = 5
 _WORST = 0.02  # by which a comparison may be off however certain it says it is, in the unit of x and y
 
@@ -212,8 +216,15 @@ def find_mounting(described_by: Descriptor, images: PanoramaLibrary, frames: Fra
     batches = (usual_rows(batch, view) if rings else batch for batch in images.batches(used))
     found = [described_by.describe(resized(batch, size)).orientation for batch in batches]
     parts = np.concatenate(found) if len(used) else np.zeros((0, 1, 1))  # type: ignore[arg-type]
+    compares: Callable[..., tuple[Array, Array, Array]] = described_by.compare  # type: ignore[attr-defined]
     first, second = (np.searchsorted(rows, one) for one in pairs)
-    return estimate(used, parts, described_by.compare, posed, (first, second))  # type: ignore[attr-defined]
+    straight = estimate(used, parts, compares, posed, (first, second))
+    if posed and straight.pairs and np.isnan(straight.yaw):
+        x, y, theta = inverse(np.column_stack([used.xy, used.theta])).T
+        exchanged = estimate(used.with_columns(x=x, y=y, theta=theta), parts, compares, posed, (first, second))
+        if np.isfinite(exchanged.yaw) and exchanged.mirrored is not None:
+            return MountingEstimate(mirrored=exchanged.mirrored, pairs=exchanged.pairs, reasons=(_EXCHANGED,))
+    return straight
 
 
 def estimate(

@@ -30,6 +30,7 @@ _STILL, _OWN = 0.12, 0.02  # change over time of the robot's own picture, in usu
 _LEVEL = 2.0  # degrees
 _TURNS, _STRAY = np.radians(5), np.radians(10)  # what counts as a turn, and what as a wrong measurement
 _FEWEST = 10  # frames, and turns
+_MIRRORED_POSES = "the poses are (y and headings with the wrong sign, as with z down)"
 _LOOKED_AT, _IN_A_ROW = 64, 300  # frames, and those in which turns are measured
 
 
@@ -73,7 +74,11 @@ def mounted(found: MountingEstimate, unit: str = "m") -> str | None:
     straight = found.mounting == Mounting()
     if straight and (found.yaw_deviation <= CERTAIN or not found.pairs):
         return None
-    remedy = "" if straight else "; a map of this drive, by a network that compares images, makes up for it"
+    remedy = "; a map of this drive, by a network that compares images, makes up for it"
+    if straight or np.isnan(found.yaw):
+        remedy = ""
+    elif found.mirrored:
+        remedy += f"; if they are not, {_MIRRORED_POSES}, and so is the map"
     return f"the camera's mounting: {found.summary(unit)}{remedy}"
 
 
@@ -188,8 +193,9 @@ def direction(seen: Array, turned: Array) -> str | None:
     if (np.abs(wrapped(seen + turned)) < np.abs(wrapped(seen - turned))).mean() < 0.8:
         return None
     return (
-        "images turn against the headings: they are mirrored, or headings run clockwise. Flip them, correct "
-        "unwrap.mirrored, or give -theta; a map by a network that compares images makes up for mirrored ones"
+        f"images turn against the headings: they are mirrored, or {_MIRRORED_POSES}, or the two frames of the poses "
+        "are exchanged. Flip the images, correct unwrap.mirrored, or correct the poses; a map by a network that "
+        "compares images makes up for mirrored images only"
     )
 
 

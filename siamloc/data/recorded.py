@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from foundation.settings import Positive, shortened
-from siamloc.data.frames import ODOMETRY, TILT, FrameTable, advice, image_files, in_capture_order
+from siamloc.data.frames import BAGS, ODOMETRY, TILT, FrameTable, advice, image_files, in_capture_order
 from siamloc.data.names import lighting_in
 from siamloc.data.picture_times import taken_at
 from siamloc.data.trajectory import Array, Axes, Form, Order, Trajectory, is_number, read_trajectory, seconds, text_rows
@@ -146,6 +146,11 @@ def images_of(folder: Path, times: Path | None = None, span: float | None = None
     files = image_files(folder)
     if not files:
         inside = sorted(path.name for path in folder.iterdir())
+        if bag := next((name for name in inside if name.lower().endswith(BAGS)), None):
+            raise DataError(
+                f"{folder} holds no images, and no metadata.yaml as the folder of a ROS 2 bag does: give the file of "
+                f"the bag, {folder / bag}"
+            )
         what = shortened(", ".join(inside)) or "nothing"
         raise DataError(f"{folder} holds no images; it holds: {what}{advice(inside)}{_deeper(folder)}")
     if times is None:

@@ -116,3 +116,18 @@ def test_shapes_of_images_are_compared_with_each_other_and_with_the_panoramas(tm
     assert "images have different shapes, among those looked at 64 x 48 px (2), 64 x 16 px (1)" in mixed
     assert "images of 64 x 48 px (columns x rows) are resized to 32 x 8 without unwrapping" in squeezed
     assert check(frames.take([2]), images) == []
+
+
+def test_pictures_of_a_ring_that_are_only_resized_are_told_nothing_else(tmp_path):
+    """A black corner, as around a ring, would else be called the robot's own picture or a long exposure."""
+    for name, size in (("ring", (48, 64)), ("panorama", (16, 64))):
+        (tmp_path / name).mkdir()
+        for number in range(12):
+            picture = np.random.default_rng(number).integers(0, 255, (*size, 3), np.uint8)
+            picture[:, :32] = 0
+            cv2.imwrite(str(tmp_path / name / f"{number:02d}.png"), picture)
+        frames = FrameTable(path=sorted(map(str, (tmp_path / name).iterdir())), x=np.arange(12), y=np.zeros(12))
+        images = PanoramaLibrary(frames, tmp_path / "cache", image_size=(8, 32))
+        (said,) = check(frames, images)
+        assert ("without unwrapping" in said) is (name == "ring")
+        assert ("50% of the panorama is black" in said) is (name == "panorama")

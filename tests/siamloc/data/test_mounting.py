@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 import siamloc
-from analytic import descriptor
+from analytic import Description, Descriptor, descriptor
 from siamloc.data import (
     FrameTable,
     Mounting,
@@ -18,7 +18,7 @@ from siamloc.data import (
 )
 from siamloc.data.drive_pairs import near_pairs, travel
 from siamloc.data.mounting import GivenMounting, estimate, usual_rows
-from siamloc.data.moves import relative, wrapped
+from siamloc.data.moves import inverse, relative, wrapped
 from siamloc.errors import ConfigError
 
 WIDTH = 72
@@ -270,6 +270,42 @@ def test_only_networks_that_compare_are_taken():
     images = siamloc.data.example()
     with pytest.raises(ConfigError, match="hog does not compare images: take the network that ships with siamloc"):
         siamloc.data.find_mounting(descriptor("hog"), images, images.frames)
+
+
+class Numbered(Descriptor):
+    """A network that compares pictures by their numbers, which are their grey values."""
+
+    name, compares = "numbered", True
+
+    def __init__(self, frames: FrameTable) -> None:
+        self.poses = np.column_stack([frames.xy, frames.theta])
+
+    @property
+    def identity(self):
+        return {"name": self.name}
+
+    def describe(self, batch):
+        numbers = batch[:, 0, :1, :1].astype(np.float32)
+        return Description(numbers[:, 0], numbers, self.identity)
+
+    def compare(self, queries, known):
+        pose = relative(self.poses, *(one[:, 0, 0].astype(int) for one in (known, queries)))
+        return pose, np.tile(np.eye(3) * 1e3, (len(pose), 1, 1)), np.ones(len(pose))
+
+
+def test_poses_of_the_map_as_seen_from_the_robot_are_recognized(tmp_path):
+    frames = drive()
+    for number in range(len(frames)):
+        cv2.imwrite(str(tmp_path / f"{number:03d}.png"), np.full((8, 32, 3), number, np.uint8))
+    frames = frames.with_columns(path=[str(tmp_path / f"{number:03d}.png") for number in range(len(frames))])
+    images = siamloc.data.PanoramaLibrary(frames, tmp_path / "cache", image_size=(8, 32))
+    assert siamloc.data.find_mounting(Numbered(frames), images, frames).reasons == ()
+    x, y, theta = inverse(np.column_stack([frames.xy, frames.theta])).T
+    found = siamloc.data.find_mounting(Numbered(frames), images, frames.with_columns(x=x, y=y, theta=theta))
+    assert "exchange the two frames, such as map:base_link for base_link:map" in found.summary()
+    assert not found.mirrored
+    wrong = frames.with_columns(theta=np.random.default_rng(0).uniform(-3, 3, len(frames)))
+    assert "does not follow from the poses" in siamloc.data.find_mounting(Numbered(frames), images, wrong).summary()
 
 
 @pytest.mark.parametrize("count", [180, 200, 400, 800])
