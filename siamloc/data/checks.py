@@ -31,20 +31,25 @@ _TURN = 2 * np.pi
 
 @typed
 def check(
-    frames: FrameTable, images: PanoramaLibrary | None = None, described_by: Descriptor | None = None
+    frames: FrameTable,
+    images: PanoramaLibrary | None = None,
+    described_by: Descriptor | None = None,
+    mounting: bool = True,
 ) -> list[str]:
     """Check a data set for faults that go unnoticed until the results are poor.
 
     Checked are headings (degrees instead of radians, clockwise, x and y exchanged), odometry (degrees), missing
     positions and labels, steps that no robot indoors makes, jumps and stops of a drive, times, the sizes of the images,
     and duplicate images. With panoramas, each drive is also checked for exposure, blur, seams, missing parts of the
-    turn, a horizon that is not level, the robot's own picture, mirrored images, and poses of other times than the
-    images; with a network, for how the camera is mounted.
+    turn, a horizon that is not level, the robot's own picture, mirrored images, and poses and odometry of other times
+    than the images, by when these turn; with a network, for how the camera is mounted.
 
     Args:
         frames: the data set.
         images: the panoramas of the data set, if decoded: their size is then compared with the size of the image files.
-        described_by: a network that compares, for `find_mounting`; None to leave that out.
+        described_by: a network that compares, for `find_mounting` and for the turns in images, which correlation
+            measures without it, with larger errors.
+        mounting: whether that network finds how the camera is mounted.
 
     Returns:
         A sentence for each fault, with the remedy; an empty list if there is no fault.
@@ -57,7 +62,7 @@ def check(
     """
     found = [*wrong_headings(frames), *wrong_odometry(frames), *_missing(frames), *_drives(frames)]
     judged = images is not None and not _are_rings(frames, images)
-    pictures = wrong_pictures(frames, images, described_by) if images is not None and judged else []
+    pictures = wrong_pictures(frames, images, described_by, mounting) if images is not None and judged else []
     return [*found, *wrong_sizes(frames, images), *_copies(frames), *pictures]
 
 
@@ -304,11 +309,11 @@ def _unseen(camera: OmnidirectionalCamera, view: PanoramaView, size: tuple[int, 
 
 
 def wrong_pictures(
-    frames: FrameTable, images: PanoramaLibrary, described_by: Descriptor | None = None
+    frames: FrameTable, images: PanoramaLibrary, described_by: Descriptor | None = None, mounting: bool = True
 ) -> Iterator[str]:
     """Yield the faults that the panoramas of each drive show; see `drive_faults`."""
     for name, rows in frames.rows_by("sequence").items():
-        for fault in drive_faults(images.readable(frames.take(rows)), images, described_by):
+        for fault in drive_faults(images.readable(frames.take(rows)), images, described_by, mounting):
             yield f"sequence {name or '(unnamed)'}: {fault}."
 
 

@@ -210,12 +210,7 @@ def find_mounting(described_by: Descriptor, images: PanoramaLibrary, frames: Fra
     pairs = near_pairs(readable) if posed else successive_pairs(readable)
     rows = np.unique(np.concatenate(pairs))
     used = readable.take(rows)
-    size = getattr(getattr(described_by, "module", None), "image_size", None) or images.image_size
-    view = images.preprocessing.view
-    rings = any(isinstance(camera, PolarRing) for camera in images.cameras.values())
-    batches = (usual_rows(batch, view) if rings else batch for batch in images.batches(used))
-    found = [described_by.describe(resized(batch, size)).orientation for batch in batches]
-    parts = np.concatenate(found) if len(used) else np.zeros((0, 1, 1))  # type: ignore[arg-type]
+    parts = orientation_parts(described_by, images, used)
     compares: Callable[..., tuple[Array, Array, Array]] = described_by.compare  # type: ignore[attr-defined]
     first, second = (np.searchsorted(rows, one) for one in pairs)
     straight = estimate(used, parts, compares, posed, (first, second))
@@ -225,6 +220,16 @@ def find_mounting(described_by: Descriptor, images: PanoramaLibrary, frames: Fra
         if np.isfinite(exchanged.yaw) and exchanged.mirrored is not None:
             return MountingEstimate(mirrored=exchanged.mirrored, pairs=exchanged.pairs, reasons=(_EXCHANGED,))
     return straight
+
+
+def orientation_parts(described_by: Descriptor, images: PanoramaLibrary, frames: FrameTable) -> NDArray[Any]:
+    """Return what a network compares of the images of n frames: their orientation parts (n, K, F)."""
+    size = getattr(getattr(described_by, "module", None), "image_size", None) or images.image_size
+    view = images.preprocessing.view
+    rings = any(isinstance(camera, PolarRing) for camera in images.cameras.values())
+    batches = (usual_rows(batch, view) if rings else batch for batch in images.batches(frames))
+    found = [described_by.describe(resized(batch, size)).orientation for batch in batches]
+    return np.concatenate(found) if len(frames) else np.zeros((0, 1, 1))  # type: ignore[arg-type]
 
 
 def estimate(

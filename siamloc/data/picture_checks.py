@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from analytic import Descriptor
 from siamloc.data.frames import FrameTable
 from siamloc.data.library import PanoramaLibrary
-from siamloc.data.mounting import CERTAIN, Mounting, MountingEstimate, find_mounting
+from siamloc.data.mounting import CERTAIN, Mounting, MountingEstimate, find_mounting, orientation_parts
 from siamloc.data.moves import wrapped
 from siamloc.data.panorama import column_azimuth
 
@@ -32,15 +32,20 @@ _TURNS, _STRAY = np.radians(5), np.radians(10)  # what counts as a turn, and wha
 _FEWEST = 10  # frames, and turns
 _MIRRORED_POSES = "the poses are (y and headings with the wrong sign, as with z down)"
 _LOOKED_AT, _IN_A_ROW = 64, 300  # frames, and those in which turns are measured
+_LATEST, _OFFSETS = 2.0, 401  # largest offset of times in s, in frames that are close together, and how many are tried
+_PROMPT = 0.05  # s; a smaller offset of times is let pass: a robot drives some centimetres meanwhile
 
 
-def drive_faults(frames: FrameTable, images: PanoramaLibrary, described_by: Descriptor | None = None) -> list[str]:
-    """Return the faults that the panoramas of a drive show, alone and compared with its poses.
+def drive_faults(
+    frames: FrameTable, images: PanoramaLibrary, described_by: Descriptor | None = None, mounting: bool = True
+) -> list[str]:
+    """Return the faults that the panoramas of a drive show, alone and compared with its poses and odometry.
 
     Args:
         frames: the frames of the drive, in capture order; nothing is said about fewer than 10.
         images: their panoramas.
-        described_by: a network that compares, for `find_mounting`; None to leave that out.
+        described_by: a network that compares, for `find_mounting` and for turns; None to measure turns by correlation.
+        mounting: whether that network finds how the camera is mounted.
     """
     if len(frames) < _FEWEST:
         return []
@@ -49,16 +54,30 @@ def drive_faults(frames: FrameTable, images: PanoramaLibrary, described_by: Desc
     turn = images.circular and (sees is None or bool(sees.any(axis=0).all()))  # what is not seen is filled
     found = picture_faults(images.batch(images.rows(frames.take(spread))), turn)
     if images.circular:
-        part = frames.take(slice(0, _IN_A_ROW))
+        part = _turning(frames)
         seen = turns_seen(images.batch(images.rows(part)))
-        found.append(time_offset(seen, part.time, part.theta))
-        mounting = MountingEstimate()
-        if described_by is not None and frames.has_position.any():
-            mounting = find_mounting(described_by, images, frames)
-        found.append(mounted(mounting, frames.unit))
-        if mounting.mirrored is None:
+        headed = (np.isfinite(part.theta) | np.isfinite(part.odom_theta)).any() and np.isfinite(part.time).all()
+        if described_by is not None and getattr(described_by, "compares", False) and headed:
+            found.append(other_times(turns_compared(described_by, images, part), part))
+        else:
+            found.append(other_times(seen, part))
+        estimate = MountingEstimate()
+        if mounting and described_by is not None and frames.has_position.any():
+            estimate = find_mounting(described_by, images, frames)
+        found.append(mounted(estimate, frames.unit))
+        if estimate.mirrored is None:
             found.append(direction(seen, wrapped(np.diff(part.theta))))
     return [fault for fault in found if fault is not None]
+
+
+def _turning(frames: FrameTable) -> FrameTable:
+    """Return the frames in a row among which a drive turns most, by its headings, or else by its odometry."""
+    theta = frames.theta if np.isfinite(frames.theta).any() else frames.odom_theta
+    turned = np.concatenate([[0.0], np.cumsum(np.nan_to_num(np.abs(wrapped(np.diff(theta)))))])
+    begins = np.arange(max(1, len(frames) - _IN_A_ROW + 1))
+    ends = np.minimum(begins + _IN_A_ROW, len(frames))
+    begin = int((turned[ends - 1] - turned[begins]).argmax())
+    return frames.take(slice(begin, begin + _IN_A_ROW))
 
 
 def picture_faults(panoramas: NDArray[np.uint8], circular: bool) -> list[str | None]:
@@ -199,22 +218,50 @@ def direction(seen: Array, turned: Array) -> str | None:
     )
 
 
-def time_offset(seen: Array, time: Array, theta: Array) -> str | None:
-    """Compare the times of turns (n - 1,) in the images of a drive with those of its headings (n,), in s and rad."""
+def turns_compared(described_by: Descriptor, images: PanoramaLibrary, frames: FrameTable) -> Array:
+    """Return what `turns_seen` does by a network that compares (n - 1,); NaN between images that are not alike."""
+    parts = orientation_parts(described_by, images, frames).astype(np.float32)
+    pose, _, match = described_by.compare(parts[1:], parts[:-1])  # type: ignore[attr-defined]
+    return np.where(match > 0, pose[:, 2], np.nan)
+
+
+def other_times(seen: Array, frames: FrameTable) -> str | None:
+    """Compare the times of turns (n - 1,) in the images of a drive, in rad, with those of its poses and odometry."""
+    posed = bool(np.isfinite(frames.theta).any())
+    for what, whose, theta in (("headings", "poses are", frames.theta), ("odometry", "odometry is", frames.odom_theta)):
+        offset = time_offset(seen, frames.time, theta)
+        if offset == 0:
+            continue
+        side = "before" if offset > 0 else "after"
+        remedy = f"{offset:+.2f} s to the times of the images (data.offset or recording.offset)"
+        if what == "odometry" and posed:  # which are those of the images
+            remedy = f"{-offset:+.2f} s to the times of the odometry"
+        of = "those of other times" if what == "headings" else "that of other times"
+        does = "do" if what == "headings" else "does"
+        return f"the images turn {abs(offset):.2f} s {side} the {what} {does}: the {whose} {of}. Add {remedy}"
+    return None
+
+
+def time_offset(seen: Array, time: Array, theta: Array) -> float:
+    """Return what to add to the times (n,) of images, in s, so that they turn when the headings (n,) do, in rad.
+
+    0 if it is unknown, or next to nothing. `seen` are the turns in the images (n - 1,), NaN where unknown; those of
+    mirrored images may have the other sign.
+    """
     if not (np.isfinite(time).all() and np.isfinite(theta).all() and (np.diff(time) > 0).all()):
-        return None
-    heading = np.unwrap(theta)
-    if (np.abs(np.diff(heading)) > _TURNS).sum() < _FEWEST:
-        return None
-    step = float(np.median(np.diff(time)))
-    offsets = np.linspace(-3, 3, 121) * step
-    moved = [np.diff(np.interp(time + offset, time, heading)) for offset in offsets]
-    off = np.array([np.abs(wrapped(seen - one))[4:-4].clip(0, _STRAY).mean() for one in moved])
-    best = int(off.argmin())
-    if abs(offsets[best]) < 0.3 * step or off[best] > 0.7 * off[len(offsets) // 2]:
-        return None
-    side = "before" if offsets[best] > 0 else "after"
-    return (
-        f"the images turn {abs(offsets[best]):.2f} s {side} the headings do: the poses are those of other times. Add "
-        f"{offsets[best]:+.2f} s to the times of the images (data.offset or recording.offset)"
+        return 0.0
+    step, heading = float(np.median(np.diff(time))), np.unwrap(theta)
+    reach = max(_LATEST, 3 * step)
+    rows = np.isfinite(seen) & (time[:-1] - reach >= time[0]) & (time[1:] + reach <= time[-1])
+    if rows.sum() < _FEWEST or np.abs(np.diff(heading))[rows].sum() < _FEWEST * _TURNS:
+        return 0.0
+    offsets = np.linspace(-reach, reach, _OFFSETS)
+    turned = np.array([np.diff(np.interp(time + offset, time, heading))[rows] for offset in offsets])
+    off = min(
+        (np.abs(wrapped(sign * seen[rows] - turned)).clip(0, _STRAY).mean(axis=1) for sign in (1, -1)),
+        key=lambda one: float(one.min()),
     )
+    best = int(off.argmin())
+    if abs(offsets[best]) < max(_PROMPT, 0.3 * step) or off[best] > 0.7 * off[_OFFSETS // 2]:
+        return 0.0
+    return float(offsets[best])

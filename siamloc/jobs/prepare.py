@@ -100,7 +100,7 @@ class Prepare(DataJob):
         say(f"decoded: {len(images)} panoramas of {rows} x {columns} px in {images.settings()['cache']}")
         network = models.as_descriptor(models.pretrained(), "cpu") if images.circular else None
         rings = network is not None and _show_rings(images, network, say)
-        for finding in check(frames, images, None if rings else network):
+        for finding in check(frames, images, network, mounting=not rings):
             say(f"note: {finding}")
         return images
 

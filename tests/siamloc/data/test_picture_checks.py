@@ -1,14 +1,24 @@
 from __future__ import annotations
 
 import re
+import sys
 
 import cv2
 import numpy as np
 import pytest
 
+from analytic import Description
 from siamloc.data import FrameTable, MountingEstimate, PanoramaLibrary, check, column_azimuth
 from siamloc.data.moves import wrapped
-from siamloc.data.picture_checks import direction, mounted, own_robot, picture_faults, time_offset, turns_seen
+from siamloc.data.picture_checks import (
+    direction,
+    drive_faults,
+    mounted,
+    own_robot,
+    picture_faults,
+    time_offset,
+    turns_seen,
+)
 
 N, H, W = 60, 32, 128
 THETA = 1.2 * np.sin(np.arange(N) / 5)
@@ -114,12 +124,67 @@ def test_poses_of_other_times_are_recognized(late):
     time = np.arange(N) * 0.2
     theta = 1.2 * np.sin((time - late) / 1.0)
     seen = turns_seen(drive())
-    assert time_offset(seen, time, THETA) is None
-    said = time_offset(seen, time, theta)
-    assert said is not None
-    stated = float(re.search(r"Add ([-+.0-9]+) s", said)[1])
-    assert stated == pytest.approx(late, abs=0.05), "headings of whole columns"
-    assert time_offset(seen, np.full(N, np.nan), theta) is None
+    assert time_offset(seen, time, THETA) == 0
+    assert time_offset(seen, time, theta) == pytest.approx(late, abs=0.05), "headings of whole columns"
+    assert time_offset(-seen, time, theta) == pytest.approx(late, abs=0.05), "of mirrored images"
+    assert time_offset(seen, np.full(N, np.nan), theta) == 0
+
+
+@pytest.mark.parametrize("rate", [5, 30])
+def test_an_offset_of_times_is_found_at_any_rate_or_not_told(rate):
+    time = np.arange(0, 40, 1 / rate)
+    rng = np.random.default_rng(0)
+    seen = np.diff(1.2 * np.sin(time) + 0.5 * np.sin(2.3 * time)) + rng.normal(0, 0.02, len(time) - 1)
+    seen[rng.random(len(seen)) < 0.1] = np.nan  # images that are not alike
+    for late, told in ((0.0, 0.0), (0.02, 0.0), (-1.5, -1.5), (0.4, 0.4)):
+        theta = 1.2 * np.sin(time - late) + 0.5 * np.sin(2.3 * (time - late))
+        assert time_offset(seen, time, theta) == pytest.approx(told, abs=0.03)
+    assert time_offset(rng.normal(0, 0.02, len(seen)), time, 1.2 * np.sin(time)) == 0, "images that show no turns"
+    assert time_offset(seen, time, 0 * time) == 0, "a drive that never turns"
+
+
+class TrueTurns:
+    """Stands for a network: each image's grey value is its row in the drive, whose headings are known."""
+
+    name, compares = "true turns", True
+
+    def describe(self, batch):
+        return Description(np.zeros((len(batch), 1)), batch[:, :1, :1, 0].astype(np.float32))
+
+    def compare(self, queries, known):
+        turned = np.interp(queries[:, 0, 0], range(N), THETA) - np.interp(known[:, 0, 0], range(N), THETA)
+        pose = np.column_stack([np.full(len(turned), 0.2), np.zeros(len(turned)), turned])
+        return pose, np.tile(np.eye(3), (len(turned), 1, 1)), np.ones(len(turned))
+
+
+def test_a_network_finds_offsets_of_poses_and_odometry_that_correlation_does_not(tmp_path, monkeypatch):
+    for row in range(N):
+        cv2.imwrite(str(tmp_path / f"{row:03d}.png"), np.full((H, W, 3), row, dtype=np.uint8))
+    paths, time = sorted(str(path) for path in tmp_path.glob("*.png")), np.arange(N) * 0.2
+    late = 1.2 * np.sin(time - 0.4)
+    frames = FrameTable(path=paths, x=0.2 * np.arange(N), y=np.zeros(N), theta=late, odom_theta=late, time=time)
+    images = PanoramaLibrary(frames, tmp_path / "cache", image_size=(H, W))
+
+    def said(by, **columns):
+        found = drive_faults(frames.with_columns(**columns), images, by, mounting=False)
+        return [text for text in found if " s after" in text or " s before" in text]
+
+    assert said(None) == []
+    (poses,) = said(TrueTurns())
+    assert re.fullmatch(
+        r"the images turn 0\.[34]\d s before the headings do: the poses are those of other times\. "
+        r"Add \+0\.[34]\d s to the times of the images \(data\.offset or recording\.offset\)",
+        poses,
+    )
+    monkeypatch.setattr(sys.modules["siamloc.data.picture_checks"], "_IN_A_ROW", N - 10)
+    straight = np.arange(N) < 6
+    (later,) = said(TrueTurns(), theta=np.where(straight, late[6], late))
+    assert "the poses are those of other times" in later, "in the part of the drive that turns"
+    (wheels,) = said(TrueTurns(), theta=THETA)
+    assert re.search(r"before the odometry does: .* Add -0\.[34]\d s to the times of the odometry", wheels)
+    (unposed,) = said(TrueTurns(), theta=np.full(N, np.nan))
+    assert re.search(r"before the odometry does: .* Add \+0\.[34]\d s to the times of the images", unposed)
+    assert said(TrueTurns(), theta=THETA, odom_theta=THETA) == []
 
 
 def test_a_mounting_is_named_only_if_it_matters():
