@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from siamloc.data.moves import chained, moves, relative, wrapped
+from siamloc.data.picture_checks import time_offset
 from siamloc.errors import DataError
 from siamloc.maps.comparing import ODDS, Compares
 from siamloc.maps.loops import Pairs
@@ -97,11 +98,13 @@ def odometry_steps(
     drive: NDArray[np.int64],
     names: Sequence[str],
     notes: list[str],
+    time: Array | None = None,
 ) -> Array:
     """Return the poses (n - 1, 3) of each frame but the first as seen from the frame before it, by odometry.
 
     They are NaN between drives, where odometry is unknown, and where it cannot be true: after a reset, and while it is
-    frozen, as comparisons (n - 1, 3) show that are certain (n - 1,). `notes` gets a sentence about each such part.
+    frozen, as comparisons (n - 1, 3) show that are certain (n - 1,). `notes` gets a sentence about each such part. The
+    times (n,) of the frames, in s, only serve to say how late odometry is.
 
     Raises:
         DataError: odometry in another unit, in degrees, of turns with the wrong sign or other directions, or late.
@@ -120,7 +123,8 @@ def odometry_steps(
         if not mine.any():
             continue
         rows = np.flatnonzero(drive == number)
-        _check_odometry(said, odometry[rows], seen[rows[:-1]], certain[rows[:-1]])
+        times = np.full(len(rows), np.nan) if time is None else time[rows]
+        _check_odometry(said, odometry[rows], seen[rows[:-1]], certain[rows[:-1]], times)
         reset = mine & (way > 3 * compared + _JUMP)
         frozen = _runs(mine & (way < 0.1 * compared) & (compared > _SURE), _FROZEN)
         unmoved = (drive[1:] == number) & (way < _STILL) & (np.abs(steps[:, 2]) < _ROLLED)
@@ -133,7 +137,7 @@ def odometry_steps(
     return steps
 
 
-def _check_odometry(said: str, odometry: Array, seen: Array, certain: NDArray[np.bool_]) -> None:
+def _check_odometry(said: str, odometry: Array, seen: Array, certain: NDArray[np.bool_], time: Array) -> None:
     """Refuse odometry (n, 3) of a drive whose unit, sign, times or directions are not those of compared steps.
 
     It is judged over as many frames as the robot needs for 0.3 m, so that frames may be dense.
@@ -168,10 +172,17 @@ def _check_odometry(said: str, odometry: Array, seen: Array, certain: NDArray[np
             )
         late = _rows_late(odometry[:, 2], by_images[turning, 2], first[turning], back)
         if late != 0:
-            raise DataError(
-                f"{said} turns {abs(late)} row{'s' * (abs(late) > 1)} {'after' if late > 0 else 'before'} its images "
-                "do: give each image the odometry of its own time, and correct the offset between their times"
-            )
+            offset: float = late
+            by = f"{abs(late)} row{'s' * (abs(late) > 1)}"
+            remedy = "give each image the odometry of its own time, and correct the offset between their times"
+            if (step := float(np.median(np.diff(time)))) > 0:
+                offset = time_offset(np.where(certain, seen[:, 2], np.nan), time, odometry[:, 2]) or late * step
+                by = f"{abs(offset):.2f} s"
+                remedy = (
+                    f"add {offset:+.2f} s to the times of the images (recording.offset or data.offset), or give each "
+                    "image the odometry of its own time"
+                )
+            raise DataError(f"{said} turns {by} {'after' if offset > 0 else 'before'} its images do: {remedy}")
     direction = np.arctan2(by_wheels[moving, 1], by_wheels[moving, 0])
     direction -= np.arctan2(by_images[moving, 1], by_images[moving, 0])
     if judged and np.average(np.cos(direction), weights=weight) < _ALONG:

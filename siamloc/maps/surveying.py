@@ -258,7 +258,7 @@ def of_descriptions(
     assert parts is not None
     compared = comparing(compare, scaled(parts), progress)
     steps, seen, certain = compared_steps(compared, drive)
-    moved = odometry_steps(wheels, seen, certain, drive, names, notes)
+    moved = odometry_steps(wheels, seen, certain, drive, names, notes, frames.time)
     known = certain | np.isfinite(moved).all(axis=1)
     floor: FloorScale | None = None
     if np.isfinite(moved).any():

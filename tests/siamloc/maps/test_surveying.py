@@ -91,8 +91,9 @@ def surveyed(monkeypatch):
     """Return a function that surveys drives with these true poses (by name)."""
 
     def run(drives, *, scale=1.0, noise=0.02, odometry=True, mirrored=False, seed=0, made=None, joined=True, **options):
+        time = options.pop("time", None)
         tables = [
-            FrameTable(path=[f"{name}/{n}.png" for n in range(len(poses))], sequence=[name] * len(poses))
+            FrameTable(path=[f"{name}/{n}.png" for n in range(len(poses))], sequence=[name] * len(poses), time=time)
             for name, poses in drives.items()
         ]
         table = concatenate(tables)
@@ -450,6 +451,17 @@ def test_odometry_of_other_images_is_refused(surveyed, late, says):
     assert surveyed({"monday": poses}, odometry=wheels)[0].fixed_by == "odometry"
     with pytest.raises(DataError, match=rf"turns {says} its images do: give each image the odometry of its own time"):
         surveyed({"monday": poses}, odometry=wheels[np.clip(np.arange(90) - late, 0, 89)])
+
+
+def test_late_odometry_of_images_with_times_is_named_in_seconds(surveyed):
+    time = np.arange(90) * 0.3
+    turns = np.radians(10) * np.sin(time) * np.sin(2.3 * time)
+    poses = chained(np.column_stack([np.full(90, 0.3), np.zeros(90), turns]))
+    wheels = drifting(poses)
+    late = np.column_stack([np.interp(time - 0.5, time, np.unwrap(one)) for one in wheels.T])
+    says = r"turns 0\.[45]\d s after its images do: add \+0\.[45]\d s to the times of the images \(recording\.offset"
+    with pytest.raises(DataError, match=says):
+        surveyed({"monday": poses}, odometry=late, time=time)
 
 
 def test_frames_out_of_order_are_refused_before_any_image_is_described(surveyed, monkeypatch):
