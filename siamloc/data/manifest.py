@@ -7,6 +7,7 @@ import math
 import os
 import sys
 from collections.abc import Iterator
+from glob import glob
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +15,7 @@ import numpy as np
 
 from foundation.files import csv_text
 from foundation.settings import shortened
-from siamloc.data.frames import DEVIATIONS, ODOMETRY, TILT, FrameTable, in_capture_order
+from siamloc.data.frames import DEVIATIONS, ODOMETRY, TILT, FrameTable, concatenate, in_capture_order
 from siamloc.data.moves import euler
 from siamloc.errors import DataError, leave_out, logger
 
@@ -27,7 +28,7 @@ _LARGEST |= dict.fromkeys(("x", "y", *ODOMETRY, *DEVIATIONS, *TILT, *_QUATERNION
 
 
 def read_manifest(manifest: str | Path, *, on_error: str = "skip") -> FrameTable:
-    """Read a manifest, a CSV table with a row for each image.
+    """Read a manifest, a CSV table with a row for each image, or several such tables at once.
 
     The first line names the columns, in any order and case: `image`, and any of `x, y` (m), `theta` (rad), `room`,
     `sequence`, `lighting`, `time` (s), `building`, `odom_x, odom_y` (m), `odom_theta` (rad), `deviation` (m) and
@@ -37,14 +38,31 @@ def read_manifest(manifest: str | Path, *, on_error: str = "skip") -> FrameTable
     order of the table.
 
     Args:
-        manifest: the CSV file, in UTF-8.
+        manifest: the CSV file, in UTF-8; or a pattern that fits several, such as "*_frames/frames.csv", each with
+            sequences and columns of its own.
         on_error: "skip" or "raise", for images that do not exist.
 
     Raises:
-        DataError: the file is missing or empty, a column or cell cannot be used (with line, column and value), or an
-            image appears twice in one sequence.
+        DataError: the file is missing or empty, a column or cell cannot be used (with line, column and value), an image
+            appears twice in one sequence, or a sequence appears in two files.
     """
     file = Path(manifest).expanduser()
+    # A name that exists is no pattern; Path.glob takes no absolute patterns.
+    fitting = [] if os.path.lexists(file) else sorted(map(Path, glob(str(file), recursive=True)))  # noqa: PTH207
+    drives: dict[str, Path] = {}
+    tables = []
+    for one in fitting or [file]:
+        tables.append(_read_table(one, on_error))
+        for name in tables[-1].rows_by("sequence"):
+            if (other := drives.setdefault(name, one)) != one:
+                raise DataError(
+                    f"sequence {name or '(unnamed)'!r} is in {other} and in {one}: give each drive a name of its "
+                    "own in the column 'sequence'"
+                )
+    return tables[0] if len(tables) == 1 else concatenate(tables)
+
+
+def _read_table(file: Path, on_error: str) -> FrameTable:
     if file.exists() and not file.is_file():
         raise DataError(f"the manifest {file} is not a regular file: give a CSV table with one row for each image")
     frames = list(read_rows(file))

@@ -41,7 +41,7 @@ class Prepare(DataJob):
     the panorama store, where training and evaluation find them.
 
         data=manifest|cold|folder|trajectory|360loc|rawseeds   kind of data set
-        data.manifest=FILE          the CSV, for data=manifest
+        data.manifest=FILE          the CSV, for data=manifest, or a pattern that fits several: '*_frames/frames.csv'
         data.root=FOLDER            the folder, for data=cold, folder, 360loc and rawseeds
         data.images=FOLDER data.poses=FILE   images and poses over time, for data=trajectory
         data.image_size=[128,512]   rows and columns of a panorama

@@ -121,6 +121,17 @@ def test_a_single_list_of_cold_is_expanded(tmp_path):
     assert data.read(**done.source).sequence.tolist() == ["seq1_night2"]
 
 
+def test_the_tables_of_a_pattern_are_expanded_together(tmp_path):
+    for name in ("mon", "tue"):
+        write_picture(tmp_path / "in" / name / "a.png", np.zeros((16, 64, 3), np.uint8))
+        (tmp_path / "in" / name / "frames.csv").write_text(f"image,sequence\na.png,{name}\n")
+    frames = data.read("manifest", manifest=tmp_path / "in" / "*" / "frames.csv")
+    done = data.expand(frames, tmp_path / "out", depth=1, image_size=(16, 64))
+    found = data.read(**done.source)
+    assert found.sequence.tolist() == ["mon", "tue"]
+    assert sorted(path.parent.name for path in done.folder.rglob("a_v*.png")) == ["mon", "tue"]
+
+
 def test_what_a_killed_run_left_of_the_list_goes_and_foreign_files_stay(frames, tmp_path, monkeypatch):
     out = tmp_path / "out"
     data.expand(frames, out, depth=2, image_size=(16, 64))

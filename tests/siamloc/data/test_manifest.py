@@ -107,6 +107,31 @@ def test_missing_images_are_left_out_and_reported_and_a_missing_table_is_an_erro
         read(folder, "image\nnone.jpg\n")
 
 
+def test_a_pattern_reads_all_tables_that_fit_each_from_its_own_folder(tmp_path, monkeypatch):
+    monday = "image,x,sequence,time\nb.jpg,1,mon,2\na.jpg,2,mon,1\n"
+    tables = {"mon": monday, "tue": "image,room,sequence\na.jpg,hall,tue\n"}
+    for name, text in tables.items():
+        (tmp_path / f"{name}_frames").mkdir()
+        for image in ("a.jpg", "b.jpg"):
+            (tmp_path / f"{name}_frames" / image).write_bytes(b"image")
+        (tmp_path / f"{name}_frames" / "frames.csv").write_text(text)
+    monkeypatch.chdir(tmp_path)
+    frames = siamloc.data.read("manifest", manifest="*_frames/frames.csv")
+    assert [Path(path).relative_to(tmp_path).as_posix() for path in map(os.path.abspath, frames.path.tolist())] == [
+        "mon_frames/a.jpg", "mon_frames/b.jpg", "tue_frames/a.jpg",
+    ]  # fmt: skip
+    assert frames.sequence.tolist() == ["mon", "mon", "tue"]
+    assert frames.room.tolist() == ["", "", "hall"]
+    np.testing.assert_equal(frames.x, [2, 1, np.nan])
+    monkeypatch.chdir("/")
+    assert siamloc.data.read(**frames.source).sequence.tolist() == ["mon", "mon", "tue"], "from wherever it is called"
+    (tmp_path / "tue_frames" / "frames.csv").write_text("image,sequence\na.jpg,mon\n")
+    with pytest.raises(DataError, match=r"sequence 'mon' is in .*mon_frames/.* and in .*tue_frames/.*name of its own"):
+        siamloc.data.read("manifest", manifest=tmp_path / "*_frames" / "frames.csv")
+    with pytest.raises(DataError, match=r"\*\.txt cannot be read: No such file"):
+        siamloc.data.read("manifest", manifest=tmp_path / "*.txt")
+
+
 @pytest.mark.parametrize("name", ["/dev/zero", "/dev/stdin", "folder", "pipe"])
 def test_only_a_regular_file_is_a_manifest(tmp_path, name):
     """A pipe would keep the reader waiting, an endless device reading for ever."""
