@@ -120,8 +120,7 @@ def expand(
         raise ConfigError("an expanded data set keeps the layout of its source: give frames from siamloc.data.read")
     if not len(frames):
         raise DataError("there are no frames to expand: the table is empty")
-    table = Path(source.get("manifest") or source.get("places") or "")  # or a pattern that fits several
-    root = Path(source["root"]) if "root" in source else next(one for one in table.parents if one.is_dir())
+    root = Path(source["root"]) if "root" in source else Path(source.get("manifest") or source["places"]).parent
     _check_apart(folder, root, kind, frames)
     decode = Preprocessing.checked(image_size, unwrap)
     turns = headings(len(frames), depth, seed, (decode.view.height, decode.view.width), circular)
