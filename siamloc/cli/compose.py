@@ -28,7 +28,7 @@ OF_SWEEPS = ("map", "evaluate")
 """Commands that do their work for each run if the folder of a sweep is given."""
 _SHARING = ("prepare", "train", "map", "evaluate", "export")
 """Commands that experiments set keys for."""
-_OUTPUT = ("out", "bundle", "run")
+_OUTPUT = ("out", "bundle", "run", "recording.out")
 """Keys that name the folder a command writes to, in the order in which they are looked for."""
 # Keep Hydra from changing the folder and from writing files or log lines.
 _HYDRA = (
@@ -180,7 +180,7 @@ def _check_own(words: list[str], kind: type[Job]) -> None:
     for key in (_key(word) for word in words if "=" in word and not word.startswith("-")):
         if others := _only_of_others(key, kind):
             command = next(name for name in _SHARING if job_of(name) is kind)
-            folder = next((name for name in _OUTPUT if name in kind.key_names()), None)
+            folder = next((name for name in _OUTPUT if name.partition(".")[0] in kind.key_names()), None)
             todo = f"the folder that it writes to is {folder}=FOLDER" if folder and key in _OUTPUT else "leave it out"
             having = ", ".join(f"siamloc {name}" for name in others)
             raise ConfigError(f"siamloc {command} has no key {key!r}, which is a key of {having}: {todo}")

@@ -390,8 +390,4 @@ def _joined(
 
 
 def _axes(trajectory: Trajectory, what: str, settings: Extraction) -> Axes:
-    """Return the given axes, or those of a robot if a camera's are given for the other source; see `Extraction`."""
-    if settings.axes == "camera" and what == "odometry" and settings.poses != "none":
-        return "camera" if trajectory.upright("camera") > trajectory.upright("robot") else "robot"
-    only_a_robot = trajectory.stays_upright("robot") and not trajectory.stays_upright("camera")
-    return "robot" if only_a_robot else settings.axes
+    return trajectory.own_axes(settings.axes, beside=what == "odometry" and settings.poses != "none")

@@ -7,7 +7,7 @@ import math
 import os
 import sys
 from collections.abc import Iterator
-from glob import glob
+from glob import glob, has_magic
 from pathlib import Path
 from typing import Any
 
@@ -49,6 +49,8 @@ def read_manifest(manifest: str | Path, *, on_error: str = "skip") -> FrameTable
     file = Path(manifest).expanduser()
     # A name that exists is no pattern; Path.glob takes no absolute patterns.
     fitting = [] if os.path.lexists(file) else sorted(map(Path, glob(str(file), recursive=True)))  # noqa: PTH207
+    if not fitting and has_magic(str(file)) and not os.path.lexists(file):
+        raise DataError(f"no file fits the pattern {file}: give the path of a CSV table, or a pattern of several")
     drives: dict[str, Path] = {}
     tables = []
     for one in fitting or [file]:
@@ -57,7 +59,7 @@ def read_manifest(manifest: str | Path, *, on_error: str = "skip") -> FrameTable
             if (other := drives.setdefault(name, one)) != one:
                 raise DataError(
                     f"sequence {name or '(unnamed)'!r} is in {other} and in {one}: give each drive a name of its "
-                    "own in the column 'sequence'"
+                    "own in the column 'sequence', or a pattern that fits the tables of the images only"
                 )
     return tables[0] if len(tables) == 1 else concatenate(tables)
 

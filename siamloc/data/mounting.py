@@ -47,7 +47,7 @@ _HARDLY_TURNS = "the drive hardly turns: whether panoramas are mirrored, and the
 _UNPOSED = "whether panoramas are mirrored, and the camera's offset, are unknown without poses"
 _EXCHANGED = (
     "the camera moves in the images as if the poses were those of the map as seen from the robot: exchange the two "
-    "frames, such as map:base_link for base_link:map, or invert the poses"
+    "frames, such as map:base_link for base_link:map, or invert the poses, unless y or theta has the wrong sign"
 )
 _ROUNDS = 5
 _WORST = 0.02  # by which a comparison may be off however certain it says it is, in the unit of x and y
@@ -216,7 +216,7 @@ def find_mounting(described_by: Descriptor, images: PanoramaLibrary, frames: Fra
     straight = estimate(used, parts, compares, posed, (first, second))
     if posed and straight.pairs and np.isnan(straight.yaw):
         x, y, theta = inverse(np.column_stack([used.xy, used.theta])).T
-        exchanged = estimate(used.with_columns(x=x, y=y, theta=theta), parts, compares, posed, (first, second))
+        exchanged = estimate(used.with_columns(x=x, y=y, theta=theta), parts, compares)
         if np.isfinite(exchanged.yaw) and exchanged.mirrored is not None:
             return MountingEstimate(mirrored=exchanged.mirrored, pairs=exchanged.pairs, reasons=(_EXCHANGED,))
     return straight

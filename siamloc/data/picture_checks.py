@@ -6,6 +6,7 @@ moves through the picture with what stays where it is.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -233,7 +234,7 @@ def other_times(seen: Array, frames: FrameTable) -> str | None:
         if offset == 0:
             continue
         side = "before" if offset > 0 else "after"
-        remedy = f"{offset:+.2f} s to the times of the images (data.offset or recording.offset)"
+        remedy = f"{offset:+.2f} s to the times of the images (column time, data.offset or recording.offset)"
         if what == "odometry" and posed:  # which are those of the images
             remedy = f"{-offset:+.2f} s to the times of the odometry"
         of = "those of other times" if what == "headings" else "that of other times"
@@ -242,11 +243,12 @@ def other_times(seen: Array, frames: FrameTable) -> str | None:
     return None
 
 
-def time_offset(seen: Array, time: Array, theta: Array) -> float:
+def time_offset(seen: Array, time: Array, theta: Array, signs: Sequence[int] = (1, -1)) -> float:
     """Return what to add to the times (n,) of images, in s, so that they turn when the headings (n,) do, in rad.
 
-    0 if it is unknown, or next to nothing. `seen` are the turns in the images (n - 1,), NaN where unknown; those of
-    mirrored images may have the other sign.
+    0 if it is unknown, or next to nothing. `seen` are the turns in the images (n - 1,), NaN where unknown; `signs` are
+    those that they may have, the other one in mirrored images. A drive that turns left and right in equal times may
+    fit either, so both are tried at each offset.
     """
     if not (np.isfinite(time).all() and np.isfinite(theta).all() and (np.diff(time) > 0).all()):
         return 0.0
@@ -257,10 +259,8 @@ def time_offset(seen: Array, time: Array, theta: Array) -> float:
         return 0.0
     offsets = np.linspace(-reach, reach, _OFFSETS)
     turned = np.array([np.diff(np.interp(time + offset, time, heading))[rows] for offset in offsets])
-    off = min(
-        (np.abs(wrapped(sign * seen[rows] - turned)).clip(0, _STRAY).mean(axis=1) for sign in (1, -1)),
-        key=lambda one: float(one.min()),
-    )
+    by_sign = [np.abs(wrapped(sign * seen[rows] - turned)).clip(0, _STRAY).mean(axis=1) for sign in signs]
+    off = np.min(by_sign, axis=0)
     best = int(off.argmin())
     if abs(offsets[best]) < max(_PROMPT, 0.3 * step) or off[best] > 0.7 * off[_OFFSETS // 2]:
         return 0.0

@@ -54,7 +54,8 @@ def read_recorded(
         form: form of the trajectories; found out if None.
         order: order of their quaternions, if it is another than that of the form.
         axes: whose poses they are: "robot", with x ahead and z up, or "camera", with z ahead and y down; "camera" in
-            KITTI form and otherwise "robot" if None.
+            KITTI form and otherwise "robot" if None. With "camera", the poses or the odometry may be a robot's, see
+            `siamloc.data.trajectory.Trajectory.own_axes`.
         offset: seconds to add to the images' times for those of the trajectories.
         gap: longest time between two entries, in s, over which poses are interpolated.
         sequence: name of the drive; the folder's name if empty.
@@ -74,12 +75,13 @@ def read_recorded(
     files, taken = images_of(folder, None if times is None else Path(times).expanduser(), span)
     columns: dict[str, Array] = {"time": taken}
     for what, trajectory in given.items():
-        for doubt in doubts(trajectory, axes or ("robot" if np.isfinite(trajectory.time).all() else "camera")):
+        timed = bool(np.isfinite(trajectory.time).all())
+        own = trajectory.own_axes(
+            axes or ("robot" if timed else "camera"), beside=what == "odometry" and len(given) > 1
+        )
+        for doubt in doubts(trajectory, own):
             logger.warning("%s", doubt)
-        if np.isfinite(trajectory.time).all():
-            found = joined(taken + offset, trajectory, gap, axes or "robot")
-        else:
-            found = _in_order(files, trajectory, axes or "camera")
+        found = joined(taken + offset, trajectory, gap, own) if timed else _in_order(files, trajectory, own)
         names = ODOMETRY if what == "odometry" else ("x", "y", "theta", *TILT)
         columns |= dict(zip(names, found.T, strict=False))
     name = sequence or next((part for part in reversed(folder.absolute().parts) if part not in _ANY_DRIVE), "")
@@ -148,8 +150,8 @@ def images_of(folder: Path, times: Path | None = None, span: float | None = None
         inside = sorted(path.name for path in folder.iterdir())
         if bag := next((name for name in inside if name.lower().endswith(BAGS)), None):
             raise DataError(
-                f"{folder} holds no images, and no metadata.yaml as the folder of a ROS 2 bag does: give the file of "
-                f"the bag, {folder / bag}"
+                f"{folder} holds no images, and no metadata.yaml as the folder of a ROS 2 bag does: "
+                f"`siamloc prepare {folder / bag}` reads the file of the bag"
             )
         what = shortened(", ".join(inside)) or "nothing"
         raise DataError(f"{folder} holds no images; it holds: {what}{advice(inside)}{_deeper(folder)}")

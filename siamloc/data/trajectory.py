@@ -165,13 +165,21 @@ class Trajectory:
             tilt[:] = np.nan
         return np.column_stack([self.flat(axes, whole), tilt])
 
-    def upright(self, axes: Axes) -> float:
+    def own_axes(self, given: Axes, *, beside: bool = False) -> Axes:
+        """Return the axes that are given, or "robot" if those of a camera are given for another trajectory.
+
+        Args:
+            given: axes of this trajectory or of another one with it.
+            beside: whether there is another one, so that this one has the axes with which it stays upright best;
+                otherwise it has those of a robot only if it stays upright with no others.
+        """
+        robot, camera = (self._upright(axes) for axes in ("robot", "camera"))
+        others = camera <= robot if beside else camera < _TILTED <= robot
+        return "robot" if others else given
+
+    def _upright(self, axes: Axes) -> float:
         """Return how well the frame's direction upwards keeps to one axis of the world, from 0 to 1; see `flat`."""
         return float(np.abs(turned(self.quaternion, AXES[axes][1]).mean(axis=0)).max())
-
-    def stays_upright(self, axes: Axes) -> bool:
-        """Return whether `flat` takes the poses for those of a frame with such axes."""
-        return self.upright(axes) >= _TILTED
 
     def inverse(self) -> Trajectory:
         """Return the poses of the world's frame as seen from this one."""
@@ -181,7 +189,7 @@ class Trajectory:
     def _upwards(self, axes: Axes) -> Array:
         """Return the axis of the world (3,), or its opposite, to which the frame's own direction upwards points."""
         mean = turned(self.quaternion, AXES[axes][1]).mean(axis=0)
-        if not self.stays_upright(axes):
+        if not self._upright(axes) >= _TILTED:
             raise DataError(f"{self.source}: {self._why_tilted(axes)}")
         return np.asarray(np.where(np.abs(mean) == np.abs(mean).max(), np.sign(mean), 0.0))
 

@@ -76,7 +76,7 @@ class ErrorModel(Learned):
     """
 
     FORMAT = "siamloc-error-model"
-    VERSION = 6
+    VERSION = 7
     NOUN = "error model"
 
     score: Literal["ratio", "pose"]

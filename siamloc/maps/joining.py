@@ -15,7 +15,7 @@ from siamloc.maps.visual_map import VisualMap
 FREEDOM = 4.0  # degrees of freedom of the t-distribution described by the information
 STRAY = 1.0  # density of answers that are wrong, per square unit of the positions
 _CORRELATION = 0.5  # of the errors of two answers for a query, which share its image and its surroundings
-_LEAST = 0.01  # standard deviation of x and y that no number of answers falls below, in m
+_LEAST = 0.01  # scale of x and y in the t-distribution that no number of answers falls below, in m
 _ROUNDS = 6
 _STILL = 1e-4  # units: a search that moves by less has converged
 _NOTHING = 1e-12  # determinants of information below this count as zero
@@ -178,7 +178,7 @@ def _together(
     told = (np.linalg.det(information) > _NOTHING)[:, None, None]
     answers = np.maximum(share.sum(axis=1), 1)
     spread = np.linalg.inv(np.where(told, information, np.eye(2))) * (1 + _CORRELATION * (answers - 1))[:, None, None]
-    of_map = (share * deviation**2).sum(axis=1) / answers
+    of_map = (share * deviation**2).sum(axis=1) / np.maximum(share.sum(axis=1), _NOTHING) * (FREEDOM - 2) / FREEDOM
     return np.where(told, np.linalg.inv(spread + (_LEAST**2 + of_map)[:, None, None] * np.eye(2)), 0.0)
 
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from foundation.arrays import read_headed, write_arrays
 from siamloc.data.frames import FrameTable
 from siamloc.errors import FormatError
-from siamloc.maps.history import History
+from siamloc.maps.history import UPKEEP, History
 from siamloc.maps.packing import Precision, packed, shares_values, unpacked
 
 Map = TypeVar("Map")
@@ -91,6 +91,8 @@ def read_map(path: str | Path, kind: Callable[..., Map]) -> Map:
             orientation = descriptors.reshape(header["orientation"])
         frames, heading = FrameTable(**columns, unit=header["unit"]), header.get("heading")
         told = {name.removeprefix("history_"): array for name, array in arrays.items() if name.startswith("history_")}
+        if told and "joined" not in told:
+            told["joined"] = np.isin(frames.sequence, header["made"].get(UPKEEP, {}).get("drives", []))
         history = History(**told) if told else None
         values = {name: header[name] for name in _PLAIN}
         known = kind(descriptors, frames, **values, orientation=orientation, heading=heading, history=history)

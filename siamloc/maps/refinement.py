@@ -43,7 +43,7 @@ class Refinement(Learned):
     """
 
     FORMAT = "siamloc-refinement"
-    VERSION = 2
+    VERSION = 3
     NOUN = "refinement of poses"
 
     method: Literal["interpolate", "relative"]

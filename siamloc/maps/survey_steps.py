@@ -176,11 +176,12 @@ def _check_odometry(said: str, odometry: Array, seen: Array, certain: NDArray[np
             by = f"{abs(late)} row{'s' * (abs(late) > 1)}"
             remedy = "give each image the odometry of its own time, and correct the offset between their times"
             if (step := float(np.median(np.diff(time)))) > 0:
-                offset = time_offset(np.where(certain, seen[:, 2], np.nan), time, odometry[:, 2]) or late * step
+                finer = time_offset(np.where(certain, seen[:, 2], np.nan), time, odometry[:, 2], signs=(1,))
+                offset = finer if finer * late > 0 else late * step
                 by = f"{abs(offset):.2f} s"
                 remedy = (
-                    f"add {offset:+.2f} s to the times of the images (recording.offset or data.offset), or give each "
-                    "image the odometry of its own time"
+                    f"add {offset:+.2f} s to the times of the images (column time, recording.offset or data.offset), "
+                    "or give each image the odometry of its own time"
                 )
             raise DataError(f"{said} turns {by} {'after' if offset > 0 else 'before'} its images do: {remedy}")
     direction = np.arctan2(by_wheels[moving, 1], by_wheels[moving, 0])

@@ -445,7 +445,7 @@ def test_the_command_looks_first_and_then_extracts(bags, tmp_path, monkeypatch, 
     (tmp_path / "monday").mkdir()
     (tmp_path / "monday" / "night_0.db3").touch()
     with pytest.raises(
-        DataError, match=r"monday holds no images, and no metadata\.yaml .*: give the file of the bag, .*/night_0\.db3$"
+        DataError, match=r"monday holds no images, and no metadata\.yaml .*: `siamloc prepare .*/night_0\.db3` reads"
     ):
         siamloc.data.contents(tmp_path / "monday")
     (tmp_path / "monday" / "night_0.db3").unlink()

@@ -173,7 +173,7 @@ def test_a_network_finds_offsets_of_poses_and_odometry_that_correlation_does_not
     (poses,) = said(TrueTurns())
     assert re.fullmatch(
         r"the images turn 0\.[34]\d s before the headings do: the poses are those of other times\. "
-        r"Add \+0\.[34]\d s to the times of the images \(data\.offset or recording\.offset\)",
+        r"Add \+0\.[34]\d s to the times of the images \(column time, data\.offset or recording\.offset\)",
         poses,
     )
     monkeypatch.setattr(sys.modules["siamloc.data.picture_checks"], "_IN_A_ROW", N - 10)
@@ -224,3 +224,13 @@ def test_a_mast_in_view_is_the_robot_s_own():
     views = np.random.default_rng(0).uniform(0, 255, (20, 64, 256)).astype(np.float32)
     views[:, :, 100:108] = np.linspace(0, 255, 64)[:, None]
     assert "a narrow part, never change" in own_robot(views)
+
+
+@pytest.mark.parametrize("period", [3, 6, 12])
+def test_turns_to_the_left_and_right_in_equal_times_are_not_those_of_other_times(period):
+    rng, step = np.random.default_rng(0), period / 3
+    time = np.arange(120) * step
+    theta = np.cumsum(np.where(np.arange(120) // 3 % 2, 1, -1) * np.where(np.arange(120) % 3 == 0, 1.5, 0.0))
+    turned = np.diff(theta) + rng.normal(0, 0.03, 119)
+    for seen in (turned, -turned):
+        assert time_offset(seen, time, theta) == 0

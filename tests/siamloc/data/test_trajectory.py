@@ -7,6 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation, Slerp
 
 import siamloc.data
+from siamloc.data.recorded import read_recorded
 from siamloc.data.trajectory import Trajectory, read_trajectory, seconds
 from siamloc.errors import ConfigError, DataError
 
@@ -51,6 +52,23 @@ def test_whole_matrices_are_those_of_kitti_too(tmp_path):
     whole = tmp_path / "whole.txt"
     whole.write_text(poses.read_text().replace("\n", " 0 0 0 1\n"))
     np.testing.assert_array_equal(read_trajectory(whole).quaternion, read_trajectory(poses).quaternion)
+
+
+def test_poses_and_odometry_may_be_of_a_camera_and_of_a_robot(tmp_path):
+    for name in ("robot", "camera"):
+        (tmp_path / f"{name}.txt").write_text(tum(turns(name)))
+        own = read_trajectory(tmp_path / f"{name}.txt")
+        assert own.own_axes("robot") == "robot"
+        assert own.own_axes("camera") == own.own_axes("camera", beside=True) == name
+    images = tmp_path / "images"
+    images.mkdir()
+    for time in TIME:
+        (images / f"{time:.9f}.png").write_bytes(b"image")
+    one, other = (tmp_path / f"{name}.txt" for name in ("robot", "camera"))
+    for files in ((one, other), (other, one)):
+        frames = read_recorded(images, files[0], odometry=files[1], axes="camera")
+        np.testing.assert_allclose(np.exp(1j * frames.theta), np.exp(1j * HEADING), atol=1e-6)
+        np.testing.assert_allclose(np.exp(1j * frames.odom_theta), np.exp(1j * HEADING), atol=1e-6)
 
 
 @pytest.mark.parametrize(("unit", "factor"), [("s", 1), ("ms", 1e3), ("us", 1e6), ("ns", 1e9)])

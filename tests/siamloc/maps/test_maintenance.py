@@ -13,7 +13,7 @@ from siamloc.cli import main
 from siamloc.data import FrameTable, PanoramaLibrary
 from siamloc.errors import ConfigError, DataError
 from siamloc.evaluation import mapping
-from siamloc.maps import Built, History, Reason, VisualMap, build, group, maintenance, match, update
+from siamloc.maps import Built, History, Reason, VisualMap, build, group, maintenance, map_file, match, update
 from siamloc.maps.maintenance import updated
 from tests.siamloc.cli.commands import done, refused
 
@@ -354,6 +354,20 @@ def test_frames_that_joined_are_told_from_the_maps_own_by_themselves_and_not_by_
     assert read.history.joined.tolist() == [frame not in held for frame in read.frames.identities()]
     assert 0 < read.history.joined.sum() < len(read)
     assert read.check_frames(library.frames) == read.frames.take(read.history.joined)
+
+
+def test_frames_that_joined_a_map_before_it_kept_them_are_those_of_the_drives_that_updated_it(
+    known, drives, tmp_path, monkeypatch
+):
+    after = update(known, drives[1], drives[2]["changed"], progress=False).known
+    write = map_file.write_arrays
+    monkeypatch.setattr(
+        map_file,
+        "write_arrays",
+        lambda path, header, arrays: write(path, header, {k: v for k, v in arrays.items() if k != "history_joined"}),
+    )
+    after.save(tmp_path / "map.npz")
+    assert VisualMap.load(tmp_path / "map.npz").history.joined.tolist() == after.history.joined.tolist()
 
 
 def test_the_command_takes_drives_together_and_in_tables_of_their_own(drives, tmp_path, capsys):

@@ -459,7 +459,7 @@ def test_late_odometry_of_images_with_times_is_named_in_seconds(surveyed):
     poses = chained(np.column_stack([np.full(90, 0.3), np.zeros(90), turns]))
     wheels = drifting(poses)
     late = np.column_stack([np.interp(time - 0.5, time, np.unwrap(one)) for one in wheels.T])
-    says = r"turns 0\.[45]\d s after its images do: add \+0\.[45]\d s to the times of the images \(recording\.offset"
+    says = r"turns 0\.[45]\d s after its images do: add \+0\.[45]\d s to the times of the images \(column time, "
     with pytest.raises(DataError, match=says):
         surveyed({"monday": poses}, odometry=late, time=time)
 
