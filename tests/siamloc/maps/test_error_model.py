@@ -161,8 +161,8 @@ def test_what_is_foreign_is_not_learned_from_a_few() -> None:
     ("values", "message"),
     [
         ({"format": "other"}, "this is not a siamloc error model"),
-        ({**MODEL.as_dict(), "version": 7}, "format version 7, this siamloc reads version 6: update siamloc"),
-        ({**MODEL.as_dict(), "version": 5}, "format version 5, this siamloc reads version 6: make it again"),
+        ({**MODEL.as_dict(), "version": 8}, "format version 8, this siamloc reads version 7: update siamloc"),
+        ({**MODEL.as_dict(), "version": 6}, "format version 6, this siamloc reads version 7: make it again"),
         ({**MODEL.as_dict(), "foreign_weight": -1}, "not a whole error model"),
         ({**MODEL.as_dict(), "knots": [0.5]}, "not a whole error model"),
         ({**MODEL.as_dict(), "errors": [3, 2, 1]}, "not a whole error model"),
