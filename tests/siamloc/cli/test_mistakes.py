@@ -110,7 +110,7 @@ def test_records_of_other_versions_are_refused(tmp_path, capsys, content):
 
 
 def test_a_table_that_changed_since_its_map_was_made(flat, words, tmp_path, capsys):
-    given = [*words, "descriptor=thumbnail", f"run={tmp_path}", "task.plots=false"]
+    given = [*words, "descriptor=thumbnail", f"run={tmp_path}"]
     done("map", *given)
     moved = altered(flat, "moved.csv", lambda row: {"x": float(row["x"]) + 6} if row["sequence"] == "first" else {})
     fewer = altered(flat, "fewer.csv", lambda row: {"image": row["image"].replace("first/", "third/")})

@@ -348,7 +348,7 @@ def test_how_poses_are_refined_is_saved(tmp_path):
     assert Refinement.load(path) == made
     for changed, says in (
         ({"format": "other"}, "is not a siamloc refinement of poses"),
-        ({"version": 3}, "has format version 3"),
+        ({"version": 2}, "has format version 2"),
         ({"neighbours": 0}, "neighbours must be a whole number from 1 to 10 million, got 0"),
         ({"method": "guess"}, "method must be interpolate or relative, got 'guess'"),
         ({"more": 1}, "is not a whole refinement of poses"),
