@@ -48,12 +48,14 @@ def read_manifest(manifest: str | Path, *, on_error: str = "skip") -> FrameTable
     """
     file = Path(manifest).expanduser()
     # A name that exists is no pattern; Path.glob takes no absolute patterns.
-    fitting = [] if os.path.lexists(file) else sorted(map(Path, glob(str(file), recursive=True)))  # noqa: PTH207
-    if not fitting and has_magic(str(file)) and not os.path.lexists(file):
+    fitting = [file]
+    if has_magic(str(file)) and not os.path.lexists(file):
+        fitting = sorted(map(Path, glob(str(file), recursive=True)))  # noqa: PTH207
+    if not fitting:
         raise DataError(f"no file fits the pattern {file}: give the path of a CSV table, or a pattern of several")
     drives: dict[str, Path] = {}
     tables = []
-    for one in fitting or [file]:
+    for one in fitting:
         tables.append(_read_table(one, on_error))
         for name in tables[-1].rows_by("sequence"):
             if (other := drives.setdefault(name, one)) != one:

@@ -173,13 +173,13 @@ class Trajectory:
             beside: whether there is another one, so that this one has the axes with which it stays upright best;
                 otherwise it has those of a robot only if it stays upright with no others.
         """
-        robot, camera = (self._upright(axes) for axes in ("robot", "camera"))
+        robot, camera = (np.abs(self._up(axes)).max() for axes in ("robot", "camera"))
         others = camera <= robot if beside else camera < _TILTED <= robot
         return "robot" if others else given
 
-    def _upright(self, axes: Axes) -> float:
-        """Return how well the frame's direction upwards keeps to one axis of the world, from 0 to 1; see `flat`."""
-        return float(np.abs(turned(self.quaternion, AXES[axes][1]).mean(axis=0)).max())
+    def _up(self, axes: Axes) -> Array:
+        """Return the mean direction upwards (3,) of the frame, of length 1 if it keeps to one axis of the world."""
+        return np.asarray(turned(self.quaternion, AXES[axes][1]).mean(axis=0))
 
     def inverse(self) -> Trajectory:
         """Return the poses of the world's frame as seen from this one."""
@@ -188,8 +188,8 @@ class Trajectory:
 
     def _upwards(self, axes: Axes) -> Array:
         """Return the axis of the world (3,), or its opposite, to which the frame's own direction upwards points."""
-        mean = turned(self.quaternion, AXES[axes][1]).mean(axis=0)
-        if not self._upright(axes) >= _TILTED:
+        mean = self._up(axes)
+        if not np.abs(mean).max() >= _TILTED:
             raise DataError(f"{self.source}: {self._why_tilted(axes)}")
         return np.asarray(np.where(np.abs(mean) == np.abs(mean).max(), np.sign(mean), 0.0))
 
