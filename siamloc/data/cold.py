@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import os
+from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
-from foundation.files import read_text
+from foundation.files import is_picture, read_text
+from foundation.settings import shortened
 from siamloc.data.frames import ODOMETRY, FrameTable, image_files, in_capture_order
 from siamloc.data.manifest import read_rows
 from siamloc.data.names import SequenceName, name_sequence, parse_name
@@ -20,6 +22,7 @@ ODOMETRY_FILE = "odometry.csv"
 
 _LIST_SUFFIX = ".places.lst"
 _DEPTH = 5
+_ABSENT = 0.01  # share of the listed images: a whole sequence may lack a few, one that was cut lacks many
 _LAYOUT = (
     "<building>/part_<a|b>/seq<path>_<lighting><run>/omni_cam/*.jpeg with localization/places.lst, "
     "folders such as cold-freiburg_part_a_seq2_cloudy1, or files *.places.lst"
@@ -74,6 +77,54 @@ def read_cold(
     return in_capture_order(FrameTable.from_rows([frame for name in sorted(named) for frame in named[name][1]]))
 
 
+class Stored(NamedTuple):
+    """A sequence on disk.
+
+    Attributes:
+        folder: its folder.
+        list: its list of rooms; None without one.
+        name: its name, as far as its folders and rooms say it.
+        frames: number of frames in its list.
+        lack: what it lacks to be a whole sequence, in words that follow its name; empty if nothing.
+    """
+
+    folder: Path
+    list: Path | None
+    name: SequenceName
+    frames: int
+    lack: str
+
+
+def stored(root: Path) -> list[Stored]:
+    """Find the sequences below a folder, where `read_cold` finds them, and what each of them lacks."""
+    found = []
+    for source in _sources(root, CAMERAS[0]):
+        frames, lack = [], "has no list localization/places.lst"
+        if source.list is not None:
+            try:
+                frames = read_list(source.list)
+                lack = _lack(source.folder, [frame["image"] for frame in frames])
+            except DataError as error:
+                lack = f"has no list that can be used: {error}"
+        name = name_sequence(source.folder, source.label, [frame["room"] for frame in frames])
+        found.append(Stored(source.folder, source.list, name, len(frames), lack))
+    return found
+
+
+def _lack(folder: Path, listed: list[str]) -> str:
+    """Say which listed images a sequence lacks, and which it holds instead; empty if it lacks hardly any."""
+    there = {image.name for camera in CAMERAS for image in (folder / camera).glob("*")}
+    absent = [image for image in listed if image not in there]
+    if len(absent) <= _ABSENT * len(listed):
+        return ""
+    pictures = [path.relative_to(folder) for path in sorted(folder.glob("**/*")) if is_picture(path)]
+    counts = Counter(picture.parent.as_posix() for picture in pictures)
+    held = " and ".join(f"{count} in {name}" for name, count in counts.items())
+    return f"lacks {len(absent)} of the {len(listed)} images in its list, the first {absent[0]}, and holds " + (
+        f"{shortened(held)}, the first {pictures[0].as_posix()}" if pictures else "none"
+    )
+
+
 @dataclass(frozen=True)
 class _Source:
     """One sequence on disk: its folder, the folder of its images, its list, and its name within the root."""
@@ -88,6 +139,14 @@ def _find(root: Path, camera: str) -> list[_Source]:
     if not root.is_dir():
         other = "one list is read with places=FILE, and `siamloc fetch cold` loads the database"
         raise DataError(f"{root} is not a folder; {other}. Expected {_LAYOUT}")
+    if not (found := _sources(root, camera)):
+        there = ", ".join(sorted(path.name for path in root.iterdir())[:5])
+        raise DataError(f"no sequence found under {root}, which holds: {there or 'nothing'}. Expected {_LAYOUT}")
+    return found
+
+
+def _sources(root: Path, camera: str) -> list[_Source]:
+    """Return the sequences below a folder, none if it does not exist."""
     found: dict[Path, _Source] = {}
     named_lists: list[Path] = []
     for folder, files in _folders(root):
@@ -102,9 +161,6 @@ def _find(root: Path, camera: str) -> list[_Source]:
         source = _source_of_list(path, camera)
         if source.folder not in found or found[source.folder].list is None:
             found[source.folder] = source
-    if not found:
-        there = ", ".join(sorted(path.name for path in root.iterdir())[:5])
-        raise DataError(f"no sequence found under {root}, which holds: {there or 'nothing'}. Expected {_LAYOUT}")
     return list(found.values())
 
 

@@ -16,18 +16,19 @@ from urllib.parse import urlsplit
 from urllib.request import Request, urlopen
 
 from foundation.calls import typed
-from foundation.files import atomic_folder, file_hash, read_text, scratch_folder, storage_errors, write_text
+from foundation.files import file_hash, read_text, real_path, scratch_folder, storage_errors, write_text
 from foundation.locks import alone
 from foundation.settings import Count, Positive, shortened
 from siamloc.data.archives import ADDRESS, Archive, archives
-from siamloc.data.cold import CAMERAS, read_list
+from siamloc.data.cold import stored
+from siamloc.data.names import BUILDINGS
 from siamloc.data.protocol import ROLES, Protocol
 from siamloc.errors import ConfigError, DataError, logger
 from siamloc.progress import track
 
 SUMS = "SHA256SUMS"
 """File next to the sequences with the check sum of each fetched archive, which `sha256sum --check` reads."""
-_ABSENT = 0.01  # share of the listed images: an archive may lack a few, one that was cut lacks many
+_LATER = (408, 425, 429)  # besides 500 and above: the server asks for another attempt
 _LONGEST_PAUSE = 30.0  # s, between two attempts
 _BLOCK = 1 << 18
 
@@ -47,8 +48,9 @@ class Fetched:
     Attributes:
         folder: the database, which `siamloc.data.read("cold", root=folder)` reads.
         there: number of frames of each sequence in the folder.
-        missing: sequences that are not in the folder.
-        notes: a sentence for each peculiarity of a sequence, such as another number of frames than expected.
+        missing: sequences that are not in the folder as a whole.
+        notes: a sentence for each peculiarity of a sequence, such as another number of frames than expected, or images
+            that are missing.
     """
 
     folder: Path
@@ -76,12 +78,15 @@ def fetch(
 ) -> Fetched:
     """Load sequences of a data set that are not in a folder yet, check them, and unpack them.
 
-    A download that breaks is continued, also by a later call. An archive is used if it has the announced size, holds
-    nothing but files and folders inside its own folder, and a list `places.lst` whose images are there.
+    A sequence is there if the folder holds it with a list `places.lst` and the listed images, in any layout that
+    `read("cold")` knows. Nothing that lies in the place of another one is replaced. A download that breaks is
+    continued, also by a later call. An archive is used if it has the announced size, holds nothing but files and
+    folders inside its own folder, and this one sequence as a whole; one that fails these checks is kept.
 
     Args:
         kind: the data set: "cold".
-        sequences: names or shell patterns such as "freiburg_a_seq2_*"; or a protocol, for the sequences of its roles.
+        sequences: names or shell patterns such as "freiburg_a_seq2_*"; or a protocol of COLD, for the sequences of its
+            roles.
         out: folder of the database. Archives that already lie there, as `cold-freiburg/part_a/seq2_cloudy3.tar`, are
             unpacked without loading them.
         mirror: address of the database, or of a copy with the same folders.
@@ -94,16 +99,21 @@ def fetch(
         Which sequences are there. `SHA256SUMS` in the folder has the check sums of the archives.
 
     Raises:
-        ConfigError: no sequences, one that the data set does not have, or an address that is not http or https.
-        DataError: archives that are not at the address, cannot be loaded, or fail the checks; all others are fetched.
+        ConfigError: no sequences, one that the data set does not have, a protocol of other data, or an address that is
+            not http or https.
+        DataError: archives that are not at the address, cannot be loaded, or fail the checks, or places that hold
+            something else; all others are fetched.
         StorageError: the disk is full or refuses.
     """
     wanted = archives(_names(sequences))
     folder = Path(out).expanduser()
-    if urlsplit(mirror).scheme not in ("http", "https"):
+    if not _is_address(mirror):
         raise ConfigError(f"mirror must be an address such as {ADDRESS}, got {mirror!r}")
     lost: dict[str, str] = {}
-    if not only_list and (absent := [one for one in wanted if _count(folder / one.folder) is None]):
+    there, blocked = _inventory(folder, wanted)
+    absent = [] if only_list else [one for one in wanted if one.sequence not in there]
+    absent.sort(key=lambda one: one.sequence not in blocked)  # what is in the way is said before the loading
+    if absent:
         with alone(folder):
             unreachable = ""
             for one in absent:
@@ -111,24 +121,44 @@ def fetch(
                     lost[one.sequence] = unreachable
                     continue
                 try:
+                    if one.sequence in blocked:
+                        raise DataError(blocked[one.sequence])
                     _obtain(one, folder, f"{mirror.rstrip('/')}/{one.folder}.tar", keep, timeout, tries)
                 except DataError as error:  # the others may still be there
                     lost[one.sequence] = str(error)
                     if len(wanted) > 1:
                         logger.warning("%s cannot be fetched: %s", one.sequence, error)
                     unreachable = str(error) if isinstance(error, _Unreachable) else ""
-    found = _inventory(folder, wanted)
+        there, _ = _inventory(folder, wanted)
     if lost:
         names = shortened(", ".join(lost), 200)
         what = f"{len(lost)} of {len(wanted)} sequences could not be fetched ({names}): " if len(wanted) > 1 else ""
         raise DataError(f"{what}{next(iter(lost.values()))}")
-    return found
+    notes = [
+        f"{one.sequence} has {there[one.sequence]} frames, and {one.frames} are known from the literature"
+        for one in wanted
+        if one.frames is not None and there.get(one.sequence, one.frames) != one.frames
+    ]
+    missing = [one.sequence for one in wanted if one.sequence not in there]
+    return Fetched(folder, there, missing, [*notes, *blocked.values()])
+
+
+def _is_address(mirror: str) -> bool:
+    try:
+        return urlsplit(mirror).scheme in ("http", "https")
+    except ValueError:  # brackets that hold no address
+        return False
 
 
 def _names(sequences: str | Sequence[str] | Protocol) -> list[str]:
     if isinstance(sequences, Protocol):
         named = chain.from_iterable(getattr(sequences, role).sequences or () for role in ROLES)
         found = list(dict.fromkeys(named))
+        if others := [name for name in found if not name.startswith(BUILDINGS)]:
+            raise ConfigError(
+                f"the protocol is not one of COLD, whose sequences begin with {', '.join(BUILDINGS)}: it takes "
+                f"{others[0]!r}; choose another, such as protocol=freiburg, or give sequences=[...]"
+            )
     else:
         found = [sequences] if isinstance(sequences, str) else list(sequences)
     if not found:
@@ -136,21 +166,28 @@ def _names(sequences: str | Sequence[str] | Protocol) -> list[str]:
     return found
 
 
-def _inventory(folder: Path, wanted: list[Archive]) -> Fetched:
-    counts = {one.sequence: _count(folder / one.folder) for one in wanted}
-    there = {name: count for name, count in counts.items() if count is not None}
-    notes = [
-        f"{one.sequence} has {there[one.sequence]} frames, and {one.frames} are known from the literature"
-        for one in wanted
-        if one.frames is not None and there.get(one.sequence, one.frames) != one.frames
-    ]
-    return Fetched(folder, there, [name for name in counts if name not in there], notes)
+def _inventory(folder: Path, wanted: list[Archive]) -> tuple[dict[str, int], dict[str, str]]:
+    """Return the number of frames of each sequence that is there, and a sentence for each whose place is taken."""
+    whole_last = sorted(stored(folder), key=lambda held: not held.lack)
+    found = {held.name.sequence: held for held in whole_last}
+    there: dict[str, int] = {}
+    blocked: dict[str, str] = {}
+    for one in wanted:
+        place, held = folder / one.folder, found.get(one.sequence)
+        if held is not None and not held.lack:
+            there[one.sequence] = held.frames
+        elif held is not None:
+            blocked[one.sequence] = f"{held.folder} {held.lack}"
+        elif place.is_file():
+            blocked[one.sequence] = f"{place} is a file"
+        elif place.is_dir() and (names := _names_in(place)):
+            blocked[one.sequence] = f"{place} holds {names}, and no sequence"
+    advice = "it is not replaced; move it away, or choose another folder with out="
+    return there, {name: f"{what}: {advice}" for name, what in blocked.items()}
 
 
-def _count(sequence: Path) -> int | None:
-    """Return the number of frames in the list of a sequence; None if the sequence is not there."""
-    path = sequence / "localization" / "places.lst"
-    return len(read_list(path)) if path.is_file() else None
+def _names_in(folder: Path) -> str:
+    return ", ".join(sorted(path.name for path in folder.iterdir())[:5])
 
 
 def _obtain(one: Archive, out: Path, address: str, keep: bool, timeout: float, tries: int) -> None:
@@ -164,10 +201,16 @@ def _obtain(one: Archive, out: Path, address: str, keep: bool, timeout: float, t
             _load(address, part, one.sequence, timeout, tries)
     source = part if loaded else archive
     try:
-        _unpack(source, folder, address if loaded else str(archive))
-    except DataError:
-        _discard(part)  # it would fail again
-        raise
+        _unpack(source, folder, one)
+    except DataError as error:
+        what = f"{address if loaded else archive} {error}"
+        if loaded and not tarfile.is_tarfile(part):  # such as a page that asks to log in
+            _discard(part)
+            raise DataError(f"{what}: the same command loads it again") from error
+        if loaded:
+            part.replace(archive)
+            _discard(part)
+        raise DataError(f"{what}: not used; look at {archive}, and remove it to load it again") from error
     _note_sum(out / SUMS, f"{one.folder}.tar", file_hash(source))
     if loaded and keep:
         part.replace(archive)
@@ -186,7 +229,7 @@ def _load(address: str, part: Path, name: str, timeout: float, tries: int) -> No
             _attempt(address, part, name, timeout)
             return
         except HTTPError as error:
-            if error.code < 500:
+            if error.code < 500 and error.code not in _LATER:
                 raise DataError(
                     f"{address} cannot be fetched: the server answers {error.code} {error.reason}; give the address "
                     "of a mirror, or correct the table in siamloc/data/archives.py"
@@ -274,12 +317,14 @@ def _validator(part: Path) -> Path:
     return part.with_name(f"{part.name}.etag")
 
 
-def _unpack(archive: Path, folder: Path, name: str) -> None:
-    """Unpack the archive of a sequence; nothing remains of one that fails a check.
+def _unpack(archive: Path, folder: Path, one: Archive) -> None:
+    """Unpack the archive of a sequence; nothing but the archive remains of one that fails a check.
 
     Raises:
-        DataError: it is not a tar archive or cut short, leads out of its folder, or its images are not those listed.
+        DataError: it is not a tar archive or cut short, leads out of its folder, or is not that of the whole sequence;
+            the words follow its name.
     """
+    folder = real_path(folder)
     with scratch_folder(folder) as scratch:
         try:
             with tarfile.open(archive, "r:") as tar:
@@ -287,40 +332,39 @@ def _unpack(archive: Path, folder: Path, name: str) -> None:
                 members = tar.getmembers()
                 for member in members:
                     if not (member.isreg() or member.isdir()) or member.issparse():
-                        raise DataError(f"{name} holds {member.name}, which is neither a file nor a folder: not used")
+                        raise DataError(f"holds {member.name}, which is neither a file nor a folder")
                     if not (scratch / member.name).resolve().is_relative_to(scratch.resolve()):
-                        raise DataError(f"{name} holds {member.name}, which lies outside of its own folder: not used")
-                for member in track(members, len(members), f"unpacking {folder.name}"):
+                        raise DataError(f"holds {member.name}, which lies outside of its own folder")
+                files = [member for member in members if member.isreg()]  # their folders get the usual permissions
+                for member in track(files, len(files), f"unpacking {folder.name}"):
                     tar.extract(member, scratch, set_attrs=False)
         except (tarfile.TarError, EOFError) as error:
-            raise DataError(f"{name} is not a whole tar archive ({error}): fetch it again") from error
-        sequence = _checked(scratch, name)
-        with atomic_folder(folder) as fresh:
-            for child in sequence.iterdir():
-                child.replace(fresh / child.name)
+            raise DataError(f"is not a whole tar archive ({error})") from error
+        sequence = _checked(scratch, one)
+        if folder.is_dir():
+            folder.rmdir()  # which refuses if it is not empty
+        sequence.replace(folder)
 
 
-def _checked(scratch: Path, name: str) -> Path:
+def _checked(scratch: Path, one: Archive) -> Path:
     """Return the folder of the sequence that was unpacked.
 
     Raises:
-        DataError: it has no readable list, or lacks images of the list.
+        DataError: there is none with a list, or several, or it is another one, or lacks images of the list.
     """
-    lists = sorted(scratch.glob("**/localization/places.lst"))
-    if not lists:
-        raise DataError(f"{name} holds no list localization/places.lst: it is not the archive of a sequence of COLD")
-    sequence = lists[0].parent.parent
-    try:
-        listed = [frame["image"] for frame in read_list(lists[0])]
-    except DataError as error:
-        raise DataError(f"{name} is not used: {str(error).replace(f'{scratch}/', '')}") from error
-    absent = [image for image in listed if not any((sequence / camera / image).is_file() for camera in CAMERAS)]
-    if len(absent) > _ABSENT * len(listed):
-        raise DataError(
-            f"{name} lacks {len(absent)} of the {len(listed)} images in its places.lst, the first {absent[0]}: "
-            "it was cut short; fetch it again, or from a mirror"
-        )
-    return sequence
+    found = [each for each in stored(scratch) if each.list is not None]
+    if not found:
+        raise DataError(f"holds no list localization/places.lst, but {_names_in(scratch) or 'nothing'}")
+    inside = ", ".join(sorted(each.folder.relative_to(scratch).as_posix() for each in found))
+    if len(found) > 1:
+        raise DataError(f"holds {len(found)} sequences: {shortened(inside)}")
+    folder, _, name, _, lack = found[0]
+    building, run = name.building, one.folder.rpartition("/")[2]
+    if building and not (one.sequence.startswith(building) and name.sequence.endswith(run)):
+        raise DataError(f"holds another sequence, {inside}")
+    if lack:
+        raise DataError(lack.replace(f"{scratch}/", ""))
+    return folder
 
 
 def _note_sum(path: Path, name: str, digest: str) -> None:

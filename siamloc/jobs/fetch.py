@@ -5,12 +5,14 @@ from __future__ import annotations
 import shlex
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import partial
 from typing import ClassVar, Literal
 
 from foundation.settings import Count, Positive, Text
 from siamloc.data.archives import ADDRESS
 from siamloc.data.fetching import Fetched, fetch
-from siamloc.data.protocol import Protocol
+from siamloc.data.protocol import ROLES, Protocol
+from siamloc.errors import ConfigError, DataError
 from siamloc.jobs.choices import Folder
 from siamloc.jobs.job import Job, Say, quiet
 from siamloc.jobs.options import choices, option
@@ -20,12 +22,13 @@ from siamloc.jobs.options import choices, option
 class Fetch(Job):
     """Load sequences of the COLD database and unpack them where data=cold looks for them.
 
-    Loads what is not there yet. After a break, the same command continues. Each archive is checked before it is
-    used, and SHA256SUMS in the folder lists the check sums, so that two laboratories can compare what they have.
+    Loads what is not there yet, and replaces nothing. After a break, the same command continues. Each archive is
+    checked before it is used, and SHA256SUMS in the folder lists the check sums, so that two laboratories can compare
+    what they have.
     The addresses are known from others and were not checked; they are in siamloc/data/archives.py.
 
         sequences=[freiburg_a_seq2_cloudy3,...]   sequences, or patterns such as 'freiburg_a_seq2_*'
-        protocol=freiburg    or the sequences of a protocol
+        protocol=freiburg    or the sequences of a protocol of COLD
         out=data/COLD        the folder of the database
         --list               load nothing, and list what is there and what is missing
         mirror=ADDRESS       a copy of the database
@@ -51,13 +54,14 @@ class Fetch(Job):
 
     def run(self, say: Say = quiet) -> Fetched:
         """Fetch the sequences, or list them."""
-        found = fetch(
-            self.kind,
-            self.sequences or self.protocol,
-            self.out,
-            **{key: getattr(self, key) for key in ("mirror", "keep", "timeout", "tries")},
-            only_list=self.list,
-        )
+        if self.sequences and any(getattr(self.protocol, role).sequences for role in ROLES):
+            raise ConfigError("give sequences=[...] or a protocol, not both: either one says what to fetch")
+        load = partial(fetch, self.kind, self.sequences or self.protocol, self.out, mirror=self.mirror)
+        try:
+            found = load(keep=self.keep, timeout=self.timeout, tries=self.tries, only_list=self.list)
+        except DataError:
+            say(load(only_list=True).table())
+            raise
         say(found.table())
         for note in found.notes:
             say(f"note: {note}")

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import errno
+import gzip
 import hashlib
 import io
+import random
 import re
 import sys
 import tarfile
@@ -23,16 +25,29 @@ import siamloc.data
 from siamloc.cli import main
 from siamloc.data import Protocol, Role, fetching
 from siamloc.data.archives import archives
-from siamloc.errors import ConfigError, DataError
+from siamloc.errors import ConfigError, DataError, StorageError
 
 NAME, PATH = "freiburg_a_seq2_cloudy3", "/db/cold-freiburg/part_a/seq2_cloudy3.tar"
 IMAGES = [f"t{time}.5_x{time}.25_y-0.5_a1e-05.jpeg" for time in range(3)]
 
 
-def tar(listed=IMAGES, images=IMAGES, inside="seq2_cloudy3", places="places.lst", further=(), content=bytes(20_000)):
-    """An archive as the database has them, with the content of each image, and further members."""
-    files = {f"{inside}/localization/{places}": "".join(f"{image} CR-A\n" for image in listed).encode()}
-    files |= {f"{inside}/{camera}/{image}": content for camera in ("std_cam", "omni_cam") for image in images}
+PLACE = "cold-freiburg/part_a/seq2_cloudy3"
+CAMERAS = ("std_cam", "omni_cam")
+
+
+def tar(
+    listed=IMAGES,
+    images=IMAGES,
+    inside=("seq2_cloudy3",),
+    places="places.lst",
+    further=(),
+    content=bytes(20_000),
+    cameras=CAMERAS,
+):
+    """An archive as the database has them, of the sequences inside, with the content of each image and more members."""
+    rooms = "".join(f"{image} CR-A\n" for image in listed).encode()
+    files = {f"{name}/localization/{places}": rooms for name in inside}
+    files |= {f"{name}/{camera}/{image}": content for name in inside for camera in cameras for image in images}
     buffer = io.BytesIO()
     with tarfile.open(fileobj=buffer, mode="w") as archive:
         for name, content in files.items():
@@ -54,8 +69,8 @@ class Handler(BaseHTTPRequestHandler):
         server.asked.append((self.path, self.headers.get("Range"), self.headers.get("If-Range")))
         step = server.steps.pop(0) if server.steps else ""
         content = server.files.get(self.path)
-        if content is None or step == "503":
-            self.send_error(404 if content is None else 503)
+        if content is None or step in ("503", "429"):
+            self.send_error(404 if content is None else int(step))
             return
         tag = f'"{hashlib.sha256(content).hexdigest()[:8]}"'
         begin = int(self.headers.get("Range", "bytes=0-")[6:-1])
@@ -125,7 +140,7 @@ def test_a_sequence_is_loaded_checked_and_read(server, tmp_path):
         (["cut", "cut"], 2),
         (["stall"], 1),
         (["slow"], 0),
-        (["503", "503"], 0),
+        (["503", "429"], 0),
         (["cut", "no ranges"], 1),
     ],
 )
@@ -143,7 +158,7 @@ def test_a_later_call_goes_on_unless_the_file_changed(server, tmp_path):
         with pytest.raises(DataError, match=r"seq2_cloudy3\.tar cannot be fetched .* bytes are here, and the same"):
             server.fetch(out, tries=1)
         if changed:
-            server.files[PATH] = tar(inside="another")
+            server.files[PATH] = tar(inside=["another"])
         assert server.fetch(out).there == {NAME: 3}
         assert server.asked[-1][1].startswith("bytes=")
         assert server.asked[-1][2].startswith('"')
@@ -161,26 +176,122 @@ def test_a_later_call_goes_on_unless_the_file_changed(server, tmp_path):
 
 LINK = tarfile.TarInfo("seq2_cloudy3/link")
 LINK.type, LINK.linkname = tarfile.SYMTYPE, "/etc/passwd"
+NO_ARCHIVE = {"empty file": b"", "truncated header": b"<html>Log in to the network</html>"}
 BAD = {
-    "is not a whole tar archive": b"<html>Log in to the network</html>",
     r"is not a whole tar archive \(unexpected end of data\)": tar()[:100_000],
-    "lacks 1 of the 3 images in its places.lst, the first t2.5": tar(images=IMAGES[:2]),
-    "holds ../evil, which lies outside of its own folder: not used": tar(further=[tarfile.TarInfo("../evil")]),
+    r"is not a whole tar archive \(invalid header\)": gzip.compress(tar(content=random.Random(0).randbytes(20_000))),
+    "lacks 1 of the 3 images in its list, the first t2.5.*, and holds 2 in omni_cam and 2 in std_cam": tar(
+        images=IMAGES[:2]
+    ),
+    "lacks 3 of the 3 .* t0.5.*, and holds 3 in Omni_cam, the first Omni_cam/t0.5": tar(cameras=["Omni_cam"]),
+    "lacks 3 of the 3 .* t0.5_.*, and holds 3 in omni_cam .* the first omni_cam/t0.5.jpeg": tar(
+        images=[f"t{time}.5.jpeg" for time in range(3)]
+    ),
+    "holds another sequence, seq2_night3": tar(inside=["seq2_night3"]),
+    "holds another sequence, saarbruecken/seq2_cloudy3": tar(inside=["saarbruecken/seq2_cloudy3"]),
+    "holds 2 sequences: seq2_cloudy2, seq2_cloudy3": tar(inside=["seq2_cloudy3", "seq2_cloudy2"]),
+    "holds ../evil, which lies outside of its own folder": tar(further=[tarfile.TarInfo("../evil")]),
     "holds seq2_cloudy3/link, which is neither a file nor a folder": tar(further=[LINK]),
-    "holds no list localization/places.lst": tar(places="places.txt"),
+    "holds no list localization/places.lst, but seq2_cloudy3": tar(places="places.txt"),
     r"places\.lst, line 3: expected t<seconds>": tar(listed=[*IMAGES[:2], IMAGES[2][:9]]),
 }
 
 
-@pytest.mark.parametrize("says", BAD)
-def test_a_bad_archive_is_refused_and_leaves_nothing(server, tmp_path, says):
-    server.files[PATH] = BAD[says]
+@pytest.mark.parametrize("says", NO_ARCHIVE)
+def test_what_is_no_archive_is_loaded_again_unless_the_user_put_it_there(server, tmp_path, says):
+    server.files[PATH] = NO_ARCHIVE[says]
     out = tmp_path / "a/b/COLD"
-    with pytest.raises(DataError, match=says):
+    with pytest.raises(DataError, match=rf"is not a whole tar archive \({says}\): the same command loads it again"):
         server.fetch(out)
     assert not [path for path in tmp_path.rglob("*") if path.is_file()]
     server.files[PATH] = tar()
     assert server.fetch(out).there == {NAME: 3}
+    lying = tmp_path / f"{PLACE}.tar"
+    lying.parent.mkdir(parents=True)
+    lying.write_bytes(NO_ARCHIVE[says])
+    with pytest.raises(DataError, match=rf"\({says}\): not used; look at {lying}, and remove it to load it again"):
+        server.fetch(tmp_path)
+    assert lying.is_file()
+
+
+@pytest.mark.parametrize("says", BAD)
+def test_a_bad_archive_is_refused_and_kept(server, tmp_path, says):
+    server.files[PATH] = BAD[says]
+    out = tmp_path / "a/b/COLD"
+    kept = out / f"{PLACE}.tar"
+    for _ in range(2):
+        with pytest.raises(DataError, match=rf"{says}.*: not used; look at {kept}, and remove it to load it again"):
+            server.fetch(out)
+    assert [path for path in tmp_path.rglob("*") if path.is_file()] == [kept]
+    assert kept.read_bytes() == BAD[says]
+    assert len(server.asked) == 1
+    kept.unlink()
+    server.files[PATH] = tar()
+    assert server.fetch(out).there == {NAME: 3}
+
+
+@pytest.mark.parametrize(
+    "inside",
+    ["freiburg_seq2_cloudy3", "COLD/cold-freiburg/part_a/seq2_cloudy3", "cold-freiburg_part_a_seq2_cloudy3", "."],
+)
+def test_a_sequence_may_lie_anywhere_in_its_archive(server, tmp_path, inside):
+    server.files[PATH] = tar(inside=[inside])
+    assert server.fetch(tmp_path).there == {NAME: 3}
+    assert sorted(path.name for path in (tmp_path / PLACE).iterdir()) == ["localization", *sorted(CAMERAS)]
+
+
+def laid(folder, listed=IMAGES, images=IMAGES):
+    """A sequence that the user unpacked."""
+    for name, content in {"notes.txt": "mine", "places.lst": "".join(f"{image} CR-A\n" for image in listed)}.items():
+        folder.mkdir(parents=True, exist_ok=True)
+        (folder / name).write_text(content)
+    for image in images:
+        (folder / "omni_cam").mkdir(exist_ok=True)
+        (folder / "omni_cam" / image).write_bytes(b"mine")
+
+
+@pytest.mark.parametrize("layout", [PLACE, "freiburg/part_a/seq2_cloudy3", "freiburg_seq2_cloudy3"])
+def test_a_sequence_that_the_user_unpacked_is_there(server, tmp_path, layout):
+    laid(tmp_path / layout)
+    assert server.fetch(tmp_path).there == {NAME: 3}
+    assert not server.asked
+    assert (tmp_path / layout / "notes.txt").read_text() == "mine"
+    assert set(siamloc.data.read("cold", root=tmp_path).sequence.tolist()) == {NAME}
+
+
+@pytest.mark.parametrize(
+    ("make", "says"),
+    [
+        (lambda place: laid(place, images=[]), "lacks 3 of the 3 images in its list, the first t0.5.*, and holds none"),
+        (lambda place: laid(place, images=IMAGES[:1]), "lacks 2 of the 3 .*, and holds 1 in omni_cam"),
+        (lambda place: (laid(place), (place / "places.lst").unlink()), "has no list localization/places.lst"),
+        (
+            lambda place: (laid(place), (place / "places.lst").write_text("a b c")),
+            "has no list that can be used: .*line 1",
+        ),
+        (lambda place: (place.mkdir(parents=True), (place / "notes.txt").touch()), "holds notes.txt, and no sequence"),
+        (lambda place: (place.parent.mkdir(parents=True), place.touch()), "is a file"),
+    ],
+)
+def test_nothing_of_the_user_is_replaced(server, tmp_path, make, says):
+    place = tmp_path / PLACE
+    make(place)
+    before = {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()}
+    with pytest.raises(DataError, match=rf"{place} {says}.*: it is not replaced; move it away, or choose another"):
+        server.fetch(tmp_path)
+    assert before == {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()}
+    assert not server.asked
+    listed = server.fetch(tmp_path, only_list=True)
+    assert listed.missing == [NAME]
+    assert "it is not replaced" in listed.notes[0]
+
+
+def test_what_is_put_there_during_the_loading_is_not_replaced(server, tmp_path, monkeypatch):
+    load = fetching._load
+    monkeypatch.setattr(fetching, "_load", lambda *words: (load(*words), laid(tmp_path / PLACE)))
+    with pytest.raises(StorageError, match="not empty"):
+        server.fetch(tmp_path)
+    assert (tmp_path / PLACE / "notes.txt").read_text() == "mine"
 
 
 @pytest.mark.skipif(sys.version_info >= (3, 14), reason="which extracts by a filter of its own")
@@ -192,6 +303,7 @@ def test_archives_are_checked_by_an_older_python_too(server, tmp_path, monkeypat
         server.files[PATH] = tar(further=[tarfile.TarInfo(outside)])
         with pytest.raises(DataError, match=f"holds {outside}, which lies outside of its own folder"):
             server.fetch(tmp_path)
+        (tmp_path / f"{PLACE}.tar").unlink()
     server.files[PATH] = tar()
     assert server.fetch(tmp_path).there == {NAME: 3}
 
@@ -239,7 +351,7 @@ def test_a_host_that_nobody_reaches_is_not_asked_for_each_sequence(tmp_path, mon
     monkeypatch.setattr(fetching, "_LONGEST_PAUSE", 0.0)
     lying = tmp_path / "cold-freiburg/part_a/seq2_cloudy2.tar"  # unpacked all the same
     lying.parent.mkdir(parents=True)
-    lying.write_bytes(tar(inside="seq2_cloudy2"))
+    lying.write_bytes(tar(inside=["seq2_cloudy2"]))
     names = [NAME, "freiburg_a_seq2_sunny4"]
     with pytest.raises(DataError, match=rf"2 of 3 sequences could not be fetched \({', '.join(names)}\): http"):
         siamloc.data.fetch("cold", [*names, "freiburg_a_seq2_cloudy2"], tmp_path, tries=3)
@@ -266,6 +378,11 @@ def test_an_error_of_the_network_is_not_one_of_the_disk(server, tmp_path, monkey
         ({}, r"no sequences given: name them, as sequences=\[freiburg_a_seq2_cloudy3\]"),
         ({"sequences": "freiburg_a_seq2_clody3"}, r"no sequence 'freiburg_a_seq2_clody3'; did you mean"),
         ({"sequences": "*", "mirror": "file:///etc"}, "mirror must be an address such as https"),
+        ({"sequences": "*", "mirror": "http://[bad"}, r"mirror must be an address such as https.*got 'http://\[bad'"),
+        (
+            {"sequences": Protocol(train=Role(sequences=("freiburg_a_*", "*seq2_cloudy3")))},
+            r"not one of COLD, whose sequences begin with freiburg, .* it takes '\*seq2_cloudy3'; choose another",
+        ),
     ],
 )
 def test_what_cannot_be_fetched_is_one_sentence(words, says):
@@ -290,13 +407,18 @@ def test_the_command_knows_protocols_by_name(server, tmp_path, capsys):
     shown = capsys.readouterr()
     assert f"{NAME}: 3 frames\nnote: " in shown.out
     assert "next:" not in shown.out, "no protocol was given"
-    for one in archives(missing):
-        places = tmp_path / one.folder / "localization/places.lst"
-        places.parent.mkdir(parents=True, exist_ok=True)
-        places.write_text(f"{IMAGES[0]} CR-A\n")
+    assert main(["fetch", "cold", "protocol=freiburg_cloudy", *where]) == 2
+    assert f"{NAME}: 3 frames\nfreiburg_a_seq2_cloudy1: missing\n" in capsys.readouterr().out
+    for one in archives([name for name in missing if name != NAME]):
+        laid(tmp_path / one.folder)
     assert main(["fetch", "cold", "protocol=freiburg_cloudy", *where]) == 0
     shown = capsys.readouterr()
     assert f"next: siamloc train data=cold data.root={tmp_path} protocol=freiburg_cloudy experiment" in shown.out
+
+
+def test_sequences_do_not_silently_win_over_a_protocol(tmp_path, capsys):
+    assert main(["fetch", "cold", "protocol=freiburg", f"sequences=[{NAME}]", f"out={tmp_path}", "--list"]) == 2
+    assert "give sequences=[...] or a protocol, not both" in capsys.readouterr().err
 
 
 @pytest.mark.slow
@@ -309,7 +431,7 @@ def test_two_commands_lead_from_the_server_to_a_trained_network(server, tmp_path
     ):
         names = [f"t{time}.0_x{time / 4}_y0.0_a0.0.jpeg" for time in range(12)]
         picture = cv2.imencode(".jpg", cv2.resize(place, (640, 480)))[1].tobytes()
-        archive = tar(listed=names, images=names, inside=f"seq2_{run}", content=picture)
+        archive = tar(listed=names, images=names, inside=[f"seq2_{run}"], content=picture)
         server.files[f"/db/cold-freiburg/part_a/seq2_{run}.tar"] = archive
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("SIAMLOC_CACHE", str(tmp_path / "cache"))
