@@ -150,6 +150,7 @@ def floor_scale(
     used = np.flatnonzero(np.isin(between, told) & moving)
     near, moved = steps.take(used), moved[used]
     found = _likelihoods(floors, slopes, near, _FACTORS - float(np.log(height)))
+    found[found.argmax(axis=1) == 0] = 0  # what moves along with the robot, such as reflections, tells nothing
     if not len(found) or np.median(found.max(axis=1) - found.mean(axis=1)) < _TELLS:
         return None
     cell = np.round((way - way.min()) / _CELL).astype(int)

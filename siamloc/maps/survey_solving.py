@@ -49,7 +49,7 @@ def solved(graph: PoseGraph, loops: Loops, start: Array) -> tuple[PoseGraph, Sol
 def solution_notes(
     frames: FrameTable, graph: PoseGraph, whole: PoseGraph, solution: Solution, loops: Loops
 ) -> list[str]:
-    """Return sentences about missing loops, and about anchors that the images contradict.
+    """Return sentences about missing loops, and about anchors or loops that the images contradict.
 
     Args:
         frames: the frames (n).
@@ -62,18 +62,20 @@ def solution_notes(
     if not loops.accepted.any():
         found = "contradict all other measurements" if (loops.reason == Reason.CONTRADICTED).any() else "were not found"
         notes.append(f"loops {found}: drift is not undone; a drive that visits places again has loops")
-    if len(graph.fixed) < 2:
-        return notes
-    if (doubted := _doubted_anchors(whole, solution)).size:
+    anchored, torn = len(graph.fixed) > 1, _torn(graph, solution.weight)
+    if anchored and (doubted := _doubted_anchors(whole, solution)).size:
         notes.append(
             f"{doubted.size} of {len(graph.fixed)} anchors contradict the images around them, the first is "
             f"{frames.path[doubted[0]]}: check their poses"
         )
-    elif (torn := _torn(graph.pictures, solution.weight)).size:
+    elif torn.size:
         name, before = frames.sequence[torn[0]], int((graph.drive[: torn[0]] == graph.drive[torn[0]]).sum())
+        where = f"drive {name or '(unnamed)'} is torn before its frame {before}"
         notes.append(
-            f"the anchors contradict the images: drive {name or '(unnamed)'} is torn before its frame {before}: check "
-            "the poses of the anchors, in metres and rad"
+            f"the anchors contradict the images: {where}: check the poses of the anchors, in metres and rad"
+            if anchored
+            else f"loops contradict the images: {where} ({frames.path[torn[0]]}): if something moved beside the robot "
+            "there, leave these frames out, or give odometry"
         )
     return notes
 
@@ -85,10 +87,19 @@ def _doubted_anchors(graph: PoseGraph, solution: Solution) -> NDArray[np.int64]:
     return graph.fixed[votes[graph.fixed] > 0]
 
 
-def _torn(steps: Edges, weight: Array) -> NDArray[np.int64]:
-    """Return the frames before which a drive is torn: the solution weighs down all steps across, by their weights."""
-    across = np.full(int(steps.second.max()) + 1, np.nan)
+def _torn(graph: PoseGraph, weight: Array) -> NDArray[np.int64]:
+    """Return the frames before which a drive is torn: the solution weighs down all steps across, by their weights.
+
+    Odometry across holds it together all the same, but for anchors. Where images are unlike, so that only the step to
+    the next frame is known, a drive may be torn.
+    """
+    steps = graph.pictures
+    across, count = np.full(len(graph), np.nan), np.zeros(len(graph), dtype=int)
     for later in range(1, max(BEFORE) + 1):
         there = steps.first + later <= steps.second
         np.fmax.at(across, (steps.first + later)[there], weight[: len(steps)][there])
-    return np.flatnonzero(across < _DOUBTED)
+        np.add.at(count, (steps.first + later)[there], 1)
+    torn = across < _DOUBTED
+    if len(graph.fixed) < 2:
+        torn &= (count > 1) & ~np.isin(np.arange(len(graph)), graph.wheels.second)
+    return np.flatnonzero(torn)
