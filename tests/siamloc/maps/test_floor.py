@@ -205,3 +205,12 @@ def test_a_height_is_asked_for_only_where_it_gives_metres(drive, known):
     floor, _ = _told_by_floor([panoramas], VIEW, known, steps, np.full((39, 3), 0.27), None, notes, None)
     assert [note.partition(" is right if the camera is ")[0] for note in notes] == ["the scale"] * known
     assert floor.height == pytest.approx(HEIGHT, rel=0.06)
+
+
+def test_what_moves_along_with_the_robot_for_a_while_tells_nothing(drive):
+    _, panoramas, steps = drive
+    shiny = panoramas.copy()
+    shiny[12:28, :, 32:] = 90 + 60 * np.cos(np.arange(256) * 2 * np.pi / 16)  # bright streaks away from the robot
+    found, longer = floor_scale([shiny], VIEW, steps, np.arange(40) * 0.27, HEIGHT)
+    np.testing.assert_allclose(found.factors, 1, atol=0.06)
+    np.testing.assert_allclose(longer.pose, steps.pose, atol=0.03)
