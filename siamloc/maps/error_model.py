@@ -63,7 +63,9 @@ class ErrorModel(Learned):
         radius: distance beyond which a match is another place, in units of x and y.
         neighbours: number of matches of each query that the score uses.
         knots: scores, increasing.
-        errors: the expected error at each knot, non-decreasing; linear between knots and constant beyond.
+        errors: the expected error at each knot, non-decreasing; linear between knots and constant beyond. But beyond
+            the last knot of "pose" it grows as the deviation does, up to 50 times: pictures that agree less with the
+            map than all of the validation.
         queries: number of queries it was learned from.
         lost_above: the expected error above which the robot counts as lost; None if no threshold was chosen.
         foreign_above: the strangeness above which a query shows nothing that is on the map, so that the robot is lost
@@ -176,7 +178,11 @@ class ErrorModel(Learned):
 
     def predict(self, found: Retrieval, map_xy: ArrayLike, poses: RefinedPoses | None = None) -> NDArray[np.float64]:
         """Return the expected error of each query (n,), in units of x and y. Arguments and errors as for `judged`."""
-        return np.interp(self.scores(found, map_xy, poses), self.knots, self.errors)
+        scores = self.scores(found, map_xy, poses)
+        expected = np.interp(scores, self.knots, self.errors)
+        if self.of_poses:  # whose scores are logarithms of deviations
+            expected *= np.exp(np.clip(scores - self.knots[-1], 0, -np.log(_AGREEMENT)))
+        return expected
 
     def judged(
         self, found: Retrieval, map_xy: ArrayLike, poses: RefinedPoses | None = None

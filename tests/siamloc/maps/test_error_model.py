@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from siamloc.errors import ConfigError, DataError, FormatError
 from siamloc.maps import Retrieval
 from siamloc.maps.error_model import ErrorModel, ratio_score
+from siamloc.maps.joining import RefinedPoses
 from tests.oracles import calibration as oracle
 from tests.siamloc.maps.conftest import retrieval
 
@@ -70,6 +71,17 @@ def test_the_prediction_interpolates_and_is_constant_beyond() -> None:
     xy = np.array([[0.0, 0], [9, 0]])
     found = Retrieval(np.tile([0, 1], (4, 1)), np.array([[0.0, 1], [0.35, 1], [0.5, 1], [1, 1]]))
     np.testing.assert_allclose(MODEL.predict(found, xy), [0.1, 0.25, 0.4, 3.0])
+
+
+def test_the_expected_error_of_a_pose_grows_with_its_deviation_beyond_all_of_the_validation() -> None:
+    deviation, agreement = np.array([0.1, 0.4, 0.8, 0.8, np.nan]), np.array([1.0, 1.0, 1.0, 0.1, 0.0])
+    n, information = len(agreement), np.eye(2) / np.nan_to_num(deviation, nan=np.inf)[:, None, None] ** 2
+    poses = RefinedPoses(np.zeros((n, 2)), np.zeros(n), information, agreement, np.zeros(n, dtype=int), np.zeros(n))
+    scores = np.log(2 * np.array([0.1, 0.4]))  # the covariance is twice the scale matrix, in x and in y
+    model = ErrorModel("pose", 0.0, 1, tuple(scores), (0.05, 0.2), 50, refine="relative")
+    found, xy = Retrieval(np.zeros((n, 1), dtype=int), np.ones((n, 1))), [[0.0, 0.0]]
+    np.testing.assert_allclose(model.predict(found, xy, poses), [0.05, 0.2, 0.4, 4.0, 10.0])
+    assert replace(model, lost_above=1.0).judged(found, xy, poses)[1].tolist() == [False] * 3 + [True] * 2
 
 
 def test_lost_is_an_expected_error_above_the_threshold() -> None:
