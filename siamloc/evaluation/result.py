@@ -178,6 +178,10 @@ class Result:
         """
         folder, occupancy = Path(folder), None if plan is None else read_occupancy(plan)
         older = tables_of(folder)
+        if (folder / "results.json").is_file():
+            from siamloc.report.draw import files_of
+
+            older |= files_of(folder)
         extra = {
             f"{name}_{method}": table
             for method, other in self.baselines.items()
@@ -196,7 +200,8 @@ class Result:
 
                 drawn = save_all(fresh, self.layer, occupancy)
         # Remove files that only the replaced result had, and nothing else.
-        gone = (older - tables_of(folder)) | {name for name, model in learned.items() if model is None}
+        kept = tables_of(folder) | {path.name for path in drawn}
+        gone = (older - kept) | {name for name, model in learned.items() if model is None}
         with storage_errors(folder):
             for name in gone:
                 (folder / name).unlink(missing_ok=True)

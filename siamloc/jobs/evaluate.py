@@ -28,7 +28,7 @@ from siamloc.jobs.options import choices, is_fused, option
 from siamloc.jobs.run_job import RunJob, files_in
 from siamloc.jobs.stored import map_file, map_known
 from siamloc.jobs.sweep import of_layer, of_results, own_folder, sweep_suffix, swept, with_swept
-from siamloc.jobs.tasks import BuildingsTask, RobustnessTask, Task
+from siamloc.jobs.tasks import BuildingsTask, RobustnessTask, RoomTask, Task
 from siamloc.maps import Built, VisualMap
 from siamloc.maps.history import UPKEEP
 from siamloc.models.registry import PRETRAINED_SIZE
@@ -143,6 +143,8 @@ class Evaluate(RunJob):
             return f"buildings-{self.label}" + (f"-{build}" if self.build.name != "none" else "")
         if isinstance(task, Compact):
             return f"compact-{self._grouped}"
+        if isinstance(task, RoomTask):
+            return f"room_retrieval-{self.label}"
         return f"robustness-{self.label}" if isinstance(task, RobustnessTask) else self.label
 
     def _check_folder(self, folder: Path) -> None:

@@ -94,7 +94,7 @@ def save_all(folder: str | Path, layer: str | Path | None = None, occupancy: Occ
         StorageError: the disk is full or cannot be written to.
     """
     results, target = read_results(folder), Path(folder)
-    tables = {table: read_rows(folder, table) for table in _TABLES if table in results["tables"]}
+    tables = _tables(folder, results)
     name = name_of(results)
     made = pictures(results["measures"], tables, name, occupancy)
     drawn = [save(draw(), target / f"{key}.png") for key, draw in made.items()]
@@ -103,6 +103,20 @@ def save_all(folder: str | Path, layer: str | Path | None = None, occupancy: Occ
         plan = node_plan(results["measures"]["mapping"], tables["frames"], tables["nodes"], name, occupancy)
         drawn.append(animate(read_story(log, plan), target / "growth.gif"))
     return drawn
+
+
+def files_of(folder: str | Path) -> set[str]:
+    """Return the names of the pictures that a result folder holds the numbers for; empty if it holds no whole result.
+
+    Args:
+        folder: result folder of an evaluation, with `results.json` and its tables.
+    """
+    try:
+        results = read_results(folder)
+        made = pictures(results["measures"], _tables(folder, results))
+    except (LookupError, TypeError, ValueError, AttributeError):
+        return set()
+    return {*(f"{key}.png" for key in made), *(["growth.gif"] if "nodes" in made else [])}
 
 
 def name_of(results: Mapping[str, Any]) -> str:
@@ -114,6 +128,10 @@ def name_of(results: Mapping[str, Any]) -> str:
     chosen = results.get("config", {}).get("descriptor")
     chosen = chosen if isinstance(chosen, Mapping) else {}
     return str(chosen.get("label") or chosen.get("name") or (results.get("descriptor") or {}).get("name", "measured"))
+
+
+def _tables(folder: str | Path, results: Mapping[str, Any]) -> dict[str, Columns]:
+    return {table: read_rows(folder, table) for table in _TABLES if table in results["tables"]}
 
 
 def _of_localization(

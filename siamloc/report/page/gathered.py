@@ -18,7 +18,7 @@ from siamloc.runs import Run, run_with, runs_in
 from siamloc.summaries import methods_of, own_tables
 from siamloc.tables import Table
 
-_KINDS = ("localization", "hierarchical", "robustness", "mapping", "compact", "buildings")
+_KINDS = ("localization", "room retrieval", "hierarchical", "robustness", "mapping", "compact", "buildings")
 _TABLES = ("queries", "map", "rooms", "frames", "nodes")
 
 
@@ -28,8 +28,8 @@ class Evaluation:
 
     Attributes:
         name: name of the results, used for their row in the tables.
-        kind: what was measured: "localization" (including room retrieval), "hierarchical", "robustness", or another
-            task.
+        kind: what was measured: "localization" (including rooms), "room retrieval" alone, "hierarchical",
+            "robustness", or another task.
         results: content of `results.json`.
         tables: columns of the existing tables among "queries", "map", "rooms", "frames" and "nodes".
     """
@@ -185,7 +185,8 @@ def _kind(folder: Path, results: dict[str, Any]) -> str:
     if not measures:
         return "hierarchical" if folder.name.startswith("hierarchical-") else "localization"
     if measures.keys() & {"absolute", "room_retrieval"}:
-        return "localization"
+        names = (results["config"].get("task") or {}).get("names")
+        return "room retrieval" if names == ["room_retrieval"] else "localization"
     return next((kind for kind in _KINDS if kind in measures), str(next(iter(measures))).replace("_", " "))
 
 

@@ -18,6 +18,7 @@ from siamloc.runtime import Bundle
 from siamloc.training import Run
 from tests.drawn import altered
 from tests.siamloc.cli.commands import QUICK, SMALL, done, main, measures, refused
+from tests.siamloc.report.pages import read_page
 
 SECOND = "protocol.query.sequences=[second]"
 
@@ -216,6 +217,24 @@ def test_without_a_run_the_folder_is_that_of_the_data_and_the_descriptor(flat, w
     assert set(results["measures"]["absolute"]["lighting"]) == {"cloudy", "night"}
     assert "margin" in results["skipped"]["room_pairs"]
     assert (results["data"]["queries"]["manifest"], results["data"]["queries"]["name"]) == (str(flat), "flat")
+
+
+def test_rooms_alone_have_a_folder_of_their_own(words, tmp_path, capsys):
+    given = ["evaluate", *words, "descriptor=thumbnail", f"run={tmp_path}", "task.baselines=[]"]
+    done(*given)
+    folders = [tmp_path / "evaluation" / name for name in ("thumbnail", "room_retrieval-thumbnail")]
+    before = {path.name: path.read_bytes() for path in folders[0].iterdir()}
+    done(*given, "task=room_retrieval")
+    assert {path.name: path.read_bytes() for path in folders[0].iterdir()} == before
+    assert set(measures(folders[1])) == {"room_retrieval"}
+    done("report", f"run={tmp_path}")
+    headings = [heading.text for heading in read_page(tmp_path / "report.html").all("h2")]
+    assert headings == ["thumbnail", "thumbnail, room retrieval"]
+    done(*given, "task=absolute")
+    assert sorted(path.name for path in folders[0].iterdir() if path.suffix == ".png") == [
+        "error_curve.png",
+        "floor_plan.png",
+    ]
 
 
 def test_results_of_other_queries_are_not_replaced_in_silence(flat, words, tmp_path, capsys):

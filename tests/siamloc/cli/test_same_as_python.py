@@ -41,7 +41,12 @@ TASKS = {
         evaluation.localization,
         {"names": ["absolute"], "baselines": ["thumbnail"], "radii": [0.3]},
     ),
-    "rooms": ("task=room_retrieval task.baselines=[thumbnail]", "hog", evaluation.rooms, {"baselines": ["thumbnail"]}),
+    "rooms": (
+        "task=room_retrieval task.baselines=[thumbnail]",
+        "room_retrieval-hog",
+        evaluation.rooms,
+        {"baselines": ["thumbnail"]},
+    ),
     "hierarchical": (
         "task=hierarchical build=sample build.nodes=4 task.candidates=2",
         "hierarchical-hog-sample",
