@@ -26,7 +26,7 @@ from siamloc.evaluation.absolute import evaluate_absolute
 from siamloc.evaluation.result import Result
 from siamloc.maps import CoarseLayer, VectorIndex, VisualMap, headings, match
 from siamloc.reproduce.published import Record
-from siamloc.reproduce.study_book import Job, data_named
+from siamloc.reproduce.study_book import Job, data_named, folder_of
 from siamloc.stopwatch import Stopwatch
 
 _REMEMBERED = 4
@@ -72,7 +72,8 @@ class Data:
     def other(self) -> Data:
         """The data set of another building, in a folder next to this one."""
         about = data_named(self.name)["other"]
-        return Data(about["name"], self.root.parent / about["folder"], self.image_size, self.work)
+        root = folder_of(about["name"], self.root.parent / about["folder"])
+        return Data(about["name"], root, self.image_size, self.work)
 
     def described(self, options: Mapping[str, Any], role: Mapping[str, Any], noise: float = 0.0) -> VisualMap:
         """Return the map of the frames of a role by a descriptor; the last few maps are cached.

@@ -18,7 +18,7 @@ from siamloc.progress import track
 from siamloc.reproduce.claims import spread_of
 from siamloc.reproduce.published import Record, over_seeds
 from siamloc.reproduce.reproduction import Reproduction
-from siamloc.reproduce.study_book import DataName, Job, Scale, Study, data_named, experiment, study
+from siamloc.reproduce.study_book import DataName, Job, Scale, Study, data_named, experiment, folder_of, study
 
 if TYPE_CHECKING:
     from siamloc.reproduce.experiments import Data
@@ -95,7 +95,8 @@ def open_data(job: Job, name: str, root: str | Path | None, out: Path, opened: d
     Args:
         job: the job, which needs frames of one place at one image size.
         name: a name in `study_book.yaml`.
-        root: folder of the data set, beside which those of other places lie; the usual one if None.
+        root: folder of the data set, beside which those of other places lie, or one that holds them all; the usual
+            one if None.
         out: folder in whose "training" folder unfinished trainings are kept.
         opened: data sets that are open; one that is opened is added.
 
@@ -110,9 +111,11 @@ def open_data(job: Job, name: str, root: str | Path | None, out: Path, opened: d
         folder = root if root is not None else about["root"]
         if folder is None:
             raise ConfigError(f"say where {about['title']} is: root=FOLDER; {about['how']}")
-        place = about["at"].get(job.at, "{}").format(Path(folder).name)
+        own = folder_of(name, Path(folder, about["within"])) if "within" in about else Path(folder)
+        own = own if own.is_dir() else Path(folder)
+        place = about["at"].get(job.at, "{}").format(own.name)
         place = Path("dense", place) if job.dense and about.get("dense") else place
-        opened[key] = Data(name, Path(folder).parent / place, key[2], out / "training")
+        opened[key] = Data(name, folder_of(name, own.parent / place), key[2], out / "training")
     return opened[key]
 
 

@@ -241,6 +241,18 @@ def data_named(name: str) -> Mapping[str, Any]:
     return found
 
 
+def folder_of(name: str, folder: Path) -> Path:
+    """Return the folder of a building under the name that it has on disk, such as "cold-freiburg" for "freiburg".
+
+    Args:
+        name: "cold", "freiburg_sim" or "mini".
+        folder: the folder under its usual name, which is returned if there is none under any.
+    """
+    names = data_named(name).get("names", ["{}"])
+    found = (folder.parent / one.format(folder.name) for one in names)
+    return next((one for one in found if one.is_dir()), folder)
+
+
 @typed
 def listing(data: DataName = "freiburg_sim", scale: Scale = "short") -> str:
     """Return a list of what can be reproduced: for each id, what it is, what it needs, and roughly how long it takes.

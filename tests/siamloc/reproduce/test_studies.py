@@ -20,6 +20,7 @@ from siamloc.reproduce.experiments import KINDS, Data, measured
 from siamloc.reproduce.page import report
 from siamloc.reproduce.published import Record, published
 from siamloc.reproduce.reproduction import CONTRADICTED, Reproduction
+from siamloc.reproduce.running import open_data
 from siamloc.reproduce.study_book import experiment, seconds_of, without_measurement
 from tests.drawn import write_cold
 
@@ -327,6 +328,25 @@ def test_a_study_reads_the_places_that_stand_for_others(tmp_path):
         (grid / f"seq2_{run}").rename(grid / f"seq1_{run}")
     assert ask("figure_3_16").records
     assert {job.at for job in study("table_4_3").jobs("short", "cold")} == {"", "saarbruecken"}, "COLD has no INNOVA"
+
+
+@pytest.mark.parametrize("prefix", ["", "cold-"])
+@pytest.mark.parametrize("root", ["", "freiburg"])
+def test_cold_is_found_as_it_is_fetched_and_without_the_prefix(tmp_path, prefix, root):
+    buildings = [tmp_path / f"{prefix}{name}" for name in ("freiburg", "saarbruecken")]
+    for folder in buildings:
+        folder.mkdir()
+    given = tmp_path / f"{prefix}{root}" if root else tmp_path
+    opened = [open_data(job, "cold", given, tmp_path, {}) for job in study("table_4_2").jobs("smoke", "cold")]
+    assert {data.root for data in opened} == set(buildings)
+    assert {data.other.root for data in opened} == {buildings[1]}
+
+
+def test_notes_on_simulated_data_say_so():
+    for one in studies():
+        for note in one.notes:
+            of_simulated = "simulated" in note or "annex" in note
+            assert not of_simulated or "in the simulated" in note.lower(), f"{one.id}: {note}"
 
 
 def test_a_role_may_keep_a_part_of_what_it_selects(root, tmp_path):
