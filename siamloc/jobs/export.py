@@ -7,6 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar, Literal
 
+import numpy as np
+
 from foundation.settings import as_words
 from siamloc.evaluation.estimates import refinement
 from siamloc.evaluation.localize import Localization
@@ -115,10 +117,12 @@ class Export(RunJob):
         label, lines = self.descriptor.title, []
         folder, which = self.here.evaluation(label), {} if label == "network" else {"descriptor": label}
         named = as_words({"run": str(self.here.folder), **which, **self.model.branch.own})
-        none = known.orientation is None
+        none = known.orientation is None and np.isfinite(known.frames.theta).any()
         if none and known.made.get("data", {}).get("circular", True):
             heading = "" if known.descriptor.tells_heading else " heading=hog"
             lines.append(f"for a heading as well: siamloc map {named}{heading}, then export again")
+        if not known.frames.has_position.any():
+            return lines
         if errors is None:
             if (folder / "error_model.json").is_file():
                 lines.append("error_model.json left out, it was learned on another map")

@@ -8,6 +8,8 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any, Literal
 
+import numpy as np
+
 from foundation.calls import typed
 from foundation.files import check_version, file_hash, read_json
 from foundation.settings import Count, Size, misfit
@@ -134,8 +136,10 @@ class Bundle:
             return f"{first}\nthe robot gets descriptors only: there is no map to locate images in"
         finer = self.about.get("refinement")
         how = "" if finer is None else f" ({_FINER[finer['method']]} {finer['neighbours']} map frames)"
-        gets = [f"position{how}"]
-        if self.about.get("heading") is not None:
+        frames = self.load(MAP).frames
+        alike = "room" if (frames.room != "").any() else "the map frames that look most alike"
+        gets = [f"position{how}" if frames.has_position.any() else alike]
+        if self.about.get("heading") is not None and np.isfinite(frames.theta).any():
             gets.append(f"heading (by {self.about['heading']['identity']['name']})")
         if ERRORS in self.files:
             lost = self.about["errors"].get("lost_above")

@@ -37,6 +37,27 @@ def test_poses_are_refined_without_an_evaluation_where_the_task_asks_for_it(know
         exported(refine="relative")
 
 
+@pytest.mark.parametrize(
+    ("columns", "gets"),
+    [
+        ({}, "position"),
+        ({"x": [np.nan] * 3 + [1.0]}, "position"),
+        ({"x": [np.nan] * 4, "room": ["hall"] * 4}, "room"),
+        ({"x": [np.nan] * 4, "theta": [np.nan] * 4}, "the map frames that look most alike"),
+    ],
+)
+def test_the_robot_is_promised_what_the_map_holds(known, tmp_path, columns, gets):
+    frames = known.frames.with_columns(**columns)
+    VisualMap(known.descriptors, frames, known.identity, made=known.made).save(
+        tmp_path / "evaluation/thumbnail/map.npz"
+    )
+    said = []
+    Export.of({"run": str(tmp_path)}).run(said.append)
+    assert any(line.endswith(f"the robot gets: {gets}") for line in said)
+    assert any("task.error_model=true" in line for line in said) == (gets == "position"), "positions make errors"
+    assert any("for a heading as well" in line for line in said) == ("theta" not in columns)
+
+
 def test_headings_that_cannot_be_right_refine_no_poses(known, tmp_path):
     degrees = VisualMap(
         known.descriptors, known.frames.with_columns(theta=[0, 90, 180, 270]), known.identity, made=known.made
