@@ -318,7 +318,27 @@ def _meant(words: list[str], kind: type[Job]) -> list[str]:
     words = list(map(_with_quotes, words))
     _check_words(words)
     _check_own(words, kind)
-    return [_as_meant(word, kind) for word in words]
+    stored = _of_stored_data() if _takes_data_of_a_run(words, kind) else set()
+    return [f"++{word}" if word.partition("=")[0] in stored else _as_meant(word, kind) for word in words]
+
+
+def _takes_data_of_a_run(words: list[str], kind: type[Job]) -> bool:
+    """Whether a run says of which kind the data are, so that only the job can judge the keys of data and cameras."""
+    said = dict(word.partition("=")[::2] for word in words)
+    if "data" not in kind.GROUPS or ("descriptor" not in kind.GROUPS and said.get("resume") != "true"):
+        return False
+    folder = Path(said.get("run", "").strip("'\"") or "nowhere")
+    return any(any(folder.glob(files)) for files in ("run.json", "*/run.json", "evaluation/*/map.npz"))
+
+
+def _of_stored_data() -> set[str]:
+    """Return the keys of all kinds of data and of panoramas, such as "data.root" and "unwrap.forward"."""
+    return {
+        f"{group}.{key}"
+        for group in ("data", "unwrap")
+        for name in choices(group)
+        for key in option(group, name).values
+    }
 
 
 def _with_quotes(word: str) -> str:

@@ -166,7 +166,7 @@ class DataSettings(Settings):
             own = [key for key in parameters_of(kind) if key not in common]
             for key in where:
                 if key not in own:
-                    raise ConfigError(f"unknown key data.{key}: {hint(key, [*common, *own])}")
+                    raise ConfigError(f"unknown key data.{key}: {hint(key, [*common, *own])}, for data.kind={kind}")
         return super().of({**{key: values[key] for key in common if key in values}, "where": where})
 
     def plain(self) -> dict[str, Any]:

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from analytic import descriptor
+from siamloc.cli.compose import composed
 from siamloc.data import FrameTable, Mounting
 from siamloc.errors import ConfigError, FormatError
 from siamloc.jobs import Evaluate, Export, MapFrames
@@ -54,6 +55,21 @@ def test_a_map_that_was_made_of_other_data_than_its_run_is_searched_with_its_own
     assert updating.data.where["manifest"] == Path("robot.csv")
     given = {**chosen, "data": {"manifest": "third.csv"}}
     assert Evaluate.of(given).data.where["manifest"] == Path("third.csv")
+
+
+def test_the_command_line_takes_keys_of_the_kind_of_data_that_the_run_has(run):
+    settings = {"data": {"kind": "cold", "root": "/old", "unwrap": {"kind": "cold", "forward": 270.0}}}
+    record = {"format": "siamloc-run", "version": 2, "settings": settings, "written": []}
+    (Path(run) / "run.json").write_text(json.dumps(record))
+    for command in ("map", "train"):
+        words = [f"run={run}", "descriptor=hog"] if command == "map" else [f"run={run}", "resume=true"]
+        job = composed(command, [*words, "data.root=/new", "unwrap.forward=90"])
+        assert (job.data.kind, job.data.where["root"]) == ("cold", Path("/new"))
+        assert job.unwrap["forward"] == 90
+        with pytest.raises(ConfigError, match=r"unknown key data\.manifest: .*valid: .*root.*, for data\.kind=cold"):
+            composed(command, [*words, "data.manifest=new.csv"])
+    with pytest.raises(ConfigError, match=r"unknown configuration key 'data\.root'"):
+        composed("map", [f"run={run}/none", "descriptor=hog", "data.root=/new"])
 
 
 def test_a_map_of_an_older_siamloc_is_replaced_but_not_searched(run):
