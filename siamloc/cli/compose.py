@@ -61,15 +61,18 @@ def run(command: str, words: list[str]) -> None:
 
     _register(kind, words)
     failed: list[Exception] = []
+    process = os.getpid()
 
     def job(config: DictConfig) -> None:
+        if failed:  # an earlier job of the sweep
+            return
         sys.argv = arguments  # used by the trainer to start further processes
         sweep = _sweep_of_the_job()
         try:
             with Sweep.running(sweep):
                 _for_each_run(command, config, lambda one: _made(kind, one, given).run(_print))
         except Exception as error:
-            if sweep.number is not None:
+            if os.getpid() != process:  # of a launcher, whose list is a copy
                 raise
             failed.append(error)  # Hydra would print a line before passing it on
 

@@ -238,7 +238,11 @@ def learn(
             name = model.get("class") or f"{model['branch']} + {model['head']}"
             for text in notes:
                 print(f"note: {text}", file=sys.stderr)
-            print(f"training {name} on {what}, epochs: {settings.epochs}, into {run.folder}", file=sys.stderr)
+            epochs = settings.epochs
+            said = f"training {name} on {what}, epochs: {epochs}, into {run.folder}"
+            if resume and progress(run) == (epochs, 0):
+                said = f"{run.folder} was trained for all its epochs already ({epochs}): nothing is left to train"
+            print(said, file=sys.stderr)
         log_settings(lightning.loggers, plain(used))
         start = last if resume and last.is_file() else None
         with computing(module, settings, trainer):

@@ -108,6 +108,15 @@ def test_a_map_that_was_made_for_one_setting_stands_in_no_sweeps_way(here, words
     }
 
 
+def test_a_sweep_ends_with_the_first_job_that_fails_in_one_sentence(here, words, capsys):
+    swept = ["map", "-m", *words, "run=run", "descriptor=thumbnail", "data.manifest=none.csv,neither.csv"]
+    assert main(swept) == 2
+    lines = capsys.readouterr().err.splitlines()
+    assert len(lines) == 1
+    assert lines[0].startswith("siamloc: ")
+    assert "none.csv" in lines[0]
+
+
 @pytest.mark.slow
 def test_map_evaluate_and_report_take_the_folder_of_a_sweep(seeds, capsys):
     done("map", f"run={seeds}")

@@ -145,6 +145,17 @@ def test_one_seed_gives_one_curve_and_the_random_state_stays_as_it_was(train):
     assert torch.equal(torch.random.get_rng_state(), before)
 
 
+def test_a_run_that_is_resumed_says_whether_anything_is_left_to_train(train, capsys):
+    train(epochs=1)
+    says = "was trained for all its epochs already (1): nothing is left to train"
+    for epochs, finished in ((1, True), (2, False)):
+        capsys.readouterr()
+        run = train(epochs=epochs, resume=True)
+        shown = capsys.readouterr().err
+        assert (says in shown, "training simple1" in shown) == (finished, not finished)
+        assert len(curve(run)) == epochs
+
+
 @pytest.fixture(scope="module")
 def trained(images, frames, tmp_path_factory):
     """A run of one epoch that tests only try to resume."""
