@@ -94,6 +94,10 @@ class _Training(Learning, Job):
         folder = Path("runs") / "-".join(names) if self.folder is None else Path(self.folder)
         return folder / sweep_suffix() if sweep_suffix() else folder
 
+    def resumes(self, folder: Path) -> bool:
+        """Return whether the run in a folder is continued; of a sweep, those that were not begun are started."""
+        return self.resume and not (sweep_suffix() and not Run(folder).record.is_file())
+
 
 @dataclass(frozen=True, kw_only=True)
 class Train(_Training, DataJob):
@@ -136,7 +140,8 @@ class Train(_Training, DataJob):
         resume=true                       continue from the last checkpoint; checkpoint_every=200 writes it within
                                           epochs, too
         -m model/branch=vgg11,vgg13       a sweep, each run in its own folder inside run=runs/sweep; `siamloc map`,
-                                          `evaluate` and `report` take that folder, `siamloc compare` makes a table
+                                          `evaluate` and `report` take that folder, `siamloc compare` makes a table;
+                                          with resume=true, an interrupted sweep goes on
 
     Example:
         $ siamloc train experiment=modern data=cold data.root=/data/COLD protocol=freiburg run=runs/freiburg
@@ -162,17 +167,18 @@ class Train(_Training, DataJob):
         check_trainer(trainer)  # before any image is decoded
         network = models.build(**self.model.arguments(), image_size=self.data.image_size, seed=self.seed)
         images, roles = self.open_roles("train", *(["validation"] if validated else []))
+        folder = self.target(self.data.name or "data")
         run = training.fit(
             network,
             images,
             roles["train"],
-            run=self.target(self.data.name or "data"),
+            run=folder,
             validation=roles.get("validation"),
             loss=loss,
             augmentation=self.augment.policy,
             trainer=trainer,
             protocol=self.protocol.plain(),
-            resume=self.resume,
+            resume=self.resumes(folder),
             overwrite=self.overwrite,
             settings=self.training,
         )
@@ -225,14 +231,15 @@ class Pretrain(_Training):
         from siamloc.training.fitting import process_rank
 
         network = models.build(**self.model.arguments(), image_size=self.image_size, seed=self.seed)
+        folder = self.target("pretrained")
         run = pretraining.pretrain(
             network,
-            run=self.target("pretrained"),
+            run=folder,
             views=self.views,
             loss=self.make_loss(),
             augmentation=self.augment.policy,
             trainer=self.trainer.plain(),
-            resume=self.resume,
+            resume=self.resumes(folder),
             overwrite=self.overwrite,
             settings=self.training,
         )

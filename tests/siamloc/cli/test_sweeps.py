@@ -2,6 +2,7 @@
 
 import csv
 import itertools
+import shutil
 
 import pytest
 
@@ -115,6 +116,18 @@ def test_a_sweep_ends_with_the_first_job_that_fails_in_one_sentence(here, words,
     assert len(lines) == 1
     assert lines[0].startswith("siamloc: ")
     assert "none.csv" in lines[0]
+
+
+@pytest.mark.slow
+def test_an_interrupted_sweep_goes_on(seeds, data, here, capsys):
+    shutil.copytree(seeds / "seed-0", here / "sweep" / "seed-0")
+    before = (here / "sweep" / "seed-0" / "checkpoints" / "last.ckpt").read_bytes()
+    assert "holds a run already" in refused(capsys, *train(data, here / "sweep"))
+    done(*train(data, here / "sweep"), "resume=true")
+    assert (here / "sweep" / "seed-0" / "checkpoints" / "last.ckpt").read_bytes() == before
+    assert (here / "sweep" / "seed-1" / "checkpoints" / "last.ckpt").is_file()
+    alone = [word for word in train(data, here / "alone") if word not in ("-m", "seed=0,1")]
+    assert "there is no run to resume" in refused(capsys, *alone, "resume=true")
 
 
 @pytest.mark.slow
