@@ -19,7 +19,6 @@ from siamloc.data import (
     AutoRing,
     DualFisheyeCamera,
     Extraction,
-    FisheyeCamera,
     HyperbolicMirror,
     PanoramaLibrary,
     PolarRing,
@@ -134,8 +133,8 @@ def walk(
     placed = size is not None and stated(camera.camera, frames.path[0], size) != camera.camera
     say(f"camera: {camera.words()}{shape}{', each placed and levelled by what it says of itself' * placed}")
     ring = camera.camera
-    if isinstance(ring, DualFisheyeCamera) and isinstance(ring.front, FisheyeCamera):
-        say(f"lenses: they are taken to see {ring.front.fov:g} degrees each (unwrap.front.fov=, unwrap.back.fov=)")
+    if isinstance(ring, DualFisheyeCamera) and ring == (usual := DualFisheyeCamera(second=ring.second)):
+        say(f"lenses: each is taken to see {usual.front.fov:g} degrees (unwrap.front.fov=, unwrap.back.fov=)")
     if wheels == "without" and isinstance(given.camera, AutoRing) and isinstance(ring, HyperbolicMirror | PolarRing):
         mirrored = "mirrored" if ring.mirrored else "not mirrored"
         say(f"direction: the robot is taken to drive ahead, and the picture to be {mirrored} (unwrap.mirrored=)")

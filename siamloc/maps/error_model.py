@@ -64,8 +64,8 @@ class ErrorModel(Learned):
         neighbours: number of matches of each query that the score uses.
         knots: scores, increasing.
         errors: the expected error at each knot, non-decreasing; linear between knots and constant beyond. But beyond
-            the last knot of "pose" it grows as the deviation does, up to 50 times: pictures that agree less with the
-            map than all of the validation.
+            the last of several knots of "pose", the mean of the least certain 25 or more of the validation, it grows as
+            the deviation does, up to 50 times.
         queries: number of queries it was learned from.
         lost_above: the expected error above which the robot counts as lost; None if no threshold was chosen.
         foreign_above: the strangeness above which a query shows nothing that is on the map, so that the robot is lost
@@ -180,7 +180,9 @@ class ErrorModel(Learned):
         """Return the expected error of each query (n,), in units of x and y. Arguments and errors as for `judged`."""
         scores = self.scores(found, map_xy, poses)
         expected = np.interp(scores, self.knots, self.errors)
-        if self.of_poses:  # whose scores are logarithms of deviations
+        if (
+            self.of_poses and len(self.knots) > 1
+        ):  # scores are logarithms of deviations; one knot says nothing of the tail
             expected *= np.exp(np.clip(scores - self.knots[-1], 0, -np.log(_AGREEMENT)))
         return expected
 

@@ -140,6 +140,8 @@ def floor_scale(
     some = np.flatnonzero((moved > _MOVES[0] / 2) & (moved < _MOVES[1]))
     some = some[np.unique(np.linspace(0, len(some) - 1, min(_TRIED, len(some))).astype(int))]
     tried = _likelihoods(floors, slopes, steps.take(some), _HEIGHTS)
+    if not tried.any():
+        return None
     fits, given = float(np.exp(-_HEIGHTS[tried.sum(axis=0).argmax()])), height is not None
     height = fits if height is None else height
     if abs(np.log(height / fits)) > _WRONG:
@@ -150,8 +152,8 @@ def floor_scale(
     used = np.flatnonzero(np.isin(between, told) & moving)
     near, moved = steps.take(used), moved[used]
     found = _likelihoods(floors, slopes, near, _FACTORS - float(np.log(height)))
-    found[found.argmax(axis=1) == 0] = 0  # what moves along with the robot, such as reflections, tells nothing
-    if not len(found) or np.median(found.max(axis=1) - found.mean(axis=1)) < _TELLS:
+    telling = found[found.any(axis=1)]
+    if not len(telling) or np.median(telling.max(axis=1) - telling.mean(axis=1)) < _TELLS:
         return None
     cell = np.round((way - way.min()) / _CELL).astype(int)
     middle = (cell[near.first] + cell[near.second]) // 2
@@ -199,6 +201,7 @@ def _likelihoods(floors: NDArray[np.float32], slopes: Array, pairs: Edges, facto
     """Return how likely displacements (p,) are when multiplied by factors (q,), given by their logarithms: (p, q).
 
     Logarithms, up to a constant: those of a linear relation with normal errors between the floors as both ends see it.
+    All are 0 if the least factor is the most likely: what moves along with the robot, as reflections do, tells nothing.
 
     Args:
         floors: (n, R, 256 + 4) floors that the frames see, NaN where they see the robot itself.
@@ -224,6 +227,7 @@ def _likelihoods(floors: NDArray[np.float32], slopes: Array, pairs: Edges, facto
         both, own, others = (of.sum(axis=1) for of in products)
         alike = np.clip(both / np.sqrt(own * others + 1e-9), 0, 0.98)
         made[row] = -0.5 * np.log1p(-(alike**2)) * np.minimum(inside.sum(axis=1) / _ALONE, _MOST)
+    made[made.argmax(axis=1) == 0] = 0
     return made
 
 

@@ -84,6 +84,18 @@ def test_the_expected_error_of_a_pose_grows_with_its_deviation_beyond_all_of_the
     assert replace(model, lost_above=1.0).judged(found, xy, poses)[1].tolist() == [False] * 3 + [True] * 2
 
 
+@pytest.mark.parametrize("n", [30, 400])
+def test_the_growing_error_is_right_on_average_where_it_was_learned(n):
+    rng = np.random.default_rng(0)
+    deviation = np.exp(rng.normal(-3, 0.5, n))
+    errors = np.hypot(*rng.normal(0, deviation, (2, n)))
+    information = np.eye(2) / deviation[:, None, None] ** 2
+    poses = RefinedPoses(np.zeros((n, 2)), np.zeros(n), information, np.ones(n), np.zeros(n, dtype=int), np.zeros(n))
+    model = ErrorModel.fit_poses(poses, errors)
+    expected = model.predict(Retrieval(np.zeros((n, 1), dtype=int), np.ones((n, 1))), [[0.0, 0.0]], poses)
+    assert expected.mean() == pytest.approx(errors.mean(), rel=0.05)  # 3 % of 400 lie above the last knot
+
+
 def test_lost_is_an_expected_error_above_the_threshold() -> None:
     xy = np.array([[0.0, 0], [9, 0]])
     found = Retrieval(np.tile([0, 1], (3, 1)), np.array([[0.35, 1], [0.5, 1], [1, 1]]))

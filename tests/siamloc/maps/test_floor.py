@@ -26,6 +26,7 @@ from siamloc.maps.surveying import _told_by_floor
 
 VIEW = PanoramaView(height=64, width=256)
 HEIGHT = 0.7
+STREAKS = np.uint8(90 + 60 * np.cos(np.arange(256) * 2 * np.pi / 16))  # away from the robot, in all rows
 WAVES = np.random.default_rng(3).normal(0, 6, (60, 2)), np.random.default_rng(4).uniform(0, 6, 60)
 
 
@@ -207,10 +208,21 @@ def test_a_height_is_asked_for_only_where_it_gives_metres(drive, known):
     assert floor.height == pytest.approx(HEIGHT, rel=0.06)
 
 
-def test_what_moves_along_with_the_robot_for_a_while_tells_nothing(drive):
+@pytest.mark.parametrize("shiny", [slice(12, 28), slice(8, 30), slice(20)])
+@pytest.mark.parametrize("height", [HEIGHT, None])
+def test_what_moves_along_with_the_robot_for_a_while_tells_nothing(drive, shiny, height):
     _, panoramas, steps = drive
-    shiny = panoramas.copy()
-    shiny[12:28, :, 32:] = 90 + 60 * np.cos(np.arange(256) * 2 * np.pi / 16)  # bright streaks away from the robot
-    found, longer = floor_scale([shiny], VIEW, steps, np.arange(40) * 0.27, HEIGHT)
-    np.testing.assert_allclose(found.factors, 1, atol=0.06)
-    np.testing.assert_allclose(longer.pose, steps.pose, atol=0.03)
+    streaked = panoramas.copy()
+    streaked[shiny, :, 32:] = STREAKS
+    found, longer = floor_scale([streaked], VIEW, steps, np.arange(40) * 0.27, height)
+    assert found.height == pytest.approx(HEIGHT, rel=0.06)
+    np.testing.assert_allclose(found.factors, HEIGHT / found.height, atol=0.06)
+    np.testing.assert_allclose(longer.pose[:, :2], steps.pose[:, :2] * found.factors[0], atol=0.03)
+
+
+def test_a_floor_that_moves_along_all_the_time_is_not_used(drive):
+    _, panoramas, steps = drive
+    streaked = panoramas.copy()
+    streaked[:, :, 32:] = STREAKS
+    streaked[::2, :, 32:] += 5  # or it would be taken for the robot itself
+    assert floor_scale([streaked], VIEW, steps, np.arange(40) * 0.27, HEIGHT) is None
