@@ -21,7 +21,7 @@ CAMERAS = ("omni_cam", "std_cam")
 ODOMETRY_FILE = "odometry.csv"
 
 _LIST_SUFFIX = ".places.lst"
-_DEPTH = 5
+_DEPTH = 6  # <host>/COLD/db/cold-<building>/part_<a|b>/seq..., as a copy of the whole server has it
 _ABSENT = 0.01  # share of the listed images: a whole sequence may lack a few, one that was cut lacks many
 _LAYOUT = (
     "<building>/part_<a|b>/seq<path>_<lighting><run>/omni_cam/*.jpeg with localization/places.lst, "

@@ -21,7 +21,7 @@ from foundation.locks import alone
 from foundation.settings import Count, Positive, shortened
 from siamloc.data.archives import ADDRESS, Archive, archives
 from siamloc.data.cold import stored
-from siamloc.data.names import BUILDINGS
+from siamloc.data.names import BUILDINGS, name_sequence
 from siamloc.data.protocol import ROLES, Protocol
 from siamloc.errors import ConfigError, DataError, logger
 from siamloc.progress import track
@@ -359,12 +359,17 @@ def _checked(scratch: Path, one: Archive) -> Path:
     if len(found) > 1:
         raise DataError(f"holds {len(found)} sequences: {shortened(inside)}")
     folder, _, name, _, lack = found[0]
-    building, run = name.building, one.folder.rpartition("/")[2]
-    if building and not (one.sequence.startswith(building) and name.sequence.endswith(run)):
+    other_building = _is_known(name.building) and not one.sequence.startswith(name.building)
+    run = name_sequence(Path("/", inside), "", ()).sequence  # as the folders in the archive say, and not those above it
+    if other_building or (run and not run.endswith(one.folder.rpartition("/")[2])):
         raise DataError(f"holds another sequence, {inside}")
     if lack:
         raise DataError(lack.replace(f"{scratch}/", ""))
     return folder
+
+
+def _is_known(building: str) -> bool:
+    return building.removesuffix("_a").removesuffix("_b") in BUILDINGS
 
 
 def _note_sum(path: Path, name: str, digest: str) -> None:

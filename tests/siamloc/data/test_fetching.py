@@ -189,6 +189,8 @@ BAD = {
     ),
     "holds another sequence, seq2_night3": tar(inside=["seq2_night3"]),
     "holds another sequence, saarbruecken/seq2_cloudy3": tar(inside=["saarbruecken/seq2_cloudy3"]),
+    "holds another sequence, a/b/seq2_night3": tar(inside=["a/b/seq2_night3"]),
+    "holds another sequence, freiburg/part_b/seq2_cloudy3": tar(inside=["freiburg/part_b/seq2_cloudy3"]),
     "holds 2 sequences: seq2_cloudy2, seq2_cloudy3": tar(inside=["seq2_cloudy3", "seq2_cloudy2"]),
     "holds ../evil, which lies outside of its own folder": tar(further=[tarfile.TarInfo("../evil")]),
     "holds seq2_cloudy3/link, which is neither a file nor a folder": tar(further=[LINK]),
@@ -206,11 +208,11 @@ def test_what_is_no_archive_is_loaded_again_unless_the_user_put_it_there(server,
     assert not [path for path in tmp_path.rglob("*") if path.is_file()]
     server.files[PATH] = tar()
     assert server.fetch(out).there == {NAME: 3}
-    lying = tmp_path / f"{PLACE}.tar"
+    lying = tmp_path / f"own/{PLACE}.tar"
     lying.parent.mkdir(parents=True)
     lying.write_bytes(NO_ARCHIVE[says])
     with pytest.raises(DataError, match=rf"\({says}\): not used; look at {lying}, and remove it to load it again"):
-        server.fetch(tmp_path)
+        server.fetch(tmp_path / "own")
     assert lying.is_file()
 
 
@@ -232,7 +234,18 @@ def test_a_bad_archive_is_refused_and_kept(server, tmp_path, says):
 
 @pytest.mark.parametrize(
     "inside",
-    ["freiburg_seq2_cloudy3", "COLD/cold-freiburg/part_a/seq2_cloudy3", "cold-freiburg_part_a_seq2_cloudy3", "."],
+    [
+        "freiburg_seq2_cloudy3",
+        "COLD/cold-freiburg/part_a/seq2_cloudy3",
+        "www/COLD/db/cold-freiburg/part_a/seq2_cloudy3",
+        "cold-freiburg_part_a_seq2_cloudy3",
+        "part_a/seq2_cloudy3",
+        "./part_a/seq2_cloudy3",
+        "COLD/seq2_cloudy3",
+        "extended/seq2_cloudy3",
+        "seq2_cloudy3/seq2_cloudy3",
+        ".",
+    ],
 )
 def test_a_sequence_may_lie_anywhere_in_its_archive(server, tmp_path, inside):
     server.files[PATH] = tar(inside=[inside])
