@@ -177,7 +177,7 @@ def _inventory(folder: Path, wanted: list[Archive]) -> tuple[dict[str, int], dic
         if held is not None and not held.lack:
             there[one.sequence] = held.frames
         elif held is not None:
-            blocked[one.sequence] = f"{held.folder} {held.lack}"
+            blocked[one.sequence] = f"{held.folder if held.folder.is_dir() else held.list} {held.lack}"
         elif place.is_file():
             blocked[one.sequence] = f"{place} is a file"
         elif place.is_dir() and (names := _names_in(place)):

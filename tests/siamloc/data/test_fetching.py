@@ -299,6 +299,15 @@ def test_nothing_of_the_user_is_replaced(server, tmp_path, make, says):
     assert "it is not replaced" in listed.notes[0]
 
 
+def test_a_list_without_a_folder_is_named(server, tmp_path):
+    laid(tmp_path, images=[])
+    place = (tmp_path / "places.lst").rename(tmp_path / "freiburg_seq2_cloudy3.places.lst")
+    with pytest.raises(DataError, match=f"^{place} has no folder freiburg_seq2_cloudy3 with its images next to it: it"):
+        server.fetch(tmp_path)
+    assert not server.asked
+    assert siamloc.data.read("cold", root=tmp_path).sequence.tolist() == [NAME] * 3
+
+
 def test_what_is_put_there_during_the_loading_is_not_replaced(server, tmp_path, monkeypatch):
     load = fetching._load
     monkeypatch.setattr(fetching, "_load", lambda *words: (load(*words), laid(tmp_path / PLACE)))
