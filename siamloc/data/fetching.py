@@ -20,7 +20,7 @@ from foundation.files import file_hash, read_text, real_path, scratch_folder, st
 from foundation.locks import alone
 from foundation.settings import Count, Positive, shortened
 from siamloc.data.archives import ADDRESS, Archive, archives
-from siamloc.data.cold import stored
+from siamloc.data.cold import CAMERAS, Stored, stored
 from siamloc.data.names import BUILDINGS, name_sequence
 from siamloc.data.protocol import ROLES, Protocol
 from siamloc.errors import ConfigError, DataError, logger
@@ -110,7 +110,7 @@ def fetch(
     if not _is_address(mirror):
         raise ConfigError(f"mirror must be an address such as {ADDRESS}, got {mirror!r}")
     lost: dict[str, str] = {}
-    there, blocked = _inventory(folder, wanted)
+    there, blocked, twice = _inventory(folder, wanted)
     absent = [] if only_list else [one for one in wanted if one.sequence not in there]
     absent.sort(key=lambda one: one.sequence not in blocked)  # what is in the way is said before the loading
     if absent:
@@ -129,7 +129,7 @@ def fetch(
                     if len(wanted) > 1:
                         logger.warning("%s cannot be fetched: %s", one.sequence, error)
                     unreachable = str(error) if isinstance(error, _Unreachable) else ""
-        there, _ = _inventory(folder, wanted)
+        there, _, twice = _inventory(folder, wanted)
     if lost:
         names = shortened(", ".join(lost), 200)
         what = f"{len(lost)} of {len(wanted)} sequences could not be fetched ({names}): " if len(wanted) > 1 else ""
@@ -140,7 +140,7 @@ def fetch(
         if one.frames is not None and there.get(one.sequence, one.frames) != one.frames
     ]
     missing = [one.sequence for one in wanted if one.sequence not in there]
-    return Fetched(folder, there, missing, [*notes, *blocked.values()])
+    return Fetched(folder, there, missing, [*notes, *blocked.values(), *twice])
 
 
 def _is_address(mirror: str) -> bool:
@@ -166,24 +166,44 @@ def _names(sequences: str | Sequence[str] | Protocol) -> list[str]:
     return found
 
 
-def _inventory(folder: Path, wanted: list[Archive]) -> tuple[dict[str, int], dict[str, str]]:
-    """Return the number of frames of each sequence that is there, and a sentence for each whose place is taken."""
+def _inventory(folder: Path, wanted: list[Archive]) -> tuple[dict[str, int], dict[str, str], list[str]]:
+    """Return the number of frames of each sequence that is there.
+
+    Also returns a sentence for each sequence whose place is taken, and for each that is there but appears twice.
+    """
     whole_last = sorted(stored(folder), key=lambda held: not held.lack)
     found = {held.name.sequence: held for held in whole_last}
     there: dict[str, int] = {}
     blocked: dict[str, str] = {}
+    twice: list[str] = []
     for one in wanted:
         place, held = folder / one.folder, found.get(one.sequence)
         if held is not None and not held.lack:
             there[one.sequence] = held.frames
+            twice += [
+                f"sequence {one.sequence} appears twice, as {_place(held)} and as {_place(copy)}: remove one, or "
+                "data=cold refuses both"
+                for copy in whole_last
+                if copy.name.sequence == one.sequence and copy is not held and _share_camera(copy, held)
+            ]
         elif held is not None:
-            blocked[one.sequence] = f"{held.folder if held.folder.is_dir() else held.list} {held.lack}"
+            blocked[one.sequence] = f"{_place(held)} {held.lack}"
         elif place.is_file():
             blocked[one.sequence] = f"{place} is a file"
         elif place.is_dir() and (names := _names_in(place)):
             blocked[one.sequence] = f"{place} holds {names}, and no sequence"
     advice = "it is not replaced; move it away, or choose another folder with out="
-    return there, {name: f"{what}: {advice}" for name, what in blocked.items()}
+    return there, {name: f"{what}: {advice}" for name, what in blocked.items()}, twice
+
+
+def _place(held: Stored) -> Path | None:
+    return held.folder if held.folder.is_dir() else held.list
+
+
+def _share_camera(first: Stored, second: Stored) -> bool:
+    """Return whether there is a camera for which the reader takes both copies of a sequence."""
+    cameras = [{name for name in CAMERAS if (held.folder / name).is_dir()} for held in (first, second)]
+    return not all(cameras) or bool(set.intersection(*cameras))
 
 
 def _names_in(folder: Path) -> str:

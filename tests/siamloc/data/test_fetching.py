@@ -308,6 +308,30 @@ def test_a_list_without_a_folder_is_named(server, tmp_path):
     assert siamloc.data.read("cold", root=tmp_path).sequence.tolist() == [NAME] * 3
 
 
+@pytest.mark.parametrize("copy", ["freiburg/part_a/seq2_cloudy3", "freiburg_seq2_cloudy3.places.lst"])
+def test_a_second_copy_is_noted(server, tmp_path, copy):
+    laid(tmp_path / PLACE)
+    copy = tmp_path / copy
+    if copy.suffix:
+        copy.write_bytes((tmp_path / PLACE / "places.lst").read_bytes())
+    else:
+        laid(copy, images=[])
+    found = server.fetch(tmp_path)
+    assert found.there == {NAME: 3}
+    note = f"sequence {NAME} appears twice, as {tmp_path / PLACE} and as {copy}: remove one, or data=cold refuses both"
+    assert found.notes[1:] == [note]
+    with pytest.raises(DataError, match=f"sequence {NAME} appears twice"):
+        siamloc.data.read("cold", root=tmp_path)
+
+
+def test_folders_of_one_camera_each_are_no_copies(server, tmp_path):
+    for camera, place in {"omni_cam": PLACE, "std_cam": "freiburg/part_a/seq2_cloudy3"}.items():
+        laid(tmp_path / place)
+        (tmp_path / place / "omni_cam").rename(tmp_path / place / camera)
+    assert len(server.fetch(tmp_path).notes) == 1, "of the number of frames"
+    assert len(siamloc.data.read("cold", root=tmp_path)) == 3
+
+
 def test_what_is_put_there_during_the_loading_is_not_replaced(server, tmp_path, monkeypatch):
     load = fetching._load
     monkeypatch.setattr(fetching, "_load", lambda *words: (load(*words), laid(tmp_path / PLACE)))
