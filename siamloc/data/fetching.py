@@ -86,7 +86,7 @@ def fetch(
     Args:
         kind: the data set: "cold".
         sequences: names or shell patterns such as "freiburg_a_seq2_*"; or a protocol of COLD, for the sequences of its
-            roles.
+            roles, whose patterns begin with a building.
         out: folder of the database. Archives that already lie there, as `cold-freiburg/part_a/seq2_cloudy3.tar`, are
             unpacked without loading them.
         mirror: address of the database, or of a copy with the same folders.
@@ -99,8 +99,8 @@ def fetch(
         Which sequences are there. `SHA256SUMS` in the folder has the check sums of the archives.
 
     Raises:
-        ConfigError: no sequences, one that the data set does not have, a protocol of other data, or an address that is
-            not http or https.
+        ConfigError: no sequences, one that the data set does not have, a protocol whose names or patterns do not
+            begin with a building of it, or an address that is not http or https.
         DataError: archives that are not at the address, cannot be loaded, or fail the checks, or places that hold
             something else; all others are fetched.
         StorageError: the disk is full or refuses.
@@ -156,8 +156,8 @@ def _names(sequences: str | Sequence[str] | Protocol) -> list[str]:
         found = list(dict.fromkeys(named))
         if others := [name for name in found if not name.startswith(BUILDINGS)]:
             raise ConfigError(
-                f"the protocol is not one of COLD, whose sequences begin with {', '.join(BUILDINGS)}: it takes "
-                f"{others[0]!r}; choose another, such as protocol=freiburg, or give sequences=[...]"
+                f"the protocol takes {others[0]!r}, which begins with no building of COLD ({', '.join(BUILDINGS)}): "
+                "choose another, such as protocol=freiburg, or give sequences=[...]"
             )
     else:
         found = [sequences] if isinstance(sequences, str) else list(sequences)

@@ -427,7 +427,7 @@ def test_an_error_of_the_network_is_not_one_of_the_disk(server, tmp_path, monkey
         ({"sequences": "*", "mirror": "http://[bad"}, r"mirror must be an address such as https.*got 'http://\[bad'"),
         (
             {"sequences": Protocol(train=Role(sequences=("freiburg_a_*", "*seq2_cloudy3")))},
-            r"not one of COLD, whose sequences begin with freiburg, .* it takes '\*seq2_cloudy3'; choose another",
+            r"takes '\*seq2_cloudy3', which begins with no building of COLD \(freiburg, .*\): choose another",
         ),
     ],
 )
