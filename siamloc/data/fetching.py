@@ -81,7 +81,8 @@ def fetch(
     A sequence is there if the folder holds it with a list `places.lst` and the listed images, in any layout that
     `read("cold")` knows. Nothing that lies in the place of another one is replaced. A download that breaks is
     continued, also by a later call. An archive is used if it has the announced size, holds nothing but files and
-    folders inside its own folder, and this one sequence as a whole; one that fails these checks is kept.
+    folders inside its own folder, and this one sequence as a whole; one that fails these checks is kept, unless what
+    was loaded is no tar archive at all, such as a page that asks to log in.
 
     Args:
         kind: the data set: "cold".
