@@ -8,7 +8,7 @@ from __future__ import annotations
 import csv
 import datetime
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -38,6 +38,7 @@ REMARKS = ("rooms", "positions")
 _OF_ESTIMATES = ("est_x", "est_y", "est_theta", "error", "heading_error", "match")
 _SCHEMA = "siamloc-results"
 _VERSION = 1
+_PICTURES = (".png", ".gif")
 _KINDS = {"U": "text", "b": "bool", "i": "int", "u": "int", "f": "float"}
 _PARSERS: dict[str, tuple[Any, Callable[[str], Any]]] = {
     "text": (np.str_, str),
@@ -118,8 +119,11 @@ def read_results(folder: str | Path) -> dict[str, Any]:
     if not isinstance(results.get("name", ""), str):
         raise FormatError(f"{path} was altered in name: evaluate again")
     for name, table in results.get("tables", {}).items():
-        if not isinstance(table.get("file"), str) or Path(table["file"]).name != table["file"]:
+        if not _is_name(table.get("file")):
             raise FormatError(f"{path} was altered in the table {name}: evaluate again")
+    pictures = results.get("pictures", [])
+    if not isinstance(pictures, list) or not all(map(_is_name, pictures)):
+        raise FormatError(f"{path} was altered in pictures: evaluate again")
     return results
 
 
@@ -131,6 +135,22 @@ _NEEDED = ("config", "measures", "denominators")
 def _is_nested(value: Any, depth: int) -> bool:
     """Whether a value is a mapping, or a mapping of mappings if `depth` is 2."""
     return isinstance(value, Mapping) and (depth < 2 or all(isinstance(one, Mapping) for one in value.values()))
+
+
+def _is_name(value: Any) -> bool:
+    """Whether a value is the name of a file, without a folder."""
+    return isinstance(value, str) and Path(value).name == value
+
+
+def add_pictures(folder: str | Path, names: Iterable[str]) -> None:
+    """Add the names of pictures that were drawn from a result folder to its `results.json`.
+
+    Raises:
+        FormatError: as `read_results`.
+        StorageError: the disk refuses.
+    """
+    results = read_results(folder)
+    write_json(Path(folder) / "results.json", {**results, "pictures": sorted({*results.get("pictures", []), *names})})
 
 
 @typed
@@ -199,13 +219,15 @@ def versions() -> dict[str, str]:
     return versions_of(["numpy", "opencv", *(["torch"] if "torch" in sys.modules else [])])
 
 
-def tables_of(folder: str | Path) -> set[str]:
-    """Return the paths of the tables that a result folder's `results.json` names; empty if there is no result."""
+def files_of(folder: str | Path) -> set[str]:
+    """Return the names of the tables and pictures in a result folder's `results.json`; empty if there is no result."""
     try:
-        tables = read_results(folder).get("tables", {})
+        results = read_results(folder)
     except FormatError:
         return set()
-    return {table["file"] for table in tables.values() if table["file"].endswith(".csv")}
+    tables = [table["file"] for table in results.get("tables", {}).values()]
+    pictures = results.get("pictures", [])
+    return {*(name for name in tables if name.endswith(".csv")), *(one for one in pictures if one.endswith(_PICTURES))}
 
 
 def _as_table(name: str, columns: Mapping[str, NDArray]) -> Columns:

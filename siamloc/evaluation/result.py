@@ -11,7 +11,7 @@ from foundation.calls import typed
 from foundation.files import atomic_files, plain, storage_errors
 from siamloc.data.occupancy import read_occupancy
 from siamloc.errors import DataError, FormatError
-from siamloc.results import REMARKS, Columns, read_results, read_rows, tables_of, write_results
+from siamloc.results import REMARKS, Columns, files_of, read_results, read_rows, write_results
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -177,11 +177,7 @@ class Result:
             StorageError: the disk is full or cannot be written to.
         """
         folder, occupancy = Path(folder), None if plan is None else read_occupancy(plan)
-        older = tables_of(folder)
-        if (folder / "results.json").is_file():
-            from siamloc.report.draw import files_of
-
-            older |= files_of(folder)
+        older = files_of(folder)
         extra = {
             f"{name}_{method}": table
             for method, other in self.baselines.items()
@@ -200,8 +196,7 @@ class Result:
 
                 drawn = save_all(fresh, self.layer, occupancy)
         # Remove files that only the replaced result had, and nothing else.
-        kept = tables_of(folder) | {path.name for path in drawn}
-        gone = (older - kept) | {name for name, model in learned.items() if model is None}
+        gone = (older - files_of(folder)) | {name for name, model in learned.items() if model is None}
         with storage_errors(folder):
             for name in gone:
                 (folder / name).unlink(missing_ok=True)
@@ -235,7 +230,7 @@ class Result:
         held = read_results(folder)
         tables = {name: read_rows(folder, name) for name in held.get("tables", {})}
         name, costs = held.get("name", Path(folder).name), held.get("cost", {})
-        others = {*cls("", {}, {}).as_dict(), "tables", "schema", "created", "versions"}
+        others = {*cls("", {}, {}).as_dict(), "tables", "pictures", "schema", "created", "versions"}
         about = {key: value for key, value in held.items() if key not in others}
         return cls(
             name=name,

@@ -101,6 +101,7 @@ def test_what_cannot_be_read(tmp_path: Path) -> None:
         ("[1]", "not a siamloc result file"),
         *((json.dumps({**json.loads(whole), "measures": other}), "altered in measures") for other in ([], 3, {"a": 1})),
         (json.dumps({key: value for key, value in json.loads(whole).items() if key != "config"}), "altered in config"),
+        *((json.dumps({**json.loads(whole), "pictures": other}), "in pictures") for other in (3, [1], ["../a.png"])),
         (json.dumps({"schema": {"name": "other", "version": 1}}), "not a siamloc result file"),
         (whole.replace('"version": 1', '"version": 2'), "format version 2, .* reads version 1: update siamloc"),
     ):

@@ -1,1 +1,1 @@
-from .suitable import files_of as files_of, pictures as pictures, save_all as save_all
+from .suitable import pictures as pictures, save_all as save_all

@@ -15,7 +15,7 @@ from siamloc.report.draw.growth import animate, read_story
 from siamloc.report.draw.look import Picture, save
 from siamloc.report.draw.nodes import node_plan, nodes_on_plan
 from siamloc.report.draw.rooms import confusion
-from siamloc.results import FURTHER, Columns, finest, read_results, read_rows
+from siamloc.results import FURTHER, Columns, add_pictures, finest, read_results, read_rows
 
 Made = dict[str, Callable[[], Picture]]
 
@@ -83,6 +83,8 @@ def pictures(
 def save_all(folder: str | Path, layer: str | Path | None = None, occupancy: OccupancyMap | None = None) -> list[Path]:
     """Draw every plot that a result folder holds the numbers for, save them there, and return the files.
 
+    Their names are added to `results.json`.
+
     Args:
         folder: result folder of an evaluation, with `results.json` and its tables.
         layer: folder of the coarse layer that was measured; the log of an incremental map, `events.jsonl`, gives
@@ -102,21 +104,8 @@ def save_all(folder: str | Path, layer: str | Path | None = None, occupancy: Occ
     if "nodes" in made and log is not None and log.is_file():
         plan = node_plan(results["measures"]["mapping"], tables["frames"], tables["nodes"], name, occupancy)
         drawn.append(animate(read_story(log, plan), target / "growth.gif"))
+    add_pictures(folder, [path.name for path in drawn])
     return drawn
-
-
-def files_of(folder: str | Path) -> set[str]:
-    """Return the names of the pictures that a result folder holds the numbers for; empty if it holds no whole result.
-
-    Args:
-        folder: result folder of an evaluation, with `results.json` and its tables.
-    """
-    try:
-        results = read_results(folder)
-        made = pictures(results["measures"], _tables(folder, results))
-    except (LookupError, TypeError, ValueError, AttributeError):
-        return set()
-    return {*(f"{key}.png" for key in made), *(["growth.gif"] if "nodes" in made else [])}
 
 
 def name_of(results: Mapping[str, Any]) -> str:

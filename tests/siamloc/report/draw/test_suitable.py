@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 from siamloc.data.frames import FrameTable
+from siamloc.evaluation import Result
 from siamloc.maps import VisualMap
-from siamloc.report.draw import files_of, pictures, save_all
+from siamloc.report.draw import pictures, save_all
 from siamloc.report.draw.errors import compared_curves, error_curve, estimate_curve
 from siamloc.report.draw.floor_plan import along, floor_plan
 from siamloc.report.draw.look import Picture, lighting_colours
@@ -72,17 +73,22 @@ def test_no_room_labels_and_one_lighting_or_rooms_alone(tmp_path: Path) -> None:
 def test_results_that_are_replaced_take_only_their_own_pictures_with_them(tmp_path: Path) -> None:
     queries = scenes.frames(2, 30)
     both = pages.write_evaluation(tmp_path / "both", scenes.visual_map(), queries)
-    save_all(both)
+    drawn = save_all(both)
     (both / "mine.png").write_bytes(b"")
-    assert files_of(both) == {path.name for path in both.glob("*.png")} - {"mine.png"}
+    assert read_results(both)["pictures"] == sorted(path.name for path in drawn)
     rooms = evaluate_rooms(scenes.visual_map(), scenes.describe(queries), queries)
     rooms.save(both)
     assert {path.stem for path in both.glob("*.png")} == {"confusion", "confusion_by_lighting", "mine"}
     rooms.save(both, pictures=False)
     assert [path.stem for path in both.glob("*.png")] == ["mine"]
+    for name in ("confusion.png", "growth.gif"):
+        (both / name).write_bytes(b"")
+    Result.load(both).save(both, pictures=False)
+    assert {path.name for path in both.iterdir()} >= {"confusion.png", "growth.gif"}, "not drawn by siamloc"
     (both / "results.json").write_text("{")
-    assert files_of(both) == set()
     assert [path.stem for path in rooms.save(both)] == ["confusion", "confusion_by_lighting"]
+    Result.load(both).save(both, pictures=False)
+    assert {path.name for path in both.iterdir() if path.suffix in (".png", ".gif")} == {"mine.png", "growth.gif"}
 
 
 def test_a_panel_per_lighting() -> None:
