@@ -322,16 +322,19 @@ def _meant(words: list[str], kind: type[Job]) -> list[str]:
     _check_words(words)
     _check_own(words, kind)
     stored = _of_stored_data() if _takes_data_of_a_run(words, kind) else set()
-    return [f"++{word}" if word.partition("=")[0] in stored else _as_meant(word, kind) for word in words]
+    return [f"++{word}" if _outer(word.partition("=")[0]) in stored else _as_meant(word, kind) for word in words]
 
 
 def _takes_data_of_a_run(words: list[str], kind: type[Job]) -> bool:
     """Whether a run says of which kind the data are, so that only the job can judge the keys of data and cameras."""
-    said = dict(word.partition("=")[::2] for word in words)
-    if "data" not in kind.GROUPS or ("descriptor" not in kind.GROUPS and said.get("resume") != "true"):
+    said = {_key(word): word.partition("=")[2] for word in words}
+    resumes = said.get("resume", "").lower() == "true"
+    if "data" not in kind.GROUPS or "run" not in said or not ("descriptor" in kind.GROUPS or resumes):
         return False
-    folder = Path(said.get("run", "").strip("'\"") or "nowhere")
-    return any(any(folder.glob(files)) for files in ("run.json", "*/run.json", "evaluation/*/map.npz"))
+    networks = [name for key in ("descriptor", "descriptor.run") for name in said.get(key, "").split(",")]
+    folders = [Path(name.strip("'\"") or "nowhere") for name in (said["run"], *networks)]
+    held = ("run.json", "*/run.json", "evaluation/*/map.npz")
+    return any(any(folder.glob(files)) for folder in folders for files in held)
 
 
 def _of_stored_data() -> set[str]:
@@ -342,6 +345,11 @@ def _of_stored_data() -> set[str]:
         for name in choices(group)
         for key in option(group, name).values
     }
+
+
+def _outer(key: str) -> str:
+    """Return the first two names of a key, such as "unwrap.front" of "unwrap.front.fov"."""
+    return ".".join(key.split(".")[:2])
 
 
 def _with_quotes(word: str) -> str:

@@ -62,7 +62,7 @@ def test_the_command_line_takes_keys_of_the_kind_of_data_that_the_run_has(run):
     record = {"format": "siamloc-run", "version": 2, "settings": settings, "written": []}
     (Path(run) / "run.json").write_text(json.dumps(record))
     for command in ("map", "train"):
-        words = [f"run={run}", "descriptor=hog"] if command == "map" else [f"run={run}", "resume=true"]
+        words = [f"run={run}", "descriptor=hog"] if command == "map" else [f"run={run}", "resume=True"]
         job = composed(command, [*words, "data.root=/new", "unwrap.forward=90"])
         assert (job.data.kind, job.data.where["root"]) == ("cold", Path("/new"))
         assert job.unwrap["forward"] == 90
@@ -70,6 +70,21 @@ def test_the_command_line_takes_keys_of_the_kind_of_data_that_the_run_has(run):
             composed(command, [*words, "data.manifest=new.csv"])
     with pytest.raises(ConfigError, match=r"unknown configuration key 'data\.root'"):
         composed("map", [f"run={run}/none", "descriptor=hog", "data.root=/new"])
+    by_network = composed("evaluate", [f"run={run}/none", f"descriptor={run}", "data.root=/new"])
+    assert (by_network.data.kind, by_network.data.where["root"]) == ("cold", Path("/new"))
+
+
+def test_the_command_line_takes_keys_of_one_lens_of_the_camera_that_the_run_has(run):
+    lens = {"fov": 190.0, "image_size": [100, 100], "fx": 30.0, "fy": 30.0, "cx": 50.0, "cy": 50.0}
+    camera = {"kind": "dual_fisheye", "image_size": [100, 200], "front": lens, "back": {**lens, "azimuth": 180.0}}
+    settings = {"data": {"kind": "folder", "root": "/old", "unwrap": camera}}
+    record = {"format": "siamloc-run", "version": 2, "settings": settings, "written": []}
+    (Path(run) / "run.json").write_text(json.dumps(record))
+    words = [f"run={run}", "descriptor=hog"]
+    lenses = composed("map", [*words, "unwrap.front.fov=200"]).unwrap
+    assert (lenses["front"]["fov"], lenses["back"]["fov"]) == (200, 190)
+    with pytest.raises(ConfigError, match=r"unknown key unwrap\.fvo: did you mean 'fov'"):
+        composed("map", [*words, "unwrap.front.fvo=200"])
 
 
 def test_a_map_of_an_older_siamloc_is_replaced_but_not_searched(run):
