@@ -221,6 +221,11 @@ def is_picture(path: str | Path) -> bool:
     return Path(path).suffix.lower() in PICTURES
 
 
+def first_names(folder: Path) -> str:
+    """Return the names of the first five files and folders in a folder, for a message; "" if it is empty."""
+    return ", ".join(sorted(path.name for path in folder.iterdir())[:5])
+
+
 def write_picture(path: str | Path, picture: NDArray[np.uint8], quality: int = 88) -> None:
     """Write an image (rows, columns, 3), uint8, RGB, atomically, in the format given by the file name's ending.
 

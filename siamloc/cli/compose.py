@@ -22,7 +22,7 @@ from siamloc.jobs.job import Given, Job
 from siamloc.jobs.options import choices, config_folder, groups, is_fused, option, options
 from siamloc.jobs.sweep import Sweep
 from siamloc.models.registry import is_backbone
-from siamloc.runs import runs_in
+from siamloc.runs import Run, runs_in
 
 OF_SWEEPS = ("map", "evaluate")
 """Commands that do their work for each run if the folder of a sweep is given."""
@@ -333,8 +333,7 @@ def _takes_data_of_a_run(words: list[str], kind: type[Job]) -> bool:
         return False
     networks = [name for key in ("descriptor", "descriptor.run") for name in said.get(key, "").split(",")]
     folders = [Path(name.strip("'\"") or "nowhere") for name in (said["run"], *networks)]
-    held = ("run.json", "*/run.json", "evaluation/*/map.npz")
-    return any(any(folder.glob(files)) for folder in folders for files in held)
+    return any(Run(one).record.is_file() or runs_in(one) or any(one.glob("evaluation/*/map.npz")) for one in folders)
 
 
 def _of_stored_data() -> set[str]:

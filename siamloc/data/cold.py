@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from foundation.files import is_picture, read_text
+from foundation.files import first_names, is_picture, read_text
 from foundation.settings import shortened
 from siamloc.data.frames import ODOMETRY, FrameTable, image_files, in_capture_order
 from siamloc.data.manifest import read_rows
@@ -142,8 +142,8 @@ def _find(root: Path, camera: str) -> list[_Source]:
         other = "one list is read with places=FILE, and `siamloc fetch cold` loads the database"
         raise DataError(f"{root} is not a folder; {other}. Expected {_LAYOUT}")
     if not (found := _sources(root, camera)):
-        there = ", ".join(sorted(path.name for path in root.iterdir())[:5])
-        raise DataError(f"no sequence found under {root}, which holds: {there or 'nothing'}. Expected {_LAYOUT}")
+        held = first_names(root) or "nothing"
+        raise DataError(f"no sequence found under {root}, which holds: {held}. Expected {_LAYOUT}")
     return found
 
 

@@ -16,7 +16,7 @@ from urllib.parse import urlsplit
 from urllib.request import Request, urlopen
 
 from foundation.calls import typed
-from foundation.files import file_hash, read_text, real_path, scratch_folder, storage_errors, write_text
+from foundation.files import file_hash, first_names, read_text, real_path, scratch_folder, storage_errors, write_text
 from foundation.locks import alone
 from foundation.settings import Count, Positive, shortened
 from siamloc.data.archives import ADDRESS, Archive, archives
@@ -191,7 +191,7 @@ def _inventory(folder: Path, wanted: list[Archive]) -> tuple[dict[str, int], dic
             blocked[one.sequence] = f"{_place(held)} {held.lack}"
         elif place.is_file():
             blocked[one.sequence] = f"{place} is a file"
-        elif place.is_dir() and (names := _names_in(place)):
+        elif place.is_dir() and (names := first_names(place)):
             blocked[one.sequence] = f"{place} holds {names}, and no sequence"
     advice = "it is not replaced; move it away, or choose another folder with out="
     return there, {name: f"{what}: {advice}" for name, what in blocked.items()}, twice
@@ -205,10 +205,6 @@ def _share_camera(first: Stored, second: Stored) -> bool:
     """Return whether there is a camera for which the reader takes both copies of a sequence."""
     cameras = [{name for name in CAMERAS if (held.folder / name).is_dir()} for held in (first, second)]
     return not all(cameras) or bool(set.intersection(*cameras))
-
-
-def _names_in(folder: Path) -> str:
-    return ", ".join(sorted(path.name for path in folder.iterdir())[:5])
 
 
 def _obtain(one: Archive, out: Path, address: str, keep: bool, timeout: float, tries: int) -> None:
@@ -375,7 +371,7 @@ def _checked(scratch: Path, one: Archive) -> Path:
     """
     found = [each for each in stored(scratch) if each.list is not None]
     if not found:
-        raise DataError(f"holds no list localization/places.lst, but {_names_in(scratch) or 'nothing'}")
+        raise DataError(f"holds no list localization/places.lst, but {first_names(scratch) or 'nothing'}")
     inside = ", ".join(sorted(each.folder.relative_to(scratch).as_posix() for each in found))
     if len(found) > 1:
         raise DataError(f"holds {len(found)} sequences: {shortened(inside)}")

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+from foundation.files import first_names
 from siamloc.data.frames import FrameTable, image_files, in_capture_order
 from siamloc.data.names import lighting_in, parse_name
 from siamloc.errors import DataError, leave_out
@@ -35,9 +36,8 @@ def read_folder(root: str | Path, *, on_error: str = "skip") -> FrameTable:
         stray += [str(image) for image in image_files(split)]
         frames += [_frame(image, split.name) for room in _subfolders(split) for image in image_files(room)]
     if not frames:
-        found = sorted(path.name for path in root.iterdir())[:5]
         raise DataError(
-            f"{root} holds no images laid out as {_LAYOUT}; it holds: {', '.join(found) or 'nothing'}"
+            f"{root} holds no images laid out as {_LAYOUT}; it holds: {first_names(root) or 'nothing'}"
             + (f"; images without a room's folder: {len(stray)}, the first {stray[0]}" if stray else "")
         )
     leave_out(stray, len(stray) + len(frames), "images lie next to the rooms' folders", on_error)

@@ -180,9 +180,8 @@ class ErrorModel(Learned):
         """Return the expected error of each query (n,), in units of x and y. Arguments and errors as for `judged`."""
         scores = self.scores(found, map_xy, poses)
         expected = np.interp(scores, self.knots, self.errors)
-        if (
-            self.of_poses and len(self.knots) > 1
-        ):  # scores are logarithms of deviations; one knot says nothing of the tail
+        # Scores of poses are logarithms of deviations. A single knot says nothing of the tail.
+        if self.of_poses and len(self.knots) > 1:
             expected *= np.exp(np.clip(scores - self.knots[-1], 0, -np.log(_AGREEMENT)))
         return expected
 

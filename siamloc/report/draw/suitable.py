@@ -96,7 +96,7 @@ def save_all(folder: str | Path, layer: str | Path | None = None, occupancy: Occ
         StorageError: the disk is full or cannot be written to.
     """
     results, target = read_results(folder), Path(folder)
-    tables = _tables(folder, results)
+    tables = {table: read_rows(folder, table) for table in _TABLES if table in results["tables"]}
     name = name_of(results)
     made = pictures(results["measures"], tables, name, occupancy)
     drawn = [save(draw(), target / f"{key}.png") for key, draw in made.items()]
@@ -117,10 +117,6 @@ def name_of(results: Mapping[str, Any]) -> str:
     chosen = results.get("config", {}).get("descriptor")
     chosen = chosen if isinstance(chosen, Mapping) else {}
     return str(chosen.get("label") or chosen.get("name") or (results.get("descriptor") or {}).get("name", "measured"))
-
-
-def _tables(folder: str | Path, results: Mapping[str, Any]) -> dict[str, Columns]:
-    return {table: read_rows(folder, table) for table in _TABLES if table in results["tables"]}
 
 
 def _of_localization(
