@@ -8,28 +8,23 @@ import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import partial
-from pathlib import Path
 from typing import Any
 
 from omegaconf import DictConfig, OmegaConf
 
-from analytic.descriptors.fused import SIGN, distinct
-from foundation.settings import merged, shortened
+from foundation.settings import merged
 from siamloc.cli.help import job_of
+from siamloc.cli.overrides import flags_first, key_of, meant, only_of_others, quoted, together
 from siamloc.cli.words import values_of
 from siamloc.errors import ConfigError, DataError, SiamlocError, check_known, hint
 from siamloc.jobs.job import Given, Job
 from siamloc.jobs.options import choices, config_folder, groups, is_fused, option, options
 from siamloc.jobs.sweep import Sweep
 from siamloc.models.registry import is_backbone
-from siamloc.runs import Run, runs_in
+from siamloc.runs import runs_in
 
 OF_SWEEPS = ("map", "evaluate")
 """Commands that do their work for each run if the folder of a sweep is given."""
-_SHARING = ("prepare", "train", "map", "evaluate", "export")
-"""Commands that experiments set keys for."""
-_OUTPUT = ("out", "bundle", "run", "recording.out")
-"""Keys that name the folder a command writes to, in the order in which they are looked for."""
 # Keep Hydra from changing the folder and from writing files or log lines.
 _HYDRA = (
     "hydra/job_logging=none",
@@ -54,9 +49,9 @@ def run(command: str, words: list[str]) -> None:
         ConfigError: an unknown key, group option or value, with the nearest valid one.
     """
     kind = job_of(command)
-    given = words = _meant(words, kind)
+    given = words = meant(words, kind)
     words = _sweep(command, words) if {"-m", "--multirun"} & set(words) else words
-    words = _flags_first([*_HYDRA, *words])
+    words = flags_first([*_HYDRA, *words])
     import hydra
 
     _register(kind, words)
@@ -100,7 +95,7 @@ def composed(command: str, words: list[str]) -> Job:
     kind = job_of(command)
     if not kind.BY_HYDRA:
         return kind.of(values_of(words, kind))
-    words = _meant(words, kind)
+    words = meant(words, kind)
     try:
         return _made(kind, compose_values(kind, words), words)
     except Exception as error:
@@ -122,7 +117,7 @@ def completed(kind: type[Job], line: str) -> list[str]:
 
     with _initialized(kind, []):
         found = DefaultCompletionPlugin(GlobalHydra.instance().config_loader())._query(_NAME, line)
-    return [word for word in found if not _only_of_others(_key(word), kind)]
+    return [word for word in found if not only_of_others(key_of(word), kind)]
 
 
 @contextmanager
@@ -149,7 +144,7 @@ def _made(kind: type[Job], config: DictConfig, words: list[str]) -> Job:
     Raises:
         ConfigError: an unknown key, a key without a value, or a value of the wrong type or out of range.
     """
-    keys = [_key(word) for word in words if not word.startswith("-")]
+    keys = [key_of(word) for word in words if not word.startswith("-")]
     chosen = [key for key in keys if kind.GROUPS and key in groups()]
     values: Any = OmegaConf.to_container(config, resolve=True)
     check_known(values, {key for one in together(kind) for key in one.key_names()}, "")
@@ -159,34 +154,6 @@ def _made(kind: type[Job], config: DictConfig, words: list[str]) -> Job:
             raise ConfigError(f"{group} is a group of keys: set them one by one, such as {group}.KEY=VALUE")
     dotted = [[key.replace("/", ".") for key in some] for some in (keys, chosen)]
     return kind.of(own, Given(*dotted))
-
-
-def together(kind: type[Job]) -> list[type[Job]]:
-    """Return the jobs that an experiment sets keys for, if this job is one of them; otherwise only this job."""
-    return [job_of(name) for name in _SHARING] if kind.SHARED else [kind]
-
-
-def _only_of_others(key: str, kind: type[Job]) -> list[str]:
-    """Return the commands that have a key, if this job has none of it but shares experiments with them."""
-    top = re.split("[./]", key)[0]
-    if not kind.SHARED or top in kind.key_names():
-        return []
-    return [name for name in _SHARING if top in job_of(name).key_names()]
-
-
-def _check_own(words: list[str], kind: type[Job]) -> None:
-    """Refuse keys of other commands: experiments set them for all commands, but whoever types one means this command.
-
-    Raises:
-        ConfigError: a key that only other commands have.
-    """
-    for key in (_key(word) for word in words if "=" in word and not word.startswith("-")):
-        if others := _only_of_others(key, kind):
-            command = next(name for name in _SHARING if job_of(name) is kind)
-            folder = next((name for name in _OUTPUT if name.partition(".")[0] in kind.key_names()), None)
-            todo = f"the folder that it writes to is {folder}=FOLDER" if folder and key in _OUTPUT else "leave it out"
-            having = ", ".join(f"siamloc {name}" for name in others)
-            raise ConfigError(f"siamloc {command} has no key {key!r}, which is a key of {having}: {todo}")
 
 
 def _register(kind: type[Job], words: list[str]) -> None:
@@ -211,10 +178,10 @@ def _register(kind: type[Job], words: list[str]) -> None:
         for name, entry in inside.items():
             package = "_global_" if group == "experiment" else None
             store.store(name, OmegaConf.create(entry.node()), group=group, package=package)
-    for name in (name for word in words if _key(word) == "descriptor" for name in word.partition("=")[2].split(",")):
+    for name in (name for word in words if key_of(word) == "descriptor" for name in word.partition("=")[2].split(",")):
         if is_fused("descriptor", name):
             store.store(name, OmegaConf.create(option("descriptor", name).node()), group="descriptor")
-    named = [name for word in words if _key(word) == _BRANCH for name in word.partition("=")[2].split(",")]
+    named = [name for word in words if key_of(word) == _BRANCH for name in word.partition("=")[2].split(",")]
     for name in (one.strip("'\" ") for one in named):
         if is_backbone(name):
             folder, _, leaf = f"{_BRANCH}/{name}".rpartition("/")
@@ -283,116 +250,11 @@ def _sweep(command: str, words: list[str]) -> list[str]:
     said = [word.partition("=")[2].strip("'\"") for word in words if word.startswith("run=") and "run" in fixed]
     folder = said[0] if said and said[0] not in ("", "null") else "runs/sweep"
     settings = [
-        f"hydra.sweep.dir={_quoted(folder if trains else f'{folder}/multirun/{command}')}",
-        f"hydra.job.config.override_dirname.exclude_keys=[{','.join(map(_quoted, fixed))}]",
+        f"hydra.sweep.dir={quoted(folder if trains else f'{folder}/multirun/{command}')}",
+        f"hydra.job.config.override_dirname.exclude_keys=[{','.join(map(quoted, fixed))}]",
     ]
     named = any(word.startswith("run=") for word in words)
     return [*settings, *(["run=runs/sweep"] if trains and not named else []), *words]
-
-
-def _check_words(words: list[str]) -> None:
-    """Make sure that Hydra can read every word, and explain what is wrong with the first that it cannot."""
-    from hydra.core.override_parser.overrides_parser import OverridesParser
-    from hydra.errors import HydraException
-
-    if "--resolve" in words and not {"-c", "--cfg"} & set(words):
-        raise ConfigError("--resolve shows a configuration with its references resolved: add --cfg job")
-    parser = OverridesParser.create()
-    for before, word in zip(["", *words], words, strict=False):
-        if word.startswith("-") or before.startswith("-"):
-            continue
-        if word.startswith("~"):
-            raise ConfigError(f"{word} removes a key that is needed: leave it out, or set another value")
-        if "=" not in word or word.startswith("="):
-            shown = shortened(repr(word))
-            raise ConfigError(f"{shown} is not of the form key=value, such as images=[photo.jpeg] or epochs=5")
-        try:
-            parser.parse_override(word)
-        except (HydraException, ValueError) as error:
-            key, shown = word.partition("=")[0], shortened(repr(word))
-            raise ConfigError(
-                f"the value of {shown} cannot be read: put texts with spaces, brackets, letters such as ö or other "
-                f"symbols in quotes, such as \"{key}='a (1)'\" or \"{key}=['a (1)','b']\""
-            ) from error
-
-
-def _meant(words: list[str], kind: type[Job]) -> list[str]:
-    """Return the words as Hydra is to read them, after checking them."""
-    words = list(map(_with_quotes, words))
-    _check_words(words)
-    _check_own(words, kind)
-    stored = _of_stored_data() if _takes_data_of_a_run(words, kind) else set()
-    return [f"++{word}" if _outer(word.partition("=")[0]) in stored else _as_meant(word, kind) for word in words]
-
-
-def _takes_data_of_a_run(words: list[str], kind: type[Job]) -> bool:
-    """Whether a run says of which kind the data are, so that only the job can judge the keys of data and cameras."""
-    said = {_key(word): word.partition("=")[2] for word in words}
-    resumes = said.get("resume", "").lower() == "true"
-    if "data" not in kind.GROUPS or "run" not in said or not ("descriptor" in kind.GROUPS or resumes):
-        return False
-    networks = [name for key in ("descriptor", "descriptor.run") for name in said.get(key, "").split(",")]
-    folders = [Path(name.strip("'\"") or "nowhere") for name in (said["run"], *networks)]
-    return any(Run(one).record.is_file() or runs_in(one) or any(one.glob("evaluation/*/map.npz")) for one in folders)
-
-
-def _of_stored_data() -> set[str]:
-    """Return the keys of all kinds of data and of panoramas, such as "data.root" and "unwrap.forward"."""
-    return {
-        f"{group}.{key}"
-        for group in ("data", "unwrap")
-        for name in choices(group)
-        for key in option(group, name).values
-    }
-
-
-def _outer(key: str) -> str:
-    """Return the first two names of a key, such as "unwrap.front" of "unwrap.front.fov"."""
-    return ".".join(key.split(".")[:2])
-
-
-def _with_quotes(word: str) -> str:
-    """Put a value in quotes that has letters such as umlauts, which Hydra's grammar lacks, and none of its symbols."""
-    key, equals, value = word.partition("=")
-    plain = value.isascii() or not equals or word.startswith("-") or set(value) & set("'\"[](){},$\\")
-    return word if plain else f"{key}={_quoted(value)}"
-
-
-def _as_meant(word: str, kind: type[Job]) -> str:
-    """Read `model.branch=NAME` as the choice `model/branch=NAME`, and `descriptor=FOLDER` as the network of that run.
-
-    Several folders are a sweep over networks. A list of descriptors becomes the name of all of them fused.
-    """
-    key, _, value = word.partition("=")
-    if key == "descriptor":
-        value = re.sub(r"\[([^\[\]]*)\]", lambda found: _fused(found[1]), value)
-        word = f"{key}={value}"
-    if "." in key and key.replace(".", "/") in kind.GROUPS:
-        return f"{key.replace('.', '/')}={value}"
-    folders = [folder.strip("'\"") for folder in value.split(",")]
-    if key != "descriptor" or not all((Path(folder) / "run.json").is_file() for folder in folders):
-        return word
-    return f"descriptor.run={','.join(map(_quoted, folders))}"
-
-
-def _fused(listed: str) -> str:
-    """Return the name of several descriptors fused, for their names with commas in between."""
-    return SIGN.join(distinct([name.strip("'\" ") for name in listed.split(",")] if listed.strip() else []))
-
-
-def _flags_first(words: list[str]) -> list[str]:
-    """Move the overrides after the flags: Hydra's parser only takes them in one piece."""
-    overrides = [word for word in words if word.startswith("~") or ("=" in word and not word.startswith("-"))]
-    return [word for word in words if word not in overrides] + overrides
-
-
-def _key(word: str) -> str:
-    return word.partition("=")[0].lstrip("+~")
-
-
-def _quoted(text: object) -> str:
-    """Quote a text so that Hydra's grammar takes it as one value, whatever characters it holds."""
-    return "'" + str(text).replace("\\", "\\\\").replace("'", "\\'") + "'"
 
 
 def _explained(error: Exception, words: list[str], kind: type[Job]) -> Exception:
@@ -413,7 +275,7 @@ def _explained(error: Exception, words: list[str], kind: type[Job]) -> Exception
         return type(error)(_OF_A_READER.sub(rf"{group}.\1=", str(error)))
     text = " ".join(str(error).split())
     index = re.search(r"invalid literal for int\(\) .*'(\w+)'", text) if type(error) is ValueError else None
-    if index and (keys := [key for key in map(_key, words) if f".{index[1]}" in key]):  # a key inside a list
+    if index and (keys := [key for key in map(key_of, words) if f".{index[1]}" in key]):  # a key inside a list
         return ConfigError(f"unknown configuration key {keys[0]!r}: {_nearest_key(keys[0], kind, words)}")
     if not isinstance(error, (HydraException, OmegaConfBaseException)):
         return error
