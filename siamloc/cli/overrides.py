@@ -25,7 +25,9 @@ def meant(words: list[str], kind: type[Job]) -> list[str]:
     _check_words(words)
     _check_own(words, kind)
     stored = _of_stored_data() if _takes_data_of_a_run(words, kind) else set()
-    return [f"++{word}" if _outer(word.partition("=")[0]) in stored else _as_meant(word, kind) for word in words]
+    return [
+        f"++{_whole(word)}" if _outer(word.partition("=")[0]) in stored else _as_meant(word, kind) for word in words
+    ]
 
 
 def together(kind: type[Job]) -> list[type[Job]]:
@@ -101,6 +103,14 @@ def _of_stored_data() -> set[str]:
         for name in choices(group)
         for key in option(group, name).values
     }
+
+
+def _whole(word: str) -> str:
+    """Return a word unless it sets one item of a list, which only the job would know."""
+    parts = key_of(word).split(".")
+    if item := next((at for at, part in enumerate(parts) if part.isdigit()), None):
+        raise ConfigError(f"{key_of(word)} is one item of a list: give the whole list, {'.'.join(parts[:item])}=[...]")
+    return word
 
 
 def _outer(key: str) -> str:

@@ -68,6 +68,8 @@ def test_the_command_line_takes_keys_of_the_kind_of_data_that_the_run_has(run):
         assert job.unwrap["forward"] == 90
         with pytest.raises(ConfigError, match=r"unknown key data\.manifest: .*valid: .*root.*, for data\.kind=cold"):
             composed(command, [*words, "data.manifest=new.csv"])
+        with pytest.raises(ConfigError, match=r"give the whole list, data\.image_size=\[\.\.\.\]"):
+            composed(command, [*words, "data.image_size.0=64"])
     with pytest.raises(ConfigError, match=r"unknown configuration key 'data\.root'"):
         composed("map", [f"run={run}/none", "descriptor=hog", "data.root=/new"])
     by_network = composed("evaluate", [f"run={run}/none", f"descriptor={run}", "data.root=/new"])
