@@ -132,7 +132,7 @@ class Export(RunJob):
         if refinement is None:
             if (folder / "refinement.json").is_file():
                 lines.append("refinement.json left out, it was learned on another map")
-            if getattr(known.descriptor, "compares", False):
+            if getattr(known.descriptor, "compares", False) and known.unit == "m":
                 again = "export again with task.refine=relative"
                 if errors is not None or not isinstance(self.task, Localization):  # is of poses that are not refined
                     again = f"siamloc evaluate {named} task.error_model=true task.refine=relative, then export again"

@@ -37,7 +37,7 @@ def check_axes(known: VisualMap, drive: VisualMap, alike: Retrieval, located: ND
     there = known.frames.take(located)
     _check_motion(drive.frames, there.building, there.xy, radius, _FEW)
     compares, described, placed = comparison_of(known), drive.turning(), np.isfinite(known.frames.theta)
-    if compares is None or described.orientation is None or not placed.all() or known.frames.unit != "m":
+    if compares is None or described.orientation is None or not placed.all():
         return
     poses = refine(known, described, alike, compares)
     sure = np.flatnonzero(poses.agreement >= _SURE)

@@ -46,8 +46,11 @@ class Compared(NamedTuple):
 
 
 def comparison_of(known: VisualMap) -> Compares | None:
-    """Return the function by which a map's descriptor compares a query with a map frame; None if it cannot."""
-    held = known.heading_by_network and known.distance == "euclidean"
+    """Return the function by which a map's descriptor compares a query with a map frame.
+
+    None if it cannot, or if the map is not in metres, in which networks answer.
+    """
+    held = known.heading_by_network and known.distance == "euclidean" and known.frames.unit == "m"
     return getattr(known.describes, "compare", None) if held and getattr(known.describes, "compares", False) else None
 
 

@@ -94,7 +94,7 @@ def _misplaced(
     """
     compares, parts, frames = comparison_of(known), drive.turning().orientation, drive.frames
     oriented = np.isfinite(frames.theta).all() and np.isfinite(known.frames.theta).all()
-    if compares is None or parts is None or not oriented or known.frames.unit != "m":  # networks see metres
+    if compares is None or parts is None or not oriented:
         return np.zeros(len(drive), dtype=bool)
     rows = np.argsort(alike, axis=1)[:, :_COMPARED]
     found = compare_with(known, parts, rows, compares)

@@ -47,11 +47,11 @@ def locate(
         >>> tuesday = siamloc.maps.build("pretrained", images, frames, mounting=known.mounting)  # doctest: +SKIP
         >>> siamloc.maps.locate(known, tuesday).xy  # doctest: +SKIP
     """
+    if known.frames.unit != "m":
+        raise DataError(f"a drive is located in a map in metres, and this one is in {known.frames.unit!r}")
     compare = comparison_of(known)
     if compare is None:
         raise ConfigError("a drive is located by a network that compares images, and the map's descriptor does not")
-    if known.frames.unit != "m":
-        raise DataError(f"a drive is located in a map in metres, and this one is in {known.frames.unit!r}")
     check_lengths(drive.frames)
     for finding in wrong_odometry(drive.frames):
         raise DataError(f"the odometry of the drive cannot be used: {finding}")

@@ -222,8 +222,8 @@ def update(
                 f"a deviation of at most certain={settings.certain:g}: leave the deviations out if the positions are "
                 "good, or give a larger certain"
                 if there
-                else "a certain position: give their x and y, or a map whose descriptor compares images, which locates "
-                "them"
+                else "a certain position: give their x and y, or a map in metres whose descriptor compares images, "
+                "which locates them"
             )
         )
     used = sure & new

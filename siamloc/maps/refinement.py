@@ -84,7 +84,7 @@ def refine(
         k: number of map frames to compare, at least 1.
 
     Raises:
-        ConfigError: k below 1, or a map whose descriptor does not compare.
+        ConfigError: k below 1, a map whose descriptor does not compare, or one that is not in metres.
         DataError: a map without headings, or without orientation parts.
     """
     if compares is None:
@@ -104,7 +104,7 @@ def check_compares(known: VisualMap) -> None:
     """Check that a map and its network can estimate where queries were taken relative to its frames.
 
     Raises:
-        ConfigError: the network does not compare, or the map lacks the parts that it compares.
+        ConfigError: the network does not compare, or the map lacks the parts that it compares or is not in metres.
     """
     if not getattr(known.descriptor, "compares", False):
         raise ConfigError(
@@ -115,6 +115,11 @@ def check_compares(known: VisualMap) -> None:
     if not known.heading_by_network:
         raise ConfigError(
             "the map does not hold what its network compares by: make it again without heading= of another descriptor"
+        )
+    if known.frames.unit != "m":
+        raise ConfigError(
+            f"networks that compare answer in metres, and the map is in {known.frames.unit!r}: give x and y in metres, "
+            "or use task.refine=interpolate"
         )
 
 

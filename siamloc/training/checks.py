@@ -161,7 +161,7 @@ def check_headings(network: nn.Module, train: FrameTable, settings: Training) ->
 
     Raises:
         ConfigError: pairs, or places by their order, which are not suitable.
-        DataError: headings that are missing, or that look like degrees.
+        DataError: headings that are missing, or that look like degrees, or positions that are not in metres.
     """
     if comparing(network) is None:
         return
@@ -179,6 +179,11 @@ def check_headings(network: nn.Module, train: FrameTable, settings: Training) ->
         )
     for finding in wrong_headings(train):
         raise DataError(f"model.relative=true (from Python relative=True) is learned from headings: {finding}")
+    if train.unit != "m":
+        raise DataError(
+            "model.relative=true (from Python relative=True) is learned from positions in metres, and those of the "
+            f"training frames are in {train.unit!r}: give x and y in metres, or set model.relative to false"
+        )
 
 
 def check_network(network: nn.Module, image: NDArray[np.uint8], circular: bool, *, unit: bool) -> int:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
 import pytest
@@ -150,7 +152,7 @@ def test_a_network_that_finds_headings_keeps_them_in_its_map(images, tmp_path):
 
 
 def test_a_network_that_compares_ordinary_images_keeps_what_it_compares_and_no_heading(images, tmp_path):
-    frames, _ = images
+    frames = replace(images[0], unit="m")
     flat = PanoramaLibrary(frames, tmp_path / "cache", image_size=SIZE, circular=False)
     network = build_network("panoresnet", "magnitudes", SIZE, relative=True)
     known = build(network, flat, frames, progress=False)

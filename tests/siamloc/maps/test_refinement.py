@@ -147,6 +147,9 @@ def test_what_cannot_be_refined_is_refused():
         refine(replace(known, heading={"name": "hog"}, describes=able), asked(), found(0))
     own = replace(known, describes=able)
     np.testing.assert_allclose(refine(own, asked(), found(0)).xy[0], TRUE, atol=1e-9)
+    feet = replace(own, frames=replace(own.frames, unit="ft"))
+    with pytest.raises(ConfigError, match="answer in metres, and the map is in 'ft': give x and y in metres"):
+        refine(feet, asked(), found(0))
     with pytest.raises(ConfigError, match=r"hog does not tell .*model\.relative=true"):
         refine(thumbnails, asked(), found(0))
 

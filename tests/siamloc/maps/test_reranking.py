@@ -60,6 +60,14 @@ def test_distances_grow_with_the_doubts_of_the_comparison():
     assert fewer.indices.tolist() == [expected[:2], expected[:2]]
 
 
+def test_frames_of_a_map_in_another_unit_keep_the_order_of_their_descriptors():
+    known = map_of([-20.0, 4.0, *[0.0] * 10])
+    assert match(known, QUERY, 3).indices[0, 0] == 1
+    found = match(replace(known, frames=replace(known.frames, unit="mm")), QUERY, 3)
+    assert found.indices.tolist() == [[0, 1, 2], [0, 1, 2]]
+    np.testing.assert_allclose(found.distances[0], [0.0, 0.05, 0.1], atol=1e-6)
+
+
 @pytest.mark.parametrize("certain", [True, False])
 def test_the_frame_next_to_the_pose_is_preferred_if_a_comparison_is_certain(certain):
     odds = np.full(FRAMES, 3.9)

@@ -294,7 +294,7 @@ def test_networks_without_orientation_parts_are_refused(options):
         build(**wanted, relative=True)
 
 
-def test_headings_are_needed_and_in_rad(tmp_path):
+def test_headings_in_rad_and_positions_in_metres_are_needed(tmp_path):
     images = siamloc.data.example()
     network = build("panoresnet", "magnitudes", images.image_shape[1:], circular=True, relative=True)
     frames, tuesday = (images.frames.select(sequence=day) for day in ("monday", "tuesday"))
@@ -303,6 +303,8 @@ def test_headings_are_needed_and_in_rad(tmp_path):
     for theta, says in ((blind, ", and the training frames have none"), (degrees, ": theta looks like degrees")):
         with pytest.raises(DataError, match=f"learned from headings{says}"):
             siamloc.training.fit(network, images, frames.with_columns(theta=theta), **way)
+    with pytest.raises(DataError, match="positions in metres, and those of the training frames are in 'ft'"):
+        siamloc.training.fit(network, images, replace(frames, unit="ft"), **way)
     with pytest.raises(ConfigError, match="learned from batches of places by their positions"):
         siamloc.training.fit(network, images, frames, run=tmp_path / "run", epochs=1)
     run = siamloc.training.fit(network, images, frames, **way)

@@ -332,6 +332,9 @@ def test_what_does_not_fit_is_refused(network, known, bundle, tmp_path):
     bare = replace(known, heading=None)
     with pytest.raises(ConfigError, match="the map does not hold what its network compares by"):
         export(network, bare, tmp_path / "bundle", refinement=refinement(bare, "relative"))
+    feet = replace(known, frames=replace(known.frames, unit="ft"), unit="ft")
+    with pytest.raises(ConfigError, match="in metres, and the map is in 'ft'"):
+        export(network, feet, tmp_path / "bundle", refinement=refinement(feet, "relative"))
     other = build("panoresnet", "magnitudes", SIZE, circular=True)
     with pytest.raises(ConfigError, match="does not tell where images were taken relative to others"):
         export_relative(other, tmp_path / "relative.onnx")
