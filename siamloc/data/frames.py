@@ -290,12 +290,23 @@ def concatenate(tables: Sequence[FrameTable]) -> FrameTable:
     """
     if not tables:
         return FrameTable(path=np.array([], dtype=np.str_))
-    units = list(dict.fromkeys(table.unit for table in tables))
-    if len(units) > 1:
-        raise DataError(f"tables whose positions count in {' and '.join(units)} cannot be joined")
+    check_units(tables)
     joined = {name: np.concatenate([getattr(table, name) for table in tables]) for name in _COLUMNS}
     source = tables[0].source if all(table.source == tables[0].source for table in tables) else {}
-    return FrameTable(**joined, unit=units[0], source=source)
+    return FrameTable(**joined, unit=tables[0].unit, source=source)
+
+
+def check_units(tables: Iterable[FrameTable]) -> None:
+    """Check that tables give their positions in the same unit.
+
+    Raises:
+        DataError: they give them in different units.
+    """
+    units = list(dict.fromkeys(table.unit for table in tables))
+    if len(units) > 1:
+        raise DataError(
+            f"tables whose positions count in {' and '.join(units)} cannot be joined or compared: give them in one unit"
+        )
 
 
 def in_capture_order(frames: FrameTable) -> FrameTable:

@@ -15,7 +15,7 @@ from foundation.calls import typed
 from foundation.columns import Rows
 from foundation.settings import Count, NotNegative, Rule, Settings
 from siamloc import maps
-from siamloc.data.frames import FrameTable
+from siamloc.data.frames import FrameTable, check_units
 from siamloc.data.library import PanoramaLibrary
 from siamloc.data.protocol import Protocol
 from siamloc.errors import ConfigError, DataError
@@ -113,7 +113,7 @@ class Session:
         ConfigError: arguments of the wrong type, queries that the protocol forbids in this map, validation frames from
             the map's or the queries' sequences, panoramas made in another way than those of the map, or an unknown
             baseline.
-        DataError: no image of the queries can be read.
+        DataError: no image of the queries can be read, or positions in different units.
     """
 
     @typed
@@ -137,6 +137,8 @@ class Session:
         self.baselines = _named(baselines, images.circular)
         self.skipped: dict[str, str] = {}
         known.check_images(images.preprocessing.parameters())
+        tables = known.frames, self.queries, self.validation
+        check_units(one for one in tables if one is not None and one.has_position.any())
         self._check_apart()
 
     def __repr__(self) -> str:

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from foundation.calls import OF_FIELDS, takes
 from foundation.settings import Count, Positive, Share
 from siamloc.data.checks import wrong_headings
-from siamloc.data.frames import FrameTable, concatenate
+from siamloc.data.frames import FrameTable, check_units
 from siamloc.errors import ConfigError, DataError, logger
 from siamloc.maps.axes import check_axes
 from siamloc.maps.comparing import comparison_of
@@ -183,7 +183,7 @@ def update(
         >>> int(found.known.history.confirmed.max())
         1
     """
-    concatenate([known.frames, drive])  # refuses positions in two units
+    check_units([known.frames, drive])
     if len(drives := drive.rows_by("sequence")) != 1:
         raise DataError(
             f"an update takes the frames of one drive, and these are of {len(drives)}: call it for each in turn, with "

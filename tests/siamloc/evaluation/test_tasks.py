@@ -323,6 +323,24 @@ def test_panoramas_made_in_another_way_than_those_of_the_map_are_refused_by_ever
             task(known, larger, tuesday)
 
 
+def test_queries_and_validation_in_another_unit_than_the_map_are_refused_by_every_task(world):
+    images, _, tuesday, sunday, known = world
+    feet, days = replace(tuesday, unit="ft"), replace(sunday, unit="ft")
+    layer = maps.group(known, "sample", nodes=4)
+    for task in (
+        lambda: evaluation.localization(known, images, feet),
+        lambda: evaluation.localization(known, images, tuesday, validation=days, error_model=True),
+        lambda: evaluation.hierarchical(known, images, feet, layer),
+        lambda: evaluation.robustness(known, images, feet),
+        lambda: evaluation.compact(known, images, feet, nodes=(4,)),
+        lambda: evaluation.error_model(known, images, feet),
+    ):
+        with pytest.raises(DataError, match="positions count in m and ft cannot be joined or compared"):
+            task()
+    nowhere = replace(feet, x=np.full(30, np.nan))
+    assert "room_retrieval" in evaluation.rooms(known, images, nowhere).parts
+
+
 def test_every_result_says_what_its_methods_take_and_keep(world, tmp_path):
     images, _, tuesday, _, known = world
     result = evaluation.localization(known, images, tuesday, baselines=["hog"])
