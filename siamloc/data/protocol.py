@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from foundation.settings import Count, Natural, Positive, Rule, Settings
-from siamloc.data.frames import FrameTable, concatenate
+from siamloc.data.frames import FrameTable, concatenate, in_capture_order
 from siamloc.errors import ConfigError, DataError
 
 Way = Annotated[float, Rule("a number above 0 and up to 1,000,000", lambda value: 0 < value <= 1e6)]
@@ -210,7 +210,7 @@ class Protocol(Settings):
             queries: n frames.
             known: the map's m frames.
             drives: frames in capture order along which `apart_metres` measures the distance, such as the whole data
-                set. If None, the queries and the map's frames, in order of time.
+                set. If None, the queries and the map's frames, in order of time; as they are if no time is known.
 
         Returns:
             (n, m), True where the two must not be compared.
@@ -305,11 +305,11 @@ def _in_order(queries: FrameTable, known: FrameTable) -> FrameTable:
     """
     query_keys, known_keys = queries.identities(), set(known.identities())
     if known_keys <= set(query_keys):
-        return queries
+        return in_capture_order(queries)
     new = [row for row, key in enumerate(query_keys) if key not in known_keys]
     both = concatenate([known, queries.take(new)])
     if new and np.isnan(both.time).any():
         raise DataError(
             "protocol.apart_metres needs the order in which the frames were taken: give times, or the whole drives"
         )
-    return both.take(np.argsort(both.time, kind="stable")) if new else known
+    return in_capture_order(both)

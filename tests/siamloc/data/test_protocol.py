@@ -133,6 +133,17 @@ def test_the_order_of_two_selections_comes_from_their_times_or_from_the_drive(ta
     np.testing.assert_array_equal(apart.excluded(queries, known), found[[2, 0, 1]])
 
 
+def test_the_order_of_the_rows_does_not_matter_where_times_are_known(table):
+    drive = table.select(sequence="cloudy1").with_columns(time=np.arange(10.0))
+    apart, rows = Protocol(apart_metres=1.5), np.array([3, 1, 5, 0, 2, 4, 9, 7, 6, 8])
+    whole = apart.excluded(drive, drive)
+    assert whole.sum() == 28
+    mixed = drive.take(rows)
+    np.testing.assert_array_equal(apart.excluded(mixed, mixed), whole[np.ix_(rows, rows)])
+    np.testing.assert_array_equal(apart.excluded(mixed, drive.every(2)), whole[rows][:, ::2])
+    np.testing.assert_array_equal(apart.excluded(drive.every(2), mixed), whole[::2][:, rows])
+
+
 def test_exclusion_names_what_it_lacks(table):
     with pytest.raises(DataError, match=r"20 frames of sequence 'cloudy1' have no time, which protocol\.apart_seconds"):
         Protocol(apart_seconds=1.0).excluded(table, table)
