@@ -277,7 +277,14 @@ class FrameTable:
         """Build a table from a dictionary for each frame, such as {"path": "1.jpg", "x": 0.5}.
 
         The keys are names of columns; missing keys become NaN or the empty string.
+
+        Raises:
+            DataError: a key that names no column.
         """
+        for name in dict.fromkeys(key for row in rows for key in row):
+            if name not in _COLUMNS:
+                wanted = "path" if name == "image" else name
+                raise DataError(f"frames have no column {name!r}; {hint(wanted, _COLUMNS)}")
         return cls(**{name: [row.get(name, _UNKNOWN[name]) for row in rows] for name in _COLUMNS})  # type: ignore[arg-type]
 
 

@@ -165,7 +165,7 @@ def test_whatever_table_is_written_is_read_back(tmp_path, frames, columns):
         cells = [frame[name] for name in columns]
         writer.writerow(["" if isinstance(cell, float) and math.isnan(cell) else cell for cell in cells])
     table = read(tmp_path, text.getvalue(), on_error="raise")
-    written = FrameTable.from_rows([{"path": str(tmp_path / frame["image"]), **frame} for frame in frames])
+    written = FrameTable.from_rows([{"path": str(tmp_path / frame.pop("image")), **frame} for frame in frames])
     rows = [written.path.tolist().index(path) for path in table.path.tolist()]
     expected = {name: column[rows] for name, column in written.columns().items()}
     assert table == FrameTable(**expected)
