@@ -39,6 +39,17 @@ def test_columns_that_are_left_out_are_filled():
     np.testing.assert_equal(concatenate([frames, frames]).take([3]).odometry, [[2, np.nan, 0.5]])
 
 
+@pytest.mark.parametrize(
+    "rooms", [["hall", None], ["hall", math.nan], np.array(["hall", None]), np.array(["hall", np.nan], dtype=object)]
+)
+def test_a_label_that_is_none_or_nan_is_missing(rooms):
+    frames = FrameTable(path=["a", "b"], room=rooms)
+    assert frames.room.tolist() == ["hall", ""]
+    assert frames.with_columns(lighting=[math.nan, np.float32("nan")]).lighting.tolist() == ["", ""]
+    assert FrameTable.from_rows([{"path": "a", "room": None}]).room.tolist() == [""]
+    assert FrameTable(path=["a", "b"], room=np.array([3.0, np.nan])).room.tolist() == ["3.0", ""]
+
+
 def test_equality_counts_nan_as_equal_and_rows_make_the_table_again():
     assert table() == table()
     assert table() not in (table().with_columns(x=np.arange(6)), table(3 * 4), "table")
