@@ -140,8 +140,11 @@ class Trajectory:
             axes: the frame's axes: "robot" for x ahead and z up, "camera" for z ahead and y down.
             whole: the trajectory that says which way is up, if these are a few of its poses; this one if None.
 
+        Returns:
+            NaN where a pose is not known.
+
         Raises:
-            DataError: the frame does not stay upright.
+            DataError: the frame does not stay upright, or none of its poses is known.
         """
         upwards = (whole or self)._upwards(axes)
         vertical = int(np.abs(upwards).argmax())
@@ -179,7 +182,12 @@ class Trajectory:
 
     def _up(self, axes: Axes) -> Array:
         """Return the mean direction upwards (3,) of the frame, of length 1 if it keeps to one axis of the world."""
-        return np.asarray(turned(self.quaternion, AXES[axes][1]).mean(axis=0))
+        return np.asarray(turned(self._oriented, AXES[axes][1]).mean(axis=0))
+
+    @property
+    def _oriented(self) -> Array:
+        """The quaternions that are known, (n or fewer, 4)."""
+        return np.asarray(self.quaternion[np.isfinite(self.quaternion).all(axis=1)])
 
     def inverse(self) -> Trajectory:
         """Return the poses of the world's frame as seen from this one."""
@@ -188,6 +196,11 @@ class Trajectory:
 
     def _upwards(self, axes: Axes) -> Array:
         """Return the axis of the world (3,), or its opposite, to which the frame's own direction upwards points."""
+        if not len(self._oriented):
+            raise DataError(
+                f"{self.source}: none of the {len(self)} poses is known, so that nothing says which way is up: take "
+                "times inside of the trajectory, or give the trajectory as whole"
+            )
         mean = self._up(axes)
         if not np.abs(mean).max() >= _TILTED:
             raise DataError(f"{self.source}: {self._why_tilted(axes)}")
@@ -195,10 +208,10 @@ class Trajectory:
 
     def _why_tilted(self, axes: str) -> str:
         other = next(name for name in AXES if name != axes)
-        rolled = self.quaternion[:, [1, 2, 3, 0]], self.quaternion[:, [3, 0, 1, 2]]
+        rolled = self._oriented[:, [1, 2, 3, 0]], self._oriented[:, [3, 0, 1, 2]]
         if any(_upright(quaternion, AXES[axes][1]) for quaternion in rolled):
             return "the quaternions are in the other order: give order=wxyz, or order=xyzw if w stands last"
-        if _upright(self.quaternion, AXES[other][1]):
+        if _upright(self._oriented, AXES[other][1]):
             return f"the poses are those of a {other}, not of a {axes}: give axes={other}"
         return f"no axis of the world stays upright, with axes={axes}: the poses do not lie in a plane"
 

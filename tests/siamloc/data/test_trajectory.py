@@ -164,6 +164,22 @@ def test_poses_between_two_entries(sway):
     assert np.isnan(outside.flat(whole=trajectory)).all()
 
 
+def test_the_poses_at_times_of_which_some_are_outside_lie_in_the_plane_of_the_others():
+    poses = np.column_stack([XY, HEADING])
+    trajectory = Trajectory.planar(TIME, poses, "poses.txt")
+    some = trajectory.at(np.append(TIME, TIME[-1] + 1))
+    np.testing.assert_allclose(some.flat()[:-1], trajectory.flat(), atol=1e-9)
+    assert np.isnan(some.flat()[-1]).all()
+    assert np.isnan(some.tilted()[-1]).all()
+    with pytest.raises(DataError, match=r"poses\.txt: none of the 1 poses is known"):
+        trajectory.at(TIME[-1:] + 1).flat()
+    tumbling = Trajectory.of(
+        TIME, np.zeros((60, 3)), Rotation.random(60, rng=np.random.default_rng(0)).as_quat(), "poses"
+    )
+    with pytest.raises(DataError, match="no axis of the world stays upright"):
+        tumbling.at(np.append(TIME, TIME[-1] + 1)).flat()
+
+
 def test_no_pose_inside_of_a_gap():
     trajectory = Trajectory.planar(np.array([0.0, 1, 4, 5]), np.zeros((4, 3)), "poses")
     known = np.isfinite(trajectory.at(np.array([0.5, 1, 2, 4, 4.5]), gap=2.0).position[:, 0])
