@@ -15,6 +15,7 @@ from foundation.calls import OF_FIELDS, takes, typed
 from foundation.files import read_json, write_bytes, write_json, write_picture, write_text
 from foundation.settings import Count, Positive, Settings, Text
 from siamloc.data.bags import KINDS, Bag, Clock, Damaged, proposed
+from siamloc.data.decoding import UnreadableImageError, decode_image
 from siamloc.data.frames import BAGS, ODOMETRY, TILT, VIDEOS, FrameTable, advice
 from siamloc.data.manifest import manifest_of
 from siamloc.data.names import lighting_in
@@ -176,10 +177,10 @@ class Pictures:
     def __exit__(self, *_: object) -> None:
         pass
 
-    def images(self, topic: str, clock: Clock) -> Iterator[tuple[int, bytes, str]]:
-        """Yield the time in ns, the content of the file, and its ending, of each picture."""
+    def images(self, topic: str, clock: Clock) -> Iterator[tuple[int, Path, str]]:
+        """Yield the time in ns, the file, and its ending, of each picture."""
         for time, file in self._files:
-            yield round(time * 1e9), file.read_bytes(), file.suffix
+            yield round(time * 1e9), file, file.suffix
 
 
 @typed
@@ -309,11 +310,17 @@ def _write_images(
         if time in found:
             same.append(f"{time / 1e9:.3f} s")
             continue
-        if apart is not None:
-            if found and time < due - apart / 4:  # pictures come a little early or late
-                if time < last:
-                    late.append(f"{time / 1e9:.3f} s")
+        if apart is not None and found and time < due - apart / 4:  # pictures come a little early or late
+            if time < last:
+                late.append(f"{time / 1e9:.3f} s")
+            continue
+        if isinstance(image, Path):
+            try:
+                image = _content(image)
+            except Damaged as error:
+                damaged.append(str(error))
                 continue
+        if apart is not None:
             last = time
             due = (max(due, time - apart / 2) if found else time) + apart
         if strict and poses is not None:
@@ -335,6 +342,20 @@ def _write_images(
     leave_out(same, number + 1, f"images of {recording.path} have the time of another one{remedy}", settings.on_error)
     order = sorted(found)
     return [found[time] for time in order], np.array(order, dtype=np.int64) / 1e9
+
+
+def _content(file: Path) -> bytes:
+    """Return the content of a picture's file.
+
+    Raises:
+        Damaged: it cannot be decoded.
+    """
+    try:
+        content = file.read_bytes()
+        decode_image(content)
+    except (OSError, UnreadableImageError) as error:
+        raise Damaged(f"{file}: {getattr(error, 'strerror', None) or error}") from error
+    return content
 
 
 def _check_pose(path: Path, time: float, poses: Trajectory, settings: Extraction) -> None:

@@ -392,6 +392,22 @@ def test_a_damaged_image_does_not_end_an_extraction(tmp_path, caplog):
             siamloc.data.extract(bag.path, tmp_path / "strict", images=topic, poses="none", on_error="raise")
 
 
+@pytest.mark.parametrize("rate", [None, 1.0])
+def test_damaged_pictures_of_a_folder_are_left_out(tmp_path, caplog, rate):
+    pictures = written(tmp_path / "monday", [f"{100 + number}.0.png" for number in range(5)])
+    whole = (pictures / "101.0.png").read_bytes()
+    (pictures / "101.0.png").write_bytes(whole[: len(whole) // 2])
+    (pictures / "103.0.png").write_bytes(b"no picture")
+    frames = siamloc.data.extract(pictures, tmp_path / "out", rate=rate)
+    assert frames.time.tolist() == [100, 102, 104]
+    assert len(list((tmp_path / "out").glob("*.png"))) == 3
+    first = f"the first: {pictures / '101.0.png'}: the file is cut short"
+    assert f"2 of 5 images of pictures in {pictures} cannot be used, {first}" in caplog.text
+    with pytest.raises(DataError, match=r"1 of 5 images .* the file is cut short \(on_error=skip leaves them out\)"):
+        siamloc.data.extract(pictures, tmp_path / "strict", rate=rate, on_error="raise")
+    assert len(list((tmp_path / "strict").glob("*.png"))) == 1
+
+
 def film(path):
     code = cv2.VideoWriter_fourcc(*("MJPG" if path.suffix == ".avi" else "mp4v"))
     writer = cv2.VideoWriter(str(path), code, 10, (64, 48))
