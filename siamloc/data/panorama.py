@@ -282,7 +282,7 @@ def _tables(
     """Return the columns and rows of an image to sample (kH, kW), float32, for k x k points in each pixel; which pixels
     are seen (H, W); and the size to which the image is shrunk before, since points that lie more than a pixel apart
     would alias. Points that are not seen are moved to the nearest ones that are."""
-    columns, rows = camera.sampling(view, image_size)
+    columns, rows = _sampled(camera, view, image_size)
     sees = _inside(columns, rows, image_size)
     if sees.mean() < _LEAST:
         raise ConfigError(
@@ -299,6 +299,23 @@ def _tables(
 
 
 _cached_tables = lru_cache(maxsize=8)(_tables)
+
+
+def _sampled(camera: OmnidirectionalCamera, view: PanoramaView, image_size: tuple[int, int]) -> tuple[Array, Array]:
+    """Return what a camera's `sampling` returns, which may be the user's own, after checking its shape.
+
+    Raises:
+        ConfigError: anything but two arrays (H, W).
+    """
+    found, size = camera.sampling(view, image_size), (view.height, view.width)
+    parts = found if isinstance(found, tuple | list | np.ndarray) and len(found) == 2 else (found,)
+    got = [getattr(part, "shape", type(part).__name__) for part in parts]
+    if got != [size, size]:
+        raise ConfigError(
+            f"`sampling` of {type(camera).__name__} must return two arrays (H, W) = {size}, the columns and the rows "
+            f"in the image, got {' and '.join(map(str, got))}"
+        )
+    return parts[0], parts[1]
 
 
 def points_of(camera: OmnidirectionalCamera, view: PanoramaView, image_size: tuple[int, int]) -> tuple[Array, Array]:

@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import cv2
 import numpy as np
 import pytest
@@ -167,3 +169,24 @@ def test_impossible_unwrapping():
     for shape in [(1, 100), (0, 0, 3), (100,)]:
         with pytest.raises(DataError, match="has shape"):
             unwrap(np.zeros(shape, np.uint8), PolarRing())
+
+
+@pytest.mark.parametrize(
+    ("returned", "got"),
+    [
+        (lambda columns, rows: (columns.T, rows.T), r"\(512, 128\) and \(512, 128\)"),
+        (lambda columns, rows: (columns[:3, :3], rows), r"\(3, 3\) and \(128, 512\)"),
+        (lambda columns, rows: (columns.tolist(), rows.tolist()), "list and list"),
+        (lambda columns, rows: columns, r"\(128, 512\)"),
+        (lambda columns, rows: None, "NoneType"),
+    ],
+)
+def test_a_camera_of_ones_own_that_samples_in_another_shape_is_refused(returned, got):
+    @dataclass(frozen=True)
+    class Own:
+        def sampling(self, view, image_size):
+            return returned(*PolarRing().sampling(view, image_size))
+
+    message = rf"`sampling` of Own must return two arrays \(H, W\) = \(128, 512\), .* got {got}$"
+    with pytest.raises(ConfigError, match=message):
+        unwrap(np.zeros((480, 640), np.uint8), Own())
