@@ -317,6 +317,10 @@ def _as_images(batch: Any) -> Tensor:
         batch = torch.from_numpy(batch)
     images = batch.detach()
     if images.ndim == 3 and images.shape[0] != 3:
+        if images.shape[2] == 3:
+            raise DataError(
+                f"a colour image must have its channels first, (3, H, W), got {tuple(images.shape)}: transpose it"
+            )
         images = images.unsqueeze(1)
     while images.ndim < 4:
         images = images.unsqueeze(0)

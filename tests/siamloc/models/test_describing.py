@@ -89,6 +89,7 @@ def test_describing_is_in_full_precision_under_autocast():
         ("photo.jpg", "images must be arrays or tensors"),
         (np.zeros((2, 4, *SIZE), np.uint8), "images must have shape"),
         (np.zeros((0, 3, *SIZE), np.uint8), "images must have shape"),
+        (np.zeros((*SIZE, 3), np.uint8), r"channels first, \(3, H, W\), got \(32, 64, 3\): transpose it"),
         (np.zeros((2, 3, 64, 32), np.uint8), r"shape \(B, 3, 32, 64\)"),
         (np.zeros((2, 3, *SIZE), np.int64), "uint8 or floating point"),
         (np.full((2, 3, *SIZE), 200.0), r"must lie in \[0, 1\]"),
