@@ -7,7 +7,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from foundation.calls import typed
 from foundation.columns import Rows
+from foundation.settings import Positive, Probability
 from siamloc.errors import DataError
 from siamloc.maps.comparing import Compared
 from siamloc.maps.visual_map import VisualMap
@@ -52,12 +54,14 @@ class RefinedPoses(Rows):
         told = self.information.any(axis=(1, 2))
         return np.where(told, np.einsum("ni,nij,nj->n", apart, self.information, apart), np.nan)
 
-    def inside(self, xy: ArrayLike, share: float = 0.9) -> NDArray[np.float64]:
+    @typed
+    def inside(self, xy: ArrayLike, share: Probability = 0.9) -> NDArray[np.float64]:
         """Return which true positions (n, 2) lie in the ellipse with the probability `share` (n,): 1, 0 or NaN."""
         squared = self.squared(xy)
         return np.where(np.isnan(squared), np.nan, squared <= _limit(share))
 
-    def widening(self, xy: ArrayLike, share: float = 0.9) -> float:
+    @typed
+    def widening(self, xy: ArrayLike, share: Probability = 0.9) -> float:
         """Learn how much wider the ellipses must be, from true positions (n, 2) of a drive used for nothing else.
 
         Returns:
@@ -73,7 +77,8 @@ class RefinedPoses(Rows):
             raise DataError(f"the ellipses are learned from 10 refined validation frames or more, got {len(squared)}")
         return float(np.quantile(squared, share) / _limit(share))
 
-    def widened(self, factor: float) -> RefinedPoses:
+    @typed
+    def widened(self, factor: Positive) -> RefinedPoses:
         """Return the poses with ellipses enlarged by a factor on squared distances."""
         return replace(self, information=self.information / factor)
 

@@ -8,6 +8,22 @@ from numpy.typing import ArrayLike, NDArray
 from siamloc.errors import DataError
 
 
+def numbers_of(values: ArrayLike, what: str) -> NDArray[np.float64]:
+    """Return values as float64.
+
+    Args:
+        values: the values, of any shape.
+        what: noun for the values in the error message, such as "errors".
+
+    Raises:
+        DataError: texts, or rows of different lengths.
+    """
+    try:
+        return np.asarray(values, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise DataError(f"{what} must be an array of numbers ({error})") from error
+
+
 def column_of(values: ArrayLike, what: str) -> NDArray[np.float64]:
     """Check the values of a measure, one for each query, and return them as float64 (n,).
 
@@ -18,7 +34,7 @@ def column_of(values: ArrayLike, what: str) -> NDArray[np.float64]:
     Raises:
         DataError: another shape, or a value that is not finite.
     """
-    column = np.asarray(values, dtype=np.float64)
+    column = numbers_of(values, what)
     if column.ndim != 1:
         raise DataError(f"{what} must have shape (n,), got {column.shape}")
     if not np.isfinite(column).all():
@@ -36,7 +52,7 @@ def positions_of(xy: ArrayLike, what: str) -> NDArray[np.float64]:
     Raises:
         DataError: another shape, or a position that is not finite.
     """
-    positions = np.asarray(xy, dtype=np.float64)
+    positions = numbers_of(xy, f"{what} positions")
     if positions.ndim != 2 or positions.shape[1] != 2:
         raise DataError(f"{what} positions must have shape (n, 2), got {positions.shape}")
     finite = np.isfinite(positions).all(axis=1)

@@ -40,12 +40,17 @@ def error_floor(
         excluded: (n, m) map frames that do not count for a query; at least one must count. None excludes nothing.
 
     Raises:
-        DataError: an empty map, other shapes, or a position that is not finite.
+        DataError: an empty map, other shapes, a position that is not finite, or no map frame that counts for a query.
     """
     known, queries = map_positions(map_xy), positions_of(query_xy, "query")
     if not len(queries):
         return np.empty(0)
     if excluded is not None:
+        if np.shape(excluded) != (len(queries), len(known)) or np.all(excluded, axis=1).any():
+            raise DataError(
+                f"`excluded` must have shape (n, m) = {(len(queries), len(known))} and leave each query a map frame, "
+                f"got {np.count_nonzero(excluded)} excluded of shape {np.shape(excluded)}"
+            )
         apart = np.hypot(*(queries[:, None] - known[None]).transpose(2, 0, 1))
         return np.where(excluded, np.inf, apart).min(axis=1)
     from scipy.spatial import cKDTree

@@ -8,8 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from foundation.calls import typed
+from foundation.settings import Count, NotNegative
 from siamloc.errors import ConfigError, DataError
-from siamloc.evaluation.metrics.arrays import map_positions, positions_of
+from siamloc.evaluation.metrics.arrays import map_positions, numbers_of, positions_of
 from siamloc.evaluation.metrics.errors import error_floor
 
 
@@ -36,7 +38,8 @@ class Recall:
     radius: float
 
 
-def recall_at_k(retrieved: ArrayLike, map_xy: ArrayLike, query_xy: ArrayLike, radius: float, k: int) -> Recall:
+@typed
+def recall_at_k(retrieved: ArrayLike, map_xy: ArrayLike, query_xy: ArrayLike, radius: NotNegative, k: Count) -> Recall:
     """Return the share of queries with at least one of the top k retrieved frames within `radius` of them.
 
     Args:
@@ -50,8 +53,6 @@ def recall_at_k(retrieved: ArrayLike, map_xy: ArrayLike, query_xy: ArrayLike, ra
         ConfigError: a negative radius, or a k that is not positive or exceeds the number of retrieved frames.
         DataError: other shapes, rows outside the map, or a position that is not finite.
     """
-    if int(k) != k or k < 1:
-        raise ConfigError(f"recall@k needs a whole k >= 1, got {k}")
     known = map_positions(map_xy)
     found = np.asarray(retrieved)
     if found.ndim == 2 and found.shape[1] < min(k, len(known)):
@@ -70,7 +71,10 @@ def one_percent(map_size: int) -> int:
     return max(1, -(-int(map_size) // 100))
 
 
-def first_rank_within(retrieved: ArrayLike, map_xy: ArrayLike, query_xy: ArrayLike, radius: float) -> NDArray[np.int64]:
+@typed
+def first_rank_within(
+    retrieved: ArrayLike, map_xy: ArrayLike, query_xy: ArrayLike, radius: NotNegative
+) -> NDArray[np.int64]:
     """Return the rank (from 1) of the first retrieved frame within `radius` of its query; 0 if there is none (n,).
 
     Args:
@@ -83,8 +87,6 @@ def first_rank_within(retrieved: ArrayLike, map_xy: ArrayLike, query_xy: ArrayLi
         ConfigError: a negative radius.
         DataError: other shapes, rows outside the map, or a position that is not finite.
     """
-    if not radius >= 0:
-        raise ConfigError(f"the radius must not be negative, got {radius}")
     known, queries, found = map_positions(map_xy), positions_of(query_xy, "query"), np.asarray(retrieved)
     if found.ndim != 2 or found.shape[1] < 1 or found.dtype.kind not in "iu" or len(found) != len(queries):
         raise DataError(
@@ -96,9 +98,17 @@ def first_rank_within(retrieved: ArrayLike, map_xy: ArrayLike, query_xy: ArrayLi
     return np.where(within.any(axis=1), within.argmax(axis=1) + 1, 0)
 
 
-def recall_from_ranks(rank: ArrayLike, floor: ArrayLike, radius: float, k: int) -> Recall:
-    """Return recall@k from the results of `first_rank_within` (for this radius) and `error_floor`, both (n,)."""
-    ranks, floors = np.asarray(rank), np.asarray(floor)
+@typed
+def recall_from_ranks(rank: ArrayLike, floor: ArrayLike, radius: NotNegative, k: Count) -> Recall:
+    """Return recall@k from the results of `first_rank_within` (for this radius) and `error_floor`, both (n,).
+
+    Raises:
+        ConfigError: a negative radius, or a k that is not positive.
+        DataError: other shapes.
+    """
+    ranks, floors = numbers_of(rank, "ranks"), numbers_of(floor, "floors")
+    if ranks.ndim != 1 or ranks.shape != floors.shape:
+        raise DataError(f"ranks and floors must both have shape (n,), got {ranks.shape} and {floors.shape}")
     hit = (ranks > 0) & (ranks <= k)
     # A hit is answerable by definition, even if rounding lifts its floor above the radius.
     answerable = (floors <= radius) | (ranks > 0)

@@ -5,9 +5,11 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from foundation.calls import typed
+from foundation.settings import Count
 from siamloc.data.moves import composed, inverse, relative, wrapped
 from siamloc.errors import DataError
-from siamloc.evaluation.metrics.arrays import column_of, positions_of
+from siamloc.evaluation.metrics.arrays import column_of, numbers_of, positions_of
 
 
 def aligned_trajectory(estimated: ArrayLike, true: ArrayLike, *, scale: bool = False) -> NDArray[np.float64]:
@@ -53,18 +55,20 @@ def absolute_trajectory_error(estimated: ArrayLike, true: ArrayLike, *, scale: b
     return np.hypot(apart[:, 0], apart[:, 1])
 
 
+@typed
 def relative_trajectory_error(
-    estimated: ArrayLike, true: ArrayLike, delta: int = 1
+    estimated: ArrayLike, true: ArrayLike, delta: Count = 1
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return by how much the moves over `delta` frames are off: distances (n - delta,), and angles in rad, in [0, pi].
 
     Their root mean squares are the RPE of translation and rotation. No alignment is needed.
 
     Raises:
-        DataError: other shapes, a pose that is not finite, or a delta that is not from 1 to n - 1.
+        ConfigError: a delta that is not a whole number from 1.
+        DataError: other shapes, a pose that is not finite, or a delta that is not below n.
     """
     given, wanted = _trajectories(estimated, true)
-    if not 1 <= delta < len(given):
+    if delta >= len(given):
         raise DataError(f"moves over delta frames need a delta from 1 to {len(given) - 1}, got {delta}")
     first = np.arange(len(given) - delta)
     moves = [relative(poses, first, first + delta) for poses in (given, wanted)]
@@ -76,7 +80,7 @@ def _trajectories(estimated: ArrayLike, true: ArrayLike) -> tuple[NDArray[np.flo
     """Check two trajectories and return them as float64 (n, 3)."""
     found = []
     for poses, what in ((estimated, "estimated"), (true, "true")):
-        given = np.asarray(poses, dtype=np.float64)
+        given = numbers_of(poses, f"{what} poses")
         if given.ndim != 2 or given.shape[1] != 3:
             raise DataError(f"{what} poses must have shape (n, 3), x, y and heading, got {given.shape}")
         found.append(np.column_stack([positions_of(given[:, :2], what), column_of(given[:, 2], f"{what} headings")]))

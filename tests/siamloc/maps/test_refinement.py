@@ -131,6 +131,12 @@ def test_ellipses_hold_the_share_that_they_should():
     assert half.inside(2 * errors).mean() == pytest.approx(0.9, abs=1e-3)
     with pytest.raises(DataError, match="10 refined validation frames or more, got 5"):
         refine(map_of(), asked(5), Retrieval(np.zeros((5, 1), int), np.zeros((5, 1))), exact).widening(np.zeros((5, 2)))
+    for share in (0, 1, 90):
+        with pytest.raises(ConfigError, match=f"share must be a number between 0 and 1, got {share}"):
+            poses.inside(errors, share)
+    for factor in (0, -1):
+        with pytest.raises(ConfigError, match=f"factor must be a number above 0, got {factor}"):
+            poses.widened(factor)
 
 
 def test_what_cannot_be_refined_is_refused():
