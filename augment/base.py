@@ -87,6 +87,8 @@ class Effect(ABC):
     OPTIONS: ClassVar[Mapping[str, Any]] = {}
 
     def __init__(self, **params: Any) -> None:
+        if not hasattr(self, "name"):
+            raise AugmentError(f"the effect {type(self).__name__} has no name: set `name` in the class")
         options = {"circular": True, **self.OPTIONS}
         valid = [*self.RANGES, *options]
         for key in params:
@@ -236,7 +238,7 @@ class Effect(ABC):
             parts = mine.view(-1, count).split(lengths)
             values = {name: part.T[..., None, None] for (name, _), part in zip(names, parts, strict=True)}
             some = out if count == len(out) else out.index_select(0, taken)
-            some = self.effects[number].renderer.render(some, values)
+            some = self.effects[number].renderer.rendered(some, values)
             # Every effect gives whole levels, as in main memory: the next one may make a thousandth visible.
             some = torch.fake_quantize_per_tensor_affine(some, 1 / 255, 0, 0, 255) if coded else some.clamp_(0, 1)
             out = some if count == len(out) else out.index_copy_(0, taken, some)
@@ -284,7 +286,7 @@ class Effect(ABC):
         """Alter one frame in place, as 8-bit levels, with parameters in plain numbers; by default as `render` does."""
         numbers = {name: np.array([value], dtype=np.float64) for name, value in params.items()}
         values = _as_tensors(self.coefficients(numbers, *frame.shape[1:]))
-        done = self.render(torch.from_numpy(frame)[None].float().div_(255), values)[0]
+        done = self.rendered(torch.from_numpy(frame)[None].float().div_(255), values)[0]
         frame[:] = done.mul(255).round_().clamp_(0, 255).to(torch.uint8).numpy()
 
     @abstractmethod
@@ -297,6 +299,14 @@ class Effect(ABC):
             batch: (b, 3, H, W).
             values: the coefficients, (b, 1, 1, 1) or (b, k, 1, 1) each, on the device of the batch.
         """
+
+    def rendered(self, batch: Tensor, values: Mapping[str, Tensor]) -> Tensor:
+        """Return what `render`, which may be the user's own, makes of a batch, after checking its shape."""
+        made = self.render(batch, values)
+        if not isinstance(made, Tensor) or made.shape != batch.shape:
+            got = tuple(made.shape) if isinstance(made, Tensor) else type(made).__name__
+            raise AugmentError(f"`render` of {self.name} must return a tensor {tuple(batch.shape)}, got {got}")
+        return made
 
     def tensors(self, params: Mapping[str, Tensor], height: int, width: int) -> dict[str, Tensor]:
         """Return the coefficients as tensors in main memory, in the shapes that `render` needs."""

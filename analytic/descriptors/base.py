@@ -150,6 +150,31 @@ class Descriptor(ABC):
         return int(queries.turnable.shape[1])
 
 
+def description_of(by: Descriptor, batch: ArrayLike) -> Description:
+    """Describe images with a descriptor, which may be the user's own, and check what it returns.
+
+    Raises:
+        AnalyticError: anything but a description of the images by this descriptor.
+    """
+    made = by.describe(batch)
+    if not isinstance(made, Description):
+        raise AnalyticError(f"`describe` of {by.name} must return an analytic.Description, got {type(made).__name__}")
+    count = np.shape(batch)[0] if np.ndim(batch) == 4 else len(made)
+    for what, part, shape in (("position", made.position, "(B, D)"), ("orientation", made.orientation, "(B, K, F)")):
+        wrong = not isinstance(part, np.ndarray) or part.ndim != shape.count(",") + 1 or len(part) != count
+        if wrong and not (part is None and what == "orientation"):
+            raise AnalyticError(
+                f"`describe` of {by.name} must return an array {shape} as {what}, one row for each of {count} images, "
+                f"got {part.shape if isinstance(part, np.ndarray) else type(part).__name__}"
+            )
+    if made.identity is not None and made.identity != by.identity:
+        raise AnalyticError(
+            f"`describe` of {by.name} returns a description with another identity than the descriptor's: "
+            f"{made.identity} instead of {by.identity}"
+        )
+    return made
+
+
 @dataclass(frozen=True, kw_only=True)
 class ImageDescriptor(Descriptor, Settings):
     """A descriptor computed from pixels. Subclasses are frozen dataclasses whose fields are the parameters.

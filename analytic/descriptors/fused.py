@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from analytic.arrays import Floats
 from analytic.description import Alignment, Description
-from analytic.descriptors.base import Descriptor
+from analytic.descriptors.base import Descriptor, description_of
 from analytic.distances import unit_vectors
 from analytic.errors import AnalyticError
 
@@ -130,7 +130,7 @@ class Fused(Descriptor):
 
     def describe(self, batch: ArrayLike) -> Description:
         """Describe a batch by each part."""
-        found = {name: part.describe(batch) for name, part in self.parts.items()}
+        found = {name: description_of(part, batch) for name, part in self.parts.items()}
         turning = next((found[name].orientation for name, one in self.parts.items() if one is self.oriented_by), None)
         blocks = {name: _comparable(self.parts[name], one.position) for name, one in found.items()}
         return Description(self.joined(blocks), turning)
@@ -145,7 +145,8 @@ class Fused(Descriptor):
 
     def measured(self, batch: ArrayLike) -> Fused:
         """Return the descriptor with the lengths of the position parts that its parts give for images."""
-        return replace(self, widths={name: one.describe(batch).position.shape[1] for name, one in self.parts.items()})
+        widths = {name: description_of(one, batch).position.shape[1] for name, one in self.parts.items()}
+        return replace(self, widths=widths)
 
     def split(self, position: NDArray[np.float32]) -> dict[str, NDArray[np.float32]]:
         """Return position parts (B, D) as those of each part (B, D_i), which `joined` joins."""

@@ -107,7 +107,10 @@ def read(kind: str, *, unit: str = "m", name: str = "", **where: Any) -> FrameTa
         if Path(source[key]).resolve().parts[1:2] in _VIRTUAL:
             raise ConfigError(f"data.{key}={source[key]} lies in a view of the running system, not in a folder of data")
     named = name or next((Path(source[key]).stem for key in paths), kind)
-    return replace(READERS[kind](**given), unit=unit, source={"kind": kind, "name": named, **source})
+    frames = READERS[kind](**given)
+    if not isinstance(frames, FrameTable):
+        raise ConfigError(f"the reader of data of kind {kind!r} must return a FrameTable, got {type(frames).__name__}")
+    return replace(frames, unit=unit, source={"kind": kind, "name": named, **source})
 
 
 @dataclass(frozen=True)

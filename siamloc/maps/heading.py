@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from analytic import DESCRIPTORS, Description, Descriptor, Fused, descriptor
+from analytic.descriptors.base import description_of
 from analytic.descriptors.between_columns import BetweenColumns
 from analytic.descriptors.fused import NUMBERS
 from siamloc.data.mounting import Mounting
@@ -134,5 +135,5 @@ def described(
     """
     if mounting is not None and mounting != Mounting():
         batch = mounting.straight(np.asarray(batch))
-    found = by.describe(batch)
+    found = description_of(by, batch)
     return found if heading is None else Description(found.position, heading.describe(batch).orientation)

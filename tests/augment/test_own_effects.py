@@ -88,6 +88,27 @@ def test_the_effect_of_the_guide_works():
     assert effect(batch, generator()).float().std(dim=1).mean() < 0.9 * spread
 
 
+@pytest.mark.parametrize("dtype", [torch.uint8, torch.float32])
+def test_an_effect_that_gives_another_shape_is_refused(dtype):
+    class OneChannel(Grey):
+        def render(self, batch, values):
+            return batch.mean(dim=1, keepdim=True)
+
+    batch = torch.zeros((2, 3, 8, 16), dtype=dtype)
+    with pytest.raises(
+        augment.AugmentError, match=r"`render` of grey must return a tensor .*3, 8, 16\), got .*1, 8, 16"
+    ):
+        OneChannel()(batch, generator())
+
+
+def test_an_effect_without_a_name_is_refused():
+    class Nameless(Effect):
+        render = Still.render
+
+    with pytest.raises(augment.AugmentError, match="the effect Nameless has no name: set `name` in the class"):
+        Nameless()
+
+
 def test_an_effect_without_parameters_is_refused():
     with pytest.raises(augment.AugmentError, match="still draws nothing: give it at least one range"):
         Still()(panoramas(1), generator())

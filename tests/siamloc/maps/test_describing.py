@@ -109,6 +109,34 @@ def test_what_cannot_be_built(images, tmp_path):
         build("hog", library, frames.take([]))
 
 
+@pytest.mark.parametrize(
+    ("returned", "says"),
+    [
+        (lambda values: values, "must return an analytic.Description, got ndarray"),
+        (lambda values: Description(values.tolist()), r"an array \(B, D\) as position, .* got list"),
+        (lambda values: Description(values[:1]), r"one row for each of 6 images, got \(1, 3\)"),
+        (lambda values: Description(values, values), r"an array \(B, K, F\) as orientation, .* got \(6, 3\)"),
+        (
+            lambda values: Description(values, None, {"name": "own", "bands": 8}),
+            "another identity than the descriptor's",
+        ),
+    ],
+)
+def test_a_descriptor_of_ones_own_that_returns_something_else_is_named(images, returned, says):
+    class Own(analytic.Descriptor):
+        name = "own"
+        identity = {"name": "own", "bands": 4}  # noqa: RUF012
+
+        def describe(self, batch):
+            return returned(batch.mean(axis=(2, 3)))
+
+    frames, library = images
+    with pytest.raises(ConfigError, match=says):
+        build(Own(), library, frames, progress=False)
+    with pytest.raises(ConfigError, match="`describe` of own"):
+        build([Own(), "hsv"], library, frames, progress=False)
+
+
 def test_ranking_settings_that_make_no_sense(images):
     frames, library = images
     known = build(analytic.descriptor("briefgist", rows=8), library, frames, progress=False)
