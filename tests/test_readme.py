@@ -36,6 +36,7 @@ def test_a_network_a_loss_and_a_descriptor_of_ones_own_run_as_the_page_says(robo
     assert (robot / "runs/small/bundle/model.onnx").is_file()
     assert (robot / "runs/soft/run.json").is_file()
     assert names["result"].name == "mean_colour"
+    assert (robot / "runs/colour/bundle/model.onnx").is_file()
 
 
 def test_every_link_of_the_readme_leads_somewhere():

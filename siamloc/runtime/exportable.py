@@ -42,7 +42,10 @@ def described_alike(
     network = network_in(descriptor)
     for one in descriptor.parts.values() if isinstance(descriptor, Fused) else [descriptor]:
         if one is not network and not is_analytic(one.identity):
-            raise ConfigError(f"only networks and analytic descriptors can be exported, not {one.name}")
+            raise ConfigError(
+                f"only networks and the descriptors in analytic.DESCRIPTORS can be exported, not {one.name}: write it "
+                "as a torch.nn.Module (B, 3, H, W) -> (B, D), which is a network"
+            )
     if (network is None or isinstance(descriptor, Fused)) and known is None:
         raise ConfigError(
             f"a bundle by {descriptor.name} needs a map: run `siamloc map descriptor={descriptor.name}` first"

@@ -99,7 +99,7 @@ def test_a_descriptor_of_ones_own_is_not_exported(images, monday, tmp_path):
     class Own(Thumbnail):
         name = "own"
 
-    with pytest.raises(ConfigError, match="only networks and analytic descriptors can be exported, not own"):
+    with pytest.raises(ConfigError, match=r"can be exported, not own: write it as a torch\.nn\.Module"):
         runtime.export(Own(), maps.build(Own(), images, monday, progress=False), tmp_path / "bundle")
 
 
