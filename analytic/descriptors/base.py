@@ -72,7 +72,10 @@ class Descriptor(ABC):
 
     @abstractmethod
     def describe(self, batch: ArrayLike) -> Description:
-        """Describe a batch (B, H, W), (B, 3, H, W) or one image; uint8, or floating point in [0, 1]."""
+        """Describe a batch (B, H, W), (B, 3, H, W) or one image; uint8, or floating point in [0, 1].
+
+        The shape (3, H, W) is one colour image; three grey ones are (3, 1, H, W).
+        """
 
     def pairwise(self, queries: Description, references: Description, distance: str | None = None) -> Floats:
         """Return the distances (n, m) between position descriptors, with the default distance or a named one."""
@@ -225,7 +228,8 @@ class ImageDescriptor(Descriptor, Settings):
         """Describe grey or colour images; colours are converted to BT.601 luma unless the descriptor uses them.
 
         Args:
-            batch: (B, H, W), (B, 3, H, W) or one image (H, W), (3, H, W); uint8, or floating point in [0, 1].
+            batch: (B, H, W), (B, 3, H, W) or one image (H, W), (3, H, W); uint8, or floating point in [0, 1]. Three
+                grey images are (3, 1, H, W).
 
         Raises:
             AnalyticError: a wrong shape or type, images of different sizes, values that are not finite or out of

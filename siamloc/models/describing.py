@@ -102,6 +102,7 @@ class NetworkDescriptor(BetweenColumns):
 
         Args:
             batch: (B, 3, H, W), (3, H, W), (B, H, W) or (H, W); grey images are repeated over the three channels.
+                Three grey images are (3, 1, H, W).
             chunk: images per pass; bounds the memory and changes results only by rounding.
 
         Raises:

@@ -158,6 +158,8 @@ def test_colour_grey_bytes_and_tensors_agree_and_stay_as_they_were(name):
     grey = np.rint(luma * 255).astype(np.uint8)
     assert_alike(made.describe(grey), made.describe(np.repeat(grey[:, None], 3, axis=1)), 1e-3)
     assert_alike(made.describe(grey[0]), made.describe(grey).take([0]), 1e-5)
+    planes = np.stack([grey[0]] * 3)
+    assert (len(made.describe(planes)), len(made.describe(planes[:, None]))) == (1, 3), "one colour image, or three"
 
 
 @every
