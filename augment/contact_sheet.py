@@ -15,6 +15,7 @@ from augment.base import check_batch
 from augment.errors import AugmentError
 from augment.policies import policy
 from augment.registry import EFFECTS, POLICIES, effect
+from foundation.settings import Count, checked
 
 Picture = NDArray[np.uint8]
 Shot = tuple[str, dict[str, Any]]
@@ -25,6 +26,7 @@ _CAPTION = 26
 _MARGIN = 36
 _TITLE = 92
 _COLUMNS = 6  # a multiple of the three pictures of an effect
+_CAPTIONED = 220  # pixels: captions overlap the names above narrower pictures
 _DRAW = 4  # seed of the policies' parameters
 _INK, _PALE, _PAPER = "#1d2733", "#64748b", "#ffffff"
 
@@ -90,13 +92,13 @@ def preview(batch: Tensor, cell: int = 288) -> Picture:
 
     Args:
         batch: panoramas (B, 3, H, W) to show the effects on, in turn; 128 x 512 pixels look best.
-        cell: width of an image in pixels; panoramas are resized to it.
+        cell: width of an image in pixels; panoramas are resized to it. Images below 220 pixels have no captions.
 
     Returns:
         The sheet (rows, columns, 3), RGB, uint8.
 
     Raises:
-        AugmentError: an invalid or empty batch.
+        AugmentError: an invalid or empty batch, or a cell without pixels.
 
     Example:
         >>> import torch, augment
@@ -104,6 +106,7 @@ def preview(batch: Tensor, cell: int = 288) -> Picture:
         (898, 520, 3)
     """
     check_batch(batch)
+    checked(cell, Count, "cell", AugmentError)
     if len(batch) == 0:
         raise AugmentError("a preview needs at least one panorama, got an empty batch")
     frames = batch.cpu() if batch.dtype == torch.uint8 else (batch.cpu() * 255).round().to(torch.uint8)
@@ -176,7 +179,8 @@ def _sheet(cells: list[tuple[str, str, Picture]], originals: list[Picture], cell
         figure.text(x / width, 1 - y / total, text, fontsize=size, color=colour, family="DejaVu Sans", **how)
 
     write("Effects of augment", _MARGIN, 46, 19, weight="bold")
-    write("each at three strengths, on panoramas whose columns wrap around", _MARGIN, 70, 10.5, _PALE)
+    if cell >= _CAPTIONED:
+        write("each at three strengths, on panoramas whose columns wrap around", _MARGIN, 70, 10.5, _PALE)
     top = _TITLE + _CAPTION - 8
     placed = [(top, left_of(column), originals[column % len(originals)]) for column in range(_COLUMNS)]
     write("originals", _MARGIN, _TITLE + _CAPTION - 14, 10.5, weight="bold")
@@ -186,7 +190,8 @@ def _sheet(cells: list[tuple[str, str, Picture]], originals: list[Picture], cell
         placed.append((top, left, picture))
         if number % 3 == 0:
             write(name, left, top - 7, 10.5, weight="bold")
-        write(caption, left + cell, top - 7, 9, _PALE, ha="right")
+        if cell >= _CAPTIONED:
+            write(caption, left + cell, top - 7, 9, _PALE, ha="right")
     canvas.draw()
     sheet = np.array(canvas.buffer_rgba())[:total, :width, :3]
     for top, left, picture in placed:

@@ -240,6 +240,7 @@ class IncrementalMapper:
             raise AnalyticError(
                 f"the mapper takes what a descriptor's describe() returns, got {type(description).__name__}"
             )
+        self.descriptor.check(description, description)
         shape = description.position.shape
         if len(shape) != 2 or not 0 < shape[1] <= LARGEST_POSITION:
             raise AnalyticError(
@@ -260,7 +261,6 @@ class IncrementalMapper:
                     f"numbers up to {LARGEST_VALUE:g}, and this one, of {part.dtype} in shape {part.shape}, does not: "
                     "leave it out, or use another descriptor, such as hog"
                 )
-        self.descriptor.check(description, description)
         kept = description.take(np.arange(len(description)))
         if not (self.parameters.orientation and getattr(self.descriptor, "circular", True)):
             kept = replace(kept, orientation=None)

@@ -127,6 +127,10 @@ class VectorIndex:
             )
         if self.distance in ("euclidean", "minkowski") and largest * self._scale > _LARGEST:
             raise DataError("the queries' values are out of all proportion to the map's: describe both with one model")
+        if within is not None:
+            rows_fit = within.ndim == 1 and within.dtype.kind in "iu" and ((within >= 0) & (within < len(self))).all()
+            if excluded is not None or not rows_fit:
+                raise DataError(f"within takes rows from 0 to {len(self) - 1}, and not together with excluded")
         m = len(self) if within is None else len(within)
         k = min(k, m)
         mask = None if excluded is None else check_excluded(excluded, (len(q), len(self)), k)

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from analytic import Description
 from foundation.calls import typed
-from foundation.settings import Count
+from foundation.settings import Count, checked
 from siamloc.data.decoding import Preprocessing, UnreadableImageError
 from siamloc.data.panorama import OmnidirectionalCamera
 from siamloc.errors import ConfigError, DataError, FormatError
@@ -359,6 +359,7 @@ class Localizer:
 
 
 def _check_motion(tracker: Tracker | None, motion: ArrayLike | None) -> None:
+    checked(tracker, Tracker | None, "tracker")
     if tracker is None and motion is not None:
         raise ConfigError("a motion says how a tracked robot moved: give the tracker of its drive, localizer.tracker()")
 

@@ -19,6 +19,8 @@ def test_a_sheet_shows_every_effect_at_three_strengths(dtype):
     starts = np.flatnonzero(busy & ~np.roll(busy, 1))
     rows = 1 + -(-(3 * len(augment.EFFECTS) + 3) // 6)
     assert len(starts) >= rows
+    assert (sheet[:, :30] == 255).all(), "no caption is wider than its picture"
+    assert (sheet[:, -30:] == 255).all(), "no title is wider than the sheet"
 
 
 def test_an_effect_of_ones_own_is_shown_at_three_strengths_of_its_ranges(monkeypatch):
@@ -33,3 +35,5 @@ def test_an_effect_of_ones_own_is_shown_at_three_strengths_of_its_ranges(monkeyp
 def test_what_cannot_be_shown():
     with pytest.raises(augment.AugmentError, match="a preview needs at least one panorama"):
         augment.preview(panoramas(0))
+    with pytest.raises(augment.AugmentError, match="cell must be a whole number from 1 to 10 million, got 0"):
+        augment.preview(panoramas(1), cell=0)

@@ -21,6 +21,7 @@ def changed(**parts):
         (changed(position=np.ones((1, 7))), "different sizes .* position 7"),
         (changed(orientation=None), "different sizes .* no orientation part"),
         (changed(identity={"name": "other"}), "other parameters .*name=other"),
+        (changed(identity={"name": "other"}, position=np.ones((1, 5000))), "other parameters .*name=other"),
         (changed(position=np.ones(8)), r"numbers for each image, got shape \(8,\)"),
         (changed(orientation=np.ones((2, 12, 3))), "orientation part .* of 1 images .* as many rows"),
         (changed(position=np.ones((1, 5000))), r"1 to 4096 numbers .* shape \(1, 5000\)"),

@@ -176,3 +176,12 @@ def test_errors(arguments: dict, error: type[Exception], message: str) -> None:
     with pytest.raises(error) as raised:
         nearest(**{**defaults, **arguments})
     assert message in str(raised.value)
+
+
+@pytest.mark.parametrize(
+    ("within", "excluded"),
+    [([5], None), ([-1], None), ([0.5], None), ([[0, 1]], None), ([0, 1], np.zeros((2, 5), dtype=bool))],
+)
+def test_rows_to_search_that_are_no_rows(within: list, excluded: np.ndarray | None) -> None:
+    with pytest.raises(DataError, match="within takes rows from 0 to 4, and not together with excluded"):
+        VectorIndex(np.ones((5, 3))).search(np.ones((2, 3)), within=np.array(within), excluded=excluded)
