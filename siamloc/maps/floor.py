@@ -20,6 +20,7 @@ from siamloc.data.cameras import HyperbolicMirror
 from siamloc.data.library import PanoramaLibrary
 from siamloc.data.panorama import PanoramaView, PolarRing
 from siamloc.errors import ConfigError
+from siamloc.maps.comparing import ODDS
 from siamloc.maps.loops import Pairs
 from siamloc.maps.pose_graph import Array, Edges
 
@@ -45,7 +46,7 @@ _USUAL = 0.2  # standard deviation of the logarithms of factors, and of those of
 _AROUND = 2.0  # standard deviation of the way over which factors are alike, in metres
 _CELL = 0.1  # metres
 _EXACT = 0.05  # standard deviation of a displacement that a floor tells, as a share, however much pattern it has
-_TELLS = 0.4  # least median by which the best factor is more likely than the others are on average
+_TELLS = 0.4  # by how much the best factor is more likely than the others are on average, at least
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,25 +57,43 @@ class FloorScale:
         factors: (n,) at each frame.
         height: height of the camera above the floor, in metres.
         given: whether the height was given; else it is the one with which comparisons are right on average.
+        floors: (n, R, 256 + 4) what the frames see of the floor, relative to its surroundings; NaN is the robot itself.
+        slopes: (R,) tangent of the elevation of each of its rows.
     """
 
     factors: Array
     height: float
     given: bool
+    floors: NDArray[np.float32]
+    slopes: Array
 
     def lengthened(self, edges: Edges) -> Edges:
         """Return edges whose displacements are multiplied."""
         return _multiplied(edges, np.sqrt(self.factors[edges.first] * self.factors[edges.second]))
 
     def lengthening(self, compared: Pairs) -> Pairs:
-        """Return a function that compares frames likewise, and multiplies the displacements."""
+        """Return a function that compares frames likewise, and multiplies the displacements.
+
+        Those of images that were taken near each other are also told by what both see of the floor, where they can be.
+        """
 
         def comparing(first: NDArray[np.int64], second: NDArray[np.int64]) -> tuple[Array, Array, Array]:
             pose, information, odds = compared(first, second)
-            edges = self.lengthened(Edges(first, second, pose, information))
+            edges = self._told(self.lengthened(Edges(first, second, pose, information)), odds >= ODDS)
             return edges.pose, edges.information, odds
 
         return comparing
+
+    def _told(self, edges: Edges, near: NDArray[np.bool_]) -> Edges:
+        """Return edges (e) whose displacements agree with the floor, where the images are near (e,) and it tells."""
+        moved = np.hypot(edges.pose[:, 0], edges.pose[:, 1]) / self.height
+        rows = np.flatnonzero(near & (moved > _LEAST) & (moved < _MOVES[1]))
+        found = _likelihoods(self.floors, self.slopes, edges.take(rows), _FACTORS - float(np.log(self.height)))
+        tells = found.max(axis=1) - found.mean(axis=1) >= _TELLS
+        own, deviation = _peaks(found[tells] - (_FACTORS / _USUAL) ** 2 / 2)
+        factors = np.ones(len(edges))
+        factors[rows[tells]] = np.exp(own)
+        return _more_certain(_multiplied(edges, factors), rows[tells], deviation)
 
 
 def shows_floor(images: PanoramaLibrary, height: float | None) -> bool:
@@ -169,21 +188,25 @@ def floor_scale(
     own = np.exp(own)
     compared, by_floor = around(np.column_stack([moved, moved * own])).T
     factors = np.where(compared > 1e-3, by_floor / np.maximum(compared, 1e-3), 1.0)[cell]
-    scale = FloorScale(factors, height, given)
+    scale = FloorScale(factors, height, given, floors, slopes)
     every = np.sqrt(factors[steps.first] * factors[steps.second])
     every[used] = own
     kept = np.union1d(used, np.flatnonzero(between == 1))
-    steps = _multiplied(steps, every)
-    length = np.hypot(steps.pose[used, 0], steps.pose[used, 1])
-    along = steps.pose[used, :2] / (length**2 * np.hypot(_EXACT, deviation))[:, None]
-    steps.information[used, :2, :2] += along[:, :, None] * along[:, None]
-    return scale, steps.take(kept)
+    return scale, _more_certain(_multiplied(steps, every), used, deviation).take(kept)
 
 
 def _multiplied(edges: Edges, factors: Array) -> Edges:
     """Return edges whose displacements are multiplied by factors (e,), as certain in proportion."""
     by = np.column_stack([factors, factors, np.ones_like(factors)])
     return replace(edges, pose=edges.pose * by, information=edges.information / (by[:, :, None] * by[:, None]))
+
+
+def _more_certain(edges: Edges, rows: NDArray[np.int64], deviation: Array) -> Edges:
+    """Return edges of which some rows (r,) have lengths that the floor tells, whose logarithms have deviations (r,)."""
+    length, information = np.hypot(edges.pose[rows, 0], edges.pose[rows, 1]), edges.information.copy()
+    along = edges.pose[rows, :2] / (length**2 * np.hypot(_EXACT, deviation))[:, None]
+    information[rows, :2, :2] += along[:, :, None] * along[:, None]
+    return replace(edges, information=information)
 
 
 def _floors(batch: NDArray[np.uint8], floor: NDArray[np.bool_]) -> NDArray[np.float32]:

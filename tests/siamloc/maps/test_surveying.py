@@ -520,7 +520,7 @@ def test_a_live_survey_goes_on_with_the_lengths_of_the_floor(surveyed):
     x, known = np.arange(90) * 0.3, 60
     poses = np.column_stack([x, np.sin(x / 3), np.arctan(np.cos(x / 3) / 3)])
     before, _, _ = surveyed({"monday": poses[:known]}, odometry=False, noise=0.01)
-    before = replace(before, floor=FloorScale(np.full(known, 1.25), 0.95, given=True))
+    before = replace(before, floor=FloorScale(np.full(known, 1.25), 0.95, True, np.empty((known, 0, 260)), np.empty(0)))
     network = TrueComparison(poses, 0.8, 0.01)
     held = VisualMap(
         places_of(poses[:known]), before.frames, orientation=numbered(range(known)), heading={"name": "network"}
