@@ -39,7 +39,9 @@ _LEAST = 0.1  # least displacement, in heights
 _STEP = 0.05
 _FACTORS = np.linspace(-10, 10, 21) * _STEP  # logarithms of the factors that displacements are tried with
 _HEIGHTS = np.linspace(-18, 28, 47) * _STEP  # and of the reciprocal heights in metres
-_TRIED = 150  # displacements that tell which height fits
+_PITCHES = np.radians(np.arange(-4, 5))
+_LEVEL, _LESS = 0.92, 0.98  # share of the largest likelihood that no pitch must have, and a smaller one
+_TRIED = 150  # displacements that tell which pitch and height fit
 _WRONG = 0.4  # logarithm of a given height over that one that cannot be true
 _ALONE, _MOST = 6.0, 60.0  # pixels that tell as much as one alone, and how many count at most
 _USUAL = 0.2  # standard deviation of the logarithms of factors, and of those of neighbouring steps
@@ -59,6 +61,7 @@ class FloorScale:
         given: whether the height was given; else it is the one with which comparisons are right on average.
         floors: (n, R, 256 + 4) what the frames see of the floor, relative to its surroundings; NaN is the robot itself.
         slopes: (R,) tangent of the elevation of each of its rows.
+        pitch: of the camera on average, in rad, positive where it looks down ahead; 0 unless the floor tells.
     """
 
     factors: Array
@@ -66,6 +69,7 @@ class FloorScale:
     given: bool
     floors: NDArray[np.float32]
     slopes: Array
+    pitch: float = 0.0
 
     def lengthened(self, edges: Edges) -> Edges:
         """Return edges whose displacements are multiplied."""
@@ -88,12 +92,13 @@ class FloorScale:
         """Return edges (e) whose displacements agree with the floor, where the images are near (e,) and it tells."""
         moved = np.hypot(edges.pose[:, 0], edges.pose[:, 1]) / self.height
         rows = np.flatnonzero(near & (moved > _LEAST) & (moved < _MOVES[1]))
-        found = _likelihoods(self.floors, self.slopes, edges.take(rows), _FACTORS - float(np.log(self.height)))
+        factors = _FACTORS - float(np.log(self.height))
+        found = _likelihoods(self.floors, self.slopes, edges.take(rows), factors, self.pitch)
         tells = found.max(axis=1) - found.mean(axis=1) >= _TELLS
         own, deviation = _peaks(found[tells] - (_FACTORS / _USUAL) ** 2 / 2)
-        factors = np.ones(len(edges))
-        factors[rows[tells]] = np.exp(own)
-        return _more_certain(_multiplied(edges, factors), rows[tells], deviation)
+        every = np.ones(len(edges))
+        every[rows[tells]] = np.exp(own)
+        return _more_certain(_multiplied(edges, every), rows[tells], deviation)
 
 
 def shows_floor(images: PanoramaLibrary, height: float | None) -> bool:
@@ -158,10 +163,13 @@ def floor_scale(
     moved, between = np.hypot(steps.pose[:, 0], steps.pose[:, 1]), steps.second - steps.first
     some = np.flatnonzero((moved > _MOVES[0] / 2) & (moved < _MOVES[1]))
     some = some[np.unique(np.linspace(0, len(some) - 1, min(_TRIED, len(some))).astype(int))]
-    tried = _likelihoods(floors, slopes, steps.take(some), _HEIGHTS)
+    likely = [_likelihoods(floors, slopes, steps.take(some), _HEIGHTS, pitch).sum(axis=0) for pitch in _PITCHES]
+    enough = np.max(likely) * np.where(_PITCHES == 0, _LEVEL, _LESS)
+    best = min(np.flatnonzero(np.max(likely, axis=1) >= enough).tolist(), key=lambda one: abs(_PITCHES[one]))
+    pitch, tried = float(_PITCHES[best]), likely[best]
     if not tried.any():
         return None
-    fits, given = float(np.exp(-_HEIGHTS[tried.sum(axis=0).argmax()])), height is not None
+    fits, given = float(np.exp(-_HEIGHTS[tried.argmax()])), height is not None
     height = fits if height is None else height
     if abs(np.log(height / fits)) > _WRONG:
         return None
@@ -170,7 +178,7 @@ def floor_scale(
     told = [gap for gap, length in usual.items() if _MOVES[0] < length < _MOVES[1]]
     used = np.flatnonzero(np.isin(between, told) & moving)
     near, moved = steps.take(used), moved[used]
-    found = _likelihoods(floors, slopes, near, _FACTORS - float(np.log(height)))
+    found = _likelihoods(floors, slopes, near, _FACTORS - float(np.log(height)), pitch)
     telling = found[found.any(axis=1)]
     if not len(telling) or np.median(telling.max(axis=1) - telling.mean(axis=1)) < _TELLS:
         return None
@@ -188,7 +196,7 @@ def floor_scale(
     own = np.exp(own)
     compared, by_floor = around(np.column_stack([moved, moved * own])).T
     factors = np.where(compared > 1e-3, by_floor / np.maximum(compared, 1e-3), 1.0)[cell]
-    scale = FloorScale(factors, height, given, floors, slopes)
+    scale = FloorScale(factors, height, given, floors, slopes, pitch)
     every = np.sqrt(factors[steps.first] * factors[steps.second])
     every[used] = own
     kept = np.union1d(used, np.flatnonzero(between == 1))
@@ -220,7 +228,7 @@ def _floors(batch: NDArray[np.uint8], floor: NDArray[np.bool_]) -> NDArray[np.fl
     return made
 
 
-def _likelihoods(floors: NDArray[np.float32], slopes: Array, pairs: Edges, factors: Array) -> Array:
+def _likelihoods(floors: NDArray[np.float32], slopes: Array, pairs: Edges, factors: Array, pitch: float) -> Array:
     """Return how likely displacements (p,) are when multiplied by factors (q,), given by their logarithms: (p, q).
 
     Logarithms, up to a constant: those of a linear relation with normal errors between the floors as both ends see it.
@@ -231,9 +239,11 @@ def _likelihoods(floors: NDArray[np.float32], slopes: Array, pairs: Edges, facto
         slopes: (R,) tangent of the elevation of each row.
         pairs: displacements of the second frames as seen from the first.
         factors: displacements then count in heights of the camera.
+        pitch: of the camera, in rad, positive where it looks down ahead.
     """
     azimuth = (_COLUMNS / 2 - np.arange(_COLUMNS) - 0.5) * (2 * np.pi / _COLUMNS)
-    x, y = (part.ravel() for part in (-np.cos(azimuth) / slopes[:, None], -np.sin(azimuth) / slopes[:, None]))
+    ahead, up = _pitched(np.cos(azimuth), slopes[:, None], pitch)
+    x, y = (-ahead / up).ravel(), (-np.sin(azimuth) / up).ravel()
     step = (slopes[-1] - slopes[0]) / (len(slopes) - 1)
     by, made = np.exp(factors)[:, None], np.zeros((len(pairs), len(factors)))
     for row, (ahead, left, turn) in enumerate(pairs.pose):
@@ -242,8 +252,9 @@ def _likelihoods(floors: NDArray[np.float32], slopes: Array, pairs: Edges, facto
         x_there, y_there = cosine * x - sine * y, sine * x + cosine * y
         lane = np.abs(ahead * y_there - left * x_there) < _LANE * np.hypot(ahead, left)
         x_there, y_there, other = x_there[lane] + by * ahead, y_there[lane] + by * left, other[lane]
+        x_there, up = _pitched(x_there, -1, -pitch)
         columns = (_COLUMNS / 2 - 0.5 - np.arctan2(y_there, x_there) * _COLUMNS / (2 * np.pi)) % _COLUMNS + 2
-        rows = (-1 / np.hypot(x_there, y_there) - slopes[0]) / step
+        rows = (up / np.hypot(x_there, y_there) - slopes[0]) / step
         sampled = cv2.remap(one, columns.astype(np.float32), rows.astype(np.float32), cv2.INTER_LINEAR)
         inside = (rows > 0) & (rows < len(slopes) - 1) & np.isfinite(sampled) & np.isfinite(other)
         products = (np.where(inside, of, 0) for of in (sampled * other, sampled**2, other**2))
@@ -252,6 +263,11 @@ def _likelihoods(floors: NDArray[np.float32], slopes: Array, pairs: Edges, facto
         made[row] = -0.5 * np.log1p(-(alike**2)) * np.minimum(inside.sum(axis=1) / _ALONE, _MOST)
     made[made.argmax(axis=1) == 0] = 0
     return made
+
+
+def _pitched(ahead: Array, up: Array | float, pitch: float) -> tuple[Array, Array]:
+    """Return directions, ahead and up as seen by a camera that looks down by a pitch, as a level one sees them."""
+    return np.cos(pitch) * ahead + np.sin(pitch) * up, np.cos(pitch) * up - np.sin(pitch) * ahead
 
 
 def _peaks(values: Array) -> tuple[Array, Array]:

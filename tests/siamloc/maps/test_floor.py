@@ -36,8 +36,11 @@ def pattern(x, y) -> np.ndarray:
     return 0.5 + 0.05 * np.cos(np.multiply.outer(x, waves[:, 0]) + np.multiply.outer(y, waves[:, 1]) + phases).sum(-1)
 
 
-def panorama(pose, contrast=200.0) -> np.ndarray:
-    """What a camera sees at x, y, theta (3, 64, 256): a wall above the horizon, the floor below."""
+def panorama(pose, contrast=200.0, pitch=0.0) -> np.ndarray:
+    """What a camera sees at x, y, theta (3, 64, 256): a wall above the horizon, the floor below.
+
+    One that is pitched looks down ahead.
+    """
     x, y, theta = pose
     image = np.full((64, 256), 90.0)
     for row in range(64):
@@ -45,9 +48,11 @@ def panorama(pose, contrast=200.0) -> np.ndarray:
         if slope >= 0:
             continue
         for column in range(256):
-            azimuth = theta + np.pi - (column + 0.5) * 2 * np.pi / 256
-            reach = HEIGHT / -slope
-            image[row, column] = 20 + contrast * pattern(x + reach * np.cos(azimuth), y + reach * np.sin(azimuth))
+            azimuth = np.pi - (column + 0.5) * 2 * np.pi / 256
+            ahead, left = np.cos(azimuth), np.sin(azimuth)
+            ahead, up = ahead * np.cos(pitch) + slope * np.sin(pitch), slope * np.cos(pitch) - ahead * np.sin(pitch)
+            reach = HEIGHT / -up * np.exp(1j * theta) * (ahead + 1j * left)
+            image[row, column] = 20 + contrast * pattern(x + reach.real, y + reach.imag)
     return np.repeat(image.clip(0, 255).astype(np.uint8)[None], 3, axis=0)
 
 
@@ -99,6 +104,21 @@ def test_walls_beside_the_lane_do_not_count(drive):
     walled[..., sides] = np.random.default_rng(1).integers(0, 255, (64, len(sides)))
     found, _ = floor_scale([walled], VIEW, steps, np.arange(40) * 0.27, HEIGHT)
     np.testing.assert_allclose(found.factors, 1, atol=0.06)
+
+
+@pytest.mark.parametrize("pitch", [-3, 2])
+def test_a_pitched_camera_tells_the_same_lengths(drive, pitch):
+    poses, _, steps = drive
+    pitched = np.stack([panorama(pose, pitch=np.radians(pitch)) for pose in poses])
+    found, _ = floor_scale([pitched], VIEW, steps, np.arange(40) * 0.27, HEIGHT)
+    assert np.degrees(found.pitch) == pytest.approx(pitch)
+    np.testing.assert_allclose(found.factors, 1, atol=0.05)
+    notes: list[str] = []
+    assert _told_by_floor([pitched], VIEW, True, steps, steps.pose[:39], HEIGHT, notes, None) is not None
+    assert f"the camera looks {abs(pitch)} degrees {'down' if pitch > 0 else 'up'} ahead" in notes[0]
+    pitched[..., :64] = pitched[..., 192:] = 40  # who only sees the floor ahead can tell a pitch less well
+    found, _ = floor_scale([pitched], VIEW, steps, np.arange(40) * 0.27, HEIGHT)
+    np.testing.assert_allclose(found.factors, 1, atol=0.15)  # 9 and 28 % off if taken to be level
 
 
 @pytest.mark.parametrize("wrong", [0.3, 0.5, 2.5, 100])
