@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from siamloc.data.trajectory import Array, seconds
-from siamloc.errors import say_once
+from siamloc.errors import DataError, say_once
 
 _STAMP = re.compile(r"\d+(?:\.\d+)?$")
 _IN_PARTS = re.compile(r"(\d{10})[_-](\d{9})$")  # s and ns
@@ -19,6 +19,7 @@ _DATE = re.compile(  # 20260512_101523, 20260512_101523123, 2026-05-12 at 10.15.
 )
 _COUNTER = 1e8, 1e4  # whole numbers below it, in smaller steps, count images and are no times
 _A_SECOND = 30  # pictures of one second, at most
+_NO_DRIVE = 1e9  # s, 30 years: times so far apart are in different units
 _PICTURE_TAGS, _TAKEN, _FRACTION, _ZONE = 0x8769, 0x9003, 0x9291, 0x9011  # of EXIF
 
 
@@ -31,9 +32,13 @@ def taken_at(files: Sequence[Path], span: float | None = None) -> Array:
     Args:
         files: pictures of one drive, in the order of their names.
         span: as for `seconds`.
+
+    Raises:
+        DataError: names with times of different kinds.
     """
     folder, dates = str(files[0].parent), _dates(files)
     if dates is None and np.isfinite(stamps := _stamps(files, span)).all():
+        _check_alike(files, stamps)
         return stamps
     if (held := _of_cameras(files)) is not None:
         times, zoned = held
@@ -57,6 +62,19 @@ def _stamps(files: Sequence[Path], span: float | None) -> Array:
         if large or any("." in stamp[0] for stamp in stamps if stamp):
             return seconds(numbers, str(files[0].parent), span)
     return np.full(len(files), np.nan)
+
+
+def _check_alike(files: Sequence[Path], stamps: Array) -> None:
+    dated = [_DATE.search(file.stem) is not None for file in files]
+    one, other = int(stamps.argmin()), int(stamps.argmax())
+    if any(dated) and not all(dated):
+        one, other = dated.index(True), dated.index(False)
+    elif stamps[other] - stamps[one] < _NO_DRIVE:
+        return
+    raise DataError(
+        f"{files[0].parent}: names such as {files[one].name} and {files[other].name} hold times of different kinds: "
+        "name all pictures alike, or give times=FILE"
+    )
 
 
 def _dates(files: Sequence[Path]) -> Array | None:

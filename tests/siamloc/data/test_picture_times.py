@@ -80,6 +80,20 @@ def test_one_picture_without_a_time_is_named(tmp_path, caplog):
     assert "1 of 3 pictures hold no time (EXIF), the first: map.png" in caplog.text
 
 
+@pytest.mark.parametrize(
+    "names",
+    [
+        ["1779000000.572.jpg", "1779000001200075008.jpg", "1779000002.343.jpg"],
+        ["1779000000572.png", "1779000001.200.png"],
+        ["2026-05-17T06-40-00.571657.jpg", "1779000001.200.jpg"],
+    ],
+)
+def test_names_with_times_of_different_kinds_are_refused(tmp_path, names):
+    files = pictures(tmp_path / "monday", names)
+    with pytest.raises(DataError, match=rf"names such as .*{names[0]}.* hold times of different kinds.* times=FILE"):
+        taken_at(files)
+
+
 def test_a_trajectory_is_joined_by_the_times_in_the_files(tmp_path):
     pictures(tmp_path / "monday", ["R0010023.jpg", "R0010024.jpg"], taken("0", "5", zone="+0200"))
     poses = tmp_path / "poses.txt"
