@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -178,9 +179,9 @@ class Pictures:
         pass
 
     def images(self, topic: str, clock: Clock) -> Iterator[tuple[int, Path, str]]:
-        """Yield the time in ns, the file, and its ending, of each picture."""
+        """Yield the time in ns, the file, and its name as an ending, of each picture."""
         for time, file in self._files:
-            yield round(time * 1e9), file, file.suffix
+            yield round(time * 1e9), file, "_" + re.sub(r"[^\w.+-]", "_", file.name)
 
 
 @typed
@@ -209,7 +210,8 @@ def contents(file: str | Path, times: str | Path | None = None) -> Contents:
 def extract(file: str | Path, out: str | Path, *, settings: Extraction = OF_FIELDS, **fields: Any) -> FrameTable:
     """Write the images of a recording into a folder, named by their times in ns, and their manifest, `frames.csv`.
 
-    Images that are there already are not written again, so that an interrupted call goes on.
+    The pictures of a folder keep their names after the times. Images that are there already are not written
+    again, so that an interrupted call goes on.
 
     Args:
         file: the recording; see `contents`.

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from foundation.files import atomic_folder, content_key, parsed_json, storage_errors, write_json
 from foundation.locks import locked
 from foundation.threads import in_order, processors
-from siamloc.data.decoding import Preprocessing, UnreadableImageError
+from siamloc.data.decoding import Preprocessing, UnreadableImageError, size_of
 from siamloc.errors import ConfigError, DataError, leave_out, logger
 from siamloc.progress import track
 
@@ -169,6 +169,11 @@ def _write(
         except UnreadableImageError as error:
             return error
         except ConfigError as error:
+            (rows, columns), (usual_rows, usual_columns) = (size_of(paths[at]) or (0, 0) for at in (row, 0))
+            if rows and usual_rows and (rows, columns) != (usual_rows, usual_columns):
+                return UnreadableImageError(
+                    f"it has {columns} x {rows} px, and the first picture {usual_columns} x {usual_rows}: {error}"
+                )
             raise ConfigError(f"{paths[row]}: {error}") from error
 
     with (folder / "panoramas.npy").open("wb") as file:

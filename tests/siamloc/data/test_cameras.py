@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass, replace
 
 import cv2
@@ -25,7 +26,7 @@ from siamloc.data import (
     unwrap,
 )
 from siamloc.data.decoding import Preprocessing, UnreadableImageError
-from siamloc.errors import ConfigError
+from siamloc.errors import ConfigError, DataError
 from tests.oracles import cameras as oracle
 
 SIZE = (960, 1280)
@@ -293,12 +294,18 @@ def test_a_class_is_no_camera():
         Preprocessing.checked((64, 256), EquirectangularCamera)
 
 
-def test_the_picture_that_does_not_fit_is_named(tmp_path):
+def test_a_picture_of_another_shape_than_the_first_is_left_out_if_it_does_not_fit(tmp_path, caplog):
     for name, rows in (("fits", 320), ("odd", 480)):
         cv2.imwrite(str(tmp_path / f"{name}.png"), np.zeros((rows, 640, 3), np.uint8))
-    frames = FrameTable(path=[tmp_path / "fits.png", tmp_path / "odd.png"])
+    fits, odd = tmp_path / "fits.png", tmp_path / "odd.png"
+    given = {"cache": tmp_path / "cache", "image_size": (8, 32), "unwrap": EquirectangularCamera()}
+    says = r"odd\.png .*it has 640 x 480 px, and the first picture 640 x 320: a whole equirectangular picture is"
+    assert PanoramaLibrary(FrameTable(path=[fits, odd]), **given).frames.path.tolist() == [str(fits)]
+    assert re.search(rf"1 of 2 images cannot be read, the first: .*{says}", caplog.text)
+    with pytest.raises(DataError, match=r"odd\.png cannot be read: it has 640 x 480 px"):
+        PanoramaLibrary(FrameTable(path=[fits, odd]), **given | {"cache": tmp_path / "strict"}, on_error="raise")
     with pytest.raises(ConfigError, match=r"odd\.png: a whole equirectangular picture is twice as wide"):
-        PanoramaLibrary(frames, tmp_path / "cache", image_size=(8, 32), unwrap=EquirectangularCamera())
+        PanoramaLibrary(FrameTable(path=[odd, fits]), **given)
 
 
 @pytest.mark.parametrize(

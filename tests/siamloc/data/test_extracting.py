@@ -531,7 +531,7 @@ def test_a_strict_extraction_stops_at_the_first_image_that_is_left_out(tmp_path)
     (pictures / names[0]).rename(pictures / "0100.5.png")  # the same time again
     with pytest.raises(DataError, match=r"1 of 3 images of .* have the time of another one"):
         siamloc.data.extract(pictures, tmp_path / "one", poses="none", **strict)
-    assert [path.name for path in (tmp_path / "one").iterdir()] == ["0000000100500000000.png"]
+    assert [path.name for path in (tmp_path / "one").iterdir()] == ["0000000100500000000_0100.5.png"]
 
 
 def test_without_rosbags_the_extra_is_named(bags, monkeypatch):
@@ -560,7 +560,7 @@ def written(folder, names):
 
 
 def test_a_folder_of_pictures_is_a_recording(tmp_path):
-    pictures = written(tmp_path / "monday", [f"left_{number / 4 + 100:.2f}.png" for number in range(5)])
+    pictures = written(tmp_path / "monday", [f"left {number / 4 + 100:.2f}.png" for number in range(5)])
     found = siamloc.data.contents(pictures)
     assert (found.topics, found.seconds, found.proposal) == ({"pictures": ("pictures", 5)}, 1.0, {"images": "pictures"})
     wheels = tmp_path / "wheels.txt"
@@ -569,6 +569,7 @@ def test_a_folder_of_pictures_is_a_recording(tmp_path):
     np.testing.assert_allclose(frames.time, [100, 100.25, 100.5, 100.75, 101])
     np.testing.assert_allclose(frames.odom_x, [1, 1.25, 1.5, 1.75, 2])
     assert set(frames.sequence.tolist()) == {"monday"}
+    assert Path(frames.path[1]).name == "0000000100250000000_left_100.25.png"
     for path, picture in zip(frames.path.tolist(), PICTURES, strict=True):
         np.testing.assert_array_equal(cv2.imread(path), picture)
 
