@@ -28,6 +28,7 @@ _SEAM = 3.0  # difference of neighbouring columns, in usual ones
 _DARK, _BRIGHT, _SHARE = 8, 247, 0.4  # grey values that are no longer told apart, and the share of pixels with such
 _SMOOTH = 0.3  # see `blur`: 0.25 if neighbouring differences are proportional to the distance
 _STILL, _OWN = 0.12, 0.02  # change over time of the robot's own picture, in usual ones, and its share of the panorama
+_BAND = 0.25  # of a row, from which it is the robot's own, and not that of a person or a mast
 _LEVEL = 2.0  # degrees
 _TURNS, _STRAY = np.radians(5), np.radians(10)  # what counts as a turn, and what as a wrong measurement
 _FEWEST = 10  # frames, and turns
@@ -161,12 +162,17 @@ def own_robot(grey: Array) -> str | None:
     own = (change < _STILL * usual) & (grey.mean(axis=0).std() > _EVEN) & ~(grey.std(axis=1) < _EVEN).all(axis=0)
     if usual < _EVEN or own.mean() < _OWN:
         return None
-    rows = np.flatnonzero(own.mean(axis=1) > 0.05)
+    rows = np.flatnonzero(own.mean(axis=1) > _BAND)
     if not len(rows):
-        return f"{own.mean():.0%} of the panorama, a narrow part, never change: the robot sees itself"
+        return (
+            f"{own.mean():.0%} of the panorama, a narrow part, never change: the robot, or who carries the camera, is "
+            "in view. No setting is needed; a higher camera sees less of it"
+        )
+    edge = "bottom" if rows.min() else "top"
     return (
         f"{own.mean():.0%} of the panorama, in rows {rows.min()} to {rows.max()} of {len(own)}, never change: the "
-        "robot sees itself. Leave these rows out (unwrap.bottom), or move the camera"
+        f"robot sees itself. Move the camera, or leave these rows out (unwrap.{edge}), with a network that was "
+        "trained so"
     )
 
 

@@ -226,6 +226,16 @@ def test_a_mast_in_view_is_the_robot_s_own():
     assert "a narrow part, never change" in own_robot(views)
 
 
+def test_who_carries_the_camera_is_no_reason_to_leave_rows_out():
+    """A person in an eighth of the azimuth, from the middle to the lower edge, or to the upper one."""
+    views = np.random.default_rng(0).uniform(0, 255, (20, 64, 256)).astype(np.float32)
+    views[:, 32:, 100:132] = np.linspace(0, 255, 32)[:, None]
+    for seen in (views, views[:, ::-1]):
+        assert re.search("^6% of the panorama, a narrow part, .* No setting is needed", own_robot(seen))
+    views[:, :4] = np.linspace(0, 255, 256)
+    assert re.search(r"in rows 0 to 3 of 64, .* leave these rows out \(unwrap.top\)", own_robot(views))
+
+
 @pytest.mark.parametrize("period", [3, 6, 12])
 def test_turns_to_the_left_and_right_in_equal_times_are_not_those_of_other_times(period):
     rng, step = np.random.default_rng(0), period / 3
