@@ -326,10 +326,13 @@ def in_capture_order(frames: FrameTable) -> FrameTable:
 
 
 def image_files(folder: Path) -> list[Path]:
-    """Return the image files directly inside a folder, in the order of their names, where 2 comes before 10."""
+    """Return the image files directly inside a folder, in the order of their names, where 2 comes before 10.
+
+    Hidden files, whose names begin with a dot, are left out.
+    """
     suffixes = {".jpeg", ".jpg", ".png", ".bmp", ".ppm", ".tif", ".tiff", ".webp"}
-    files = (path for path in folder.iterdir() if path.suffix.lower() in suffixes and path.is_file())
-    return sorted(files, key=_counted)
+    shown = (path for path in folder.iterdir() if not path.name.startswith("."))
+    return sorted((path for path in shown if path.suffix.lower() in suffixes and path.is_file()), key=_counted)
 
 
 def _counted(file: Path) -> tuple[list[tuple[Decimal, str]], str]:

@@ -45,6 +45,7 @@ def taken_at(files: Sequence[Path], span: float | None = None) -> Array:
     elif dates is not None:
         times, zoned = dates, False
     else:
+        _name_lacking(files, span)
         return np.full(len(files), np.nan)
     if not zoned:
         say_once(
@@ -90,16 +91,29 @@ def _dates(files: Sequence[Path]) -> Array | None:
     return _of_each(times, len(files))
 
 
+def _name_lacking(files: Sequence[Path], span: float | None) -> None:
+    """Name pictures without a time in their names, if most others have one."""
+    for pattern, read in ((_DATE, _dates), (_STAMP, lambda those: _stamps(those, span))):
+        those = [file for file in files if pattern.search(file.stem)]
+        if 2 * len(those) > len(files) and (times := read(those)) is not None and np.isfinite(times).all():
+            _say_lacking(files, [file.name for file in files if file not in those], "in the name")
+            return
+
+
+def _say_lacking(files: Sequence[Path], lacking: Sequence[str], where: str) -> None:
+    if lacking:
+        say_once(
+            f"{files[0].parent}: {len(lacking)} of {len(files)} pictures hold no time ({where}), the first: "
+            f"{lacking[0]}; so the times of the others are not used: take these out, or give times=FILE"
+        )
+
+
 def _of_cameras(files: Sequence[Path]) -> tuple[Array, bool] | None:
     """Return the times in the files, in s since 1970, and whether time zones are known; None if they are unknown."""
     if not (_of_camera(files[0]) or _of_camera(files[-1])):
         return None
     held = {file.name: _of_camera(file) for file in files}
-    if lacking := [name for name, one in held.items() if one is None]:
-        say_once(
-            f"{files[0].parent}: {len(lacking)} of {len(files)} pictures hold no time (EXIF), the first: {lacking[0]}; "
-            "so the times of the others are not used: take these out, or give times=FILE"
-        )
+    _say_lacking(files, [name for name, one in held.items() if one is None], "EXIF")
     known = [one for one in held.values() if one is not None]
     made = _of_each([time for time, _ in known], len(files))
     return None if made is None else (made, all(zoned for _, zoned in known))

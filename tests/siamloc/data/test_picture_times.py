@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 from datetime import datetime, timezone
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -78,6 +79,30 @@ def test_one_picture_without_a_time_is_named(tmp_path, caplog):
     tags = [*taken("0", "0", zone="+02:00"), {}]
     assert np.isnan(taken_at(pictures(tmp_path / "monday", ["R001.jpg", "R002.jpg", "map.png"], tags))).all()
     assert "1 of 3 pictures hold no time (EXIF), the first: map.png" in caplog.text
+
+
+@pytest.mark.parametrize(
+    "names",
+    [
+        ["2026-05-17T06-40-00.jpg", "2026-05-17T06-40-01.jpg", "map.png"],
+        ["1779000000.572.jpg", "1779000001.200.jpg", "map.png"],
+    ],
+)
+def test_one_name_without_a_time_is_named(tmp_path, caplog, names):
+    assert np.isnan(taken_at(pictures(tmp_path / "monday", names))).all()
+    assert "1 of 3 pictures hold no time (in the name), the first: map.png" in caplog.text
+
+
+def test_counters_next_to_another_name_lack_no_time(tmp_path, caplog):
+    names = ["VID_20260512_105958_1.jpg", "VID_20260512_105958_2.jpg", "3.jpg", "4.jpg", "map.png"]
+    assert np.isnan(taken_at(pictures(tmp_path / "monday", names))).all()
+    assert not caplog.text
+
+
+def test_hidden_files_are_no_pictures(tmp_path):
+    names = [".thumbnail.png", "._IMG_20260512_105958.jpg", "IMG_20260512_105958.jpg", "IMG_20260512_110000.jpg"]
+    pictures(tmp_path / "monday", names)
+    assert [Path(path).name for path in read_recorded(tmp_path / "monday").path.tolist()] == names[2:]
 
 
 @pytest.mark.parametrize(
