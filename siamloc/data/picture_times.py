@@ -14,8 +14,9 @@ from siamloc.errors import DataError, say_once
 
 _STAMP = re.compile(r"\d+(?:\.\d+)?$")
 _IN_PARTS = re.compile(r"(\d{10})[_-](\d{9})$")  # s and ns
-_DATE = re.compile(  # 20260512_101523, 20260512_101523123, 2026-05-12 at 10.15.23, and the like
-    r"(?<!\d)(20\d\d)[-_.]?(\d\d)[-_.]?(\d\d)\D{0,4}(\d\d)[-_.:]?(\d\d)[-_.:]?(\d\d)(?:[-_.]?(\d{3,9}))?(?!\d)"
+_DATE = re.compile(  # 20260512_101523, 20260512_101523123, 2026-05-12 at 10.15.23, and the like, maybe with a time zone
+    r"(?<!\d)(20\d\d)[-_.]?(\d\d)[-_.]?(\d\d)\D{0,4}(\d\d)[-_.:]?(\d\d)[-_.:]?(\d\d)(?:[-_.]?(\d{3,9}))?"
+    r"(Z(?![A-Za-z])|[+-](?:0\d|1[0-4]):?[0-5]\d)?(?!\d)"
 )
 _COUNTER = 1e8, 1e4  # whole numbers below it, in smaller steps, count images and are no times
 _A_SECOND = 30  # pictures of one second, at most
@@ -43,7 +44,7 @@ def taken_at(files: Sequence[Path], span: float | None = None) -> Array:
     if (held := _of_cameras(files)) is not None:
         times, zoned = held
     elif dates is not None:
-        times, zoned = dates, False
+        times, zoned = dates
     else:
         _name_lacking(files, span)
         return np.full(len(files), np.nan)
@@ -78,8 +79,11 @@ def _check_alike(files: Sequence[Path], stamps: Array) -> None:
     )
 
 
-def _dates(files: Sequence[Path]) -> Array | None:
-    """Return the dates and times in the names, in s since 1970 as if in UTC; None if they are not those of pictures."""
+def _dates(files: Sequence[Path]) -> tuple[Array, bool] | None:
+    """Return the times by the dates in the names, in s since 1970, and whether their time zone is known.
+
+    None if they are not those of pictures. A zone is the same in all names, unlike a counter.
+    """
     found = [match for file in files if (match := _DATE.search(file.stem))]
     try:
         times = [_utc(datetime(*map(int, match.groups()[:6]))) for match in found]  # type: ignore[arg-type]
@@ -88,14 +92,22 @@ def _dates(files: Sequence[Path]) -> Array | None:
     parts = [match[7] or "0" for match in found]
     if len(parts) < 2 or not (np.diff([float(part) for part in parts]) > 0).all():  # else it is a counter
         times = [time + float(f"0.{part}") for time, part in zip(times, parts, strict=True)]
-    return _of_each(times, len(files))
+    zones = {match[8] for match in found}
+    if zoned := len(zones) == 1 and None not in zones:
+        ahead = datetime.strptime(zones.pop(), "%z").utcoffset() or timedelta()
+        times = [time - ahead.total_seconds() for time in times]
+    made = _of_each(times, len(files))
+    return None if made is None else (made, zoned)
 
 
 def _name_lacking(files: Sequence[Path], span: float | None) -> None:
     """Name pictures without a time in their names, if most others have one."""
-    for pattern, read in ((_DATE, _dates), (_STAMP, lambda those: _stamps(those, span))):
+    for pattern, timed in (
+        (_DATE, lambda those: _dates(those) is not None),
+        (_STAMP, lambda those: bool(np.isfinite(_stamps(those, span)).all())),
+    ):
         those = [file for file in files if pattern.search(file.stem)]
-        if 2 * len(those) > len(files) and (times := read(those)) is not None and np.isfinite(times).all():
+        if 2 * len(those) > len(files) and timed(those):
             _say_lacking(files, [file.name for file in files if file not in those], "in the name")
             return
 

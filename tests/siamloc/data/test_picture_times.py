@@ -55,6 +55,23 @@ def test_dates_in_the_names_of_telephones_and_cameras(tmp_path, names, fractions
     assert "are taken for UTC: if they are local times" in caplog.text
 
 
+@pytest.mark.parametrize(
+    ("names", "known"),
+    [
+        (["2026-05-12T12-59-58.250+0200.jpg", "2026-05-12T13-00-00.125+0200.jpg"], True),
+        (["20260512T125958250+0200.jpg", "20260512T130000125+0200.jpg"], True),
+        (["2026-05-12T10_59_58.250Z.jpg", "2026-05-12T11_00_00.125Z.jpg"], True),
+        (["2026-05-12T04-59-58.250-0600_left.jpg", "2026-05-12T05-00-00.125-0600_left.jpg"], True),
+        (["20260512_105958_250-0100.jpg", "20260512_110000_125-0101.jpg"], False),
+        (["20260512_105958_250Zoom.jpg", "20260512_110000_125Zoom.jpg"], False),
+    ],
+)
+def test_a_time_zone_in_the_names(tmp_path, names, known, caplog):
+    """What differs from name to name is a counter."""
+    np.testing.assert_allclose(taken_at(pictures(tmp_path / "monday", names)) - START, [0.25, 2.125], atol=1e-6)
+    assert known != ("are taken for UTC" in caplog.text)
+
+
 def test_the_camera_writes_the_time_into_the_file(tmp_path, caplog):
     names = [f"R00100{number}.JPG" for number in (23, 24, 25)]
     found = taken_at(pictures(tmp_path / "zoned", names, taken("25", "000", "5", zone="+02:00")))
