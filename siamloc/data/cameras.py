@@ -20,6 +20,13 @@ def twice_as_wide(rows: int, columns: int) -> bool:
     return 1.8 < columns / rows < 2.2
 
 
+def two_views(rows: int, columns: int) -> str:
+    """Return what to do with a picture in whose shape stereo cameras put two whole ones; "" for other shapes."""
+    if not twice_as_wide(rows, 2 * columns):
+        return ""
+    return "; of two views above each other, keep the upper one, as `ffmpeg -i IN -vf crop=iw:ih/2:0:0 OUT` does"
+
+
 @dataclass(frozen=True)
 class EquirectangularCamera(CentralCamera):
     """A 360-degree picture whose columns are evenly spaced in azimuth and rows in elevation; whole, or a part of it.
@@ -76,6 +83,7 @@ class EquirectangularCamera(CentralCamera):
             raise ConfigError(
                 f"a whole equirectangular picture is twice as wide as high, and this one has {columns} x {rows} px: "
                 "cut black bars off, or of a part say unwrap.highest and unwrap.lowest in degrees"
+                f"{two_views(rows, columns)}"
             )
         return rows, columns
 

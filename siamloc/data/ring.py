@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from foundation.calls import typed
 from foundation.files import read_json, storage_errors, write_json
-from siamloc.data.cameras import DualFisheyeCamera, EquirectangularCamera, HyperbolicMirror, twice_as_wide
+from siamloc.data.cameras import DualFisheyeCamera, EquirectangularCamera, HyperbolicMirror, twice_as_wide, two_views
 from siamloc.data.decoding import Preprocessing, UnreadableImageError, read_image, size_of
 from siamloc.data.panorama import OmnidirectionalCamera, PanoramaView, PolarRing, unwrap
 from siamloc.data.photo_sphere import is_equirectangular, stated
@@ -180,7 +180,7 @@ def _of_drive(given: AutoRing, paths: Sequence[str]) -> AutoRing:
         if not known:
             raise DataError(
                 f"unwrap=auto finds no ring in {folder}: {error}; if the camera is another one, name it, such as "
-                "unwrap=equirectangular"
+                f"unwrap=equirectangular{two_views(*size_of(paths[0]) or (1, 0))}"
             ) from error
         logger.info("%s: the given ring stays (%s)", folder, error)
         return given

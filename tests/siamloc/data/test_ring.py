@@ -246,3 +246,13 @@ def test_pictures_without_a_camera_are_refused_in_a_sentence(tmp_path):
         find_camera([str(tmp_path / "missing.png")])
     with pytest.raises(DataError, match=r"finds no ring in .*: the pictures are all alike"):
         find_camera(written(tmp_path, np.full((6, 90, 120, 3), 99, np.uint8)))
+
+
+def test_a_square_picture_without_a_ring_may_show_two_views(tmp_path):
+    pictures = np.full((6, 96, 96, 3), 99, np.uint8)
+    with pytest.raises(DataError, match=r"unwrap=equirectangular; of two views above each other, keep the upper one"):
+        find_camera(written(tmp_path, pictures))
+    with pytest.raises(ConfigError, match=r"cut black bars off.*; of two views above each other, .* `ffmpeg"):
+        unwrap(pictures[0], WHOLE)
+    with pytest.raises(ConfigError, match=r"unwrap.lowest in degrees$"):
+        unwrap(pictures[0, :80], WHOLE)
