@@ -18,7 +18,7 @@ from siamloc.jobs.options import choices, is_fused, option
 from siamloc.jobs.run_job import RunJob, files_in
 from siamloc.jobs.stored import map_places, titles_of
 from siamloc.jobs.sweep import of_layer, own_folder, swept
-from siamloc.maps import Built, VisualMap
+from siamloc.maps import Built, Refinement, VisualMap
 from siamloc.maps.maintenance import Maintenance
 from siamloc.runs import Run
 
@@ -175,16 +175,17 @@ class MapFrames(RunJob):
         self.here.record_written([path, picture, *(files_in(folder) if built is not None else [])])
         say(f"picture: {picture}")
         if not swept():
-            self._say_next(say, "export", {})
+            refined = Refinement.saved(path.with_name("refinement.json")) if self.build.name == "none" else None
+            self._say_next(say, "export", {} if refined is None else {"task.refine": refined.method})
         return known
 
-    def _say_next(self, say: Say, command: str, protocol: Mapping[str, Any]) -> None:
-        """Say which command goes on with the map, with settings of the protocol."""
+    def _say_next(self, say: Say, command: str, more: Mapping[str, Any]) -> None:
+        """Say which command goes on with the map, with more settings."""
         label = self.descriptor.title
         further = {} if self.descriptor.name in OF_A_RUN else {"descriptor": label, **self._changed()}
         if self.build.name != "none":
             further |= {"task": "hierarchical", "build": self.build.title}
-        shown = {"run": str(self.here.folder), **self.model.branch.own, **protocol, **further}
+        shown = {"run": str(self.here.folder), **self.model.branch.own, **more, **further}
         say(f"next: siamloc {command} {as_words(shown)}")
 
     def _for_evaluation(self) -> dict[str, Any] | None:

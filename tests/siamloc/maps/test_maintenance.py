@@ -13,7 +13,19 @@ from siamloc.cli import main
 from siamloc.data import FrameTable, PanoramaLibrary
 from siamloc.errors import ConfigError, DataError
 from siamloc.evaluation import mapping
-from siamloc.maps import Built, History, Reason, VisualMap, build, group, maintenance, map_file, match, update
+from siamloc.maps import (
+    Built,
+    History,
+    Reason,
+    Refinement,
+    VisualMap,
+    build,
+    group,
+    maintenance,
+    map_file,
+    match,
+    update,
+)
 from siamloc.maps.maintenance import updated
 from tests.siamloc.cli.commands import done, refused
 
@@ -381,11 +393,13 @@ def test_the_command_takes_drives_together_and_in_tables_of_their_own(drives, tm
     common = ["descriptor=hog", f"run={tmp_path / 'run'}", f"data.image_size=[{ROWS},{COLUMNS}]"]
     done("map", *common, table("old"), "protocol.map.sequences=['*']")
     done("map", *common, table("changed"), "update.sequences=[changed]")
-    capsys.readouterr()
+    assert capsys.readouterr().out.splitlines()[-1] == f"next: siamloc export run={tmp_path / 'run'} descriptor=hog"
+    Refinement("interpolate").save(tmp_path / "run/evaluation/hog/refinement.json")
     done("map", *common, table(*DRIVES), "update.sequences=[later,same]", "update.forget=2")
     said, (saved,) = capsys.readouterr().out, tmp_path.glob("run/evaluation/hog/map.npz")
     assert f"picture: {saved.with_name('staleness.png')}" in said
-    assert said.splitlines()[-1] == f"next: siamloc export run={tmp_path / 'run'} descriptor=hog"
+    refined = "task.refine=interpolate"
+    assert said.splitlines()[-1] == f"next: siamloc export run={tmp_path / 'run'} {refined} descriptor=hog"
     known = VisualMap.load(saved)
     assert known.history.joined.any()
     assert 0 < (~known.history.joined).sum() < FRAMES, "of those that it was made of, some were forgotten"
