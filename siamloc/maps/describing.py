@@ -110,6 +110,12 @@ def build(
         validation = validation if by.weights is None else None
         check_apart(readable, validation)
         by = by.measured(next(iter(images.batches(readable.take([0])))))
+    if getattr(by, "compares", False) and images.circular and readable.unit != "m":
+        logger.warning(
+            "positions are in %r: the network compares images in metres, and so is not used to put frames in order or "
+            "to refine poses; give x and y in metres",
+            readable.unit,
+        )
     what = "describing the map" if progress else None
 
     def descriptions(mounting: Mounting | None, frames: FrameTable = readable) -> Description:

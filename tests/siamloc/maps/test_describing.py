@@ -199,6 +199,17 @@ def test_a_network_that_compares_ordinary_images_keeps_what_it_compares_and_no_h
     assert build(build_network("panoresnet", "magnitudes", SIZE), flat, frames, progress=False).heading is None
 
 
+def test_who_builds_a_map_in_another_unit_hears_that_the_network_compares_in_metres(images, caplog):
+    frames, library = images
+    network = build_network("panoresnet", "magnitudes", SIZE, relative=True)
+    build(network, library, frames, progress=False)
+    assert "positions are in 'steps': the network compares images in metres" in caplog.text
+    caplog.clear()
+    build(network, library, replace(frames, unit="m"), progress=False)
+    build(Small(), library, frames, progress=False)
+    assert "in metres" not in caplog.text
+
+
 def test_another_descriptor_can_be_chosen_for_the_headings_of_a_network(images):
     frames, library = images
     network = build_network("panoresnet", "fourier", SIZE, circular=True)
