@@ -361,7 +361,7 @@ def _told_by_floor(
             f"the scale is right if the camera is {told[0].height:.2f} m above the floor: if not, give its height "
             "(survey.height)"
         )
-    if told is not None and (degrees := round(float(np.degrees(told[0].pitch)))):
+    if told is not None and known and (degrees := round(float(np.degrees(told[0].pitch)))):
         notes.append(
             f"the floor shows that the camera looks {abs(degrees)} degrees {'down' if degrees > 0 else 'up'} ahead on "
             "average, which the lengths take into account: mount it level, or give its tilt (columns roll and pitch)"
