@@ -78,27 +78,28 @@ class FloorScale:
     def lengthening(self, compared: Pairs) -> Pairs:
         """Return a function that compares frames likewise, and multiplies the displacements.
 
-        Those of images that were taken near each other are also told by what both see of the floor, where they can be.
+        Where two frames were taken near each other and see enough of the same floor, their displacement gets a factor
+        of its own.
         """
 
         def comparing(first: NDArray[np.int64], second: NDArray[np.int64]) -> tuple[Array, Array, Array]:
             pose, information, odds = compared(first, second)
-            edges = self._told(self.lengthened(Edges(first, second, pose, information)), odds >= ODDS)
+            edges = self._corrected(self.lengthened(Edges(first, second, pose, information)), odds >= ODDS)
             return edges.pose, edges.information, odds
 
         return comparing
 
-    def _told(self, edges: Edges, near: NDArray[np.bool_]) -> Edges:
-        """Return edges (e) whose displacements agree with the floor, where the images are near (e,) and it tells."""
+    def _corrected(self, edges: Edges, near: NDArray[np.bool_]) -> Edges:
+        """Return edges (e) of which those of near frames (e,) agree with the floor that both see, where it is clear."""
         moved = np.hypot(edges.pose[:, 0], edges.pose[:, 1]) / self.height
         rows = np.flatnonzero(near & (moved > _LEAST) & (moved < _MOVES[1]))
-        factors = _FACTORS - float(np.log(self.height))
-        found = _likelihoods(self.floors, self.slopes, edges.take(rows), factors, self.pitch)
-        tells = found.max(axis=1) - found.mean(axis=1) >= _TELLS
-        own, deviation = _peaks(found[tells] - (_FACTORS / _USUAL) ** 2 / 2)
-        every = np.ones(len(edges))
-        every[rows[tells]] = np.exp(own)
-        return _more_certain(_multiplied(edges, every), rows[tells], deviation)
+        tried = _FACTORS - float(np.log(self.height))
+        likely = _likelihoods(self.floors, self.slopes, edges.take(rows), tried, self.pitch)
+        clear = likely.max(axis=1) - likely.mean(axis=1) >= _TELLS
+        logarithms, deviation = _peaks(likely[clear] - (_FACTORS / _USUAL) ** 2 / 2)
+        factors = np.ones(len(edges))
+        factors[rows[clear]] = np.exp(logarithms)
+        return _more_certain(_multiplied(edges, factors), rows[clear], deviation)
 
 
 def shows_floor(images: PanoramaLibrary, height: float | None) -> bool:

@@ -281,6 +281,8 @@ def of_descriptions(
         first, second = far_apart(pairs, path, drive, apart)
     open_ones = ~(held[first] & held[second])
     loops = judged(first[open_ones], second[open_ones], compared, start, drive, ODDS)
+    if floor is not None:
+        floor = replace(floor, floors=np.empty((0, *floor.floors.shape[1:]), np.float32))  # megabytes, no longer used
     placed = set(drive[fixed].tolist()) or {0}
     start = brought_together(start, loops, drive, names, notes, placed)
     scale = DEVIATION if floor is not None and floor.given else SCALE
@@ -363,8 +365,8 @@ def _told_by_floor(
         )
     if told is not None and known and (degrees := round(float(np.degrees(told[0].pitch)))):
         notes.append(
-            f"the floor shows that the camera looks {abs(degrees)} degrees {'down' if degrees > 0 else 'up'} ahead on "
-            "average, which the lengths take into account: mount it level, or give its tilt (columns roll and pitch)"
+            f"by what the floor shows, the camera looks about {abs(degrees)} degrees {'down' if degrees > 0 else 'up'} "
+            "ahead on average, which lengths make up for: mount it level, or give its tilt (columns roll and pitch)"
         )
     return told
 
