@@ -44,8 +44,8 @@ class FrameTable:
     """Frames as columns of equal length, in capture order inside each sequence.
 
     Immutable: the arrays are read-only and every method returns another table. A missing pose or time is NaN, a missing
-    label is the empty string, also if it is given as None or NaN. Columns left out are filled with missing values. A
-    frame is identified by its sequence and its path; row numbers do not survive a selection.
+    label is the empty string, also if it is given as None, NaN or `pandas.NA`. Columns left out are filled with missing
+    values. A frame is identified by its sequence and its path; row numbers do not survive a selection.
 
     Headings run counter-clockwise seen from above, in radians, 0 along +x. The columns of a panorama run clockwise,
     and its middle column looks straight ahead, along theta: as theta grows, the contents of the image move right.
@@ -363,8 +363,16 @@ def _as_column(name: str, value: ArrayLike) -> NDArray[Any]:
     try:
         column = np.array(value, dtype=np.str_ if name in _TEXT else np.float64)
         if name in _TEXT and column.ndim == 1 and not (isinstance(value, np.ndarray) and value.dtype.kind == "U"):
-            column[[one is None or bool(one != one) for one in np.array(value, dtype=object)]] = ""
+            column[[_is_missing(one) for one in np.array(value, dtype=object)]] = ""
         return column
     except (TypeError, ValueError) as error:
         what = "texts" if name in _TEXT else "numbers"
         raise DataError(f"column {name!r} must hold {what}, one for each frame: {error}") from error
+
+
+def _is_missing(label: Any) -> bool:
+    """Return whether a label is None, NaN or, as `pandas.NA`, neither equal to itself nor different."""
+    try:
+        return label is None or bool(label != label)
+    except TypeError:
+        return True

@@ -39,8 +39,25 @@ def test_columns_that_are_left_out_are_filled():
     np.testing.assert_equal(concatenate([frames, frames]).take([3]).odometry, [[2, np.nan, 0.5]])
 
 
+class NotAvailable:
+    """Like the missing value of pandas, it compares as itself, which is neither true nor false."""
+
+    def __ne__(self, other):
+        return self
+
+    def __bool__(self):
+        raise TypeError("boolean value of NA is ambiguous")
+
+
 @pytest.mark.parametrize(
-    "rooms", [["hall", None], ["hall", math.nan], np.array(["hall", None]), np.array(["hall", np.nan], dtype=object)]
+    "rooms",
+    [
+        ["hall", None],
+        ["hall", math.nan],
+        ["hall", NotAvailable()],
+        np.array(["hall", None]),
+        np.array(["hall", np.nan], dtype=object),
+    ],
 )
 def test_a_label_that_is_none_or_nan_is_missing(rooms):
     frames = FrameTable(path=["a", "b"], room=rooms)
