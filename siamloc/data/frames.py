@@ -74,7 +74,7 @@ class FrameTable:
             keep it, equality ignores it.
 
     Raises:
-        DataError: columns of different lengths, or a deviation below 0.
+        DataError: columns of different lengths, a path that is None or NaN, or a deviation below 0.
 
     Example:
         >>> frames = FrameTable(path=["1.jpg", "2.jpg", "3.jpg"], x=[0, 1, 2], y=[0, 0, 0], room=["A", "A", "B"])
@@ -363,7 +363,11 @@ def _as_column(name: str, value: ArrayLike) -> NDArray[Any]:
     try:
         column = np.array(value, dtype=np.str_ if name in _TEXT else np.float64)
         if name in _TEXT and column.ndim == 1 and not (isinstance(value, np.ndarray) and value.dtype.kind == "U"):
-            column[[_is_missing(one) for one in np.array(value, dtype=object)]] = ""
+            missing = [_is_missing(one) for one in np.array(value, dtype=object)]
+            if name == "path" and any(missing):
+                where = f"{sum(missing)} of {len(missing)} are missing, the first in row {missing.index(True)}"
+                raise ValueError(f"{where}: leave these frames out")
+            column[missing] = ""
         return column
     except (TypeError, ValueError) as error:
         what = "texts" if name in _TEXT else "numbers"

@@ -67,6 +67,13 @@ def test_a_label_that_is_none_or_nan_is_missing(rooms):
     assert FrameTable(path=["a", "b"], room=np.array([3.0, np.nan])).room.tolist() == ["3.0", ""]
 
 
+@pytest.mark.parametrize("missing", [None, math.nan, NotAvailable()])
+def test_a_frame_without_an_image_file_is_refused(missing):
+    says = "column 'path' must hold texts, one for each frame: 2 of 3 are missing, the first in row 1"
+    with pytest.raises(DataError, match=says):
+        FrameTable(path=["a", missing, missing])
+
+
 def test_equality_counts_nan_as_equal_and_rows_make_the_table_again():
     assert table() == table()
     assert table() not in (table().with_columns(x=np.arange(6)), table(3 * 4), "table")
