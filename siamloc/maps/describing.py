@@ -13,7 +13,7 @@ from analytic import DESCRIPTORS, Description, Descriptor, Fused, descriptor
 from analytic.descriptors.fused import distinct
 from analytic.errors import known
 from foundation.calls import typed
-from siamloc.data.frames import FrameTable
+from siamloc.data.frames import FrameTable, check_units
 from siamloc.data.mounting import Mounting, estimate
 from siamloc.errors import ConfigError, DataError, logger
 from siamloc.maps.fusing import check_apart, weighted
@@ -70,7 +70,7 @@ def build(
     Raises:
         ConfigError: an unknown name, distance or device, descriptors that do not work together, or validation frames
             from the map's drives.
-        DataError: no image can be read, or descriptors are not finite.
+        DataError: no image can be read, descriptors are not finite, or positions of validation frames in another unit.
 
     Example:
         >>> import cv2, numpy as np, tempfile
@@ -109,6 +109,7 @@ def build(
     if isinstance(by, Fused) and not by.complete:
         validation = validation if by.weights is None else None
         check_apart(readable, validation)
+        check_units(one for one in (readable, validation) if one is not None and one.has_position.any())
         by = by.measured(next(iter(images.batches(readable.take([0])))))
     if getattr(by, "compares", False) and images.circular and readable.unit != "m":
         logger.warning(

@@ -8,13 +8,13 @@ from typing import TYPE_CHECKING, Any
 from analytic import Descriptor, Fused
 from foundation.files import plain
 from siamloc.data.decoding import Preprocessing
+from siamloc.data.frames import FrameTable, check_units
 from siamloc.errors import ConfigError
 from siamloc.maps import Built, CoarseLayer, HierarchicalSearch, LayerSearch, VisualMap
 from siamloc.maps.heading import is_analytic
 from siamloc.runtime import bundle as files
 
 if TYPE_CHECKING:
-    from siamloc.data.frames import FrameTable
     from siamloc.data.library import PanoramaLibrary
     from siamloc.maps import ErrorModel, Refinement
 
@@ -128,9 +128,11 @@ def check_given(
         raise ConfigError(f"{what} needs the panoramas of the map's frames: give images=")
     if images is not None:
         known.check_images(images.preprocessing.parameters())
-    compared = validation is not None and validation.has_position.any() and known.frames.has_position.any()
-    if precision == "auto" and not compared:
+    if precision != "auto":
+        return
+    if validation is None or not (validation.has_position.any() and known.frames.has_position.any()):
         raise ConfigError(
             "precision=auto compares localization errors: give frames with positions as validation=, and a map with "
             "positions"
         )
+    check_units([known.frames, validation])

@@ -107,6 +107,7 @@ def export(
         ConfigError: the folder holds files other than a bundle's, the map was made by another descriptor, something was
             learned on or built over another map, poses are to be refined by a network that does not compare, the camera
             is of a class that is not imported, required images are not given, or the descriptor cannot be exported.
+        DataError: validation frames for "auto" whose positions are in another unit than the map's.
         SiamlocError: the bundle differs from the original.
         StorageError: the disk is full or cannot be written to.
     """

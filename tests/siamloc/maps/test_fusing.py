@@ -13,7 +13,7 @@ import analytic
 import siamloc
 from analytic import Description, Descriptor, Fused
 from siamloc.data import FrameTable, PanoramaLibrary
-from siamloc.errors import ConfigError
+from siamloc.errors import ConfigError, DataError
 from siamloc.maps import ErrorModel, Refinement, VisualMap, build, describe, match
 from siamloc.maps.fusing import _grid, check_apart, weighted
 from siamloc.models import as_descriptor
@@ -113,6 +113,16 @@ def test_a_map_keeps_weights_and_describes_queries_from_its_file_alone(drives, t
     other = Fused(bare.parts, weights={"hog": 1, "hsv": 0, "thumbnail": 0})
     with pytest.raises(ConfigError, match=r"weights\.hog is 0\.\d+ in the map, 1\.0 here"):
         loaded.with_descriptor(other)
+
+
+def test_weights_are_not_learned_by_positions_in_another_unit(drives):
+    images, monday, tuesday = drives
+    millimetres = replace(tuesday, x=1000 * tuesday.x, y=1000 * tuesday.y, unit="mm")
+    with pytest.raises(DataError, match="positions count in m and mm cannot be joined or compared"):
+        build(["hog", "hsv"], images, monday, validation=millimetres, progress=False)
+    nowhere = replace(millimetres, x=np.full(len(tuesday), np.nan))
+    known = build(["hog", "hsv"], images, monday, validation=nowhere, progress=False)
+    assert "share of wrong rooms" in known.made["fusion"]
 
 
 def test_parts_in_another_order_are_joined_in_that_of_the_map(drives):

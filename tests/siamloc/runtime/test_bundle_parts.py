@@ -15,7 +15,7 @@ import siamloc
 from analytic.descriptors.thumbnail import Thumbnail
 from foundation.files import file_hash
 from siamloc import evaluation, maps, runtime
-from siamloc.errors import ConfigError, FormatError
+from siamloc.errors import ConfigError, DataError, FormatError
 from siamloc.maps import HierarchicalSearch, LayerSearch, VisualMap
 from siamloc.maps.packing import packed, unpacked
 from siamloc.models import as_descriptor, build
@@ -207,6 +207,13 @@ def test_int8_gives_the_same_file_again(images, network, known, tmp_path):
     for name in ("one", "two"):
         runtime.export(network, known, tmp_path / name, precision="int8", images=images)
     assert file_hash(tmp_path / "one" / "model.onnx") == file_hash(tmp_path / "two" / "model.onnx")
+
+
+def test_auto_compares_errors_in_one_unit(images, tuesday, network, known, tmp_path):
+    given = {"images": images, "validation": replace(tuesday, x=1000 * tuesday.x, y=1000 * tuesday.y, unit="mm")}
+    with pytest.raises(DataError, match="positions count in m and mm cannot be joined or compared"):
+        runtime.export(network, known, tmp_path / "b", precision="auto", **given)
+    assert not (tmp_path / "b").exists()
 
 
 def test_auto_takes_the_smallest_that_loses_little(images, tuesday, network, known, tmp_path):
