@@ -74,8 +74,9 @@ class Localizer:
 
     Raises:
         FormatError: not a bundle, an altered one, or one of another version.
-        ConfigError: a bundle without a map, or without the requested coarse layer, top, threads or most below 1, a
-            provider that this onnxruntime lacks, or a bundle that cannot say which images were located well.
+        ConfigError: a bundle without a map, or without the requested coarse layer, or that refines poses by comparison
+            in a map that is not in metres, top, threads or most below 1, a provider that this onnxruntime lacks, or a
+            bundle that cannot say which images were located well.
     """
 
     @typed
@@ -108,13 +109,20 @@ class Localizer:
         self._placed = self.map.placed() if self.map.frames.has_position.any() else None
         network = self._describer.network
         self._compare = network.compare if network is not None and network.compares else None
-        if self._refinement is not None and self._refinement.method == "relative" and self._compare is None:
+        relative = self._refinement is not None and self._refinement.method == "relative"
+        if relative and self._compare is None:
             raise FormatError(
                 f"{bundle_path} says that poses are refined by comparison, but holds no network for it: export again"
             )
+        if relative and self.map.frames.unit != "m":
+            raise ConfigError(
+                f"{bundle_path} refines poses by comparison, which answers in metres, and its map is in "
+                f"{self.map.frames.unit!r}: make the map with x and y in metres, or export it with "
+                "task.refine=interpolate"
+            )
         headed = self.map.orientation is not None
         self._collector = None if collect is None else Collector(collect, most, headed)
-        told = self._errors is not None or (self._refinement is not None and self._refinement.method == "relative")
+        told = self._errors is not None or relative
         if collect is not None and not (told and self._placed is not None):
             raise ConfigError(
                 f"{bundle_path} cannot say which images were located well: export it with an error model or refined "

@@ -364,6 +364,13 @@ def test_how_poses_are_refined_is_saved(tmp_path):
         made.save(path)
 
 
+def test_a_bundle_that_compares_in_another_unit_is_refused(known, bundle, tmp_path):
+    frames = known.frames.with_columns(x=known.frames.x / 0.3048, y=known.frames.y / 0.3048, unit="ft")
+    feet = replace(known, frames=frames, unit="ft")
+    with pytest.raises(ConfigError, match="answers in metres, and its map is in 'ft'"):
+        Localizer(rewritten(bundle, tmp_path / "feet", map=feet))
+
+
 def test_missing_and_altered_files_are_found(bundle, tmp_path):
     folder = shutil.copytree(bundle, tmp_path / "bundle")
     (folder / "refinement.json").write_text("{}")
