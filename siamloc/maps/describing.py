@@ -156,7 +156,6 @@ def build(
         readable,
         {**by.identity, "images": replace(images.preprocessing, camera=camera).parameters()},
         by.default_distance if distance is None else distance,
-        unit=readable.unit,
         made={"data": data, "sequences": list(readable.rows_by("sequence")), "frames": len(readable), **made},
         orientation=orientation,
         heading=None if turning is None or orientation is None else turning.identity,

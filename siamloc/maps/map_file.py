@@ -19,7 +19,7 @@ Map = TypeVar("Map")
 
 _FORMAT = "siamloc map"
 _VERSION = 2
-_PLAIN = ("identity", "distance", "unit", "made")
+_PLAIN = ("identity", "distance", "made")
 
 
 def write_map(path: str | Path, known: Any, precision: Precision) -> None:
@@ -38,6 +38,7 @@ def write_map(path: str | Path, known: Any, precision: Precision) -> None:
         "version": _VERSION,
         "frames": len(known),
         "width": known.width,
+        "unit": known.unit,
         **{name: getattr(known, name) for name in _PLAIN},
     }
     arrays: dict[str, NDArray[Any]] = {"descriptors": known.descriptors}

@@ -53,7 +53,6 @@ class VisualMap:
         identity: what computed the descriptors (name, parameters, hash of the weights) and, under "images", how images
             became panoramas, as plain values.
         distance: how descriptors are compared: a name in `analytic.DISTANCES`.
-        unit: unit of x and y; the frames' unit if None.
         made: what the frames were read from, and what updates need, as plain values.
         orientation: (n, K, F) orientation parts that give the headings, read-only; in half precision those that
             `heading` describes, see `siamloc.maps.heading.halved`; None if there are none.
@@ -80,7 +79,6 @@ class VisualMap:
     frames: FrameTable
     identity: dict[str, Any] = field(default_factory=dict)
     distance: str = "euclidean"
-    unit: str = None  # type: ignore[assignment]
     made: dict[str, Any] = field(default_factory=dict)
     orientation: NDArray[Any] | None = None
     heading: dict[str, Any] | None = None
@@ -96,8 +94,6 @@ class VisualMap:
                 f"{descriptors.shape[1]}"
             )
         object.__setattr__(self, "descriptors", descriptors)
-        if self.unit is None:
-            object.__setattr__(self, "unit", self.frames.unit)
         if self.heading is not None:
             object.__setattr__(self, "heading", plain(dict(self.heading)))
         if self.orientation is not None or self.heading is not None:
@@ -118,6 +114,11 @@ class VisualMap:
         if self.heading is not None and self.heading.get("circular", True):
             heading = f", headings by {self.heading['name']}"
         return f"VisualMap({len(self)} frames, {self.width} numbers each{name}, compared by {self.distance}{heading})"
+
+    @property
+    def unit(self) -> str:
+        """Unit of x and y, which is that of the frames."""
+        return self.frames.unit
 
     @property
     def width(self) -> int:

@@ -25,8 +25,9 @@ def make_map(n: int = 6) -> VisualMap:
         y=np.where(np.arange(n) == n - 1, np.nan, 1.0),
         room=np.array(["KT-A"] * n),
         lighting=np.array([""] * n),
+        unit="frames",
     )
-    return VisualMap(rng.normal(size=(n, 3)), frames, IDENTITY, distance="cosine", unit="frames")
+    return VisualMap(rng.normal(size=(n, 3)), frames, IDENTITY, distance="cosine")
 
 
 def test_round_trip(tmp_path: Path) -> None:
@@ -37,6 +38,14 @@ def test_round_trip(tmp_path: Path) -> None:
     assert loaded.frames == saved.frames
     assert (loaded.identity, loaded.distance, loaded.unit) == (IDENTITY, "cosine", "frames")
     assert [path.name for path in (tmp_path / "deep").iterdir()] == ["map.npz"]
+
+
+def test_the_unit_is_that_of_the_frames(tmp_path: Path) -> None:
+    feet = make_map()
+    feet = replace(feet, frames=replace(feet.frames, unit="ft"))
+    feet.save(tmp_path / "map.npz")
+    loaded = VisualMap.load(tmp_path / "map.npz")
+    assert (feet.unit, loaded.unit, loaded.frames.unit) == ("ft", "ft", "ft")
 
 
 def test_equal_maps_give_equal_files(tmp_path: Path) -> None:

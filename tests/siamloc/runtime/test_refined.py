@@ -334,7 +334,7 @@ def test_what_does_not_fit_is_refused(network, known, bundle, tmp_path):
     bare = replace(known, heading=None)
     with pytest.raises(ConfigError, match="the map does not hold what its network compares by"):
         export(network, bare, tmp_path / "bundle", refinement=refinement(bare, "relative"))
-    feet = replace(known, frames=replace(known.frames, unit="ft"), unit="ft")
+    feet = replace(known, frames=replace(known.frames, unit="ft"))
     with pytest.raises(ConfigError, match="in metres, and the map is in 'ft'"):
         export(network, feet, tmp_path / "bundle", refinement=refinement(feet, "relative"))
     other = build("panoresnet", "magnitudes", SIZE, circular=True)
@@ -366,7 +366,7 @@ def test_how_poses_are_refined_is_saved(tmp_path):
 
 def test_a_bundle_that_compares_in_another_unit_is_refused(known, bundle, tmp_path):
     frames = known.frames.with_columns(x=known.frames.x / 0.3048, y=known.frames.y / 0.3048, unit="ft")
-    feet = replace(known, frames=frames, unit="ft")
+    feet = replace(known, frames=frames)
     with pytest.raises(ConfigError, match="answers in metres, and its map is in 'ft'"):
         Localizer(rewritten(bundle, tmp_path / "feet", map=feet))
 

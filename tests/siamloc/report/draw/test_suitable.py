@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import matplotlib
@@ -113,7 +114,7 @@ def test_a_panel_per_lighting() -> None:
 def test_a_corridor_is_drawn_along_its_line(axis: str) -> None:
     frames = corridor(axis)
     descriptors = np.column_stack([frames.xy, np.ones(111)])
-    result = evaluate_absolute(VisualMap(descriptors, frames, unit="frames"), descriptors[::-1], frames)
+    result = evaluate_absolute(VisualMap(descriptors, replace(frames, unit="frames")), descriptors[::-1], frames)
     assert along(result.columns, result.tables["map"]) == axis
     figure = floor_plan(result.columns, result.tables["map"], "frames")
     assert {axes.get_ylabel() for axes in figure.axes} == {f"estimated {axis} [frames]", "error [frames]"}

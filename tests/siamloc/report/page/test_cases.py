@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -85,7 +86,7 @@ def test_thousands_of_queries_stay_under_five_megabytes(tmp_path: Path) -> None:
 def test_without_rooms_headings_baselines_or_lightings(tmp_path: Path, lighting: str) -> None:
     bare = {"room": np.array([""] * 30), "theta": np.full(30, np.nan), "lighting": np.array([lighting] * 30)}
     queries, known = scenes.frames(2, 30, **bare), scenes.frames(1, 30, **bare)
-    visual_map = VisualMap(scenes.describe(known), known, {"name": "positions"}, unit="frame")
+    visual_map = VisualMap(scenes.describe(known), replace(known, unit="frame"), {"name": "positions"})
     folder = pages.write_evaluation(tmp_path / "night", visual_map, queries, rooms=False, headings=False, baselines=())
     page = report(tmp_path, folder)
     names = [section.attributes["class"] for section in page.all("section")]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -221,7 +222,7 @@ def test_several_runs_and_frames_on_a_line(run: Path, browser: Browser, tmp_path
     known, others = scenes.frames(1, 30, **line), scenes.frames(2, 30, **line)
     from siamloc.maps import VisualMap
 
-    visual_map = VisualMap(scenes.describe(known), known, {"name": "positions"}, unit="frame")
+    visual_map = VisualMap(scenes.describe(known), replace(known, unit="frame"), {"name": "positions"})
     corridor = pages.write_evaluation(tmp_path / "corridor", visual_map, others, rooms=False, baselines=())
     browser.complaints()
     browser.open(write_report([run, corridor], tmp_path / "both.html"))
