@@ -30,13 +30,13 @@ def test_what_no_reader_understands_is_one_sentence(kind, where, says):
         siamloc.data.read(kind, **where)
 
 
-@pytest.mark.skipif(not Path("/proc/self").exists(), reason="only Linux shows its processes as files")
 def test_a_reader_that_returns_no_frames_is_named(monkeypatch):
     monkeypatch.setitem(siamloc.data.READERS, "mine", lambda: [])
     with pytest.raises(ConfigError, match="the reader of data of kind 'mine' must return a FrameTable, got list"):
         siamloc.data.read("mine")
 
 
+@pytest.mark.skipif(not Path("/proc/self").exists(), reason="only Linux shows its processes as files")
 def test_a_view_of_the_running_system_is_no_data_set(tmp_path):
     (tmp_path / "link").symlink_to("/proc/self")
     with pytest.raises(ConfigError, match=r"data.root=.*link lies in a view of the running system"):
