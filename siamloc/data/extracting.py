@@ -316,23 +316,26 @@ def _write_images(
             if time < last:
                 late.append(f"{time / 1e9:.3f} s")
             continue
-        if isinstance(image, Path):
+        file = folder / f"{time:019d}{ending}"
+        there = file.is_file()
+        if isinstance(image, Path) and not there:
             try:
-                image = _content(image)
-            except Damaged as error:
-                damaged.append(str(error))
+                content = image.read_bytes()
+                decode_image(content)
+            except (OSError, UnreadableImageError) as error:
+                damaged.append(f"{image}: {getattr(error, 'strerror', None) or error}")
                 continue
+            image = content
         if apart is not None:
             last = time
             due = (max(due, time - apart / 2) if found else time) + apart
         if strict and poses is not None:
             _check_pose(recording.path, time / 1e9, poses, settings)
-        file = folder / f"{time:019d}{ending}"
         found[time] = str(file)
-        if not file.is_file():
+        if not there:
             if isinstance(image, bytes):
                 write_bytes(file, image)
-            else:
+            elif isinstance(image, np.ndarray):
                 write_picture(file, image, _QUALITY)
     leave_out(damaged, count, f"images of {topic} in {recording.path} cannot be used", settings.on_error)
     if not found:
@@ -344,20 +347,6 @@ def _write_images(
     leave_out(same, number + 1, f"images of {recording.path} have the time of another one{remedy}", settings.on_error)
     order = sorted(found)
     return [found[time] for time in order], np.array(order, dtype=np.int64) / 1e9
-
-
-def _content(file: Path) -> bytes:
-    """Return the content of a picture's file.
-
-    Raises:
-        Damaged: it cannot be decoded.
-    """
-    try:
-        content = file.read_bytes()
-        decode_image(content)
-    except (OSError, UnreadableImageError) as error:
-        raise Damaged(f"{file}: {getattr(error, 'strerror', None) or error}") from error
-    return content
 
 
 def _check_pose(path: Path, time: float, poses: Trajectory, settings: Extraction) -> None:

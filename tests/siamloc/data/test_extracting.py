@@ -408,6 +408,17 @@ def test_damaged_pictures_of_a_folder_are_left_out(tmp_path, caplog, rate):
     assert len(list((tmp_path / "strict").glob("*.png"))) == 1
 
 
+def test_an_interrupted_call_decodes_only_the_pictures_that_are_not_there(tmp_path, monkeypatch):
+    decoded = []
+    monkeypatch.setattr("siamloc.data.extracting.decode_image", decoded.append)
+    pictures = written(tmp_path / "monday", [f"{100 + number}.0.png" for number in range(5)])
+    first = siamloc.data.extract(pictures, tmp_path / "out")
+    Path(first.path[3]).unlink()
+    again = siamloc.data.extract(pictures, tmp_path / "out")
+    assert len(decoded) == 5 + 1
+    assert again.path.tolist() == first.path.tolist()
+
+
 def film(path):
     code = cv2.VideoWriter_fourcc(*("MJPG" if path.suffix == ".avi" else "mp4v"))
     writer = cv2.VideoWriter(str(path), code, 10, (64, 48))
