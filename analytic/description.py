@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from analytic.distances import unit_vectors
 from analytic.errors import AnalyticError
+from foundation.files import plain
 
 T = TypeVar("T")
 
@@ -192,8 +193,9 @@ def check_alike(first: Description, second: Description) -> None:
 
     Equal parameters on images of different sizes give orientation parts that cannot be compared.
     """
-    if first.identity is not None and second.identity is not None and first.identity != second.identity:
-        raise AnalyticError(other_parameters(first.identity, second.identity))
+    one, other = first.identity, second.identity
+    if one is not None and other is not None and plain(one) != plain(other):
+        raise AnalyticError(other_parameters(one, other))
     sizes = [_sizes(description) for description in (first, second)]
     if sizes[0] != sizes[1]:
         raise AnalyticError(
@@ -204,6 +206,7 @@ def check_alike(first: Description, second: Description) -> None:
 
 def other_parameters(expected: dict[str, Any], found: dict[str, Any]) -> str:
     """Return the error message for descriptions made by two different descriptors."""
+    expected, found = plain(expected), plain(found)
     keys = [key for key in {**expected, **found} if expected.get(key) != found.get(key)]
     if "name" in keys:
         keys = ["name"]  # the parameters of different descriptors are unrelated

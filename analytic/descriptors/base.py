@@ -19,6 +19,7 @@ from analytic.errors import AnalyticError
 from analytic.filters import homomorphic
 from analytic.images import luma, unit, with_channels
 from analytic.threads import each
+from foundation.files import plain
 from foundation.settings import Rule, Settings
 
 Cells = Annotated[int, Rule("a whole number from 1 to 16,384", lambda value: 1 <= value <= 16_384)]
@@ -141,7 +142,7 @@ class Descriptor(ABC):
     def check(self, queries: Description, references: Description) -> None:
         """Raise AnalyticError unless both descriptions can come from this descriptor with these parameters."""
         for description in (queries, references):
-            if description.identity is not None and description.identity != self.identity:
+            if description.identity is not None and plain(description.identity) != plain(self.identity):
                 raise AnalyticError(other_parameters(self.identity, description.identity))
         check_alike(queries, references)
 
@@ -162,7 +163,8 @@ def description_of(by: Descriptor, batch: ArrayLike) -> Description:
     made = by.describe(batch)
     if not isinstance(made, Description):
         raise AnalyticError(f"`describe` of {by.name} must return an analytic.Description, got {type(made).__name__}")
-    count = np.shape(batch)[0] if np.ndim(batch) == 4 else len(made)
+    size = np.shape(batch)
+    count = 1 if len(size) < 3 or (len(size) == 3 and size[0] == 3) else size[0]
     for what, part, shape in (("position", made.position, "(B, D)"), ("orientation", made.orientation, "(B, K, F)")):
         wrong = not isinstance(part, np.ndarray) or part.ndim != shape.count(",") + 1 or len(part) != count
         if wrong and not (part is None and what == "orientation"):
@@ -170,7 +172,7 @@ def description_of(by: Descriptor, batch: ArrayLike) -> Description:
                 f"`describe` of {by.name} must return an array {shape} as {what}, one row for each of {count} images, "
                 f"got {part.shape if isinstance(part, np.ndarray) else type(part).__name__}"
             )
-    if made.identity is not None and made.identity != by.identity:
+    if made.identity is not None and plain(made.identity) != plain(by.identity):
         raise AnalyticError(
             f"`describe` of {by.name} returns a description with another identity than the descriptor's: "
             f"{made.identity} instead of {by.identity}"

@@ -12,6 +12,7 @@ from torch import nn
 
 import analytic
 from analytic import Description
+from analytic.descriptors.base import description_of
 from siamloc.data.frames import FrameTable
 from siamloc.data.library import PanoramaLibrary
 from siamloc.errors import ConfigError, DataError
@@ -135,6 +136,49 @@ def test_a_descriptor_of_ones_own_that_returns_something_else_is_named(images, r
         build(Own(), library, frames, progress=False)
     with pytest.raises(ConfigError, match="`describe` of own"):
         build([Own(), "hsv"], library, frames, progress=False)
+
+
+@pytest.mark.parametrize(
+    ("shape", "count"), [((16, 32), 1), ((3, 16, 32), 1), ((5, 16, 32), 5), ((1, 16, 32), 1), ((5, 3, 16, 32), 5)]
+)
+def test_a_batch_without_channels_needs_as_many_rows_as_images(shape, count):
+    class Own(analytic.Descriptor):
+        name = "own"
+        identity = {"name": "own"}  # noqa: RUF012
+        returned = np.ones((count, 2))
+
+        def describe(self, batch):
+            return Description(self.returned)
+
+    own, batch = Own(), np.zeros(shape, np.uint8)
+    assert len(description_of(own, batch)) == count
+    for own.returned, got in ((None, "NoneType"), (np.ones((count + 1, 2)), rf"\({count + 1}, 2\)")):
+        with pytest.raises(analytic.AnalyticError, match=f"one row for each of {count} images, got {got}"):
+            description_of(own, batch)
+
+
+def test_an_identity_may_hold_arrays():
+    class Own(analytic.Descriptor):
+        name = "own"
+
+        def __init__(self, *bands):
+            self.bands = np.array(bands)
+
+        @property
+        def identity(self):
+            return {"name": "own", "bands": self.bands}
+
+        def describe(self, batch):
+            return Description(np.ones((len(batch), 2)), None, self.identity)
+
+    batch = np.zeros((5, 3, 16, 32), np.uint8)
+    made, other = description_of(Own(4, 8), batch), description_of(Own(4, 9), batch)
+    assert Own(4, 8).pairwise(made, made).shape == (5, 5)
+    message = r"bands=\[4, 9\] instead of \[4, 8\]"
+    with pytest.raises(analytic.AnalyticError, match=message):
+        Own(4, 8).pairwise(other, other)
+    with pytest.raises(analytic.AnalyticError, match=message):
+        Description.concatenate([made, other])
 
 
 def test_ranking_settings_that_make_no_sense(images):
