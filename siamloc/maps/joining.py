@@ -56,13 +56,22 @@ class RefinedPoses(Rows):
 
     @typed
     def inside(self, xy: ArrayLike, share: Probability = 0.9) -> NDArray[np.float64]:
-        """Return which true positions (n, 2) lie in the ellipse with the probability `share` (n,): 1, 0 or NaN."""
+        """Return which true positions (n, 2) lie in the ellipse with the probability `share` (n,): 1, 0 or NaN.
+
+        Args:
+            xy: (n, 2).
+            share: between 0 and 1; the ellipse with the probability 1 would be the whole plane.
+        """
         squared = self.squared(xy)
         return np.where(np.isnan(squared), np.nan, squared <= _limit(share))
 
     @typed
     def widening(self, xy: ArrayLike, share: Probability = 0.9) -> float:
         """Learn how much wider the ellipses must be, from true positions (n, 2) of a drive used for nothing else.
+
+        Args:
+            xy: (n, 2).
+            share: between 0 and 1, as for `inside`.
 
         Returns:
             The factor on squared distances, for `widened`, with which `share` of the true positions lie in the

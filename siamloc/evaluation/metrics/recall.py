@@ -4,15 +4,19 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from foundation.calls import typed
-from foundation.settings import Count, NotNegative
+from foundation.settings import NotNegative, Rule
 from siamloc.errors import ConfigError, DataError
 from siamloc.evaluation.metrics.arrays import map_positions, numbers_of, positions_of
 from siamloc.evaluation.metrics.errors import error_floor
+
+_Whole = Annotated[float, Rule("a whole number from 1 to 10 million", lambda k: 1 <= k <= 10_000_000 and k == int(k))]
+"""A `Count` that may be a float, as `np.ceil` returns it."""
 
 
 @dataclass(frozen=True)
@@ -39,21 +43,22 @@ class Recall:
 
 
 @typed
-def recall_at_k(retrieved: ArrayLike, map_xy: ArrayLike, query_xy: ArrayLike, radius: NotNegative, k: Count) -> Recall:
+def recall_at_k(retrieved: ArrayLike, map_xy: ArrayLike, query_xy: ArrayLike, radius: NotNegative, k: _Whole) -> Recall:
     """Return the share of queries with at least one of the top k retrieved frames within `radius` of them.
 
     Args:
         retrieved: rows of the map, nearest descriptor first (n, K); K at least min(k, m).
         map_xy: (m, 2).
         query_xy: (n, 2).
-        radius: not negative; a frame exactly at the radius counts.
-        k: at least 1; a k larger than the map means the whole map.
+        radius: finite, not negative; a frame exactly at the radius counts.
+        k: a whole number, at least 1; a k larger than the map means the whole map.
 
     Raises:
-        ConfigError: a negative radius, or a k that is not positive or exceeds the number of retrieved frames.
+        ConfigError: a radius that is negative or not finite, or a k that is no whole number above 0 or exceeds the
+            number of retrieved frames.
         DataError: other shapes, rows outside the map, or a position that is not finite.
     """
-    known = map_positions(map_xy)
+    known, k = map_positions(map_xy), int(k)
     found = np.asarray(retrieved)
     if found.ndim == 2 and found.shape[1] < min(k, len(known)):
         raise ConfigError(f"recall@{k} needs {min(k, len(known))} retrieved frames a query, got {found.shape[1]}")
@@ -81,10 +86,10 @@ def first_rank_within(
         retrieved: rows of the map, nearest descriptor first (n, K).
         map_xy: (m, 2).
         query_xy: (n, 2).
-        radius: not negative; a frame exactly at the radius counts.
+        radius: finite, not negative; a frame exactly at the radius counts.
 
     Raises:
-        ConfigError: a negative radius.
+        ConfigError: a radius that is negative or not finite.
         DataError: other shapes, rows outside the map, or a position that is not finite.
     """
     known, queries, found = map_positions(map_xy), positions_of(query_xy, "query"), np.asarray(retrieved)
@@ -99,11 +104,11 @@ def first_rank_within(
 
 
 @typed
-def recall_from_ranks(rank: ArrayLike, floor: ArrayLike, radius: NotNegative, k: Count) -> Recall:
+def recall_from_ranks(rank: ArrayLike, floor: ArrayLike, radius: NotNegative, k: _Whole) -> Recall:
     """Return recall@k from the results of `first_rank_within` (for this radius) and `error_floor`, both (n,).
 
     Raises:
-        ConfigError: a negative radius, or a k that is not positive.
+        ConfigError: a radius that is negative or not finite, or a k that is no whole number above 0.
         DataError: other shapes.
     """
     ranks, floors = numbers_of(rank, "ranks"), numbers_of(floor, "floors")

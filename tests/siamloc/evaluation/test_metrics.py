@@ -63,6 +63,13 @@ def test_recall_equals_the_loop(seed: int, radius: float, k: int) -> None:
         assert math.isnan(recall.recall_answerable)
 
 
+@pytest.mark.parametrize("k", [1.0, np.ceil(0.5), np.int64(1)])
+def test_a_whole_k_may_be_a_float(k: float) -> None:
+    recall = metrics.recall_at_k([[0], [0]], XY, [[0.0, 0.0], [9.0, 0.0]], 1.0, k)
+    assert (recall.hits, recall.queries, recall.k) == (1, 2, 1)
+    assert type(recall.k) is int
+
+
 @pytest.mark.parametrize(("frames", "k"), [(1, 1), (99, 1), (100, 1), (101, 2), (556, 6), (1000, 10)])
 def test_one_percent_of_the_map(frames: int, k: int) -> None:
     assert metrics.one_percent(frames) == k
@@ -185,6 +192,9 @@ POSES = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [1.0, 1.0, 1.0]])
         (lambda: metrics.summarize([[1.0]]), DataError, "shape (n,), got (1, 1)"),
         (lambda: metrics.recall_at_k([[0]], XY, XY, -1, 1), ConfigError, "radius must be a number from 0, got -1"),
         (lambda: metrics.recall_at_k([[0]], XY, XY, 1, 0), ConfigError, "k must be a whole number from 1"),
+        (lambda: metrics.recall_at_k([[0]], XY, XY, 1, 1.5), ConfigError, "k must be a whole number from 1"),
+        (lambda: metrics.recall_at_k([[0]], XY, XY, 1, True), ConfigError, "k must be a whole number from 1"),
+        (lambda: metrics.recall_at_k([[0]], XY, XY, math.inf, 1), ConfigError, "radius must be a number from 0"),
         (lambda: metrics.recall_at_k([[0]], XY * 3, XY, 1, 2), ConfigError, "recall@2 needs 2 retrieved frames"),
         (lambda: metrics.recall_at_k([[1]], XY, XY, 1, 1), DataError, "rows of the map, 0 to 0"),
         (lambda: metrics.recall_at_k([[0.0]], XY, XY, 1, 1), DataError, "whole numbers of shape (1, K), got float64"),
