@@ -258,7 +258,7 @@ def finer(camera: OmnidirectionalCamera, view: PanoramaView, image_size: tuple[i
     """Return a view with a whole number of points in each pixel, so that it is about as fine as the image."""
     points = getattr(camera, "points", None)
     if points is None:
-        columns, rows = camera.sampling(view, image_size)
+        columns, rows = _sampled(camera, view, image_size)
         points = min(max(round(_step(columns, rows)), 1), _FINEST)
     return view if points == 1 else replace(view, height=points * view.height, width=points * view.width)
 
@@ -323,8 +323,11 @@ def points_of(camera: OmnidirectionalCamera, view: PanoramaView, image_size: tup
 
     Where a camera tells what it `shows`, points between pixels that do not all show something are moved to the nearest
     others: the black around the circle of a fisheye is not mixed in.
+
+    Raises:
+        ConfigError: the camera samples in another shape.
     """
-    columns, rows = camera.sampling(view, image_size)
+    columns, rows = _sampled(camera, view, image_size)
     if not hasattr(camera, "shows"):
         return columns, rows
     inside, size = _inside(columns, rows, image_size), _shrunk_size(columns, rows, image_size)

@@ -7,7 +7,16 @@ import numpy as np
 import pytest
 
 from siamloc.data.cameras import HyperbolicMirror
-from siamloc.data.panorama import PanoramaView, PolarRing, azimuth_column, column_azimuth, seen, unwrap
+from siamloc.data.panorama import (
+    PanoramaView,
+    PolarRing,
+    azimuth_column,
+    column_azimuth,
+    finer,
+    points_of,
+    seen,
+    unwrap,
+)
 from siamloc.errors import ConfigError, DataError
 from tests.oracles import mirror as oracle
 
@@ -188,5 +197,24 @@ def test_a_camera_of_ones_own_that_samples_in_another_shape_is_refused(returned,
             return returned(*PolarRing().sampling(view, image_size))
 
     message = rf"`sampling` of Own must return two arrays \(H, W\) = \(128, 512\), .* got {got}$"
-    with pytest.raises(ConfigError, match=message):
+    view, size = PanoramaView(), (480, 640)
+    for call in (
+        lambda: unwrap(np.zeros(size, np.uint8), Own()),
+        lambda: seen(Own(), view, size),
+        lambda: finer(Own(), view, size),
+        lambda: points_of(Own(), view, size),
+    ):
+        with pytest.raises(ConfigError, match=message):
+            call()
+
+
+def test_a_camera_of_ones_own_that_samples_only_one_size_is_refused():
+    @dataclass(frozen=True)
+    class Own:
+        points = 2
+
+        def sampling(self, view, image_size):
+            return PolarRing().sampling(PanoramaView(), image_size)
+
+    with pytest.raises(ConfigError, match=r"`sampling` of Own must return two arrays \(H, W\) = \(256, 1024\), "):
         unwrap(np.zeros((480, 640), np.uint8), Own())
