@@ -210,7 +210,8 @@ class Protocol(Settings):
             queries: n frames.
             known: the map's m frames.
             drives: frames in capture order along which `apart_metres` measures the distance, such as the whole data
-                set. If None, the queries and the map's frames, in order of time; as they are if no time is known.
+                set. If None, the queries and the map's frames, in order of time; a drive with an unknown time stays
+                as it is.
 
         Returns:
             (n, m), True where the two must not be compared.
