@@ -367,8 +367,9 @@ class Localizer:
 
 
 def _check_motion(tracker: Tracker | None, motion: ArrayLike | None) -> None:
-    checked(tracker, Tracker | None, "tracker")
-    if tracker is None and motion is not None:
+    if tracker is not None:
+        checked(tracker, Tracker, "tracker")
+    elif motion is not None:
         raise ConfigError("a motion says how a tracked robot moved: give the tracker of its drive, localizer.tracker()")
 
 

@@ -167,7 +167,7 @@ def test_the_robot_is_followed_by_its_wheels_as_in_the_evaluation(known, seen, b
     for locate in (localizer.locate, localizer.locate_panorama):
         with pytest.raises(ConfigError, match=r"give the tracker of its drive, localizer\.tracker"):
             locate(panoramas[0] if locate == localizer.locate_panorama else PICTURES[0], motion=motion[0])
-    with pytest.raises(ConfigError, match="tracker must be a PoseFilter, or a SequenceFilter, or null, got True"):
+    with pytest.raises(ConfigError, match="tracker must be a PoseFilter, or a SequenceFilter, got True"):
         localizer.locate(PICTURES[0], True)
 
 
