@@ -95,8 +95,8 @@ class FloorScale:
         rows = np.flatnonzero(near & (moved > _LEAST) & (moved < _MOVES[1]))
         tried = _FACTORS - float(np.log(self.height))
         likely = _likelihoods(self.floors, self.slopes, edges.take(rows), tried, self.pitch)
-        clear = likely.max(axis=1) - likely.mean(axis=1) >= _TELLS
-        logarithms, deviation = _peaks(likely[clear] - (_FACTORS / _USUAL) ** 2 / 2)
+        clear = _clearness(likely) >= _TELLS
+        logarithms, deviation = _peaks(likely[clear])
         factors = np.ones(len(edges))
         factors[rows[clear]] = np.exp(logarithms)
         return _more_certain(_multiplied(edges, factors), rows[clear], deviation)
@@ -181,7 +181,7 @@ def floor_scale(
     near, moved = steps.take(used), moved[used]
     found = _likelihoods(floors, slopes, near, _FACTORS - float(np.log(height)), pitch)
     telling = found[found.any(axis=1)]
-    if not len(telling) or np.median(telling.max(axis=1) - telling.mean(axis=1)) < _TELLS:
+    if not len(telling) or np.median(_clearness(telling)) < _TELLS:
         return None
     cell = np.round((way - way.min()) / _CELL).astype(int)
     middle = (cell[near.first] + cell[near.second]) // 2
@@ -192,8 +192,8 @@ def floor_scale(
         np.add.at(sums, middle, values)
         return np.asarray(gaussian_filter1d(sums, spread, axis=0, mode="constant") * spread * np.sqrt(2 * np.pi))
 
-    usually = _peaks(around(found) - (_FACTORS / _USUAL) ** 2 / 2)[0][middle]
-    own, deviation = _peaks(found - ((_FACTORS - usually[:, None]) / _USUAL) ** 2 / 2)
+    usually = _peaks(around(found))[0][middle]
+    own, deviation = _peaks(found, usually[:, None])
     own = np.exp(own)
     compared, by_floor = around(np.column_stack([moved, moved * own])).T
     factors = np.where(compared > 1e-3, by_floor / np.maximum(compared, 1e-3), 1.0)[cell]
@@ -271,8 +271,19 @@ def _pitched(ahead: Array, up: Array | float, pitch: float) -> tuple[Array, Arra
     return np.cos(pitch) * ahead + np.sin(pitch) * up, np.cos(pitch) * up - np.sin(pitch) * ahead
 
 
-def _peaks(values: Array) -> tuple[Array, Array]:
-    """Return the logarithm of the most likely factor of each row (n, q), by a parabola, and its standard deviation."""
+def _clearness(likelihoods: Array) -> Array:
+    """Return by how much the best factor of each row (n, q) is more likely than the others are on average (n,)."""
+    return np.asarray(likelihoods.max(axis=1) - likelihoods.mean(axis=1))
+
+
+def _peaks(likelihoods: Array, usually: Array | float = 0.0) -> tuple[Array, Array]:
+    """Return the logarithm of the most probable factor of each row, by a parabola, and its standard deviation.
+
+    Args:
+        likelihoods: (n, q), logarithms.
+        usually: logarithm of the factor that is usual, for all rows or each (n, 1).
+    """
+    values = likelihoods - ((_FACTORS - usually) / _USUAL) ** 2 / 2
     rows, best = np.arange(len(values)), values.argmax(axis=1).clip(1, values.shape[1] - 2)
     before, here, after = (values[rows, best + by] for by in (-1, 0, 1))
     bend = np.maximum(2 * here - before - after, 1e-9)
