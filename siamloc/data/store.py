@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Sequence
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -75,7 +75,17 @@ def open_store(
     folder = Path(cache).expanduser().absolute() / store_key(paths, preprocessing, tilts)
     store = _load(folder, len(paths))
     if store is None:
-        store = _build(folder, paths, preprocessing, tilts, workers or min(processors(), 16), on_error)
+        with storage_errors(folder), ExitStack() as stack:
+            folder.parent.mkdir(parents=True, exist_ok=True)
+            lock = folder.with_name(f".{folder.name}.lock")
+            if not stack.enter_context(locked(lock, wait=False)):
+                logger.warning("another process is building the store %s; waiting for it", folder)
+                stack.enter_context(locked(lock))
+            store = _load(folder, len(paths))
+            if store is None:
+                with atomic_folder(folder) as temporary:
+                    _write(temporary, paths, preprocessing, tilts, workers or min(processors(), 16), on_error)
+        store = store or _reopened(folder, len(paths))
     faults = [f"{item['path']} ({item['reason']})" for item in store.rejected]
     leave_out(faults, len(paths), "images cannot be read", on_error)
     return store
@@ -85,15 +95,15 @@ def store_key(paths: Sequence[str], preprocessing: Preprocessing, tilts: NDArray
     """Return the name of a store: a hash of the images' names, sizes, times and tilts, and of the preprocessing."""
     files: list[list[Any]] = []
     for path in (file for one in paths for file in preprocessing.files(one)):
-        try:
+        size_and_time: list[int | None] = [None, None]
+        with suppress(OSError, ValueError):
             status = os.stat(path)  # noqa: PTH116 (tens of thousands of paths)
-            files.append([os.path.abspath(path), status.st_size, status.st_mtime_ns])  # noqa: PTH100
-        except (OSError, ValueError):
-            files.append([os.path.abspath(path), None, None])  # noqa: PTH100
-    held: dict[str, Any] = {"version": VERSION, "preprocessing": preprocessing.parameters(), "files": files}
+            size_and_time = [status.st_size, status.st_mtime_ns]
+        files.append([os.path.abspath(path), *size_and_time])  # noqa: PTH100
+    made_of: dict[str, Any] = {"version": VERSION, "preprocessing": preprocessing.parameters(), "files": files}
     if preprocessing.camera is not None:
-        held |= {"sampling": _SAMPLING, "tilts": None if tilts is None else tilts.tolist()}
-    return content_key(held)
+        made_of |= {"sampling": _SAMPLING, "tilts": None if tilts is None else tilts.tolist()}
+    return content_key(made_of)
 
 
 def _load(folder: Path, total: int) -> Store | None:
@@ -126,28 +136,6 @@ def _reopened(folder: Path, total: int) -> Store:
     if store is None:
         raise DataError(f"the store {folder} is gone or cut short: open its library again to rebuild it")
     return store
-
-
-def _build(
-    folder: Path,
-    paths: Sequence[str],
-    preprocessing: Preprocessing,
-    tilts: NDArray[np.float64] | None,
-    workers: int,
-    on_error: str,
-) -> Store:
-    """Decode the images into a new store, or open the store that another process makes in the meantime."""
-    lock = folder.with_name(f".{folder.name}.lock")
-    with storage_errors(folder), ExitStack() as stack:
-        folder.parent.mkdir(parents=True, exist_ok=True)
-        if not stack.enter_context(locked(lock, wait=False)):
-            logger.warning("another process is building the store %s; waiting for it", folder)
-            stack.enter_context(locked(lock))
-        store = _load(folder, len(paths))
-        if store is None:
-            with atomic_folder(folder) as temporary:
-                _write(temporary, paths, preprocessing, tilts, workers, on_error)
-    return store or _reopened(folder, len(paths))
 
 
 def _write(
