@@ -170,9 +170,8 @@ class Preprocessing:
         Raises:
             DataError: an image that cannot be read.
         """
-        spread = np.linspace(0, len(paths) - 1, min(count, len(paths))).round().astype(int)
         try:
-            return np.stack([self.panorama(path := paths[number]) for number in spread.tolist()])
+            return np.stack([self.panorama(path := one) for one in spread(paths, count)])
         except UnreadableImageError as error:
             raise DataError(f"{path} cannot be shown: {error}") from error
 
@@ -375,14 +374,21 @@ def _bits_in(folder: Path) -> int:
 @cache
 def _bits_found(folder: Path) -> int:
     """Return how many bits the images of 16 bits in a folder use, so that all of them are brightened alike."""
-    files, bits = image_files(folder), [0]
-    for number in np.unique(np.linspace(0, len(files) - 1, _LOOKED_AT).round().astype(int)):
+    most = 0
+    for file in spread(image_files(folder), _LOOKED_AT):
         with suppress(OSError, cv2.error):
-            bits += [bits_used(image) for image in [_deep(files[number].read_bytes())] if image is not None]
-    most = max(bits) or 16
+            if (image := _deep(file.read_bytes())) is not None:
+                most = max(most, bits_used(image))
+    most = most or 16
     if most < 16:
         logger.warning("%s: its images use %d of 16 bits, and are brightened alike", folder, most)
     return most
+
+
+def spread(items: Sequence[Any] | NDArray[Any], most: int) -> list[Any]:
+    """Return up to `most` of some items, evenly spread from the first to the last."""
+    rows = np.linspace(0, len(items) - 1, min(len(items), most)).round().astype(int)
+    return [items[row] for row in rows.tolist()]
 
 
 def size_of(path: str | Path) -> tuple[int, int] | None:
@@ -414,6 +420,4 @@ def cut_short(data: bytes) -> bool:
     if data.startswith(b"\xff\xd8"):
         # The last scan has to be closed; an earlier end marker may belong to an embedded thumbnail.
         return data.rfind(b"\xff\xd9") < data.rfind(b"\xff\xda") or b"\xff\xd9" not in data
-    if data.startswith(b"\x89PNG"):
-        return b"IEND" not in data
-    return False
+    return data.startswith(b"\x89PNG") and b"IEND" not in data

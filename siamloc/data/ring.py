@@ -9,6 +9,7 @@ a robust fit give the rims.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -20,7 +21,7 @@ from numpy.typing import NDArray
 from foundation.calls import typed
 from foundation.files import read_json, storage_errors, write_json
 from siamloc.data.cameras import DualFisheyeCamera, EquirectangularCamera, HyperbolicMirror, twice_as_wide, two_views
-from siamloc.data.decoding import Preprocessing, UnreadableImageError, read_image, size_of
+from siamloc.data.decoding import Preprocessing, UnreadableImageError, read_image, size_of, spread
 from siamloc.data.panorama import OmnidirectionalCamera, PanoramaView, PolarRing, unwrap
 from siamloc.data.photo_sphere import is_equirectangular, stated
 from siamloc.data.presets import AutoRing
@@ -96,10 +97,10 @@ def find_ring(images: Array | Sequence[Any]) -> RingFit:
     """
     if len(images) < LEAST:
         raise DataError(f"a ring is found from {LEAST} pictures of a drive or more, got {len(images)}")
-    chosen = np.linspace(0, len(images) - 1, min(len(images), _MOST)).round().astype(int)
-    size = _grey(images[0]).shape
+    chosen = spread(images, _MOST)
+    size = _grey(chosen[0]).shape
     scale = min(1.0, _SIDE / max(size))
-    pictures = np.stack([_small(_grey(images[number], size), scale) for number in chosen.tolist()])
+    pictures = np.stack([_small(_grey(one, size), scale) for one in chosen])
     y, x = np.mgrid[0 : pictures.shape[1], 0 : pictures.shape[2]]
     corners = abs(2 * x / x.max() - 1) + abs(2 * y / y.max() - 1) > 1.7
     moving = changes(pictures, corners)
@@ -226,7 +227,7 @@ def find_camera(images: Sequence[str], given: OmnidirectionalCamera | None = _UN
         raise DataError(f"none of the {len(images)} pictures can be read")
     rows, columns = pictures[0].shape[:2]
     whole = EquirectangularCamera()
-    for path in filter(is_equirectangular, _spread(images)):
+    for path in filter(is_equirectangular, spread(images, _MOST)):
         if (size := size_of(path)) and (twice_as_wide(*size) or stated(whole, path, size).highest is not None):
             return whole
     if twice_as_wide(rows, columns):
@@ -284,44 +285,34 @@ def draw_ring(picture: Array, ring: PolarRing, view: PanoramaView | None = None)
 def _readable(paths: Sequence[str]) -> list[Array]:
     """Return up to `_MOST` pictures of a drive, spread over it; those that cannot be read are left out."""
     pictures = []
-    for path in _spread(paths):
-        try:
+    for path in spread(paths, _MOST):
+        with suppress(UnreadableImageError):
             pictures.append(read_image(path))
-        except UnreadableImageError:
-            continue
     return pictures
 
 
-def _spread(paths: Sequence[str]) -> list[str]:
-    return [paths[row] for row in np.linspace(0, len(paths) - 1, min(len(paths), _MOST)).round().astype(int).tolist()]
-
-
 def _shows_ring(pictures: Sequence[Array]) -> bool:
-    try:
+    with suppress(DataError):
         find_ring(pictures)
-    except DataError:
-        return False
-    return True
+        return True
+    return False
 
 
 def _apart(given: PolarRing, ring: PolarRing) -> float:
     """Return by how many pixels two rings differ, in centre or radius."""
-    pairs = zip((*given.centre, given.inner, given.outer), (*ring.centre, ring.inner, ring.outer), strict=True)  # type: ignore[misc]
-    return max(abs(one - other) for one, other in pairs)  # type: ignore[operator]
+    first, second = (np.array([*one.centre, one.inner, one.outer]) for one in (given, ring))  # type: ignore[misc]
+    return float(np.abs(first - second).max())
 
 
 def _grey(image: str | Path | Array, size: tuple[int, ...] | None = None) -> Array:
     """Return a picture as (rows, columns), float32."""
-    if isinstance(image, str | Path):
-        try:
-            found = read_image(image)
-        except UnreadableImageError as error:
-            raise DataError(f"{image} cannot be read: {error}") from error
-    else:
-        found = np.asarray(image)
-    if found.ndim not in (2, 3) or min(found.shape[:2]) < 40:
-        raise DataError(f"a picture of a ring has shape (rows, columns, 3), from 40 pixels a side, got {found.shape}")
-    grey = found.astype(np.float32)
+    try:
+        picture = read_image(image) if isinstance(image, str | Path) else np.asarray(image)
+    except UnreadableImageError as error:
+        raise DataError(f"{image} cannot be read: {error}") from error
+    if picture.ndim not in (2, 3) or min(picture.shape[:2]) < 40:
+        raise DataError(f"a picture of a ring has shape (rows, columns, 3), from 40 pixels a side, got {picture.shape}")
+    grey = picture.astype(np.float32)
     grey = grey.mean(axis=2) if grey.ndim == 3 else grey
     if size is not None and grey.shape != size:
         raise DataError(f"the pictures of a drive have one size, got {size[::-1]} and {grey.shape[::-1]} px")
