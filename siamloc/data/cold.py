@@ -61,19 +61,19 @@ def read_cold(
     if (root is None) == (places is None):
         raise ConfigError("COLD is read from a folder or from one list: give either root=FOLDER or places=FILE")
     if places is not None:
-        sources = [_source_of_list(Path(places).expanduser(), camera)]
+        sources = [_source_of_list(Path(places).expanduser())]
     else:
-        sources = _with_camera(_find(Path(str(root)).expanduser(), camera), camera, on_error)
+        sources = _with_camera(_find(Path(str(root)).expanduser()), camera, on_error)
     named: dict[str, tuple[_Source, list[dict[str, Any]]]] = {}
     for source in sources:
-        frames, name = _read_sequence(source, on_error)
-        if name.sequence in named:
-            first = named[name.sequence][0]
+        frames, name = _read_sequence(source, camera, on_error)
+        if name in named:
+            first = named[name][0]
             raise DataError(
-                f"sequence {name.sequence} appears twice, as {first.list or first.folder} and as "
+                f"sequence {name} appears twice, as {first.list or first.folder} and as "
                 f"{source.list or source.folder}: remove one, or give the folder of one of them as root"
             )
-        named[name.sequence] = (source, frames)
+        named[name] = (source, frames)
     return in_capture_order(FrameTable.from_rows([frame for name in sorted(named) for frame in named[name][1]]))
 
 
@@ -98,7 +98,7 @@ class Stored(NamedTuple):
 def stored(root: Path) -> list[Stored]:
     """Find the sequences below a folder, where `read_cold` finds them, and what each of them lacks."""
     found = []
-    for source in _sources(root, CAMERAS[0]):
+    for source in _sources(root):
         frames, lack = [], "has no list localization/places.lst"
         if source.list is not None:
             try:
@@ -129,25 +129,24 @@ def _lack(folder: Path, listed: list[str]) -> str:
 
 @dataclass(frozen=True)
 class _Source:
-    """One sequence on disk: its folder, the folder of its images, its list, and its name within the root."""
+    """A sequence on disk: its folder, its list of rooms, and its name within the root."""
 
     folder: Path
-    images: Path
     list: Path | None
     label: str
 
 
-def _find(root: Path, camera: str) -> list[_Source]:
+def _find(root: Path) -> list[_Source]:
     if not root.is_dir():
         other = "one list is read with places=FILE, and `siamloc fetch cold` loads the database"
         raise DataError(f"{root} is not a folder; {other}. Expected {_LAYOUT}")
-    if not (found := _sources(root, camera)):
+    if not (found := _sources(root)):
         held = first_names(root) or "nothing"
         raise DataError(f"no sequence found under {root}, which holds: {held}. Expected {_LAYOUT}")
     return found
 
 
-def _sources(root: Path, camera: str) -> list[_Source]:
+def _sources(root: Path) -> list[_Source]:
     """Return the sequences below a folder, none if it does not exist."""
     found: dict[Path, _Source] = {}
     named_lists: list[Path] = []
@@ -157,10 +156,10 @@ def _sources(root: Path, camera: str) -> list[_Source]:
         own_list = next((path for path in lists if folder.name != "localization" and path.is_file()), None)
         if own_list is not None or any((folder / name).is_dir() for name in CAMERAS):
             label = folder.absolute().name if folder == root else folder.relative_to(root).as_posix()
-            found[folder] = _Source(folder, folder / camera, own_list, label)
+            found[folder] = _Source(folder, own_list, label)
         named_lists += [folder / name for name in sorted(files) if name.endswith(_LIST_SUFFIX) and name != _LIST_SUFFIX]
     for path in named_lists:
-        source = _source_of_list(path, camera)
+        source = _source_of_list(path)
         if source.folder not in found or found[source.folder].list is None:
             found[source.folder] = source
     return list(found.values())
@@ -183,7 +182,7 @@ def _folders(root: Path) -> Iterator[tuple[Path, list[str]]]:
         yield folder, files
 
 
-def _source_of_list(path: Path, camera: str) -> _Source:
+def _source_of_list(path: Path) -> _Source:
     if path.parent.name == "localization":
         folder = path.parent.parent
     elif path.name == "places.lst":
@@ -191,35 +190,39 @@ def _source_of_list(path: Path, camera: str) -> _Source:
     else:
         named = path.name.endswith(_LIST_SUFFIX)
         folder = path.with_name(path.name.removesuffix(_LIST_SUFFIX)) if named else path.with_suffix("")
-    return _Source(folder, folder / camera, path, folder.absolute().name)
+    return _Source(folder, path, folder.absolute().name)
 
 
 def _with_camera(sources: list[_Source], camera: str, on_error: str) -> list[_Source]:
     """Leave out the sequences that have images of another camera only."""
-    others = [source for source in sources if any((source.folder / other).is_dir() for other in CAMERAS)]
-    lacking = [source for source in others if not source.images.is_dir()]
+    lacking = [
+        source
+        for source in sources
+        if not (source.folder / camera).is_dir() and any((source.folder / other).is_dir() for other in CAMERAS)
+    ]
     what = f"sequences have no folder {camera}, only another camera's"
     leave_out([str(source.folder) for source in lacking], len(sources), what, on_error)
     return [source for source in sources if source not in lacking]
 
 
-def _read_sequence(source: _Source, on_error: str) -> tuple[list[dict[str, Any]], SequenceName]:
+def _read_sequence(source: _Source, camera: str, on_error: str) -> tuple[list[dict[str, Any]], str]:
+    """Return the frames of a sequence, and its name."""
+    images = source.folder / camera
     if source.list is not None:
         frames = read_list(source.list)
         if source.list.name == "places.lst" and (table := source.list.with_name(ODOMETRY_FILE)).is_file():
             _add_odometry(frames, table)
-        if source.images.is_dir():
-            there = set(os.listdir(source.images))  # noqa: PTH208 (names, not paths)
-            missing = [str(source.images / frame["image"]) for frame in frames if frame["image"] not in there]
+        if images.is_dir():
+            there = set(os.listdir(images))  # noqa: PTH208 (names, not paths)
+            missing = [str(images / frame["image"]) for frame in frames if frame["image"] not in there]
             leave_out(missing, len(frames), f"images listed in {source.list} do not exist", on_error)
             frames = [frame for frame in frames if frame["image"] in there]
     else:
-        frames = _unlisted(source.images, on_error)
+        frames = _unlisted(images, on_error)
     name = name_sequence(source.folder, source.label, [frame["room"] for frame in frames])
     for frame in frames:
-        frame["path"] = str(source.images / frame.pop("image"))
-        frame.update(sequence=name.sequence, building=name.building, lighting=name.lighting)
-    return frames, name
+        frame |= {"path": str(images / frame.pop("image")), **name._asdict()}
+    return frames, name.sequence
 
 
 def _add_odometry(frames: list[dict[str, Any]], table: Path) -> None:
@@ -227,8 +230,7 @@ def _add_odometry(frames: list[dict[str, Any]], table: Path) -> None:
     if not rows.keys() & {frame["image"] for frame in frames}:
         raise DataError(f"{table} names no image of places.lst next to it, but {next(iter(rows))}: use the same names")
     for frame in frames:
-        wheels = rows.get(frame["image"], {})
-        frame.update({name: wheels[name] for name in ODOMETRY if name in wheels})
+        frame |= {name: value for name, value in rows.get(frame["image"], {}).items() if name in ODOMETRY}
 
 
 def read_list(path: Path) -> list[dict[str, Any]]:
@@ -253,8 +255,7 @@ def read_list(path: Path) -> list[dict[str, Any]]:
         if len(words) != 2 or pose is None or "\0" in words[1]:
             raise DataError(
                 f"{path}, line {number}: expected t<seconds>_x<metres>_y<metres>_a<radians>.jpeg, or t<seconds>.jpeg, "
-                "and a room code, "
-                f"got {line.strip()[:120]!r}"
+                f"and a room code, got {line.strip()[:120]!r}"
             )
         if words[0] in frames:
             raise DataError(f"{path}, line {number}: image {words[0]} is in the list already")
