@@ -34,9 +34,10 @@ _TEXT = ("path", "room", "sequence", "lighting", "building")
 ODOMETRY = ("odom_x", "odom_y", "odom_theta")
 DEVIATIONS = ("deviation", "theta_deviation")
 TILT = ("roll", "pitch")
+_LISTED = 12  # sequences, rooms or lightings that a description names
 _POSED = ("path", "x", "y", "theta", "room", "sequence", "lighting", "time", "building")
-_COLUMNS = (*_POSED, *ODOMETRY, *DEVIATIONS, *TILT)
-_UNKNOWN = {name: "" if name in _TEXT else np.nan for name in _COLUMNS}
+COLUMNS = (*_POSED, *ODOMETRY, *DEVIATIONS, *TILT)
+_UNKNOWN = {name: "" if name in _TEXT else np.nan for name in COLUMNS}
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -109,7 +110,7 @@ class FrameTable:
         if not isinstance(self.path, Sequence | np.ndarray) or isinstance(self.path, str | bytes):
             raise DataError(f"column 'path' must be a list of image files, got {self.path!r}")
         n = len(self.path)
-        for name in _COLUMNS:
+        for name in COLUMNS:
             value = getattr(self, name)
             column = _as_column(name, np.full(n, _UNKNOWN[name]) if value is None else value)
             if column.shape != (n,):
@@ -134,9 +135,8 @@ class FrameTable:
 
     def __iter__(self) -> Iterator[dict[str, Any]]:
         """Yield each frame as a plain dictionary."""
-        columns = {name: column.tolist() for name, column in self.columns().items()}
-        for row in range(len(self)):
-            yield {name: values[row] for name, values in columns.items()}
+        for row in zip(*(column.tolist() for column in self.columns().values()), strict=True):
+            yield dict(zip(COLUMNS, row, strict=True))
 
     @property
     def xy(self) -> NDArray[np.float64]:
@@ -172,7 +172,7 @@ class FrameTable:
 
     def columns(self) -> dict[str, NDArray[Any]]:
         """Return the columns (n,) by name."""
-        return {name: getattr(self, name) for name in _COLUMNS}
+        return {name: getattr(self, name) for name in COLUMNS}
 
     @typed
     def take(self, rows: ArrayLike | slice) -> FrameTable:
@@ -258,19 +258,16 @@ class FrameTable:
     def describe(self) -> str:
         """Summarize in one line the number of frames, their sequences, rooms and lightings, and their positions."""
         sequences = [f"{name or '(unnamed)'} {len(rows)}" for name, rows in self.rows_by("sequence").items()]
+        known = int(self.has_position.sum())
+        positions = "all" if known == len(self) else f"{known} of {len(self)}"
         return (
             f"{len(self)} frames; sequences: {_listed(sequences)}; rooms: {_listed(_labels(self.room))}; "
-            f"lightings: {_listed(_labels(self.lighting))}; positions: {self._positions()}"
+            f"lightings: {_listed(_labels(self.lighting))}; "
+            f"positions: {f'{positions}, in {self.unit}' if known else 'none'}"
         )
 
     def __repr__(self) -> str:
         return f"FrameTable({self.describe()})"
-
-    def _positions(self) -> str:
-        known = int(self.has_position.sum())
-        if known == 0:
-            return "none"
-        return f"{'all' if known == len(self) else f'{known} of {len(self)}'}, in {self.unit}"
 
     @classmethod
     def from_rows(cls, rows: Sequence[Mapping[str, Any]]) -> FrameTable:
@@ -282,10 +279,10 @@ class FrameTable:
             DataError: a key that names no column.
         """
         for name in dict.fromkeys(key for row in rows for key in row):
-            if name not in _COLUMNS:
+            if name not in COLUMNS:
                 wanted = "path" if name == "image" else name
-                raise DataError(f"frames have no column {name!r}; {hint(wanted, _COLUMNS)}")
-        return cls(**{name: [row.get(name, _UNKNOWN[name]) for row in rows] for name in _COLUMNS})  # type: ignore[arg-type]
+                raise DataError(f"frames have no column {name!r}; {hint(wanted, COLUMNS)}")
+        return cls(**{name: [row.get(name, _UNKNOWN[name]) for row in rows] for name in COLUMNS})  # type: ignore[arg-type]
 
 
 @typed
@@ -298,7 +295,7 @@ def concatenate(tables: Sequence[FrameTable]) -> FrameTable:
     if not tables:
         return FrameTable(path=np.array([], dtype=np.str_))
     check_units(tables)
-    joined = {name: np.concatenate([getattr(table, name) for table in tables]) for name in _COLUMNS}
+    joined = {name: np.concatenate([getattr(table, name) for table in tables]) for name in COLUMNS}
     source = tables[0].source if all(table.source == tables[0].source for table in tables) else {}
     return FrameTable(**joined, unit=tables[0].unit, source=source)
 
@@ -354,9 +351,9 @@ def _labels(column: NDArray[np.str_]) -> list[str]:
     return sorted(set(column.tolist()) - {""})
 
 
-def _listed(names: Sequence[str], most: int = 12) -> str:
-    more = f" and {len(names) - most} more" if len(names) > most else ""
-    return (", ".join(names[:most]) or "none") + more
+def _listed(names: Sequence[str]) -> str:
+    more = f" and {len(names) - _LISTED} more" if len(names) > _LISTED else ""
+    return (", ".join(names[:_LISTED]) or "none") + more
 
 
 def _as_column(name: str, value: ArrayLike) -> NDArray[Any]:

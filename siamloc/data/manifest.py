@@ -15,12 +15,12 @@ import numpy as np
 
 from foundation.files import csv_text
 from foundation.settings import shortened
+from siamloc.data.frames import COLUMNS as FRAME_COLUMNS
 from siamloc.data.frames import DEVIATIONS, ODOMETRY, TILT, FrameTable, concatenate, in_capture_order
 from siamloc.data.moves import euler
 from siamloc.errors import DataError, leave_out, logger
 
-_POSED = ("image", "x", "y", "theta", "room", "sequence", "lighting", "time", "building")
-COLUMNS = (*_POSED, *ODOMETRY, *DEVIATIONS, *TILT)
+COLUMNS = ("image", *FRAME_COLUMNS[1:])
 
 _QUATERNION = ("qw", "qx", "qy", "qz")
 _LARGEST = dict.fromkeys(("theta", "time"), sys.float_info.max)
