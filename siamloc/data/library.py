@@ -92,25 +92,21 @@ class PanoramaLibrary:
         _check_simulated(frames, self.preprocessing)
         _warn_of_equirectangular(frames, self.preprocessing, circular)
         tilt = frames.tilt
-        self._stores: list[Store] = []
         self.cameras: dict[str, OmnidirectionalCamera | None] = {}
-        store_of = np.full(len(frames), -1, dtype=np.int64)
-        row_in = np.full(len(frames), -1, dtype=np.int64)
-        for number, (sequence, rows) in enumerate(frames.rows_by("sequence").items()):
+        self.rejected: list[dict[str, str]] = []
+        places: dict[int, tuple[Store, int]] = {}
+        for sequence, rows in frames.rows_by("sequence").items():
             paths = frames.path[rows].tolist()
             tilted = self.preprocessing.camera is not None and np.isfinite(tilt[rows]).any()
             tilts = tilt[rows] if tilted else None
             own = fitted(self.preprocessing, paths, self._cache)
             self.cameras[sequence] = own.camera
             store = open_store(paths, self._cache, own, tilts=tilts, on_error=on_error, workers=workers)
-            self._stores.append(store)
-            store_of[rows[store.kept]] = number
-            row_in[rows[store.kept]] = np.arange(len(store.kept))
-        kept = store_of >= 0
-        self.frames = frames.take(kept)
-        self.rejected = [fault for store in self._stores for fault in store.rejected]
-        self._store_of, self._row_in = store_of[kept], row_in[kept]
-        self._row_of = dict.fromkeys(frames.take(~kept).identities(), -1)
+            self.rejected += store.rejected
+            places |= {row: (store, at) for at, row in enumerate(rows[store.kept].tolist())}
+        self.frames = frames.take(sorted(places))
+        self._places = [places[row] for row in sorted(places)]
+        self._row_of = dict.fromkeys(frames.identities(), -1)
         self._row_of.update({key: row for row, key in reversed(list(enumerate(self.frames.identities())))})
 
     def __len__(self) -> int:
@@ -193,9 +189,9 @@ class PanoramaLibrary:
             got = shortened(repr(wanted.tolist()))
             raise IndexError(f"rows must be whole numbers (B,), of the library's 0 ... {len(self) - 1}, got {got}")
         images = np.empty((len(wanted), *self.image_shape), dtype=np.uint8)
-        places = zip(self._store_of[wanted].tolist(), self._row_in[wanted].tolist(), strict=True)
-        for image, (store, row) in zip(images, places, strict=True):
-            image[...] = self._stores[store].panoramas[row]
+        for image, row in zip(images, wanted.tolist(), strict=True):
+            store, at = self._places[row]
+            image[...] = store.panoramas[at]
         return images
 
     def batches(self, frames: FrameTable, size: int = 64) -> Iterator[NDArray[np.uint8]]:
