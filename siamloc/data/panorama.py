@@ -87,8 +87,7 @@ class PanoramaView(Settings):
             roll: angle in rad about the axis ahead, positive where the left side is up.
             pitch: angle in rad about the axis to the left, positive where the front is down.
         """
-        own = {name: getattr(self, name) for name in ("height", "width", "top", "bottom")}
-        return _TiltedView(**own, roll=float(roll), pitch=float(pitch))
+        return _TiltedView(self.height, self.width, self.top, self.bottom, float(roll), float(pitch))
 
 
 @dataclass(frozen=True)

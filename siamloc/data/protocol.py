@@ -149,16 +149,10 @@ class Protocol(Settings):
         return super().of({**values, **roles})
 
     def __repr__(self) -> str:
-        roles = [f"{name}: {words}" for name, words in self._roles_in_words()]
-        return f"Protocol({'; '.join([self.kind, *roles, *self._apart_in_words()])})"
-
-    def _roles_in_words(self) -> list[tuple[str, str]]:
-        return [(name, words) for name in ROLES if (words := str(getattr(self, name)))]
-
-    def _apart_in_words(self) -> list[str]:
+        roles = [f"{name}: {words}" for name in ROLES if (words := str(getattr(self, name)))]
         apart = {"apart_seconds": self.apart_seconds, "apart_metres": self.apart_metres}
         distances = [f"{name} {value:g}" for name, value in apart.items() if value is not None]
-        return ["leave_one_out", *distances] if self.leave_one_out else distances
+        return f"Protocol({'; '.join([self.kind, *roles, *['leave_one_out'] * self.leave_one_out, *distances])})"
 
     @property
     def excludes(self) -> bool:
@@ -172,7 +166,9 @@ class Protocol(Settings):
             ConfigError: the role is not filled, names a label that no frame carries, or shares a sequence with a role
                 that it must not overlap.
         """
-        selection = self._role(role)
+        selection: Role = getattr(self, role)
+        if role == "map" and selection.sequences is None:
+            selection = replace(selection, sequences=self.train.sequences)
         if selection.sequences is None:
             raise ConfigError(
                 f"protocol.{role}.sequences is not set; the data holds {table.describe()}. "
@@ -233,22 +229,16 @@ class Protocol(Settings):
             _exclude_near(excluded, queries, known, _travelled(queries, known, drives), self.apart_metres, lack)
         return excluded
 
-    def _role(self, name: str) -> Role:
-        role: Role = getattr(self, name)
-        return replace(role, sequences=self.train.sequences) if name == "map" and role.sequences is None else role
-
     def _check_apart(self, role: str, frames: FrameTable, table: FrameTable) -> None:
         from_map = self.kind == "same_run" or self.excludes
         apart = {
-            "validation": ("train", "query"),
-            "query": ("validation", *(() if self.kind == "same_run" else ("train",)), *(() if from_map else ("map",))),
+            "validation": ["train", "query"],
+            "query": ["validation", *["train"] * (self.kind != "same_run"), *["map"] * (not from_map)],
         }
         for other in apart.get(role, ()):
-            names = getattr(self, other).sequences
-            if names is None:
+            if (names := getattr(self, other).sequences) is None:
                 continue
-            shared = sorted(set(frames.sequence.tolist()) & set(table.select(sequence=names).sequence.tolist()))
-            if shared:
+            if shared := sorted({*frames.sequence.tolist()} & {*table.select(sequence=names).sequence.tolist()}):
                 raise ConfigError(
                     f"sequence {shared[0]!r} is in protocol.{role} and in protocol.{other}, so the result would "
                     f"not be honest: take it out of one of them{_WAY_OUT.get((role, other), '')}"
