@@ -13,13 +13,7 @@ import numpy as np
 from foundation.calls import typed
 from foundation.files import read_text
 from foundation.settings import shortened
-from siamloc.data.cameras import (
-    DoubleSphereCamera,
-    DualFisheyeCamera,
-    FisheyeCamera,
-    OCamCamera,
-    UnifiedCamera,
-)
+from siamloc.data.cameras import DoubleSphereCamera, DualFisheyeCamera, FisheyeCamera, OCamCamera, UnifiedCamera
 from siamloc.data.central import CentralCamera
 from siamloc.data.panorama import Array
 from siamloc.errors import ConfigError, DataError, hint
@@ -29,6 +23,14 @@ _READ = (
     "Kalibr's omni, ds and pinhole with equidistant distortion, OpenCV's fisheye and omnidir, CamOdoCal's MEI and "
     "KANNALA_BRANDT, and OCamCalib are read"
 )
+
+_KALIBR = {
+    ("omni", "radtan"): (5, 4),
+    ("omni", "none"): (5, 0),
+    ("ds", "none"): (6, 0),
+    ("pinhole", "equidistant"): (4, 4),
+}
+"""How many intrinsics and distortion coefficients Kalibr writes, by the models of lens and distortion that are read."""
 
 
 @typed
@@ -59,30 +61,29 @@ def read_calibration(path: str | Path, camera: str | Sequence[str] | None = None
     try:
         text = read_text(file, _LONGEST).removeprefix("\ufeff")
     except (OSError, ValueError) as error:
-        raise DataError(
-            f"the calibration {file} cannot be read: {getattr(error, 'strerror', None) or error}"
-        ) from error
+        reason = getattr(error, "strerror", None) or error
+        raise DataError(f"the calibration {file} cannot be read: {reason}") from error
     if re.match(r"\s*#\s*polynomial", text):
         kind, values = _ocam(file, text)
         return kind.of({**values, **where})
-    found = _stored(file, text) if re.match(r"\s*(<\?xml|%YAML)", text) else _yaml(file, text)
-    chain = {name: one for name, one in found.items() if isinstance(one, Mapping) and {"camera_model", "k"} & set(one)}
+    content = _stored(file, text) if re.match(r"\s*(<\?xml|%YAML)", text) else _yaml(file, text)
+    groups = {name: one for name, one in content.items() if isinstance(one, Mapping)}
+    chain = {name: one for name, one in groups.items() if "camera_model" in one or "k" in one}
     if not chain:
         if camera is not None:
             raise ConfigError(f"{file} is of one camera: leave out camera={camera}")
-        kind, values = (_camodocal if "model_type" in found else _opencv)(file, found)
+        kind, values = (_camodocal if "model_type" in content else _opencv)(file, content)
         return kind.of({**values, **where})
     names = [camera] if isinstance(camera, str) else list(camera or list(chain)[:1])
     for name in names:
         if name not in chain:
             raise ConfigError(f"{file} has no camera {name!r}: {hint(name, chain)}")
-    made = [(_opencv if "k" in chain[name] else _kalibr)(file, chain[name], name) for name in names]
-    if len(made) == 1:
-        kind, values = made[0]
-        return kind.of({**values, **where})
-    if len(made) != 2:
-        raise ConfigError(f"one camera or two of {file} make a camera, got {len(made)}: choose of {', '.join(chain)}")
-    (first, one), (second, other) = made
+    if len(names) > 2:
+        raise ConfigError(f"one camera or two of {file} make a camera, got {len(names)}: choose of {', '.join(chain)}")
+    (first, one), *rest = [(_opencv if "k" in chain[name] else _kalibr)(file, chain[name], name) for name in names]
+    if not rest:
+        return first.of({**one, **where})
+    ((second, other),) = rest
     turn = _between(file, chain, *names) @ np.diag([-1.0, 1.0, -1.0])  # from the back, which the second angles are from
     return DualFisheyeCamera.of({"front": first.of(one), "back": second.of({**other, **angles_of(turn)}), **where})
 
@@ -112,13 +113,12 @@ def _kalibr(file: Path, values: Mapping[str, Any], name: str) -> Made:
     bent = _numbers(file, values.get("distortion_coeffs") or [], f"{name}.distortion_coeffs")
     columns, rows = _numbers(file, values.get("resolution"), f"{name}.resolution", 2)
     size: dict[str, Any] = {"image_size": (int(rows), int(columns))}
-    counts = {"omni": 5, "ds": 6, "pinhole": 4}
-    if (model, distortion) not in (("omni", "radtan"), ("omni", "none"), ("ds", "none"), ("pinhole", "equidistant")):
+    if (model, distortion) not in _KALIBR:
         raise DataError(f"{name} of {file} is of the model {model} with {distortion} distortion: {_READ}")
-    if len(numbers) != counts[model] or len(bent) != (0 if distortion == "none" else 4):
+    if (len(numbers), len(bent)) != (counts := _KALIBR[model, distortion]):
         raise DataError(
             f"{name} of {file} has {len(numbers)} intrinsics and {len(bent)} distortion coefficients, and a camera of "
-            f"the model {model} has {counts[model]} and {0 if distortion == 'none' else 4}"
+            f"the model {model} has {counts[0]} and {counts[1]}"
         )
     size |= dict(zip(("fx", "fy", "cx", "cy"), numbers[-4:], strict=True))
     if model == "pinhole":
@@ -149,9 +149,8 @@ def _opencv(file: Path, values: Mapping[str, Any], name: str = "the camera") -> 
     matrix = _numbers(file, matrix, "the camera matrix", 9)
     bent = _first(values, "distortion_coefficients", "D", "d", "distCoeffs", "dist_coeffs", "distortion_coeffs")
     bent = (0.0,) * 4 if bent is None else _numbers(file, bent, "the distortion")
-    found: dict[str, Any] = dict(
-        zip(("fx", "skew", "cx", "fy", "cy"), (matrix[i] for i in (0, 1, 2, 4, 5)), strict=True)
-    )
+    fx, skew, cx, _, fy, cy, *_ = matrix
+    found: dict[str, Any] = {"fx": fx, "skew": skew, "cx": cx, "fy": fy, "cy": cy}
     rows, columns = _first(values, "image_height", "height"), _first(values, "image_width", "width")
     if rows is not None and columns is not None:
         found["image_size"] = (int(rows), int(columns))
@@ -173,8 +172,8 @@ def _camodocal(file: Path, values: Mapping[str, Any]) -> Made:
     """Return the model and the parameters in a file of CamOdoCal."""
     model, own = str(values["model_type"]), dict[str, Any]()
     for part in ("mirror", "distortion", "projection"):
-        given = values.get(f"{part}_parameters")
-        own |= given if isinstance(given, Mapping) else {}
+        if isinstance(given := values.get(f"{part}_parameters"), Mapping):
+            own |= given
     lens = {"MEI": ("gamma1", "gamma2", "xi"), "KANNALA_BRANDT": ("mu", "mv")}.get(model.upper())
     if lens is None:
         raise DataError(f"{file} is of the model {model}: {_READ}")
