@@ -38,21 +38,16 @@ KINDS = {
 # Channels and type of the numbers of a raw image, and how OpenCV turns them into RGB.
 _ENCODINGS: dict[str, tuple[int, str, int | None]] = {
     "rgb8": (3, "u1", None),
-    "bgr8": (3, "u1", cv2.COLOR_BGR2RGB),
-    "8UC3": (3, "u1", cv2.COLOR_BGR2RGB),
     "rgba8": (4, "u1", cv2.COLOR_RGBA2RGB),
-    "bgra8": (4, "u1", cv2.COLOR_BGRA2RGB),
-    "mono8": (1, "u1", cv2.COLOR_GRAY2RGB),
-    "8UC1": (1, "u1", cv2.COLOR_GRAY2RGB),
-    "8UC4": (4, "u1", cv2.COLOR_BGRA2RGB),
+    **dict.fromkeys(("bgr8", "8UC3"), (3, "u1", cv2.COLOR_BGR2RGB)),
+    **dict.fromkeys(("bgra8", "8UC4"), (4, "u1", cv2.COLOR_BGRA2RGB)),
+    **dict.fromkeys(("mono8", "8UC1"), (1, "u1", cv2.COLOR_GRAY2RGB)),
     "bayer_rggb8": (1, "u1", cv2.COLOR_BayerRGGB2RGB),
     "bayer_bggr8": (1, "u1", cv2.COLOR_BayerBGGR2RGB),
     "bayer_gbrg8": (1, "u1", cv2.COLOR_BayerGBRG2RGB),
     "bayer_grbg8": (1, "u1", cv2.COLOR_BayerGRBG2RGB),
-    "yuv422": (2, "u1", cv2.COLOR_YUV2RGB_UYVY),
-    "uyvy": (2, "u1", cv2.COLOR_YUV2RGB_UYVY),
-    "yuv422_yuy2": (2, "u1", cv2.COLOR_YUV2RGB_YUY2),
-    "yuyv": (2, "u1", cv2.COLOR_YUV2RGB_YUY2),
+    **dict.fromkeys(("yuv422", "uyvy"), (2, "u1", cv2.COLOR_YUV2RGB_UYVY)),
+    **dict.fromkeys(("yuv422_yuy2", "yuyv"), (2, "u1", cv2.COLOR_YUV2RGB_YUY2)),
 }
 _ENCODINGS |= {f"{name[:-1]}16": (one, "u2", code) for name, (one, _, code) in _ENCODINGS.items() if name[-1] == "8"}
 _FILES = {b"\xff\xd8\xff": ".jpg", b"\x89PNG": ".png"}  # the first bytes of compressed images

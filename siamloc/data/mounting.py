@@ -308,16 +308,8 @@ def usual_rows(panoramas: NDArray[np.uint8], view: PanoramaView) -> NDArray[np.u
     step = (high - low) / (outer - inner)
     first = (outer - high) / (outer - inner) * view.height + step / 2 - 0.5
     move, size = np.array([[1, 0, 0], [0, step, first]]), (panoramas.shape[3], view.height)
-    made = [
-        cv2.warpAffine(
-            one.transpose(1, 2, 0),
-            move,
-            size,
-            flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP,
-            borderMode=cv2.BORDER_REPLICATE,
-        )
-        for one in panoramas
-    ]
+    flags, edge = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP, cv2.BORDER_REPLICATE
+    made = [cv2.warpAffine(one.transpose(1, 2, 0), move, size, flags=flags, borderMode=edge) for one in panoramas]
     return np.stack(made).transpose(0, 3, 1, 2)
 
 

@@ -144,14 +144,8 @@ def _of_camera(file: Path) -> tuple[float, bool] | None:
         taken = datetime.strptime(tags[_TAKEN], "%Y:%m:%d %H:%M:%S")
         zone = datetime.strptime(tags[_ZONE], "%z").utcoffset() if tags.get(_ZONE) else None
         return _utc(taken - (zone or timedelta())) + float(f"0.{tags.get(_FRACTION) or 0}"), zone is not None
-    except (
-        OSError,
-        KeyError,
-        ValueError,
-        SyntaxError,
-        Image.DecompressionBombError,
-    ):  # not a picture, or without a time
-        return None
+    except (OSError, KeyError, ValueError, SyntaxError, Image.DecompressionBombError):
+        return None  # no picture, or without a time
 
 
 def _of_each(times: Sequence[float], count: int) -> Array | None:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from datetime import datetime, timezone
 from pathlib import Path
@@ -40,10 +41,8 @@ _SLOWEST = 3600.0  # s between two entries of a drive since 1970
 _SPARSE = 10  # s; whole numbers farther apart count another unit
 _USUAL, _STEPS = 0.1, (1e-3, 60.0)  # s from an entry to the next
 _UNIT_LENGTH = 0.01  # by which the length of a quaternion may differ from 1
-_LEVEL, _TILTED = (
-    0.98,
-    0.9,
-)  # length of the mean direction upwards of a robot that stays level, and of one that does not
+_LEVEL = 0.98  # least length of the mean direction upwards of a robot that stays level
+_TILTED = 0.9  # largest length of that mean for a robot that does not stay upright
 _WHOLE_TURN = 2 * np.pi + 0.01
 _EXACTLY = 1e-6  # rad
 _NO_GAP = 1e9  # s
@@ -311,13 +310,9 @@ def read_trajectory(
             )
         return Trajectory.planar(seconds(numbers[:, 0], str(path)), numbers[:, 1:4], str(path))
     if form == "kitti":
-        matrices = numbers.reshape(-1, 3, 4)
-        return Trajectory.of(
-            np.full(len(numbers), np.nan),
-            matrices[:, :, 3],
-            _of_matrices(matrices[:, :, :3], path, tolerance),
-            str(path),
-        )
+        matrices, no_times = numbers.reshape(-1, 3, 4), np.full(len(numbers), np.nan)
+        quaternions = _of_matrices(matrices[:, :, :3], path, tolerance)
+        return Trajectory.of(no_times, matrices[:, :, 3], quaternions, str(path))
     w_first = (order or {"tum": "xyzw", "euroc": "wxyz"}[form]) == "wxyz"
     quaternion = numbers[:, [5, 6, 7, 4]] if w_first else numbers[:, 4:8]
     return Trajectory.of(seconds(numbers[:, 0], str(path)), numbers[:, 1:4], quaternion, str(path))
@@ -344,10 +339,8 @@ def seconds(times: Array, source: str, span: float | None = None) -> Array:
         return times * (by_size if known else 1.0)
     units = _FACTORS
     if span is not None:  # of poses that the images lie within
-        units = {
-            unit: factor for unit, factor in {"s": 1.0, **_FACTORS}.items() if np.ptp(times) * factor <= 1.5 * span
-        }
-        units = units or _FACTORS
+        every = {"s": 1.0, **_FACTORS}
+        units = {unit: factor for unit, factor in every.items() if np.ptp(times) * factor <= 1.5 * span} or _FACTORS
     ratio = step / _USUAL if span is None else np.ptp(times) / span
     unit, factor = min(units.items(), key=lambda one: abs(np.log(ratio * one[1])))
     if unit == "s" or (span is None and not _STEPS[0] <= step * factor <= _STEPS[1]):
@@ -405,11 +398,10 @@ def read_numbers(path: Path) -> tuple[Array, bool]:
 
 def is_number(word: str) -> bool:
     """Return whether a word is a number."""
-    try:
+    with suppress(ValueError):
         float(word)
-    except ValueError:
-        return False
-    return True
+        return True
+    return False
 
 
 def _of_matrices(matrices: Array, path: Path, tolerance: float) -> Array:
@@ -419,7 +411,5 @@ def _of_matrices(matrices: Array, path: Path, tolerance: float) -> Array:
     off = np.abs(matrices @ matrices.transpose(0, 2, 1) - np.eye(3)).max(axis=(1, 2))
     wrong = ~(off <= tolerance) | ~(np.linalg.det(matrices) > 0)
     if wrong.any():
-        raise DataError(
-            f"{path}: the matrix of pose {int(wrong.argmax()) + 1} is not a rotation: it is not in KITTI form"
-        )
+        raise DataError(f"{path}: the matrix of pose {wrong.argmax() + 1} is not a rotation: it is not in KITTI form")
     return np.asarray(Rotation.from_matrix(matrices).as_quat())
