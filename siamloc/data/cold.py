@@ -14,7 +14,7 @@ from foundation.settings import shortened
 from siamloc.data.frames import ODOMETRY, FrameTable, image_files, in_capture_order
 from siamloc.data.manifest import read_rows
 from siamloc.data.names import SequenceName, name_sequence, parse_name
-from siamloc.errors import ConfigError, DataError, hint, leave_out, logger
+from siamloc.errors import ConfigError, DataError, Policy, hint, leave_out, logger
 
 CAMERAS = ("omni_cam", "std_cam")
 #: Table of odometry next to `places.lst`: image, odom_x, odom_y, odom_theta.
@@ -34,7 +34,7 @@ def read_cold(
     *,
     places: str | Path | None = None,
     camera: str = "omni_cam",
-    on_error: str = "skip",
+    on_error: Policy = "skip",
 ) -> FrameTable:
     """Read the sequences of the COLD database below a folder.
 

@@ -8,12 +8,12 @@ from typing import Any
 from foundation.files import first_names
 from siamloc.data.frames import FrameTable, image_files, in_capture_order
 from siamloc.data.names import lighting_in, parse_name
-from siamloc.errors import DataError, leave_out
+from siamloc.errors import DataError, Policy, leave_out
 
 _LAYOUT = "<split>/<room>/<image>, such as test_cloudy/KT-A/t1152889564.947_x0.2_y0.1_a0.0.jpeg"
 
 
-def read_folder(root: str | Path, *, on_error: str = "skip") -> FrameTable:
+def read_folder(root: str | Path, *, on_error: Policy = "skip") -> FrameTable:
     """Read an image folder, <split>/<room>/<image>.jpeg; a split is a sequence.
 
     The split becomes the sequence and the room's folder the room; the split's name may contain the lighting. If all

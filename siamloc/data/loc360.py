@@ -12,14 +12,14 @@ import numpy as np
 from foundation.settings import shortened
 from siamloc.data.frames import TILT, FrameTable, image_files
 from siamloc.data.trajectory import Array, Trajectory, text_rows
-from siamloc.errors import DataError, hint, leave_out
+from siamloc.errors import DataError, Policy, hint, leave_out
 
 _PARTS = {"mapping": "mapping", "query_360": "query"}
 _LAYOUT = "<scene>/{mapping,query_360}/<sequence>/image/*.jpg with poses in <scene>/pose/*.txt"
 _LIGHTINGS = {"daytime": "day", "nighttime": "night"}
 
 
-def read_360loc(root: str | Path, *, scene: str | None = None, on_error: str = "skip") -> FrameTable:
+def read_360loc(root: str | Path, *, scene: str | None = None, on_error: Policy = "skip") -> FrameTable:
     """Read the scenes of 360Loc.
 
     Sequences are called `atrium_mapping_daytime_360_0` and `atrium_query_nighttime_360_1`, buildings after the scenes,

@@ -18,7 +18,7 @@ from foundation.settings import shortened
 from siamloc.data.frames import COLUMNS as FRAME_COLUMNS
 from siamloc.data.frames import DEVIATIONS, ODOMETRY, TILT, FrameTable, concatenate, in_capture_order
 from siamloc.data.moves import euler
-from siamloc.errors import DataError, leave_out, logger
+from siamloc.errors import DataError, Policy, leave_out, logger
 
 COLUMNS = ("image", *FRAME_COLUMNS[1:])
 
@@ -27,7 +27,7 @@ _LARGEST = dict.fromkeys(("theta", "time"), sys.float_info.max)
 _LARGEST |= dict.fromkeys(("x", "y", *ODOMETRY, *DEVIATIONS, *TILT, *_QUATERNION), 1e7)
 
 
-def read_manifest(manifest: str | Path, *, on_error: str = "skip") -> FrameTable:
+def read_manifest(manifest: str | Path, *, on_error: Policy = "skip") -> FrameTable:
     """Read a manifest, a CSV table with a row for each image, or several such tables at once.
 
     The first line names the columns, in any order and case: `image`, and any of `x, y` (m), `theta` (rad), `room`,

@@ -15,13 +15,18 @@ from foundation.settings import Positive, Text
 from siamloc.data.frames import ODOMETRY, FrameTable, concatenate
 from siamloc.data.recorded import joined, read_recorded
 from siamloc.data.trajectory import Array, Trajectory, read_numbers
-from siamloc.errors import DataError, leave_out
+from siamloc.errors import DataError, Policy, leave_out
 
 _TRUTH, _WHEELS = (0, 1, 2, 3), (0, 4, 5, 6)  # columns of time, x, y and heading
 
 
 def read_rawseeds(
-    root: str | Path, *, camera: Text = "OMNI", truth: Text = "GROUNDTRUTH", gap: Positive = 1.0, on_error: str = "skip"
+    root: str | Path,
+    *,
+    camera: Text = "OMNI",
+    truth: Text = "GROUNDTRUTH",
+    gap: Positive = 1.0,
+    on_error: Policy = "skip",
 ) -> FrameTable:
     """Read drives of Rawseeds.
 

@@ -93,24 +93,25 @@ def read(kind: str, *, unit: str = "m", name: str = "", **where: Any) -> FrameTa
         if key not in parameters:
             raise ConfigError(f"data of kind {kind!r} are not described by {key!r}; {hint(key, parameters)}")
     for key, parameter in parameters.items():
-        if parameter.default is inspect.Parameter.empty and where.get(key) is None:
+        if parameter.default is parameter.empty and where.get(key) is None:
             raise ConfigError(f"data of kind {kind!r} need {key}=...; valid: {', '.join(parameters)}")
-    checked(where.get("on_error", "skip"), Policy, "on_error")
-    given = {key: value for key, value in where.items() if value is not None}
-    kinds = kinds_of(READERS[kind])
-    for key, value in given.items():
-        checked(value, kinds.get(key, Any), key)
-    paths = [key for key in given if _is_path(kinds.get(key))]
-    source = {key: plain(value) for key, value in given.items()}
-    source |= {key: str(Path(given[key]).expanduser().absolute()) for key in paths}
-    for key in paths:
-        if Path(source[key]).resolve().parts[1:2] in _VIRTUAL:
-            raise ConfigError(f"data.{key}={source[key]} lies in a view of the running system, not in a folder of data")
-    named = name or next((Path(source[key]).stem for key in paths), kind)
+    given = _fitted(kind, where)
+    paths = {key: value.absolute() for key, value in given.items() if isinstance(value, Path)}
+    for key, path in paths.items():
+        if path.resolve().parts[1:2] in _VIRTUAL:
+            raise ConfigError(f"data.{key}={path} lies in a view of the running system, not in a folder of data")
+    named = name or next((path.stem for path in paths.values()), kind)
     frames = READERS[kind](**given)
     if not isinstance(frames, FrameTable):
         raise ConfigError(f"the reader of data of kind {kind!r} must return a FrameTable, got {type(frames).__name__}")
-    return replace(frames, unit=unit, source={"kind": kind, "name": named, **source})
+    return replace(frames, unit=unit, source={"kind": kind, "name": named, **plain({**given, **paths})})
+
+
+def _fitted(kind: str, where: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
+    """Return the arguments of a reader that are not None, as its annotations want them; paths become `Path`s."""
+    kinds = {key: Path if _is_path(one) else one for key, one in kinds_of(READERS[kind]).items()}
+    given = {key: value for key, value in where.items() if value is not None}
+    return {key: checked(value, kinds.get(key, Any), f"{prefix}{key}") for key, value in given.items()}
 
 
 @dataclass(frozen=True)
@@ -149,12 +150,7 @@ class DataSettings(Settings):
     def __post_init__(self) -> None:
         super().__post_init__()
         checked(self.kind, Literal[tuple(READERS)], "data.kind")  # type: ignore[misc]
-        kinds = kinds_of(READERS[self.kind])
-        where = {key: value for key, value in self.where.items() if value is not None}
-        for key, value in where.items():
-            kind = Path if _is_path(kinds.get(key)) else kinds.get(key, Any)
-            where[key] = checked(value, kind, f"data.{key}")
-        object.__setattr__(self, "where", where)
+        object.__setattr__(self, "where", _fitted(self.kind, self.where, "data."))
 
     @classmethod
     def of(cls, values: Mapping[str, Any]) -> DataSettings:
@@ -182,11 +178,8 @@ class DataSettings(Settings):
     def options(cls, kind: str) -> dict[str, Any]:
         """Return the keys of a kind of data with their defaults; "???" for what has to be given."""
         common = {"kind": kind, **defaults_of(cls), "name": kind}
-        own = {key: one.default for key, one in parameters_of(kind).items() if key not in common}
-        return {
-            **common,
-            **{key: "???" if default is inspect.Parameter.empty else default for key, default in own.items()},
-        }
+        own = {key: one for key, one in parameters_of(kind).items() if key not in common}
+        return common | {key: "???" if one.default is one.empty else one.default for key, one in own.items()}
 
     def summary(self) -> str:
         """Return the name and location of the data, such as "robot, /data/robot.csv"."""
