@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, ClassVar
@@ -17,11 +18,11 @@ from foundation.files import read_json, write_bytes, write_json, write_picture, 
 from foundation.settings import Count, Positive, Settings, Text
 from siamloc.data.bags import KINDS, Bag, Clock, Damaged, proposed
 from siamloc.data.decoding import UnreadableImageError, decode_image
-from siamloc.data.frames import BAGS, ODOMETRY, TILT, VIDEOS, FrameTable, advice
+from siamloc.data.frames import BAGS, VIDEOS, FrameTable, advice
 from siamloc.data.manifest import manifest_of
 from siamloc.data.names import lighting_in
 from siamloc.data.reading import read
-from siamloc.data.recorded import check_taken, images_of, joined
+from siamloc.data.recorded import COLUMNS_OF, check_taken, images_of, joined
 from siamloc.data.trajectory import Array, Axes, Form, Order, Trajectory, read_trajectory
 from siamloc.data.trajectory_checks import doubts
 from siamloc.errors import ConfigError, DataError, Policy, leave_out, logger
@@ -152,7 +153,7 @@ class Film:
 
 
 class Pictures:
-    """A folder of pictures that is open inside a `with` block, with the methods of a `Bag`.
+    """A folder of pictures, with the methods of a `Bag`.
 
     The times are those of a list, or those of the pictures (`siamloc.data.picture_times.taken_at`). Pictures without
     them count as taken a second apart, in the order of their names.
@@ -171,12 +172,6 @@ class Pictures:
         self._files = sorted(zip(taken.tolist(), files, strict=True))
         self.topics = {"pictures": (kind, len(files))}
         self.seconds = float(np.ptp(taken))
-
-    def __enter__(self) -> Pictures:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        pass
 
     def images(self, topic: str, clock: Clock) -> Iterator[tuple[int, Path, str]]:
         """Yield the time in ns, the file, and its name as an ending, of each picture."""
@@ -242,7 +237,7 @@ def extract(file: str | Path, out: str | Path, *, settings: Extraction = OF_FIEL
         files, times = _write_images(recording, folder, sources["images"], settings, given["poses"])
         write_json(folder / _KEPT, about)
         columns = {"time": times}
-        for what, names in (("poses", ("x", "y", "theta", *TILT)), ("odometry", ODOMETRY)):
+        for what, names in COLUMNS_OF.items():
             if (trajectory := given[what]) is not None:
                 columns |= dict(zip(names, _joined(recording, times, trajectory, what, settings).T, strict=False))
         if isinstance(recording, Bag) and (cameras := recording.calibrations()):
@@ -258,11 +253,11 @@ def extract(file: str | Path, out: str | Path, *, settings: Extraction = OF_FIEL
     return read("manifest", manifest=folder / MANIFEST)
 
 
-def _opened(path: Path, times: str | Path | None = None) -> Bag | Film | Pictures:
+def _opened(path: Path, times: str | Path | None = None) -> AbstractContextManager[Bag | Film | Pictures]:
     if not path.exists():
         raise DataError(f"there is no recording {path}")
     if times is not None and path.is_dir() and not (path / "metadata.yaml").is_file():
-        return Pictures(path, Path(times).expanduser())
+        return nullcontext(Pictures(path, Path(times).expanduser()))
     if times is not None:
         raise ConfigError(f"{path} has times of its own: recording.times is for a folder of pictures")
     if path.suffix.lower() in VIDEOS:
@@ -270,7 +265,7 @@ def _opened(path: Path, times: str | Path | None = None) -> Bag | Film | Picture
     if path.suffix.lower() in BAGS or (path / "metadata.yaml").is_file():
         return Bag(path)
     if path.is_dir():
-        return Pictures(path)
+        return nullcontext(Pictures(path))
     known = ", ".join((*BAGS, *VIDEOS))
     raise DataError(
         f"{path} is no recording: expected a file {known}, a folder of pictures, or the folder of a ROS 2 bag"

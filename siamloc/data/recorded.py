@@ -14,8 +14,10 @@ from siamloc.data.names import lighting_in
 from siamloc.data.picture_times import taken_at
 from siamloc.data.trajectory import Array, Axes, Form, Order, Trajectory, is_number, read_trajectory, seconds, text_rows
 from siamloc.data.trajectory_checks import doubts
-from siamloc.errors import DataError, leave_out, logger
+from siamloc.errors import DataError, Policy, leave_out, logger
 
+COLUMNS_OF = {"poses": ("x", "y", "theta", *TILT), "odometry": ODOMETRY}
+"""The columns of a `FrameTable` that the poses in the plane of a trajectory fill."""
 _OTHER_UNIT = 300  # times as long a drive counts other units than seconds
 _ANY_DRIVE = {"rgb", "data", "images", "image", "frames", "mav0", "cam0", "cam1", "image_0", "image_2"}
 _ANY_DRIVE |= {f"image_0{number}" for number in range(4)}
@@ -35,7 +37,7 @@ def read_recorded(
     gap: Positive = 2.0,
     sequence: str = "",
     lighting: str = "",
-    on_error: str = "skip",
+    on_error: Policy = "skip",
 ) -> FrameTable:
     """Read a folder of images with a trajectory in TUM, KITTI, EuRoC or planar form, joined by time.
 
@@ -82,8 +84,7 @@ def read_recorded(
         for doubt in doubts(trajectory, own):
             logger.warning("%s", doubt)
         found = joined(taken + offset, trajectory, gap, own) if timed else _in_order(files, trajectory, own)
-        names = ODOMETRY if what == "odometry" else ("x", "y", "theta", *TILT)
-        columns |= dict(zip(names, found.T, strict=False))
+        columns |= dict(zip(COLUMNS_OF[what], found.T, strict=False))
     name = sequence or next((part for part in reversed(folder.absolute().parts) if part not in _ANY_DRIVE), "")
     labels = {"sequence": [name] * len(files), "lighting": [lighting or lighting_in(name)] * len(files)}
     frames = FrameTable(path=[str(file) for file in files], **columns, **labels)  # type: ignore[arg-type]
