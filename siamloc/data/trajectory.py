@@ -33,6 +33,8 @@ AXES: dict[str, tuple[Array, Array]] = {
     "robot": (np.array([1.0, 0, 0]), np.array([0, 0, 1.0])),
     "camera": (np.array([0, 0, 1.0]), np.array([0, -1.0, 0])),
 }
+OTHER_ORDERS = ([1, 2, 3, 0], [3, 0, 1, 2])
+"""The columns of quaternions (x, y, z, w), for those that were read in the wrong order."""
 _FACTORS = {"ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 _UNITS = ((1e17, 1e-9), (1e14, 1e-6), (1e11, 1e-3))  # from a number this large, times count ns, us and ms
 _A_DRIVE = 0.01  # of the time since 1970, half a year: no drive takes longer
@@ -175,13 +177,9 @@ class Trajectory:
             beside: whether there is another one, so that this one has the axes with which it stays upright best;
                 otherwise it has those of a robot only if it stays upright with no others.
         """
-        robot, camera = (np.abs(self._up(axes)).max() for axes in ("robot", "camera"))
+        robot, camera = (np.abs(mean_up(self._oriented, axes)).max() for axes in ("robot", "camera"))
         others = camera <= robot if beside else camera < _TILTED <= robot
         return "robot" if others else given
-
-    def _up(self, axes: Axes) -> Array:
-        """Return the mean direction upwards (3,) of the frame, of length 1 if it keeps to one axis of the world."""
-        return np.asarray(turned(self._oriented, AXES[axes][1]).mean(axis=0))
 
     @property
     def _oriented(self) -> Array:
@@ -200,17 +198,16 @@ class Trajectory:
                 f"{self.source}: none of the {len(self)} poses is known, so that nothing says which way is up: take "
                 "times inside of the trajectory, or give the trajectory as whole"
             )
-        mean = self._up(axes)
+        mean = mean_up(self._oriented, axes)
         if not np.abs(mean).max() >= _TILTED:
             raise DataError(f"{self.source}: {self._why_tilted(axes)}")
         return np.asarray(np.where(np.abs(mean) == np.abs(mean).max(), np.sign(mean), 0.0))
 
-    def _why_tilted(self, axes: str) -> str:
-        other = next(name for name in AXES if name != axes)
-        rolled = self._oriented[:, [1, 2, 3, 0]], self._oriented[:, [3, 0, 1, 2]]
-        if any(_upright(quaternion, AXES[axes][1]) for quaternion in rolled):
+    def _why_tilted(self, axes: Axes) -> str:
+        other: Axes = "camera" if axes == "robot" else "robot"
+        if any(np.abs(mean_up(self._oriented[:, order], axes)).max() > _LEVEL for order in OTHER_ORDERS):
             return "the quaternions are in the other order: give order=wxyz, or order=xyzw if w stands last"
-        if _upright(self._oriented, AXES[other][1]):
+        if np.abs(mean_up(self._oriented, other)).max() > _LEVEL:
             return f"the poses are those of a {other}, not of a {axes}: give axes={other}"
         return f"no axis of the world stays upright, with axes={axes}: the poses do not lie in a plane"
 
@@ -239,8 +236,9 @@ def _product(first: Array, second: Array) -> Array:
     return np.column_stack([w * other + v * axis + np.cross(axis, other), w * v - (axis * other).sum(axis=1)[:, None]])
 
 
-def _upright(quaternion: Array, up: Array) -> bool:
-    return bool(np.abs(turned(quaternion, up).mean(axis=0)).max() > _LEVEL)
+def mean_up(quaternion: Array, axes: Axes) -> Array:
+    """Return the mean direction upwards (3,) of a frame, in the world; of length 1 if it stays the same."""
+    return np.asarray(turned(quaternion, AXES[axes][1]).mean(axis=0))
 
 
 def turned(quaternion: Array, vector: Array) -> Array:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from siamloc.data.trajectory import AXES, Array, Axes, Trajectory, turned
+from siamloc.data.trajectory import AXES, OTHER_ORDERS, Array, Axes, Trajectory, mean_up, turned
 
 _SLOW, _FAST = 0.005, 20.0  # m/s; no robot that drives a metre is slower or faster
 _UNITS = {"ms": 1e3, "us": 1e6, "ns": 1e9}
@@ -25,7 +25,7 @@ def other_order(trajectory: Trajectory, axes: Axes = "robot") -> str | None:
     read = _upright(trajectory.quaternion, axes), _forward(trajectory, trajectory.quaternion, axes)
     if abs(read[0]) < _ALIGNED:
         return None  # which is an error
-    for rolled in (trajectory.quaternion[:, [1, 2, 3, 0]], trajectory.quaternion[:, [3, 0, 1, 2]]):
+    for rolled in (trajectory.quaternion[:, order] for order in OTHER_ORDERS):
         other = _upright(rolled, axes), _forward(trajectory, rolled, axes)
         on_its_head = read[0] < 0 and other[0] > _ALIGNED and not other[1] < 0
         backwards = read[1] < -_ALIGNED and other[1] > _ALIGNED and abs(other[0]) > _ALIGNED
@@ -75,7 +75,7 @@ def _upright(quaternion: Array, axes: Axes) -> float:
 
 def _upwards(quaternion: Array, axes: Axes) -> tuple[int, float]:
     """Return the axis of the world along which the frame's direction upwards lies most, and its mean share of that."""
-    mean = turned(quaternion, AXES[axes][1]).mean(axis=0)
+    mean = mean_up(quaternion, axes)
     vertical = int(np.abs(mean).argmax())
     return vertical, float(mean[vertical])
 
