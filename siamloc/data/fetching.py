@@ -376,17 +376,13 @@ def _checked(scratch: Path, one: Archive) -> Path:
     if len(found) > 1:
         raise DataError(f"holds {len(found)} sequences: {shortened(inside)}")
     folder, _, name, _, lack = found[0]
-    other_building = _is_known(name.building) and not one.sequence.startswith(name.building)
+    other_building = name.building.startswith(BUILDINGS) and not one.sequence.startswith(name.building)
     run = name_sequence(Path("/", inside), "", ()).sequence  # as the folders in the archive say, and not those above it
     if other_building or (run and not run.endswith(one.folder.rpartition("/")[2])):
         raise DataError(f"holds another sequence, {inside}")
     if lack:
         raise DataError(lack.replace(f"{scratch}/", ""))
     return folder
-
-
-def _is_known(building: str) -> bool:
-    return building.removesuffix("_a").removesuffix("_b") in BUILDINGS
 
 
 def _note_sum(path: Path, name: str, digest: str) -> None:

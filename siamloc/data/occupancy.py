@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -130,10 +131,10 @@ def read_occupancy(path: str | Path) -> OccupancyMap:
     if missing:
         raise DataError(f"{file} is not the YAML file of a map server: {', '.join(missing)} missing")
     resolution, occupied, free, negate = (
-        _number(file, about, key) for key in ("resolution", "occupied_thresh", "free_thresh", "negate")
+        _number(file, key, about[key]) for key in ("resolution", "occupied_thresh", "free_thresh", "negate")
     )
     origin, mode = about["origin"], str(about.get("mode", "trinary"))
-    numbers = [_number(file, {"origin": one}, "origin") for one in origin] if isinstance(origin, list) else []
+    numbers = [_number(file, "origin", one) for one in origin] if isinstance(origin, list) else []
     if len(numbers) != 3:
         raise DataError(f"{file}: origin is x, y and heading, three numbers, got {origin!r}")
     if resolution <= 0 or mode not in _MODES:
@@ -156,11 +157,8 @@ def read_occupancy(path: str | Path) -> OccupancyMap:
     return OccupancyMap(occupancy.astype(np.float32), resolution, (numbers[0], numbers[1], numbers[2]))
 
 
-def _number(file: Path, about: Mapping[str, Any], key: str) -> float:
-    try:
-        value = float(about[key])  # YAML takes 5e-2 for a word
-    except (TypeError, ValueError, OverflowError):
-        value = math.nan
-    if not math.isfinite(value):
-        raise DataError(f"{file}: {key} is a number, got {about[key]!r}")
-    return value
+def _number(file: Path, key: str, value: Any) -> float:
+    with suppress(TypeError, ValueError, OverflowError):
+        if math.isfinite(number := float(value)):  # YAML takes 5e-2 for a word
+            return number
+    raise DataError(f"{file}: {key} is a number, got {value!r}")

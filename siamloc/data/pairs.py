@@ -158,7 +158,7 @@ class PairSampler:
                 "name the rooms, add frames of another one, or ask for same-room pairs only (pairs.same_room_share=1), "
                 "with distance labels, which need positions (pairs.label=distance)"
             )
-        if same_pairs > 0 and not self._rooms.has_pairs:
+        if same_pairs > 0 and not (self._rooms.size > 1).any():
             raise ConfigError(
                 f"each of the {self._rooms.count} rooms has only one frame, so there are no same-room pairs: "
                 "ask for different-room pairs only (pairs.same_room_share=0 pairs.label=room), or add frames"
@@ -182,7 +182,6 @@ class _Rooms:
         self.size = np.bincount(self.room)
         self.start = np.cumsum(self.size) - self.size
         self.count = len(self.size)
-        self.has_pairs = bool((self.size > 1).any())
 
     def anchors(self, uniform: NDArray[np.float64], *, same: bool) -> NDArray[np.int64]:
         """Return the first frame of each pair; rooms with only one frame have no same-room pairs."""

@@ -67,17 +67,17 @@ def guess(moving: Array) -> tuple[Array, float]:
     return centre, found[2] * _COARSE
 
 
-def _angles(count: int) -> Array:
-    return (np.arange(count) + 0.5) * (2 * np.pi / count)
+def _ways(count: int) -> Array:
+    """Return unit vectors (count, 2) in all directions: columns and rows."""
+    angle = (np.arange(count) + 0.5) * (2 * np.pi / count)
+    return np.column_stack([np.cos(angle), np.sin(angle)])
 
 
 def _profiles(image: Array, centre: Array, radii: Array, sectors: int) -> Array:
     """Return the mean of an image over the arcs of each sector, at each radius (sectors, radii); NaN outside."""
     rows, columns = image.shape
     fine = 8
-    angle = _angles(sectors * fine)
-    x = centre[0] + np.cos(angle)[:, None] * radii
-    y = centre[1] + np.sin(angle)[:, None] * radii
+    x, y = (middle + way[:, None] * radii for middle, way in zip(centre, _ways(sectors * fine).T, strict=True))
     found = cv2.remap(image.astype(np.float32), x.astype(np.float32), y.astype(np.float32), cv2.INTER_LINEAR)
     found[(x < 0) | (y < 0) | (x > columns - 1) | (y > rows - 1)] = np.nan
     return found.reshape(sectors, fine, -1).mean(axis=1)
@@ -125,9 +125,8 @@ def outer_rim(moving: Array, centre: Array, radius: float) -> tuple[Array, float
         radii = np.arange(radius - half, radius + half, 0.5)
         radii = radii[radii > 1]
         edges, falls = _edges(_profiles(moving**2, centre, radii, _SECTORS), radii, outwards=True)
-        angle = _angles(_SECTORS)
         sure = np.isfinite(edges) & (falls > _CONTRAST)
-        points = centre + edges[sure, None] * np.column_stack([np.cos(angle), np.sin(angle)])[sure]
+        points = centre + edges[sure, None] * _ways(_SECTORS)[sure]
         if len(points) < 0.25 * _SECTORS:
             raise DataError("no circle around what changes in the pictures")
         centre, radius, near = _circle(points, max(1.0, 0.02 * radius))
@@ -210,22 +209,21 @@ def inner_rim(moving: Array, centre: Array, outer: float) -> float:
 def shifts(pictures: Array, centre: Array, outer: float) -> Array:
     """Return how far the rim's centre, and its radius, in each picture is from those given (n, 3)."""
     radii = np.arange(outer - 1.5 * _REACH, outer + 1.5 * _REACH, 0.5)
-    angle = _angles(_SECTORS)
     steps = np.stack(np.meshgrid(*[np.arange(-_REACH, _REACH + 1, 2.0)] * 2), axis=-1).reshape(-1, 2)
-    at = (outer + steps @ np.stack([np.cos(angle), np.sin(angle)]) - radii[0]) / 0.5
+    at = (outer + steps @ np.ascontiguousarray(_ways(_SECTORS).T) - radii[0]) / 0.5
     found = []
     for picture in pictures:
         profile = np.nan_to_num(_profiles(cv2.GaussianBlur(picture, (0, 0), 1.0), centre, radii, _SECTORS))
         slope = abs(np.gradient(profile, axis=1))
         wide = cv2.blur(slope / (slope + np.median(slope, axis=1, keepdims=True) + 0.25), (5, 1))
         score = wide[np.arange(_SECTORS), at.round().astype(int)].mean(axis=1)
-        found.append(_edge_shift(slope, radii, outer, angle, steps[score.argmax()]))
+        found.append(_edge_shift(slope, radii, outer, steps[score.argmax()]))
     return np.stack(found)
 
 
-def _edge_shift(slope: Array, radii: Array, outer: float, angle: Array, shift: Array) -> Array:
+def _edge_shift(slope: Array, radii: Array, outer: float, shift: Array) -> Array:
     """Improve a centre's shift (2,) by the steepest points of a picture's profiles; also return that of the radius."""
-    ways = np.column_stack([np.cos(angle), np.sin(angle), np.ones(len(angle))])
+    ways = np.column_stack([_ways(len(slope)), np.ones(len(slope))])
     rows, found = np.arange(len(slope)), np.append(shift, 0.0)
     for reach in (4.0, 3.0, 2.0, 2.0):
         wanted = outer + ways @ found
