@@ -186,13 +186,8 @@ def test_camera_info_of_ros(tmp_path):
 
 
 def test_the_camera_info_of_a_recording(tmp_path):
-    own = {
-        "width": 640,
-        "height": 480,
-        "distortion_model": "equidistant",
-        "d": BENT.tolist(),
-        "k": MATRIX.ravel().tolist(),
-    }
+    own = {"width": 640, "height": 480, "distortion_model": "equidistant"}
+    own |= {"d": BENT.tolist(), "k": MATRIX.ravel().tolist()}
     topics = {"/front/camera_info": {**own, "distortion_model": "plumb_bob"}, "/omni/camera_info": own}
     file = written(tmp_path / "camera_info.json", json.dumps(topics))
     camera = read_calibration(file, "/omni/camera_info")

@@ -152,7 +152,7 @@ rows = st.fixed_dictionaries(
 )
 
 
-@settings(suppress_health_check=[HealthCheck.function_scoped_fixture], max_examples=60)
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture], max_examples=30)
 @given(st.lists(rows, min_size=1, max_size=5), st.permutations(COLUMNS))
 def test_whatever_table_is_written_is_read_back(tmp_path, frames, columns):
     for number, frame in enumerate(frames):

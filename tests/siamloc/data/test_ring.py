@@ -74,13 +74,10 @@ def test_the_inner_rim_is_where_the_scene_begins_and_not_where_it_changes_most()
 
 def test_files_and_colours_and_large_pictures_give_the_same_ring(tmp_path):
     pictures, centres = drive(8)
-    large = [cv2.cvtColor(cv2.resize(one, None, fx=4, fy=4), cv2.COLOR_GRAY2BGR) for one in pictures]
-    paths = [tmp_path / f"{number}.png" for number in range(len(large))]
-    for path, one in zip(paths, large, strict=True):
-        cv2.imwrite(str(path), one)
-    ring = find_ring(paths).ring
-    np.testing.assert_allclose((np.array(ring.centre) + 0.5) / 4 - 0.5, centres[0], atol=0.5)
-    assert abs(ring.outer / 4 - OUTER) < 1
+    large = [cv2.cvtColor(cv2.resize(one, None, fx=3, fy=3), cv2.COLOR_GRAY2BGR) for one in pictures]
+    ring = find_ring(written(tmp_path, large)).ring
+    np.testing.assert_allclose((np.array(ring.centre) + 0.5) / 3 - 0.5, centres[0], atol=0.5)
+    assert abs(ring.outer / 3 - OUTER) < 1
 
 
 def test_a_centre_that_shakes_is_measured_in_each_picture():
@@ -111,11 +108,16 @@ def test_what_is_not_sure_is_refused(pictures, words):
         find_ring(pictures())
 
 
-def table(folder, pictures, name="monday"):
-    paths = [folder / f"{name}-{number}.png" for number in range(len(pictures))]
+def written(folder, pictures):
+    """Write pictures as files, and return their paths."""
+    paths = [str(folder / f"{number}.png") for number in range(len(pictures))]
     for path, picture in zip(paths, pictures, strict=True):
-        cv2.imwrite(str(path), picture)
-    return FrameTable(path=paths, sequence=[name] * len(paths))
+        cv2.imwrite(path, picture)
+    return paths
+
+
+def table(folder, pictures):
+    return FrameTable(path=written(folder, pictures), sequence=["monday"] * len(pictures))
 
 
 def test_a_library_unwraps_each_drive_by_its_own_ring(tmp_path):
@@ -181,14 +183,6 @@ def test_the_ring_of_the_database_begins_at_the_right_and_runs_counter_clockwise
     panorama = unwrap(picture, ColdRing())
     assert panorama[0, 128].min() > 200
     assert panorama[0, 384].max() < 50
-
-
-def written(folder, pictures):
-    """Write pictures as files, and return their paths."""
-    paths = [str(folder / f"{number}.png") for number in range(len(pictures))]
-    for path, one in zip(paths, pictures, strict=True):
-        cv2.imwrite(path, one)
-    return paths
 
 
 @pytest.mark.parametrize("columns", [300, 416])
