@@ -101,8 +101,8 @@ class Bag:
     ) -> Iterator[tuple[int, bytes | NDArray[np.uint8] | Damaged, str]]:
         """Yield the time in ns of each image of a topic, the image, and the ending of its file.
 
-        An image that is compressed comes as the bytes of its file, others as pixels (rows, columns, 3), RGB. In place
-        of one that cannot be used comes the reason.
+        A compressed image comes as the bytes of its file, others as pixels (rows, columns, 3), RGB. An image that
+        cannot be used comes as the error that says why.
 
         Raises:
             DataError: no such topic, or one without images; an encoding that is not known; or a bag cut short.
@@ -203,7 +203,7 @@ class Bag:
         return self._transforms("stamp", _LOOKED_AT)
 
     def _transforms(self, clock: Clock, most: int | None = None) -> dict[Edge, list[Any]]:
-        """Return the times and poses of each frame in its parent, of the first messages of each topic of frames."""
+        """Return the times and poses of each frame in its parent, from all or the first messages of each topic."""
         rows: dict[Edge, list[Any]] = {}
         for topic in self._named(TRANSFORMS):
             static, unstamped = topic.endswith("tf_static"), 0

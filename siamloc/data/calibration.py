@@ -84,7 +84,7 @@ def read_calibration(path: str | Path, camera: str | Sequence[str] | None = None
     if not rest:
         return first.of({**one, **where})
     ((second, other),) = rest
-    turn = _between(file, chain, *names) @ np.diag([-1.0, 1.0, -1.0])  # from the back, which the second angles are from
+    turn = _between(file, chain, *names) @ np.diag([-1.0, 1.0, -1.0])  # its angles count from the camera's back
     return DualFisheyeCamera.of({"front": first.of(one), "back": second.of({**other, **angles_of(turn)}), **where})
 
 

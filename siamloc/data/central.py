@@ -195,7 +195,7 @@ def rises_to(coefficients: Sequence[float]) -> float:
 
 
 def inverse(function: Callable[[Array], Array], values: Array, most: float) -> Array:
-    """Return the arguments from 0 to `most` at which a function has some values; NaN beyond where it stops to rise."""
+    """Return the arguments from 0 to `most` at which a function has some values; NaN beyond where it stops rising."""
     grid = np.linspace(0, most, 4096)
     made = function(grid)
     end = np.flatnonzero(np.append(np.diff(made), -1.0) <= 0)[0] + 1

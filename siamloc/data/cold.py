@@ -112,7 +112,7 @@ def stored(root: Path) -> list[Stored]:
 
 
 def _lack(folder: Path, listed: list[str]) -> str:
-    """Say which listed images a sequence lacks, and which it holds instead; empty if it lacks hardly any."""
+    """Say which listed images a sequence lacks, and which pictures it holds instead; "" if it lacks hardly any."""
     if not folder.is_dir():
         return f"has no folder {folder.name} with its images next to it"
     there = {image.name for camera in CAMERAS for image in (folder / camera).glob("*")}

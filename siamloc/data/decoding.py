@@ -40,7 +40,7 @@ class Preprocessing:
         camera: the camera whose omnidirectional images are unwrapped; None to resize only.
         size: rows and columns of the pictures in whose pixels the camera's parameters count; others of the same shape
             are scaled. None for any.
-        bits: how many bits images of 16 bits use; those of a folder say it if None.
+        bits: how many of 16 bits deep images use; found out from the images of the folder if None.
 
     Example:
         >>> ring = Preprocessing.checked((64, 256), {"kind": "polar", "inner": 30})
@@ -322,7 +322,7 @@ def decode_image(data: bytes, folder: Path | None = None, bits: int | None = Non
     Args:
         data: the content.
         folder: the folder whose images of 16 bits say how many of them are in use; this image does if None.
-        bits: how many are in use, where that is known.
+        bits: how many of 16 bits are in use; None if unknown.
 
     Raises:
         UnreadableImageError: the content is empty, cut short, too large, or not an image.

@@ -63,6 +63,9 @@ def travel(frames: FrameTable) -> Array:
 
 
 def ahead(seen: Array, onwards: NDArray[np.bool_]) -> Array:
-    """Return the moves (p, 3) of a robot that drives ahead along arcs, as long and as curved as the images (p, 3)."""
+    """Return the moves (p, 3) of a robot that drives ahead, or back where not `onwards`, along arcs.
+
+    The arcs are as long and as curved as the moves in the images, `seen` (p, 3).
+    """
     length, turned = np.hypot(seen[:, 0], seen[:, 1]) * np.where(onwards, 1, -1), seen[:, 2]
     return np.column_stack([length * np.cos(turned / 2), length * np.sin(turned / 2), turned])

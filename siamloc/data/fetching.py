@@ -330,7 +330,7 @@ def _discard(part: Path) -> None:
 
 
 def _validator(part: Path) -> Path:
-    """Return the file that keeps by what a server recognizes the file of which a part is here."""
+    """Return the file next to a part that keeps the ETag, or the date, of the server's file."""
     return part.with_name(f"{part.name}.etag")
 
 

@@ -150,9 +150,9 @@ class FrameTable:
 
     @property
     def tilt(self) -> NDArray[np.float64]:
-        """Roll and pitch in rad (n, 2); NaN where neither is known, and 0 where the other one is."""
-        held = np.column_stack([getattr(self, name) for name in TILT])
-        return np.where(np.isnan(held).all(axis=1, keepdims=True), np.nan, np.nan_to_num(held))
+        """Roll and pitch in rad (n, 2): NaN where both are unknown; where one is known, the other counts as 0."""
+        known = np.column_stack([getattr(self, name) for name in TILT])
+        return np.where(np.isnan(known).all(axis=1, keepdims=True), np.nan, np.nan_to_num(known))
 
     @property
     def has_position(self) -> NDArray[np.bool_]:

@@ -79,7 +79,7 @@ def _read_table(file: Path, on_error: str) -> FrameTable:
 
 
 def read_rows(file: Path) -> Iterator[dict[str, Any]]:
-    """Yield each row of a table of images: `path`, relative to the table's folder, and the other columns that it has.
+    """Yield each row of a table of images: the `path` of its image, and the other columns that the table has.
 
     Raises:
         DataError: as for `read_manifest`; the images need not exist.

@@ -62,7 +62,7 @@ class Mounting(Settings):
             panorama, after it is flipped.
         mirrored: whether the columns run counter-clockwise, so that the panorama shows the left on its right.
         ahead: where the camera is ahead of the point of the robot whose poses are given, in the unit of the poses.
-        left: where it is to the left of that point.
+        left: where the camera is to the left of that point.
 
     Example:
         >>> Mounting(yaw=90).straight(np.arange(8)).tolist()  # the robot's front is a quarter turn to the right
@@ -86,7 +86,7 @@ class Mounting(Settings):
         return np.roll(panoramas, -columns, axis=-1) if columns else panoramas
 
     def offset(self, theta: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return where the camera is from that point (..., 2), along the axes of the map, at headings (...) in rad."""
+        """Return the camera's offset from that point of the robot (..., 2) in the map, at headings (...) in rad."""
         cosine, sine = np.cos(theta), np.sin(theta)
         return np.stack([cosine * self.ahead - sine * self.left, sine * self.ahead + cosine * self.left], axis=-1)
 
@@ -345,7 +345,10 @@ def _disagreement(moved: Array, seen: Array, weight: Array, onwards: NDArray[np.
 def _with_deviations(
     moved: Array, seen: Array, weight: Array, turns: bool, part: NDArray[np.int64]
 ) -> tuple[Array, Array, float]:
-    """Return what `_solved` does, with the deviations (3,) by leaving out each part of the drive once."""
+    """Return the yaw and offset of `_solved`, their deviations (3,), and the part of the moves that is left over.
+
+    The deviations follow from leaving out each part of the drive once.
+    """
     whole, left_over = _solved(moved, seen, weight, turns)
     rest = [part != one for one in np.unique(part)]
     apart = np.array([_solved(moved[rows], seen[rows], weight[rows], turns)[0] for rows in rest]) - whole

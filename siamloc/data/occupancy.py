@@ -67,9 +67,9 @@ class OccupancyMap:
             )
 
     def around(self, xy: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the lowest and the highest x and y, in m (2, 2), of the surroundings of positions (n, 2).
+        """Return the lowest and the highest x and y, in m (2, 2), of a plan that shows positions (n, 2).
 
-        They hold all positions, and what the map knows up to 3 m beyond them.
+        The plan shows all positions, and what the map knows up to 3 m beyond them.
         """
         here = np.array([np.nanmin(xy, axis=0), np.nanmax(xy, axis=0)])
         rows, columns = np.nonzero(np.isfinite(self.occupancy))

@@ -29,7 +29,7 @@ _SHAPES = 0.02  # by which two ratios of width and height may differ
 
 @dataclass(frozen=True)
 class _Part(EquirectangularCamera):
-    """A part of a picture whose middle is `right` degrees to the right of the optical axis, which is the whole's."""
+    """A part of an equirectangular picture, whose middle lies `right` degrees to the right of the whole one's."""
 
     right: float = 0.0
 
@@ -54,10 +54,10 @@ def stated(camera: Any, path: str | Path, size: ImageSize, *, levelled: bool = F
     """Return the camera of one picture: a whole `EquirectangularCamera` with what the picture says of itself.
 
     Args:
-        camera: any other one is returned as it is. A tilt or a part of its own stays.
+        camera: cameras of other kinds are returned as they are. A tilt or a part that the camera has already stays.
         path: the picture.
-        size: its rows and columns: a part that has another shape is none, since the picture was edited.
-        levelled: whether its tilt is known and taken out elsewhere.
+        size: its rows and columns. A part of another shape is ignored: the picture was edited since.
+        levelled: whether the tilt is known and taken out elsewhere.
     """
     if not isinstance(camera, EquirectangularCamera) or not (said := _properties(path)):
         return camera

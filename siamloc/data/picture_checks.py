@@ -226,7 +226,7 @@ def direction(seen: Array, turned: Array) -> str | None:
 
 
 def turns_compared(described_by: Descriptor, images: PanoramaLibrary, frames: FrameTable) -> Array:
-    """Return what `turns_seen` does by a network that compares (n - 1,); NaN between images that are not alike."""
+    """Return the turns of `turns_seen` (n - 1,) by a network that compares; NaN between images that are not alike."""
     parts = orientation_parts(described_by, images, frames).astype(np.float32)
     pose, _, match = described_by.compare(parts[1:], parts[:-1])  # type: ignore[attr-defined]
     return np.where(match > 0, pose[:, 2], np.nan)
@@ -252,9 +252,9 @@ def other_times(seen: Array, frames: FrameTable) -> str | None:
 def time_offset(seen: Array, time: Array, theta: Array, signs: Sequence[int] = (1, -1)) -> float:
     """Return what to add to the times (n,) of images, in s, so that they turn when the headings (n,) do, in rad.
 
-    0 if it is unknown, or next to nothing. `seen` are the turns in the images (n - 1,), NaN where unknown; `signs` are
-    those that they may have, the other one in mirrored images. A drive that turns left and right in equal times may
-    fit either, so both are tried at each offset.
+    0 if the offset is unknown or too small to matter. `seen` are the turns in the images (n - 1,), NaN where unknown;
+    they are tried with each of the `signs`, since mirrored images turn the other way. A drive that turns left and right
+    in equal times may fit either sign, so both are tried at each offset.
     """
     if not (np.isfinite(time).all() and np.isfinite(theta).all() and (np.diff(time) > 0).all()):
         return 0.0

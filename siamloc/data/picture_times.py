@@ -101,7 +101,7 @@ def _dates(files: Sequence[Path]) -> tuple[Array, bool] | None:
 
 
 def _name_lacking(files: Sequence[Path], span: float | None) -> None:
-    """Name pictures without a time in their names, if most others have one."""
+    """Warn of the pictures without a time in their names, if most pictures have one."""
     for pattern, timed in (
         (_DATE, lambda those: _dates(those) is not None),
         (_STAMP, lambda those: bool(np.isfinite(_stamps(those, span)).all())),

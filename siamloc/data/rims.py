@@ -28,8 +28,8 @@ _GAP = 150.0  # largest angle in degrees without a rim
 def changes(pictures: Array, still: Array) -> Array:
     """Return how much each pixel changes over pictures (n, rows, columns), apart from the light.
 
-    The light of the room and the exposure change the brightness of everything. What they do is seen where nothing else
-    changes: in the pixels `still` (rows, columns), brightest ones first.
+    The light of the room and the exposure change the brightness of everything. How much is measured where nothing else
+    changes: in the pixels `still` (rows, columns), of which bright ones count most.
     """
     smooth = np.stack([cv2.GaussianBlur(picture, (0, 0), 1.0) for picture in pictures])
     mean = smooth.mean(axis=0)
@@ -84,8 +84,8 @@ def _profiles(image: Array, centre: Array, radii: Array, sectors: int) -> Array:
 
 
 def _edges(variance: Array, radii: Array, outwards: bool) -> tuple[Array, Array]:
-    """Return the radius of the step from much to little change in each profile (sectors,), NaN without; and how many
-    times the change falls there."""
+    """Return the radius at which each profile steps from much to little change (sectors,), NaN without such a step, and
+    by which factor the change falls there."""
     found, falls = np.full(len(variance), np.nan), np.ones(len(variance))
     for number, profile in enumerate(variance):
         known = np.isfinite(profile)
@@ -141,7 +141,7 @@ def outer_rim(moving: Array, centre: Array, radius: float) -> tuple[Array, float
 
 
 def _circle(points: Array, most: float) -> tuple[Array, float, Array]:
-    """Fit a circle to points (n, 2) most of which lie on it; also return which of them do."""
+    """Return centre and radius of the circle on which most points (n, 2) lie, and which points do."""
     rng = np.random.default_rng(0)
     best, near = -1.0, np.zeros(len(points), bool)
     for _ in range(300):

@@ -243,9 +243,9 @@ def find_camera(images: Sequence[str], given: OmnidirectionalCamera | None = _UN
 def likely_mirror(ring: PolarRing) -> HyperbolicMirror | PolarRing:
     """Return the hyperbolic mirror that shows in a ring what a panorama shows by default, 30 to -45 degrees.
 
-    Its rim is at 30 degrees, and its eccentricity puts -45 degrees on the inner rim, within the limits of mirrors that
-    are built. The true elevations of the rims are not known, as with a `PolarRing`, whose even rows fit no mirror,
-    though: directions in which images seem to move are then wrong. A ring with its inside up remains one.
+    The mirror's rim is at 30 degrees, and its eccentricity puts -45 degrees on the inner rim, within the limits of
+    mirrors that are built. The true elevations of the rims stay unknown; but the evenly spaced rows of a `PolarRing`
+    fit no mirror at all, and show images moving in wrong directions. A ring with its inside up stays a ring.
     """
     if ring.centre is None or ring.inner is None or ring.outer is None or ring.inside_up:
         return ring

@@ -170,12 +170,12 @@ class Trajectory:
         return np.column_stack([self.flat(axes, whole), tilt])
 
     def own_axes(self, given: Axes, *, beside: bool = False) -> Axes:
-        """Return the axes that are given, or "robot" if those of a camera are given for another trajectory.
+        """Return the axes of this trajectory: the given ones, or "robot" where it does not stay upright with them.
 
         Args:
-            given: axes of this trajectory or of another one with it.
-            beside: whether there is another one, so that this one has the axes with which it stays upright best;
-                otherwise it has those of a robot only if it stays upright with no others.
+            given: axes that the user gave for all trajectories of a drive.
+            beside: whether the drive has another trajectory, which the given axes may be meant for: this one then has
+                the axes with which it stays upright best, and otherwise those of a robot only if no others fit.
         """
         robot, camera = (np.abs(mean_up(self._oriented, axes)).max() for axes in ("robot", "camera"))
         others = camera <= robot if beside else camera < _TILTED <= robot
@@ -216,7 +216,7 @@ def composed(links: Sequence[Trajectory], source: str) -> Trajectory:
     """Return the poses of the last frame of a chain in the first one, at the times of the trajectory with most poses.
 
     Args:
-        links: the poses of each frame in the one before; of a single pose they never change.
+        links: the poses of each frame in the frame before; a single pose holds for all times.
         source: name of the chain for messages.
     """
     times = max(links, key=len).time

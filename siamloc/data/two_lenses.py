@@ -48,13 +48,14 @@ def wrong_lenses(picture: Array, camera: OmnidirectionalCamera) -> str | None:
 
 
 def _few(picture: Array) -> Array:
+    """Return every k-th row and column of a picture, so that about 64 rows remain."""
     step = max(picture.shape[0] // _ROWS, 1)
     return picture[::step, ::step]
 
 
 @lru_cache(maxsize=8)
 def _around(rows: int, columns: int) -> Array:
-    """Return which of few pixels lie around the largest circles in the halves of a picture."""
+    """Return which pixels of `_few` lie around the largest circles in the halves of a picture."""
     down, right = np.mgrid[:rows, :columns] + 0.5
     side = columns / 2
     return _few(np.hypot(right % side - side / 2, down - rows / 2) > _AROUND * min(rows, side) / 2)
@@ -62,7 +63,7 @@ def _around(rows: int, columns: int) -> Array:
 
 @lru_cache(maxsize=8)
 def _unseen(camera: DualFisheyeCamera, rows: int, columns: int) -> Array:
-    """Return which of few pixels the lenses do not show."""
+    """Return which pixels of `_few` the lenses do not show."""
     down, right = np.mgrid[:rows, :columns]
     pixels = _few(np.stack([right, down], axis=-1)).astype(np.float64)
     return ~camera.shows(pixels, (rows, columns))
