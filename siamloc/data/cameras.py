@@ -118,8 +118,7 @@ class FisheyeCamera(LensCamera):
         return np.stack([scale * x, scale * y, np.cos(angle)], axis=-1)
 
     def _radius(self, angle: Array) -> Array:
-        radius: Array = angle * np.polyval([*self.k[::-1], 1.0], angle**2)
-        return radius
+        return np.asarray(angle * np.polyval([*self.k[::-1], 1.0], angle**2))
 
     @cached_property
     def _widest(self) -> float:
@@ -258,8 +257,7 @@ class OCamCamera(CentralCamera):
         return np.stack([right, down, -np.polyval(self.polynomial[::-1], np.hypot(right, down))], axis=-1)
 
     def _angle(self, radius: Array) -> Array:
-        angle: Array = np.arctan2(radius, -np.polyval(self.polynomial[::-1], radius))
-        return angle
+        return np.asarray(np.arctan2(radius, -np.polyval(self.polynomial[::-1], radius)))
 
 
 Lens = FisheyeCamera | UnifiedCamera | DoubleSphereCamera
@@ -407,8 +405,7 @@ class HyperbolicMirror(Settings):
 
     def _beyond(self, directions: Array) -> Array:
         """Return which directions (..., 3) no ray from the camera reaches, even by an infinite mirror."""
-        beyond: Array = self.eccentricity * directions[..., 2] >= np.linalg.norm(directions, axis=-1)
-        return beyond
+        return np.asarray(self.eccentricity * directions[..., 2] >= np.linalg.norm(directions, axis=-1))
 
 
 CAMERAS: dict[str, type[PolarRing] | type[HyperbolicMirror] | type[CentralCamera] | None] = {

@@ -92,8 +92,7 @@ class CentralCamera(Settings):
 
     def shows(self, pixels: Array, image_size: ImageSize | None = None) -> Array:
         """Return which pixels (..., 2) look at something (...), bool."""
-        shown: Array = np.isfinite(self.back_project(pixels, image_size)[..., 0])
-        return shown
+        return np.asarray(np.isfinite(self.back_project(pixels, image_size)[..., 0]))
 
     def sampling(self, view: PanoramaView, image_size: ImageSize) -> tuple[Array, Array]:
         """Return the columns (H, W) and rows (H, W) in the picture of a panorama's pixels, NaN where unseen."""
@@ -117,8 +116,7 @@ class CentralCamera(Settings):
     def _hidden(self, rays: Array) -> Array:
         """Return which unit rays (..., 3) in the camera's frame lie outside its field of view."""
         cone = self._cone
-        hidden: Array = rays[..., 2] < (-2 if cone is None else np.cos(np.radians(cone / 2)))
-        return hidden
+        return np.asarray(rays[..., 2] < (-2 if cone is None else np.cos(np.radians(cone / 2))))
 
     @property
     def _cone(self) -> float | None:

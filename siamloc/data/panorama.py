@@ -242,8 +242,7 @@ def seen(camera: OmnidirectionalCamera, view: PanoramaView, image_size: Sequence
         [6, 8, 8, 8]
     """
     rows, columns = image_size
-    found: Array = _tables(camera, view, (rows, columns))[2]
-    return found
+    return np.asarray(_tables(camera, view, (rows, columns))[2])
 
 
 def in_pixels(camera: OmnidirectionalCamera, view: PanoramaView, image_size: tuple[int, int]) -> bool:
@@ -370,10 +369,9 @@ def _shrunk(columns: Array, rows: Array, image_size: tuple[int, int], size: tupl
 
 def _inside(columns: Array, rows: Array, image_size: tuple[int, int]) -> Array:
     """Return which points lie in an image, NaN does not."""
-    found: Array = (np.abs(columns + 0.5 - image_size[1] / 2) <= image_size[1] / 2) & (
-        np.abs(rows + 0.5 - image_size[0] / 2) <= image_size[0] / 2
-    )
-    return found
+    height, width = image_size
+    beside, above = np.abs(columns + 0.5 - width / 2), np.abs(rows + 0.5 - height / 2)  # the middle of the image
+    return np.asarray((beside <= width / 2) & (above <= height / 2))
 
 
 def _filled(columns: Array, rows: Array, known: Array) -> tuple[Array, Array]:

@@ -37,8 +37,7 @@ def changes(pictures: Array, still: Array) -> Array:
     light = smooth[:, still] @ mean[still]
     light /= np.linalg.norm(light) or 1.0
     smooth -= light[:, None, None] * np.tensordot(light, smooth, axes=1)
-    found: Array = np.sqrt((smooth**2).sum(axis=0) / (len(smooth) - 2))
-    return found
+    return np.asarray(np.sqrt((smooth**2).sum(axis=0) / (len(smooth) - 2)))
 
 
 def guess(moving: Array) -> tuple[Array, float]:
