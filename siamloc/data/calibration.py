@@ -11,14 +11,13 @@ import cv2
 import numpy as np
 
 from foundation.calls import typed
-from foundation.files import read_text
 from foundation.settings import shortened
 from siamloc.data.cameras import DoubleSphereCamera, DualFisheyeCamera, FisheyeCamera, OCamCamera, UnifiedCamera
 from siamloc.data.central import CentralCamera
+from siamloc.data.frames import read_file
 from siamloc.data.panorama import Array
 from siamloc.errors import ConfigError, DataError, hint
 
-_LONGEST = 1_000_000  # bytes of a calibration file
 _READ = (
     "Kalibr's omni, ds and pinhole with equidistant distortion, OpenCV's fisheye and omnidir, CamOdoCal's MEI and "
     "KANNALA_BRANDT, and OCamCalib are read"
@@ -58,11 +57,7 @@ def read_calibration(path: str | Path, camera: str | Sequence[str] | None = None
         DataError: a file that cannot be read, or of a model that no omnidirectional camera has.
     """
     file = Path(path).expanduser()
-    try:
-        text = read_text(file, _LONGEST).removeprefix("\ufeff")
-    except (OSError, ValueError) as error:
-        reason = getattr(error, "strerror", None) or error
-        raise DataError(f"the calibration {file} cannot be read: {reason}") from error
+    text = read_file(file, "the calibration")
     if re.match(r"\s*#\s*polynomial", text):
         kind, values = _ocam(file, text)
         return kind.of({**values, **where})

@@ -9,9 +9,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from foundation.files import first_names, is_picture, read_text
+from foundation.files import first_names, is_picture
 from foundation.settings import shortened
-from siamloc.data.frames import ODOMETRY, FrameTable, image_files, in_capture_order
+from siamloc.data.frames import ODOMETRY, FrameTable, image_files, in_capture_order, read_file
 from siamloc.data.manifest import read_rows
 from siamloc.data.names import SequenceName, name_sequence, parse_name
 from siamloc.errors import ConfigError, DataError, Policy, hint, leave_out, logger
@@ -242,12 +242,8 @@ def read_list(path: Path) -> list[dict[str, Any]]:
     Raises:
         DataError: the list cannot be read or is empty, or a line is malformed or repeats an image.
     """
-    try:
-        lines = read_text(path).removeprefix("\ufeff").split("\n")
-    except (OSError, ValueError) as error:
-        raise DataError(f"the list {path} cannot be read: {getattr(error, 'strerror', None) or error}") from error
     frames: dict[str, dict[str, Any]] = {}
-    for number, line in enumerate(lines, start=1):
+    for number, line in enumerate(read_file(path, "the list").split("\n"), start=1):
         words = line.split()
         if not words:
             continue

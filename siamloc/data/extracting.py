@@ -18,7 +18,7 @@ from foundation.files import read_json, write_bytes, write_json, write_picture, 
 from foundation.settings import Count, Positive, Settings, Text
 from siamloc.data.bags import KINDS, Bag, Clock, Damaged, proposed
 from siamloc.data.decoding import UnreadableImageError, decode_image
-from siamloc.data.frames import BAGS, VIDEOS, FrameTable, advice
+from siamloc.data.frames import BAGS, VIDEOS, FrameTable, advice, placed
 from siamloc.data.manifest import manifest_of
 from siamloc.data.names import lighting_in
 from siamloc.data.reading import read
@@ -246,9 +246,7 @@ def extract(file: str | Path, out: str | Path, *, settings: Extraction = OF_FIEL
     labels = [[name] * len(files), [lighting_in(name)] * len(files)]
     frames = FrameTable(path=np.array(files)).with_columns(sequence=labels[0], lighting=labels[1], **columns)
     if "x" in columns:
-        lacking = frames.path[~frames.has_position].tolist()
-        leave_out(lacking, len(frames), f"images of {path} have no pose", settings.on_error)
-        frames = frames.take(frames.has_position)
+        frames = placed(frames, f"images of {path} have no pose", settings.on_error)
     write_text(folder / MANIFEST, manifest_of(frames, folder))
     return read("manifest", manifest=folder / MANIFEST)
 

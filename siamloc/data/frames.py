@@ -15,8 +15,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from foundation.calls import typed
+from foundation.files import read_text
 from foundation.settings import Count, Natural, Positive
-from siamloc.errors import ConfigError, DataError, hint
+from siamloc.errors import ConfigError, DataError, hint, leave_out
 
 _ADVICE = {  # on formats that are not read
     (".heic", ".heif", ".avif"): "convert them to JPEG, as the telephone or `heif-convert` does",
@@ -320,6 +321,24 @@ def in_capture_order(frames: FrameTable) -> FrameTable:
         if np.isfinite(frames.time[rows]).all():
             order[rows] = rows[np.argsort(frames.time[rows], kind="stable")]
     return frames.take(order)
+
+
+def placed(frames: FrameTable, what: str, on_error: str) -> FrameTable:
+    """Leave out the frames without a position, and report them; see `siamloc.errors.leave_out`."""
+    leave_out(frames.path[~frames.has_position].tolist(), len(frames), what, on_error)
+    return frames.take(frames.has_position)
+
+
+def read_file(path: Path, what: str = "the file") -> str:
+    """Return the text of a file that a user gave, without a mark of its byte order.
+
+    Raises:
+        DataError: the file cannot be read, or is no text.
+    """
+    try:
+        return read_text(path).removeprefix("\ufeff")
+    except (OSError, ValueError) as error:
+        raise DataError(f"{what} {path} cannot be read: {getattr(error, 'strerror', None) or error}") from error
 
 
 def image_files(folder: Path) -> list[Path]:

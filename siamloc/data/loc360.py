@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 
 from foundation.settings import shortened
-from siamloc.data.frames import TILT, FrameTable, image_files
+from siamloc.data.frames import TILT, FrameTable, image_files, placed
 from siamloc.data.trajectory import Array, Trajectory, text_rows
-from siamloc.errors import DataError, Policy, hint, leave_out
+from siamloc.errors import DataError, Policy, hint
 
 _PARTS = {"mapping": "mapping", "query_360": "query"}
 _LAYOUT = "<scene>/{mapping,query_360}/<sequence>/image/*.jpg with poses in <scene>/pose/*.txt"
@@ -42,9 +42,7 @@ def read_360loc(root: str | Path, *, scene: str | None = None, on_error: Policy 
     if not chosen:
         raise DataError(f"{folder} has no scene {scene!r}; {hint(scene, [path.absolute().name for path in found])}")
     rows = [row for path in chosen for row in _scene(path)]
-    unknown = [row["path"] for row in rows if "x" not in row]
-    leave_out(unknown, len(rows), f"pictures of {folder} have no pose", on_error)
-    return FrameTable.from_rows([row for row in rows if "x" in row])
+    return placed(FrameTable.from_rows(rows), f"pictures of {folder} have no pose", on_error)
 
 
 def _scene(folder: Path) -> Iterator[dict[str, Any]]:

@@ -14,9 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from foundation.calls import typed
-from foundation.files import read_text
 from foundation.settings import shortened
 from siamloc.data.decoding import UnreadableImageError, read_image
+from siamloc.data.frames import read_file
 from siamloc.data.moves import composed, inverse
 from siamloc.errors import DataError
 
@@ -123,10 +123,9 @@ def read_occupancy(path: str | Path) -> OccupancyMap:
 
     file = Path(path).expanduser()
     try:
-        about = yaml.safe_load(read_text(file))
-    except (OSError, ValueError, RecursionError, yaml.YAMLError) as error:
-        reason = str(getattr(error, "strerror", None) or error)
-        raise DataError(f"the map {file} cannot be read: {shortened(reason)}") from error
+        about = yaml.safe_load(read_file(file, "the map"))
+    except (ValueError, RecursionError, yaml.YAMLError) as error:
+        raise DataError(f"the map {file} is not YAML: {shortened(str(error))}") from error
     missing = [key for key in _NEEDED if key not in about] if isinstance(about, Mapping) else list(_NEEDED)
     if missing:
         raise DataError(f"{file} is not the YAML file of a map server: {', '.join(missing)} missing")

@@ -12,10 +12,10 @@ from pathlib import Path
 import numpy as np
 
 from foundation.settings import Positive, Text
-from siamloc.data.frames import ODOMETRY, FrameTable, concatenate
+from siamloc.data.frames import ODOMETRY, FrameTable, concatenate, placed
 from siamloc.data.recorded import joined, read_recorded
 from siamloc.data.trajectory import Array, Trajectory, read_numbers
-from siamloc.errors import DataError, Policy, leave_out
+from siamloc.errors import DataError, Policy
 
 _TRUTH, _WHEELS = (0, 1, 2, 3), (0, 4, 5, 6)  # columns of time, x, y and heading
 
@@ -59,9 +59,7 @@ def _drive(folder: Path, camera: str, truth: str, gap: float, on_error: str) -> 
         wheels = joined(frames.time, _table(folder, "-ODOMETRY_XYT.csv", _WHEELS), gap)
         columns |= dict(zip(ODOMETRY, wheels.T, strict=False))
     frames = frames.with_columns(**columns, building=[name.partition("_")[0]] * len(frames))
-    lacking = frames.path[~frames.has_position].tolist()
-    leave_out(lacking, len(frames), f"images of {folder} have no true pose", on_error)
-    return frames.take(frames.has_position)
+    return placed(frames, f"images of {folder} have no true pose", on_error)
 
 
 def _table(folder: Path, end: str, columns: tuple[int, ...]) -> Trajectory:

@@ -9,12 +9,12 @@ from pathlib import Path
 import numpy as np
 
 from foundation.settings import Positive, shortened
-from siamloc.data.frames import BAGS, ODOMETRY, TILT, FrameTable, advice, image_files, in_capture_order
+from siamloc.data.frames import BAGS, ODOMETRY, TILT, FrameTable, advice, image_files, in_capture_order, placed
 from siamloc.data.names import lighting_in
 from siamloc.data.picture_times import taken_at
 from siamloc.data.trajectory import Array, Axes, Form, Order, Trajectory, is_number, read_trajectory, seconds, text_rows
 from siamloc.data.trajectory_checks import doubts
-from siamloc.errors import DataError, Policy, leave_out, logger
+from siamloc.errors import DataError, Policy, logger
 
 COLUMNS_OF = {"poses": ("x", "y", "theta", *TILT), "odometry": ODOMETRY}
 """The columns of a `FrameTable` that the poses in the plane of a trajectory fill."""
@@ -90,8 +90,7 @@ def read_recorded(
     frames = FrameTable(path=[str(file) for file in files], **columns, **labels)  # type: ignore[arg-type]
     if poses is not None:
         what = f"images of {folder} were taken outside of {poses}, or in a gap of more than {gap:g} s"
-        leave_out(frames.path[~frames.has_position].tolist(), len(frames), what, on_error)
-        frames = frames.take(frames.has_position)
+        frames = placed(frames, what, on_error)
     return in_capture_order(frames)
 
 

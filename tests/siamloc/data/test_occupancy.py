@@ -76,7 +76,7 @@ def test_positions_on_the_map_are_taken_and_others_refused():
         ({"origin": "[0, 0]"}, "origin is x, y and heading, three numbers"),
         ({"origin": "[0, 0, x]"}, "origin is a number, got 'x'"),
         ({"mode": "binary"}, "mode one of trinary, scale, raw, got 0.5 and 'binary'"),
-        ({"origin": "[0"}, "cannot be read"),
+        ({"origin": "[0"}, "is not YAML"),
     ],
 )
 def test_a_wrong_file_is_refused_in_one_sentence(written, keys, reason):
