@@ -50,7 +50,7 @@ def read_rawseeds(
     return concatenate([_drive(path, camera, truth, gap, on_error) for path in drives])
 
 
-def _drive(folder: Path, camera: str, truth: str, gap: float, on_error: str) -> FrameTable:
+def _drive(folder: Path, camera: str, truth: str, gap: float, on_error: Policy) -> FrameTable:
     name = folder.absolute().name
     frames = read_recorded(folder / camera, sequence=name, on_error=on_error)
     x, y, theta = joined(frames.time, _table(folder, f"-{truth}.csv", _TRUTH), gap)[:, :3].T
