@@ -162,10 +162,10 @@ class Bag:
         """Return the first calibration of each camera as plain values, by topic."""
         names = ("width", "height", "distortion_model", "d", "k", "r", "p", "D", "K", "R", "P")  # large ones of ROS 1
         firsts = {topic: next(self._messages(topic, CALIBRATION, "stamp"), None) for topic in self._named(CALIBRATION)}
+        found = {topic: first[1] for topic, first in firsts.items() if first is not None}
         return {
-            topic: {name.lower(): getattr(first[1], name) for name in names if hasattr(first[1], name)}
-            for topic, first in firsts.items()
-            if first is not None
+            topic: {name.lower(): getattr(message, name) for name in names if hasattr(message, name)}
+            for topic, message in found.items()
         }
 
     def _named(self, types: tuple[str, ...]) -> list[str]:
@@ -345,30 +345,26 @@ def proposed(topics: Mapping[str, tuple[str, int]], frames: Iterable[Edge]) -> d
     kinds = {name: KINDS.get(kind, "") for name, (kind, _) in topics.items()}
     counts = {name: count for name, (_, count) in topics.items() if count}
 
+    def holds(name: str, words: tuple[str, ...]) -> bool:
+        return any(word in name.lower() for word in words)
+
     def best(kind: str, words: tuple[str, ...]) -> list[str]:
         names = [name for name in counts if kinds[name] == kind]
-        return sorted(names, key=lambda name: (not any(word in name.lower() for word in words), -counts[name], name))
+        return sorted(names, key=lambda name: (not holds(name, words), -counts[name], name))
 
     def below(*parents: str) -> list[str]:
         above = {lower: upper for upper, lower in frames}
-        found = []
-        for robot in _BASES:
-            found += [f"{at}:{robot}" for at in _ancestors(robot, above)[1:] if at in parents][:1]
-        return found
+        nearest = [[f"{at}:{robot}" for at in _ancestors(robot, above)[1:] if at in parents][:1] for robot in _BASES]
+        return [name for names in nearest for name in names]
 
     true = ("truth", "gt", "vicon", "mocap", "amcl", "slam")
-    poses = [
-        name
-        for name in best("poses", (*true, "pose"))
-        if counts[name] >= _FEW and not any(word in name.lower() for word in _NOT_OF_THE_ROBOT)
-    ]
-    named = [name for name in poses if any(word in name.lower() for word in true)]
+    poses = [name for name in best("poses", (*true, "pose")) if counts[name] >= _FEW]
+    poses = [name for name in poses if not holds(name, _NOT_OF_THE_ROBOT)]
+    named = [name for name in poses if holds(name, true)]
     wheels = best("odometry", ("wheel", "odom"))
+    images = best("images", ("omni", "360", "pano", "equirect", "fisheye", "theta"))
     candidates = {
-        "images": sorted(
-            best("images", ("omni", "360", "pano", "equirect", "fisheye", "theta")),
-            key=lambda name: any(word in name.lower() for word in _NOT_PICTURES),
-        ),
+        "images": sorted(images, key=lambda name: holds(name, _NOT_PICTURES)),
         "poses": [*named, *below("map", "world"), *poses, *(name for name in wheels if "truth" in name)],
         "odometry": [*(name for name in wheels if "truth" not in name), *below("odom")],
     }

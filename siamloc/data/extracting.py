@@ -325,11 +325,10 @@ def _write_images(
         if strict and poses is not None:
             _check_pose(recording.path, time / 1e9, poses, settings)
         found[time] = str(file)
-        if not there:
-            if isinstance(image, bytes):
-                write_bytes(file, image)
-            elif isinstance(image, np.ndarray):
-                write_picture(file, image, _QUALITY)
+        if isinstance(image, bytes) and not there:
+            write_bytes(file, image)
+        elif isinstance(image, np.ndarray) and not there:
+            write_picture(file, image, _QUALITY)
     leave_out(damaged, count, f"images of {topic} in {recording.path} cannot be used", settings.on_error)
     if not found:
         raise DataError(f"{recording.path}: {topic} holds no images")

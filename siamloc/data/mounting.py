@@ -284,15 +284,9 @@ def estimate(
         check = "does not follow from the poses: check them, and the headings, or give frames that are closer together"
         reason = f"how the camera moves in the images {check if posed else 'is not ahead, in one direction'}"
         return MountingEstimate(mirrored=None if mixed else mirrored, pairs=len(first), reasons=(reason,))
-    return MountingEstimate(
-        float(np.degrees(whole[0])),
-        unsure,
-        mirrored,
-        (offset[0], offset[1]),
-        (offset_off[0], offset_off[1]),
-        len(first),
-        () if mirrored is not None else (_HARDLY_TURNS if posed else _UNPOSED,),
-    )
+    reasons = () if mirrored is not None else (_HARDLY_TURNS if posed else _UNPOSED,)
+    yaw, (x, y), (x_off, y_off) = float(np.degrees(whole[0])), offset, offset_off
+    return MountingEstimate(yaw, unsure, mirrored, (x, y), (x_off, y_off), len(first), reasons)
 
 
 def usual_rows(panoramas: NDArray[np.uint8], view: PanoramaView) -> NDArray[np.uint8]:

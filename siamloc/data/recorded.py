@@ -83,7 +83,7 @@ def read_recorded(
         )
         for doubt in doubts(trajectory, own):
             logger.warning("%s", doubt)
-        found = joined(taken + offset, trajectory, gap, own) if timed else _in_order(files, trajectory, own)
+        found = joined(taken + offset, trajectory, gap, own) if timed else _in_order(len(files), trajectory, own)
         columns |= dict(zip(COLUMNS_OF[what], found.T, strict=False))
     name = sequence or next((part for part in reversed(folder.absolute().parts) if part not in _ANY_DRIVE), "")
     labels = {"sequence": [name] * len(files), "lighting": [lighting or lighting_in(name)] * len(files)}
@@ -126,10 +126,10 @@ def check_taken(taken: Array) -> None:
         )
 
 
-def _in_order(files: Sequence[Path], trajectory: Trajectory, axes: Axes) -> Array:
-    if len(files) != len(trajectory):
+def _in_order(count: int, trajectory: Trajectory, axes: Axes) -> Array:
+    if count != len(trajectory):
         raise DataError(
-            f"{trajectory.source} holds {len(trajectory)} poses without times, and there are {len(files)} images: "
+            f"{trajectory.source} holds {len(trajectory)} poses without times, and there are {count} images: "
             "expected a pose for each"
         )
     return trajectory.tilted(axes)

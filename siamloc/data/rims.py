@@ -160,9 +160,8 @@ def _through(points: Array) -> tuple[Array, float]:
     """Return centre (2,) and radius of the circle through points (n, 2), by least squares (Kasa 1976)."""
     middle = points.mean(axis=0)
     shifted = points - middle
-    solved = np.linalg.lstsq(
-        np.column_stack([2 * shifted, np.ones(len(points))]), (shifted**2).sum(axis=1), rcond=None
-    )[0]
+    sides = np.column_stack([2 * shifted, np.ones(len(points))])
+    solved = np.linalg.lstsq(sides, (shifted**2).sum(axis=1), rcond=None)[0]
     return middle + solved[:2], float(np.sqrt(max(solved[2] + (solved[:2] ** 2).sum(), 0)))
 
 
