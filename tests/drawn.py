@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import csv
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 
 import cv2
@@ -12,6 +12,15 @@ import numpy as np
 ROOMS = ("kitchen", "office", "corridor")
 SIDE = 4.0
 _GAIN = {"cloudy": 1.0, "night": 0.6, "sunny": 1.3}
+
+
+def written(folder: Path, pictures: Iterable[np.ndarray]) -> list[str]:
+    """Write pictures, BGR, as 0.png, 1.png and so on, and return their paths."""
+    paths = []
+    for number, picture in enumerate(pictures):
+        paths.append(str(folder / f"{number}.png"))
+        cv2.imwrite(paths[-1], picture)
+    return paths
 
 
 def draw_panorama(x: float, y: float, theta: float, room: str, lighting: str = "cloudy", size=(32, 128)) -> np.ndarray:

@@ -1,13 +1,13 @@
 from __future__ import annotations
 
 import re
-from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
 
 from siamloc.data import FrameTable, PanoramaLibrary, check
+from tests.drawn import written
 
 
 def drive(n: int = 60, **columns) -> FrameTable:
@@ -108,9 +108,8 @@ def test_copies_of_images_are_found(tmp_path):
 
 
 def test_shapes_of_images_are_compared_with_each_other_and_with_the_panoramas(tmp_path):
-    for number, size in enumerate([(48, 64), (48, 64), (16, 64)]):
-        cv2.imwrite(str(tmp_path / f"{number}.png"), np.full((*size, 3), number, np.uint8))
-    frames = FrameTable(path=sorted(map(str, Path(tmp_path).iterdir())), x=[0, 1, 2], y=[0, 0, 0])
+    paths = written(tmp_path, [np.full((rows, 64, 3), number, np.uint8) for number, rows in enumerate((48, 48, 16))])
+    frames = FrameTable(path=paths, x=[0, 1, 2], y=[0, 0, 0])
     images = PanoramaLibrary(frames, tmp_path / "cache", image_size=(8, 32))
     mixed, squeezed = check(frames, images)
     assert "images have different shapes, among those looked at 64 x 48 px (2), 64 x 16 px (1)" in mixed
@@ -122,11 +121,9 @@ def test_pictures_of_a_ring_that_are_only_resized_are_told_nothing_else(tmp_path
     """A black corner, as around a ring, would else be called the robot's own picture or a long exposure."""
     for name, size in (("ring", (48, 64)), ("panorama", (16, 64))):
         (tmp_path / name).mkdir()
-        for number in range(12):
-            picture = np.random.default_rng(number).integers(0, 255, (*size, 3), np.uint8)
-            picture[:, :32] = 0
-            cv2.imwrite(str(tmp_path / name / f"{number:02d}.png"), picture)
-        frames = FrameTable(path=sorted(map(str, (tmp_path / name).iterdir())), x=np.arange(12), y=np.zeros(12))
+        pictures = np.random.default_rng(0).integers(0, 255, (12, *size, 3), np.uint8)
+        pictures[:, :, :32] = 0
+        frames = FrameTable(path=written(tmp_path / name, pictures), x=np.arange(12), y=np.zeros(12))
         images = PanoramaLibrary(frames, tmp_path / "cache", image_size=(8, 32))
         (said,) = check(frames, images)
         assert ("without unwrapping" in said) is (name == "ring")

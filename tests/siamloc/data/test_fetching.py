@@ -356,14 +356,6 @@ def test_the_reason_of_each_failure_is_said(server, tmp_path, caplog):
     assert re.search("freiburg_a_seq2_sunny4 cannot be fetched: .* 404 Not Found", caplog.text)
 
 
-def test_an_archive_that_lies_there_is_unpacked(tmp_path):
-    archive = tmp_path / f"{PLACE}.tar"
-    archive.parent.mkdir(parents=True)
-    archive.write_bytes(tar())
-    assert siamloc.data.fetch("cold", NAME, tmp_path, mirror="http://127.0.0.1:1").there == {NAME: 3}
-    assert archive.is_file()
-
-
 def test_nobody_there(tmp_path):
     with pytest.raises(DataError, match=r"cannot be fetched \(.*refused.*\): 0 bytes are here"):
         siamloc.data.fetch("cold", NAME, tmp_path, mirror="http://127.0.0.1:1", tries=1)
@@ -386,6 +378,7 @@ def test_a_host_that_nobody_reaches_is_not_asked_for_each_sequence(tmp_path, mon
         siamloc.data.fetch("cold", [*names, "freiburg_a_seq2_cloudy2"], tmp_path, tries=3)
     assert len(asked) == 3
     assert (lying.parent / "seq2_cloudy2/localization/places.lst").is_file()
+    assert lying.is_file(), "an archive of the user's is kept"
     assert capsys.readouterr().err.count(f"fetching {NAME}: Name or service not known; trying again in 0 s") == 2
 
 

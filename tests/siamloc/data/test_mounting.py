@@ -20,6 +20,7 @@ from siamloc.data.drive_pairs import near_pairs, travel
 from siamloc.data.mounting import GivenMounting, estimate, usual_rows
 from siamloc.data.moves import inverse, relative, wrapped
 from siamloc.errors import ConfigError
+from tests.drawn import written
 
 WIDTH = 72
 
@@ -35,12 +36,6 @@ def test_what_is_ahead_comes_to_the_middle(yaw, mirrored):
     assert straight[0, 0].argmax() == WIDTH // 2
     assert straight.shape == panorama.shape
     assert straight.flags.c_contiguous
-
-
-def test_left_is_left_of_the_middle_again():
-    azimuth = column_azimuth(WIDTH)
-    assert np.array_equal(Mounting(mirrored=True).straight(-azimuth), azimuth)
-    assert np.array_equal(Mounting().straight(azimuth), azimuth)
 
 
 def test_the_camera_s_offset_turns_with_the_robot():
@@ -284,9 +279,7 @@ class Numbered(Descriptor):
 
 
 def test_poses_of_the_map_as_seen_from_the_robot_are_recognized(tmp_path):
-    frames = drive().with_columns(path=[str(tmp_path / f"{number:03d}.png") for number in range(80)])
-    for number, path in enumerate(frames.path.tolist()):
-        cv2.imwrite(path, np.full((8, 32, 3), number, np.uint8))
+    frames = drive().with_columns(path=written(tmp_path, [np.full((8, 32, 3), n, np.uint8) for n in range(80)]))
     images = siamloc.data.PanoramaLibrary(frames, tmp_path / "cache", image_size=(8, 32))
     assert siamloc.data.find_mounting(Numbered(frames), images, frames).reasons == ()
     x, y, theta = inverse(np.column_stack([frames.xy, frames.theta])).T

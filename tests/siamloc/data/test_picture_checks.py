@@ -19,6 +19,7 @@ from siamloc.data.picture_checks import (
     time_offset,
     turns_seen,
 )
+from tests.drawn import written
 
 N, H, W = 60, 32, 128
 THETA = 1.2 * np.sin(np.arange(N) / 5)
@@ -158,9 +159,7 @@ class TrueTurns:
 
 
 def test_a_network_finds_offsets_of_poses_and_odometry_that_correlation_does_not(tmp_path, monkeypatch):
-    for row in range(N):
-        cv2.imwrite(str(tmp_path / f"{row:03d}.png"), np.full((H, W, 3), row, dtype=np.uint8))
-    paths, time = sorted(str(path) for path in tmp_path.glob("*.png")), np.arange(N) * 0.2
+    paths, time = written(tmp_path, [np.full((H, W, 3), row, np.uint8) for row in range(N)]), np.arange(N) * 0.2
     late = 1.2 * np.sin(time - 0.4)
     frames = FrameTable(path=paths, x=0.2 * np.arange(N), y=np.zeros(N), theta=late, odom_theta=late, time=time)
     images = PanoramaLibrary(frames, tmp_path / "cache", image_size=(H, W))
@@ -207,10 +206,7 @@ def test_a_mounting_is_named_only_if_it_matters():
 
 
 def test_check_looks_at_the_pictures_of_each_drive(tmp_path):
-    for name, panoramas in (("good", drive()), ("mirrored", drive()[..., ::-1])):
-        for row, one in enumerate(panoramas):
-            cv2.imwrite(str(tmp_path / f"{name}_{row:03d}.png"), one.transpose(1, 2, 0))
-    paths = sorted(str(path) for path in tmp_path.glob("*.png"))
+    paths = written(tmp_path, [one.transpose(1, 2, 0) for one in (*drive(), *drive()[..., ::-1])])
     x = np.tile(np.cumsum(0.2 * np.cos(THETA)), 2)
     y = np.tile(np.cumsum(0.2 * np.sin(THETA)), 2)
     sequence = ["good"] * N + ["mirrored"] * N

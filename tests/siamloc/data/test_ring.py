@@ -19,6 +19,7 @@ from siamloc.data import (
 from siamloc.data.rims import inner_rim
 from siamloc.data.ring import draw_ring, likely_mirror
 from siamloc.errors import ConfigError, DataError
+from tests.drawn import written
 
 INNER, OUTER = 22.0, 88.0
 
@@ -106,14 +107,6 @@ def test_a_centre_that_shakes_is_measured_in_each_picture():
 def test_what_is_not_sure_is_refused(pictures, words):
     with pytest.raises(DataError, match=words):
         find_ring(pictures())
-
-
-def written(folder, pictures):
-    """Write pictures as files, and return their paths."""
-    paths = [str(folder / f"{number}.png") for number in range(len(pictures))]
-    for path, picture in zip(paths, pictures, strict=True):
-        cv2.imwrite(path, picture)
-    return paths
 
 
 def table(folder, pictures):
