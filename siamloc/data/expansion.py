@@ -148,12 +148,10 @@ def expand(
             progress=track,
             reading=decode.parameters(),
         )
-    lost = {str(source) for source, _ in done.failed}
-    made = np.array([path not in lost for path in frames.path.tolist()])
+    made = ~np.isin(frames.path, [str(source) for source, _ in done.failed])
     if not made.any():
         raise DataError(f"none of the {len(frames)} images could be read, the first: {done.failed[0][1]}")
-    left = [row for row, there in zip(pictures, made, strict=True) if there]
-    write_lists(kind, frames.take(made), left, folder, theta[made])
+    write_lists(kind, frames.take(made), [pictures[row] for row in np.flatnonzero(made)], folder, theta[made])
     reasons = tuple(reason for _, reason in done.failed)
     return Expanded(folder, kind, int(made.sum()), depth, done.written, done.kept, reasons)
 

@@ -8,7 +8,6 @@ import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from http.client import HTTPException
-from itertools import chain
 from pathlib import Path
 from typing import BinaryIO, Literal
 from urllib.error import HTTPError, URLError
@@ -153,8 +152,7 @@ def _is_address(mirror: str) -> bool:
 
 def _names(sequences: str | Sequence[str] | Protocol) -> list[str]:
     if isinstance(sequences, Protocol):
-        named = chain.from_iterable(getattr(sequences, role).sequences or () for role in ROLES)
-        found = list(dict.fromkeys(named))
+        found = list(dict.fromkeys(name for role in ROLES for name in getattr(sequences, role).sequences or ()))
         if others := [name for name in found if not name.startswith(BUILDINGS)]:
             raise ConfigError(
                 f"the protocol takes {others[0]!r}, which begins with no building of COLD ({', '.join(BUILDINGS)}): "
@@ -387,5 +385,5 @@ def _checked(scratch: Path, one: Archive) -> Path:
 
 def _note_sum(path: Path, name: str, digest: str) -> None:
     lines = read_text(path).splitlines() if path.is_file() else []
-    kept = [line for line in lines if line.partition("  ")[2] != name]
-    write_text(path, "\n".join(sorted([*kept, f"{digest}  {name}"], key=lambda line: line.partition("  ")[2])) + "\n")
+    sums = {line.partition("  ")[2]: line for line in (*lines, f"{digest}  {name}")}
+    write_text(path, "".join(f"{sums[file]}\n" for file in sorted(sums)))

@@ -235,17 +235,18 @@ def turns_compared(described_by: Descriptor, images: PanoramaLibrary, frames: Fr
 def other_times(seen: Array, frames: FrameTable) -> str | None:
     """Compare the times of turns (n - 1,) in the images of a drive, in rad, with those of its poses and odometry."""
     posed = bool(np.isfinite(frames.theta).any())
-    for what, whose, theta in (("headings", "poses are", frames.theta), ("odometry", "odometry is", frames.odom_theta)):
+    for theta, whose in (
+        (frames.theta, "headings do: the poses are those of other times"),
+        (frames.odom_theta, "odometry does: the odometry is that of other times"),
+    ):
         offset = time_offset(seen, frames.time, theta)
         if offset == 0:
             continue
         side = "before" if offset > 0 else "after"
         remedy = f"{offset:+.2f} s to the times of the images (column time, data.offset or recording.offset)"
-        if what == "odometry" and posed:  # which are those of the images
+        if theta is frames.odom_theta and posed:  # the poses fit the images: the odometry is off
             remedy = f"{-offset:+.2f} s to the times of the odometry"
-        of = "those of other times" if what == "headings" else "that of other times"
-        does = "do" if what == "headings" else "does"
-        return f"the images turn {abs(offset):.2f} s {side} the {what} {does}: the {whose} {of}. Add {remedy}"
+        return f"the images turn {abs(offset):.2f} s {side} the {whose}. Add {remedy}"
     return None
 
 

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from foundation.calls import typed
-from foundation.files import read_json, storage_errors, write_json
+from foundation.files import read_json, write_json
 from siamloc.data.cameras import DualFisheyeCamera, EquirectangularCamera, HyperbolicMirror, twice_as_wide, two_views
 from siamloc.data.decoding import Preprocessing, UnreadableImageError, read_image, size_of, spread
 from siamloc.data.panorama import OmnidirectionalCamera, PanoramaView, PolarRing, unwrap
@@ -165,9 +165,7 @@ def fitted(preprocessing: Preprocessing, paths: Sequence[str], cache: Path) -> P
     if kept.is_file():
         return replace(preprocessing, camera=type(given).of(read_json(kept)))
     ring = _of_drive(given, paths)
-    with storage_errors(kept):
-        cache.mkdir(parents=True, exist_ok=True)
-        write_json(kept, ring.plain())
+    write_json(kept, ring.plain())
     return replace(preprocessing, camera=ring)
 
 

@@ -100,9 +100,7 @@ class Trajectory:
                 f"length {length[row]:.3g}: check the order of the columns"
             )
         time, position, quaternion, length = (part[~empty] for part in (time, position, quaternion, length))
-        order = np.arange(len(time))
-        if np.isfinite(time).all():
-            order = np.unique(time, return_index=True)[1]
+        order = np.unique(time, return_index=True)[1] if np.isfinite(time).all() else np.arange(len(time))
         return cls(time[order], position[order], (quaternion / length[:, None])[order], source)
 
     @classmethod
