@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from analytic.arrays import Floats, Integers
 from analytic.description import Description, fft
 from analytic.distances import distance as distance_named
-from analytic.threads import each
+from foundation.threads import each
 
 Spectra = NDArray[np.complex64]  # (frequencies, B, F)
 Turned = Callable[[int], NDArray[Any]]  # returns a query turned back by a number of steps
@@ -173,7 +173,7 @@ def directly(
     for row in np.flatnonzero(close.any(axis=1)).tolist():
         columns = np.flatnonzero(close[row])
         parts = np.array_split(columns, max(1, columns.size * references[0].size >> 24))
-        apart[row, columns] = np.concatenate(each(partial(compare, turned(row), row), parts))
+        apart[row, columns] = np.concatenate(each(partial(compare, turned(row), row), parts, cv2.getNumThreads()))
     return apart
 
 

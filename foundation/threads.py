@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from typing import TypeVar
 
@@ -40,3 +40,14 @@ def in_order(work: Callable[[Item], Result], items: Iterable[Item], threads: int
             yield waiting.popleft().result()
     finally:
         pool.shutdown(cancel_futures=True)
+
+
+def each(work: Callable[[Item], Result], items: Sequence[Item], threads: int) -> list[Result]:
+    """Return what a function returns for each item, in order, from at most that many threads; with one, from this one.
+
+    Example:
+        >>> each(abs, [-1, 2, -3], threads=2)
+        [1, 2, 3]
+    """
+    threads = min(len(items), threads)
+    return list(in_order(work, items, threads)) if threads > 1 else [work(item) for item in items]

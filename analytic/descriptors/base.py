@@ -7,6 +7,7 @@ from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from typing import Annotated, Any, ClassVar
 
+import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -18,9 +19,9 @@ from analytic.distances import distance as distance_named
 from analytic.errors import AnalyticError
 from analytic.filters import homomorphic
 from analytic.images import luma, unit, with_channels
-from analytic.threads import each
 from foundation.files import plain
 from foundation.settings import Rule, Settings
+from foundation.threads import each
 
 Cells = Annotated[int, Rule("a whole number from 1 to 16,384", lambda value: 1 <= value <= 16_384)]
 """A number of rows, columns, bins ...: at most as many as an image has pixels along a side."""
@@ -98,7 +99,7 @@ class Descriptor(ABC):
             AnalyticError: descriptions that cannot be compared, or that have no orientation part.
         """
         self.check(queries, references)
-        steps = self._steps(queries, references)
+        steps = self._steps(queries)
         turns = self._best_turns(queries, references, steps)
         return Alignment(heading(turns.step, steps), aligned_distances("euclidean", queries, references, turns))
 
@@ -150,7 +151,8 @@ class Descriptor(ABC):
         """Return the best turn of each pair; a subclass that searches differently overrides this."""
         return best_turns(queries.spectrum, references.spectrum, steps)
 
-    def _steps(self, queries: Description, references: Description) -> int:
+    def _steps(self, queries: Description) -> int:
+        """Return the number of steps of a full turn in the orientation part."""
         return int(queries.turnable.shape[1])
 
 
@@ -248,7 +250,8 @@ class ImageDescriptor(Descriptor, Settings):
                 f"{self.name} with these parameters describes an image by {numbers:,} numbers, more than {_NUMBERS:,}: "
                 "ask for fewer"
             )
-        return Description(*joined(each(self._parts, np.split(images, len(images)))), self.identity)
+        parts = each(self._parts, np.split(images, len(images)), cv2.getNumThreads())
+        return Description(*joined(parts), self.identity)
 
     def _parts(self, image: NDArray[Any]) -> tuple[NDArray[Any], NDArray[Any] | None]:
         """Return the position part (1, D) and the orientation part (1, K, F) of one image (1, C, H, W)."""
@@ -258,13 +261,13 @@ class ImageDescriptor(Descriptor, Settings):
         position, orientation = self._describe(seen[0] if self.colour else seen[0, 0])
         return position[None], None if orientation is None else np.ascontiguousarray(orientation)[None]
 
-    def _steps(self, queries: Description, references: Description) -> int:
+    def _steps(self, queries: Description) -> int:
         if not self.circular:
             raise AnalyticError(
                 f"{self.name} was made with circular=False: the columns of an ordinary camera are no full turn, so "
                 "there is no relative heading to be found"
             )
-        return super()._steps(queries, references)
+        return super()._steps(queries)
 
     @classmethod
     def _key(cls, name: str) -> str:
@@ -311,7 +314,7 @@ class AlignedDescriptor(ImageDescriptor):
         if not self.circular:
             return super().pairwise(queries, references, distance)
         self.check(queries, references)
-        turns = self._best_turns(queries, references, self._steps(queries, references))
+        turns = self._best_turns(queries, references, self._steps(queries))
         return self._compared(queries, references, turns, distance or self.default_distance)
 
     def _best_turns(self, queries: Description, references: Description, steps: int) -> Turns:

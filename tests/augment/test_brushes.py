@@ -1,5 +1,3 @@
-import multiprocessing
-
 import pytest
 import torch
 
@@ -32,29 +30,3 @@ def test_an_error_in_a_thread_reaches_the_caller(threads):
 
     with pytest.raises(RuntimeError, match="broken brush"):
         paint(panoramas(2).numpy(), [[], [fail]])
-
-
-def darkened(frame):
-    frame -= 1
-
-
-def work(queue, frames):
-    paint(frames, [[darkened]] * len(frames))
-    queue.put(int(frames.sum()))
-
-
-@pytest.mark.skipif("fork" not in multiprocessing.get_all_start_methods(), reason="no fork on this system")
-@pytest.mark.filterwarnings("ignore:.*multi-threaded, use of fork:DeprecationWarning")
-def test_a_forked_process_does_not_wait_for_the_threads_of_its_parent(threads):
-    threads(2)
-    frames = torch.full((6, 3, 4, 4), 100, dtype=torch.uint8).numpy()
-    paint(frames, [[darkened]] * 6)
-    context = multiprocessing.get_context("fork")
-    queue = context.Queue()
-    process = context.Process(target=work, args=(queue, frames), daemon=True)
-    process.start()
-    try:
-        assert queue.get(timeout=20) == 98 * frames.size
-    finally:
-        process.kill()
-        process.join()

@@ -1,6 +1,8 @@
+import threading
+
 import pytest
 
-from foundation.threads import in_order
+from foundation.threads import each, in_order
 
 
 def test_results_come_in_order_and_only_a_little_ahead():
@@ -23,3 +25,17 @@ def test_an_error_comes_in_its_turn_and_ends_the_work():
     with pytest.raises(ZeroDivisionError):
         next(results)
     assert list(results) == []
+
+
+@pytest.mark.parametrize("count", [1, 2, 9])
+@pytest.mark.parametrize("threads", [1, 2])
+def test_each_uses_as_many_threads_as_it_may_and_for_one_item_none(threads, count):
+    used = min(threads, count)
+    together = threading.Barrier(used, timeout=30)  # passed only if that many items are worked on at once
+
+    def work(number):
+        if number < used:
+            together.wait()
+        return number, threading.current_thread() is threading.main_thread()
+
+    assert each(work, range(count), threads) == [(number, used == 1) for number in range(count)]
