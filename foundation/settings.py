@@ -26,7 +26,7 @@ import types
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from difflib import SequenceMatcher
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
 
@@ -132,9 +132,7 @@ def fields_of(kind: type) -> dict[str, Any]:
     return {field.name: hints[field.name] for field in dataclasses.fields(kind)}
 
 
-@cache
-def _hints(kind: Any) -> dict[str, Any]:
-    return get_type_hints(kind, include_extras=True)
+_hints: Callable[[Any], dict[str, Any]] = cache(partial(get_type_hints, include_extras=True))
 
 
 def defaults_of(kind: type[Settings]) -> dict[str, Any]:
@@ -245,10 +243,10 @@ def words_for(kind: Any) -> str:
     if origin is Annotated:
         return next((part.words for part in parts[1:] if isinstance(part, Rule)), words_for(parts[0]))
     if origin in (Union, types.UnionType):
-        return ", or ".join(dict.fromkeys("null" if part is type(None) else words_for(part) for part in parts))
+        return ", or ".join(dict.fromkeys(map(words_for, parts)))
     if origin is Literal:
         return " or ".join(str(part) for part in parts)
-    if origin in (tuple, list, Sequence):
+    if origin in _LISTS:
         if origin is tuple and parts[-1] is not Ellipsis:
             return f"a list of {len(parts)}: {', '.join(words_for(part) for part in parts)}"
         return f"a list, each item {words_for(parts[0])}"
@@ -258,14 +256,13 @@ def words_for(kind: Any) -> str:
         return "an array"
     if origin in (dict, Mapping) or kind in (dict, Mapping):
         return "a mapping of keys to values"
-    if kind is None:
-        return "null"
     if isinstance(kind, type) and issubclass(kind, Settings):
         return f"a group with the keys {', '.join(fields_of(kind))}"
     name = getattr(kind, "__name__", str(kind))
     return _WORDS.get(kind, f"{'an' if name[0] in 'AEIOU' else 'a'} {name}")
 
 
+_LISTS = (tuple, list, Sequence)
 _WORDS = {
     int: "a whole number",
     float: "a number",
@@ -274,9 +271,6 @@ _WORDS = {
     Path: "a path",
     type(None): "null",
 }
-
-
-_LISTS = (tuple, list, Sequence)
 
 
 def _fit(value: Any, kind: Any) -> tuple[bool, Any]:
@@ -293,7 +287,7 @@ def _fit(value: Any, kind: Any) -> tuple[bool, Any]:
             if fits:
                 return True, found
         return False, value
-    if isinstance(origin, type) and origin not in (Annotated, *_LISTS, dict, Mapping, types.UnionType):
+    if isinstance(origin, type) and origin not in (*_LISTS, dict, Mapping):
         return isinstance(value, origin), value  # an array, a function: its contents cannot be checked
     if type(value).__module__ == "numpy" and hasattr(value, "tolist"):
         value = value.tolist()
@@ -338,8 +332,6 @@ def _fit_list(value: Any, origin: Any, parts: tuple[Any, ...]) -> tuple[bool, An
 
 
 def _fit_plain(value: Any, kind: Any) -> tuple[bool, Any]:
-    if kind is None:
-        return value is None, value
     if getattr(kind, "_is_protocol", False):  # any object that can do the same
         return value is not None and not isinstance(value, str | bytes | int | float | list | tuple | Mapping), value
     if isinstance(kind, type) and issubclass(kind, Absent):
