@@ -179,13 +179,13 @@ def joined(parts: Sequence[tuple[NDArray[Any], NDArray[Any] | None]]) -> tuple[N
     """
     if len(parts) == 1:
         return parts[0]
-    orientations = [orientation for _, orientation in parts if orientation is not None]
-    if not orientations:
-        return np.concatenate([position for position, _ in parts]), None
+    positions, orientations = zip(*parts, strict=True)
+    if orientations[0] is None:
+        return np.concatenate(positions), None
     orientation = np.concatenate(orientations)
-    if all(both is not None and np.shares_memory(position, both) for position, both in parts):
+    if all(map(np.shares_memory, positions, orientations)):
         return orientation.reshape(len(orientation), -1), orientation
-    return np.concatenate([position for position, _ in parts]), orientation
+    return np.concatenate(positions), orientation
 
 
 def check_alike(first: Description, second: Description) -> None:

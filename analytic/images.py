@@ -78,8 +78,5 @@ def luma(images: NDArray[np.float32]) -> NDArray[np.float32]:
     """
     if images.shape[1] == 1:
         return images
-    grey = images[:, 0] * np.float32(LUMA[0])
-    part = np.empty_like(grey)  # few arrays: on some systems new memory takes longer than the sums
-    for channel in (1, 2):
-        grey += np.multiply(images[:, channel], np.float32(LUMA[channel]), out=part)
-    return grey[:, None]
+    red, green, blue = (images[:, channel, None] * np.float32(LUMA[channel]) for channel in range(3))
+    return red + green + blue

@@ -46,7 +46,7 @@ def clusters(n_clusters: Any, frames: int) -> int:
     return count
 
 
-def cluster_labels(labels: ArrayLike, frames: int | None = None) -> Integers:
+def cluster_labels(labels: ArrayLike, frames: int) -> Integers:
     """Check labels, one whole number per frame (n,); negative ones mark frames that are in no cluster.
 
     Raises:
@@ -55,7 +55,7 @@ def cluster_labels(labels: ArrayLike, frames: int | None = None) -> Integers:
     array = np.asarray(labels)
     if array.ndim != 1 or array.dtype.kind not in "iu":
         raise AnalyticError(f"labels must be whole numbers of shape (n,), got {array.dtype} of shape {array.shape}")
-    if frames is not None and len(array) != frames:
+    if len(array) != frames:
         raise AnalyticError(f"every frame needs one label: got {len(array)} labels for {frames} frames")
     return array.astype(np.int64)
 

@@ -39,7 +39,7 @@ class BetweenColumns(Descriptor):
     def align(self, queries: Description, references: Description) -> Alignment:
         """Return the relative heading in rad and the aligned distance (n, m) of each query to each reference."""
         self.check(queries, references)
-        columns = self._steps(queries, references)
+        columns = self._steps(queries)
         turns = _turns(columns)
         found = best_turns(_filled_up(queries.spectrum, columns, turns), references.spectrum, turns)
         product = found.peak * (turns / columns)  # the inverse transform divides by the number of turns

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cache
 from math import pi, sqrt
 from typing import Any, Literal
 
@@ -99,7 +98,7 @@ class FourierSignature(ImageDescriptor):
     def align(self, queries: Description, references: Description) -> Alignment:
         """Return the relative heading in rad and the aligned distance (n, m) of each query to each reference."""
         self.check(queries, references)
-        self._steps(queries, references)  # checks that both have an orientation part
+        self._steps(queries)  # refuses images whose columns are no full turn
         step, distance = (self._correlated if self.heading == "correlation" else self._multiplied)(queries, references)
         return Alignment(angle(step, self.turns), distance)
 
@@ -111,11 +110,7 @@ class FourierSignature(ImageDescriptor):
         turn = 2j * pi / self.turns * np.arange(len(rows[0]))[:, None]
 
         def turned(row: int) -> Callable[[int], NDArray[Any]]:
-            @cache
-            def back(step: int) -> NDArray[Any]:
-                return queries.turnable[row] * np.exp(turn * step).astype(np.complex64)
-
-            return back
+            return lambda step: queries.turnable[row] * np.exp(turn * step).astype(np.complex64)
 
         lengths = queries.kept("power", _power)[:, None] + references.kept("power", _power)
         # The inverse transform divides by the number of turns.

@@ -19,8 +19,8 @@ from analytic.errors import AnalyticError
 
 SIGN = "+"
 """Between the names of parts in one name, such as "pretrained+hsv+hog"."""
-NUMBERS = ("weights", "typical", "widths")
-"""The fields of `Fused` that hold a number for each part."""
+NUMBERS = {"weights": 0, "typical": 1e-30, "widths": 1}
+"""The fields of `Fused` that hold a number for each part, and the smallest number that each allows."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,14 +79,12 @@ class Fused(Descriptor):
         if self.compares:
             first = sorted(self.parts.items(), key=lambda one: one[1] is not self.oriented_by)
             object.__setattr__(self, "parts", dict(first))
+        for key, least in NUMBERS.items():
+            if (given := getattr(self, key)) is not None:
+                object.__setattr__(self, key, self._numbers(given, key, least))
         if self.weights is not None:
-            weights = self._numbers(self.weights, "weights", 0)
-            total = sum(weights.values())
-            object.__setattr__(self, "weights", {name: value / total for name, value in weights.items()})
-        if self.typical is not None:
-            object.__setattr__(self, "typical", self._numbers(self.typical, "typical", 1e-30))
-        if self.widths is not None:
-            object.__setattr__(self, "widths", self._numbers(self.widths, "widths", 1))
+            total = sum(self.weights.values())
+            object.__setattr__(self, "weights", {name: value / total for name, value in self.weights.items()})
 
     @property
     def complete(self) -> bool:
@@ -136,7 +134,7 @@ class Fused(Descriptor):
         return Description(self.joined(blocks), turning)
 
     def joined(self, blocks: Mapping[str, NDArray[np.float32]]) -> NDArray[np.float32]:
-        """Return the position parts (B, D) of what the parts give (B, D_i), scaled if the descriptor is complete."""
+        """Join the position parts (B, D_i) of all parts into one (B, D), weighted if the descriptor is complete."""
         if self.weights is None or self.typical is None:
             return np.concatenate(list(blocks.values()), axis=1)
         first = next(iter(self.typical.values()))
@@ -144,12 +142,12 @@ class Fused(Descriptor):
         return np.concatenate([block * scales[name] for name, block in blocks.items()], axis=1)
 
     def measured(self, batch: ArrayLike) -> Fused:
-        """Return the descriptor with the lengths of the position parts that its parts give for images."""
+        """Return this descriptor with the lengths of its parts' position parts, measured on images."""
         widths = {name: description_of(one, batch).position.shape[1] for name, one in self.parts.items()}
         return replace(self, widths=widths)
 
     def split(self, position: NDArray[np.float32]) -> dict[str, NDArray[np.float32]]:
-        """Return position parts (B, D) as those of each part (B, D_i), which `joined` joins."""
+        """Split position parts (B, D) into those of each part (B, D_i), the reverse of `joined`."""
         widths = list((self.widths or {}).values())
         return dict(zip(self.parts, np.split(position, np.cumsum(widths)[:-1], axis=1), strict=True))
 
@@ -159,11 +157,8 @@ class Fused(Descriptor):
         Raises:
             AnalyticError: no part does.
         """
-        return (
-            super().align(queries, references)
-            if self.oriented_by is None
-            else self.oriented_by.align(queries, references)
-        )
+        part = self.oriented_by
+        return super().align(queries, references) if part is None else part.align(queries, references)
 
     def pairwise(self, queries: Description, references: Description, distance: str | None = None) -> Floats:
         """Return the distances (n, m) between the position parts of queries and references."""
@@ -203,7 +198,7 @@ def distinct(names: Sequence[Any]) -> list[str]:
 
 
 def _comparable(part: Descriptor, position: NDArray[Any]) -> NDArray[np.float32]:
-    """Return position parts whose Euclidean distances are those by which a part is meant to be compared."""
+    """Scale position parts so that their Euclidean distances rank images as the part's default distance does."""
     if part.default_distance in ("cosine", "correlation"):
         position = unit_vectors(position, centred=part.default_distance == "correlation")
     return position.astype(np.float32, copy=False)

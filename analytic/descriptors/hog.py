@@ -132,8 +132,8 @@ def _histograms(
 ) -> NDArray[np.float32]:
     """Return half the sums of magnitudes by cell and bin of the direction (cells, bins).
 
-    Fractions of bins are truncated, which rounds down since nothing is negative. The first bin and one more, after the
-    last, are the same, which the angle -pi = pi cuts in two.
+    Bins are counted from the direction -pi, which is also pi: this bin is cut in two, and its other half, one bin more
+    after the last, is added to it.
     """
     place = (angle * np.float32(bins / (2 * pi)) + np.float32(bins // 2 + 0.5)).astype(np.int64)
     sums = cell_sums(cell, cells, place, bins + 1, magnitude) / 2
