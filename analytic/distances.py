@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from analytic.arrays import Floats, real
-from analytic.errors import AnalyticError, known
+from analytic.errors import AnalyticError
+from foundation.errors import known
 
 Pairwise = Callable[[ArrayLike, ArrayLike], Floats]
 
@@ -95,7 +96,7 @@ def distance(name: str) -> Pairwise:
         array([[7.],
                [5.]])
     """
-    return DISTANCES[known(name, DISTANCES, "distance")]
+    return DISTANCES[known(name, DISTANCES, "distance", AnalyticError)]
 
 
 def _checked(a: ArrayLike, b: ArrayLike) -> tuple[Floats, Floats]:

@@ -1,10 +1,8 @@
-"""The exception of this package, and the hint at the end of its messages."""
+"""The exception of this package."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-
-from foundation.errors import ConfigError, hint
+from foundation.errors import ConfigError
 
 
 class AnalyticError(ConfigError):
@@ -18,24 +16,3 @@ class AnalyticError(ConfigError):
         ...     print(str(error).split(" valid:")[0])
         unknown descriptor 'hogg': did you mean 'hog'?
     """
-
-
-def known(name: object, valid: Iterable[str], what: str) -> str:
-    """Check that a name, such as the name of a descriptor, is among the valid ones, and return it.
-
-    Args:
-        name: the name.
-        valid: the valid names.
-        what: noun for a valid name in the error message, such as "descriptor".
-
-    Raises:
-        AnalyticError: the name is not valid, or not a string.
-
-    Example:
-        >>> known("hog", ["gist", "hog"], "descriptor")
-        'hog'
-    """
-    options = list(valid)
-    if not isinstance(name, str) or name not in options:
-        raise AnalyticError(f"unknown {what} {name!r}: {hint(name, options)}")
-    return name

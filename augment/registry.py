@@ -5,7 +5,8 @@ from __future__ import annotations
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-from augment.errors import AugmentError, hint
+from augment.errors import AugmentError
+from foundation.errors import known
 
 if TYPE_CHECKING:
     from augment.base import Effect
@@ -57,8 +58,6 @@ def effect(name: str, **params: Any) -> Effect:
         >>> augment.effect("gamma", gamma=(0.8, 1.25))
         gamma(gamma=(0.8, 1.25), circular=True)
     """
-    if name not in EFFECTS:
-        raise AugmentError(f"unknown effect {name!r}: {hint(name, EFFECTS)}")
-    module, _, cls = _HOMES[name].partition(".")
+    module, _, cls = _HOMES[known(name, EFFECTS, "effect", AugmentError)].partition(".")
     built: Effect = getattr(import_module(f"augment.{module}"), cls)(**params)
     return built

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from difflib import get_close_matches
+from typing import Any
 
 
 class SiamlocError(Exception):
@@ -48,6 +49,28 @@ def hint(name: object, valid: Iterable[object]) -> str:
     close = close or get_close_matches(str(name), options, n=1, cutoff=0.5)
     listed = ", ".join(options) if options else "none"
     return (f"did you mean {close[0]!r}? " if close else "") + f"valid: {listed}"
+
+
+def known(name: Any, valid: Iterable[str], what: str, error: type[Exception] = ConfigError) -> Any:
+    """Return a name, such as that of a descriptor, if it is among the valid ones.
+
+    Args:
+        name: the name.
+        valid: the valid names.
+        what: noun for a valid name in the error message, such as "descriptor".
+        error: class of the error.
+
+    Raises:
+        ConfigError: the name is not valid; or another `error`.
+
+    Example:
+        >>> known("hog", ["gist", "hog"], "descriptor")
+        'hog'
+    """
+    options = list(valid)
+    if not isinstance(name, str) or name not in options:
+        raise error(f"unknown {what} {name!r}: {hint(name, options)}")
+    return name
 
 
 def _initials(name: str) -> str:

@@ -6,7 +6,8 @@ from importlib import import_module
 from typing import Any, cast
 
 from analytic.descriptors.base import ImageDescriptor
-from analytic.errors import known
+from analytic.errors import AnalyticError
+from foundation.errors import known
 from foundation.settings import defaults_of
 
 DESCRIPTORS: dict[str, tuple[str, str]] = {
@@ -58,5 +59,5 @@ def parameters(name: str) -> dict[str, Any]:
 
 
 def _class(name: str) -> type[ImageDescriptor]:
-    module, kind = DESCRIPTORS[known(name, DESCRIPTORS, "descriptor")]
+    module, kind = DESCRIPTORS[known(name, DESCRIPTORS, "descriptor", AnalyticError)]
     return cast(type[ImageDescriptor], getattr(import_module(f"analytic.descriptors.{module}"), kind))

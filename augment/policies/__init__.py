@@ -22,6 +22,7 @@ import yaml
 from augment.compose import Policy
 from augment.errors import AugmentError, hint
 from augment.registry import POLICIES
+from foundation.errors import known
 from foundation.settings import checked
 
 Tree = dict[str, Any]
@@ -122,9 +123,8 @@ def _resolved(step: Any) -> Any:
         return step
     if "policy" in step:
         name, rest = step["policy"], {key: value for key, value in step.items() if key != "policy"}
-        if name not in POLICIES:
-            raise AugmentError(f"unknown policy {name!r} in a step: {hint(name, POLICIES)}")
-        return {"all_of": [_resolved(_read(_FOLDER / f"{name}.yaml"))], **rest}
+        file = f"{known(name, POLICIES, 'policy of a step', AugmentError)}.yaml"
+        return {"all_of": [_resolved(_read(_FOLDER / file))], **rest}
     groups = {key: [_resolved(child) for child in step[key]] for key in ("all_of", "one_of") if _is_list(step.get(key))}
     return {**step, **groups}
 

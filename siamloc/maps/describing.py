@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from analytic import DESCRIPTORS, Description, Descriptor, Fused, descriptor
 from analytic.descriptors.fused import distinct
-from analytic.errors import known
 from foundation.calls import typed
+from foundation.errors import known
 from siamloc.data.frames import FrameTable, check_units
 from siamloc.data.mounting import Mounting, estimate
 from siamloc.errors import ConfigError, DataError, logger

@@ -12,9 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analytic import clustering
-from analytic.errors import known as known_name
 from analytic.mapper import IncrementalMapper, Parameters
 from foundation.calls import typed
+from foundation.errors import known as known_name
 from foundation.files import read_json, storage_errors, write_json, write_text
 from foundation.locks import LOCK, locked
 from foundation.settings import Count, Positive, Seed, Settings

@@ -18,9 +18,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from analytic.distances import DISTANCES
-from analytic.errors import known
 from foundation.calls import typed
 from foundation.columns import Rows
+from foundation.errors import known
 from foundation.settings import Count
 from siamloc.errors import DataError
 

@@ -150,7 +150,7 @@ def test_a_policy_may_be_a_step_of_another():
         ("name: my.yaml\n", "my.yaml describes no policy: it needs one of all_of, one_of, effect, policy"),
         ("all_of: blur\nrotate: 1\n", "my.yaml: all_of in policy my must be a list of steps, got 'blur'"),
         ("effect: noise\nvariance: 1e-3\n", "my.yaml: variance of noise must be a number or a pair .*, got '1e-3'"),
-        ("policy: night\n", "my.yaml: unknown policy 'night' in a step: "),
+        ("policy: night\n", "my.yaml: unknown policy of a step 'night': "),
     ],
 )
 def test_files_that_make_no_sense(tmp_path, text, message):
@@ -178,7 +178,7 @@ def test_files_that_cannot_be_read(tmp_path):
         ({}, "a policy needs a name, or its own tree"),
         ([1], "a policy is a mapping with a name"),
         ({"name": "mine", "all_of": [], "rotat": 1}, "all_of in policy mine has no key 'rotat'"),
-        ({"all_of": [{"policy": "thesys"}]}, "unknown policy 'thesys' in a step: did you mean 'thesis'"),
+        ({"all_of": [{"policy": "thesys"}]}, "unknown policy of a step 'thesys': did you mean 'thesis'"),
         ({"one_of": [{"policy": "thesis", "rotate": 1}]}, "all_of in policy own has no key 'rotate'"),
         ({"effect": "blur", 3: 4}, "blur has no parameter '3'"),
     ],

@@ -29,5 +29,5 @@ def test_tone_any_draws_both():
 
 
 def test_unknown_tone():
-    with pytest.raises(augment.AugmentError, match="unknown tone 'lihgt' of bulb: did you mean 'light'"):
+    with pytest.raises(augment.AugmentError, match="unknown tone of bulb 'lihgt': did you mean 'light'"):
         augment.effect("bulb", tone="lihgt")
