@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
-from itertools import combinations_with_replacement
+from itertools import combinations_with_replacement, product
 from typing import Any
 
 import torch
@@ -17,18 +17,15 @@ from foundation.settings import Count, checked
 Tree = dict[str, Any]
 
 _SHAPES = ("bulb", "square", "trapezoid")
-_LOCALS: tuple[tuple[str, Tree], ...] = tuple(
-    (f"{shape} {tone}", {"effect": shape, "tone": tone}) for shape in _SHAPES for tone in ("light", "dark")
-)
-_GLOBALS: tuple[tuple[str, Tree], ...] = tuple((name, {"effect": name}) for name in ("brighten", "darken"))
-_WHOLE: tuple[tuple[str, Tree], ...] = (
-    ("sharpen", {"effect": "sharpen"}),
-    ("blur", {"effect": "blur"}),
-    ("contrast up", {"effect": "contrast", "factor": [1.2, 1.8]}),
-    ("contrast down", {"effect": "contrast", "factor": [0.5, 0.8]}),
-    ("equalize", {"effect": "equalize"}),
-    ("saturate", {"effect": "saturate"}),
-)
+_SPOTS = {f"{shape} {tone}": {"effect": shape, "tone": tone} for shape in _SHAPES for tone in ("light", "dark")}
+_GLOBALS = ("brighten", "darken")
+_SINGLES: dict[str, Tree] = {
+    **_SPOTS,
+    **{name: {"effect": name} for name in (*_GLOBALS, "sharpen", "blur")},
+    "contrast up": {"effect": "contrast", "factor": [1.2, 1.8]},
+    "contrast down": {"effect": "contrast", "factor": [0.5, 0.8]},
+    **{name: {"effect": name} for name in ("equalize", "saturate", "rotate")},
+}
 _BULBS = ("light", "light", "light"), ("dark", "dark", "dark"), ("light", "light", "dark"), ("light", "dark", "dark")
 
 
@@ -97,13 +94,9 @@ def variants(depth: int, circular: bool = True) -> list[Variant]:
 
 def combinations() -> dict[str, list[Tree]]:
     """Return the effects of the 104 combinations by label, in the order of `variants`."""
-    singles = [*_LOCALS, *_GLOBALS, *_WHOLE]
-    bulbs = [tuple((f"bulb {tone}", {"effect": "bulb", "tone": tone}) for tone in tones) for tones in _BULBS]
-    lit = [(change, spot) for change in _GLOBALS for spot in _LOCALS]
-    pairs = list(combinations_with_replacement(_LOCALS, 2))
-    turn = ("rotate", {"effect": "rotate"})
-    ordered: list[tuple[tuple[str, Tree], ...]] = [(), *((one,) for one in singles), (turn,)]
-    ordered += [(one, turn) for one in singles]
-    ordered += [*lit, *bulbs, *pairs]
-    ordered += [(*some, turn) for some in [*lit, *bulbs, *pairs]]
-    return {" + ".join(word for word, _ in some) or "original": [step for _, step in some] for some in ordered}
+    singles = [(label,) for label in _SINGLES]  # the rotation last
+    bulbs = [tuple(f"bulb {tone}" for tone in tones) for tones in _BULBS]
+    several = [*product(_GLOBALS, _SPOTS), *bulbs, *combinations_with_replacement(_SPOTS, 2)]
+    ordered: list[tuple[str, ...]] = [(), *singles, *((*one, "rotate") for one in singles[:-1])]
+    ordered += [*several, *((*some, "rotate") for some in several)]
+    return {" + ".join(labels) or "original": [_SINGLES[label] for label in labels] for labels in ordered}
