@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections import Counter
 from dataclasses import dataclass
 from math import isfinite
@@ -12,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from analytic.arrays import Integers
-from foundation.files import write_bytes
+from foundation.files import write_json
 
 
 @dataclass(frozen=True)
@@ -42,7 +41,7 @@ class NodeGraph:
         """
         edges = [{"source": a, "target": b, "passages": n} for (a, b), n in sorted(self.edges.items())]
         nodes = [{"id": key, **values} for key, values in sorted(self.nodes.items())]
-        write_bytes(path, json.dumps({"nodes": nodes, "edges": edges, "loops": self.loops}, indent=1).encode())
+        write_json(path, {"nodes": nodes, "edges": edges, "loops": self.loops})
 
 
 def edges(labels: Integers) -> dict[tuple[int, int], int]:
