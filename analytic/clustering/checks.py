@@ -60,6 +60,19 @@ def cluster_labels(labels: ArrayLike, frames: int) -> Integers:
     return array.astype(np.int64)
 
 
+def members(labels: Integers) -> list[Integers]:
+    """Return the frames of each cluster, for ascending labels; frames with a negative label are in none.
+
+    Raises:
+        AnalyticError: no frame is in a cluster.
+    """
+    rows = np.flatnonzero(labels >= 0)
+    if not len(rows):
+        raise AnalyticError("no frame is in a cluster: labels from 0 on are needed")
+    rows = rows[np.argsort(labels[rows], kind="stable")]
+    return np.split(rows, np.flatnonzero(np.diff(labels[rows])) + 1)
+
+
 def renumbered(labels: NDArray[Any]) -> Integers:
     """Renumber labels (n,) from 0 to k-1 in the order of their first appearance."""
     _, first, inverse = np.unique(labels, return_index=True, return_inverse=True)

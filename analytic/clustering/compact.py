@@ -92,11 +92,7 @@ def positions(points: ArrayLike, labels: ArrayLike) -> Floats:
 
 def _means(x: Floats, labels: Integers, weights: Floats) -> Floats:
     """Return the weighted mean of each cluster (k, D); NaN for a cluster whose frames all have weight 0."""
-    rows = np.flatnonzero(labels >= 0)
-    if not len(rows):
-        raise AnalyticError("no frame is in a cluster: labels from 0 on are needed")
-    rows = rows[np.argsort(labels[rows], kind="stable")]
-    members = np.split(rows, np.flatnonzero(np.diff(labels[rows])) + 1)
-    sums = np.stack([weights[part] @ x[part] for part in members])
-    counts = np.array([[weights[part].sum()] for part in members])
+    members = checks.members(labels)
+    sums = np.stack([weights[rows] @ x[rows] for rows in members])
+    counts = np.array([[weights[rows].sum()] for rows in members])
     return np.divide(sums, counts, out=np.full_like(sums, np.nan), where=counts > 0)

@@ -146,10 +146,7 @@ def moments_of_inertia(points: ArrayLike, labels: ArrayLike) -> Floats:
         [1.0, 0.0]
     """
     positions = checks.vectors(points, "positions")
-    names = checks.cluster_labels(labels, len(positions))
-    if not (names >= 0).any():
-        raise AnalyticError("no frame is in a cluster: labels from 0 on are needed")
-    groups = [positions[names == name] for name in np.unique(names[names >= 0])]
+    groups = [positions[rows] for rows in checks.members(checks.cluster_labels(labels, len(positions)))]
     return np.array([((group - group.mean(axis=0)) ** 2).sum(axis=1).mean() for group in groups])
 
 
