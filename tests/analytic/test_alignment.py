@@ -23,9 +23,6 @@ class Columns(AlignedDescriptor):
     def _check_size(self, height, width):
         pass
 
-    def resolution(self, width):
-        return 2 * np.pi / width
-
     def sizes(self, height, width):
         return (height * width,), (width, height)
 

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from sklearn.metrics import silhouette_samples, silhouette_score
 
-from analytic import AnalyticError, clustering, distance, measures
+from analytic import AnalyticError, distance, measures
 from tests.oracles import clustering as oracle
 from tests.oracles.cold_lists import read_list
 
@@ -141,25 +141,6 @@ def test_closures_are_counted_as_defined(frames, seed, gap, radius):
     if found.revisits:
         assert found.recall == found.closed / found.revisits
         assert 0 <= found.f1 <= 1
-
-
-@pytest.mark.data
-@pytest.mark.skipif(not LISTS.is_dir(), reason="the real pose lists do not lie beside the project")
-def test_sampling_a_real_path_keeps_to_rooms_and_places():
-    frames = read_list(LISTS / "freiburg_seq2_cloudy1.places.lst")
-    points = np.array([(x, y) for _, _, _, x, y, _ in frames])
-    rooms = [room for _, room, *_ in frames]
-    purities, inertias = [], []
-    for count in (10, 40, 160):
-        labels = clustering.sample(len(frames), count)
-        purities.append(measures.purity(labels, rooms).overall)
-        inertias.append(measures.moment_of_inertia(points, labels))
-    assert purities == sorted(purities)
-    assert purities[-1] > 0.95
-    assert inertias == sorted(inertias, reverse=True)
-    perfect = measures.purity(np.unique(rooms, return_inverse=True)[1], rooms)
-    assert perfect.overall == 1
-    assert set(perfect.rooms.values()) == {1.0}
 
 
 @pytest.mark.data

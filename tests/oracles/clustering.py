@@ -33,18 +33,6 @@ def affinity(x: np.ndarray, sigma: float, neighbours: int | None = None) -> np.n
     return matrix
 
 
-def laplacian(similarity: np.ndarray) -> np.ndarray:
-    """I - D^-1/2 S D^-1/2 without the diagonal of S; every frame resembles some other."""
-    n = len(similarity)
-    degree = [sum(similarity[i, j] for j in range(n) if j != i) for i in range(n)]
-    matrix = np.eye(n)
-    for i in range(n):
-        for j in range(n):
-            if i != j:
-                matrix[i, j] -= similarity[i, j] / math.sqrt(degree[i] * degree[j])
-    return matrix
-
-
 def som(x: np.ndarray, grid: tuple[int, int]) -> list[tuple[int, int]]:
     """Return the place on the grid that each frame is won by."""
     width, height = grid

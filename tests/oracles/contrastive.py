@@ -8,17 +8,10 @@ from collections.abc import Sequence
 Vectors = Sequence[Sequence[float]]
 
 
-def distance(a: Sequence[float], b: Sequence[float]) -> float:
-    total = 0.0
-    for x, y in zip(a, b, strict=True):
-        total += (x - y) ** 2
-    return math.sqrt(total)
-
-
 def contrastive_loss(d0: Vectors, d1: Vectors, labels: Sequence[float], margin: float) -> float:
     total = 0.0
     for a, b, y in zip(d0, d1, labels, strict=True):
-        d = distance(a, b)
+        d = math.dist(a, b)
         gap = margin - d if d < margin else 0.0
         total += (1 - y) * d * d + y * gap * gap
     return total / len(labels)
@@ -29,7 +22,7 @@ def pair_statistics(
 ) -> dict[str, float]:
     groups: dict[str, list[tuple[float, bool]]] = {"same": [], "different": []}
     for a, b, is_same in zip(d0, d1, same, strict=True):
-        d = distance(a, b)
+        d = math.dist(a, b)
         told_same = min(d / margin, 1) < 0.5
         groups["same" if is_same else "different"].append((d, told_same == is_same))
     result = {"loss": contrastive_loss(d0, d1, labels, margin)}
