@@ -88,10 +88,7 @@ class Description:
             AnalyticError: there is none.
         """
         if self.orientation is None:
-            raise AnalyticError(
-                "this description has no orientation part, so that no turn can be found: describe the images with a "
-                "descriptor that has one, such as 'hog', and keep it"
-            )
+            raise AnalyticError("the description has no orientation part: use a descriptor that has one, such as hog")
         return self.orientation
 
     @cached_property
@@ -198,10 +195,7 @@ def check_alike(first: Description, second: Description) -> None:
         raise AnalyticError(other_parameters(one, other))
     sizes = [_sizes(description) for description in (first, second)]
     if sizes[0] != sizes[1]:
-        raise AnalyticError(
-            f"descriptions of different sizes cannot be compared: {sizes[0]} against {sizes[1]}; "
-            "describe images of one size with the same descriptor"
-        )
+        raise AnalyticError(f"descriptions have different sizes ({sizes[0]}, {sizes[1]}): describe images of one size")
 
 
 def other_parameters(expected: dict[str, Any], found: dict[str, Any]) -> str:

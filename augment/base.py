@@ -122,7 +122,7 @@ class Effect(ABC):
         check_shape(batch)
         if not isinstance(generator, torch.Generator):
             raise AugmentError(
-                f"{self.name} draws from a torch.Generator, such as torch.Generator().manual_seed(0), got {generator!r}"
+                f"{self.name} draws from a torch.Generator, such as torch.Generator(), got {generator!r}"
             )
         height, width = batch.shape[2:]
         shape = (len(batch), len(self.spans(height, width)))

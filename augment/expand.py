@@ -209,9 +209,7 @@ def _prepared(
         differing = [key for key, value in wanted.items() if before.get(key) != value]
         if differing:
             changed = "; ".join(f"{key}={before.get(key)}, now asked for {wanted[key]}" for key in differing)
-            raise AugmentError(
-                f"{folder} was expanded with {changed}: resume with the same settings, or choose another folder"
-            )
+            raise AugmentError(f"{folder} was expanded with {changed}: use the same settings, or another folder")
     rows = read_table(table) if table.is_file() else []
     named = zip(sources, outputs, strict=True)
     asked = {_name(target, folder): str(source) for source, row in named for target in row} if rows else {}

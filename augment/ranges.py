@@ -57,9 +57,7 @@ class Range:
             kind = "whole number" if self.whole else "number"
             raise AugmentError(f"{what} must be a {kind} or a pair of them (low, high), got {value!r}")
         if not self.minimum <= pair[0] <= pair[1] <= self.maximum:
-            raise AugmentError(
-                f"{what} must lie in [{self.minimum:g}, {self.maximum:g}], the lower number first, got {value!r}"
-            )
+            raise AugmentError(f"{what} must lie in [{self.minimum:g}, {self.maximum:g}], lower first, got {value!r}")
         return replace(self, low=float(pair[0]), high=float(pair[1]))
 
     @property

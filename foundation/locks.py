@@ -59,9 +59,7 @@ def alone(folder: Path) -> Iterator[None]:
     try:
         with locked(folder / LOCK, wait=False) as free:
             if not free:
-                raise ConfigError(
-                    f"another process is writing into {folder}: wait for its end, or choose another folder"
-                )
+                raise ConfigError(f"another process is writing into {folder}: wait for it, or choose another folder")
             yield
     except BaseException:
         with suppress(OSError):  # it is not empty

@@ -48,10 +48,7 @@ def som(X: ArrayLike, grid: tuple[int, int], *, seed: int = 0) -> Integers:
     x = checks.vectors(X)
     width, height = checked(grid, Grid, "the grid", AnalyticError)
     if width * height > len(x):
-        raise AnalyticError(
-            f"a grid of {width} x {height} units needs at least {width * height} frames, got {len(x)}: "
-            "make the grid smaller"
-        )
+        raise AnalyticError(f"{width} x {height} units need {width * height} frames, got {len(x)}: use a smaller grid")
     seed = checked(seed, Seed, "the seed", AnalyticError)
     different, inverse, counts = checks.distinct(x)
     scaled, _ = checks.to_unit_range(different)

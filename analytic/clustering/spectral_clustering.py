@@ -74,10 +74,7 @@ def spectral(
     checked(sigma, Positive | None, "sigma", AnalyticError)
     different, inverse, _ = checks.distinct(x)
     if count > len(different):
-        raise AnalyticError(
-            f"{count} clusters need at least as many different descriptors: the {len(x)} frames have "
-            f"{len(different)}; ask for fewer clusters or leave duplicates out"
-        )
+        raise AnalyticError(f"{count} clusters need as many different descriptors, got {len(different)}: ask for fewer")
     scaled, unit = checks.to_unit_range(different)
     width = None if sigma is None else sigma / unit
     t = _checked_neighbours(neighbours, len(different)) if len(different) > 1 else None

@@ -114,10 +114,7 @@ class Descriptor(ABC):
             AnalyticError: as `align`, or different numbers of descriptions.
         """
         if len(reference) not in (1, len(query)):
-            raise AnalyticError(
-                f"headings are compared row by row: {len(query)} queries need as many references or one, "
-                f"got {len(reference)}"
-            )
+            raise AnalyticError(f"{len(query)} queries need as many references, or one, got {len(reference)}")
         if len(reference) == 1:
             return self.align(query, reference).heading[:, 0]
         rows = [self.align(query.take([i]), reference.take([i])).heading[0, 0] for i in range(len(query))]
@@ -175,10 +172,7 @@ def description_of(by: Descriptor, batch: ArrayLike) -> Description:
                 f"got {part.shape if isinstance(part, np.ndarray) else type(part).__name__}"
             )
     if made.identity is not None and plain(made.identity) != plain(by.identity):
-        raise AnalyticError(
-            f"`describe` of {by.name} returns a description with another identity than the descriptor's: "
-            f"{made.identity} instead of {by.identity}"
-        )
+        raise AnalyticError(f"`describe` of {by.name} returns the identity {made.identity} instead of {by.identity}")
     return made
 
 
@@ -246,10 +240,7 @@ class ImageDescriptor(Descriptor, Settings):
         self._check_size(height, width)
         numbers = sum(math.prod(shape) for shape in self.sizes(height, width))
         if numbers > _NUMBERS:
-            raise AnalyticError(
-                f"{self.name} with these parameters describes an image by {numbers:,} numbers, more than {_NUMBERS:,}: "
-                "ask for fewer"
-            )
+            raise AnalyticError(f"{self.name} would give {numbers:,} numbers, more than {_NUMBERS:,}: ask for fewer")
         parts = each(self._parts, np.split(images, len(images)), cv2.getNumThreads())
         return Description(*joined(parts), self.identity)
 
@@ -263,10 +254,7 @@ class ImageDescriptor(Descriptor, Settings):
 
     def _steps(self, queries: Description) -> int:
         if not self.circular:
-            raise AnalyticError(
-                f"{self.name} was made with circular=False: the columns of an ordinary camera are no full turn, so "
-                "there is no relative heading to be found"
-            )
+            raise AnalyticError(f"{self.name} with circular=False has no relative heading: columns are no full turn")
         return super()._steps(queries)
 
     @classmethod
@@ -337,9 +325,7 @@ def check_cells(made: Any, height: int, width: int, rows: str = "rows") -> None:
     check_divides(made, rows, height, "height")
     check_divides(made, "step", width, "width")
     if made.window > width:
-        raise AnalyticError(
-            f"{made.name}'s window={made.window} is wider than the image of {width} columns: use at most window={width}"
-        )
+        raise AnalyticError(f"{made.name}'s window={made.window} is wider than {width} columns: use at most {width}")
 
 
 def check_divides(made: Any, key: str, pixels: int, side: str) -> None:
@@ -353,10 +339,8 @@ def check_divides(made: Any, key: str, pixels: int, side: str) -> None:
     """
     value = getattr(made, key)
     if pixels % value:
-        raise AnalyticError(
-            f"{made.name}'s {key}={value} does not divide the image's {side} of {pixels} pixels: use {key}="
-            f"{divisors_near(pixels, value)}, or resize the image"
-        )
+        near = divisors_near(pixels, value)
+        raise AnalyticError(f"{made.name}'s {key}={value} does not divide the {side} of {pixels} pixels: use {near}")
 
 
 def divisors_near(number: int, wanted: int) -> str:

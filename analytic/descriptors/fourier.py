@@ -132,9 +132,9 @@ class FourierSignature(ImageDescriptor):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if 2 * (self.orientation_columns - 1) >= self.turns:
+        if self.orientation_columns > (most := (self.turns + 1) // 2):
             raise AnalyticError(
-                f"fs with turns={self.turns} resolves at most {(self.turns + 1) // 2} frequencies, got "
+                f"fs with turns={self.turns} resolves at most {most} frequencies, got "
                 f"orientation_columns={self.orientation_columns}: use more turns or fewer columns"
             )
 
@@ -143,16 +143,10 @@ class FourierSignature(ImageDescriptor):
             check_divides(self, key, height, "height")
         most = (width + 1) // 2 if self.circular else width
         for key in ("columns", "orientation_columns"):
-            if getattr(self, key) > most:
-                raise AnalyticError(
-                    f"fs's {key}={getattr(self, key)} are more frequencies than an image of {width} columns has: use "
-                    f"at most {key}={most}"
-                )
+            if (value := getattr(self, key)) > most:
+                raise AnalyticError(f"fs's {key}={value} is above the {most} frequencies of {width} columns: use fewer")
         if self.circular and width % self.turns and self.turns % width:
-            raise AnalyticError(
-                f"fs's turns={self.turns} are neither a multiple nor a divisor of the image's width of {width} "
-                f"pixels: use turns={width}, or resize the image"
-            )
+            raise AnalyticError(f"fs's turns={self.turns} is no multiple or divisor of {width} columns: use {width}")
 
     def _describe(self, image: NDArray[np.float32]) -> tuple[NDArray[Any], NDArray[Any]]:
         position = np.abs(self._signature(image, self.rows)[:, : self.columns])

@@ -108,10 +108,7 @@ class Gist(ImageDescriptor):
     def __post_init__(self) -> None:
         super().__post_init__()
         if self.normalized and self.orientation_filters == 1:
-            raise AnalyticError(
-                "gist needs orientation_filters of at least 2 to show which one prevails, got 1: use more of them, or "
-                "normalized=False"
-            )
+            raise AnalyticError("gist needs 2 orientation_filters or more, got 1: use more, or normalized=False")
 
     def _check_size(self, height: int, width: int) -> None:
         check_cells(self, height, width, rows="blocks")

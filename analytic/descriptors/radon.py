@@ -80,11 +80,11 @@ class RadonFourier(ImageDescriptor):
     def __post_init__(self) -> None:
         super().__post_init__()
         for key in ("lines", "orientation_lines"):
-            value = getattr(self, key)
-            if self.size // 2 % value:
+            value, half = getattr(self, key), self.size // 2
+            if half % value:
                 raise AnalyticError(
-                    f"radon_fourier's {key}={value} must divide the {self.size // 2} lines of size={self.size}: use "
-                    f"{key}={divisors_near(self.size // 2, value)}"
+                    f"radon_fourier's {key}={value} must divide the {half} lines of size={self.size}: use "
+                    f"{key}={divisors_near(half, value)}"
                 )
 
     def _check_size(self, height: int, width: int) -> None:

@@ -74,9 +74,7 @@ def check_square(name: str, source: str, height: int, width: int) -> None:
     """
     if source == "omnidirectional" and height != width:
         raise AnalyticError(
-            f"{name} with source='omnidirectional' takes square images with the mirror's centre in the middle, got "
-            f"{height} x {width} pixels: crop them to {min(height, width)} x {min(height, width)}, or use "
-            "source='panorama'"
+            f"{name} with source='omnidirectional' takes square images, got {height} x {width} pixels: crop them"
         )
 
 

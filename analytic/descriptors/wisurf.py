@@ -101,10 +101,7 @@ class WiSurf(AlignedDescriptor):
         check_divides(self, "windows", width, "width")
         side = height // self.rows
         if side > width:
-            raise AnalyticError(
-                f"wisurf's windows are squares of {side} pixels with rows={self.rows}, wider than the image of {width} "
-                "columns: use more rows, or resize the image"
-            )
+            raise AnalyticError(f"wisurf's windows of {side} x {side} are wider than {width} columns: use more rows")
 
     def _describe(self, image: NDArray[np.float32]) -> tuple[NDArray[Any], NDArray[Any]]:
         vectors = self._sampled(image) if self.sampling == "surf" else self._at_every_pixel(image)

@@ -148,10 +148,7 @@ def replay(events: Iterable[str | Mapping[str, Any]]) -> Integers:
         try:
             _apply(labels, json.loads(line) if isinstance(line, str) else line)
         except (ValueError, KeyError, TypeError, IndexError, AttributeError, RecursionError) as error:
-            raise AnalyticError(
-                f"event {number} of the log is not a line that a mapper wrote ({error!r}): the file is cut short, not "
-                "a log, of another version, or not in order"
-            ) from error
+            raise AnalyticError(f"event {number} of the log is not a line that a mapper wrote ({error!r})") from error
     return np.array(labels, dtype=np.int64)
 
 

@@ -61,9 +61,7 @@ class IncrementalMapper:
 
     def __init__(self, descriptor: Descriptor, version: int = 1, **others: Any) -> None:
         if not isinstance(descriptor, Descriptor):
-            raise AnalyticError(
-                f"the mapper takes a descriptor, such as analytic.descriptor('hog') returns, got {descriptor!r}"
-            )
+            raise AnalyticError(f"the mapper takes a descriptor, like analytic.descriptor('hog'), got {descriptor!r}")
         self.descriptor = descriptor
         self.parameters = Parameters.of({"version": version, **others})
         self.extendable = True
@@ -139,12 +137,9 @@ class IncrementalMapper:
         descriptions = self._checked(descriptions, None, extending=True)
         if not isinstance(node, (int, np.integer)) or node not in self._state.nodes:
             raise AnalyticError(f"the map has no node {node!r}: it has {sorted(self._state.nodes)}")
-        count = len(descriptions)
-        if count < self.parameters.smallest_node:
-            raise AnalyticError(
-                f"another appearance of a node needs at least smallest_node={self.parameters.smallest_node} images, "
-                f"got {count}"
-            )
+        count, least = len(descriptions), self.parameters.smallest_node
+        if count < least:
+            raise AnalyticError(f"another appearance needs smallest_node={least} images or more, got {count}")
         poses = [_plain(frame) for frame in (frames if frames is not None else [None] * count)]
         if len(poses) != count:
             raise AnalyticError(f"{count} images need as many frames, got {len(poses)}")
@@ -226,7 +221,7 @@ class IncrementalMapper:
         return mapper
 
     def _commit(self, draft: State, decision: Decision, poses: list[Any]) -> None:
-        """Replace the map by a draft. Until the last line, poses and events beyond those of the map do not count."""
+        """Replace the map by a draft. Until the last line does so, poses and events beyond the old map do not count."""
         draft.calls += 1
         self._lines[draft.calls :] = [line_of(decision, poses)]
         self._poses[len(self) :] = poses
@@ -237,9 +232,7 @@ class IncrementalMapper:
         if extending and not self.extendable:
             raise AnalyticError(_READ_ONLY)
         if not isinstance(description, Description):
-            raise AnalyticError(
-                f"the mapper takes what a descriptor's describe() returns, got {type(description).__name__}"
-            )
+            raise AnalyticError(f"the mapper takes what describe() returns, got {type(description).__name__}")
         self.descriptor.check(description, description)
         shape = description.position.shape
         if len(shape) != 2 or not 0 < shape[1] <= LARGEST_POSITION:
@@ -274,6 +267,4 @@ def _plain(frame: Any) -> Any:
     try:
         return json.loads(json.dumps(plain(frame)))
     except (TypeError, ValueError) as error:
-        raise AnalyticError(
-            f"a frame's identifier or pose must be plain values, lists or objects of them, got {frame!r}"
-        ) from error
+        raise AnalyticError(f"a frame is named by plain values, lists or objects of them, got {frame!r}") from error

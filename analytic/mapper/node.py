@@ -121,10 +121,7 @@ def _cholesky(covariance: Floats, least: float) -> Floats:
     covariance[np.diag_indices(len(covariance))] += least
     factor, failed = lapack.dpotrf(covariance.T, lower=1, overwrite_a=1)
     if failed:
-        raise AnalyticError(
-            "the covariance of a node cannot be inverted: its descriptors differ too little for their size; choose a "
-            "larger fixed shrinkage"
-        )
+        raise AnalyticError("the covariance of a node cannot be inverted: its frames are too alike; raise shrinkage")
     return factor
 
 
@@ -310,7 +307,7 @@ class Mode:
 
 
 def _split(rules: Parameters, count: int) -> NDArray[np.bool_]:
-    """Choose which of `count` frames are held out, as `Parameters.holds_out` does one by one."""
+    """Return which of `count` frames are held out (count,), as if they joined one by one."""
     return np.diff(np.floor(rules.held_out * np.arange(count + 1) + CLOSE)) > 0
 
 

@@ -90,20 +90,17 @@ class Parameters(Settings):
         for part, whole in (("checked_unassigned", "checked_window"), ("forced_unassigned", "forced_window")):
             if getattr(self, part) > getattr(self, whole):
                 raise AnalyticError(
-                    f"{self._key(part)} counts frames of the last {self._key(whole)}: {getattr(self, part)} of "
-                    f"{getattr(self, whole)} is impossible"
+                    f"{self._key(part)}={getattr(self, part)} is more than {self._key(whole)}={getattr(self, whole)}"
                 )
+        least = f"{self._key('smallest_node')}={self.smallest_node}"
         for name in ("first_node", "new_node", "checked_unassigned", "forced_unassigned", "changes_window"):
             if getattr(self, name) < self.smallest_node:
-                raise AnalyticError(
-                    f"{self._key(name)}={getattr(self, name)} would form nodes of fewer than "
-                    f"{self._key('smallest_node')}={self.smallest_node} frames: raise the one or lower the other"
-                )
+                raise AnalyticError(f"{self._key(name)}={getattr(self, name)} is less than {least}")
         held = floor(self.held_out * self.smallest_node + CLOSE)
         if not _SMALLEST_GAUSSIAN <= held <= self.smallest_node - _SMALLEST_GAUSSIAN:
             raise AnalyticError(
-                f"{self._key('held_out')}={self.held_out:g} of {self._key('smallest_node')}={self.smallest_node} "
-                f"frames holds out {held}: at least two must be held out, and two must be left to model the node"
+                f"{self._key('held_out')}={self.held_out:g} of {least} frames holds out {held}: at least two must be "
+                "held out, and two must be left to model the node"
             )
 
     def x(self, nodes: int) -> float:

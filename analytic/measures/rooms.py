@@ -55,9 +55,7 @@ def purity(labels: ArrayLike, rooms: ArrayLike) -> Purity:
     """
     names = np.asarray(rooms)
     if names.ndim != 1 or not all(isinstance(name, str) for name in names.tolist()):
-        raise AnalyticError(
-            f"rooms must be strings of shape (n,), empty for an unknown room, got {names.dtype} of shape {names.shape}"
-        )
+        raise AnalyticError(f"rooms must be strings (n,), '' if unknown, got {names.dtype} of shape {names.shape}")
     texts = names.astype(np.str_)
     node = checks.cluster_labels(np.asarray(labels, dtype=np.int64) if not np.size(labels) else labels, len(texts))
     counted = (texts != "") & (node >= 0)

@@ -278,7 +278,10 @@ X = np.arange(12.0).reshape(6, 2) ** 2
     [
         (lambda: clustering.spectral(X, 7), "7 clusters need at least as many frames, got 6"),
         (lambda: clustering.spectral(X, 0), "the number of clusters must be a whole number from 1 .*, got 0"),
-        (lambda: clustering.spectral(np.repeat(X[:2], 3, axis=0), 3), "the 6 frames have 2; ask for fewer"),
+        (
+            lambda: clustering.spectral(np.repeat(X[:2], 3, axis=0), 3),
+            "3 clusters need as many different descriptors, got 2",
+        ),
         (lambda: clustering.spectral(np.where(X > 90, np.nan, X), 2), "1 of 6 descriptors are not finite"),
         (lambda: clustering.spectral(X[0], 2), r"shape \(n, D\) .* got \(2,\)"),
         (lambda: clustering.spectral(X, 2, sigma=0), "sigma must be a number above 0, or null, got 0"),
@@ -287,7 +290,7 @@ X = np.arange(12.0).reshape(6, 2) ** 2
         (lambda: clustering.spectral(X, 2, seed=-1), "the seed must be a whole number from 0 to 4,294,967,295, got -1"),
         (lambda: clustering.affinity(X[:1], None, 1), "has at most 0 neighbours, got neighbours=1"),
         (lambda: clustering.som(X, (2, 0)), r"the grid must be two whole numbers .* got \(2, 0\)"),
-        (lambda: clustering.som(X, (4, 2)), "4 x 2 units needs at least 8 frames, got 6"),
+        (lambda: clustering.som(X, (4, 2)), "4 x 2 units need 8 frames, got 6"),
         (lambda: clustering.sample(0, 1), "the number of frames must be a whole number from 1 .*, got 0"),
         (lambda: clustering.sample(5, 6), "6 clusters need at least as many frames, got 5"),
         (lambda: clustering.representatives(X, [0, 1]), "got 2 labels for 6 frames"),

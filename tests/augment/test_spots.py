@@ -26,8 +26,3 @@ def test_tone_any_draws_both():
     light = augment.effect("square").draw(generator(), batch)["light"]
     assert 15 < int(light.sum()) < 49
     assert augment.effect("square", tone="dark").draw(generator(), batch)["light"].sum() == 0
-
-
-def test_unknown_tone():
-    with pytest.raises(augment.AugmentError, match="unknown tone of bulb 'lihgt': did you mean 'light'"):
-        augment.effect("bulb", tone="lihgt")

@@ -51,8 +51,8 @@ def test_a_bad_description_is_one_sentence_and_changes_nothing(frame, says):
         ({"held_out": 1.0}, "held_out must be a number between 0 and 1"),
         ({"held_out": 0.1}, "holds out 1: at least two"),
         ({"exemplars": 1}, "exemplars must be a whole number from 2 to 10 million, or null, got 1"),
-        ({"new_node": 5}, "new_node=5 would form nodes of fewer than smallest_node=10"),
-        ({"checked_unassigned": 25}, "checked_unassigned counts frames of the last checked_window: 25 of 20"),
+        ({"new_node": 5}, "new_node=5 is less than smallest_node=10"),
+        ({"checked_unassigned": 25}, "checked_unassigned=25 is more than checked_window=20"),
     ],
 )
 def test_a_parameter_out_of_range_is_one_sentence(parameters, says):
@@ -63,14 +63,14 @@ def test_a_parameter_out_of_range_is_one_sentence(parameters, says):
 def test_other_mistakes():
     with pytest.raises(AnalyticError, match="no node yet after 0 frames"):
         mapped(0).locate(FRAMES[0])
-    with pytest.raises(AnalyticError, match=r"takes a descriptor, such as .*, got 'hog'"):
+    with pytest.raises(AnalyticError, match=r"takes a descriptor, like .*, got 'hog'"):
         IncrementalMapper("hog")
     mapper, night = mapped(20), WORLD.at(POSES[:12])
     for call, says in (
         (lambda: mapper.add(FRAMES[0], frame=object()), "plain values, lists or objects"),
         (lambda: mapper.maintain(3, night), r"no node 3: it has \[0\]"),
         (lambda: mapper.maintain([0], night), r"no node \[0\]: it has \[0\]"),
-        (lambda: mapper.maintain(0, WORLD.at(POSES[:4])), "at least smallest_node=10 images, got 4"),
+        (lambda: mapper.maintain(0, WORLD.at(POSES[:4])), "needs smallest_node=10 images or more, got 4"),
         (lambda: mapper.maintain(0, night, frames=[1, 2]), "12 images need as many frames, got 2"),
     ):
         with pytest.raises(AnalyticError, match=says):

@@ -138,7 +138,7 @@ def test_a_layer_whose_explanation_is_cut_short_is_built_again(tmp_path):
 
 def test_ways_that_cannot_be_taken():
     known = VisualMap(DESCRIPTORS, KNOWN.frames, describes=analytic.descriptor("briefgist"))
-    small = r"build\.first_node=5 would form nodes of fewer than build\.smallest_node=10"
+    small = r"build\.first_node=5 is less than build\.smallest_node=10"
     for on, way, parameters, says in (
         (KNOWN, "spectra", {}, "unknown build 'spectra': did you mean 'spectral'"),
         (KNOWN, "sample", {"node": 3}, r"unknown key build\.node: did you mean 'nodes'"),

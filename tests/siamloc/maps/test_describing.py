@@ -119,7 +119,7 @@ def test_what_cannot_be_built(images, tmp_path):
         (lambda values: Description(values, values), r"an array \(B, K, F\) as orientation, .* got \(6, 3\)"),
         (
             lambda values: Description(values, None, {"name": "own", "bands": 8}),
-            "another identity than the descriptor's",
+            "returns the identity .*'bands': 8.* instead of",
         ),
     ],
 )

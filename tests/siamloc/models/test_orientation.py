@@ -94,7 +94,7 @@ def test_the_turn_of_all_pairs_is_that_of_each_pair():
     np.testing.assert_array_equal(np.diag(found.heading), by_rows)
     np.testing.assert_array_equal(found.heading[:, 1], descriptor.relative_heading(queries, references.take([1])))
     np.testing.assert_array_equal(NetworkHeading().relative_heading(queries, references), by_rows)
-    with pytest.raises(AnalyticError, match="compared row by row: 3 queries need as many references or one, got 2"):
+    with pytest.raises(AnalyticError, match="3 queries need as many references, or one, got 2"):
         descriptor.relative_heading(queries, references.take([0, 1]))
 
 
