@@ -167,11 +167,11 @@ class Policy(Effect):
 
 
 def _stages(step: Step, kinds: Sequence[Any]) -> list[list[int]]:
-    """Return slots that are rendered together, in an order that keeps that of the effects of every alternative.
+    """Group slots into stages that are rendered together, so that every alternative keeps the order of its effects.
 
     Args:
-        step: of the tree.
-        kinds: of all slots; slots of one kind in different alternatives are rendered together.
+        step: the root of the tree, or a step below it.
+        kinds: the kind of each slot; slots of one kind in different alternatives are rendered together.
     """
     if step.effect is not None:
         return [[step.slot]]

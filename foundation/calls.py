@@ -135,7 +135,7 @@ def typed(function: Callable[Arguments, Result]) -> Callable[Arguments, Result]:
 
 
 def _check_of(function: Callable[..., Any]) -> Callable[[Sequence[Any], Mapping[str, Any]], None]:
-    """Return what checks the arguments of a function's calls; missing or unknown ones are left to Python."""
+    """Return the function that checks the arguments of a call; missing and unknown arguments are left to Python."""
     signature = inspect.signature(function)
     kinds = cache(partial(kinds_of, function))
 
@@ -183,7 +183,7 @@ def _shown(field: dataclasses.Field[Any]) -> Any:
 
 
 class _Space(dict[str, Any]):
-    """The names of a module, with a stand-in for each that is only imported for type checking."""
+    """The names of a module; a class stands in for each name that is only imported for type checking."""
 
     def __missing__(self, name: str) -> Any:
         return getattr(builtins, name) if hasattr(builtins, name) else type(name, (Absent,), {})

@@ -285,7 +285,7 @@ def merge_alike(state: State, node: int) -> None:
 
 
 def merge(state: State, changed: Node, own: int, found: NodeLevel, row: int) -> int:
-    """Merge a node's mode `own` with the compared node and mode in a row of `found`; return the id that stays."""
+    """Merge a node, by its mode `own`, with the node and mode in a row of `found`; return the id that is kept."""
     other, mode = state.nodes[int(found.nodes[row])], int(found.modes[row])
     (first, index), (second, gone) = sorted([(other, mode), (changed, own)], key=lambda place: place[0].id)
     kept = first.with_mode(index, first.modes[index].merge(second.modes[gone]))
