@@ -1,6 +1,5 @@
 import math
 import tracemalloc
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -9,10 +8,8 @@ from hypothesis import strategies as st
 from sklearn.metrics import silhouette_samples, silhouette_score
 
 from analytic import AnalyticError, distance, measures
+from tests.analytic.mapper.world import cold_drive
 from tests.oracles import clustering as oracle
-from tests.oracles.cold_lists import read_list
-
-LISTS = Path(__file__).parents[2] / "../shared/data/cold_places"
 
 
 def grouped(frames=60, count=5, length=2, seed=0):
@@ -144,10 +141,8 @@ def test_closures_are_counted_as_defined(frames, seed, gap, radius):
 
 
 @pytest.mark.data
-@pytest.mark.skipif(not LISTS.is_dir(), reason="the real pose lists do not lie beside the project")
 def test_on_a_real_path_the_pooled_silhouette_rises_with_the_nodes_and_the_nearest_falls():
-    frames = read_list(LISTS / "freiburg_seq2_cloudy1.places.lst")
-    points = np.array([(x, y) for _, _, _, x, y, _ in frames])
+    points = cold_drive("freiburg_seq2_cloudy1")[:, :2]
     chunks = {count: np.arange(len(points)) * count // len(points) for count in (6, 40)}
     pooled, nearest = (
         [measures.silhouette(points, chunks[count], mode) for count in (6, 40)] for mode in ("pooled", "nearest")

@@ -75,8 +75,6 @@ REAL = [
 @pytest.mark.parametrize(("name", "size", "noise", "reach", "version", "parameters", "happens"), REAL)
 def test_every_decision_on_real_drives_is_that_of_the_oracle(name, size, noise, reach, version, parameters, happens):
     poses = cold_drive(name)
-    if poses is None:
-        pytest.skip("needs ../shared/data/cold_places")
     world = World(size=size, steps=0, reach=reach, seed=3)
     every = 4 if name.startswith("freiburg") else 2
     frames = rows(world.at(poses[::every][:400], noise=noise, seed=1))
@@ -106,8 +104,6 @@ def test_every_decision_under_drawn_settings_is_that_of_the_oracle(seed):
 @pytest.mark.data
 def test_a_parked_candidate_becomes_a_node_and_the_oldest_is_forgotten():
     poses = cold_drive("freiburg_seq2_cloudy1")
-    if poses is None:
-        pytest.skip("needs ../shared/data/cold_places")
     world = World(size=4, steps=8, reach=4.0, seed=3)
     mapper = IncrementalMapper(world, parked_nodes=1)
     frames = rows(world.at(poses[::2][:400], noise=0.1, seed=1))
