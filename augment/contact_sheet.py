@@ -52,7 +52,6 @@ _SHOTS: dict[str, list[Shot]] = {
     "sharpen": _series("strength {:g}", "strength", 0.5, 1.0, 2.0),
     "blur": _series("{0} x {0} box", "size", 3, 5, 9),
     "contrast": _series("c = {:g}", "factor", 0.5, 1.3, 1.8),
-    "equalize": _series("strength {:g}", "strength", 0.3, 0.6, 1.0),
     "saturate": _series("c = {:g}", "factor", 0.2, 1.4, 2.0),
     "rotate": _series("{}°", "degrees", 45, 115, 240),
     "noise": _series("variance {:g}", "variance", 0.0025, 0.01, 0.05),
