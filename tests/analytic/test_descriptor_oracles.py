@@ -1,19 +1,16 @@
 """The descriptors against their docstrings, computed again with loops in `tests/oracles/descriptors`."""
 
-from pathlib import Path
-
-import cv2
 import numpy as np
 import pytest
 
 from analytic import DISTANCES, AnalyticError, descriptor, distance
+from tests.analytic.photographs import photographs
 from tests.analytic.radon_lines import radon_transform
 from tests.oracles.descriptors import briefgist, fourier, gist, hog, hsv, radon, turns, wisurf
 from tests.oracles.descriptors.cases import ODD, SHAPES, SWEEP
 from tests.oracles.descriptors.images import grey, homomorphic_colour
 from tests.oracles.descriptors.images import homomorphic as slow_homomorphic
 
-PHOTOS = Path(__file__).parents[2] / "../shared/data/corridor/ref"
 RNG = np.random.default_rng(11)
 
 # Small pictures of every kind that `describe` takes; three planes would be one colour image.
@@ -34,15 +31,6 @@ DESCRIBE = {
     "radon_poc": radon.poc,
     "hsv": hsv.describe,
 }
-
-
-def photographs(numbers=(40, 90), size=(128, 32)):
-    """Return real photographs (B, 3, H, W)."""
-    paths = [PHOTOS / f"{number:07d}.jpg" for number in numbers]
-    if not all(path.exists() for path in paths):
-        pytest.skip("needs the photographs of ../shared/data/corridor")
-    bgr = [cv2.resize(cv2.imread(str(path)), size, interpolation=cv2.INTER_AREA) for path in paths]
-    return np.stack([image[..., ::-1].transpose(2, 0, 1) for image in bgr])
 
 
 def same(found, expected, apart=0.0):

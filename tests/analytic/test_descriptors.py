@@ -4,7 +4,6 @@ import pickle
 import subprocess
 import sys
 from dataclasses import dataclass
-from pathlib import Path
 
 import cv2
 import numpy as np
@@ -14,8 +13,8 @@ import torch
 from analytic import DESCRIPTORS, AnalyticError, Description, descriptor, distance
 from analytic.descriptors.base import ImageDescriptor
 from analytic.disturb import noise, occlude
+from tests.analytic.photographs import photographs
 
-PHOTOGRAPHS = Path(__file__).parents[2].parent / "shared/data/corridor/ref"
 RNG = np.random.default_rng(11)
 COLOUR = RNG.integers(0, 256, (4, 3, 32, 128), dtype=np.uint8)
 for plane in COLOUR.reshape(-1, 32, 128):  # neighbouring pixels of a picture have much in common
@@ -95,14 +94,8 @@ def test_a_turn_changes_the_heading_alone(name):
 @oriented
 @pytest.mark.data
 def test_the_heading_survives_bars_and_noise_on_photographs(name):
-    if not PHOTOGRAPHS.is_dir():
-        pytest.skip(f"needs the photographs in {PHOTOGRAPHS}")
+    pictures = photographs(range(0, 111, 6), (512, 128))
     made = descriptor(name, **PUBLISHED.get(name, {}))
-    kind = cv2.IMREAD_COLOR if made.colour else cv2.IMREAD_GRAYSCALE
-    pictures = [cv2.imread(str(path), kind) for path in sorted(PHOTOGRAPHS.glob("*.jpg"))[::6]]
-    pictures = np.stack([cv2.resize(picture, (512, 128), interpolation=cv2.INTER_AREA) for picture in pictures])
-    if made.colour:
-        pictures = pictures[..., ::-1].transpose(0, 3, 1, 2)
     step = columns_per_step(made, 512)
     here = made.describe(pictures)
     good = []
