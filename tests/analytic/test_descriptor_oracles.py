@@ -44,7 +44,6 @@ def compare(name, params, pictures, circular, **options):
     shapes = made.sizes(*pictures.shape[-2:])
     assert shapes == SHAPES[name](params, pictures.shape[-1])
     assert described.position.shape == (len(pictures), np.prod(shapes[0]))
-    assert described.position.dtype == np.float32
     for position, orientation, picture in zip(described.position, described.orientation, pictures, strict=True):
         image = hsv.colours(picture) if name == "hsv" else grey(picture)
         if options.get("homomorphic"):

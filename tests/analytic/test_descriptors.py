@@ -4,6 +4,7 @@ import pickle
 import subprocess
 import sys
 from dataclasses import dataclass
+from math import prod
 
 import cv2
 import numpy as np
@@ -68,6 +69,23 @@ def assert_alike(found, expected, tolerance):
         scale = np.linalg.norm(wanted.reshape(len(wanted), -1), axis=1) + 1e-12
         difference = np.linalg.norm((part - wanted).reshape(len(wanted), -1), axis=1)
         assert (difference <= tolerance * scale).all()
+
+
+@every
+def test_sizes_are_the_promised_ones(name):
+    made = small(name)
+    found = made.describe(COLOUR)
+    position, orientation = made.sizes(32, 128)
+    assert found.position.shape == (4, prod(position))
+    assert found.position.dtype == np.float32
+    assert np.isfinite(found.position).all()
+    if made.oriented:
+        assert found.orientation.ndim == 3
+        assert found.orientation.shape[0] == 4
+        assert prod(found.orientation.shape[1:]) == prod(orientation)
+        assert np.isfinite(found.orientation).all()
+    else:
+        assert (found.orientation, orientation, made.resolution(128)) == (None, (0,), np.inf)
 
 
 @oriented
