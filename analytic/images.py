@@ -41,7 +41,9 @@ def with_channels(images: ArrayLike) -> NDArray[Any]:
             raise AnalyticError(f"a colour image must have its channels first, (3, H, W), got {shape}: transpose it")
         array = array[None] if shape[0] == 3 else array[:, None]
     if array.ndim != 4 or array.shape[1] not in (1, 3) or 0 in shape:
-        raise AnalyticError(f"images have shape (H, W), (3, H, W), (B, H, W) or (B, 3, H, W), above 0, got {shape}")
+        raise AnalyticError(
+            f"images must have shape (H, W), (3, H, W), (B, H, W) or (B, 3, H, W), above 0, got {shape}"
+        )
     return array
 
 
