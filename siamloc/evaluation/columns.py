@@ -76,11 +76,8 @@ def confusions(columns: Mapping[str, NDArray], what: str, labels: Sequence[str])
         `counts` of all queries (row = true label, column = predicted label), and those by `lighting`.
     """
 
-    def counts(rows: NDArray[np.int64]) -> list[list[int]]:
-        made: list[list[int]] = confusion_matrix(
-            columns[what][rows], columns[f"predicted_{what}"][rows], labels
-        ).tolist()
-        return made
+    def counts(rows: NDArray[np.int64]) -> Any:
+        return confusion_matrix(columns[what][rows], columns[f"predicted_{what}"][rows], labels).tolist()
 
     found = by_label(columns, counts, "lighting")
     return {"counts": found["overall"], "lighting": found["lighting"]}

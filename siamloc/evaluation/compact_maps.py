@@ -11,7 +11,8 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from analytic import Description, clustering
+import analytic
+from analytic import Description
 from foundation.calls import OF_FIELDS, takes
 from foundation.settings import Seed, Settings
 from siamloc.data.frames import FrameTable
@@ -179,14 +180,13 @@ def _located(
     with clock.of("build", len(known)):
         asked: dict[str, Any] = {"grid": grid_of(nodes)} if way == "som" else {"nodes": nodes}
         labels = group(clusters, way, seed=seed, progress=False, **asked).layer.labels
+    layer = None if known.aligned else CoarseLayer.of_labels(known, labels)
     if way == "sample":  # the kept frames represent themselves
-        kept = clustering.sample_rows(len(known), nodes)
-        standing = known.take(kept)
+        standing = known.take(analytic.clustering.sample_rows(len(known), nodes))
         positions, numbers = standing.frames.xy, nodes * known.width
         nearest = _nearest(lambda: match(standing, described, 1), clock, len(described))
-        layer = CoarseLayer.of_labels(known, labels) if not known.aligned else None
     else:
-        layer = CoarseLayer.of_labels(known, labels)
+        assert layer is not None  # only sampling goes with descriptors that are turned first
         positions, numbers = layer.positions, layer.representatives.size
         index = VectorIndex(layer.representatives, known.distance)
         nearest = _nearest(lambda: index.search(described.position[:, : index.width], 1), clock, len(described))
@@ -213,7 +213,10 @@ def _located(
         "search_ms": clock.ms("search"),
         "descend_ms": clock.ms("descend"),
         "numbers": int(numbers),
-        **_compactness(known, clusters, labels),
+        # How compact the nodes are, in position and in descriptor space ([C] eq. 7-11).
+        "silhouette": silhouette(known.frames.xy, labels),
+        "descriptor_silhouette": math.nan if clusters.aligned else silhouette(clusters.learned, labels),
+        "inertia": analytic.measures.moment_of_inertia(known.frames.xy, labels),
     }
     return answers, measures
 
@@ -255,14 +258,3 @@ def _inside(
     ranking = NodeRanking(nearest[:, None], np.full(len(nearest), len(layer)))
     search = HierarchicalSearch(known, layer, settings=LayerSearch(candidates=1))
     return search.search(described, ranking, 1).found.indices[:, 0]
-
-
-def _compactness(known: VisualMap, clusters: VisualMap, labels: NDArray[np.int64]) -> dict[str, float]:
-    """Return how compact the nodes are, in position and in descriptor space ([C] eq. 7-11)."""
-    from analytic import measures
-
-    return {
-        "silhouette": silhouette(known.frames.xy, labels),
-        "descriptor_silhouette": math.nan if clusters.aligned else silhouette(clusters.learned, labels),
-        "inertia": measures.moment_of_inertia(known.frames.xy, labels),
-    }

@@ -85,9 +85,10 @@ class Robustness(Settings):
             *((name, "effect", self.strengths) for name in self.effects),
         ]
         names = [name for name, _, _ in wanted]
-        if len(set(names)) < len(names):
-            twice = next(name for name in names if names.count(name) > 1)
-            raise ConfigError(f"task.robustness.effects names {twice!r} twice, or a disturbance that is there already")
+        if twice := [name for name in names if names.count(name) > 1]:
+            raise ConfigError(
+                f"task.robustness.effects names {twice[0]!r} twice, or a disturbance that is there already"
+            )
         bars = {"bars": self.bars, "colour": self.bar_colour, "place": self.bar_place}
         made = [
             Disturbance(name, tuple(map(float, levels)), kind, circular, bars)
@@ -221,14 +222,11 @@ class Disturbance:
             return np.roll(images, round(level / 360 * images.shape[-1]), axis=-1)
         if self.kind == "effect":
             return self._with_effect(images, level, rows, seed)
-        made = []
-        for image, row in zip(images, rows.tolist(), strict=True):
-            rng = np.random.default_rng((seed, row))
-            if self.kind == "noise":
-                made.append(disturb.noise(image, level, rng))
-            else:
-                made.append(disturb.occlude(image, level, rng, circular=self.circular, **self.bars))
-        return np.stack(made)
+        draws = zip(images, (np.random.default_rng((seed, row)) for row in rows.tolist()), strict=True)
+        if self.kind == "noise":
+            return np.stack([disturb.noise(image, level, rng) for image, rng in draws])
+        options = {"circular": self.circular, **self.bars}
+        return np.stack([disturb.occlude(image, level, rng, **options) for image, rng in draws])
 
     def _with_effect(self, images: Images, strength: float, rows: NDArray[np.int64], seed: int) -> Images:
         """Apply an effect with given strengths; everything else (places, forms) is drawn."""
@@ -237,10 +235,8 @@ class Disturbance:
         effect, batch = self._effect(), torch.from_numpy(np.ascontiguousarray(images))
         height, width = batch.shape[2:]
         strong = effect.at(strength, batch)
-        draws = []
-        for row in rows.tolist():
-            state = int(np.random.SeedSequence((seed, row)).generate_state(1)[0])
-            draws.append(effect.draw(torch.Generator().manual_seed(state), batch[:1]))
+        seeds = [int(np.random.SeedSequence((seed, row)).generate_state(1)[0]) for row in rows.tolist()]
+        draws = [effect.draw(torch.Generator().manual_seed(one), batch[:1]) for one in seeds]
         params = {
             key: strong[key] if span.neutral is not None else torch.cat([draw[key] for draw in draws])
             for key, span in effect.spans(height, width).items()
@@ -301,31 +297,25 @@ def _located(
     clock: Stopwatch,
 ) -> dict[tuple[str, float], Answer]:
     """Locate queries, batch by batch, at every level of every disturbance."""
-    barred: NDArray[np.bool_] | None = None
     nearest = _geometrically_nearest(known.frames, queries, excluded)
-    asked = slice(0)
+    batch = slice(0)  # the rows of the queries that are being located
 
     def locate(images: Images) -> Answer:
         with clock.of("describe", len(images)):
             described = known.describe(images)
         with clock.of("search", len(images)):
-            answer = match(known, described, 1, excluded=barred)
+            answer = match(known, described, 1, excluded=None if excluded is None else excluded[batch])
         with clock.of("heading", len(images)):
             turned = headings(known, described, answer)[:, 0]
-        if nearest is None:
-            return Answer(answer.indices[:, 0], turned, np.full(len(images), np.nan))
-        row = nearest[asked, None]
-        by_nearest = headings(known, described, Retrieval(row, np.zeros(row.shape)))[:, 0]
+        by_nearest = np.full(len(images), np.nan)
+        if nearest is not None:
+            by_nearest = headings(known, described, Retrieval(nearest[batch, None], np.zeros((len(images), 1))))[:, 0]
         return Answer(answer.indices[:, 0], turned, by_nearest)
 
-    batches = track(session.images.batches(queries), len(queries), f"disturbed queries, {name}", size=len)
-    found, start = [], 0
-    for images in batches:
-        part = rows[start : start + len(images)]
-        asked = slice(start, start + len(images))
-        barred = None if excluded is None else excluded[asked]
-        found.append(locate_disturbed(locate, images, part, disturbances, session.seed))
-        start += len(images)
+    found = []
+    for images in track(session.images.batches(queries), len(queries), f"disturbed queries, {name}", size=len):
+        batch = slice(batch.stop, batch.stop + len(images))
+        found.append(locate_disturbed(locate, images, rows[batch], disturbances, session.seed))
     return {key: Answer.concatenate([part[key] for part in found]) for key in found[0]}
 
 

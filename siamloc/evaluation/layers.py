@@ -10,6 +10,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+import analytic
 from analytic.measures.closures import ClosureScores
 from foundation.calls import OF_FIELDS, takes
 from foundation.settings import Count, NotNegative, Settings
@@ -123,15 +124,13 @@ def mapping_measures(columns: Mapping[str, NDArray], radius: float, gap: int) ->
         room and overall, with the number of frames; `closures` with precision, recall, F1 and their denominators, NaN
         unless all frames have a position; `ms_per_frame` as mean, median and p95; `reasons` with their counts, if any.
     """
-    from analytic import measures
-
     labels = np.asarray(columns["node"])
     xy = np.column_stack([columns["x"], columns["y"]])
     placed = np.isfinite(xy).all(axis=1)
-    pure, inertias = measures.purity(labels, columns["room"]), _inertias(xy, labels)
+    pure, inertias = analytic.measures.purity(labels, columns["room"]), _inertias(xy, labels)
     pairs = np.column_stack([columns["frame"], columns["closes_with"]])[columns["closes_with"] >= 0]
     if placed.all():
-        closed = measures.closure_scores(pairs, xy, radius, gap)
+        closed = analytic.measures.closure_scores(pairs, xy, radius, gap)
     else:
         closed = ClosureScores(math.nan, math.nan, math.nan, 0, len(pairs), 0, 0, 0, radius, gap)
     ms = 1000 * np.asarray(columns["seconds"], dtype=np.float64)
@@ -203,19 +202,15 @@ def silhouette(
         unassigned: "left_out" leaves out frames without a node; "cluster" makes them one more cluster.
         over: "nodes" averages over nodes; by default the mode decides: over frames for "nearest".
     """
-    from analytic import measures
-
     if len(set(labels[labels >= 0].tolist())) < 2:
         return math.nan
-    found = measures.silhouettes(values, labels, mode, unassigned=unassigned)
+    found = analytic.measures.silhouettes(values, labels, mode, unassigned=unassigned)
     return float(found.clusters.mean()) if over == "nodes" else found.mean
 
 
 def _nodes(layer: CoarseLayer, columns: Columns) -> Columns:
-    from analytic import measures
-
     xy = np.column_stack([columns["x"], columns["y"]])
-    pure = measures.purity(layer.labels, columns["room"])
+    pure = analytic.measures.purity(layer.labels, columns["room"])
     rooms = dict(zip(pure.labels.tolist(), pure.room_of_node, strict=True))
     shares = dict(zip(pure.labels.tolist(), pure.nodes.tolist(), strict=True))
     numbers = range(len(layer))
@@ -233,10 +228,8 @@ def _nodes(layer: CoarseLayer, columns: Columns) -> Columns:
 
 def _inertias(xy: NDArray[np.float64], labels: NDArray[np.int64]) -> NDArray[np.float64]:
     """Return the moment of inertia of each node (k,), from its frames with a position; NaN if there are none."""
-    from analytic import measures
-
     used = np.isfinite(xy).all(axis=1) & (labels >= 0)
     found = np.full(int(labels.max(initial=-1)) + 1, math.nan)
     if used.any():
-        found[np.unique(labels[used])] = measures.moments_of_inertia(xy[used], labels[used])
+        found[np.unique(labels[used])] = analytic.measures.moments_of_inertia(xy[used], labels[used])
     return found

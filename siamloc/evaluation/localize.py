@@ -218,15 +218,8 @@ def _measured(session: Session, settings: Localization, name: str, known: Visual
     result, learned = Result(name, {}, {}, skipped=skipped), None
     if search := searches.get("absolute"):
         placed = queries.take(search.rows)
-        found = evaluate_absolute(
-            search.known,
-            placed,
-            search.found.retrieval,
-            settings.radii,
-            settings.ks,
-            search.found.heading,
-            search.excluded,
-        )
+        own, recalls = search.found, (settings.radii, settings.ks)
+        found = evaluate_absolute(search.known, placed, own.retrieval, *recalls, own.heading, search.excluded)
         if main:
             learned = learn(session, settings, search)
             found = with_estimates(found, settings, search, placed, learned)

@@ -21,8 +21,7 @@ if TYPE_CHECKING:
     from siamloc.tables import Table
 
 
-Figures = dict[str, Any]
-Measures = Figures
+Measures = dict[str, Any]
 """The measures of a task over all queries. Each task fills in some of the keys.
 
 Keys:
@@ -93,7 +92,7 @@ class Result:
         `measures["error"]["mean"]` is of all queries; the groups follow under "lighting" and "room":
         `measures["lighting"]["night"]["error"]`.
         """
-        first: Figures = next(iter(self.parts.values()), {})
+        first: Measures = next(iter(self.parts.values()), {})
         return {**first.get("overall", {}), **{key: value for key, value in first.items() if key != "overall"}}
 
     @property

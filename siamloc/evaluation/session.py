@@ -195,17 +195,15 @@ class Session:
             what: noun for the frames in the progress line, such as "queries".
             clock: takes the times of describing and searching; None takes none.
         """
-        start, vectors, clock = 0, [], clock or Stopwatch()
+        start, vectors, clock = 0, None, clock or Stopwatch()
         for part in self.parts_of(by, frames, what, clock):
             for search in searches.values():
                 inside = search.rows[(search.rows >= start) & (search.rows < start + len(part))] - start
                 if len(inside):
                     search.take_in(part if len(inside) == len(part) else part.take(inside), clock)
             start += len(part)
-            vectors.append(part.position)
-            if by.aligned:
-                vectors.clear()
-        return vectors[0] if vectors else None
+            vectors = None if by.aligned else part.position
+        return vectors
 
     def lacking(self, has: NDArray[np.bool_], what: str) -> str:
         """Return a text with the number of frames that lack a property, such as a position; empty if all have it.
