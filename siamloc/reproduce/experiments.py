@@ -187,7 +187,8 @@ def _grouping_map(job: Job, data: Data) -> VisualMap:
 
 
 def _grouped(known: VisualMap, build: Mapping[str, Any], settings: Mapping[str, Any]) -> Measured:
-    built = maps.group(known, build["name"], progress=False, **_options_of(build))
+    options = dict(build)
+    built = maps.group(known, options.pop("name"), progress=False, **options)
     measures = evaluation.mapping(known, built).parts["mapping"]
     silhouette, unassigned = measures["silhouette"], measures["unassigned"]["share"]
     yield from _records(settings, silhouette=silhouette["with_unassigned"], silhouette_by_node=silhouette["by_node"])
@@ -196,16 +197,13 @@ def _grouped(known: VisualMap, build: Mapping[str, Any], settings: Mapping[str, 
     yield from _records(settings, nodes=measures["nodes"], unassigned=unassigned, clustering_seconds=seconds)
 
 
-def _options_of(build: Mapping[str, Any]) -> dict[str, Any]:
-    return {key: value for key, value in build.items() if key != "name"}
-
-
 def growing(job: Job, data: Data) -> Measured:
     """Measure nodes, frames in no node and time as a map grows ([T] figures 4.13-4.15, [I] figures S1-S2)."""
     from analytic.mapper import IncrementalMapper
 
     known, steps = data.described(job.options["descriptor"], job.roles["map"]), job.options["steps"]
-    mapper, start = IncrementalMapper(known.descriptor, **_options_of(job.options["build"])), perf_counter()
+    options = {key: value for key, value in job.options["build"].items() if key != "name"}
+    mapper, start = IncrementalMapper(known.descriptor, **options), perf_counter()
     marks = {round(share * len(known) / steps) for share in range(1, steps + 1)}
     poses = np.column_stack([known.frames.xy, known.frames.theta])
     for row in range(len(known)):
@@ -222,15 +220,9 @@ def compact(job: Job, data: Data) -> Measured:
     own = data.described(options["descriptor"], job.roles["map"])
     clusters = data.described(options["clusters"], job.roles["map"]) if "clusters" in options else None
     nodes, protocol = tuple(n for n in options["nodes"] if n <= len(own)), "same_run" if job.same_run else "cross_run"
-    asked: dict[str, Any] = {
-        "seed": options.get("seed", 0),
-        "nodes": nodes,
-        "protocol": protocol,
-        "ways": tuple(options["ways"]),
-        "clusters": clusters,
-    }
+    asked: dict[str, Any] = {"seed": options.get("seed", 0), "ways": tuple(options["ways"]), "clusters": clusters}
     for place, settings in _compared(own, job):
-        result = evaluation.compact(place, data.images, frames, **asked)
+        result = evaluation.compact(place, data.images, frames, nodes=nodes, protocol=protocol, **asked)
         for one in result.measures["curves"]:
             plain = one["way"] == "sample"
             method = {"method": "sampling" if plain else one["way"], "clusters": one["nodes"]}

@@ -77,14 +77,9 @@ class Verdict:
     printed: bool | None
 
     @property
-    def ours(self) -> bool | None:
-        """Whether our numbers support the claim; None if they do not decide."""
-        return self.finding.holds
-
-    @property
     def counted(self) -> str:
         """How the claim counts in totals: by our numbers, unless the document's own numbers contradict it."""
-        return CONTRADICTED if self.printed is False else VERDICTS[self.ours]
+        return CONTRADICTED if self.printed is False else VERDICTS[self.finding.holds]
 
 
 @dataclass(frozen=True, eq=False)
@@ -316,7 +311,7 @@ def _verdict_row(one: Verdict) -> list[str]:
     printed = {True: "support it", False: "**contradict it**", None: ""}[one.printed]
     reading = f" *({one.claim.reading})*" if one.claim.reading else ""
     why = f": {one.finding.why}" if one.finding.why else ""
-    return [f"{one.claim.sentence}{reading}", printed, f"{VERDICTS[one.ours]}{why}"]
+    return [f"{one.claim.sentence}{reading}", printed, f"{VERDICTS[one.finding.holds]}{why}"]
 
 
 def _shown(value: Any) -> str:

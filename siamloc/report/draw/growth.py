@@ -53,10 +53,6 @@ class Story:
         """The number in the plan of each node that remains, by the mapper's name."""
         return {name: number for number, name in enumerate(self.ids)}
 
-    def labels(self, events: int) -> NDArray[np.int64]:
-        """Return the mapper's name of the node of each frame (n,), -1 for none, after the first `events` events."""
-        return replay(self.events[:events])
-
 
 def read_story(log: str | Path, plan: NodePlan) -> Story:
     """Read the log of an incremental map.
@@ -129,7 +125,7 @@ def _drawn(story: Story) -> list[NDArray[np.uint8]]:
     curves: list[tuple[int, int, float]] = []
     shown = moments(len(story.events))
     for number, events in enumerate(shown):
-        labels = story.labels(events)
+        labels = replay(story.events[:events])  # the mapper's name of the node of each frame, -1 for none
         axes.clear()
         _draw_map(axes, story, labels, story.events[events - 1]["frames"][-1])
         count = len(np.unique(labels[labels >= 0]))
