@@ -90,7 +90,8 @@ def test_what_was_measured_is_not_measured_again(smoke, request):
     assert len(smoke("figure_3_11").records) > 20
 
 
-def test_what_was_not_measured_may_be_left_out(smoke, root, tmp_path, capsys):
+def test_what_was_not_measured_may_be_left_out(smoke, root, tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr("siamloc.reproduce.studies", lambda: (study("figure_3_16"), study("table_4_2")))
     with pytest.raises(DataError, match="not all of it was measured before on these data"):
         smoke("figure_3_16", out=tmp_path, measure=False)
     words = ["data=mini", f"root={root}", "scale=smoke", f"out={tmp_path}"]

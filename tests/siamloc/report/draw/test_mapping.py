@@ -68,7 +68,7 @@ def plan(node: list[int], xy: np.ndarray | None = None, edges: tuple = (), closu
 @pytest.mark.parametrize("version", [1, 2])
 def test_all_pictures_of_an_incremental_map(runs: dict, version: int, monkeypatch: pytest.MonkeyPatch) -> None:
     target, layer = runs[version]
-    monkeypatch.setattr(growth, "PICTURES", 8)
+    monkeypatch.setattr(growth, "PICTURES", 3)
     drawn = save_all(target, layer)
     assert [path.name for path in drawn] == ["nodes.png", "growth.gif"]
     assert {path.parent for path in drawn} == {target}
@@ -170,12 +170,12 @@ def test_a_corridor_is_drawn_along_its_line(axis: int) -> None:
 def test_the_animation_is_short_and_ends_with_the_map(
     runs: dict, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(growth, "PICTURES", 16)
+    monkeypatch.setattr(growth, "PICTURES", 8)
     story = told(runs[2])
     path = growth.animate(story, tmp_path / "growth.gif")
-    assert path.stat().st_size < 3e6 * 16 / 80
+    assert path.stat().st_size < 3e6 * 8 / 80
     with Image.open(path) as picture:
-        assert picture.n_frames == 16
+        assert picture.n_frames == 8
         held = []
         for number in range(picture.n_frames):
             picture.seek(number)

@@ -15,13 +15,13 @@ from siamloc.data.frames import FrameTable
 from siamloc.errors import ConfigError, FormatError, SiamlocError
 from siamloc.maps import VisualMap
 from siamloc.report.page import compared, parts, sections
+from siamloc.report.page.gathered import Evaluation
 from siamloc.report.page.markup import Markup, tag
 from siamloc.report.page.write import write_report
 from siamloc.results import read_results, read_rows, write_results
 from siamloc.runs import Run
 from tests.siamloc.cli.commands import refused
 from tests.siamloc.evaluation import scenes
-from tests.siamloc.evaluation.scenes import evaluate_rooms
 from tests.siamloc.report import pages
 from tests.siamloc.report.pages import columns_of, notes, report, rows_of
 
@@ -130,7 +130,7 @@ def test_several_runs_are_compared_first(run: Path, tmp_path: Path) -> None:
 
 def test_runs_that_cannot_be_compared_are_marked(tmp_path: Path) -> None:
     runs = [pages.write_run(tmp_path / name, n=n) for name, n in (("a", 20), ("b", 21))]
-    assert notes_of_comparison(report(tmp_path, *runs)) == (
+    assert notes(report(tmp_path, *runs).one("section", class_="compared")) == (
         "Take care when comparing b · network with a · network: they differ in their queries (21 and 20, 0 of them in "
         "common)."
     )
@@ -146,56 +146,40 @@ def test_runs_that_cannot_be_compared_are_marked(tmp_path: Path) -> None:
     assert "same run" in page.one("table", class_="comparison").text
 
 
-def at(root: str, table: FrameTable) -> FrameTable:
-    """Return frames whose files are elsewhere."""
-    return table.with_columns(path=[f"{root}{path}" for path in table.path])
+QUERIES, KNOWN = scenes.frames(2, 30), scenes.frames(1, 20)
+MOVED = KNOWN.with_columns(x=KNOWN.x + np.where(np.arange(20) < 5, 0.5, 0))
 
 
-def localized(folder: Path, queries: FrameTable, known: FrameTable) -> Path:
-    return pages.write_evaluation(folder, VisualMap(scenes.describe(known), known, {"name": "positions"}), queries)
+def localized(queries: FrameTable, known: FrameTable, root: str = "") -> Evaluation:
+    """Return what a page compares of an evaluation whose files lie in the folder `root`."""
+    queries_, known_ = (
+        {"path": np.array([f"{root}{path}" for path in table.path]), "x": table.x, "y": table.y}
+        for table in (queries, known)
+    )
+    tables = {"queries": queries_, "map": known_, "rooms": {"path": queries_["path"]}}
+    return Evaluation("hog", "localization", {"measures": {"absolute": {"unit": "m"}}}, tables)
 
 
-def test_the_same_frames_are_the_same_wherever_they_lie_and_in_any_order(tmp_path: Path) -> None:
-    queries, known = scenes.frames(2, 30), scenes.frames(1, 20)
-    first = localized(tmp_path / "a", at("data/run/", queries), at("data/run/", known))
-    turned = queries.take(np.arange(30)[::-1])
-    second = localized(tmp_path / "b", at("/mnt/data/run/", turned), at("/mnt/data/run/", known))
-    assert notes_of_comparison(report(tmp_path, first, second)) == ""
+def rooms_alone(queries: FrameTable, map_every: int | None = None) -> Evaluation:
+    results = {"measures": {}, "config": {"protocol": {"map": {"every": map_every}}}}
+    return Evaluation("hog", "room retrieval", results, {"rooms": {"path": queries.path}})
 
 
-def test_a_map_that_differs_is_named_even_if_its_files_have_the_same_names(tmp_path: Path) -> None:
-    queries, known = scenes.frames(2, 30), scenes.frames(1, 20)
-    first = localized(tmp_path / "a", queries, known)
-    elsewhere = known.x + np.where(np.arange(20) < 5, 0.5, 0)
-    second = localized(tmp_path / "b", queries, known.with_columns(x=elsewhere))
-    said = notes_of_comparison(report(tmp_path, first, second))
-    assert "differ in their map frames (20 and 20, 15 of them in common)" in said
-    assert "queries" not in said
-
-
-def rooms_alone(folder: Path, queries: FrameTable, pairs: int, map_every: int | None = None) -> Path:
-    found = evaluate_rooms(scenes.visual_map(), scenes.describe(queries), queries)
-    settings = {"protocol": {"map": {"every": map_every}}}
-    results = {"config": settings, "measures": found.parts, "denominators": {"queries": 30, "pairs": pairs}}
-    write_results(folder, results, {"rooms": found.columns})
-    return folder
-
-
-def test_rooms_alone_are_compared_by_their_queries_and_by_the_map_that_was_asked_for(tmp_path: Path) -> None:
-    queries = scenes.frames(2, 30)
-    first = rooms_alone(tmp_path / "a", queries, 100)
-    more_pairs = rooms_alone(tmp_path / "b", queries, 200)
-    assert notes_of_comparison(report(tmp_path, first, more_pairs)) == "", "pairs have nothing to do with it"
-    other_map = rooms_alone(tmp_path / "c", queries, 100, map_every=2)
-    assert "map frames (protocol.map)" in notes_of_comparison(report(tmp_path, first, other_map))
-    others = rooms_alone(tmp_path / "d", scenes.frames(3, 30), 100)
-    assert "queries (30 and 30, " in notes_of_comparison(report(tmp_path, first, others))
-    everything = localized(tmp_path / "e", queries, scenes.frames(1, 20))
-    assert "queries" not in notes_of_comparison(report(tmp_path, first, everything))
-
-
-def notes_of_comparison(page: pages.Element) -> str:
-    return notes(page.one("section", class_="compared"))
+@pytest.mark.parametrize(
+    ("one", "other", "says"),
+    [
+        (localized(QUERIES, KNOWN, "data/"), localized(QUERIES.take(np.arange(30)[::-1]), KNOWN, "/mnt/data/"), None),
+        (localized(QUERIES, KNOWN), localized(QUERIES, MOVED), "map frames (20 and 20, 15 of them in common)"),
+        (rooms_alone(QUERIES), rooms_alone(QUERIES), None),
+        (rooms_alone(QUERIES), localized(QUERIES, KNOWN), None),
+        (rooms_alone(QUERIES), rooms_alone(QUERIES, map_every=2), "map frames (protocol.map)"),
+        (rooms_alone(QUERIES), rooms_alone(KNOWN), "queries (20 and 30, 0 of them in common)"),
+    ],
+    ids=["another folder and order", "moved", "same rooms", "with and without a map", "another map", "other queries"],
+)
+def test_evaluations_differ_in_their_frames_not_in_where_these_lie(one, other, says) -> None:
+    expected = [f"Take care when comparing b with a: they differ in their {says}."] if says else []
+    assert compared.differences({"a": one, "b": other}) == expected
 
 
 def test_names_are_never_markup(tmp_path: Path) -> None:
