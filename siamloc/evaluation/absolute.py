@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from siamloc.data.frames import FrameTable
 from siamloc.errors import DataError
-from siamloc.evaluation.columns import heading_errors, map_columns, query_columns, room_names
+from siamloc.evaluation.columns import heading_errors, map_columns, match_columns, query_columns, room_names
 from siamloc.evaluation.metrics import (
     error_floor,
     first_rank_within,
@@ -231,25 +231,17 @@ def rank_column(radius: float) -> str:
     return f"first_rank_within_{float(radius)!r}"
 
 
-def _columns(
-    known: FrameTable, frames: FrameTable, found: Retrieval, excluded: NDArray[np.bool_] | None = None
-) -> Columns:
+def _columns(known: FrameTable, frames: FrameTable, found: Retrieval, excluded: NDArray[np.bool_] | None) -> Columns:
     match = found.indices[:, 0]
-    known_rooms, rooms = room_names(known, frames)
-    estimated = known.xy[match]
-    error = localization_error(estimated, frames.xy)
+    error = localization_error(known.xy[match], frames.xy)
     # The floor is at most the error; the minimum guards against rounding, so that the excess is never negative.
     floor = np.minimum(error_floor(known.xy, frames.xy, excluded), error)
     return {
-        **query_columns(frames, rooms),
+        **query_columns(frames, room_names(known, frames)[1]),
         "x": frames.x,
         "y": frames.y,
         "theta": frames.theta,
-        "match": match,
-        "match_path": known.path[match],
-        "match_room": known_rooms[match],
-        "est_x": estimated[:, 0],
-        "est_y": estimated[:, 1],
+        **match_columns(known, frames, match),
         "error": error,
         "floor": floor,
         "excess": error - floor,

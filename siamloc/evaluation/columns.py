@@ -34,6 +34,24 @@ def query_columns(frames: FrameTable, rooms: NDArray[np.str_]) -> Columns:
     }
 
 
+def match_columns(known: FrameTable, frames: FrameTable, match: NDArray[np.int64]) -> Columns:
+    """Return the columns of the map frame (n,) that each query gets its pose from.
+
+    Args:
+        known: frames of the map, all with positions.
+        frames: the queries (n).
+        match: rows of the map frames (n,).
+    """
+    rooms = room_names(known, frames)[0]
+    return {
+        "match": match,
+        "match_path": known.path[match],
+        "match_room": rooms[match],
+        "est_x": known.x[match],
+        "est_y": known.y[match],
+    }
+
+
 def right_share(columns: Mapping[str, NDArray], rows: NDArray[np.int64]) -> dict[str, Any]:
     """Return `accuracy` and the counts `correct` and `queries` of some rows of a table.
 
@@ -120,15 +138,9 @@ def located_columns(
     Raises:
         DataError: a retrieval of too few frames for the error model.
     """
-    match = found.indices[:, 0]
-    known_rooms, rooms = room_names(known.frames, frames)
     columns: Columns = {
-        **query_columns(frames, rooms),
-        "match": match,
-        "match_path": known.frames.path[match],
-        "match_room": known_rooms[match],
-        "est_x": known.frames.x[match],
-        "est_y": known.frames.y[match],
+        **query_columns(frames, room_names(known.frames, frames)[1]),
+        **match_columns(known.frames, frames, found.indices[:, 0]),
         "descriptor_distance": found.distances[:, 0],
     }
     if np.isfinite(headings).any():

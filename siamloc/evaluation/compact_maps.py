@@ -29,7 +29,7 @@ from siamloc.progress import track
 from siamloc.results import Columns, rows_by_label
 from siamloc.stopwatch import Stopwatch
 
-_REPEATED, _SHORT = 9, 0.2  # searches, and seconds
+_REPEATED, _SHORT = 9, 0.2  # largest number of repeated searches, and the seconds after which no more follow
 
 Way = Literal["spectral", "som", "sample"]
 
@@ -222,7 +222,7 @@ def _located(
 
 
 def _nearest(search: Callable[[], Retrieval], clock: Stopwatch, queries: int) -> NDArray[np.int64]:
-    """Return the nearest (n,); repeat a short search so that its timing is meaningful."""
+    """Return the row of the nearest node of each query (n,); a short search is repeated to time it well."""
     start = time.perf_counter()
     for _ in range(_REPEATED):
         with clock.of("search", queries):

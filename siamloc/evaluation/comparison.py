@@ -106,7 +106,7 @@ def _chosen(by: str | None, known: Sequence[str], parts: Container[str]) -> str:
 
 
 def _measures(path: Path, results: Mapping[str, Any]) -> dict[str, float]:
-    """Return the measures of an evaluation by name: those with short names first, then all by their path."""
+    """Return the measures of an evaluation by name: first by short names, then each number by its path."""
     try:
         parts = results["measures"]
         found = {name: math.nan if value is None else float(value) for name, value in _named(parts)}
@@ -138,7 +138,7 @@ def _named(parts: Mapping[str, Any]) -> Iterator[tuple[str, float | None]]:
 
 
 def _groups(part: Mapping[str, Any] | None) -> Iterator[tuple[str, Any]]:
-    """Yield the measures of all queries, and those by lighting with names such as ".night"."""
+    """Yield the measures of all queries as "", and the measures of each lighting under a name such as ".night"."""
     if part is not None:
         yield "", part["overall"]
         yield from ((f".{lighting}", group) for lighting, group in part.get("lighting", {}).items())
@@ -174,7 +174,7 @@ def _settings(paths: Sequence[Path], results: Sequence[Mapping[str, Any]]) -> tu
         further += [key for found in own for key in found]
     keys = differing(settings, dict.fromkeys([*first, *further]))
     for group in ("descriptor", "build"):
-        if group in keys:  # each has its own parameters
+        if group in keys:  # each descriptor, and each way to build nodes, has parameters of its own
             keys = [key for key in keys if key in first or not key.startswith(f"{group}.")]
     return settings, keys
 

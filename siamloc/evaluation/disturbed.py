@@ -278,7 +278,7 @@ def locate_disturbed(
 
 
 def _unturned(answer: Answer, disturbance: Disturbance, level: float) -> Answer:
-    """Return an answer with the headings that the robot had before it turned on the spot, as the true headings are."""
+    """Return an answer with headings before the robot's turn on the spot, since the true headings are of that time."""
     if disturbance.kind != "turn":
         return answer
     turned = np.radians(level)

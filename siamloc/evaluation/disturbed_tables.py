@@ -1,4 +1,4 @@
-"""Tables of robustness: one with a row per answer, one with a row per method, disturbance and level."""
+"""The two tables of robustness: "answers" for each query, and "robustness" for each method, disturbance and level."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Further estimates on the same queries as the single-frame one: filtered, between frames, expected errors."""
+"""Estimates beyond the nearest map frame: filtered poses, poses between map frames, and expected errors."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from siamloc.maps.sequence_filter import MotionModel, SequenceFilter, temperatur
 from siamloc.maps.visual_map import VisualMap
 from siamloc.results import FURTHER, Columns
 
-MATCHES = 20  # used by an error model
+MATCHES = 20  # nearest map frames from which an error model predicts
 ESTIMATES = {"interpolate": "interpolated", "relative": "refined"}  # names of finer poses, by their method
 _ELSEWHERE = 3.0  # place radii within which map frames are removed, so that a place and its view are off the map
 _STANDING = 0.01  # step of a filter in a map whose frames are all in the same place

@@ -56,7 +56,7 @@ class JudgedPairs(Settings):
 
 @dataclass(frozen=True)
 class Localization(Estimates):
-    """Settings of `localization`; those of further estimates as in `Estimates`.
+    """Settings of `localization`, in addition to those of further estimates in `Estimates`.
 
     Attributes:
         names: what is measured: "absolute" for poses, "room_retrieval" for rooms.
@@ -191,7 +191,7 @@ def error_model(known: VisualMap, images: PanoramaLibrary, validation: FrameTabl
 
 
 def _measured(session: Session, settings: Localization, name: str, known: VisualMap, main: bool = True) -> Result:
-    """Measure one descriptor; with `main`, for the map's own, queries without a pose are located as well."""
+    """Measure one descriptor; for the map's own (`main`), also make further estimates and locate unscored queries."""
     queries = session.queries
     if settings.filter:
         motions(queries)  # fails before anything is described if the odometry cannot be right
@@ -246,7 +246,7 @@ def _measured(session: Session, settings: Localization, name: str, known: Visual
 
 
 def _search(session: Session, what: str, task: str, known: VisualMap, k: int, skipped: dict[str, str]) -> Search | None:
-    """Return the search among the frames that have what a task needs, and record how many do not."""
+    """Return the search among frames with a position or a room label, and record in `skipped` how many have none."""
     in_map, in_queries = (
         table.has_position if what == "position" else table.room != "" for table in (known.frames, session.queries)
     )

@@ -87,7 +87,7 @@ class Result:
 
     @property
     def measures(self) -> Measures:
-        """Measures of the first part, with keys of `Measures`; those over all queries are at the top level.
+        """Measures of the first part, with keys of `Measures`; measures of all queries are at the top level.
 
         `measures["error"]["mean"]` is of all queries; the groups follow under "lighting" and "room":
         `measures["lighting"]["night"]["error"]`.

@@ -122,7 +122,9 @@ def evaluate_pairs(
 def evaluate_rooms(
     visual_map: VisualMap, frames: FrameTable, found: Retrieval, excluded: NDArray[np.bool_] | None = None
 ) -> Result:
-    """Predict that each query is in the room of the map frame that looks most like it, which counts as the first.
+    """Predict that each query is in the room of the map frame that looks most like it.
+
+    That frame counts as the first retrieved frame.
 
     Args:
         visual_map: a map of m frames, all with room labels.

@@ -366,7 +366,7 @@ def as_protocol(protocol: Protocol | Mapping[str, Any] | str) -> Protocol:
 
 
 def _named(baselines: Baselines, circular: bool) -> dict[str, Descriptor]:
-    """Return descriptors by name; one that is only named gets its default parameters."""
+    """Return the baselines' descriptors by name; a descriptor given by its name has its default parameters."""
     if isinstance(baselines, Mapping):
         return dict(baselines)
     baselines = [baselines] if isinstance(baselines, str | Descriptor) else baselines

@@ -105,14 +105,14 @@ def claims() -> tuple[Claim, ...]:
 
 
 def spread_of(kind: str, one: Record) -> float:
-    """Return how much the difference of such numbers varies between seeds, as `claims.yaml` states it.
+    """Return how much the difference of two numbers of a measure varies between seeds, from `claims.yaml`.
 
     Args:
         kind: the kind of experiment, a key of `siamloc.reproduce.experiments.KINDS`, such as "retrieval".
-        one: the number, with the name of its measure.
+        one: one of the two numbers, with the name of its measure.
 
     Returns:
-        The standard deviation of the difference in the unit of the number's value; 0 if `claims.yaml` states none.
+        The standard deviation of the difference, in the unit of the number; 0 if `claims.yaml` has none.
     """
     stated = float(contents("claims")["spreads"].get(kind, {}).get(one.measure, 0))
     relative = measures().get(one.measure, {}).get("unit", "1") not in ("1", "share")
@@ -170,7 +170,7 @@ def _order(check: Mapping[str, Any], records: Sequence[Record]) -> Finding:
 
 
 def _side(records: Sequence[Record], wanted: Any, opposite: Any) -> list[Record]:
-    """Return the records of one side; the side "others" has all that do not fit the opposite one."""
+    """Return the records of one side of an order; the side "others" has all records that do not fit the opposite."""
     if wanted == "others":
         return [one for one in records if not _fits(one, opposite)]
     return [one for one in records if _fits(one, wanted)]

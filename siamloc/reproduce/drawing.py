@@ -1,4 +1,4 @@
-"""Figures in the form of the published ones, with a panel of lines over one setting or a heat map over two."""
+"""Draw measured numbers as the published figures do: lines over one setting, or a heat map over two."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ def drawn(figures: Sequence[Figure], records: Sequence[Record]) -> Picture:
 
 
 def names_of(figure: Figure, key: str) -> list[str]:
-    """Return the names of the settings that distinguish the lines or the panels of a figure: none, one or several.
+    """Return the names of the settings, if any, that distinguish the lines or the panels of a figure.
 
     Args:
         figure: settings of a panel, as for `drawn`.

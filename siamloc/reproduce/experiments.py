@@ -172,7 +172,7 @@ def mapping(job: Job, data: Data) -> Measured:
 
 
 def matched(job: Job, data: Data) -> Measured:
-    """Group a drive with the incremental mapper, then into as many nodes by spectral clustering ([T] table 4.3)."""
+    """Group a drive by the incremental mapper, and into the same number of nodes by clustering ([T] table 4.3)."""
     known = _grouping_map(job, data)
     incremental = list(_grouped(known, job.options["build"], {**job.settings, "method": "incremental"}))
     nodes = next(int(one.value) for one in incremental if one.measure == "nodes")

@@ -89,7 +89,7 @@ def report(results: Sequence[Reproduction], missing: Mapping[str, str] | None = 
 
 
 def _over_studies(verdicts: Sequence[Verdict]) -> list[str]:
-    """Return how each claim is counted, over all studies that check it."""
+    """Return how each claim counts in the totals, from all studies that check it."""
     each: dict[str, list[Verdict]] = {}
     for one in verdicts:
         each.setdefault(one.claim.id, []).append(one)

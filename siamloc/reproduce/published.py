@@ -74,7 +74,7 @@ class Column(Settings):
 
 @dataclass(frozen=True)
 class Record:
-    """One number with everything it depends on; published and measured ones have the same form.
+    """A published or measured number, with everything it depends on.
 
     Attributes:
         measure: name of the measure, a key of `measures()`, such as "error".
@@ -153,7 +153,7 @@ def measures() -> Mapping[str, Mapping[str, str]]:
 
 
 def as_printed(cell: float | str, column: Column) -> str:
-    """Return a number as text with as many decimals as the column has in print; a text stays as it is."""
+    """Return a number as text with the decimals that the column has in print; a text stays as it is."""
     return cell if isinstance(cell, str) else f"{cell:.{column.decimals}f}"
 
 

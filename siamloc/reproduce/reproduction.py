@@ -91,7 +91,7 @@ class Reproduction:
         data: name of the data set.
         scale: "smoke", "short" or "full".
         records: measured numbers.
-        beside: measured numbers of our own experiments, on the same frames.
+        beside: measured numbers of experiments that the documents do not have, on the same frames.
         seconds: measuring time by experiment, including earlier measurements.
         machines: machines on which the numbers were measured, as far as known.
     """
@@ -242,7 +242,7 @@ class Reproduction:
 
 
 def _best(records: Sequence[Record], chosen: Study) -> list[Record]:
-    """Return the records; of those with the same `join` settings, only the ones with the largest `best`."""
+    """Return the records; of records with the same `join` settings, only those with the largest `best`."""
     if chosen.best is None or chosen.join is None:
         return list(records)
     rated = [one for one in records if one.measure == chosen.best]
@@ -251,7 +251,7 @@ def _best(records: Sequence[Record], chosen: Study) -> list[Record]:
 
 
 def _beside(one: Record, ours: Sequence[Record], chosen: Study) -> Record | None:
-    """Return our number for a published one; for a bound, the smallest or largest of ours."""
+    """Return the measured number to show with a published one; with a bound, the smallest or largest of them."""
     records = [our for our in ours if _same(one, our, chosen.join)]
     if not records or "bound" not in one.settings:
         return records[0] if records else None
@@ -279,7 +279,7 @@ def _apart_by(figure: Mapping[str, Any], records: Sequence[Record]) -> list[str]
 
 
 def _unlike(rows: Sequence[Row]) -> list[str]:
-    """Return the settings in which a published number and ours next to it differ."""
+    """Return the settings in which any published number differs from the measured number next to it."""
     pairs = [(_settings(row.published), _settings(row.ours)) for row in rows if row.published and row.ours]
     return [
         name

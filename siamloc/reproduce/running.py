@@ -63,7 +63,7 @@ def reproduce(
     chosen = study(id) if isinstance(id, str) else id
     measured = Path(out) / "measured"
     with storage_errors(measured):
-        measured.mkdir(parents=True, exist_ok=True)  # fails here, not after the first job
+        measured.mkdir(parents=True, exist_ok=True)  # a folder that cannot be made fails here, not after the first job
     jobs, opened = chosen.jobs(scale, data), dict[tuple[bool, str, tuple[int, int]], "Data"]()
     records: dict[bool, list[Record]] = {False: [], True: []}
     seconds, machines = dict.fromkeys(chosen.experiments, 0.0), []
@@ -90,15 +90,15 @@ def machine() -> str:
 
 
 def open_data(job: Job, name: str, root: str | Path | None, out: Path, opened: dict[Any, Data]) -> Data:
-    """Return the data set of a job, from those that are open if it is among them.
+    """Return the data set of a job, and open it unless it is open already.
 
     Args:
         job: the job, which needs frames of one place at one image size.
         name: a name in `study_book.yaml`.
-        root: folder of the data set, beside which those of other places lie, or one that holds them all; the usual
-            one if None.
+        root: folder of the data set, with the data sets of other places next to it, or the folder that holds all of
+            them; the usual folder if None.
         out: folder in whose "training" folder unfinished trainings are kept.
-        opened: data sets that are open; one that is opened is added.
+        opened: data sets that are open, to which a newly opened one is added.
 
     Raises:
         ConfigError: no root for a data set without a usual one.
@@ -144,7 +144,7 @@ def _done(job: Job, data: Data, out: Path, measure: bool) -> dict[str, Any]:
 
 
 def _kept(path: Path, wanted: Mapping[str, Any]) -> dict[str, Any] | None:
-    """Return the saved results of a job; None if there are none or they were altered: then it is measured again."""
+    """Return the saved results of a job; None if it has to be measured, as there are none or they were altered."""
     try:
         kept = read_json(path)
     except FormatError:

@@ -232,7 +232,7 @@ def axis(name: str) -> Mapping[str, Any]:
 
 
 def data_named(name: str) -> Mapping[str, Any]:
-    """Return how to read a data set: `root`, `title`, and its sequences by run name.
+    """Return what `study_book.yaml` says of a data set: `root`, `title`, its sequences by run name, and so on.
 
     Args:
         name: "cold", "freiburg_sim" or "mini".
@@ -301,7 +301,7 @@ def _needs(one: Study, data: str, scale: str) -> str:
 
 
 def _resolved(value: Any, scale: str) -> Any:
-    """Return a value that may be given by scale, at any depth, as it applies at one scale."""
+    """Return a value at one scale; parts of it, at any depth, may be given by scale."""
     if isinstance(value, Mapping) and value and set(value) <= set(_SCALES):
         value = value[next(one for one in _SCALES[_SCALES.index(scale) :] if one in value)]
     if isinstance(value, Mapping):

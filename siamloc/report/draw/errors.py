@@ -201,7 +201,7 @@ def _drawn(charts: Sequence[tuple[str, Sequence[Curve], NDArray | None]], unit: 
 
 
 def _cumulative(error: NDArray) -> tuple[NDArray, NDArray]:
-    """Return the corners of the curve of one line: errors, and the share of queries in percent."""
+    """Return the corners of a cumulative curve: errors, and the share of queries in percent."""
     ordered = np.sort(error)
     keep = np.unique(np.linspace(0, len(ordered) - 1, min(len(ordered), _MOST_POINTS)).round().astype(np.int64))
     share = 100 * (keep + 1) / len(ordered)  # exact at each kept point

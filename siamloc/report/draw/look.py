@@ -153,7 +153,7 @@ def lighting_colours(labels: Sequence[str] | Mapping[str, Any]) -> list[str]:
 
 
 def method_look(rank: int) -> dict[str, Any]:
-    """Return the line style of the method of a rank: rank 0 stands out, the others differ in colour and dash."""
+    """Return the line style of a method by its rank: rank 0 is bold, the others differ in colour and dash."""
     if rank == 0:
         return {"color": INK, "linewidth": 2.0, "zorder": 4}
     return {"color": SERIES[(rank + 2) % 8], "linestyle": DASHES[rank % len(DASHES)], "zorder": 3}

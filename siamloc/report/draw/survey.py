@@ -1,4 +1,4 @@
-"""Draw a survey: the path by odometry, the surveyed path and its loops; and a film of how it was driven."""
+"""Draw a survey: the path by odometry, the surveyed path with its loops, and a film of the drive."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ _BEHIND = 12  # frames of the path that are drawn boldly behind the robot
 
 
 def save_survey(found: Survey, folder: str | Path, settings: Mapping[str, Any]) -> None:
-    """Write surveyed.csv, a manifest of the frames, survey.json, figures and settings, survey.png and survey.gif.
+    """Write surveyed.csv (a manifest of the frames), survey.json (measures and settings), survey.png and survey.gif.
 
     Raises:
         StorageError: the disk is full or cannot be written to.

@@ -21,16 +21,33 @@ _SINGLE = "single frame"
 
 
 def comparison(parts: list[Part]) -> Markup | None:
-    """Return the tables and curves that compare several evaluations; None if no two measured the same."""
+    """Return the tables, curves and warnings that compare evaluations of poses or rooms; None without two of them."""
     scored = [part for part in parts if part.evaluation.measured]
-    return tag("article.overview", _localization(scored)) if len(scored) > 1 else None
+    if len(scored) < 2:
+        return None
+    evaluations = {part.title: part.evaluation for part in scored}
+    notes = differences(evaluations)
+    if len({str(evaluation.results.get("protocol")) for evaluation in evaluations.values()}) > 1:
+        text = "These evaluations follow different protocols: their errors must not be compared with each other."
+        notes.insert(0, text)
+    by_unit: dict[str, dict[str, Columns]] = {}
+    for title, evaluation in evaluations.items():
+        if evaluation.queries is not None and len(evaluation.queries["error"]):
+            by_unit.setdefault(evaluation.unit, {})[title] = finest(evaluation.queries)[0]
+    curves = [
+        inline(compared_curves(columns, unit), f"compared-{i}", "cumulative errors of all evaluations")
+        for i, (unit, columns) in enumerate(by_unit.items())
+    ]
+    warnings = [tag("p.note", note) for note in notes]
+    tables = map(grid, _compared(scored))
+    return tag("article.overview", section("Comparison", *tables, *warnings, *curves, name="compared"))
 
 
 def differences(evaluations: Mapping[str, Evaluation]) -> list[str]:
-    """Return what makes evaluations hard to compare, one sentence for each that differs from the first.
+    """Return a warning for each evaluation whose queries or map frames differ from those of the first evaluation.
 
-    Frames are the same if the ends of their paths and their positions (where known) are: the data set's location, the
-    order of the frames and the descriptor do not matter.
+    Frames are the same if the ends of their paths are the same, and their positions where known. The folder of the data
+    set, the order of the frames and the descriptor do not matter.
 
     Args:
         evaluations: results of two or more evaluations, by the title that the sentences use.
@@ -50,26 +67,6 @@ def differences(evaluations: Mapping[str, Evaluation]) -> list[str]:
     return found
 
 
-def _localization(parts: list[Part]) -> Markup:
-    """Return the table of all evaluations and their curves, with warnings if they are not comparable."""
-    evaluations = {part.title: part.evaluation for part in parts}
-    notes = differences(evaluations)
-    if len({str(evaluation.results.get("protocol")) for evaluation in evaluations.values()}) > 1:
-        text = "These evaluations follow different protocols: their errors must not be compared with each other."
-        notes.insert(0, text)
-    by_unit: dict[str, dict[str, Columns]] = {}
-    for title, evaluation in evaluations.items():
-        if evaluation.queries is not None and len(evaluation.queries["error"]):
-            by_unit.setdefault(evaluation.unit, {})[title] = finest(evaluation.queries)[0]
-    curves = [
-        inline(compared_curves(columns, unit), f"compared-{i}", "cumulative errors of all evaluations")
-        for i, (unit, columns) in enumerate(by_unit.items())
-    ]
-    return section(
-        "Comparison", *map(grid, _compared(parts)), *(tag("p.note", note) for note in notes), *curves, name="compared"
-    )
-
-
 def _compared(parts: list[Part]) -> list[Table]:
     """Return the table with a row for each evaluation: errors of its finest estimates, of all queries and by lighting.
 
@@ -79,7 +76,7 @@ def _compared(parts: list[Part]) -> list[Table]:
     lightings = list(dict.fromkeys(label for measures in scored for label in measures.get("lighting", {})))
     rows = [((tag("a", part.title, href=f"#{part.anchor}"),), _measures(part, lightings)) for part in parts]
     values = {name: {row[name] for _, row in rows} - {None} for name in ("protocol", "unit", "estimate")}
-    values["estimate"].add(_SINGLE)  # anything else has to be said, even of all evaluations
+    values["estimate"].add(_SINGLE)  # another estimate is named even if all evaluations have it
     differing = [name for name, every in values.items() if len(every) > 1]
     unit = "" if "unit" in differing else "".join(values["unit"])
     columns: list[tuple[Column, str]] = [
@@ -122,7 +119,7 @@ def _difference(what: str, one: Columns | None, other: Columns | None) -> str:
 
 
 def _frames(columns: Columns) -> set[tuple[Any, ...]]:
-    """Return the identity of frames: folder and file name, and position, infinite if it is unknown."""
+    """Return what identifies each frame: folder and file name, and position, infinite where unknown."""
     ends = [PurePath(path).parts[-2:] for path in columns["path"].tolist()]
     unknown = np.full(len(ends), np.nan)
     x, y = (np.nan_to_num(np.round(columns.get(axis, unknown), 6), nan=np.inf).tolist() for axis in "xy")

@@ -76,7 +76,7 @@ class Evaluation:
 
     @cached_property
     def own_tables(self) -> dict[str, list[Table]]:
-        """The tables of what was measured for this descriptor only, by kind, such as "mapping"."""
+        """The tables of measures that baselines do not have, by kind, such as "mapping"."""
         return own_tables(self.name, self.results["measures"])
 
     @property

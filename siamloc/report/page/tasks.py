@@ -23,7 +23,7 @@ _ESTIMATES = {
 
 
 def further_estimate(part: Part, name: str) -> Markup | None:
-    """Return the section on another estimate of the same queries: its curve and how it is made; None without it.
+    """Return the section on a further estimate of the queries, with its curve and how it is made; None without it.
 
     Args:
         part: the evaluation that the section is about.
@@ -139,7 +139,7 @@ def buildings(part: Part) -> Markup | None:
 
 
 def pairs(part: Part) -> Markup | None:
-    """Return the section on how well pairs of one room and of two are distinguished; None without judged pairs."""
+    """Return the section on how well pairs from one room and from two are told apart; None without judged pairs."""
     if (found := part.evaluation.results["measures"].get("room_pairs")) is None:
         return None
     text = (
