@@ -26,6 +26,7 @@ from siamloc.maps.refinement import Refinement, check_compares
 from siamloc.maps.sequence_filter import MotionModel, SequenceFilter, temperature_of_map, tune_filter
 from siamloc.maps.visual_map import VisualMap
 from siamloc.results import FURTHER, Columns
+from siamloc.stopwatch import Stopwatch
 
 MATCHES = 20  # nearest map frames from which an error model predicts
 ESTIMATES = {"interpolate": "interpolated", "relative": "refined"}  # names of finer poses, by their method
@@ -139,14 +140,14 @@ def search_validation(session: Session, frames: FrameTable | None, settings: Est
     k = min(max(MATCHES, settings.neighbours), len(known))
     tuned = settings.filter and settings.filter_tune
     search = Search(known, np.flatnonzero(has), k, refinement=refinement(settings, known), with_distances=tuned)
-    searches, elsewhere = {"validation": search}, None
+    elsewhere = None
     if settings.error_model and comparison_of(known) is None:
         offsets = (known.frames.xy - xy for xy in frames.xy[search.rows])
         near = np.stack([np.hypot(*offset.T) <= _ELSEWHERE * settings.place_radius for offset in offsets])
         enough = (~near).sum(axis=1) >= k
         if enough.any():
-            elsewhere = searches["elsewhere"] = Search(known, search.rows[enough], k, excluded=near[enough])
-    session.run(known, frames, searches, "the validation frames")
+            elsewhere = Search(known, search.rows[enough], k, excluded=near[enough])
+    session.run(known, frames, filter(None, (search, elsewhere)), "the validation frames", Stopwatch())
     return Validation(frames.take(has), search, elsewhere)
 
 

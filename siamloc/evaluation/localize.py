@@ -214,7 +214,7 @@ def _measured(session: Session, settings: Localization, name: str, known: Visual
     if not searches:
         raise DataError(f"nothing could be measured: {'; '.join(skipped.values())}")
     clock = Stopwatch()
-    vectors = session.run(known, queries, searches, f"the queries, {name}", clock)
+    vectors = session.run(known, queries, searches.values(), f"the queries, {name}", clock)
     result, learned = Result(name, {}, {}, skipped=skipped), None
     if search := searches.get("absolute"):
         placed = queries.take(search.rows)

@@ -162,47 +162,40 @@ class Session:
             return self.known
         return maps.build(other, self.images, self.known.frames)
 
-    def parts_of(
-        self, by: VisualMap | Descriptor, frames: FrameTable, what: str, clock: Stopwatch | None = None
-    ) -> Iterable[Description]:
+    def parts_of(self, known: VisualMap, frames: FrameTable, what: str, clock: Stopwatch) -> Iterable[Description]:
         """Yield the descriptions of frames: all at once, or batch by batch if the descriptor compares after turning.
 
         Descriptions by such descriptors are large, so only one batch at a time is in memory.
 
         Args:
-            by: the map or the descriptor that describes the frames.
+            known: the map whose descriptor describes the frames.
             frames: frames among those of the session's images.
             what: noun for the frames in the progress line, such as "queries".
-            clock: takes the time of describing; None takes none.
+            clock: takes the time of describing.
         """
-        parts = maps.describe(by, self.images, frames, progress=f"describing {what}", clock=clock)
-        return parts if by.aligned else [Description.concatenate(list(parts))]
+        parts = maps.describe(known, self.images, frames, progress=f"describing {what}", clock=clock)
+        return parts if known.aligned else [Description.concatenate(list(parts))]
 
     def run(
-        self,
-        by: VisualMap | Descriptor,
-        frames: FrameTable,
-        searches: Mapping[str, Search],
-        what: str,
-        clock: Stopwatch | None = None,
+        self, known: VisualMap, frames: FrameTable, searches: Iterable[Search], what: str, clock: Stopwatch
     ) -> NDArray[np.float32] | None:
         """Describe frames and run several searches on them; return the position parts, None if too large to keep.
 
         Args:
-            by: the map or the descriptor that describes the frames.
+            known: the map whose descriptor describes the frames.
             frames: frames among those of the session's images.
-            searches: the searches by name; each takes the frames in its `rows`.
+            searches: the searches, each of which takes the frames in its `rows`.
             what: noun for the frames in the progress line, such as "queries".
-            clock: takes the times of describing and searching; None takes none.
+            clock: takes the times of describing and searching.
         """
-        start, vectors, clock = 0, None, clock or Stopwatch()
-        for part in self.parts_of(by, frames, what, clock):
-            for search in searches.values():
+        start, vectors, searches = 0, None, list(searches)
+        for part in self.parts_of(known, frames, what, clock):
+            for search in searches:
                 inside = search.rows[(search.rows >= start) & (search.rows < start + len(part))] - start
                 if len(inside):
                     search.take_in(part if len(inside) == len(part) else part.take(inside), clock)
             start += len(part)
-            vectors = None if by.aligned else part.position
+            vectors = None if known.aligned else part.position
         return vectors
 
     def lacking(self, has: NDArray[np.bool_], what: str) -> str:
