@@ -8,7 +8,7 @@ import pytest
 from siamloc.data.frames import FrameTable
 from siamloc.errors import ConfigError
 from siamloc.evaluation import metrics
-from siamloc.evaluation.absolute import estimate_columns, estimate_measures, pose_measures, with_baseline
+from siamloc.evaluation.absolute import estimate_columns, estimate_measures, pose_measures
 from siamloc.evaluation.hierarchy import Hierarchical
 from siamloc.evaluation.localize import Localization
 from siamloc.maps import VisualMap
@@ -111,14 +111,6 @@ def test_a_drive_whose_positions_disagree_with_the_map_s_is_remarked(drift: np.n
     assert ("positions" in result.skipped) == says
     assert ("tuesday look like map frames" in result.table()) == says
     assert "left out" not in result.table()
-
-
-def test_a_baseline_is_measured_on_the_same_queries() -> None:
-    result, known, queries = evaluated()
-    vectors = scenes.describe(queries, seed=3, noise=2)
-    noisy = evaluate_absolute(known, vectors, queries, RADII, KS)
-    measures = with_baseline(result, "thumbnail", noisy).parts["absolute"]
-    assert measures["overall"]["baselines"]["thumbnail"]["error"] == noisy.parts["absolute"]["overall"]["error"]
 
 
 @pytest.mark.parametrize(

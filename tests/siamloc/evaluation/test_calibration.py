@@ -7,7 +7,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from siamloc.errors import DataError
 from siamloc.evaluation.calibration import calibration_curve, calibration_measures, lost_measures
 from tests.oracles import calibration as oracle
 
@@ -57,8 +56,3 @@ def test_perfect_and_reversed_predictions() -> None:
     assert (perfect["lost"]["precision"], perfect["lost"]["recall"]) == (1, 1)
     assert turned["gap"] > 1
     assert turned["lost"]["both"] < 0.2 * turned["lost"]["lost"]
-
-
-def test_errors() -> None:
-    with pytest.raises(DataError, match="1 of 2 predicted errors are not finite"):
-        calibration_curve([1.0, np.nan], [1.0, 2.0])

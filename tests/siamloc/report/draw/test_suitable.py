@@ -14,7 +14,7 @@ from siamloc.maps import VisualMap
 from siamloc.report.draw import pictures, save_all
 from siamloc.report.draw.errors import compared_curves, error_curve, estimate_curve
 from siamloc.report.draw.floor_plan import along, floor_plan
-from siamloc.report.draw.look import Picture, lighting_colours
+from siamloc.report.draw.look import Picture
 from siamloc.report.draw.rooms import confusion
 from siamloc.report.draw.training import training_curves
 from siamloc.results import read_results, read_rows
@@ -172,12 +172,6 @@ def test_training_curves_leave_gaps() -> None:
     assert labels == ["training, last 0.25", "validation, last 0.4"]
     assert np.isnan(figure.axes[0].lines[1].get_ydata()[1])
     assert figure.axes[1].get_ylim()[1] >= 1
-
-
-def test_colours_belong_to_lightings() -> None:
-    assert lighting_colours(["sunny", "dusk"])[0] == lighting_colours(["cloudy", "sunny"])[1]
-    colours = lighting_colours(["cloudy", "night", "sunny", "dusk", "dawn"])
-    assert len(set(colours)) == 5
 
 
 def test_drawing_leaves_the_users_settings_alone() -> None:

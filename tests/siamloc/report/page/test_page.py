@@ -12,10 +12,8 @@ import pytest
 
 from siamloc.data import read_occupancy
 from siamloc.errors import DataError
-from siamloc.report.draw import pictures
-from siamloc.report.page.inline import inline
 from siamloc.report.page.write import write_report
-from siamloc.results import read_results, read_rows
+from siamloc.results import read_results
 from tests.siamloc.report import pages
 from tests.siamloc.report.pages import columns_of, notes, rows_of
 
@@ -111,19 +109,6 @@ def test_the_worst_queries_are_those_with_the_largest_errors(run: Path, page: pa
             rows, columns = pages.decoded(image.attributes["src"].partition(",")[2]).shape[:2]
             assert columns >= 256
             assert columns == 4 * rows
-
-
-def test_the_figures_are_those_that_are_saved_as_pictures(run: Path, page: pages.Element) -> None:
-    """One piece of code draws a chart, for the page and for files: the words in it are the same."""
-    folder = run / "evaluation" / "network"
-    tables = {name: read_rows(folder, name) for name in ("queries", "map")}
-    made = pictures(read_results(folder)["measures"], tables, name="network")
-    for section, key in (("curves", "error_curve"), ("rooms", "confusion")):
-        svg = page.one("section", class_=section).all("svg")[0]
-        drawn = pages.parse(inline(made[key](), "other", key)).one("svg")
-        words = [text.text.strip() for text in svg.all("text")]
-        assert len(words) >= 20
-        assert words == [text.text.strip() for text in drawn.all("text")]
 
 
 def test_no_name_is_given_twice(run: Path, page: pages.Element) -> None:
