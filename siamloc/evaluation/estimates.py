@@ -138,8 +138,8 @@ def search_validation(session: Session, frames: FrameTable | None, settings: Est
     remedy = ": errors, ellipses and the filter's settings are learned from known positions"
     session.leave_out(has, "validation frames have no position", "validation", remedy)
     k = min(max(MATCHES, settings.neighbours), len(known))
-    tuned = settings.filter and settings.filter_tune
-    search = Search(known, np.flatnonzero(has), k, refinement=refinement(settings, known), with_distances=tuned)
+    finer, rows = refinement(settings, known), np.flatnonzero(has)
+    search = Search(known, rows, k, refinement=finer, with_distances=settings.filter_tune)
     elsewhere = None
     if settings.error_model and comparison_of(known) is None:
         offsets = (known.frames.xy - xy for xy in frames.xy[search.rows])
@@ -197,7 +197,7 @@ def learn(session: Session, settings: Estimates, search: Search) -> Learned:
         DataError: validation frames without positions, or too few.
     """
     known, finer, errors = search.known, search.refinement, None
-    needed = settings.error_model or (settings.filter and settings.filter_tune)
+    needed = settings.error_model or settings.filter_tune
     needed |= settings.refine == "relative" and session.validation is not None
     validation = search_validation(session, session.validation, settings, known) if needed else None
     about: dict[str, Any] = {}

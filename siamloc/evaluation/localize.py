@@ -21,7 +21,6 @@ from siamloc.evaluation.absolute import evaluate_absolute, most_neighbours, neig
 from siamloc.evaluation.columns import located_columns, missing_rooms
 from siamloc.evaluation.estimates import (
     ESTIMATES,
-    MATCHES,
     Estimates,
     learn,
     learned_errors,
@@ -192,7 +191,7 @@ def error_model(known: VisualMap, images: PanoramaLibrary, validation: FrameTabl
 
 def _measured(session: Session, settings: Localization, name: str, known: VisualMap, main: bool = True) -> Result:
     """Measure one descriptor; for the map's own (`main`), also make further estimates and locate unscored queries."""
-    queries = session.queries
+    queries, unfiltered = session.queries, replace(settings, filter=False, filter_tune=False)
     if settings.filter:
         motions(queries)  # fails before anything is described if the odometry cannot be right
     skipped: dict[str, str] = {}
@@ -208,7 +207,9 @@ def _measured(session: Session, settings: Localization, name: str, known: Visual
     bare = np.flatnonzero(~queries.has_position)
     if main and len(bare) and known.frames.has_position.any():
         try:
-            searches["located"] = _search_bare(session, settings, known.placed(), bare)
+            inside = known.placed()
+            excluded = session.protocol.excluded(queries.take(bare), inside.frames)
+            searches["located"] = prepared(unfiltered, Search(inside, bare, 1, excluded=excluded))
         except DataError as error:  # without positions along the drive, near frames cannot be left out
             skipped["located"] = str(error)
     if not searches:
@@ -234,7 +235,7 @@ def _measured(session: Session, settings: Localization, name: str, known: Visual
             skipped["rooms"] = text
     if search := searches.get("located"):
         if learned is None:
-            learned = learn(session, replace(settings, filter=False, filter_tune=False), search)
+            learned = learn(session, unfiltered, search)
             about = {**result.about, **({"estimates": learned.about} if learned.about else {})}
             result = replace(result, about=about, error_model=learned.errors, refinement=learned.refinement)
         poses = None if search.refinement is None else (ESTIMATES[search.refinement.method], search.found.refined)
@@ -260,13 +261,6 @@ def _search(session: Session, what: str, task: str, known: VisualMap, k: int, sk
     inside, rows = (known if in_map.all() else known.take(in_map)), np.flatnonzero(in_queries)
     excluded = session.protocol.excluded(session.queries.take(rows), inside.frames)
     return Search(inside, rows, most_neighbours(k, len(inside), excluded), excluded=excluded)
-
-
-def _search_bare(session: Session, settings: Localization, placed: VisualMap, rows: NDArray[np.int64]) -> Search:
-    """Return the search for queries without a position."""
-    excluded = session.protocol.excluded(session.queries.take(rows), placed.frames)
-    k = most_neighbours(MATCHES if settings.error_model else 1, len(placed), excluded)
-    return prepared(replace(settings, filter=False, filter_tune=False), Search(placed, rows, k, excluded=excluded))
 
 
 def _with_pairs(

@@ -209,9 +209,9 @@ def growing(job: Job, data: Data) -> Measured:
     for row in range(len(known)):
         mapper.add(known.description.take(slice(row, row + 1)), poses[row].tolist())
         if row + 1 in marks:
-            told, unassigned = {**job.settings, "frames_seen": row + 1}, (mapper.labels() < 0).mean()
+            settings, unassigned = {**job.settings, "frames_seen": row + 1}, (mapper.labels() < 0).mean()
             seconds = perf_counter() - start
-            yield from _records(told, nodes=len(mapper.nodes), unassigned=unassigned, clustering_seconds=seconds)
+            yield from _records(settings, nodes=len(mapper.nodes), unassigned=unassigned, clustering_seconds=seconds)
 
 
 def compact(job: Job, data: Data) -> Measured:
@@ -265,30 +265,30 @@ def rooms(job: Job, data: Data) -> Measured:
 def trained(job: Job, data: Data) -> Measured:
     """Train a siamese network, then use it to distinguish rooms ([T] 5.4.1) or to locate ([T] 5.4.2-5.4.3)."""
     options, pairs = job.options, dict(job.options["pairs"])
-    told = {key: options[key] for key in ("branch", "head", "epochs", "batch_size")}
-    told |= {"same_share": pairs["same_room_share"], **job.settings}
+    shared = {key: options[key] for key in ("branch", "head", "epochs", "batch_size")}
+    shared |= {"same_share": pairs["same_room_share"], **job.settings}
     if pairs["epoch_pairs"] is not None:
         pairs["epoch_pairs"] = max(4, round(pairs["epoch_pairs"] * options.get("share_of_pairs", 1)))
     with _learned(job, data, batch_size=options["batch_size"], pairs=pairs) as own:
         queries = data.role(job.roles["query"])
         if pairs["label"] == "room":
-            yield from _judged_pairs(own, job, data, queries, told)
+            yield from _judged_pairs(own, job, data, queries, shared)
         else:
-            yield from _located(evaluation.localization(own, data.images, queries, names=("absolute",)), own, told)
+            yield from _located(evaluation.localization(own, data.images, queries, names=("absolute",)), own, shared)
         if options.get("in_rooms"):
-            yield from _inside_rooms(own, data, queries, told)
+            yield from _inside_rooms(own, data, queries, shared)
 
 
 def named_rooms(job: Job, data: Data) -> Measured:
     """Train a network to classify the room, then locate inside that room ([T] table 5.19, single network)."""
     from siamloc.models import CrossEntropyLoss
 
-    told = {key: job.options[key] for key in ("branch", "head", "epochs")} | dict(job.settings)
+    shared = {key: job.options[key] for key in ("branch", "head", "epochs")} | dict(job.settings)
     with _learned(job, data, loss=CrossEntropyLoss(), pairs=job.options["pairs"]) as own:
         layer = maps.group(own, "rooms", progress=False)
         queries = data.role(job.roles["query"])
         result = evaluation.hierarchical(own, data.images, queries, layer, candidates=1, coarse={"by": "classifier"})
-        yield from _located(result, own, told)
+        yield from _located(result, own, shared)
 
 
 @contextmanager
@@ -315,31 +315,31 @@ def _learned(job: Job, data: Data, **training_options: Any) -> Iterator[VisualMa
     shutil.rmtree(folder)
 
 
-def _judged_pairs(own: VisualMap, job: Job, data: Data, queries: FrameTable, told: Mapping[str, Any]) -> Measured:
+def _judged_pairs(own: VisualMap, job: Job, data: Data, queries: FrameTable, shared: Mapping[str, Any]) -> Measured:
     """Distinguish pairs of one room from pairs of two, among the training frames and among the queries."""
     asked: dict[str, Any] = {"pairs": {"count": job.options["judged"], "same_room_share": 0.5}, "protocol": "same_run"}
     for phase, frames in (("train", data.role(job.roles["train"])), ("test", queries)):
         result = evaluation.localization(own, data.images, frames, names=("room_retrieval",), **asked)
         judged = result.parts["room_pairs"]["overall"]
         for pairs in ("overall", "same", "different"):
-            yield from _records({**told, "phase": phase, "pairs": pairs}, accuracy=judged[pairs])
+            yield from _records({**shared, "phase": phase, "pairs": pairs}, accuracy=judged[pairs])
 
 
-def _located(result: Result, own: VisualMap, told: Mapping[str, Any]) -> Measured:
+def _located(result: Result, own: VisualMap, shared: Mapping[str, Any]) -> Measured:
     """Yield the errors of a localization by lighting, their floors, and the size of the descriptor."""
     for lighting, group in {"overall": result.measures, **result.measures["lighting"]}.items():
         means = {"error": group["error"]["mean"], "floor": group["floor"]["mean"]}
-        yield from _records({**told, "lighting": lighting}, **means)
-    yield from _records(told, descriptor_size=own.width)
+        yield from _records({**shared, "lighting": lighting}, **means)
+    yield from _records(shared, descriptor_size=own.width)
 
 
-def _inside_rooms(own: VisualMap, data: Data, queries: FrameTable, told: Mapping[str, Any]) -> Measured:
+def _inside_rooms(own: VisualMap, data: Data, queries: FrameTable, shared: Mapping[str, Any]) -> Measured:
     """Locate each query only inside its true room ([T] table 5.15)."""
     layer = maps.group(own, "rooms", progress=False)
     columns = evaluation.hierarchical(own, data.images, queries, layer, candidates=1).tables["queries"]
     for room, lighting in sorted(set(zip(columns["room"].tolist(), columns["lighting"].tolist(), strict=True))):
         rows = (columns["room"] == room) & (columns["lighting"] == lighting)
-        settings = {**told, "room": room.rpartition("/")[2], "lighting": lighting}
+        settings = {**shared, "room": room.rpartition("/")[2], "lighting": lighting}
         yield from _records(settings, error=columns["error_perfect_coarse"][rows].mean())
 
 

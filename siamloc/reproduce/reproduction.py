@@ -194,12 +194,14 @@ class Reproduction:
         return [save(self.plot(), Path(folder) / f"{self.study.id}.png")] if self.study.figure else []
 
     def _protocol(self) -> str:
-        told: dict[str, list[str]] = {}
+        by_words: dict[str, list[str]] = {}
         for one in map(experiment, self.study.experiments):
             if not one.beside:
                 says = "; ".join(f"{role}: {words}" for role, words in one.protocol_in_words(self.scale).items())
-                told.setdefault(says, []).append(one.id)
-        return next(iter(told)) if len(told) == 1 else " / ".join(f"{', '.join(told[says])}: {says}" for says in told)
+                by_words.setdefault(says, []).append(one.id)
+        if len(by_words) == 1:
+            return next(iter(by_words))
+        return " / ".join(f"{', '.join(ids)}: {says}" for says, ids in by_words.items())
 
     def _comparison(self) -> list[str]:
         """Return the lines of the table with the published numbers next to ours."""

@@ -155,10 +155,10 @@ def _kept(path: Path, wanted: Mapping[str, Any]) -> dict[str, Any] | None:
 
 def _fingerprint(job: Job, data: Data) -> str:
     """Return a key of the frames that a job uses: their names, poses and rooms, regardless of their folder."""
-    told = []
+    used = []
     for one in [data, data.other] if job.kind == "buildings" else [data]:
         for name, role in sorted(job.roles.items()):
             frames = one.role(role)
             names = [Path(path).name for path in frames.path.tolist()]
-            told.append([name, frames.sequence.tolist(), names, frames.xy.tolist(), frames.room.tolist()])
-    return content_key(told)
+            used.append([name, frames.sequence.tolist(), names, frames.xy.tolist(), frames.room.tolist()])
+    return content_key(used)

@@ -117,15 +117,9 @@ def _evaluation(part: Part, alone: bool) -> Markup:
     """Return an evaluation with its sections, and its own heading unless it is alone on the page."""
     evaluation, head = part.evaluation, None
     if not alone:
-        facts = [
-            _date(evaluation),
-            f"protocol {evaluation.results['protocol']}" if "protocol" in evaluation.results else "",
-        ]
-        head = join(
-            tag("h2", part.title),
-            tag("p.meta", " · ".join(filter(None, facts)).replace("_", " ")),
-            sections.key_figures(evaluation),
-        )
+        protocol = f"protocol {evaluation.results['protocol']}" if "protocol" in evaluation.results else ""
+        facts = " · ".join(filter(None, [_date(evaluation), protocol])).replace("_", " ")
+        head = join(tag("h2", part.title), tag("p.meta", facts), sections.key_figures(evaluation))
     made = {name: shown for name, draw in _SECTIONS.items() if (shown := draw(part)) is not None}
     places = {name: f"{part.anchor}-{name.replace(' ', '-')}" for name in made}
     links = [tag("a", name, href=f"#{place}") for name, place in places.items()]
