@@ -38,7 +38,6 @@ _OF_A_READER = re.compile(r"(?<![\w./])(form|order|axes|offset|times|clock|on_er
 """Arguments that the messages of readers name, and which are keys of a group here."""
 _NAME = "siamloc"
 """Name of the configuration of a command, which `_register` composes."""
-_BRANCH = "model/branch"
 _print = partial(print, flush=True)
 
 
@@ -159,7 +158,8 @@ def _made(kind: type[Job], config: DictConfig, words: list[str]) -> Job:
 def _register(kind: type[Job], words: list[str]) -> None:
     """Give Hydra the configuration of a job: its defaults, and the options of its groups from the registries.
 
-    Networks that siamloc does not define, such as timm/resnet18, become options if the words name them.
+    Fused descriptors, and networks that siamloc does not define, such as timm/resnet18, become options if words name
+    them.
     """
     from hydra.core.config_store import ConfigStore
 
@@ -178,19 +178,17 @@ def _register(kind: type[Job], words: list[str]) -> None:
         for name, entry in inside.items():
             package = "_global_" if group == "experiment" else None
             store.store(name, OmegaConf.create(entry.node()), group=group, package=package)
-    for name in (name for word in words if key_of(word) == "descriptor" for name in word.partition("=")[2].split(",")):
-        if is_fused("descriptor", name):
-            store.store(name, OmegaConf.create(option("descriptor", name).node()), group="descriptor")
-    named = [name for word in words if key_of(word) == _BRANCH for name in word.partition("=")[2].split(",")]
-    for name in (one.strip("'\" ") for one in named):
-        if is_backbone(name):
-            folder, _, leaf = f"{_BRANCH}/{name}".rpartition("/")
-            package = _BRANCH.replace("/", ".")
-            store.store(leaf, OmegaConf.create(option(_BRANCH, name).node()), group=folder, package=package)
+    for group, is_made in (("descriptor", is_fused), ("model/branch", is_backbone)):
+        chosen_names = (name for word in words if key_of(word) == group for name in word.partition("=")[2].split(","))
+        for name in (name.strip("'\" ") for name in chosen_names):
+            if is_made(name):
+                folder, _, leaf = f"{group}/{name}".rpartition("/")
+                node = OmegaConf.create(option(group, name).node())
+                store.store(leaf, node, group=folder, package=group.replace("/", "."))
 
 
 def _path(kind: type[Job]) -> str | None:
-    """Return the folder of the options that are files; None for a job without groups, whose keys may be called so."""
+    """Return the folder of options as files; None for a job without groups, whose keys may have names of groups."""
     return str(config_folder()) if kind.GROUPS else None
 
 

@@ -71,6 +71,12 @@ class Hierarchical(Settings):
     radii: Radii = (0.25, 0.5, 1.0)
     ks: Counts = (1, 5, 10, 20)
 
+    @property
+    def search(self) -> LayerSearch:
+        """How a coarse layer is searched."""
+        coarse = self.coarse
+        return LayerSearch(coarse.by, self.candidates, coarse.neighbours, coarse.ratio, self.along)
+
 
 @takes(Hierarchical)
 def hierarchical(
@@ -117,9 +123,7 @@ def hierarchical(
     if isinstance(layer, Built):
         layer.check_map(known if coarse_map is None else coarse_map)
         layer = layer.layer
-    coarse = settings.coarse
-    asked = LayerSearch(coarse.by, settings.candidates, coarse.neighbours, coarse.ratio, settings.along)
-    search = HierarchicalSearch(known, layer, coarse=coarse_map, settings=asked)
+    search = HierarchicalSearch(known, layer, coarse=coarse_map, settings=settings.search)
     placed, scored = known.frames.has_position, session.queries.has_position
     if text := session.lacking(placed, "map frames have no position"):
         raise DataError(f"{text}: build the layer over a map whose frames all have one (known.placed())")

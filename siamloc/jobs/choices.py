@@ -12,15 +12,7 @@ from typing import Annotated, Any, ClassVar, Literal, TypeVar
 from analytic.descriptors.fused import SIGN, distinct
 from foundation.settings import Count, Natural, NotNegative, Rule, Settings, Share, Text, Workers, checked, fields_of
 from siamloc.errors import ConfigError, check_known, hint
-from siamloc.models.registry import (
-    LOSSES,
-    NORMALIZATIONS,
-    Contrastive,
-    Outputs,
-    branch_spec,
-    head_widths,
-    is_backbone,
-)
+from siamloc.models.registry import LOSSES, NORMALIZATIONS, Contrastive, Outputs, branch_spec, head_widths, is_backbone
 
 Kind = TypeVar("Kind", bound="Choice")
 Folder = Annotated[str, Rule("the name of a folder", lambda value: bool(value.strip()))]
@@ -29,7 +21,7 @@ Listed = Annotated[str, Rule("numbers between commas", lambda value: bool(re.ful
 Devices = Annotated[tuple[Natural, ...], Rule("a list of one number or more", lambda value: len(value) > 0)]
 Check = Callable[[Mapping[str, Any]], object]
 OF_A_RUN = ("network", "untrained")
-"""Descriptors that are the network of a run."""
+"""Names of the descriptors that need the network of a run."""
 
 
 @dataclass(frozen=True)
@@ -39,7 +31,7 @@ class Choice(Settings):
     Attributes:
         name: name of the option.
         parameters: parameters of the option, as plain values.
-        label: name in folders and tables in place of the option's.
+        label: name that folders and tables show instead of the option's name.
     """
 
     LABELLED: ClassVar[bool] = False
@@ -135,7 +127,7 @@ class Frozen(Settings):
 
     Attributes:
         branch: the network, as for `siamloc.models.build`, such as timm/vit_small_patch14_dinov2.
-        weights: its weights, as there.
+        weights: its weights, as for `siamloc.models.build`.
         head: a head without weights of its own.
         circular: whether its convolutions wrap around the azimuth.
     """
@@ -168,7 +160,7 @@ def _checks(where: str) -> Mapping[str, Check]:
 
 
 def _only(where: str, *texts: str) -> Check:
-    """Return a function that refuses all parameters but some, which are texts."""
+    """Return a function that refuses all parameters except these, whose values are texts."""
 
     def check(parameters: Mapping[str, Any]) -> None:
         check_known(parameters, texts, where)
@@ -295,7 +287,7 @@ class Model(Settings):
         normalize: channels, image, local or local_brightness; the default of the branch if None.
         canonical: turn panoramas first, so that a turn by whole columns leaves the descriptor; for circular=true.
         relative: whether to learn where an image was taken relative to a map frame.
-        colours: whether to describe colours beside what is learned.
+        colours: whether to describe colours as well, which are not learned.
     """
 
     WHERE = "model"

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
+from functools import cached_property
 from pathlib import Path
 from typing import Any, ClassVar
 from urllib.parse import quote
@@ -15,8 +16,8 @@ from foundation.files import real_path
 from foundation.settings import Text
 from siamloc import evaluation, maps
 from siamloc.data import FrameTable, PanoramaLibrary, Protocol, Role, read_occupancy
-from siamloc.data.reading import parameters_of, path_keys
-from siamloc.errors import ConfigError, SiamlocError, hint
+from siamloc.data.reading import path_keys
+from siamloc.errors import ConfigError, hint
 from siamloc.evaluation import Result
 from siamloc.evaluation.compact_maps import Compact
 from siamloc.evaluation.hierarchy import Hierarchical
@@ -24,15 +25,15 @@ from siamloc.evaluation.layers import MapMeasures
 from siamloc.evaluation.localize import Localization
 from siamloc.jobs.choices import OF_A_RUN, DescriptorChoice, names_in
 from siamloc.jobs.job import Say, quiet
-from siamloc.jobs.options import choices, is_fused, option
-from siamloc.jobs.run_job import RunJob, files_in
+from siamloc.jobs.options import choices, is_fused
+from siamloc.jobs.replacing import measured_otherwise
+from siamloc.jobs.run_job import RunJob, by_name, files_in
 from siamloc.jobs.stored import map_file, map_known
-from siamloc.jobs.sweep import of_layer, of_results, own_folder, sweep_suffix, swept, with_swept
-from siamloc.jobs.tasks import BuildingsTask, RobustnessTask, RoomTask, Task
+from siamloc.jobs.sweep import of_results, own_folder, sweep_suffix, swept, with_swept
+from siamloc.jobs.tasks import BuildingsTask, CompactTask, HierarchicalTask, MappingTask, RobustnessTask, Task
 from siamloc.maps import Built, VisualMap
 from siamloc.maps.history import UPKEEP
 from siamloc.models.registry import PRETRAINED_SIZE
-from siamloc.results import read_results
 from siamloc.runs import Run
 
 
@@ -98,7 +99,7 @@ class Evaluate(RunJob):
         super().__post_init__()
         known = choices("descriptor")
         for name in getattr(self.task, "baselines", ()):
-            if name not in known and not is_fused("descriptor", name):
+            if name not in known and not is_fused(name):
                 raise ConfigError(f"unknown descriptor {name!r} in task.baselines: {hint(name, known)}")
 
     def run(self, say: Say = quiet) -> Result:
@@ -127,25 +128,41 @@ class Evaluate(RunJob):
 
     @property
     def label(self) -> str:
-        """The label of the results: the descriptor's title, with the distance if the user gave one."""
+        """The descriptor's title, with the distance if the user gave one."""
         title = self.descriptor.title
         return title if self.distance is None else f"{title}-{self.distance}"
+
+    @cached_property
+    def _other(self) -> tuple[DescriptorChoice | None, str]:
+        """The descriptor that ranks or makes nodes, None if it is the map's own; and the label of that descriptor."""
+        named: str | None = None
+        if isinstance(self.task, HierarchicalTask):
+            named = self.task.coarse.descriptor
+        elif isinstance(self.task, CompactTask):
+            named = self.task.clusters
+        if named is None or named == self.descriptor.title:
+            return None, self.label
+        if (Path(named) / "run.json").is_file():
+            return DescriptorChoice.of({"name": "network", "run": named}), f"network-{real_path(named).name}"
+        return by_name(named), by_name(named).title
+
+    @property
+    def _title(self) -> str:
+        """How frames are described, and how nodes are ranked and made: the name of the results in tables."""
+        other, label = self._other
+        if isinstance(self.task, HierarchicalTask):
+            by = [] if self.task.coarse.by == "representatives" else [self.task.coarse.by]
+            return "-".join(dict.fromkeys([self.label, label, self.build.title, *by]))
+        return self.label if other is None else f"{self.label}-by-{label}"
 
     @property
     def name(self) -> str:
         """The name of the folder of the results, inside the run's folder `evaluation`."""
-        task, build = self.task, self.build.title
-        if isinstance(task, MapMeasures):
-            return f"mapping-{self.label}-{build}"
-        if isinstance(task, Hierarchical):
-            return f"hierarchical-{self._layered}"
-        if isinstance(task, BuildingsTask):
-            return f"buildings-{self.label}" + (f"-{build}" if self.build.name != "none" else "")
-        if isinstance(task, Compact):
-            return f"compact-{self._grouped}"
-        if isinstance(task, RoomTask):
-            return f"room_retrieval-{self.label}"
-        return f"robustness-{self.label}" if isinstance(task, RobustnessTask) else self.label
+        if "absolute" in self.task.names:
+            return self._title
+        (kind,) = self.task.names
+        built = kind == "mapping" or (kind == "buildings" and self.build.name != "none")
+        return "-".join([kind, self._title, *([self.build.title] if built else [])])
 
     def _check_folder(self, folder: Path) -> None:
         """Refuse to replace results of other frames, or any results in the folder `out`, unless requested."""
@@ -153,39 +170,34 @@ class Evaluate(RunJob):
             return
         if self.out is not None:
             raise ConfigError(f"{folder} holds results already: choose another out=, or replace them by overwrite=true")
-        maps_only = isinstance(self.task, MapMeasures)
-        protocol = Protocol(map=self.protocol.map) if maps_only else self.protocol
-        wanted = _frames_measured(protocol, self.data.plain())
-        try:
-            config = read_results(folder).get("config", {})
-            before = _frames_measured(Protocol.of(config.get("protocol") or {}), config.get("data") or {})
-        except SiamlocError:
-            return  # no result that could be read
-        known = [name for name in wanted if config.get(name.partition(".")[0])]
-        names = [name for name in known if name in ("protocol.map", "data")] if maps_only else known
-        if other := [name for name in names if before[name] != wanted[name]]:
+        mapping = isinstance(self.task, MappingTask)
+        if other := measured_otherwise(folder, self.protocol, self.data.plain(), only_map=mapping):
             raise ConfigError(
                 f"{folder} holds results of other frames ({', '.join(other)}): write to another folder with "
                 "out=FOLDER, or replace them with overwrite=true"
             )
 
+    @property
+    def _common(self) -> dict[str, Any]:
+        """Arguments that the calls of most tasks share."""
+        return {"protocol": self.protocol, "name": self._title}
+
     def _measure(self, say: Say) -> Result:
         """Measure the task."""
-        task, label = self.task, self.label
-        common: dict[str, Any] = {"protocol": self.protocol}
-        if isinstance(task, MapMeasures):
-            return self._mapping(say, task.of_call(MapMeasures))
-        if isinstance(task, Hierarchical):
-            return self._hierarchical(say, task, task.of_call(Hierarchical), common)
+        task = self.task
+        if isinstance(task, MappingTask):
+            return self._mapping(say, task)
         if isinstance(task, BuildingsTask):
-            return self._buildings(say, task, common)
-        if isinstance(task, Compact):
-            return self._compact(say, task, task.of_call(Compact), {**common, "seed": self.seed})
-        common |= {"seed": self.seed, "name": label}
+            return self._buildings(say, task)
+        if isinstance(task, HierarchicalTask):
+            return self._hierarchical(say, task)
+        if isinstance(task, CompactTask):
+            return self._compact(say, task)
+        common = {**self._common, "seed": self.seed}
         if isinstance(task, RobustnessTask):
             known, images, roles = self._known(say, "query")
-            common["baselines"] = self._baselines(say)
-            return evaluation.robustness(known, images, roles["query"], settings=task.robustness, **common)
+            common |= {"baselines": self._baselines(say), "settings": task.robustness}
+            return evaluation.robustness(known, images, roles["query"], **common)
         settings = task.of_call(Localization)
         learned = settings.error_model or settings.filter_tune
         learned |= settings.refine == "relative" and self.protocol.validation != Role()
@@ -193,62 +205,36 @@ class Evaluate(RunJob):
         common |= {"baselines": self._baselines(say), "validation": roles.get("validation")}
         return evaluation.localization(known, images, roles["query"], settings=settings, **common)
 
-    @property
-    def _layered(self) -> str:
-        """The name of hierarchical results: how frames are described, nodes ranked and made."""
-        coarse = self.task.coarse  # type: ignore[attr-defined]
-        by = [] if coarse.by == "representatives" else [coarse.by]
-        ranked = self.label if coarse.descriptor in (None, self.descriptor.title) else self._other(coarse.descriptor)[1]
-        return "-".join(dict.fromkeys([self.label, ranked, self.build.title, *by]))
-
-    @property
-    def _grouped(self) -> str:
-        """The name of results in compact maps: how frames are described, and grouped where that differs."""
-        by = self.task.clusters  # type: ignore[attr-defined]
-        return self.label if by in (None, self.descriptor.title) else f"{self.label}-by-{by}"
-
-    def _other(self, named: str) -> tuple[DescriptorChoice, str]:
-        """Return the descriptor that a name or the folder of a run stands for, and its label."""
-        if (Path(named) / "run.json").is_file():
-            return DescriptorChoice.of({"name": "network", "run": named}), f"network-{real_path(named).name}"
-        chosen = DescriptorChoice.of(option("descriptor", named).values)
-        return chosen, chosen.title
-
-    def _hierarchical(self, say: Say, task: Any, settings: Hierarchical, common: Mapping[str, Any]) -> Result:
-        known, images, roles = self._known(say, "query")
-        known = known.placed()
-        label, other = self.label, task.coarse.descriptor
-        coarse, coarse_label = None, label
-        if other is not None and other != self.descriptor.title:
-            chosen, coarse_label = self._other(other)
-            coarse = maps.build(self.make_descriptor(chosen), images, known.frames, distance=self.distance)
-        if (known if coarse is None else coarse).aligned and settings.coarse.by == "representatives":
-            raise ConfigError(
-                f"descriptors of {coarse_label} are compared after turning, so their means are meaningless: use "
-                "task.coarse.by=vote, or another task.coarse.descriptor"
-            )
-        built, _ = self._layer(say, known if coarse is None else coarse, coarse_label)
-        return evaluation.hierarchical(
-            known, images, roles["query"], built, coarse_map=coarse, name=self._layered, settings=settings, **common
-        )
-
-    def _mapping(self, say: Say, settings: MapMeasures) -> Result:
+    def _mapping(self, say: Say, task: MappingTask) -> Result:
         known, _, _ = self._known(say)
         built, folder = self._layer(say, known, self.label)
-        result = evaluation.mapping(known, built, name=f"{self.build.title} over {self.label}", settings=settings)
-        return replace(result, layer=folder)
+        name = f"{self.build.title} over {self.label}"
+        return replace(evaluation.mapping(known, built, name=name, settings=task.of_call(MapMeasures)), layer=folder)
 
-    def _compact(self, say: Say, task: Any, settings: Compact, common: Mapping[str, Any]) -> Result:
+    def _hierarchical(self, say: Say, task: HierarchicalTask) -> Result:
         known, images, roles = self._known(say, "query")
-        other, clusters = task.clusters, None
-        if other is not None and other != self.descriptor.title:
-            chosen = DescriptorChoice.of(option("descriptor", other).values)
-            clusters = maps.build(self.make_descriptor(chosen), images, known.frames)
-        return evaluation.compact(
-            known, images, roles["query"], clusters=clusters, name=self._grouped, settings=settings, **common
-        )
+        known = known.placed()
+        coarse, (other, label) = None, self._other
+        if other is not None:
+            coarse = maps.build(self.make_descriptor(other), images, known.frames, distance=self.distance)
+        ranking = known if coarse is None else coarse
+        if ranking.aligned and task.coarse.by == "representatives":
+            raise ConfigError(
+                f"descriptors of {label} are compared after turning, so their means are meaningless: use "
+                "task.coarse.by=vote, or another task.coarse.descriptor"
+            )
+        built, _ = self._layer(say, ranking, label)
+        given = {**self._common, "coarse_map": coarse, "settings": task.of_call(Hierarchical)}
+        return evaluation.hierarchical(known, images, roles["query"], built, **given)
 
-    def _buildings(self, say: Say, task: BuildingsTask, common: Mapping[str, Any]) -> Result:
+    def _compact(self, say: Say, task: CompactTask) -> Result:
+        known, images, roles = self._known(say, "query")
+        other, _ = self._other
+        clusters = None if other is None else maps.build(self.make_descriptor(other), images, known.frames)
+        given = {**self._common, "seed": self.seed, "settings": task.of_call(Compact)}
+        return evaluation.compact(known, images, roles["query"], clusters=clusters, **given)
+
+    def _buildings(self, say: Say, task: BuildingsTask) -> Result:
         label = self.label
         if task.maps is None:
             known, images, roles = self._known(say, "query")
@@ -256,18 +242,18 @@ class Evaluate(RunJob):
         else:
             images, roles = self.open_roles("query")
             saved = _saved_maps(task.maps, self.descriptor.title, self.make_descriptor())
-            candidates = [one.with_distance(self.distance) for one in saved]
+            candidates = [known.with_distance(self.distance) for known in saved]
         layers = None
         if self.build.name != "none":
-            parts, layers = evaluation.by_building(candidates), {}
-            for building, part in parts.items():
+            layers = {}
+            for building, part in evaluation.by_building(candidates).items():
                 # A building may have any name.
-                shared = self.here.layer(f"{label}-{quote(building, safe=' ')}", self.build.title)
-                folder = own_folder(shared, self.titles, of_layer)
-                layers[building] = maps.group(part, folder=folder, **self.way).layer
-                self.here.record_written(files_in(folder))
+                folder = self.layer_folder(f"{label}-{quote(building, safe=' ')}")
+                layers[building] = self.group(part, folder).layer
             label = f"{label}-{self.build.title}"
-        return evaluation.buildings(candidates, images, roles["query"], layers=layers, name=label, **common)
+        return evaluation.buildings(
+            candidates, images, roles["query"], layers=layers, protocol=self.protocol, name=label
+        )
 
     def _known(self, say: Say, *roles: str) -> tuple[VisualMap, PanoramaLibrary, dict[str, FrameTable]]:
         """Return the saved map, or one made from the configured frames, with the frames of some roles.
@@ -298,7 +284,7 @@ class Evaluate(RunJob):
         return known, images, frames
 
     def _note_what_training_saw(self, say: Say, queries: FrameTable | None) -> None:
-        """Say which queries the network was trained or chosen by, where the protocol does not say so any more."""
+        """Say which drive of the queries trained the network or chose its checkpoint, by the record of its run."""
         chosen = self.descriptor
         run = Run(Path(chosen.parameters["run"])) if chosen.parameters.get("run") else self.here
         if "network" not in names_in(chosen.plain()) or queries is None or not run.record.is_file():
@@ -317,7 +303,7 @@ class Evaluate(RunJob):
 
     def _is_wanted(self, known: VisualMap) -> bool:
         """Whether a saved map was made, before any update, from the frames that the protocol asks for."""
-        role = known.made.get("role", {})  # of a map made in Python unknown
+        role = known.made.get("role", {})  # empty for a map made in Python
         if Protocol.of({"map": role}).map == self.protocol.map:
             return True
         asked = self.protocol.frames("map", self.data.read()).identities()
@@ -327,22 +313,21 @@ class Evaluate(RunJob):
         return set(left) <= set(asked) and len(asked) == known.made[UPKEEP].get("before")
 
     def _layer(self, say: Say, known: VisualMap, label: str) -> tuple[Built, Path]:
-        """Return the configured layer over a map and its folder: an existing one, if it fits.
+        """Return the nodes over a map, and their folder; nodes that are saved there are read if they fit the map.
 
-        A layer over any other map does not replace that of the saved map.
+        Nodes over another map than the saved one get a folder of their own.
         """
         if self.build.name == "none":
             ways = "|".join(maps.WAYS)
             raise ConfigError(f"task={self.task.names[0]} needs a coarse layer: choose one with build={ways}")
-        shared, saved = self.here.layer(label, self.build.title), map_file(self.here, label)
-        folder = own_folder(shared, self.titles, of_layer)
-        if folder == shared and saved.is_file() and VisualMap.load(saved).digest != known.digest:
+        folder, saved = self.layer_folder(label), map_file(self.here, label)
+        shared = folder == self.here.layer(label, self.build.title)
+        if shared and saved.is_file() and VisualMap.load(saved).digest != known.digest:
             folder = self.here.evaluation(f"layer-{folder.name}")
         before = _changed(folder / "layer.npz")
-        built = maps.group(known, folder=folder, **self.way)
+        built = self.group(known, folder)
         if _changed(folder / "layer.npz") != before:
             say(built.summary(folder))
-        self.here.record_written(files_in(folder))
         return built, folder
 
     def _baselines(self, say: Say) -> dict[str, Descriptor]:
@@ -360,7 +345,7 @@ class Evaluate(RunJob):
                 continue
             started = name == "untrained" and self.here.settings["model"].get("weights") is not None
             label = "before_training" if started else name  # it had learned elsewhere
-            found[label] = self.make_descriptor(DescriptorChoice.of(option("descriptor", name).values))
+            found[label] = self.make_descriptor(by_name(name))
         return found
 
 
@@ -373,50 +358,25 @@ def _size_of(name: str, run: Run) -> list[int] | None:
     return None if size is None else list(size)
 
 
-def _frames_measured(protocol: Protocol, data: Mapping[str, Any]) -> dict[str, Any]:
-    """Return what decides which frames are located in which map, by the keys that set it."""
-    values = {**protocol.plain(), "map": (protocol.train if protocol.map == Role() else protocol.map).plain()}
-    wanted = {f"protocol.{key}": _sorted(value) for key, value in values.items() if key not in ("train", "validation")}
-    reader = parameters_of(data["kind"]) if data else {}
-    where = {key: data[key] for key, one in reader.items() if key in data and data[key] not in (None, one.default)}
-    places = {key: str(real_path(str(value))) for key, value in where.items() if key in path_keys()}
-    return {**wanted, "data": {**where, **places, "on_error": None}}
-
-
-def _sorted(role: Any) -> Any:
-    """Return a role in plain values with its lists sorted; other settings of a protocol as they are."""
-    if not isinstance(role, Mapping):
-        return role
-    return {key: sorted(value) if isinstance(value, list) else value for key, value in role.items()}
-
-
-def _saved_maps(named: Any, label: str, described: Descriptor) -> list[VisualMap]:
+def _saved_maps(named: Sequence[str], label: str, described: Descriptor) -> list[VisualMap]:
     """Return saved maps, each given by its file or the folder of its run.
 
     Raises:
-        ConfigError: fewer than two maps, a map that does not exist, or one with another descriptor.
+        ConfigError: a map that does not exist, or one with another descriptor.
     """
-    if isinstance(named, str):
-        raise ConfigError(
-            f"task.maps must be a list of run folders or map files, such as [runs/a,runs/b], got {named!r}"
-        )
-    if len(named) < 2:
-        raise ConfigError(f"task=buildings chooses between maps, and task.maps names {len(named)}: give two or more")
-    found = []
+    loaded = []
     for path in map(Path, named):
         file = path if path.is_file() else map_file(Run(path), label)
         if not file.is_file():
-            others = [other.parent.name for other in sorted(path.glob("evaluation/*/map.npz"))]
-            held = f"it holds one by {' and one by '.join(others)}; choose that descriptor, or " if others else ""
             raise ConfigError(
-                f"{path} holds no map by {label}: {held}make it with `siamloc map run={path}` and the same descriptor "
-                "and data"
+                f"{path} holds no map by {label}: choose the descriptor of its map, or make this one with `siamloc map "
+                f"run={path} descriptor={label}`"
             )
         try:
-            found.append(VisualMap.load(file, described))
+            loaded.append(VisualMap.load(file, described))
         except ConfigError as error:
             raise ConfigError(f"{file}: {error}") from error
-    return found
+    return loaded
 
 
 def _changed(path: Path) -> int | None:

@@ -16,11 +16,9 @@ from siamloc.jobs.choices import Folder
 from siamloc.jobs.job import Say, quiet
 from siamloc.jobs.run_job import RunJob, files_in
 from siamloc.jobs.stored import map_file
-from siamloc.jobs.tasks import Task
-from siamloc.maps import Built, ErrorModel, LayerSearch, Refinement, VisualMap
+from siamloc.jobs.tasks import HierarchicalTask, Task
+from siamloc.maps import Built, ErrorModel, Refinement, VisualMap
 from siamloc.results import read_results
-
-_RANKING = ("by", "neighbours", "ratio")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -74,7 +72,8 @@ class Export(RunJob):
             further["figures"] = _figures_in(evaluation / "results.json")
             if self.build.name != "none":
                 further["layer"] = Built.load(run.layer(label, self.build.title))
-                further["search"] = LayerSearch.of(self._search())
+                if isinstance(self.task, HierarchicalTask):
+                    further["search"] = self.task.search
             if self.thumbnails or precision in ("int8", "auto"):
                 roles = ["validation"] if precision == "auto" else []
                 images, opened = self.open_roles(*roles, known=known)
@@ -92,13 +91,6 @@ class Export(RunJob):
             where = f"run={run.folder}" if folder == run.bundle else f"bundle={folder}"
             say(f"next: siamloc localize {where} images=[photo.jpeg]")
         return bundle
-
-    def _search(self) -> dict[str, Any]:
-        """Return how task=hierarchical searches a coarse layer, as arguments of `siamloc.maps.LayerSearch`."""
-        task = self.task.plain()
-        if "candidates" not in task:
-            return {}
-        return {"candidates": task["candidates"], "along": task["along"], **{k: task["coarse"][k] for k in _RANKING}}
 
     def _refinement(self, path: Path, known: VisualMap) -> Refinement | None:
         """Return how an evaluation of the map refined poses; or how the task asks for, where that differs."""

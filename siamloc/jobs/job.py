@@ -44,14 +44,25 @@ class Given:
     groups: Sequence[str] = ()
 
 
+def at(values: Any, key: str, missing: Any = None) -> Any:
+    """Return the value at a key such as "model.branch" or "model/branch" in nested mappings, if there is one.
+
+    >>> at({"model": {"branch": "vgg16"}}, "model.branch")
+    'vgg16'
+    """
+    for part in key.replace("/", ".").split("."):
+        values = values.get(part, missing) if isinstance(values, Mapping) else missing
+    return values
+
+
 class Job(Settings):
     """Base of the jobs. The docstring of a job is the help of its command, and its fields are the keys.
 
     Attributes:
         GROUPS: the groups of options, each with the option that is chosen by default.
         MORE: further values, which replace those of options and defaults.
-        SHARED: whether experiments set keys for this job, and also keys of other jobs, which are ignored.
-        ALONE: the key that a word without "=" gives the value of.
+        SHARED: whether the job takes experiments, which may also set keys of other jobs; those are ignored.
+        ALONE: the key whose value a word without "=" is.
         BY_HYDRA: whether Hydra composes the settings; the robot runs without it.
     """
 
@@ -101,12 +112,10 @@ class Job(Settings):
 
         The module of a camera class or a network of the user's own is imported if it was given, and not only stored.
         """
-        for key in ("unwrap.kind", "model.branch", "model.branch.name", "descriptor.branch"):
-            own: Any = values
-            for part in key.split("."):
-                own = own.get(part) if isinstance(own, Mapping) else None
-            own = own.get("name") if key == "model.branch" and isinstance(own, Mapping) else own
-            if key in (*given.keys, *given.groups) and isinstance(own, str) and ":" in own:
+        for key in ("unwrap.kind", "model.branch", "descriptor.branch"):
+            named = "model.branch.name" if key == "model.branch" else key
+            own = at(values, named)
+            if {key, named} & {*given.keys, *given.groups} and isinstance(own, str) and ":" in own:
                 try:
                     import_module(own.partition(":")[0])
                 except ImportError as error:
@@ -116,19 +125,12 @@ class Job(Settings):
     @classmethod
     def defaults(cls) -> dict[str, Any]:
         """Return the defaults of the fields that belong to no group of options, as plain values."""
-        held = {_KEY.get(name, name): value for name, value in defaults_of(cls).items()}
+        values = {_KEY.get(name, name): value for name, value in defaults_of(cls).items()}
         for name, kind in fields_of(cls).items():
-            if name not in held and isinstance(kind, type) and issubclass(kind, Settings) and is_dataclass(kind):
-                held[name] = defaults_of(kind)
-        values = merged(held, cls.MORE)
-        for group in cls.GROUPS:
-            *above, last = group.split("/")
-            part = values
-            for name in above:
-                part = part.get(name, {})
-            if group not in cls.MORE:
-                part.pop(last, None)
-        return values
+            if name not in values and isinstance(kind, type) and issubclass(kind, Settings) and is_dataclass(kind):
+                values[name] = defaults_of(kind)
+        values = merged(values, cls.MORE)
+        return {key: value for key, value in values.items() if key not in cls.GROUPS or key in cls.MORE}
 
     @classmethod
     def _key(cls, name: str) -> str:  # the name of a field in the sentences of `Settings`
@@ -137,7 +139,7 @@ class Job(Settings):
 
 def given_by(kind: type[Job], values: Mapping[str, Any]) -> Given:
     """Return which keys and groups of a job a mapping of values sets."""
-    groups = [group for group in (*kind.GROUPS, "experiment") if isinstance(_at(values, group), str)]
+    groups = [group for group in (*kind.GROUPS, "experiment") if isinstance(at(values, group), str)]
     return Given([key for key, _ in leaves(values)], [group.replace("/", ".") for group in groups])
 
 
@@ -160,7 +162,9 @@ def with_options(kind: type[Job], values: Mapping[str, Any]) -> dict[str, Any]:
     picked = {group: one for group, one in experiment.chooses.items() if group in kind.GROUPS}
     chosen = _with_choices(kind.GROUPS, picked)
     for group in kind.GROUPS:
-        given = _at(own, group)
+        above, given = group.partition("/")[0], at(own, group)
+        if above != group:
+            _check_group(own.get(above, {}), above)
         if isinstance(given, str):
             picked[group] = given
             own = merged(own, _nested(group, {}))
@@ -172,7 +176,7 @@ def with_options(kind: type[Job], values: Mapping[str, Any]) -> dict[str, Any]:
     chosen = _with_choices(kind.GROUPS, picked)
     whole: dict[str, Any] = {}
     for group in kind.GROUPS:
-        if _fits(group, _at(own, group) or {}, chosen[group]):
+        if _fits(group, at(own, group) or {}, chosen[group]):
             whole = merged(whole, _nested(group, option(group, chosen[group]).values))
     whole = merged(whole, kind.defaults())
     whole = merged(whole, {key: value for key, value in experiment.values.items() if key in kind.key_names()})
@@ -197,15 +201,6 @@ def _fits(group: str, given: Mapping[str, Any], name: str) -> bool:
     tag = next((key for key in ("kind", "name") if values.get(key) in choices(group)), None)
     tag = "names" if "names" in values else tag
     return set(given) <= set(values) if tag is None else given.get(tag, values[tag]) == values[tag]
-
-
-def _at(values: Mapping[str, Any], group: str) -> Any:
-    """Return the value of a group, such as "model/branch"; None if it has none."""
-    *above, last = group.split("/")
-    for name in above:
-        values = values.get(name, {})
-        _check_group(values, name)
-    return values.get(last)
 
 
 def _nested(group: str, values: Mapping[str, Any]) -> dict[str, Any]:

@@ -17,7 +17,7 @@ from siamloc.jobs.job import Given, Say, quiet
 from siamloc.jobs.options import choices, is_fused, option
 from siamloc.jobs.run_job import RunJob, files_in
 from siamloc.jobs.stored import map_places, titles_of
-from siamloc.jobs.sweep import of_layer, own_folder, swept
+from siamloc.jobs.sweep import swept
 from siamloc.maps import Built, Refinement, VisualMap
 from siamloc.maps.maintenance import Maintenance
 from siamloc.runs import Run
@@ -84,7 +84,7 @@ class MapFrames(RunJob):
 
     @classmethod
     def completed(cls, values: dict[str, Any], given: Given) -> dict[str, Any]:
-        """Return values together with the settings of the run, which has to hold a map that can be updated."""
+        """Return values together with the settings of the run; refuse to update a map that does not exist."""
         values = super().completed(values, given)
         if isinstance(values["update"], Mapping) and values["update"].get("sequences"):
             titles = titles_of(values)
@@ -101,13 +101,10 @@ class MapFrames(RunJob):
         run, label = self.here, self.descriptor.title
         described, heading = self.make_descriptor(), self.make_heading(say)  # before any image is decoded
         images, roles = self.open_roles("map", *self.learned_from)
-        given: dict[str, Any] = {
-            "heading": heading,
-            "distance": self.distance,
-            "mounting": self.mounting.known,
-            "made": {"role": self.protocol.map.plain()},
-        }
-        known = maps.build(described, images, roles["map"], validation=roles.get("validation"), **given)
+        made = {"role": self.protocol.map.plain()}
+        given: dict[str, Any] = {"distance": self.distance, "mounting": self.mounting.known, "made": made}
+        given |= {"heading": heading, "validation": roles.get("validation")}
+        known = maps.build(described, images, roles["map"], **given)
         target = map_places(run, self.titles)[0]
         known.save(target)
         run.record_written([target])
@@ -121,10 +118,8 @@ class MapFrames(RunJob):
             what = "headings" if known.heading_by.tells_heading else "comparison"
             say(f"{what}: by {known.heading['name']}, {size} bytes a frame")
         if self.build.name != "none":
-            folder = own_folder(run.layer(label, self.build.title), self.titles, of_layer)
-            built = maps.group(known, folder=folder, **self.way)
-            run.record_written(files_in(folder))
-            say(built.summary(folder))
+            folder = self.layer_folder(label)
+            say(self.group(known, folder).summary(folder))
         if not swept():
             protocol = self._for_evaluation()
             self._say_next(say, "export" if protocol is None else "evaluate", protocol or {})
@@ -138,7 +133,7 @@ class MapFrames(RunJob):
         path, built, label = map_places(self.here, self.titles)[0], None, self.descriptor.title
         known = self.load_map(path, self.make_descriptor())
         assert known is not None  # or the job could not have been made
-        folder = own_folder(self.here.layer(label, self.build.title), self.titles, of_layer)
+        folder = self.layer_folder(label)
         stored = {one.parent: Built.load(one.parent) for one in self.here.folder.glob("layers/**/layer.npz")}
         over = {one: layer for one, layer in stored.items() if layer.map_digest == known.digest}
         if self.build.name != "none":
@@ -189,9 +184,9 @@ class MapFrames(RunJob):
         say(f"next: siamloc {command} {as_words(shown)}")
 
     def _for_evaluation(self) -> dict[str, Any] | None:
-        """Return the settings of the protocol that an evaluation does not find in the run, with a drive to query.
+        """Return the settings of the protocol that an evaluation needs and the run does not store, with a query drive.
 
-        None if every drive of the data trains, validates or forms the map.
+        None if no drive is left for queries: each trains, validates or is in the map.
         """
         protocol, run = self.protocol, self.here
         if protocol.query.sequences is None:
@@ -212,6 +207,6 @@ class MapFrames(RunJob):
     def _changed(self) -> dict[str, Any]:
         """Return the parameters of the descriptor that are not those of its option, by their keys."""
         chosen, title = self.descriptor.parameters, self.descriptor.title
-        named = title in choices("descriptor") or is_fused("descriptor", title)
+        named = title in choices("descriptor") or is_fused(title)
         usual = option("descriptor", title if named else self.descriptor.name).values
         return {f"descriptor.{key}": value for key, value in chosen.items() if value != usual.get(key)}

@@ -1,4 +1,4 @@
-"""The options of each group, from the registries: an entry there for a loss, head, branch or descriptor is enough.
+"""The options of each group, made from the registries of losses, heads, branches, descriptors and the like.
 
 Hydra gets them through its config store, next to the files in `conf/`.
 """
@@ -72,18 +72,11 @@ def _of_data() -> Options:
     kinds = {kind: Option(DataSettings.options(kind), summary_of(reader)) for kind, reader in READERS.items()}
     cameras = {name: camera for name, camera in CAMERAS.items() if camera is not None}
     edges = {"top": None, "bottom": None}
-    calibrated = {
-        "kind": "calibrated",
-        "file": "???",
-        "camera": None,
-        **dict.fromkeys(defaults_of(CentralCamera)),
-        **edges,
-    }
-    calibrated.pop("image_size")
+    central = dict.fromkeys(key for key in defaults_of(CentralCamera) if key != "image_size")
+    calibrated = {"kind": "calibrated", "file": "???", "camera": None, **central, **edges}
+    filed = {path.stem for path in (config_folder() / "data").glob("*.yaml")}
     return {
-        "data": {
-            kind: option for kind, option in kinds.items() if not (config_folder() / f"data/{kind}.yaml").is_file()
-        },
+        "data": {kind: option for kind, option in kinds.items() if kind not in filed},
         "unwrap": {
             "none": Option(
                 {"kind": "none"}, "The images are panoramas, or come from an ordinary camera: only resized."
@@ -216,9 +209,9 @@ def choices(group: str) -> dict[str, str]:
     return dict(sorted(found.items()))
 
 
-def is_fused(group: str, name: str) -> bool:
-    """Return whether a name of an option stands for several descriptors fused."""
-    return group == "descriptor" and SIGN in name
+def is_fused(name: str) -> bool:
+    """Whether the name of a descriptor stands for several that are fused, such as hog+hsv."""
+    return SIGN in name
 
 
 def option(group: str, name: str) -> Option:
@@ -236,7 +229,7 @@ def option(group: str, name: str) -> Option:
         return options()[group][name]
     if group == "model/branch" and is_backbone(name):
         return Option({"name": name, "weights": None}, "A network that siamloc does not define.")
-    if is_fused(group, name):
+    if group == "descriptor" and is_fused(name):
         return Option({**options()[group]["fused"].values, "parts": distinct(name.split(SIGN))}, summary_of(Fusion))
     path = config_folder() / group / f"{name}.yaml"
     if not path.is_file():

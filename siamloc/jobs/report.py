@@ -34,7 +34,7 @@ class Report(Job):
     """
 
     folder: Text | None = None
-    runs: tuple[Text, ...] | Text | None = None
+    runs: Several | Text | None = None
     out: Text | None = None
     plan: Path | None = None
 
@@ -42,8 +42,6 @@ class Report(Job):
         """Write the page, and return its path."""
         from siamloc.report import write_report
 
-        if self.runs is not None and not self.runs:
-            raise ConfigError("runs=[] names no run: name several as runs=[A,B], or leave it out for the newest")
         several = [self.runs] if isinstance(self.runs, str) else list(self.runs or [])
         if several and self.folder is not None:
             raise ConfigError(f"give run={self.folder} or runs=[...], not both")

@@ -23,12 +23,13 @@ from siamloc.errors import ConfigError
 from siamloc.jobs.choices import OF_A_RUN, Build, DescriptorChoice, Device, Folder, Frozen, Heading, Model, names_in
 from siamloc.jobs.job import Given, Job, Say
 from siamloc.jobs.options import option
-from siamloc.jobs.stored import descriptor_of, only_map, with_settings_of_the_run
+from siamloc.jobs.stored import only_descriptor, with_settings_of_the_run
+from siamloc.jobs.sweep import of_layer, own_folder
 from siamloc.models.registry import PRETRAINED_SIZE
 from siamloc.runs import Run, suggested_run
 
 if TYPE_CHECKING:
-    from siamloc.maps import VisualMap
+    from siamloc.maps import Built, VisualMap
 
 Kind = TypeVar("Kind", bound="RunJob")
 
@@ -135,12 +136,10 @@ class RunJob(DataJob):
         chosen = values["descriptor"]
         if values.get("run") is not None:
             told = cls.REPLACES_MAP or any(key.partition(".")[0] == "descriptor" for key in given.keys)
-            own = chosen.get("name") == "network" and chosen.get("run") is None
-            loaded = only_map(Run(Path(str(values["run"])))) if own and not told else {}
-            for path, known in loaded.items():
-                values = {**values, "descriptor": descriptor_of(path, known) or chosen}
+            if chosen.get("name") == "network" and chosen.get("run") is None and not told:
+                values = {**values, "descriptor": only_descriptor(Run(Path(str(values["run"])))) or chosen}
             replaces = cls.REPLACES_MAP and not (values.get("update") or {}).get("sequences")
-            values = with_settings_of_the_run(values, given, cls.key_names(), replaces_map=replaces, loaded=loaded)
+            values = with_settings_of_the_run(values, given, cls.key_names(), replaces_map=replaces)
         elif set(names_in(chosen)) & set(OF_A_RUN) and chosen.get("run") is None:
             otherwise = "train one first with `siamloc train run=FOLDER`, or choose a descriptor that needs none"
             raise ConfigError(f"no run is named: {suggested_run(f'{otherwise}, descriptor=hog')}")
@@ -160,10 +159,17 @@ class RunJob(DataJob):
             return Run(Path(self.folder))
         return Run(Path("runs") / (self.data.name or "data") / self.descriptor.title)
 
-    @property
-    def way(self) -> dict[str, Any]:
-        """How frames are grouped into nodes, as arguments for `siamloc.maps.group`."""
-        return {"way": self.build.name, "seed": self.seed, **self.build.parameters}
+    def layer_folder(self, label: str) -> Path:
+        """Return the folder of the coarse layer over the map with this label."""
+        return own_folder(self.here.layer(label, self.build.title), self.titles, of_layer)
+
+    def group(self, known: VisualMap, folder: Path) -> Built:
+        """Group the frames of a map into nodes, which are written into a folder; or read them there if they fit."""
+        from siamloc import maps
+
+        built = maps.group(known, self.build.name, folder=folder, seed=self.seed, **self.build.parameters)
+        self.here.record_written(files_in(folder))
+        return built
 
     def make_descriptor(self, chosen: DescriptorChoice | None = None) -> Descriptor:
         """Make a descriptor, by default the job's; a network computes on the job's device."""
@@ -171,7 +177,7 @@ class RunJob(DataJob):
         if chosen.name in DESCRIPTORS:
             return descriptor(chosen.name, **chosen.parameters, circular=self.data.circular)
         if chosen.name == Fused.name:
-            parts = {name: self.make_descriptor(_part(name)) for name in names_in(chosen.parameters)}
+            parts = {name: self.make_descriptor(by_name(name)) for name in names_in(chosen.parameters)}
             weights = chosen.parameters.get("weights")
             return Fused(parts, None if weights is None else dict(zip(parts, weights, strict=True)))
         from siamloc import models
@@ -242,15 +248,15 @@ class RunJob(DataJob):
             )
 
 
-def _part(name: str) -> DescriptorChoice:
-    """Return the choice of a part of a fused descriptor.
+def by_name(name: str) -> DescriptorChoice:
+    """Return the choice of a descriptor that is given by its name alone, such as a part of a fused one.
 
     Raises:
         ConfigError: an unknown name, or a descriptor that needs further keys.
     """
     values = option("descriptor", name).values
     if needed := [key for key, value in values.items() if value == "???"]:
-        raise ConfigError(f"{name} cannot be fused: it needs descriptor.{needed[0]}, which a part cannot be given")
+        raise ConfigError(f"{name} cannot be given by its name alone: it needs descriptor.{needed[0]}")
     return DescriptorChoice.of(values)
 
 

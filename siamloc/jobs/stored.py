@@ -1,36 +1,31 @@
-"""What a run and its maps hold for a job: the settings that the job takes from them, and the paths of the maps.
+"""The settings that a job takes from its run and its map, and the paths of maps in a run.
 
-A job takes the settings stored in its run and in its map. What is given wins: a key such as `protocol.map.every=2`
-replaces the stored one, and a group such as `data=cold` replaces everything that it chooses. The image size always
-comes from the network.
+What the user gives wins over what is stored: a key such as `protocol.map.every=2` replaces the stored value, and a
+group such as `data=cold` replaces everything that it chooses. The image size always comes from the network.
 """
 
 from __future__ import annotations
 
 from collections.abc import Container, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from analytic import DESCRIPTORS
-from analytic.descriptors.fused import SIGN
 from foundation.settings import fields_of
 from siamloc.data.protocol import Protocol
 from siamloc.errors import ConfigError, OldFormatError
-from siamloc.jobs.choices import OF_A_RUN, names_in, parameters_of
-from siamloc.jobs.job import Given
+from siamloc.jobs.choices import OF_A_RUN, Build, DescriptorChoice, names_in, parameters_of
+from siamloc.jobs.job import Given, at
 from siamloc.jobs.options import is_fused, option
 from siamloc.jobs.sweep import of_map, own_folder
 from siamloc.models.registry import Optimizer
 from siamloc.runs import Run
 from siamloc.training.settings import Learning
 
-if TYPE_CHECKING:
-    from siamloc.maps import VisualMap
-
 OF_TRAINING = tuple(name for name in fields_of(Learning) if name not in ("pairs", "optimizer"))
 """Settings of a training that are keys of their own on the command line."""
 _OF_DATA = ("data", "unwrap", "protocol")
-# What a chosen option of a group sets in addition: data sets and experiments choose options of other groups.
+# Sections that an option of a group sets: data sets and experiments choose options of other groups.
 _CHOOSES = {
     "data": _OF_DATA,
     "experiment": (*_OF_DATA, "protocol.map", "model", "pairs", "optimizer", "loss", "augment", *OF_TRAINING),
@@ -39,13 +34,7 @@ _CHOOSES = {
 
 
 def with_settings_of_the_run(
-    values: dict[str, Any],
-    given: Given,
-    known: Container[str],
-    *,
-    resumed: bool = False,
-    replaces_map: bool = False,
-    loaded: Mapping[Path, VisualMap] | None = None,
+    values: dict[str, Any], given: Given, known: Container[str], *, resumed: bool = False, replaces_map: bool = False
 ) -> dict[str, Any]:
     """Return the values of a job with the settings of its run; unchanged if there is no such run yet.
 
@@ -54,8 +43,7 @@ def with_settings_of_the_run(
         given: the keys that win over the settings of the run.
         known: keys of the job.
         resumed: whether to take the settings of the training as well.
-        replaces_map: whether a new map is made: frames and headings of the existing one are then not taken.
-        loaded: maps that are in memory already, by their files.
+        replaces_map: whether the job makes a new map, which takes neither frames nor headings from the old map.
 
     Raises:
         ConfigError: an empty run name, or a folder that is not a run although its network is needed.
@@ -71,10 +59,10 @@ def with_settings_of_the_run(
     if needed and not trained.record.is_file():
         _hint_at_maps(trained.folder)
     record = trained.settings if needed or trained.record.is_file() else {}
-    made = None if resumed or "descriptor" not in values else _map_made(run, values, loaded or {}, replaces_map)
+    made = None if resumed or "descriptor" not in values else _map_made(run, values, replaces_map)
     kept = _kept(record, made, resumed=resumed, replaces_map=replaces_map)
     own = [key for key in given.keys if key not in given.groups]
-    said = {key: value for key in own if (value := _found(values, key)) is not _NOTHING}
+    said = {key: value for key in own if (value := at(values, key, _NOTHING)) is not _NOTHING}
     stored_kind = kept.get("data", {}).get("kind")
     other_data = stored_kind is not None and said.get("data.kind", stored_kind) != stored_kind
     groups = [*given.groups, *(["data"] if other_data else [])]
@@ -99,11 +87,7 @@ def with_settings_of_the_run(
 
 def titles_of(values: Mapping[str, Any]) -> dict[str, str]:
     """Return the titles of the descriptor and of the build in the values of a job, by group."""
-    described, build = values["descriptor"], values["build"]
-    return {
-        "descriptor": str(described.get("label") or SIGN.join(names_in(described))),
-        "build": str(build.get("label") or build["name"]),
-    }
+    return {"descriptor": DescriptorChoice.of(values["descriptor"]).title, "build": Build.of(values["build"]).title}
 
 
 def map_file(run: Run, label: str) -> Path:
@@ -136,37 +120,34 @@ def map_places(run: Run, titles: Mapping[str, str]) -> list[Path]:
 
 
 def map_known(run: Run, titles: Mapping[str, str]) -> Path:
-    """Return the path of the map that a job searches, which need not exist: its own map, or a map made with another
-    distance or heading."""
+    """Return the path of a job's map, or of one with another distance or heading; none of them need exist."""
     places = map_places(run, titles)
     return next((path for path in places if path.is_file()), places[-1])
 
 
-def only_map(run: Run) -> dict[Path, VisualMap]:
-    """Return the map of a folder with one map and no trained network, by the path of its file; otherwise nothing."""
+def only_descriptor(run: Run) -> dict[str, Any] | None:
+    """Return the descriptor of the only map of a folder without a trained network, as values of a job.
+
+    None if there is no such map, or if it was made by the network of another run.
+    """
     made = list(run.folder.glob("evaluation/*/map.npz"))
     if run.record.is_file() or len(made) != 1:
-        return {}
+        return None
     from siamloc.maps import VisualMap
 
-    return {made[0]: VisualMap.load(made[0])}
-
-
-def descriptor_of(path: Path, known: VisualMap) -> dict[str, Any] | None:
-    """Return the descriptor of a saved map as values of a job; None for the network of another run."""
-    label, name = path.parent.name, known.identity.get("name")
-    if name not in DESCRIPTORS:
-        itself = label == "pretrained" or is_fused("descriptor", label)
+    label, identity = made[0].parent.name, VisualMap.load(made[0]).identity
+    if identity.get("name") not in DESCRIPTORS:
+        itself = label == "pretrained" or is_fused(label)
         return dict(option("descriptor", label).values) if itself else None
-    keys = [key for key in ("name", *parameters_of(name)) if key in known.identity]
-    return {**{key: known.identity[key] for key in keys}, **({} if label == name else {"label": label})}
+    values = {key: identity[key] for key in ("name", *parameters_of(identity["name"])) if key in identity}
+    return values if label == identity["name"] else {**values, "label": label}
 
 
 def _hint_at_maps(folder: Path) -> None:
-    """Refuse a folder without a trained network that has maps of other descriptors, naming one of them.
+    """Refuse a folder that has no trained network but maps by other descriptors.
 
     Raises:
-        ConfigError: it has.
+        ConfigError: there are such maps; the sentence names their descriptors.
     """
     made = sorted(file.parent.name for file in folder.glob("evaluation/*/map.npz"))
     if made:
@@ -213,12 +194,10 @@ def _kept(
     return kept
 
 
-def _map_made(
-    run: Run, values: Mapping[str, Any], loaded: Mapping[Path, VisualMap], replaced: bool
-) -> dict[str, Any] | None:
+def _map_made(run: Run, values: Mapping[str, Any], replaced: bool) -> dict[str, Any] | None:
     """Return the settings with which the map of the descriptor was made, by section; None without a map.
 
-    A map of an older siamloc counts as none if it is to be replaced.
+    A map of an older siamloc that is to be replaced is passed over.
     """
     titles = titles_of(values)
     places = (map_known(run, titles), map_file(run, titles["descriptor"]))
@@ -228,7 +207,7 @@ def _map_made(
     from siamloc.maps import VisualMap
 
     try:
-        known = loaded[path] if path in loaded else VisualMap.load(path)
+        known = VisualMap.load(path)
     except OldFormatError:
         if replaced:
             return None
@@ -244,13 +223,6 @@ def _map_made(
 
 
 _NOTHING = object()
-
-
-def _found(values: Any, key: str) -> Any:
-    """Return a nested value, or `_NOTHING`."""
-    for part in key.split("."):
-        values = values.get(part, _NOTHING) if isinstance(values, Mapping) else _NOTHING
-    return values
 
 
 def _put(values: dict[str, Any], key: str, value: Any) -> None:

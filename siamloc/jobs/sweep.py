@@ -65,7 +65,7 @@ def sweep_suffix(wanted: Choice | None = None) -> str:
     """Return a suffix that distinguishes a sweep's jobs, such as "model-branch-vgg11_seed-1"; empty outside sweeps.
 
     Args:
-        wanted: which keys count. If None, all do, and a job in which nothing is swept gets its number.
+        wanted: which keys to name. If None, all, and a job that differs in none gets its number.
     """
     sweep = _RUNNING.get()
     chosen = [f"{key}-{word}" for key, word in sweep.words.items() if wanted is None or wanted(key)]
@@ -107,7 +107,7 @@ def of_layer(key: str) -> bool:
 
 
 def of_results(key: str) -> bool:
-    """Whether results depend on a key that is not yet part of their name (the distance already is)."""
+    """Whether a key has to be in the name of results; the distance already is."""
     return key != "distance"
 
 

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any, TypeVar
+from typing import Annotated, Any, TypeVar
 
-from foundation.settings import Settings, Text, checked, fields_of
+from foundation.settings import Rule, Settings, Text, checked, fields_of
 from siamloc.errors import ConfigError, hint
 from siamloc.evaluation.compact_maps import Compact
 from siamloc.evaluation.disturbed import Robustness
@@ -15,6 +15,9 @@ from siamloc.evaluation.layers import MapMeasures
 from siamloc.evaluation.localize import Localization
 
 Kind = TypeVar("Kind", bound=Settings)
+Maps = Annotated[
+    tuple[Text, ...], Rule("a list of two run folders or map files, or more", lambda value: len(value) > 1)
+]
 _COMPARED = ("thumbnail", "untrained")
 
 
@@ -42,7 +45,7 @@ class Task(Settings):
         return super().of(values) if cls is not Task else kind_of(values).of(values)  # type: ignore[misc, return-value]
 
     def of_call(self, kind: type[Kind]) -> Kind:
-        """Return only the settings that a call of `siamloc.evaluation` takes, not those that choose its arguments."""
+        """Return the settings that a call of `siamloc.evaluation` takes, without the other keys of the task."""
         values, known = self.plain(), fields_of(kind)
         if "coarse" in known:
             values["coarse"] = {key: values["coarse"][key] for key in fields_of(CoarseRanking)}
@@ -135,7 +138,7 @@ class BuildingsTask(Task):
     """
 
     names: tuple[str, ...] = ("buildings",)
-    maps: tuple[Text, ...] | Text | None = None
+    maps: Maps | None = None
 
 
 TASKS: dict[str, type[Task]] = {

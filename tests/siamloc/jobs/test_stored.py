@@ -27,12 +27,14 @@ def run(tmp_path):
     return str(tmp_path)
 
 
-def test_the_only_map_of_a_folder_is_read_once_and_its_settings_are_taken(run, monkeypatch):
-    read = []
-    load = VisualMap.load
-    monkeypatch.setattr(VisualMap, "load", lambda path, *given: read.append(path) or load(path, *given))
+def record(run, **data):
+    """Write the record of a training on some data into the folder."""
+    content = {"format": "siamloc-run", "version": 2, "settings": {"data": data}, "written": []}
+    (Path(run) / "run.json").write_text(json.dumps(content))
+
+
+def test_the_settings_of_the_only_map_of_a_folder_are_taken(run):
     job = Evaluate.of({"run": run})
-    assert len(read) == 1
     assert (job.descriptor.name, job.descriptor.parameters["rows"]) == ("thumbnail", 4)
     assert (job.data.where["manifest"], job.protocol.map.every) == (Path("robot.csv"), 3)
 
@@ -45,9 +47,7 @@ def test_data_of_another_kind_replace_those_of_the_map(run):
 
 
 def test_a_map_that_was_made_of_other_data_than_its_run_is_searched_with_its_own(run):
-    settings = {"data": {"kind": "manifest", "manifest": "training.csv"}}
-    record = {"format": "siamloc-run", "version": 2, "settings": settings, "written": []}
-    (Path(run) / "run.json").write_text(json.dumps(record))
+    record(run, kind="manifest", manifest="training.csv")
     chosen = {"run": run, "descriptor": {"name": "thumbnail"}}
     for job, name in ((Evaluate, "robot.csv"), (Export, "robot.csv"), (MapFrames, "training.csv")):
         assert job.of(chosen).data.where["manifest"] == Path(name)
@@ -58,9 +58,7 @@ def test_a_map_that_was_made_of_other_data_than_its_run_is_searched_with_its_own
 
 
 def test_the_command_line_takes_keys_of_the_kind_of_data_that_the_run_has(run):
-    settings = {"data": {"kind": "cold", "root": "/old", "unwrap": {"kind": "cold", "forward": 270.0}}}
-    record = {"format": "siamloc-run", "version": 2, "settings": settings, "written": []}
-    (Path(run) / "run.json").write_text(json.dumps(record))
+    record(run, kind="cold", root="/old", unwrap={"kind": "cold", "forward": 270.0})
     for command in ("map", "train"):
         words = [f"run={run}", "descriptor=hog"] if command == "map" else [f"run={run}", "resume=True"]
         job = composed(command, [*words, "data.root=/new", "unwrap.forward=90"])
@@ -79,9 +77,7 @@ def test_the_command_line_takes_keys_of_the_kind_of_data_that_the_run_has(run):
 def test_the_command_line_takes_keys_of_one_lens_of_the_camera_that_the_run_has(run):
     lens = {"fov": 190.0, "image_size": [100, 100], "fx": 30.0, "fy": 30.0, "cx": 50.0, "cy": 50.0}
     camera = {"kind": "dual_fisheye", "image_size": [100, 200], "front": lens, "back": {**lens, "azimuth": 180.0}}
-    settings = {"data": {"kind": "folder", "root": "/old", "unwrap": camera}}
-    record = {"format": "siamloc-run", "version": 2, "settings": settings, "written": []}
-    (Path(run) / "run.json").write_text(json.dumps(record))
+    record(run, kind="folder", root="/old", unwrap=camera)
     words = [f"run={run}", "descriptor=hog"]
     lenses = composed("map", [*words, "unwrap.front.fov=200"]).unwrap
     assert (lenses["front"]["fov"], lenses["back"]["fov"]) == (200, 190)
