@@ -9,8 +9,6 @@ from typing import Annotated, Any, ClassVar
 
 from foundation.files import PICTURES, is_picture, write_picture
 from foundation.settings import Rule, Seed, Text, Thousand
-from siamloc.data.frames import image_files
-from siamloc.errors import DataError
 from siamloc.jobs.choices import Folder
 from siamloc.jobs.job import Say, quiet
 from siamloc.jobs.run_job import DataJob
@@ -55,8 +53,7 @@ class Expand(DataJob):
 
         frames = self.data.read()
         if self.sequences:
-            named = [self.sequences] if isinstance(self.sequences, str) else self.sequences
-            frames = frames.select(sequence=list(named))
+            frames = frames.select(sequence=self.sequences)
         expanded = data.expand(
             frames,
             self.out,
@@ -95,27 +92,14 @@ class Preview(DataJob):
 
         import augment
         from siamloc import simulate
+        from siamloc.runtime.stream import named
 
-        paths = [str(path) for path in images_named(self.images)]
-        if not paths and self.data.where:
+        paths = []
+        if self.images:
+            paths = [str(path) for name, files in named(self.images) for path in files or [Path(name)]]
+        elif self.data.where:
             paths = self.data.read().path.tolist()
         panoramas = self.preprocessing.panoramas(paths, self.count) if paths else simulate.panoramas(self.count)
         write_picture(self.out, augment.preview(torch.from_numpy(panoramas)))
         say(f"{self.out}: {len(augment.EFFECTS)} effects on {len(panoramas)} panoramas")
         return Path(self.out)
-
-
-def images_named(names: tuple[str, ...] | str | None) -> list[Path]:
-    """Return the image files of a key: one file or folder, or a list of them.
-
-    Raises:
-        DataError: a file that does not exist, or a folder without images.
-    """
-    paths: list[Path] = []
-    for name in [names] if isinstance(names, str) else names or ():
-        path = Path(name)
-        inside = image_files(path) if path.is_dir() else [path]
-        if not inside or not inside[0].is_file():
-            raise DataError(f"{path} holds no images" if path.is_dir() else f"there is no image {path}")
-        paths.extend(inside)
-    return paths

@@ -65,9 +65,9 @@ class Fetch(Job):
         say(found.table())
         for note in found.notes:
             say(f"note: {note}")
-        if not found.missing:
+        if not found.missing and not self.sequences:
             known = {name: Protocol.of(option("protocol", name).values) for name in choices("protocol")}
-            for name in [name for name, one in known.items() if not self.sequences and one == self.protocol][:1]:
+            if name := next((name for name, protocol in known.items() if protocol == self.protocol), None):
                 root = shlex.quote(f"data.root={found.folder}")
                 say(f"next: siamloc train data=cold {root} protocol={name} experiment=modern")
         return found

@@ -74,14 +74,8 @@ class Robot(Job):
         from siamloc.runtime.stream import named
 
         named(self.images)  # refused before the bundle is loaded
-        localizer = Localizer(
-            bundle,
-            top=self.top,
-            threads=self.threads,
-            providers=self.providers,
-            hierarchical=self.hierarchical,
-            collect=self.collect,
-        )
+        keys = ("top", "threads", "providers", "hierarchical", "collect")
+        localizer = Localizer(bundle, **{key: getattr(self, key) for key in keys})
         if self.providers or localizer.providers not in ((), ("CPUExecutionProvider",)):
             _note(f"images are described by {' and '.join(localizer.providers) or 'numpy and OpenCV'}")
         return localizer
@@ -231,16 +225,8 @@ class Watch(Robot):
         localizer = self.localizer()
         from siamloc.runtime import Live
 
-        page = Live(
-            localizer,
-            self.images,
-            track=self.track,
-            host=self.host,
-            port=self.port,
-            fps=self.fps,
-            odometry=self.odometry,
-            plan=self.plan,
-        )
+        keys = ("track", "host", "port", "fps", "odometry", "plan")
+        page = Live(localizer, self.images, **{key: getattr(self, key) for key in keys})
         if self.host not in ("127.0.0.1", "localhost", "::1"):
             say(f"everybody who can reach {self.host} can watch: leave host out to keep it on this machine")
         with page:
@@ -258,5 +244,5 @@ class Watch(Robot):
 
 
 def _note(line: str) -> None:
-    """Print a line for people where the output is for other programs."""
+    """Print a line for people on standard error, since standard output may be for other programs."""
     print(line, file=sys.stderr)

@@ -28,7 +28,7 @@ class _Training(Learning, Job):
     """Base of the two jobs that train a network.
 
     Attributes:
-        folder: of the run that is written.
+        folder: the run's folder.
         model: the network.
         loss: the loss.
         augment: how training images are augmented.
@@ -65,7 +65,7 @@ class _Training(Learning, Job):
     @property
     def training(self) -> Training:
         """The settings of the training."""
-        margin = {"margin": m} if (m := self.loss.parameters.get("margin")) and self.loss.name == "contrastive" else {}
+        margin = self.loss.parameters if self.loss.name == "contrastive" else {}
         own = {key: getattr(self, key) for key in defaults_of(Learning)}
         return Training(**own, workers=self.loader.workers, augment_where=self.augment.where, **margin)
 
@@ -77,15 +77,13 @@ class _Training(Learning, Job):
         """
         from siamloc.models.batch_losses import make_loss
 
-        in_batch = isinstance(self.pairs, PlaceSettings)
-        if self.loss.name == "contrastive" and not in_batch:
-            return None
-        if self.loss.name == "contrastive" or not in_batch:
+        contrastive = self.loss.name == "contrastive"
+        if contrastive == isinstance(self.pairs, PlaceSettings):
             raise ConfigError(
                 f"loss={self.loss.name} does not go with these pairs: pairs=in_batch goes with "
                 f"loss={'|'.join(LOSSES)}, other pairs with loss=contrastive"
             )
-        return make_loss(self.loss.name, **self.loss.parameters)
+        return None if contrastive else make_loss(self.loss.name, **self.loss.parameters)
 
     def target(self, data: str) -> Path:
         """Return the folder that the training writes into."""
@@ -95,7 +93,7 @@ class _Training(Learning, Job):
         return folder / sweep_suffix() if sweep_suffix() else folder
 
     def resumes(self, folder: Path) -> bool:
-        """Return whether the run in a folder is continued; of a sweep, those that were not begun are started."""
+        """Return whether to continue the run in a folder; in a sweep, runs that are not there yet start afresh."""
         return self.resume and not (sweep_suffix() and not Run(folder).record.is_file())
 
 

@@ -41,19 +41,6 @@ def test_every_frame_gets_its_variants_and_the_table_repeats_them(manifest, expa
     np.testing.assert_allclose(np.exp(1j * found.theta), wrapped, atol=1e-9)
 
 
-def test_a_folder_in_use_is_refused_and_resuming_makes_what_is_missing(manifest, expanded, capsys):
-    before = {path: path.read_bytes() for path in sorted(expanded.rglob("*")) if path.is_file()}
-    assert "is not empty: choose another folder, or go on with resume=true" in refused(
-        capsys, *words(manifest, expanded, "sequences=[day]")
-    )
-    pictures = [path for path in before if path.suffix in (".png", ".jpeg", ".jpg")]
-    for path in pictures[3:7]:
-        path.unlink()
-    done(*words(manifest, expanded, "sequences=[day]", "resume=true"))
-    assert f"{len(pictures) - 4} were there" in capsys.readouterr().out
-    assert {path: path.read_bytes() for path in sorted(expanded.rglob("*")) if path.is_file()} == before
-
-
 def test_one_unreadable_image_is_left_out_and_said(manifest, tmp_path, capsys):
     table = write_manifest(tmp_path / "in", {"day": "cloudy"}, frames_per_room=1)
     broken = data.read("manifest", manifest=table).path[1]
