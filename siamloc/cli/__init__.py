@@ -54,7 +54,10 @@ def _dispatch(words: list[str]) -> int:
         print(overview())
         return 0
     if words[0] in ("-V", "--version"):
-        print(_versions())
+        from siamloc.versions import versions
+
+        found = versions()
+        print(f"siamloc {found.pop('siamloc')}", *(f"{name} {version}" for name, version in found.items()), sep="\n")
         return 0
     if words[0] == "completion":
         from siamloc.cli.completion import completion
@@ -74,24 +77,13 @@ def _dispatch(words: list[str]) -> int:
     from siamloc.cli.compose import run
 
     if key := kind.ALONE:
+        overrides = ["list=true" if word == "--list" else word for word in overrides]
         alone = [word for word in overrides if not word.startswith("-") and "=" not in word]
         if len(alone) > 1:
             raise ConfigError(f"siamloc {command} takes one {key}, got {' '.join(alone)}: run it once for each")
-        overrides = [_with_key(key, word) for word in overrides]
+        overrides = [f"{key}={word}" if word in alone else word for word in overrides]
     run(command, overrides)
     return 0
-
-
-def _versions() -> str:
-    from siamloc.versions import versions
-
-    found = versions()
-    return "\n".join([f"siamloc {found.pop('siamloc')}", *(f"{name} {version}" for name, version in found.items())])
-
-
-def _with_key(key: str, word: str) -> str:
-    """Turn a bare word into the value of a key."""
-    return "list=true" if word == "--list" else word if word.startswith("-") or "=" in word else f"{key}={word}"
 
 
 def _command(words: list[str]) -> tuple[str | None, list[str]]:

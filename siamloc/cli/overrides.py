@@ -24,10 +24,8 @@ def meant(words: list[str], kind: type[Job]) -> list[str]:
     words = list(map(_with_quotes, words))
     _check_words(words)
     _check_own(words, kind)
-    stored = _of_stored_data() if _takes_data_of_a_run(words, kind) else set()
-    return [
-        f"++{_whole(word)}" if _outer(word.partition("=")[0]) in stored else _as_meant(word, kind) for word in words
-    ]
+    stored = _of_stored_data() if _takes_data_of_a_run(words, kind) else ()
+    return [f"++{_whole(word)}" if word.startswith(stored) else _as_meant(word, kind) for word in words]
 
 
 def together(kind: type[Job]) -> list[type[Job]]:
@@ -36,7 +34,7 @@ def together(kind: type[Job]) -> list[type[Job]]:
 
 
 def only_of_others(key: str, kind: type[Job]) -> list[str]:
-    """Return the commands that have a key, if this job has none of it but shares experiments with them."""
+    """Return the commands that have a key which this job lacks, although it shares experiments with them."""
     top = re.split("[./]", key)[0]
     if not kind.SHARED or top in kind.key_names():
         return []
@@ -70,10 +68,10 @@ def _check_words(words: list[str]) -> None:
 
 
 def _check_own(words: list[str], kind: type[Job]) -> None:
-    """Refuse keys of other commands: experiments set them for all commands, but whoever types one means this command.
+    """Refuse typed keys that only other commands have; an experiment may set such keys.
 
     Raises:
-        ConfigError: a key that only other commands have.
+        ConfigError: there is such a key.
     """
     for key in (key_of(word) for word in words if "=" in word and not word.startswith("-")):
         if others := only_of_others(key, kind):
@@ -95,31 +93,27 @@ def _takes_data_of_a_run(words: list[str], kind: type[Job]) -> bool:
     return any(Run(one).record.is_file() or runs_in(one) or any(one.glob("evaluation/*/map.npz")) for one in folders)
 
 
-def _of_stored_data() -> set[str]:
-    """Return the keys of all kinds of data and of panoramas, such as "data.root" and "unwrap.forward"."""
-    return {
+def _of_stored_data() -> tuple[str, ...]:
+    """Return how words begin that set keys of any kind of data or camera: "data.root=", "unwrap.front.", and so on."""
+    keys = {
         f"{group}.{key}"
         for group in ("data", "unwrap")
         for name in choices(group)
         for key in option(group, name).values
     }
+    return tuple(f"{key}{end}" for key in keys for end in "=.")
 
 
 def _whole(word: str) -> str:
-    """Return a word unless it sets one item of a list, which only the job would know."""
+    """Return a word, but refuse one that sets a single item of a list, since the list is known only to the run."""
     parts = key_of(word).split(".")
     if item := next((at for at, part in enumerate(parts) if part.isdigit()), None):
         raise ConfigError(f"{key_of(word)} is one item of a list: give the whole list, {'.'.join(parts[:item])}=[...]")
     return word
 
 
-def _outer(key: str) -> str:
-    """Return the first two names of a key, such as "unwrap.front" of "unwrap.front.fov"."""
-    return ".".join(key.split(".")[:2])
-
-
 def _with_quotes(word: str) -> str:
-    """Put a value in quotes that has letters such as umlauts, which Hydra's grammar lacks, and none of its symbols."""
+    """Quote a value with letters that Hydra's grammar lacks, such as umlauts, unless it has symbols of that grammar."""
     key, equals, value = word.partition("=")
     plain = value.isascii() or not equals or word.startswith("-") or set(value) & set("'\"[](){},$\\")
     return word if plain else f"{key}={quoted(value)}"
