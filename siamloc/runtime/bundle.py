@@ -57,9 +57,9 @@ _KEYS: dict[str, Any] = {
     "precisions": list,
     "pictures": {"size": Size | None, "bits": Literal[10, 12, 14, 16] | None},
 }
-"""What each key must hold."""
+"""The kind of value of each key of a description."""
 _LONGEST = 64_000_000  # bytes of a description
-_MAY_LACK = ("heading", "refinement", "search", "errors", "precisions", "unit", "pictures")
+_OPTIONAL = ("heading", "refinement", "search", "errors", "precisions", "unit", "pictures")
 
 
 @dataclass(frozen=True, repr=False)
@@ -179,7 +179,7 @@ class Bundle:
         if not isinstance(about, dict) or about.get("format") != FORMAT:
             raise FormatError(f"{described} was not written by `siamloc export`: export again")
         check_version(about.get("version"), VERSION, f"the bundle {path}", "export again")
-        kinds = {key: kind for key, kind in _KEYS.items() if about.get(key) is not None or key not in _MAY_LACK}
+        kinds = {key: kind for key, kind in _KEYS.items() if about.get(key) is not None or key not in _OPTIONAL}
         if (wrong := misfit(about, kinds)) is not None:
             raise FormatError(f"{described} is not whole, or was altered in {wrong}: export again")
         for part, key in ((LAYER, "search"), (ERRORS, "errors"), (REFINEMENT, "refinement")):
@@ -215,7 +215,7 @@ class Bundle:
 
 
 def _holds(file: Path) -> bool:
-    """Return whether there is such a regular file.
+    """Whether a regular file is there.
 
     Raises:
         FormatError: it is a link.

@@ -39,7 +39,7 @@ class Collector:
     def __init__(self, folder: str | Path, most: int = MOST, headings: bool = True) -> None:
         self.folder, self.most, self.headings = Path(folder), most, headings
         self.drive = self.folder / time.strftime("drive-%Y%m%d-%H%M%S")
-        self._held = sorted(pictures(self.folder), key=_time)
+        self._kept = [path for path, _ in _pictures(self.folder)]
         self._last: tuple[float, float, float] | None = None
         self._lock = threading.Lock()
 
@@ -61,9 +61,9 @@ class Collector:
             path = self.drive / format_name(NamedPose(time.time(), *pose), ".png")
             write_picture(path, np.ascontiguousarray(panorama.transpose(1, 2, 0)))
             self._last = pose
-            self._held.append(path)
-            while len(self._held) > self.most:
-                oldest = self._held.pop(0)
+            self._kept.append(path)
+            while len(self._kept) > self.most:
+                oldest = self._kept.pop(0)
                 with storage_errors(oldest):
                     oldest.unlink(missing_ok=True)
             return path
@@ -89,24 +89,16 @@ def collected(folder: str | Path) -> list[FrameTable]:
     folder = Path(folder)
     if not folder.is_dir():
         raise DataError(f"{folder} is not a folder: give the one in which a Localizer(..., collect=folder) collected")
-    drives: dict[str, list[Path]] = {}
-    for path in sorted(pictures(folder), key=_time):
-        drives.setdefault(path.parent.name, []).append(path)
+    drives: dict[str, list[dict[str, Any]]] = {}
+    for path, pose in _pictures(folder):
+        row = {"path": str(path), "sequence": path.parent.name, **pose._asdict()}
+        drives.setdefault(path.parent.name, []).append(row)
     if not drives:
         raise DataError(f"{folder} holds no picture that was located well: let the robot drive longer")
-    return [FrameTable.from_rows([_row(path) for path in paths]) for _, paths in sorted(drives.items())]
+    return [FrameTable.from_rows(rows) for _, rows in sorted(drives.items())]
 
 
-def _row(path: Path) -> dict[str, Any]:
-    pose = parse_name(path.name)
-    return {"path": str(path), "sequence": path.parent.name, **({} if pose is None else pose._asdict())}
-
-
-def pictures(folder: Path) -> list[Path]:
-    """Return the files of a folder of drives that a collector wrote."""
-    return [path for path in folder.glob("*/*.png") if parse_name(path.name) is not None]
-
-
-def _time(path: Path) -> float:
-    pose = parse_name(path.name)
-    return 0.0 if pose is None else pose.time
+def _pictures(folder: Path) -> list[tuple[Path, NamedPose]]:
+    """Return the pictures that collectors kept in a folder, oldest first, with the times and poses in their names."""
+    named = ((path, parse_name(path.name)) for path in folder.glob("*/*.png"))
+    return sorted(((path, pose) for path, pose in named if pose is not None), key=lambda picture: picture[1].time)

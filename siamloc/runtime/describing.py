@@ -16,7 +16,7 @@ from analytic import AnalyticError, Description, Descriptor, Fused, ImageDescrip
 from siamloc.errors import ConfigError, DataError, FormatError, hint
 from siamloc.maps import VisualMap
 from siamloc.maps.heading import descriptor_of
-from siamloc.runtime.bundle import MODEL, RELATIVE, Bundle
+from siamloc.runtime.bundle import COARSE, MODEL, RELATIVE, Bundle
 
 logger = logging.getLogger("siamloc")
 
@@ -179,6 +179,19 @@ def _session(network: str | bytes, threads: int | None, providers: Sequence[str]
     options.enable_mem_pattern = False  # a block for all steps of an image costs memory and saves no time
     options.intra_op_num_threads = threads or 0
     return onnxruntime.InferenceSession(network, options, providers=list(providers))
+
+
+def coarse_map(bundle: Bundle) -> VisualMap | None:
+    """Load the map by which a bundle ranks its nodes, with its descriptor; None if the map of the robot ranks them.
+
+    Raises:
+        FormatError: as `analytic_descriptor`.
+    """
+    coarse: VisualMap | None = bundle.load(COARSE)
+    if coarse is None:
+        return None
+    orientation = coarse.description.orientation
+    return coarse.with_descriptor(analytic_descriptor(coarse.identity, bundle, coarse.width, orientation))
 
 
 def analytic_descriptor(

@@ -37,7 +37,7 @@ def described_alike(
     """Return the descriptor's identity and how panoramas are made.
 
     Raises:
-        ConfigError: a robot cannot describe images in this way, or those of the map were described otherwise.
+        ConfigError: a robot cannot compute the descriptor, or the map's images were described or made otherwise.
     """
     network = network_in(descriptor)
     for one in descriptor.parts.values() if isinstance(descriptor, Fused) else [descriptor]:

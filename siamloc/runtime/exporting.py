@@ -50,7 +50,7 @@ TOLERANCE = 1e-4
 """How far the robot's descriptor may be from the original, relative to its norm, or to 1 if the norm is smaller."""
 
 _UNKNOWN = {"max_abs_difference": 0.0, "max_relative_difference": 0.0}
-_PLACES = {"cache"}
+_PLACES = {"cache"}  # keys of data that name folders of this machine, besides those of its readers
 _TRIED = 3  # number of panoramas that a bundle must describe as the original does
 
 
@@ -122,9 +122,10 @@ def export(
         given = known.with_descriptor(given).descriptor  # with the weights of the map
     identity, parameters = described_alike(given, known, preprocessing)
     check_learned(known, errors, refinement)
+    searched = None
     if layer is not None:
-        search = search or LayerSearch()
-        layer = checked_layer(known, layer, coarse_map, search)
+        searched = search or LayerSearch()
+        layer = checked_layer(known, layer, coarse_map, searched)
     check_given(given, known, images, thumbnails, precision, validation)
     heading = None
     if known is not None and known.orientation is not None and known.heading_by.tells_heading:
@@ -136,7 +137,7 @@ def export(
         "identity": identity,
         "unit": None if known is None else known.unit,
         "heading": heading,
-        "search": None if search is None or layer is None else search.plain(),
+        "search": None if searched is None else searched.plain(),
         "figures": None if figures is None else plain(dict(figures)),
         "pictures": _pictures(parameters, known, images),
     }
@@ -230,7 +231,7 @@ class _Ingredients:
             module: the network.
             fresh: the bundle's folder.
             precision: precision of the numbers.
-            finer: what the bundle says of its refinement, which gets the parity of the comparing part.
+            finer: the description of the refinement, to which the parity of the comparing part is added.
         """
         from siamloc.runtime.onnx_model import export_onnx, export_relative, quantize
 
@@ -309,10 +310,7 @@ def _check_alike(
 
 
 def _own_camera(
-    parameters: Mapping[str, Any],
-    given: Preprocessing | None,
-    known: VisualMap | None,
-    images: PanoramaLibrary | None,
+    parameters: Mapping[str, Any], given: Preprocessing | None, known: VisualMap | None, images: PanoramaLibrary | None
 ) -> SampledCamera | None:
     """Return where the panorama's pixels lie in the pictures of a camera of the user's own; None for a built-in camera.
 

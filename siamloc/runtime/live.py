@@ -31,7 +31,7 @@ from siamloc.runtime.thumbnails import jpeg
 _TRACK = 2000  # number of poses of the path so far that a page gets
 _DOTS = 4000  # number of map frames that it draws
 _COLUMNS = 768  # width of the live image
-_SILENCE = 10.0  # seconds after which a browser is told that the page is still alive
+_SILENCE = 10.0  # seconds without news after which a browser gets a sign of life
 _ASSETS = Path(__file__).with_name("assets")
 _LOOPBACK = ("127.0.0.1", "localhost", "::1")
 _STATIC = {
@@ -113,7 +113,7 @@ class Live:
         self._fault: Exception | None = None
         self._loop: asyncio.AbstractEventLoop | None = None
         self._up = threading.Event()
-        self._changed = asyncio.Event()  # for this state; the next one gets its own
+        self._changed = asyncio.Event()  # set as soon as this state is outdated; the next state gets another event
         self._threads = [threading.Thread(target=target, daemon=True) for target in (self._serve, self._play)]
 
     def __enter__(self) -> Live:
@@ -141,7 +141,7 @@ class Live:
 
     @property
     def summary(self) -> str:
-        """How many images were located so far, and why the first of those that were not could not be."""
+        """How many images were located so far, and why the first image that was left out could not be."""
         if not self._left_out:
             return f"{self.count} images, all located"
         return f"{self._left_out} of {self.count} images could not be located, the first: {self._why}"

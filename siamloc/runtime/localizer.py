@@ -36,15 +36,16 @@ from siamloc.maps import (
 )
 from siamloc.maps.sequence_filter import spacing_of
 from siamloc.memory import returned_memory
-from siamloc.runtime.bundle import COARSE, ERRORS, LAYER, MAP, REFINEMENT, Bundle
+from siamloc.runtime.bundle import ERRORS, LAYER, MAP, REFINEMENT, Bundle
 from siamloc.runtime.collecting import MOST, Collector
-from siamloc.runtime.describing import Describer, analytic_descriptor
+from siamloc.runtime.describing import Describer, coarse_map
 from siamloc.runtime.location import Candidate, Location
 
 Tracker = PoseFilter | SequenceFilter
 """Follows a robot from image to image, see `Localizer.tracker`."""
 
 _STANDING = 0.01  # step in a map whose frames are all in one place
+# The refined pose of an image whose map frames say nothing.
 _UNKNOWN, _ZERO = np.full((1, 2), np.nan), np.zeros(1)
 _NOWHERE = RefinedPoses(_UNKNOWN, _UNKNOWN[0, :1], np.zeros((1, 2, 2)), _ZERO, np.zeros(1, np.int64), _ZERO - np.inf)
 
@@ -52,8 +53,8 @@ _NOWHERE = RefinedPoses(_UNKNOWN, _UNKNOWN[0, :1], np.zeros((1, 2, 2)), _ZERO, n
 class Localizer:
     """Locates images with a bundle written by `siamloc.runtime.export`.
 
-    The map is prepared for search once, which takes the memory of its descriptors as float32, or that of rounded
-    spectra for descriptors that are compared at every turn. Nothing is kept between images: each answer depends on its
+    The map is prepared for search once, which takes the memory of its descriptors as float32, or of rounded spectra for
+    descriptors that are compared at every turn. Nothing is kept between images: each answer depends on its
     image alone, unless a `tracker` is given. Several threads may share one.
 
     If the bundle has a coarse layer, it is searched first: the map frames come from the nodes that resemble the image
@@ -122,16 +123,17 @@ class Localizer:
             )
         headed = self.map.orientation is not None
         self._collector = None if collect is None else Collector(collect, most, headed)
-        told = self._errors is not None or relative
-        if collect is not None and not (told and self._placed is not None):
+        judges = self._errors is not None or relative
+        if collect is not None and not (judges and self._placed is not None):
             raise ConfigError(
                 f"{bundle_path} cannot say which images were located well: export it with an error model or refined "
                 "poses, or leave collect out"
             )
         looked_at = [one.neighbours for one in (self._errors, self._refinement) if one is not None]
         self._wanted = max(self._top, *looked_at, 1)
-        for one in {id(one): one for one in (self.map, self._placed) if one is not None}.values():
-            match(one, one.description.take(slice(0, 1)))  # prepares it here, not with the first image
+        for known in (self.map, self._placed):
+            if known is not None:
+                match(known, known.description.take(slice(0, 1)))  # prepares it here, not with the first image
         if self._search is not None:
             self._search.rank(self._search.coarse.description.take(slice(0, 1)))
 
@@ -270,7 +272,7 @@ class Localizer:
         elif pose is not None or (tracker is not None and motion is not None):
             pose = _NOWHERE if pose is None else pose
             pose = pose if tracker is None else tracker.step(pose, motion)
-            covariance = _told(pose)
+            covariance = _covariance(pose)
         xy, theta = (
             (known.frames.xy[row], headings(known, query, found)[:, 0]) if pose is None else (pose.xy[0], pose.theta)
         )
@@ -301,17 +303,15 @@ class Localizer:
 
     def _layered(self, wanted: bool | None) -> HierarchicalSearch | None:
         """Return the search through the coarse layer; None if there is none, or if it is not to be used."""
-        if (layer := None if wanted is False else self.bundle.load(LAYER)) is None:
-            if not wanted:
-                return None
+        layer = None if wanted is False else self.bundle.load(LAYER)
+        if layer is None and wanted:
             raise ConfigError(
                 f"{self.bundle.path} holds no coarse layer: run `siamloc map build=spectral`, then `siamloc export "
                 "build=spectral`"
             )
-        if (coarse := self.bundle.load(COARSE)) is not None:
-            coarse = coarse.with_descriptor(
-                analytic_descriptor(coarse.identity, self.bundle, coarse.width, coarse.description.orientation)
-            )
+        if layer is None:
+            return None
+        coarse = coarse_map(self.bundle)
         try:
             settings = LayerSearch.of(self.bundle.about.get("search") or {})
             return HierarchicalSearch(self.map, layer, coarse=coarse, settings=settings)
@@ -373,7 +373,7 @@ def _check_motion(tracker: Tracker | None, motion: ArrayLike | None) -> None:
         raise ConfigError("a motion says how a tracked robot moved: give the tracker of its drive, localizer.tracker()")
 
 
-def _told(pose: RefinedPoses) -> tuple[tuple[float, float], tuple[float, float]] | None:
+def _covariance(pose: RefinedPoses) -> tuple[tuple[float, float], tuple[float, float]] | None:
     """Return the covariance of one pose; None if it is unknown."""
     (xx, xy), (_, yy) = pose.covariance()[0].tolist()
     return None if math.isnan(xx) else ((xx, xy), (xy, yy))

@@ -33,13 +33,13 @@ class Location:
     """Where an image was taken.
 
     Attributes:
-        x: position, in the unit of the map: finer than the map if the bundle refines it, else that of the nearest map
-            frame; NaN if the map does not hold it.
+        x: position, in the unit of the map: finer than the map if the bundle refines it, else the position of the
+            nearest map frame; NaN if that is unknown.
         y: position, as x.
-        theta: heading in rad in (-pi, pi], counter-clockwise; NaN if the bundle gives no headings, or if that of the
-            nearest map frame is unknown.
-        room: room of the map frame that looks most like the image, or ""; that of the nearest one if a coarse layer is
-            searched first, and that of the tracked one with a `SequenceFilter`.
+        theta: heading in rad in (-pi, pi], counter-clockwise; NaN if the bundle gives no headings, or if the heading of
+            the nearest map frame is unknown.
+        room: room of the map frame that looks most like the image, or ""; if a coarse layer is searched first, room of
+            the nearest map frame; with a `SequenceFilter`, room of the map frame where the robot is tracked.
         error_m: expected error of x and y in their unit, metres by default; NaN if the bundle holds no error model, or
             if the image shows nothing of what the map shows.
         lost: whether the expected error is above the threshold that the error model was learned with, or the image

@@ -292,7 +292,7 @@ def _differences(
 
 
 def _conditions(tolerance: float) -> dict[str, Any]:
-    """Return what a comparison was made with."""
+    """Return the tolerance, the random images and the version of onnxruntime that a comparison used."""
     import onnxruntime
 
     return {"tolerance": tolerance, "batches": list(_BATCHES), "seed": _SEED, "onnxruntime": onnxruntime.__version__}

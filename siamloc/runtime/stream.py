@@ -263,18 +263,8 @@ def written(path: str | Path, located: Iterable[Located]) -> Generator[Located, 
         raise stopped
 
 
-def csv_line(one: Located) -> str:
-    """Return a location as a line of CSV."""
-    return csv_text([one.row().values()])
-
-
-def json_line(one: Located) -> str:
-    """Return a location as a line of JSON."""
-    return json.dumps(one.as_dict(), ensure_ascii=False, allow_nan=False) + "\n"
-
-
 LINES: dict[str, tuple[str, Callable[[Located], str]]] = {
-    ".csv": (csv_text([COLUMNS]), csv_line),
-    ".jsonl": ("", json_line),
+    ".csv": (csv_text([COLUMNS]), lambda located: csv_text([located.row().values()])),
+    ".jsonl": ("", lambda located: json.dumps(located.as_dict(), ensure_ascii=False, allow_nan=False) + "\n"),
 }
-"""The first line of a file and what formats each further line, by file extension."""
+"""The first line of a file of locations, and the function that formats each further line, by file extension."""

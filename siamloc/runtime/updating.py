@@ -22,7 +22,7 @@ from siamloc.maps.maintenance import Maintenance, Update, updated
 from siamloc.maps.thinning import nearest
 from siamloc.runtime import bundle as files
 from siamloc.runtime.collecting import collected
-from siamloc.runtime.describing import analytic_descriptor
+from siamloc.runtime.describing import coarse_map
 from siamloc.runtime.localizer import Localizer
 from siamloc.runtime.thumbnails import jpeg, write_thumbnails
 
@@ -30,13 +30,7 @@ _AT_ONCE = 16  # panoramas that are described together
 
 
 @takes(Maintenance)
-def update(
-    bundle: str | Path,
-    folder: str | Path,
-    *,
-    settings: Maintenance = OF_FIELDS,
-    **fields: Any,
-) -> list[Update]:
+def update(bundle: str | Path, folder: str | Path, *, settings: Maintenance = OF_FIELDS, **fields: Any) -> list[Update]:
     """Update the map of a bundle by the drives that `Localizer(bundle, collect=folder)` collected.
 
     The map follows as by `siamloc.maps.update`, and so do its coarse layer and its thumbnails; the expected errors and
@@ -90,11 +84,7 @@ class _Parts:
     def __init__(self, localizer: Localizer) -> None:
         self.bundle = localizer.bundle
         self.thumbnails: list[bytes | None] | None = self.bundle.load(files.THUMBNAILS)
-        coarse: VisualMap | None = self.bundle.load(files.COARSE)
-        if coarse is not None:
-            parts = coarse.description.orientation
-            coarse = coarse.with_descriptor(analytic_descriptor(coarse.identity, self.bundle, coarse.width, parts))
-        self.coarse = coarse
+        self.coarse = coarse_map(self.bundle)
 
     def follow(self, found: Update, joined: NDArray[np.uint8]) -> None:
         """Let the rows of frames leave that left the map, and rows of panoramas (k, 3, H, W) join."""

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import shutil
+import subprocess
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -40,6 +42,16 @@ def mapped(by: Descriptor, heading: Descriptor | None = None) -> VisualMap:
         heading = heading or NetworkHeading(by.tells_heading)
         parts = {"orientation": halved(heading, seen.orientation), "heading": heading.identity}
     return VisualMap(seen.position, frames, {**by.identity, "images": IMAGES}, **parts, describes=by)
+
+
+def printed_without_torch(code: str) -> str:
+    """Run code where only numpy, OpenCV and onnxruntime can be imported, and return what it prints."""
+    hidden = ("torch", "torchvision", "lightning", "scipy", "sklearn", "pandas", "hydra", "omegaconf", "onnx", "rich")
+    hiding = f"import sys\nsys.modules.update(dict.fromkeys({hidden}))\n"
+    command = [sys.executable, "-W", "error", "-c", hiding + code]
+    done = subprocess.run(command, capture_output=True, text=True, cwd=Path(__file__).parents[3])
+    assert done.returncode == 0, done.stderr
+    return done.stdout
 
 
 def rewritten(bundle: Path, folder: Path, **parts: Any) -> Path:

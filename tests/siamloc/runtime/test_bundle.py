@@ -12,7 +12,7 @@ from pathlib import Path
 import onnx
 import pytest
 
-from siamloc.errors import ConfigError, FormatError, SiamlocError
+from siamloc.errors import FormatError, SiamlocError
 from siamloc.models import as_descriptor, build
 from siamloc.runtime import Bundle, Localizer, export
 from tests.siamloc.runtime.conftest import SIZE, altered, drive, mapped
@@ -98,13 +98,3 @@ def test_a_bundle_that_disagrees_with_its_network_is_refused(world, tmp_path, mo
     with pytest.raises(SiamlocError, match="away from the original"):
         export(*world, tmp_path / "bundle")
     assert not list(tmp_path.iterdir())
-
-
-def test_options_without_a_meaning_are_one_sentence(folder):
-    for options, says in (
-        ({"top": 0}, "top must be a whole number from 1"),
-        ({"threads": 0}, "threads must be a whole number from 1"),
-        ({"providers": ("CUDA",)}, "no provider 'CUDA'.*valid: .*CPUExecutionProvider"),
-    ):
-        with pytest.raises(ConfigError, match=says):
-            Localizer(folder, **options)
