@@ -31,7 +31,7 @@ COMMANDS = {
 }
 """What each extra is for."""
 _BASES = dict.fromkeys(("simulate", "sweeps", "recordings", "timm", "wandb", "mlflow"), "train")
-# Some entries of what the known picture is described by, computed once, and how far others may be from them.
+# Some entries of the descriptors of the known picture, computed once, and how far entries computed here may be off.
 _NETWORK = {0: 0.014456, 712: 0.033819, 1176: 0.121093, 1884: -0.119783, 2246: 0.118354, 2645: 0.136942}
 _HOG = {0: 0.757930, 1: 0.341794, 3: 1.303485, 5: 10.832738}
 _TOLERANCE = 1e-3  # processors and versions of torch differ by 1e-5 at most
@@ -47,7 +47,7 @@ class Checkup:
         providers: onnxruntime's execution providers, and whether each one computes here; empty without onnxruntime.
         missing: the modules that each extra lacks here, by the name of the extra.
         described: what described the known picture: "the shipped network" or, without torch, "hog".
-        problems: a sentence about each thing that is wrong; what is merely not installed is none.
+        problems: a sentence about each thing that is wrong; a package that is not installed is no problem.
     """
 
     versions: Mapping[str, str]
@@ -110,7 +110,7 @@ def doctor() -> Checkup:
 
 
 def _lacking(extra: str) -> list[str]:
-    """Return the modules of an extra, and of the one that it includes, that are not installed."""
+    """Return the modules that are not installed, of an extra and of the extra that it includes."""
     return [module for module, of in EXTRAS.items() if of in (extra, _BASES.get(extra)) and find_spec(module) is None]
 
 

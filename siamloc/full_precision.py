@@ -35,8 +35,8 @@ def full_precision() -> Iterator[None]:
 def _switches() -> list[Switch]:
     """Return how torch's switches are read and written, and their values for full precision.
 
-    The older ones come first, since writing them writes newer ones as well; then the general before the special, which
-    may follow them.
+    Older switches come first, since writing them writes newer ones as well; then general switches before special ones,
+    which may follow them.
     """
     backends: Any = torch.backends
     places = [backends, backends.cudnn] if hasattr(backends, "fp32_precision") else []  # from torch 2.9

@@ -9,18 +9,16 @@ from contextlib import nullcontext
 from typing import Any, TypeVar
 
 Item = TypeVar("Item")
+_PAUSE = 10.0  # seconds between plain lines when standard error is not a terminal
 
 
-def track(
-    items: Iterable[Item], total: int, what: str, every_seconds: float = 10.0, size: Callable[[Item], int] | None = None
-) -> Iterator[Item]:
+def track(items: Iterable[Item], total: int, what: str, size: Callable[[Item], int] | None = None) -> Iterator[Item]:
     """Yield the items and show the progress, the rate and the time left on standard error.
 
     Args:
         items: what to work through.
         total: number of items.
         what: the work in words, such as "decoding images".
-        every_seconds: time between plain lines when standard error is not a terminal.
         size: how many of the total an item counts for, such as `len` for batches; 1 if None.
     """
     bar = _bar(what, total) if sys.stderr.isatty() else None
@@ -34,7 +32,7 @@ def track(
             rate = done / max(now - start, 1e-9)
             if bar is not None:
                 bar.update(bar.task_ids[0], completed=done, rate=f"{rate:.1f}/s")
-            elif now - last >= every_seconds and 0 < done < total:
+            elif now - last >= _PAUSE and 0 < done < total:
                 left = (total - done) / rate
                 print(f"{what}: {done} of {total}, {rate:.1f}/s, {left:.0f} s left", file=sys.stderr, flush=True)
                 last = now

@@ -8,7 +8,7 @@ from __future__ import annotations
 import csv
 import datetime
 import sys
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -30,10 +30,10 @@ FURTHER = {
 }
 """Estimates of a query's pose other than that of the nearest map frame, and how each is made."""
 FINEST = ("tracked", "refined")
-"""The estimates that stand for the whole evaluation where there are any, the first of them that was made."""
+"""Estimates that represent a whole evaluation: the first of them that was made, if any was."""
 
 REMARKS = ("rooms", "positions")
-"""Keys of `skipped` in a result whose text is a remark on what was measured, rather than why it was not."""
+"""Keys of `skipped` in a result whose texts are remarks on what was measured, and no reasons why something was not."""
 
 _OF_ESTIMATES = ("est_x", "est_y", "est_theta", "error", "heading_error", "match")
 _SCHEMA = "siamloc-results"
@@ -113,17 +113,8 @@ def read_results(folder: str | Path) -> dict[str, Any]:
     if not isinstance(schema, dict) or schema.get("name") != _SCHEMA:
         raise FormatError(f"{path} is not a siamloc result file: give the folder that `siamloc evaluate` wrote")
     check_version(schema.get("version"), _VERSION, f"the result {path}", "evaluate again")
-    for key, depth in _GROUPS.items():
-        if not _is_nested(results.get(key, None if key in _NEEDED else {}), depth):
-            raise FormatError(f"{path} was altered in {key}: evaluate again")
-    if not isinstance(results.get("name", ""), str):
-        raise FormatError(f"{path} was altered in name: evaluate again")
-    for name, table in results.get("tables", {}).items():
-        if not _is_name(table.get("file")):
-            raise FormatError(f"{path} was altered in the table {name}: evaluate again")
-    pictures = results.get("pictures", [])
-    if not isinstance(pictures, list) or not all(map(_is_name, pictures)):
-        raise FormatError(f"{path} was altered in pictures: evaluate again")
+    if wrong := next(_altered(results), None):
+        raise FormatError(f"{path} was altered in {wrong}: evaluate again")
     return results
 
 
@@ -132,9 +123,22 @@ _GROUPS = {"measures": 2, "baselines": 2, "cost": 2, "tables": 2, "denominators"
 _NEEDED = ("config", "measures", "denominators")
 
 
-def _is_nested(value: Any, depth: int) -> bool:
-    """Whether a value is a mapping, or a mapping of mappings if `depth` is 2."""
-    return isinstance(value, Mapping) and (depth < 2 or all(isinstance(one, Mapping) for one in value.values()))
+def _altered(results: Mapping[str, Any]) -> Iterator[str]:
+    """Yield the parts of `results.json` that are not as `write_results` writes them."""
+    for key, depth in _GROUPS.items():
+        group = results.get(key, None if key in _NEEDED else {})
+        if not isinstance(group, Mapping) or (
+            depth == 2 and not all(isinstance(one, Mapping) for one in group.values())
+        ):
+            yield key
+    if not isinstance(results.get("name", ""), str):
+        yield "name"
+    yield from (
+        f"the table {name}" for name, table in results.get("tables", {}).items() if not _is_name(table.get("file"))
+    )
+    pictures = results.get("pictures", [])
+    if not isinstance(pictures, list) or not all(map(_is_name, pictures)):
+        yield "pictures"
 
 
 def _is_name(value: Any) -> bool:

@@ -25,7 +25,6 @@ if TYPE_CHECKING:
 FORMAT = "siamloc-run"
 VERSION = 2
 _OF_VERSION_1 = ("checkpoints", "tensorboard", "bundle", "evaluation", "layers")
-DEFAULT_FOLDER = Path("runs")
 _CHECKPOINTS = {"best": ("best", "last"), "last": ("last",)}
 
 
@@ -131,7 +130,7 @@ class Run:
     def settings(self) -> dict[str, Any]:
         """The settings of the training: plain values under data, protocol, model, training, augment and more.
 
-        A setting that came later than the run has the value that held for the run.
+        Settings that siamloc got after the run was trained have the values that the training used.
 
         Raises:
             ConfigError, FormatError: as `load_record`.
@@ -259,14 +258,14 @@ class Run:
             self.folder.rmdir()
 
     def foreign(self, names: Iterable[str]) -> list[str]:
-        """Return those of the given names of existing files that siamloc did not write into this run."""
+        """Return which of the given files exist although siamloc did not write them into this run."""
         written = self.written()
         return [name for name in names if (self.folder / name).exists() and name not in written]
 
     def written(self) -> set[str]:
         """Return the names of the files that siamloc wrote into the run; none without a record.
 
-        A run of siamloc 0.1.0 recorded no files, but had folders to itself: they are all files in these.
+        A run of siamloc 0.1.0 recorded no files, but had folders to itself: then all files in those folders count.
 
         Raises:
             FormatError: as `load_record`, for other runs.
@@ -314,26 +313,20 @@ _SECTIONS: dict[str, Any] = {
     **dict.fromkeys(("data", "model", "training", "protocol", "trainer", "views"), dict),
     **dict.fromkeys(("loss", "augment"), dict | None),
 }
-_KINDS = {
-    "settings": dict,
-    "written": list[str],
-    "created": str | None,
-    "versions": dict | None,
-}
+_KINDS = {"settings": dict, "written": list[str], "created": str | None, "versions": dict | None}
 
 
-@typed
-def newest_run(folder: Path = DEFAULT_FOLDER, *, trained: bool = True) -> Run:
-    """Return the run under a folder that was trained last, or with `trained=False` trained or evaluated last.
+def newest_run(*, trained: bool = True) -> Run:
+    """Return the run under the folder `runs` that was trained last, or with `trained=False` trained or evaluated last.
 
     Raises:
         ConfigError: there is none.
     """
-    found = [(record, record.parent) for record in folder.glob("**/run.json")]
+    found = [(record, record.parent) for record in Path("runs").glob("**/run.json")]
     if not trained:
-        found += [(results, results.parents[2]) for results in folder.glob("**/evaluation/*/results.json")]
+        found += [(results, results.parents[2]) for results in Path("runs").glob("**/evaluation/*/results.json")]
     if not found:
-        raise ConfigError(f"there is no run under {folder}/: train one first, or name it with run=FOLDER")
+        raise ConfigError("there is no run under runs/: train one first, or name it with run=FOLDER")
     return Run(max(found, key=lambda one: one[0].stat().st_mtime_ns)[1])
 
 
@@ -358,7 +351,6 @@ def runs_in(folder: str | Path) -> list[Run]:
     return [Run(record.parent) for record in sorted(Run(Path(folder)).folder.glob("*/run.json"))]
 
 
-@typed
 def run_with(evaluation: str | Path) -> Run | None:
     """Return the run that contains an evaluation; None if the folder is not inside a run.
 

@@ -18,7 +18,7 @@ _DISTURBANCES = {"noise": "noise", "occlusion": "occlusion", "turn": "turn on th
 
 
 def tables_of(
-    name: str, parts: Measures, baselines: Mapping[str, Measures], costs: Mapping[str, Measures] | None = None
+    name: str, parts: Measures, baselines: Mapping[str, Measures], costs: Mapping[str, Measures]
 ) -> list[Table]:
     """Return all tables of a result.
 
@@ -30,7 +30,7 @@ def tables_of(
     """
     methods = methods_of(name, parts, baselines)
     own = [table for tables in own_tables(name, parts).values() for table in tables]
-    return [*errors(methods), *rooms(methods), *pairs(methods), *own, *cost(costs or {})]
+    return [*errors(methods), *rooms(methods), *pairs(methods), *own, *cost(costs)]
 
 
 def own_tables(name: str, parts: Measures) -> dict[str, list[Table]]:

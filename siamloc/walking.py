@@ -54,7 +54,7 @@ class Recording(Extraction):
 
 @dataclass(frozen=True)
 class WalkSettings(Settings):
-    """What a walk decides, and may be told.
+    """Settings of a walk, each of which has a usual value.
 
     Attributes:
         recording: what to take from the recording; poses are not used.

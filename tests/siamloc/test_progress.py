@@ -1,13 +1,15 @@
 import io
 import sys
 
+from siamloc import progress
 from siamloc.progress import track
 
 
 def test_plain_lines_where_nobody_watches(monkeypatch):
     screen = io.StringIO()
     monkeypatch.setattr(sys, "stderr", screen)
-    assert list(track(iter("abc"), 3, "counting", every_seconds=0)) == ["a", "b", "c"]
+    monkeypatch.setattr(progress, "_PAUSE", 0)
+    assert list(track(iter("abc"), 3, "counting")) == ["a", "b", "c"]
     first, second, last = screen.getvalue().splitlines()
     assert first.startswith("counting: 1 of 3")
     assert "s left" in first

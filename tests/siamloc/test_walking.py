@@ -38,6 +38,14 @@ def equirectangular(path):
     return cv2.remap(panorama, across.copy(), down.copy(), cv2.INTER_LINEAR)
 
 
+def pictures_of(frames, folder):
+    """Make a folder of the pictures of frames, two a second, with times in their names."""
+    folder.mkdir()
+    for number, path in enumerate(frames.path.tolist()):
+        (folder / f"{START + number / 2:.1f}.jpeg").hardlink_to(path)
+    return folder
+
+
 def test_a_bag_of_equirectangular_pictures_with_odometry_becomes_a_robot(mini, tmp_path):
     day, night = mini
     bag = Written(tmp_path / "monday", "mcap")
@@ -64,11 +72,7 @@ def test_a_bag_of_equirectangular_pictures_with_odometry_becomes_a_robot(mini, t
 
 def test_a_folder_of_panoramas_without_odometry_becomes_a_robot(mini, tmp_path):
     day, _ = mini
-    pictures = tmp_path / "monday"
-    pictures.mkdir()
-    for number, path in enumerate(day.path.tolist()):
-        (pictures / f"{START + number / 2:.1f}.jpeg").hardlink_to(path)
-    said = []
+    pictures, said = pictures_of(day, tmp_path / "monday"), []
     height = siamloc.maps.SurveySettings(height=0.95)  # of the simulated camera
     made = siamloc.walk(pictures, tmp_path / "robot", say=said.append, spacing=0.25, survey=height)
     assert "without odometry" in said[0]
@@ -85,19 +89,13 @@ def test_a_folder_of_panoramas_without_odometry_becomes_a_robot(mini, tmp_path):
 
 
 def test_a_short_way_is_refused(mini, tmp_path):
-    pictures = tmp_path / "monday"
-    pictures.mkdir()
-    for number, path in enumerate(mini[0].path.tolist()[:5]):
-        (pictures / f"{START + number / 2:.1f}.jpeg").hardlink_to(path)
+    pictures = pictures_of(mini[0].take(range(5)), tmp_path / "monday")
     with pytest.raises(DataError, match=r"has [2-5] key frames, and a map needs 60: record a way of 15 m"):
         siamloc.walk(pictures, tmp_path / "robot", spacing=0.25)
 
 
 def test_a_ring_does_not_show_its_direction(mini, tmp_path, monkeypatch):
-    pictures, said = tmp_path / "monday", []
-    pictures.mkdir()
-    for number, path in enumerate(mini[0].path.tolist()[:3]):
-        (pictures / f"{START + number / 2:.1f}.jpeg").hardlink_to(path)
+    pictures, said = pictures_of(mini[0].take(range(3)), tmp_path / "monday"), []
     ring = siamloc.data.PolarRing(centre=(255.5, 63.5), inner=10, outer=60, forward=90)
     monkeypatch.setattr("siamloc.walking.find_camera", lambda *_: ring)
     with pytest.raises(DataError, match="key frames"):

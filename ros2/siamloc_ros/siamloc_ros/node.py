@@ -163,7 +163,7 @@ class LocalizerNode(Node):
         return messages.pose_message(location, self.header(stamp), self.given["heading_deviation"])
 
     def header(self, stamp: Time) -> Header:
-        """Return the header of what is told in the map's frame."""
+        """Return the header of a message in the map's frame."""
         return Header(stamp=stamp, frame_id=self.given["map_frame"])
 
 
