@@ -9,12 +9,15 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pytest
 
 from analytic import Descriptor
 from foundation.files import file_hash, read_json, write_json
 from siamloc.data.frames import FrameTable
 from siamloc.maps import VisualMap
 from siamloc.maps.heading import NetworkHeading, described, halved
+from siamloc.models import as_descriptor, build
+from siamloc.runtime import export
 from tests.drawn import draw_panorama, draw_sequence
 
 SIZE = (32, 128)
@@ -42,6 +45,19 @@ def mapped(by: Descriptor, heading: Descriptor | None = None) -> VisualMap:
         heading = heading or NetworkHeading(by.tells_heading)
         parts = {"orientation": halved(heading, seen.orientation), "heading": heading.identity}
     return VisualMap(seen.position, frames, {**by.identity, "images": IMAGES}, **parts, describes=by)
+
+
+@pytest.fixture(scope="session")
+def small() -> tuple[Descriptor, VisualMap]:
+    """A small network, and its map without headings."""
+    network = as_descriptor(build("simple1", "fc500_500_5", SIZE))
+    return network, mapped(network)
+
+
+@pytest.fixture(scope="session")
+def bare(small, tmp_path_factory) -> Path:
+    """The bundle of the small network and its map, to be left as it is."""
+    return export(*small, tmp_path_factory.mktemp("robot") / "bare").path
 
 
 def printed_without_torch(code: str) -> str:

@@ -28,9 +28,9 @@ PICTURES = drive(2)[0]
 
 
 @pytest.fixture(scope="module")
-def world():
+def world(small):
     """A network, a map with headings, and an error model."""
-    network = as_descriptor(build("simple1", "fc500_500_5", SIZE))
+    network, _ = small
     known = mapped(network, analytic.descriptor("hog", rows=1))
     pictures, _ = drive(1)
     found = known.search(network.describe(batch(pictures)).position, 20)
@@ -42,12 +42,6 @@ def world():
 def bundle(world, tmp_path_factory):
     network, known, errors = world
     return export(network, known, tmp_path_factory.mktemp("robot") / "bundle", errors=errors).path
-
-
-@pytest.fixture(scope="module")
-def bare(world, tmp_path_factory):
-    network, known, _ = world
-    return export(network, replace(known, heading=None), tmp_path_factory.mktemp("robot") / "bare").path
 
 
 def test_theta_and_error_are_those_of_the_evaluation(world, bundle):
