@@ -28,7 +28,7 @@ FURTHER = {
     "refined": "refinement",
     "tracked": "filter between frames",
 }
-"""Estimates of a query's pose other than that of the nearest map frame, and how each is made."""
+"""Estimates of a query's pose besides the pose of the nearest map frame, and how each is made."""
 FINEST = ("tracked", "refined")
 """Estimates that represent a whole evaluation: the first of them that was made, if any was."""
 

@@ -165,7 +165,7 @@ def _register(kind: type[Job], words: list[str]) -> None:
 
     store = ConfigStore.instance()
     for key in [key for key in store.repo if key != "hydra" and not key.startswith("_")]:
-        del store.repo[key]  # those of another job, whose keys may have the names of groups
+        del store.repo[key]  # the configuration of another job, whose keys may have the names of groups
     jobs = together(kind)
     chosen = {group: name for one in jobs for group, name in one.GROUPS.items()}
     values: dict[str, Any] = {}

@@ -29,7 +29,7 @@ from siamloc.jobs.options import choices, is_fused
 from siamloc.jobs.replacing import measured_otherwise
 from siamloc.jobs.run_job import RunJob, by_name, files_in
 from siamloc.jobs.stored import map_file, map_known
-from siamloc.jobs.sweep import of_results, own_folder, sweep_suffix, swept, with_swept
+from siamloc.jobs.sweep import own_folder, sweep_suffix, swept, with_swept
 from siamloc.jobs.tasks import BuildingsTask, CompactTask, HierarchicalTask, MappingTask, RobustnessTask, Task
 from siamloc.maps import Built, VisualMap
 from siamloc.maps.history import UPKEEP
@@ -106,8 +106,10 @@ class Evaluate(RunJob):
         """Measure the task and write its results."""
         run = self.here
         shared = run.evaluation(self.name) if self.out is None else Path(self.out)
-        # Elsewhere than in the run, no part of the path says which run or descriptor the results are of.
-        folder = own_folder(shared, self.titles, of_results) if self.out is None else shared / sweep_suffix()
+        if self.out is None:
+            folder = own_folder(shared, self.titles, lambda key: key != "distance")  # which the name of `shared` says
+        else:
+            folder = shared / sweep_suffix()  # of all swept keys, since `out` says nothing about the run
         self._check_folder(folder)
         if self.plan is not None:
             read_occupancy(self.plan)  # refused before anything is measured

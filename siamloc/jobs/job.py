@@ -60,7 +60,7 @@ class Job(Settings):
 
     Attributes:
         GROUPS: the groups of options, each with the option that is chosen by default.
-        MORE: further values, which replace those of options and defaults.
+        MORE: values that replace the values of options and defaults.
         SHARED: whether the job takes experiments, which may also set keys of other jobs; those are ignored.
         ALONE: the key whose value a word without "=" is.
         BY_HYDRA: whether Hydra composes the settings; the robot runs without it.

@@ -205,7 +205,7 @@ class MapFrames(RunJob):
         return {f"protocol.{key}": value for key, value in needed.items() if value != found[key]}
 
     def _changed(self) -> dict[str, Any]:
-        """Return the parameters of the descriptor that are not those of its option, by their keys."""
+        """Return the parameters of the descriptor that differ from its option's, by their keys."""
         chosen, title = self.descriptor.parameters, self.descriptor.title
         named = title in choices("descriptor") or is_fused(title)
         usual = option("descriptor", title if named else self.descriptor.name).values

@@ -14,11 +14,11 @@ from siamloc.results import read_results
 
 
 def measured_otherwise(folder: Path, protocol: Protocol, data: Mapping[str, Any], *, only_map: bool) -> list[str]:
-    """Return the keys by which the results in a folder are of other frames than those to be measured.
+    """Return the keys, such as "protocol.query", by which new results would be of other frames than those in a folder.
 
     Args:
-        folder: folder of the results; results that cannot be read are of no frames.
-        protocol: roles of the frames to be measured.
+        folder: folder of the earlier results; there is no difference from results that cannot be read.
+        protocol: roles of the frames of the new results.
         data: where these frames are, as plain values of `DataSettings`.
         only_map: whether only map frames are measured.
     """
@@ -33,7 +33,7 @@ def measured_otherwise(folder: Path, protocol: Protocol, data: Mapping[str, Any]
 
 
 def _frames(protocol: Protocol, data: Mapping[str, Any]) -> dict[str, Any]:
-    """Return what decides which frames are located in which map, by the keys that set it."""
+    """Return the settings that decide which frames are located in which map, by their keys."""
     values = {**protocol.plain(), "map": (protocol.train if protocol.map == Role() else protocol.map).plain()}
     wanted = {f"protocol.{key}": _sorted(value) for key, value in values.items() if key not in ("train", "validation")}
     reader = parameters_of(data["kind"]) if data else {}

@@ -81,8 +81,8 @@ def sweep_suffix(wanted: Choice | None = None) -> str:
 def own_folder(folder: Path, titles: Mapping[str, str], wanted: Choice) -> Path:
     """Return the folder of a job inside the folder that a sweep shares; outside sweeps, the shared folder itself.
 
-    Keys that already name the shared folder do not count: the run, and the choice of a descriptor or a build whose
-    title is not that of another choice.
+    Keys that the shared folder is named by do not count: the run, and the choice of a descriptor or a build, unless it
+    has a title of its own.
 
     Args:
         folder: folder that the jobs share.
@@ -104,11 +104,6 @@ def of_map(key: str) -> bool:
 def of_layer(key: str) -> bool:
     """Whether a coarse layer depends on a key of the command line."""
     return of_map(key) or _begins(key, ("build", "seed"))
-
-
-def of_results(key: str) -> bool:
-    """Whether a key has to be in the name of results; the distance already is."""
-    return key != "distance"
 
 
 def with_swept(name: str) -> str:

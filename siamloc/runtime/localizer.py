@@ -272,7 +272,8 @@ class Localizer:
         elif pose is not None or (tracker is not None and motion is not None):
             pose = _NOWHERE if pose is None else pose
             pose = pose if tracker is None else tracker.step(pose, motion)
-            covariance = _covariance(pose)
+            (xx, xy), (_, yy) = pose.covariance()[0].tolist()
+            covariance = None if math.isnan(xx) else ((xx, xy), (xy, yy))
         xy, theta = (
             (known.frames.xy[row], headings(known, query, found)[:, 0]) if pose is None else (pose.xy[0], pose.theta)
         )
@@ -371,9 +372,3 @@ def _check_motion(tracker: Tracker | None, motion: ArrayLike | None) -> None:
         checked(tracker, Tracker, "tracker")
     elif motion is not None:
         raise ConfigError("a motion says how a tracked robot moved: give the tracker of its drive, localizer.tracker()")
-
-
-def _covariance(pose: RefinedPoses) -> tuple[tuple[float, float], tuple[float, float]] | None:
-    """Return the covariance of one pose; None if it is unknown."""
-    (xx, xy), (_, yy) = pose.covariance()[0].tolist()
-    return None if math.isnan(xx) else ((xx, xy), (xy, yy))
