@@ -16,7 +16,7 @@ from foundation.calls import typed
 from siamloc.errors import DataError, hint
 from siamloc.simulate.floor_plans import Cell, Kind, Plan, draw_plan
 from siamloc.simulate.furnishing import USES, Room, furnish
-from siamloc.simulate.layout import SIDES, Building, Path, Rng, seeded
+from siamloc.simulate.layout import SIDES, Building, Rng, seeded
 from siamloc.simulate.parse import parse_building, read_building_file
 from siamloc.simulate.plan import blocked_points, check_paths
 from siamloc.simulate.route import FreeSpace, visits
@@ -262,8 +262,7 @@ def _paths(content: Entry, plan: Plan, seed: int, rng: Rng) -> Entry:
         if blocked_points(building, rounded(way)).any():
             raise DataError("the robot's way is too narrow")
         ways[name] = [[round(float(x), 3), round(float(y), 3)] for x, y in way]
-    paths = {name: Path(name, np.array(way)) for name, way in ways.items()}
-    check_paths(replace(building, paths=paths))
+    check_paths(replace(building, paths={name: np.array(way) for name, way in ways.items()}))
     return ways
 
 

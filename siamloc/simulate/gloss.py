@@ -23,25 +23,6 @@ _LIFT = 0.002
 
 
 @dataclass(frozen=True)
-class Reflections:
-    """The m rays that continue from a mirror, out of n rays.
-
-    Attributes:
-        rows: which of the n rays they continue (m,).
-        share: share of the light that the mirror throws back (m,), float32.
-        origins: points in metres just in front of the mirrors (m, 3), float32.
-        directions: unit vectors (m, 3), float32.
-        before: metres from the start of the ray to the mirror (m,), float32.
-    """
-
-    rows: Array
-    share: Array
-    origins: Array
-    directions: Array
-    before: Array
-
-
-@dataclass(frozen=True)
 class Gloss:
     """The surfaces of a building that reflect.
 
@@ -80,8 +61,10 @@ class Gloss:
         head_on[normals[:, 2] < lowest] = 0  # nobody polishes a ceiling
         return cls(head_on, polish, normals, *_panes(building))
 
-    def reflected(self, origins: Array, directions: Array, quad: Array, distance: Array, missed: Array) -> Reflections:
-        """Return how n rays continue.
+    def reflected(
+        self, origins: Array, directions: Array, quad: Array, distance: Array, missed: Array
+    ) -> tuple[Array, ...]:
+        """Find the m rays out of n that meet a mirror, and how they continue.
 
         Args:
             origins: starting points in metres (n, 3), float32.
@@ -89,6 +72,10 @@ class Gloss:
             quad: index of the quad hit (n,).
             distance: distance to the quad in metres (n,).
             missed: indices of the rays that hit nothing: they leave through a window.
+
+        Returns:
+            Which rays they are (m,), the share of the light that the mirror throws back (m,), the points in metres just
+            in front of the mirrors (m, 3), the new directions (m, 3), and the metres to the mirror (m,), all float32.
         """
         shiny = self.head_on.take(quad) > 0
         shiny[missed] = False
@@ -107,7 +94,7 @@ class Gloss:
         share = polish * schlick(head_on, np.abs(cosine[:, 0]))
         share[len(on) :] *= 2 / (1 + share[len(on) :])  # both faces of the panes, and all the ways between them
         points = origins.take(rows, axis=0) + before[:, None] * coming - _LIFT * np.sign(cosine) * normal
-        return Reflections(rows, share, points, coming - 2 * cosine * normal, before)
+        return rows, share, points, coming - 2 * cosine * normal, before
 
 
 def schlick(head_on: Array, cosine: Array) -> Array:

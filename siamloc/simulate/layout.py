@@ -1,4 +1,4 @@
-"""The parts of a building: rooms, openings, items and paths."""
+"""The parts of a building: rooms, openings and items."""
 
 from __future__ import annotations
 
@@ -41,6 +41,11 @@ class Rectangle(NamedTuple):
 
     x: Interval
     y: Interval
+
+    def corners(self) -> Array:
+        """Return the corners (4, 2), counter-clockwise from the one with the smallest coordinates."""
+        (x0, x1), (y0, y1) = self
+        return np.array([(x0, y0), (x1, y0), (x1, y1), (x0, y1)])
 
 
 class Side(NamedTuple):
@@ -250,19 +255,6 @@ class Room:
 
 
 @dataclass(frozen=True)
-class Path:
-    """A drive through a building as a polygon of waypoints.
-
-    Attributes:
-        name: "path1", "path2".
-        points: waypoints in metres (n, 2).
-    """
-
-    name: str
-    points: Array
-
-
-@dataclass(frozen=True)
 class Building:
     """A building as described by its file and its seed.
 
@@ -274,7 +266,7 @@ class Building:
         rooms: rooms by name.
         openings: doors, windows and panes.
         items: everything in the rooms.
-        paths: paths by name.
+        paths: waypoints in metres (n, 2) of the robot's drives, such as "path1", by name.
         part: COLD's part letter, "a" or "b".
         materials: "standard"; "drawn": the colours of its floors, walls and woods also follow from the seed; or
             "natural": so do grain, laid floors and wallpaper, and some floors, tables, mirrors and panes reflect.
@@ -287,7 +279,7 @@ class Building:
     rooms: dict[str, Room]
     openings: tuple[Opening, ...]
     items: tuple[Item, ...]
-    paths: dict[str, Path]
+    paths: dict[str, Array]
     part: str = "a"
     materials: str = "standard"
 

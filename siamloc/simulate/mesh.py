@@ -186,7 +186,7 @@ class MeshBuilder:
 
     def build(self) -> QuadMesh:
         """Return the mesh of all quads added so far."""
-        kinds = (np.int32, np.float64, np.float64, np.float32, np.float32, np.int32, np.float64)
+        kinds = (np.int32, np.float32, np.float32, np.float32, np.float32, np.int32, np.float64)
         columns = zip(*self._rows, strict=True)
         return QuadMesh(np.stack(self._corners), *map(np.array, columns, kinds))
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from siamloc.simulate.furnishing import draw_common, draw_entry, draw_size
 from siamloc.simulate.items import KINDS
-from siamloc.simulate.layout import SIDES, Array, Building, Item, Rectangle, Room, seeded
+from siamloc.simulate.layout import SIDES, Array, Building, Item, Room, seeded
 from siamloc.simulate.mesh import MeshBuilder
 from siamloc.simulate.plan import clearance, inside_item
 from siamloc.simulate.trajectory import rounded
@@ -105,7 +105,7 @@ class _Month:
         self.items = [
             replace(item, options={"number": number, **item.options}) for number, item in enumerate(building.items)
         ]
-        self.ways = np.concatenate([rounded(path.points)[::4] for path in building.paths.values()])
+        self.ways = np.concatenate([rounded(points)[::4] for points in building.paths.values()])
         self.changes: list[Change] = []
 
     def changed(self) -> Building:
@@ -242,7 +242,7 @@ class _Space:
         for opening in building.openings if not _flat(item) else ():
             if item.room in opening.rooms:
                 deep = _SWING if opening.passable else 0.1
-                self._corners.append(_rectangle(opening.doorway(-0.1, deep)))
+                self._corners.append(opening.doorway(-0.1, deep).corners())
                 self._rise.append((opening.bottom, opening.top))
 
     def holds(self, item: Item) -> bool:
@@ -261,11 +261,6 @@ def _overlap(one: Array, other: Array) -> bool:
         if a.max() < b.min() or b.max() < a.min():
             return False
     return True
-
-
-def _rectangle(box: Rectangle) -> Array:
-    """Return the corners (4, 2) of a rectangle."""
-    return np.array([(box.x[i], box.y[j]) for i, j in ((0, 0), (1, 0), (1, 1), (0, 1))])
 
 
 def _carried(chair: Item, table: Item, moved: Item) -> Item:

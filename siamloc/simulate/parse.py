@@ -18,7 +18,7 @@ from foundation.files import read_text
 from foundation.settings import Rule, Seed, Settings, complaint, default_of, fields_of
 from siamloc.errors import DataError, hint
 from siamloc.simulate.items import KINDS
-from siamloc.simulate.layout import HALF_WALL, SIDES, Building, Item, Opening, Path, Room, shared_wall
+from siamloc.simulate.layout import HALF_WALL, SIDES, Array, Building, Item, Opening, Room, shared_wall
 from siamloc.simulate.textures import SURFACES
 
 Metres = Annotated[float, Rule("a number", lambda value: abs(value) < 1e6)]
@@ -305,13 +305,13 @@ class _Parser:
             raise self.error(f"{what} {place} sticks out of the room, which is {room.height:.2f} m high")
         return item
 
-    def path(self, name: str, points: Any) -> Path:
+    def path(self, name: str, points: Any) -> Array:
         if not isinstance(points, list) or len(points) < 2:
             raise self.error(f"path {name!r} needs at least two points [x, y]")
         for point in points:
             if wrong := complaint(point, Pair):
                 raise self.error(f"path {name!r}: a point {wrong}")
-        return Path(name, np.array(points, dtype=np.float64))
+        return np.array(points, dtype=np.float64)
 
 
 class _Loader(yaml.SafeLoader):

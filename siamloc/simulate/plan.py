@@ -123,9 +123,9 @@ def check_paths(building: Building) -> None:
             point and the room.
     """
     segments, names = obstacles(building)
-    for path in building.paths.values():
-        what = f"{building.source}: path {path.name!r}"
-        moves = np.stack([path.points[:-1], path.points[1:]], axis=1)
+    for name, points in building.paths.items():
+        what = f"{building.source}: path {name!r}"
+        moves = np.stack([points[:-1], points[1:]], axis=1)
         hits = crossings(moves, segments)
         if hits.any():
             move, segment = np.argwhere(hits)[0]
@@ -134,6 +134,6 @@ def check_paths(building: Building) -> None:
                 f"{what} runs through {names[segment]} between ({x0:.2f}, {y0:.2f}) and "
                 f"({x1:.2f}, {y1:.2f}): move the point or open a door"
             )
-        for (x, y), stuck in zip(path.points, blocked_points(building, path.points), strict=True):
+        for (x, y), stuck in zip(points, blocked_points(building, points), strict=True):
             if stuck:
                 raise DataError(f"{what} leaves the free floor at ({x:.2f}, {y:.2f}), for a wall, an item or outside")

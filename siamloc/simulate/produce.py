@@ -252,7 +252,6 @@ def _description(config: SimulateConfig, building: Building, run: Run) -> dict[s
     """Describe the images of a sequence; equal descriptions mean equal bytes."""
     camera = CAMERAS[config.camera]
     layout = asdict(building)
-    layout["paths"] = {name: path.points for name, path in building.paths.items()}
     del layout["source"]
     if building.materials == "standard":
         del layout["materials"]

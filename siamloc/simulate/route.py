@@ -40,17 +40,14 @@ class FreeSpace:
         free = np.zeros(shape, np.uint8)
 
         def fill(points: Array, value: int) -> None:
-            pixels = (np.asarray(points) - self._origin) * (fine / _CELL) - 0.5
+            pixels = (points - self._origin) * (fine / _CELL) - 0.5
             cv2.fillPoly(free, [np.round(pixels * 16).astype(np.int32)], value, shift=4)
 
-        def box(x: Interval, y: Interval) -> Array:
-            return np.array([(x[0], y[0]), (x[1], y[0]), (x[1], y[1]), (x[0], y[1])])
-
         for room in building.rooms.values():
-            fill(box(*room.inner(0.02)), 255)
+            fill(room.inner(0.02).corners(), 255)
         for opening in building.openings:
             if opening.passable:
-                fill(box(*opening.doorway(0.03, 0.1)), 255)
+                fill(opening.doorway(0.03, 0.1).corners(), 255)
         for item in building.items:
             if KINDS[item.kind].blocks:
                 fill(item.footprint(0.02), 0)

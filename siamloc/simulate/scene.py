@@ -18,7 +18,7 @@ from siamloc.simulate.natural import natural_textures
 from siamloc.simulate.prints import print_textures
 from siamloc.simulate.run import Light, Run, RunState, draw_run
 from siamloc.simulate.shell import Lamp, add_shell, draw_style
-from siamloc.simulate.sky import Sky, make_sky
+from siamloc.simulate.sky import Sky, make_sky, sun_direction
 from siamloc.simulate.textures import TextureAtlas, base_textures, pattern_textures, recoloured, sample
 
 LOOKS = 6
@@ -30,8 +30,6 @@ class Surfaces:
 
     Attributes:
         mesh: the Q quads.
-        repeat: how often the texture repeats along the first and the last edge (Q, 2).
-        phase: position of the first corner in the texture (Q, 2).
         normals: unit normals on the visible side (Q, 3).
         texels: texels per metre in the largest copy of the quad's texture (Q,).
         emission: radiosity that the quad emits where its texture is white, with the lamps as they are lit (Q, 3).
@@ -39,8 +37,6 @@ class Surfaces:
     """
 
     mesh: QuadMesh
-    repeat: Array
-    phase: Array
     normals: Array
     texels: Array
     emission: Array
@@ -52,8 +48,7 @@ class Surfaces:
         stretched = 256 / np.sqrt(np.maximum(mesh.size[:, 0] * mesh.size[:, 1], 1e-8))
         texel = atlas.texel[mesh.texture]
         texels = np.where(np.isnan(texel), stretched, 1 / np.where(np.isnan(texel), 1, texel))
-        repeat, phase, normals, texels = map(single, (mesh.repeat, mesh.phase, mesh.normals, texels))
-        return cls(mesh, repeat, phase, normals, texels, mesh.emission, mesh.emission.max(axis=1) > 0)
+        return cls(mesh, single(mesh.normals), single(texels), mesh.emission, mesh.emission.max(axis=1) > 0)
 
     def lit(self, lamps: Array) -> Surfaces:
         """Return the same surfaces with the lamps of the R rooms lit at the given radiosities (R, 3)."""
@@ -72,7 +67,7 @@ class Surfaces:
             smooth: whether textures are interpolated; otherwise the nearest texel counts.
         """
         s, t = np.clip(s, 0, 0.99999), np.clip(t, 0, 0.99999)
-        phase, repeat = self.phase.take(quad, axis=0), self.repeat.take(quad, axis=0)
+        phase, repeat = self.mesh.phase.take(quad, axis=0), self.mesh.repeat.take(quad, axis=0)
         u = phase[:, 0] + s * repeat[:, 0]
         v = phase[:, 1] + t * repeat[:, 1]
         level = np.log2(np.maximum(footprint * self.texels.take(quad), 1.0))
@@ -145,7 +140,7 @@ class Scene:
         building, people = self.building, []
         index = _textures(building.name, building.seed, building.materials)[1]
         for look in range(LOOKS):
-            builder = MeshBuilder(dict(index))
+            builder = MeshBuilder(index)
             size = (0.5, 0.4, 1.62 + 0.05 * look)
             standing = Item("person", 0.0, 0.0, 0.0, size, 0.0, next(iter(building.rooms)))
             add_items(builder, replace(building, name=f"{building.name} walker {look}"), [standing])
@@ -185,9 +180,10 @@ class Scene:
         hits = self._hits(origins, directions, spread, smooth, 0.0)
         if self.gloss is None:
             return hits
-        found = self.gloss.reflected(origins, directions, hits.quad, hits.distance, hits.missed)
-        mirrored = self._hits(found.origins, found.directions, spread[found.rows], smooth, found.before)
-        return replace(hits, mirrored=(found.rows, found.share[:, None], mirrored))
+        met = self.gloss.reflected(origins, directions, hits.quad, hits.distance, hits.missed)
+        rows, share, points, away, before = met
+        mirrored = self._hits(points, away, spread[rows], smooth, before)
+        return replace(hits, mirrored=(rows, share[:, None], mirrored))
 
     def _hits(self, origins: Array, directions: Array, spread: Array, smooth: bool, before: Array | float) -> Hits:
         """Return what rays hit that have gone some metres before, without what they mirror."""
@@ -282,7 +278,7 @@ def built(state: RunState) -> tuple[QuadMesh, list[Lamp]]:
         DataError: an item is too small for its parts.
     """
     building = state.building
-    builder = MeshBuilder(dict(_textures(building.name, building.seed, building.materials)[1]))
+    builder = MeshBuilder(_textures(building.name, building.seed, building.materials)[1])
     style = draw_style(seeded(building.seed, building.name, "style"), building.materials)
     lamps = add_shell(builder, building, state.fixtures, style)
     add_items(builder, building, state.items)
@@ -295,8 +291,8 @@ def relit(scene: Scene, light: Light) -> Scene:
     building, transport, mesh = scene.building, scene.transport, scene.surfaces.mesh
     rng, clouds = (seeded(building.seed, building.name, key, light.lighting, light.number) for key in ("light", "sky"))
     view = seeded(building.seed, building.name, "view")
-    where = light.hour, building.north, light.declination
-    sky = make_sky(light.lighting, clouds, view, *where, transport.detail.sky, light.overcast)
+    sun = sun_direction(light.hour, building.north, light.declination)
+    sky = make_sky(light.lighting, clouds, view, sun, transport.detail.sky, light.overcast)
     on = [replace(lamp, radiosity=light.lamps_on[lamp.room]) for lamp in scene.lamps if lamp.room in light.lamps_on]
     baked = transport.bake(scene.atlas.mean[mesh.texture] * mesh.tint, on, sky, rng)
     lamps = np.array([light.lamps_on.get(name, (0.0, 0.0, 0.0)) for name in building.rooms])

@@ -70,25 +70,14 @@ def overcast(hour: float, declination: float) -> float:
     return now / noon
 
 
-def make_sky(
-    lighting: str,
-    rng: Rng,
-    view: Rng,
-    hour: float,
-    north: float,
-    declination: float,
-    rows: int = 512,
-    brightness: float = 1.0,
-) -> Sky:
+def make_sky(lighting: str, rng: Rng, view: Rng, sun: Array, rows: int = 512, brightness: float = 1.0) -> Sky:
     """Paint the world outside.
 
     Args:
         lighting: "cloudy", "night" or "sunny".
         rng: draws clouds and brightness, different in every run.
         view: draws trees and houses, the same in every run of a building.
-        hour: solar time in hours.
-        north: direction of north in degrees counter-clockwise from +x.
-        declination: declination of the sun in degrees.
+        sun: unit vector towards the sun (3,), as `sun_direction` returns it.
         rows: number of rows of the image; it has four times as many columns.
         brightness: factor on the brightness of a cloudy sky, as `overcast` returns it.
     """
@@ -96,7 +85,6 @@ def make_sky(
     elevation = (0.5 - (np.arange(rows) + 0.5) / rows) * np.pi
     azimuth = (np.arange(columns) + 0.5) / columns * 2 * np.pi
     height = np.sin(elevation)[:, None, None]
-    sun = sun_direction(hour, north, declination)
     sun_radiosity = np.zeros(3)
     if lighting == "night":
         sky = single((0.006, 0.008, 0.016)) + single((0.05, 0.035, 0.02)) * np.exp(-8 * np.abs(height))

@@ -11,7 +11,7 @@ import numpy as np
 from siamloc.data.cold import read_list
 from siamloc.data.names import NamedPose, format_name
 from siamloc.errors import ConfigError, DataError, hint
-from siamloc.simulate.layout import Array, Building, Path, Rng
+from siamloc.simulate.layout import Array, Building, Rng
 from siamloc.simulate.plan import blocked_points, clearance, crossings, obstacles, room_at, room_codes
 from siamloc.simulate.shell import leaf_segment
 
@@ -72,8 +72,8 @@ def drive(building: Building, path: str, spacing: float, rng: Rng, start: float)
     """
     if path not in building.paths:
         raise ConfigError(f"building {building.name!r} has no path {path!r}; {hint(path, [*building.paths, *GRIDS])}")
-    even = rounded(building.paths[path].points)
-    _check_rounded(building, building.paths[path], even)
+    even = rounded(building.paths[path])
+    _check_rounded(building, path, even)
     line = _shifted(building, even, rng)
     heading = _headings(line) + np.radians(4) * _wander(rng, len(line), 1.5)
     steps = np.linalg.norm(np.diff(line, axis=0), axis=1)
@@ -184,14 +184,14 @@ def rounded(points: Array) -> Array:
     return resampled(points, _STEP)
 
 
-def _check_rounded(building: Building, path: Path, line: Array) -> None:
-    stuck = np.flatnonzero(blocked_points(building, line))
+def _check_rounded(building: Building, path: str, line: Array) -> None:
+    stuck, points = np.flatnonzero(blocked_points(building, line)), building.paths[path]
     if len(stuck):
         x, y = line[stuck[0]]
-        corner = int(np.argmin(np.linalg.norm(path.points - line[stuck[0]], axis=1)))
-        room = room_codes(building, path.points[corner : corner + 1])[0]
+        corner = int(np.argmin(np.linalg.norm(points - line[stuck[0]], axis=1)))
+        room = room_codes(building, points[corner : corner + 1])[0]
         raise DataError(
-            f"{building.source}: rounding the corners of path {path.name!r} leads into a wall or furniture of "
+            f"{building.source}: rounding the corners of path {path!r} leads into a wall or furniture of "
             f"room {room!r} at ({x:.2f}, {y:.2f}): add points around it"
         )
 

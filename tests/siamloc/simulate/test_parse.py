@@ -52,7 +52,7 @@ def test_a_file_is_read(tmp_path: Path) -> None:
     assert desk.x == pytest.approx(0.06 + KINDS["desk"].size[1] / 2)
     assert desk.facing == 0.0
     np.testing.assert_allclose(desk.footprint().min(axis=0), [0.06, 3.7])
-    np.testing.assert_array_equal(building.paths["path1"].points, [[1, 1], [2.5, 1], [2.5, 4]])
+    np.testing.assert_array_equal(building.paths["path1"], [[1, 1], [2.5, 1], [2.5, 4]])
 
 
 @pytest.mark.parametrize(
@@ -110,9 +110,9 @@ def test_unknown_buildings_and_files(tmp_path: Path) -> None:
 def test_built_in_buildings_are_possible(name: str) -> None:
     building = load_building(name)
     segments, _ = obstacles(building)
-    for path in building.paths.values():
-        assert clearance(path.points, segments).min() > 0.2
-        assert "" not in room_codes(building, path.points)
-    assert set(room_codes(building, building.paths["path2"].points)) == set(building.codes)
+    for points in building.paths.values():
+        assert clearance(points, segments).min() > 0.2
+        assert "" not in room_codes(building, points)
+    assert set(room_codes(building, building.paths["path2"])) == set(building.codes)
     nine = {"1PO-A", "2PO1-A", "2PO2-A", "CR-A", "KT-A", "LO-A", "PA-A", "ST-A", "TL-A"}
     assert name != "freiburg_like" or set(building.codes) == nine

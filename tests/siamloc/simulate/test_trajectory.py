@@ -11,7 +11,7 @@ import pytest
 from siamloc.data.names import parse_name
 from siamloc.errors import ConfigError, DataError
 from siamloc.simulate import Run
-from siamloc.simulate.layout import Building, Path
+from siamloc.simulate.layout import Building
 from siamloc.simulate.plan import blocked_points, clearance, crossings, obstacles
 from siamloc.simulate.run import DAY, draw_run
 from siamloc.simulate.shell import leaf_segment
@@ -95,7 +95,8 @@ def test_hours_dim_a_cloudy_sky_and_leave_the_rest(mini: Building) -> None:
     assert (noon.light.hour, noon.light.overcast, drawn.light.overcast) == (12, 1.0, 1.0)
     assert 0.1 < late.light.overcast < 0.4
     assert min(sun_direction(hour, 0, day)[2] for hour in DAY for day in (-10, 0)) > 0.02, "the sun is up by day"
-    outside = [make_sky("cloudy", *map(np.random.default_rng, (0, 1)), 12, 0, 0, 16, level) for level in (1.0, 0.5)]
+    rngs, sun = (0, 1), sun_direction(12, 0, 0)
+    outside = [make_sky("cloudy", *map(np.random.default_rng, rngs), sun, 16, level) for level in (1.0, 0.5)]
     np.testing.assert_allclose(outside[1].image, 0.5 * outside[0].image, rtol=1e-5)
 
 
@@ -141,7 +142,7 @@ def test_bad_paths(mini: Building) -> None:
 
 
 def test_corners_that_cannot_be_rounded(mini: Building) -> None:
-    corner = Path("path1", np.array([[0.3, 3.6], [0.3, 6.4], [2.6, 6.4]]))
+    corner = np.array([[0.3, 3.6], [0.3, 6.4], [2.6, 6.4]])
     desk = replace(mini.items[0], kind="desk", x=0.55, y=6.15, facing=0.0, size=(0.3, 0.3, 0.7), room="office_west")
     tight = replace(mini, paths={"path1": corner}, items=(desk,))
     with pytest.raises(DataError, match=r": rounding the corners of path 'path1' .* of room '1PO-A' at"):
