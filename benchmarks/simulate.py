@@ -23,7 +23,7 @@ from siamloc.simulate.rendering import frames, meter
 def bare_loop(building: str, camera: str, repeats: int = 20) -> float:
     """Return the CPU seconds needed to cast the primary rays of one image."""
     scene = build_scene(load_building(building, 0), Run("cloudy", 1))
-    directions = CAMERAS[camera].pixels().directions[0]
+    directions = CAMERAS[camera].pixels.directions[0]
     x, y, _ = scene.state.track.poses[0]
     origins = np.tile(np.array([x, y, HEIGHT], dtype=np.float32), (len(directions), 1))
     begin = time.process_time()

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from typing import ClassVar, Literal
 
 import cv2
@@ -58,9 +58,13 @@ class PanoramaCamera:
         """Rows and columns of the image."""
         return self.view.height, self.view.width
 
+    @cached_property
     def pixels(self) -> Pixels:
-        """Return all pixels of the image."""
-        return _panorama_pixels(self.view)
+        """All pixels of the image."""
+        rows, columns = (grid.ravel() for grid in np.mgrid[0 : self.view.height, 0 : self.view.width])
+        camera = panorama(self.view)
+        directions = [camera.directions(*offset).reshape(-1, 3) for offset in OFFSETS]
+        return Pixels(rows, columns, single(directions), camera.spread, _vignette(directions[0]))
 
     def displacement(self, moves: Array, points: Array) -> tuple[Array, Array]:
         """Return how many columns and rows points (n, 3) in m shift in the image if they move by `moves` (n, 3)."""
@@ -93,9 +97,25 @@ class OmnidirectionalCamera:
         """Whether the left edge continues at the right one."""
         return bool(getattr(self.model, "wraps", False))
 
+    @cached_property
     def pixels(self) -> Pixels:
-        """Return the pixels that show anything, of a mirror those of its ring."""
-        return _pixels_of(self)
+        """The pixels that show anything, of a mirror those of its ring."""
+        model, (height, width) = self.model, self.shape
+        rows, columns = (grid.ravel() for grid in np.mgrid[0:height, 0:width])
+        if isinstance(model, HyperbolicMirror):
+            radius = np.hypot(columns - model.cx, rows - model.cy)
+            keep = (radius <= _RIM) & (radius >= _BODY)
+            rows, columns = rows[keep], columns[keep]
+
+        def seen_at(dx: float, dy: float) -> Array:
+            return model.back_project(np.stack([columns + dx, rows + dy], axis=1), self.shape)
+
+        directions = np.stack([seen_at(*offset) for offset in OFFSETS])
+        seen = np.isfinite(directions).all(axis=(0, 2))
+        corner, directions = seen_at(0.5, 0.5)[seen], directions[:, seen]
+        spread = single(np.sqrt(2) * np.linalg.norm(np.nan_to_num(corner - directions[0]), axis=1))
+        light = _vignette(directions[0]) if isinstance(model, HyperbolicMirror) else np.ones_like(spread)
+        return Pixels(rows[seen], columns[seen], single(directions), spread, light)
 
     def displacement(self, moves: Array, points: Array) -> tuple[Array, Array]:
         """Return how many columns and rows points (n, 3) in m shift in the image if they move by `moves` (n, 3)."""
@@ -108,43 +128,6 @@ Camera = PanoramaCamera | OmnidirectionalCamera
 CameraName = Literal["omnidirectional", "panorama"]
 #: The cameras of data sets.
 CAMERAS: dict[str, Camera] = {"omnidirectional": OmnidirectionalCamera(), "panorama": PanoramaCamera()}
-
-
-@lru_cache(maxsize=4)
-def _panorama_pixels(view: PanoramaView) -> Pixels:
-    rows, columns = (grid.ravel() for grid in np.mgrid[0 : view.height, 0 : view.width])
-    middle = view.directions().reshape(-1, 3)
-    high, low = np.tan(np.radians([view.top, view.bottom]))
-    directions = [middle]
-    for dx, dy in OFFSETS[1:]:
-        azimuth = -(columns + dx + 0.5 - view.width / 2) * (2 * np.pi / view.width)
-        slope = high + (rows + dy + 0.5) / view.height * (low - high)
-        direction = np.stack([np.cos(azimuth), np.sin(azimuth), slope], axis=1)
-        directions.append(direction / np.linalg.norm(direction, axis=1, keepdims=True))
-    spread = (2 * np.pi / view.width) * np.cos(np.arcsin(middle[:, 2]))
-    return Pixels(rows, columns, single(directions), spread.astype(np.float32), _vignette(middle))
-
-
-@lru_cache(maxsize=4)
-def _pixels_of(camera: OmnidirectionalCamera) -> Pixels:
-    model, (height, width) = camera.model, camera.shape
-    rows, columns = (grid.ravel() for grid in np.mgrid[0:height, 0:width])
-    if isinstance(model, HyperbolicMirror):
-        radius = np.hypot(columns - model.cx, rows - model.cy)
-        keep = (radius <= _RIM) & (radius >= _BODY)
-        rows, columns = rows[keep], columns[keep]
-
-    def seen_at(dx: float, dy: float) -> Array:
-        return model.back_project(np.stack([columns + dx, rows + dy], axis=1), camera.shape)
-
-    directions = [seen_at(dx, dy) for dx, dy in OFFSETS]
-    seen = np.isfinite(np.stack(directions)).all(axis=(0, 2))
-    corner = seen_at(0.5, 0.5)[seen]
-    rows, columns = rows[seen], columns[seen]
-    directions = [direction[seen] for direction in directions]
-    spread = np.sqrt(2) * np.linalg.norm(np.nan_to_num(corner - directions[0]), axis=1)
-    light = _vignette(directions[0]) if isinstance(model, HyperbolicMirror) else np.ones(len(rows), dtype=np.float32)
-    return Pixels(rows, columns, single(directions), spread.astype(np.float32), light)
 
 
 def _vignette(directions: Array) -> Array:
@@ -227,12 +210,9 @@ def panorama(view: PanoramaView, bend: float = 1.0) -> ViewCamera:
     def directions(across: float, down: float) -> Array:
         azimuth = -(np.arange(columns) + across + 0.5 - columns / 2) * (2 * np.pi / columns)
         slope = high + ((np.arange(rows) + down + 0.5) / rows) ** bend * (low - high)
-        flat = 1 / np.sqrt(1 + slope**2)
-        found = np.empty((rows, columns, 3))
-        found[..., 0] = np.cos(azimuth) * flat[:, None]
-        found[..., 1] = np.sin(azimuth) * flat[:, None]
-        found[..., 2] = (slope * flat)[:, None]
-        return found
+        flat = (1 / np.sqrt(1 + slope**2))[:, None]
+        axes = np.broadcast_arrays(np.cos(azimuth) * flat, np.sin(azimuth) * flat, slope[:, None] * flat)
+        return np.stack(axes, axis=-1)
 
     spread = 2 * np.pi / columns * np.linalg.norm(directions(0, 0)[:, 0, :2], axis=1)
     return ViewCamera(rows, columns, directions, spread.astype(np.float32).repeat(columns), wraps=True)

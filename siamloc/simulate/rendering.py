@@ -73,7 +73,7 @@ def meter(scene: Scene, track: Track) -> Exposure:
 
 def frames(scene: Scene, track: Track, camera: Camera, exposure: Exposure, rows: Iterable[int]) -> Iterator[Array]:
     """Yield the images (rows, columns, 3) uint8 of the frames in `rows`; each depends only on its own frame."""
-    pixels = camera.pixels()
+    pixels = camera.pixels
     quiet = 0.75 if camera.wraps else 1.0
     for row in rows:
         x, y, theta = track.poses[row]
@@ -95,7 +95,7 @@ def turned(directions: Array, theta: float) -> Array:
 
 def _look(scene: Scene, camera: Camera, x: float, y: float, theta: float, time: float) -> tuple[Array, Array]:
     """Return the light (n, 3) and the distance (n,) of a camera's pixels, with smoothed edges."""
-    pixels = camera.pixels()
+    pixels = camera.pixels
     eye = np.array([x, y, HEIGHT], dtype=np.float32)
     main = turned(pixels.directions[0], theta)
     light, distance, quad = _cast(scene, eye, main, pixels.spread, time)
@@ -111,7 +111,7 @@ def _look(scene: Scene, camera: Camera, x: float, y: float, theta: float, time: 
 
 def _edges(camera: Camera, quad: Array) -> Array:
     """Return True for the pixels (n,) that see a different quad from a neighbour."""
-    pixels = camera.pixels()
+    pixels = camera.pixels
     image = np.full(camera.shape, -2, dtype=np.int64)
     image[pixels.rows, pixels.columns] = quad
     differs = np.zeros(camera.shape, dtype=bool)
@@ -157,7 +157,7 @@ def _motion(image: Array, camera: Camera, distance: Array, speed: float, turn_ra
     """Blur an image by the robot's motion while the shutter is open."""
     if abs(turn_rate) * seconds < 0.002 and abs(speed) * seconds < 0.002:
         return image
-    pixels = camera.pixels()
+    pixels = camera.pixels
     reach = np.minimum(distance, 50.0)[:, None]
     points = pixels.directions[0] * reach
     moves = np.zeros_like(points)
