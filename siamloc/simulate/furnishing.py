@@ -159,9 +159,10 @@ class Room:
             rise = (window["sill"] - 0.05, window["head"])
             self._hung[window["wall"]].append(((at - half - 0.08, at + half + 0.08), rise))
 
-    def span(self, side: str) -> Interval:
-        """Return the start and end of a wall in metres, along the axis of the wall; `side` is a key of `SIDES`."""
-        return SIDES[side].span(self)
+    def spot(self, rng: Rng) -> tuple[str, float]:
+        """Draw a spot at a wall: a key of `SIDES`, and the coordinate along the wall in metres."""
+        side = str(rng.choice(list(SIDES)))
+        return side, rng.uniform(*SIDES[side].span(self))
 
     def _against(self, side: str, along: Interval, deep: float) -> Rectangle:
         """Return the rectangle between two ends along a wall that reaches `deep` metres into the room."""
@@ -186,7 +187,7 @@ class Room:
         w, d, h = size
         ends = (at - w / 2, at + w / 2)
         box = self._against(side, ends, d)
-        low, high = self.span(side)
+        low, high = SIDES[side].span(self)
         if h > self.height - 0.05 or not self._free(box) or ends[0] < low or ends[1] > high:
             return False
         near = (one for one in self.windows if one["wall"] == side and abs(one["at"] - at) < (one["width"] + w) / 2)
@@ -240,7 +241,7 @@ class Room:
 
     def bare(self, side: str, at: float, size: Size, z: float) -> bool:
         """Return whether there is space for an item to hang on a wall; arguments as for `hang`."""
-        (low, high), (across, upright) = self.span(side), self._on_the_wall(at, size, z)
+        (low, high), (across, upright) = SIDES[side].span(self), self._on_the_wall(at, size, z)
         if across[0] < low or across[1] > high or upright[1] > self.height - 0.05:
             return False
         return not any(
@@ -269,10 +270,7 @@ def furnish(room: Room, style: Rng, rng: Rng, density: float) -> list[Entry]:
     use = USES[room.cell.use]
     common = draw_common(style)
     for kind in use.needs.split():
-        for _ in range(24):
-            side = str(rng.choice(list(SIDES)))
-            if _along_a_wall(room, kind, side, float(rng.uniform(*room.span(side))), common, rng):
-                break
+        any(_along_a_wall(room, kind, *room.spot(rng), common, rng) for _ in range(24))
     area = room.cell.area
     if use.middle and area > 9:
         for _ in range(max(1, round(area / 14 * density))):
@@ -281,10 +279,7 @@ def furnish(room: Room, style: Rng, rng: Rng, density: float) -> list[Entry]:
     for number in range(max(1, round(length / 10 * use.density * density))):
         # The most characteristic item of the room comes first.
         kind = use.walls.split()[0] if number == 0 else str(rng.choice(use.walls.split()))
-        for _ in range(6):
-            side = str(rng.choice(list(SIDES)))
-            if _along_a_wall(room, kind, side, float(rng.uniform(*room.span(side))), common, rng):
-                break
+        any(_along_a_wall(room, kind, *room.spot(rng), common, rng) for _ in range(6))
     for window in room.windows:
         if window["sill"] > 0.55 and rng.random() < 0.6:
             size = (min(window["width"], 1.6), 0.1, min(0.55, window["sill"] - 0.2))
@@ -297,9 +292,7 @@ def furnish(room: Room, style: Rng, rng: Rng, density: float) -> list[Entry]:
                 room.hang(window["wall"], at, size, low, {"kind": "curtain", "colour": common["colour"]})
     names = f"{use.hung} {use.usual}".split()
     for _ in range(round(length / 10 * rng.uniform(2.0, 7.0) * density) if names else 0):
-        kind = str(rng.choice(names))
-        side = str(rng.choice(list(SIDES)))
-        _on_a_wall(room, kind, side, float(rng.uniform(*room.span(side))), rng)
+        _on_a_wall(room, str(rng.choice(names)), *room.spot(rng), rng)
     return room.items
 
 

@@ -15,12 +15,7 @@ _FREE = np.float32(0.999)  # share of the way to a surface that must be free: th
 
 
 def visual_overlap(
-    mesh: QuadMesh,
-    caster: Caster,
-    eyes: Array,
-    rays: int = 32,
-    headings: Array | None = None,
-    field: float = 2 * np.pi,
+    mesh: QuadMesh, caster: Caster, eyes: Array, rays: int = 32, headings: Array | None = None, field: float = 2 * np.pi
 ) -> Array:
     """Estimate the visual overlap of every two of P images, which have the elevations of `PanoramaView`.
 

@@ -282,11 +282,9 @@ def _blinds(building: Building, lighting: str, rng: Rng) -> dict[int, float]:
     for index, opening in enumerate(building.openings):
         if opening.kind != "window":
             continue
-        share = float(usual.choice([0.0, 0.0, 0.12, 0.25]))
-        drawn, changed = float(rng.uniform(0.1, 0.6)), rng.random()
-        if changed < {"cloudy": 0.05, "night": 0.2, "sunny": 0.7}[lighting]:
-            share = drawn
-        blinds[index] = share
+        share, drawn = float(usual.choice([0.0, 0.0, 0.12, 0.25])), rng.uniform(0.1, 0.6)
+        changed = rng.random() < {"cloudy": 0.05, "night": 0.2, "sunny": 0.7}[lighting]
+        blinds[index] = drawn if changed else share
     return blinds
 
 
@@ -297,8 +295,7 @@ def _lamps_on(building: Building, lighting: str, rng: Rng) -> dict[str, Colour]:
         windows = _has_window(building, room)
         by_day = usual.random() < (0.97 if windows else 1.0)
         change, warmth, level = rng.random(), usual.uniform(0.0, 1.0), usual.uniform(0.85, 1.15)
-        on = {"night": True, "cloudy": by_day, "sunny": change < 0.06 or not windows}[lighting]
-        if on:
+        if {"night": True, "cloudy": by_day, "sunny": change < 0.06 or not windows}[lighting]:
             lamps[room.name] = _lamp_light(room, level, warmth)
     return lamps
 

@@ -129,23 +129,22 @@ def _wall(b: MeshBuilder, building: Building, room: Room, side: str, fixtures: F
     with b.at(x, y, 0, wall.facing - 90):
         cursor = -half
         for index, opening in sorted(building.openings_in(room, side), key=lambda found: sign * found[1].centre):
-            left, right = sorted(sign * (end - middle) for end in opening.interval)
+            left, right = x = sorted(sign * (end - middle) for end in opening.interval)
             _piece(b, room, (cursor, left), (0, room.height), style)
-            _piece(b, room, (left, right), (0, opening.bottom), style)
-            _piece(b, room, (left, right), (opening.top, room.height), style)
+            _piece(b, room, x, (0, opening.bottom), style)
+            _piece(b, room, x, (opening.top, room.height), style)
             if opening.kind == "window":
-                _window(b, left, right, opening, fixtures.blinds.get(index, 0.0))
+                _window(b, x, opening, fixtures.blinds[index])
             else:
-                _doorway(b, room, left, right, opening, style)
+                _doorway(b, room, x, opening, style)
                 if opening.kind in ("leaf", "glass") and opening.into == room.name:
-                    hinge_left, angle = (opening.hinge == "low") == (sign > 0), fixtures.door_angles.get(index, 0.0)
-                    leaf = style.leaves[index % len(style.leaves)]
-                    _leaf(b, left, right, opening, hinge_left, angle, leaf, style.frame)
+                    hinge_left, angle = (opening.hinge == "low") == (sign > 0), fixtures.door_angles[index]
+                    _leaf(b, x, opening, hinge_left, angle, style.leaves[index % len(style.leaves)], style.frame)
             cursor = right
         _piece(b, room, (cursor, half), (0, room.height), style)
 
 
-def _piece(b: MeshBuilder, room: Room, x: tuple[float, float], z: tuple[float, float], style: Style) -> None:
+def _piece(b: MeshBuilder, room: Room, x: Point, z: Point, style: Style) -> None:
     low = z[0]
     if low < SKIRTING < z[1]:
         _panel(b, x, (low, SKIRTING), 0, "plain", style.skirting)
@@ -167,9 +166,9 @@ def _reveal(b: MeshBuilder, x: Point, z: Point, depth: float, texture: str, tint
     b.quad((x0, y, z0), (x1, y, z0), (x1, 0, z0), (x0, 0, z0), *sill)
 
 
-def _window(b: MeshBuilder, left: float, right: float, opening: Opening, blind: float) -> None:
-    z0, z1 = opening.bottom, opening.top
-    _reveal(b, (left, right), (z0, z1), OUTER_WALL, "paint", (1, 1, 1))
+def _window(b: MeshBuilder, x: Point, opening: Opening, blind: float) -> None:
+    (left, right), z0, z1 = x, opening.bottom, opening.top
+    _reveal(b, x, (z0, z1), OUTER_WALL, "paint", (1, 1, 1))
     width, height = right - left, z1 - z0
     y0, y1 = -0.22, -0.16
     white, bar = (0.9, 0.9, 0.9), 0.05
@@ -191,9 +190,9 @@ def _window(b: MeshBuilder, left: float, right: float, opening: Opening, blind: 
         b.box((left + 0.01, -0.115, bottom - 0.03), (right - 0.01, -0.09, bottom), "metal")
 
 
-def _doorway(b: MeshBuilder, room: Room, left: float, right: float, opening: Opening, style: Style) -> None:
-    z0, z1 = opening.bottom, opening.top
-    _reveal(b, (left, right), (z0, z1), HALF_WALL, "plain", style.frame, room.floor)
+def _doorway(b: MeshBuilder, room: Room, x: Point, opening: Opening, style: Style) -> None:
+    (left, right), z0, z1 = x, opening.bottom, opening.top
+    _reveal(b, x, (z0, z1), HALF_WALL, "plain", style.frame, room.floor)
     if opening.kind == "open" and opening.width > 1.6:
         return
     c, out = _CASING, 0.03
@@ -205,20 +204,12 @@ def _doorway(b: MeshBuilder, room: Room, left: float, right: float, opening: Ope
         if opening.rooms[0] == room.name:
             count = max(1, round((right - left) / 0.9))
             for i in range(1, count):
-                x = left + (right - left) * i / count
-                b.box((x - 0.025, -0.085, z0), (x + 0.025, -0.035, z1), "plain", style.frame)
+                middle = left + (right - left) * i / count
+                b.box((middle - 0.025, -0.085, z0), (middle + 0.025, -0.035, z1), "plain", style.frame)
 
 
-def _leaf(
-    b: MeshBuilder,
-    left: float,
-    right: float,
-    opening: Opening,
-    hinge_left: bool,
-    angle: float,
-    leaf: Any,
-    frame: Colour,
-) -> None:
+def _leaf(b: MeshBuilder, x: Point, opening: Opening, hinge_left: bool, angle: float, leaf: Any, frame: Colour) -> None:
+    left, right = x
     width = right - left - 0.02
     with b.at(left + 0.01 if hinge_left else right - 0.01, 0, 0, angle if hinge_left else -angle):
         x0, x1 = (0.0, width) if hinge_left else (-width, 0.0)
