@@ -54,12 +54,13 @@ def pretrain(
         run: folder of the run, a new or empty one.
         views: how many random buildings, drives, lights and poses are rendered, and by which cameras; the defaults of
             `ViewSettings` if None.
-        loss: (descriptors (N, D), `Origins`) -> scalar; that of `RECIPE` if None.
-        augmentation: augmentation of the images, as for `siamloc.training.fit`; that of `RECIPE` if None.
+        loss: (descriptors (N, D), `Origins`) -> scalar; the loss of `RECIPE` if None.
+        augmentation: augmentation of the images, as for `siamloc.training.fit`; the augmentation of
+            `RECIPE` if None.
         trainer: further arguments of `lightning.Trainer`, as for `siamloc.training.fit`.
         resume: continue from the last checkpoint of the run.
         overwrite: replace a run: files that siamloc wrote into the folder are removed, all other files stay.
-        settings: all fields of `siamloc.training.Training` together; those of `RECIPE` if None.
+        settings: all fields of `siamloc.training.Training` together; the settings of `RECIPE` if None.
         changes: single fields of the settings to replace; `pairs` and `optimizer` are changed key by key.
 
     Returns:

@@ -123,7 +123,7 @@ def _drawn(seed: int, rng: Rng, kind: Kind, attempt: int) -> Entry:
     materials = _materials(rng)
     windows = _window_style(rng, plan.height)
     if kind in ("workshop", "hall"):  # the windows of a high room reach up
-        windows["head"] = round(max(windows["head"], plan.height * float(rng.uniform(0.5, 0.9))), 2)
+        windows["head"] = round(max(windows["head"], plan.height * rng.uniform(0.5, 0.9)), 2)
     density = float(rng.choice(_DENSITIES[kind]))
     if kind != "office":  # crowded rooms often leave no way
         density *= 0.9**attempt
@@ -147,7 +147,7 @@ def _drawn(seed: int, rng: Rng, kind: Kind, attempt: int) -> Entry:
     content: Entry = {
         "name": f"random_{seed}",
         "materials": "drawn",
-        "north": round(float(rng.uniform(0, 360)), 1),
+        "north": round(rng.uniform(0, 360), 1),
         "height": round(plan.height, 2),
         "rooms": rooms,
         "doors": doors,
@@ -163,7 +163,7 @@ def _materials(rng: Rng) -> Any:
     white = rng.random() < 0.65
     common = _paint(rng) if not white else [round(float(v), 2) for v in rng.uniform(0.88, 1.0, 3)]
     panels = str(rng.choice(["panelling", "tiles_wall", "wood", "stripes"]))
-    wainscot = [panels, round(float(rng.uniform(0.8, 1.5)), 2)]
+    wainscot = [panels, round(rng.uniform(0.8, 1.5), 2)]
     everywhere = rng.random() < 0.18
     floors: dict[str, str] = {}
     own = rng.random() < 0.25  # every room has its own colour
@@ -179,7 +179,7 @@ def _materials(rng: Rng) -> Any:
         entry["paint"] = _paint(rng) if own or rng.random() < 0.1 else common
         if use.removeprefix("home_") in ("toilet", "bath", "kitchen") and rng.random() < 0.7:
             tiles = str(rng.choice(["tiles_wall", "tiles_blue", "checker"]))
-            entry["wainscot"] = [tiles, round(float(rng.uniform(1.2, 2.2)), 2)]
+            entry["wainscot"] = [tiles, round(rng.uniform(1.2, 2.2), 2)]
         elif everywhere or rng.random() < 0.06:
             entry["wainscot"] = wainscot
         return entry
@@ -196,7 +196,7 @@ def _paint(rng: Rng) -> list[float]:
 
 def _lamps(cell: Cell, rng: Rng) -> list[Any]:
     kind = str(rng.choice(["panel", "tube", "round"]))
-    pitch = float(rng.uniform(1.8, 3.4))
+    pitch = rng.uniform(1.8, 3.4)
     counts = [max(1, round((high - low) / pitch)) for low, high in (cell.x, cell.y)]
     return [kind, *(min(count, 6) for count in counts)]
 
@@ -207,9 +207,9 @@ def _window_style(rng: Rng, height: float) -> Entry:
     return {
         "sill": round(sill, 2),
         "head": round(max(head, sill + 0.6), 2) if sill + 0.6 < height - 0.05 else round(height - 0.1, 2),
-        "width": float(rng.uniform(0.7, 2.4)),
-        "pier": float(rng.uniform(0.3, 2.5)),
-        "walls": float(rng.uniform(0.45, 1.0)),
+        "width": rng.uniform(0.7, 2.4),
+        "pier": rng.uniform(0.3, 2.5),
+        "walls": rng.uniform(0.45, 1.0),
     }
 
 

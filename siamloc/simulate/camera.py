@@ -185,14 +185,14 @@ def draw_camera(
     kind = first + rng.random() * (last - first)
     if kind < 0.25:
         return panorama(PanoramaView(rows, columns)), HEIGHT
-    height = float(rng.uniform(0.35, 1.5))
+    height = rng.uniform(0.35, 1.5)
     if kind < 0.75:
-        view = PanoramaView(rows, columns, float(rng.uniform(15, 45)), -float(rng.uniform(20, 50)))
+        view = PanoramaView(rows, columns, rng.uniform(15, 45), -rng.uniform(20, 50))
         return panorama(view, float(np.exp(rng.normal(0, 0.2)))), height
-    aspect, pitch = float(rng.uniform(1.2, 1.8)), float(rng.uniform(-0.15, 0.1))
+    aspect, pitch = rng.uniform(1.2, 1.8), rng.uniform(-0.15, 0.1)
     if kind < 0.87:
         return photograph(image_size, float(np.radians(rng.uniform(55, 105))), aspect, pitch), height
-    radius, angle = float(rng.uniform(0.9, 1.5)), float(np.radians(rng.uniform(60, 95)))
+    radius, angle = rng.uniform(0.9, 1.5), float(np.radians(rng.uniform(60, 95)))
     return fisheye(image_size, radius, angle, aspect, pitch), height
 
 

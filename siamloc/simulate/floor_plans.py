@@ -133,24 +133,24 @@ def _row(
     """Add rooms along one side of a corridor, each with a door, and return where the row ends."""
     wall = SIDES[side]
     level = wall.level(corridor)
-    depth = float(rng.uniform(*depths))
+    depth = rng.uniform(*depths)
     for use in uses:
-        width = float(rng.uniform(*widths)) * (1.6 if use == "classroom" else 1.0)
-        deep = max(2.4, depth + float(rng.uniform(-0.8, 0.4)) * (rng.random() < 0.4))
+        width = rng.uniform(*widths) * (1.6 if use == "classroom" else 1.0)
+        deep = max(2.4, depth + rng.uniform(-0.8, 0.4) * (rng.random() < 0.4))
         along = (at, at + width)
         room = plan.add(use, *wall.plan(along, (level, level + deep) if wall.end else (level - deep, level)))
         plan.join(corridor, room, _leaf(rng))
         at = wall.span(room)[1]
         if rng.random() < 0.15:
-            at += float(rng.uniform(0.3, 1.8))
+            at += rng.uniform(0.3, 1.8)
     return at
 
 
 def offices(rng: Rng) -> Plan:
     """Draw a corridor with rooms on one or two sides, perhaps with a wing across its beginning."""
-    plan = Plan(float(rng.uniform(2.4, 3.2)))
+    plan = Plan(rng.uniform(2.4, 3.2))
     often, others = _OFFICE if rng.random() < 0.7 else _SCHOOL
-    width = float(rng.uniform(1.6, 3.0))
+    width = rng.uniform(1.6, 3.0)
     both = rng.random() < 0.7
     counts = rng.integers(1 if both else 2, 4 if both else 5, 2)
     # The corridor is as long as its rows need: they are drawn first, and it is put before them.
@@ -158,15 +158,15 @@ def offices(rng: Rng) -> Plan:
     probe = draft.add("corridor", (0.0, 60.0), (-width / 2, width / 2))
     ends = [_row(draft, rng, probe, "north", _uses(rng, int(counts[0]), often, others), 0.0, (2.8, 6.0), (3.2, 6.2))]
     if both:
-        first = float(rng.uniform(0.0, 1.2)) * (rng.random() < 0.5)
+        first = rng.uniform(0.0, 1.2) * (rng.random() < 0.5)
         row = _uses(rng, int(counts[1]), often, others)
         ends.append(_row(draft, rng, probe, "south", row, first, (2.8, 6.0), (3.2, 6.2)))
-    length = round(max(ends) + float(rng.uniform(0.0, 1.5)), 2)
+    length = round(max(ends) + rng.uniform(0.0, 1.5), 2)
     plan.cells = [Cell(probe.name, probe.use, (0.0, length), probe.y), *draft.cells[1:]]
     plan.doors = draft.doors
     corridor = plan.cells[0]
     if rng.random() < 0.4:  # a wing across its beginning
-        wide = float(rng.uniform(1.6, 2.6))
+        wide = rng.uniform(1.6, 2.6)
         reach = rng.uniform(0.5, 7.0, 2)
         wing = plan.add("corridor", (-wide, 0.0), (corridor.y[0] - float(reach[0]), corridor.y[1] + float(reach[1])))
         plan.join(corridor, wing, "open" if rng.random() < 0.7 else "glass")
@@ -175,7 +175,7 @@ def offices(rng: Rng) -> Plan:
         _trim(plan)
     if rng.random() < 0.35:  # a room at its end
         half = rng.uniform(0.9, 2.6, 2) + width / 2
-        x = (corridor.x[1], corridor.x[1] + float(rng.uniform(3.0, 6.0)))
+        x = (corridor.x[1], corridor.x[1] + rng.uniform(3.0, 6.0))
         end = plan.add(str(rng.choice([often, *others])), x, (-float(half[0]), float(half[1])))
         plan.join(corridor, end, _leaf(rng))
     return plan
@@ -189,9 +189,9 @@ def _trim(plan: Plan) -> None:
 
 def ring(rng: Rng) -> Plan:
     """Draw corridors around a core, with rooms on their outer sides."""
-    plan = Plan(float(rng.uniform(2.5, 3.3)))
+    plan = Plan(rng.uniform(2.5, 3.3))
     often, others = _OFFICE if rng.random() < 0.6 else _SCHOOL
-    wide, long, deep = (float(rng.uniform(*span)) for span in ((1.6, 2.4), (4.5, 9.0), (2.6, 5.5)))
+    wide, long, deep = (rng.uniform(*span) for span in ((1.6, 2.4), (4.5, 9.0), (2.6, 5.5)))
     south = plan.add("corridor", (-wide, long + wide), (-wide, 0.0))
     north = plan.add("corridor", (-wide, long + wide), (deep, deep + wide))
     west = plan.add("corridor", (-wide, 0.0), (0.0, deep))
@@ -200,7 +200,7 @@ def ring(rng: Rng) -> Plan:
         plan.join(a, b, "open" if rng.random() < 0.8 else "glass")
     if rng.random() < 0.5:
         core = plan.add(str(rng.choice(others)), (0.0, long), (0.0, deep))
-        plan.join([south, north, west, east][int(rng.integers(4))], core, _leaf(rng))
+        plan.join([south, north, west, east][rng.integers(4)], core, _leaf(rng))
     for corridor, side in ((south, "south"), (north, "north")):
         row = _uses(rng, int(rng.integers(1, 4)), often, others)
         _row(plan, rng, corridor, side, row, -wide, (2.8, 5.0), (3.0, 5.5))
@@ -216,9 +216,9 @@ def home(rng: Rng, uses: str = "", largest: Interval = (9.0, 20.0)) -> Plan:
         uses: what the names of the rooms' uses begin with.
         largest: limits in square metres of the area above which a room is split.
     """
-    plan = Plan(float(rng.uniform(2.3, 3.1)))
-    size = (float(rng.uniform(7.5, 12.5)), float(rng.uniform(6.5, 10.5)))
-    boxes = _split((0.0, size[0]), (0.0, size[1]), float(rng.uniform(*largest)), rng)
+    plan = Plan(rng.uniform(2.3, 3.1))
+    size = (rng.uniform(7.5, 12.5), rng.uniform(6.5, 10.5))
+    boxes = _split((0.0, size[0]), (0.0, size[1]), rng.uniform(*largest), rng)
     cells = [Cell(str(number), "", x, y) for number, (x, y) in enumerate(boxes)]
     touching = [(i, j) for i, a in enumerate(cells) for j, b in enumerate(cells) if i != j and _room_for_a_door(a, b)]
     if any(not any(pair[0] == i for pair in touching) for i in range(len(cells))):
@@ -230,7 +230,7 @@ def home(rng: Rng, uses: str = "", largest: Interval = (9.0, 20.0)) -> Plan:
         if not open_links:
             return home(rng, uses, largest)
         near = [pair for pair in open_links if pair[0] == central] or open_links
-        chosen = near[int(rng.integers(len(near)))]
+        chosen = near[rng.integers(len(near))]
         links.append(chosen)
         order.append(chosen[1])
     by_size = sorted((i for i in order if i != central), key=lambda i: -cells[i].area)
@@ -256,7 +256,7 @@ def _split(x: Interval, y: Interval, largest: float, rng: Rng) -> list[tuple[Int
     wide, deep = x[1] - x[0], y[1] - y[0]
     if wide * deep <= largest or max(wide, deep) < 4.2:
         return [(x, y)]
-    share = float(rng.uniform(0.36, 0.64))
+    share = rng.uniform(0.36, 0.64)
     if wide > deep:
         cut = round(x[0] + share * wide, 2)
         return [*_split((x[0], cut), y, largest, rng), *_split((cut, x[1]), y, largest, rng)]
@@ -266,18 +266,18 @@ def _split(x: Interval, y: Interval, largest: float, rng: Rng) -> list[tuple[Int
 
 def hall(rng: Rng) -> Plan:
     """Draw a hall with rooms along one or two of its sides."""
-    plan = Plan(float(rng.uniform(2.8, 4.8)))
+    plan = Plan(rng.uniform(2.8, 4.8))
     use = str(rng.choice(["foyer", "workshop", "canteen", "open_office"]))
-    room = plan.add(use, (0.0, float(rng.uniform(8.0, 15.0))), (0.0, float(rng.uniform(6.0, 11.0))))
+    room = plan.add(use, (0.0, rng.uniform(8.0, 15.0)), (0.0, rng.uniform(6.0, 11.0)))
     often, others = _OFFICE
     for side in ("north", "south")[: 1 + int(rng.random() < 0.6)]:
         row = _uses(rng, int(rng.integers(1, 4)), often, others)
-        _row(plan, rng, room, side, row, float(rng.uniform(0.0, 1.5)), (2.8, 5.0), (2.8, 5.0))
+        _row(plan, rng, room, side, row, rng.uniform(0.0, 1.5), (2.8, 5.0), (2.8, 5.0))
     if rng.random() < 0.5:
-        middle = float(rng.uniform(1.0, room.y[1] - 1.0))
-        wide = float(rng.uniform(1.7, 2.8))
+        middle = rng.uniform(1.0, room.y[1] - 1.0)
+        wide = rng.uniform(1.7, 2.8)
         y = (max(0.0, middle - wide / 2), min(room.y[1], middle + wide / 2))
-        corridor = plan.add("corridor", (room.x[1], room.x[1] + float(rng.uniform(4.0, 10.0))), y)
+        corridor = plan.add("corridor", (room.x[1], room.x[1] + rng.uniform(4.0, 10.0)), y)
         plan.join(room, corridor, "open")
     _trim(plan)
     return plan
@@ -300,13 +300,13 @@ def great_hall(rng: Rng) -> Plan:
 
 
 def _large(rng: Rng, uses: tuple[str, ...], heights: Interval, others: tuple[str, ...]) -> Plan:
-    plan = Plan(float(rng.uniform(*heights)), beside=float(rng.uniform(2.7, 3.2)))
-    size = (float(rng.uniform(9.0, 17.0)), float(rng.uniform(7.0, 12.0)))
+    plan = Plan(rng.uniform(*heights), beside=rng.uniform(2.7, 3.2))
+    size = (rng.uniform(9.0, 17.0), rng.uniform(7.0, 12.0))
     room = plan.add(str(rng.choice(uses)), (0.0, size[0]), (0.0, size[1]))
     count = int(rng.integers(0, 4))
     if count:
         row = [str(rng.choice(others)) for _ in range(count)]
-        _row(plan, rng, room, "north", row, float(rng.uniform(0.0, 1.5)), (2.8, 5.0), (2.8, 5.0))
+        _row(plan, rng, room, "north", row, rng.uniform(0.0, 1.5), (2.8, 5.0), (2.8, 5.0))
     _trim(plan)
     return plan if count and len(plan.cells) > 1 else replace(plan, cells=[room])
 

@@ -285,7 +285,7 @@ def furnish(room: Room, style: Rng, rng: Rng, density: float) -> list[Entry]:
             size = (min(window["width"], 1.6), 0.1, min(0.55, window["sill"] - 0.2))
             room.hang(window["wall"], window["at"], size, 0.12, {"kind": "radiator"})
         if use.curtains and rng.random() < 0.7:
-            width, low = float(rng.uniform(0.2, 0.45)), float(rng.choice([0.06, window["sill"]]))
+            width, low = rng.uniform(0.2, 0.45), float(rng.choice([0.06, window["sill"]]))
             size = (width, 0.14, min(window["head"] + 0.15, room.height - 0.1) - low)
             for end in (-1, 1):
                 at = window["at"] + end * (window["width"] / 2 + width / 2 + 0.13)
@@ -363,7 +363,7 @@ def _in_the_middle(room: Room, kind: str, common: Entry, rng: Rng) -> None:
     (x0, x1), (y0, y1) = room.x, room.y
     if min(x1 - x0, y1 - y0) < 2 * margin + 0.4:
         return
-    x, y = float(rng.uniform(x0 + margin, x1 - margin)), float(rng.uniform(y0 + margin, y1 - margin))
+    x, y = rng.uniform(x0 + margin, x1 - margin), rng.uniform(y0 + margin, y1 - margin)
     turn = float(rng.choice([0.0, 90.0]))
     ahead = np.array([np.cos(np.radians(turn)), np.sin(np.radians(turn))])
     across = np.array([-ahead[1], ahead[0]])
@@ -383,7 +383,7 @@ def _in_the_middle(room: Room, kind: str, common: Entry, rng: Rng) -> None:
                 put("chair", -size[1] - 0.33, 0, 0, draw_size("chair", rng))
     elif kind in ("dining", "conference"):
         long = float(rng.uniform(1.1, 1.9) if kind == "dining" else rng.uniform(1.6, 3.2))
-        deep = float(rng.uniform(0.7, 1.1))
+        deep = rng.uniform(0.7, 1.1)
         if put("table", 0, 0, 0, (long, deep, 0.74)):
             count = max(1, int(long / 0.65))
             for seat in range(count):
@@ -397,7 +397,7 @@ def _in_the_middle(room: Room, kind: str, common: Entry, rng: Rng) -> None:
         if put("sofa", -0.9, 0, 0, draw_size("sofa", rng)):
             put("table", 0.25, 0, 0, (0.9, 0.55, 0.42))
     elif kind == "benches":
-        for line in range(int(rng.integers(2, 5))):
+        for line in range(rng.integers(2, 5)):
             for seat in range(2):
                 put("table", 1.5 * line - 1.5, 1.7 * seat - 0.85, 0, (1.3, 0.5, 0.74))
                 put("visitor_chair", 1.5 * line - 2.0, 1.7 * seat - 0.85, 0, KINDS["visitor_chair"].size)
@@ -409,7 +409,7 @@ def _in_the_middle(room: Room, kind: str, common: Entry, rng: Rng) -> None:
         for sideways in (-0.35, 0.35):
             put("plant", 0, sideways, 0, draw_size("plant", rng))
     elif kind == "column":
-        wide = float(rng.uniform(0.3, 0.6))
+        wide = rng.uniform(0.3, 0.6)
         put("column", 0, 0, 0, (wide, wide, room.height - 0.06))
     else:
         put(kind, 0, 0, 0, draw_size(kind, rng))
@@ -418,9 +418,9 @@ def _in_the_middle(room: Room, kind: str, common: Entry, rng: Rng) -> None:
 def _on_a_wall(room: Room, kind: str, side: str, at: float, rng: Rng) -> None:
     known = KINDS[kind]
     varies = kind in ("poster", "picture", "notice_board", "whiteboard", "mirror")
-    scale = float(rng.uniform(0.7, 1.4)) if varies else 1.0
+    scale = rng.uniform(0.7, 1.4) if varies else 1.0
     w, d, h = known.size
-    z = known.z + float(rng.uniform(-0.1, 0.25)) * (known.z > 0.6)
+    z = known.z + rng.uniform(-0.1, 0.25) * (known.z > 0.6)
     entry: Entry = {"kind": kind}
     if "picture" in known.options:
         entry["picture"] = int(rng.integers(1000))

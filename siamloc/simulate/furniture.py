@@ -59,7 +59,7 @@ class Kind:
 
 def colour_of(item: Item, rng: Rng, palette: tuple[Colour, ...]) -> Colour:
     """Return the item's own colour if the file gives one, else one from the palette."""
-    drawn = palette[int(rng.integers(len(palette)))]
+    drawn = palette[rng.integers(len(palette))]
     red, green, blue = item.options.get("colour") or drawn
     return float(red), float(green), float(blue)
 
@@ -107,9 +107,9 @@ def _legs(b: MeshBuilder, item: Item, top: float, colour: Colour, thick: float =
 def _clutter(b: MeshBuilder, item: Item, rng: Rng, y: Point) -> None:
     """Put one to three things on an item, at depths between two limits."""
     w, _, h = item.size
-    for _ in range(int(rng.integers(1, 4))):
-        x = float(rng.uniform(-w / 2 + 0.2, w / 2 - 0.2))
-        clutter(b, x, float(rng.uniform(*y)) if y[0] < y[1] else 0.0, h, rng)
+    for _ in range(rng.integers(1, 4)):
+        x = rng.uniform(-w / 2 + 0.2, w / 2 - 0.2)
+        clutter(b, x, rng.uniform(*y) if y[0] < y[1] else 0.0, h, rng)
 
 
 def desk(b: MeshBuilder, item: Item, rng: Rng, w: float, d: float, h: float) -> None:
@@ -124,10 +124,10 @@ def desk(b: MeshBuilder, item: Item, rng: Rng, w: float, d: float, h: float) -> 
     screens = int(item.options.get("screens", 1))
     for i in range(screens):
         x = (i - (screens - 1) / 2) * 0.56 + rng.uniform(-0.05, 0.05)
-        with b.at(x, -d / 2 + 0.22, h, float(rng.uniform(-12, 12))):
+        with b.at(x, -d / 2 + 0.22, h, rng.uniform(-12, 12)):
             _monitor(b, rng)
     if screens:
-        x, y = float(rng.uniform(-0.12, 0.12)), d / 2 - 0.28
+        x, y = rng.uniform(-0.12, 0.12), d / 2 - 0.28
         back, ahead = (y + 0.08, h + 0.02), (y - 0.08, h + 0.025)
         b.quad((x + 0.22, *back), (x - 0.22, *back), (x - 0.22, *ahead), (x + 0.22, *ahead), "keyboard")
         b.box((x + 0.27, y - 0.04, h), (x + 0.33, y + 0.06, h + 0.03), "plastic", BLACKISH, "bottom")
@@ -163,12 +163,12 @@ def _monitor(b: MeshBuilder, rng: Rng) -> None:
 def clutter(b: MeshBuilder, x: float, y: float, z: float, rng: Rng) -> None:
     """Add a sheet of paper, a stack of books, a cup or a lamp on a table top, at x, y and the height z in metres."""
     kind = int(rng.integers(5))
-    with b.at(x, y, z, float(rng.uniform(-40, 40))):
+    with b.at(x, y, z, rng.uniform(-40, 40)):
         if kind <= 1:
-            stack = 0.004 if kind == 0 else float(rng.uniform(0.03, 0.12))
+            stack = 0.004 if kind == 0 else rng.uniform(0.03, 0.12)
             b.box((-0.11, -0.15, 0), (0.11, 0.15, stack), "plain", WHITE, "bottom", top=f"sheet{rng.integers(4)}")
         elif kind == 2:
-            for level in range(int(rng.integers(2, 5))):
+            for level in range(rng.integers(2, 5)):
                 low, high = (-0.09, -0.12, 0.03 * level), (0.09, 0.12, 0.03 * level + 0.028)
                 b.box(low, high, "plain", rng.uniform(0.03, 0.5, 3), "bottom")
         elif kind == 3:
@@ -219,7 +219,7 @@ def round_table(b: MeshBuilder, item: Item, rng: Rng, w: float, d: float, h: flo
     b.prism(0, 0, (0.03, h - 0.04), 0.05, "metal", STEEL, sides=6)
     b.prism(0, 0, (0, 0.03), radius * 0.55, "metal", STEEL, sides=8)
     for _ in range(2):
-        clutter(b, float(rng.uniform(-0.2, 0.2)), float(rng.uniform(-0.2, 0.2)), h, rng)
+        clutter(b, rng.uniform(-0.2, 0.2), rng.uniform(-0.2, 0.2), h, rng)
 
 
 def sofa(b: MeshBuilder, item: Item, rng: Rng, w: float, d: float, h: float) -> None:
@@ -307,7 +307,7 @@ def coat_rack(b: MeshBuilder, item: Item, rng: Rng, w: float, d: float, h: float
     """A coat stand with a coat."""
     b.prism(0, 0, (0, 0.04), 0.2, "metal", BLACKISH)
     b.prism(0, 0, (0.04, h), 0.02, "metal", BLACKISH, sides=6)
-    b.prism(0.1, 0, (0.7, h - 0.1), (0.16, 0.07), "fabric", CLOTHES[int(rng.integers(len(CLOTHES)))], sides=6)
+    b.prism(0.1, 0, (0.7, h - 0.1), (0.16, 0.07), "fabric", CLOTHES[rng.integers(len(CLOTHES))], sides=6)
 
 
 def waste_bin(b: MeshBuilder, item: Item, rng: Rng, w: float, d: float, h: float) -> None:
@@ -328,7 +328,7 @@ def plant(b: MeshBuilder, item: Item, rng: Rng, w: float, d: float, h: float) ->
     b.prism(0, 0, (0, 0.32), (w * 0.25, w * 0.33), "plastic", (0.45, 0.16, 0.08))
     b.prism(0, 0, (0.3, h * 0.55), 0.025, "wood", (0.4, 0.4, 0.4), sides=5)
     for _ in range(9):
-        with b.at(0, 0, float(rng.uniform(0.35, 0.7) * h), float(rng.uniform(0, 360))):
+        with b.at(0, 0, float(rng.uniform(0.35, 0.7) * h), rng.uniform(0, 360)):
             reach, rise = rng.uniform(0.28, 0.48) * w * 1.4, rng.uniform(0.1, 0.35) * h
             half = rng.uniform(0.06, 0.13)
             left, right = (-half * 0.7, reach, rise), (half * 0.7, reach, rise)

@@ -211,7 +211,7 @@ def _draw_robot(rng: Rng, camera: ViewCamera) -> tuple[Array, Array]:
 
 
 def _apart(camera: ViewCamera, middle: float) -> Array:
-    """Return how many columns each one lies to the right of a share of the way around (1, columns)."""
+    """Return how far each column lies to the right of a middle, given as a share of the width (1, columns)."""
     apart, half = np.arange(camera.columns)[None] + 0.5 - middle * camera.columns, camera.columns / 2
     return (apart + half) % camera.columns - half if camera.wraps else apart
 

@@ -25,7 +25,7 @@ from siamloc.simulate.furniture import (
     sides,
     wood_of,
 )
-from siamloc.simulate.layout import Building, Item, Rng, seeded
+from siamloc.simulate.layout import Building, Item, Rng
 from siamloc.simulate.mesh import WHITE, MeshBuilder, Point
 from siamloc.simulate.prints import BOARDS, NOTICES, POSTERS
 from siamloc.simulate.things import THINGS
@@ -78,7 +78,7 @@ def kitchen_counter(b: MeshBuilder, item: Item, rng: Rng, w: float, d: float, h:
     b.box((w / 2 - 0.4, -0.25, h), (w / 2 - 0.1, 0.1, h + 0.36), "plastic", BLACKISH, "bottom")
     b.prism(w / 2 - 0.25, 0.16, (h, h + 0.12), 0.05, "plastic", (0.25, 0.12, 0.06), sides=6)
     for i in range(4):
-        x, y = 0.1 + 0.12 * i + float(rng.uniform(-0.03, 0.03)), float(rng.uniform(-0.2, 0.1))
+        x, y = 0.1 + 0.12 * i + rng.uniform(-0.03, 0.03), rng.uniform(-0.2, 0.1)
         b.prism(x, y, (h, h + 0.1), 0.04, "plastic", rng.uniform(0.1, 0.9, 3), sides=6)
     if item.options.get("wall_units", True):
         low, high = (-w / 2, -d / 2, 1.45), (w / 2, -d / 2 + 0.34, 2.1)
@@ -101,7 +101,7 @@ def stall(b: MeshBuilder, item: Item, rng: Rng, w: float, d: float, h: float) ->
         b.box((x, -d / 2, 0.15), (x + 0.03, d / 2, h), "plain", colour)
     b.box((-w / 2, d / 2 - 0.03, 0.15), (-w / 2 + 0.17, d / 2, h), "plain", colour)
     b.box((w / 2 - 0.17, d / 2 - 0.03, 0.15), (w / 2, d / 2, h), "plain", colour)
-    with b.at(-w / 2 + 0.17, d / 2 - 0.03, 0, float(rng.uniform(-75, -15))):
+    with b.at(-w / 2 + 0.17, d / 2 - 0.03, 0, rng.uniform(-75, -15)):
         b.box((0, 0, 0.15), (w - 0.36, 0.03, h - 0.05), "plain", colour)
         b.box((w - 0.46, 0.03, 0.95), (w - 0.4, 0.07, 1.02), "metal", BLACKISH)
     b.prism(0, -d / 2 + 0.45, (0, 0.42), (0.14, 0.2), "plastic", _PORCELAIN, stretch=1.25)
@@ -163,10 +163,10 @@ def stairs_down(b: MeshBuilder, item: Item, _: Rng, w: float, d: float, h: float
 
 def person(b: MeshBuilder, item: Item, rng: Rng, w: float, d: float, h: float) -> None:
     """A standing person; the clothes are drawn."""
-    trousers = CLOTHES[int(rng.integers(len(CLOTHES)))]
+    trousers = CLOTHES[rng.integers(len(CLOTHES))]
     shirt = colour_of(item, rng, CLOTHES)
-    skin = _SKIN[int(rng.integers(len(_SKIN)))]
-    stride = float(rng.uniform(0.0, 0.12))
+    skin = _SKIN[rng.integers(len(_SKIN))]
+    stride = rng.uniform(0.0, 0.12)
     for x, y in ((-0.09, stride), (0.09, -stride)):
         b.prism(x, y, (0.06, 0.47 * h), (0.06, 0.085), "fabric", trousers, sides=6)
         b.box((x - 0.05, y - 0.08, 0), (x + 0.05, y + 0.16, 0.07), "plastic", BLACKISH, "bottom")
@@ -176,7 +176,7 @@ def person(b: MeshBuilder, item: Item, rng: Rng, w: float, d: float, h: float) -
         b.prism(x, 0.03, (0.40 * h, 0.44 * h), 0.04, "plain", skin, sides=5)
     b.prism(0, 0, (0.82 * h, 0.86 * h), 0.055, "plain", skin, sides=6)
     b.prism(0, 0.01, (0.86 * h, 0.95 * h), (0.075, 0.09), "plain", skin)
-    b.prism(0, -0.01, (0.93 * h, h), (0.098, 0.06), "fabric", _HAIR[int(rng.integers(len(_HAIR)))])
+    b.prism(0, -0.01, (0.93 * h, h), (0.098, 0.06), "fabric", _HAIR[rng.integers(len(_HAIR))])
 
 
 def poster(b: MeshBuilder, item: Item, rng: Rng, w: float, d: float, h: float) -> None:
@@ -234,7 +234,7 @@ def coats(b: MeshBuilder, item: Item, rng: Rng, w: float, d: float, h: float) ->
     b.box((-w / 2, -d / 2, h - 0.06), (w / 2, -d / 2 + 0.03, h), "wood", WHITE, "back")
     for x in (-w / 3, 0.0, w / 3):
         if rng.random() < 0.75:
-            colour = CLOTHES[int(rng.integers(len(CLOTHES)))]
+            colour = CLOTHES[rng.integers(len(CLOTHES))]
             b.prism(x, 0, (0.05, h - 0.05), (0.16, 0.07), "fabric", colour, sides=6, stretch=0.55)
 
 
@@ -337,7 +337,7 @@ def add_items(builder: MeshBuilder, building: Building, items: Iterable[Item]) -
         number, look = (int(item.options.get(key, usual)) for key, usual in (("number", position), ("look", 0)))
         builder.room = building.room_index(item.room)
         with builder.at(item.x, item.y, item.z, item.facing - 90):
-            rng = seeded(building.seed, building.name, "item", number, look)
+            rng = building.rng("item", number, look)
             try:
                 KINDS[item.kind].build(builder, item, rng, *item.size)
             except ValueError as error:  # a part would have to lie between two ends that cross

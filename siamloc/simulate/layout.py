@@ -287,6 +287,10 @@ class Building:
         rooms, paths = ", ".join(self.codes), ", ".join(self.paths)
         return f"Building({self.name!r}, seed={self.seed}: rooms {rooms}; {len(self.items)} items; paths {paths})"
 
+    def rng(self, *keys: int | str) -> Rng:
+        """Return a random generator that depends only on the building's seed and name and on the given keys."""
+        return seeded(self.seed, self.name, *keys)
+
     def room_index(self, name: str) -> int:
         """Return the index of a room, by its name, in the order of the building's rooms."""
         return list(self.rooms).index(name)

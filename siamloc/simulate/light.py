@@ -7,6 +7,7 @@ surfaces reflect is gathered on a coarser grid, whose rays are cast once and reu
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import product
 
 import cv2
@@ -94,7 +95,6 @@ class LightTransport:
         self._points = _world(mesh, self.fine.quad, self.fine.place).astype(np.float32)
         self._normals = mesh.normals[self.fine.quad].astype(np.float32)
         self._lamps: dict[tuple[float, float, float], tuple[float, _Reach]] = {}
-        self._portals: list[_Reach] | None = None
         self._seen: Array | None = None
 
     def bake(self, albedo: Array, lamps: list[Lamp], sky: Sky, rng: Rng) -> BakedLight:
@@ -127,12 +127,14 @@ class LightTransport:
             found = self._of_lamp(lamp, least)
             bright = found.share > least
             light[found.nodes[bright]] += found.share[bright, None] * radiosity.astype(np.float32)
-        if self._portals is None:
-            self._portals = [self._reach(*portal, _FAINT, ends=False) for portal in _portals(self.building)]
         outside = sky.softened()
-        for found in self._portals:
+        for found in self._windows:
             light[found.nodes] += found.share[:, None] * outside.look(found.towards)
         return light
+
+    @cached_property
+    def _windows(self) -> list[_Reach]:
+        return [self._reach(*portal, _FAINT, ends=False) for portal in _portals(self.building)]
 
     def _of_lamp(self, lamp: Lamp, least: float) -> _Reach:
         """Return where a lamp's light arrives; computed again only if it shines brighter than before."""

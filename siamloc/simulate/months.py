@@ -99,7 +99,7 @@ class _Month:
 
     def __init__(self, building: Building, month: int) -> None:
         self.building, self.month = building, month
-        self.rng = seeded(building.seed, building.name, "month", month)
+        self.rng = building.rng("month", month)
         self.common = draw_common(self.rng)
         # An item's details follow from its number, which it keeps when others are taken.
         self.items = [
@@ -201,10 +201,10 @@ class _Month:
             if at_a_wall:
                 side = SIDES[str(self.rng.choice(list(SIDES)))]
                 off = side.inwards * (item.size[1] / 2 + _GAP)
-                x, y = side.plan(float(self.rng.uniform(*side.span(inner))), side.level(inner) + off)
+                x, y = side.plan(self.rng.uniform(*side.span(inner)), side.level(inner) + off)
                 yield replace(item, x=x, y=y, facing=side.facing)
             else:
-                x, y = (float(self.rng.uniform(*ends)) for ends in inner)
+                x, y = (self.rng.uniform(*ends) for ends in inner)
                 yield replace(item, x=x, y=y, facing=item.facing + 90.0 * int(self.rng.integers(4)))
 
     def _fits(self, item: Item, space: _Space) -> bool:
@@ -230,7 +230,7 @@ class _Space:
 
     Args:
         building: its rooms and openings.
-        item: an item that needs space; nothing but flat items is in the way of a flat one, such as a rug.
+        item: an item that needs space; only flat items are in the way of a flat item, such as a rug.
         others: all other items of the building.
     """
 

@@ -21,24 +21,24 @@ def natural_textures(rng: Rng) -> dict[str, Texture]:
     ['beech', 'brick', 'carpet', 'carpet_gray']
     """
     oak, dark, pale = grain(rng, 0.45, 0.75), grain(rng, 0.2, 0.42), grain(rng, 0.65, 0.92)
-    floor = (oak, dark, pale)[int(rng.integers(3))]
+    floor = (oak, dark, pale)[rng.integers(3)]
     stone = _stone(rng)
     drawn: dict[str, tuple[Array, float]] = {
         "wood": (oak, 0.9),
         "walnut": (dark, 0.9),
         "beech": (pale, 0.9),
-        "parquet": (_parquet(rng, floor), float(rng.uniform(1.0, 1.8))),
-        "planks": (_pieces(rng, floor.transpose(1, 0, 2), bond(rng, 10, 2, None), 0.05), float(rng.uniform(1.4, 2.6))),
+        "parquet": (_parquet(rng, floor), rng.uniform(1.0, 1.8)),
+        "planks": (_pieces(rng, floor.transpose(1, 0, 2), bond(rng, 10, 2, None), 0.05), rng.uniform(1.4, 2.6)),
         "panelling": (_pieces(rng, pale, bond(rng, int(rng.integers(4, 12)), 1, 0.0).T, 0.03), 1.2),
         "marble": (stone, 2.4),
-        "tiles_floor": (_tiles(rng, stone), float(rng.uniform(0.9, 2.4))),
-        "tiles_wall": (_tiles(rng, _plain(rng, 0.75, 0.97)), float(rng.uniform(0.5, 1.2))),
-        "tiles_blue": (_tiles(rng, _plain(rng, 0.3, 0.9)), float(rng.uniform(0.4, 1.0))),
-        "brick": (_brick(rng), float(rng.uniform(1.2, 2.0))),
-        "stripes": (_wallpaper(rng), float(rng.uniform(0.5, 1.6))),
-        "paint": (_plaster(rng), float(rng.uniform(1.0, 2.6))),
-        "fabric": (_cloth(rng), float(rng.uniform(0.25, 0.8))),
-        **{name: (_carpet(rng), float(rng.uniform(0.5, 2.0))) for name in ("carpet", "carpet_red", "carpet_gray")},
+        "tiles_floor": (_tiles(rng, stone), rng.uniform(0.9, 2.4)),
+        "tiles_wall": (_tiles(rng, _plain(rng, 0.75, 0.97)), rng.uniform(0.5, 1.2)),
+        "tiles_blue": (_tiles(rng, _plain(rng, 0.3, 0.9)), rng.uniform(0.4, 1.0)),
+        "brick": (_brick(rng), rng.uniform(1.2, 2.0)),
+        "stripes": (_wallpaper(rng), rng.uniform(0.5, 1.6)),
+        "paint": (_plaster(rng), rng.uniform(1.0, 2.6)),
+        "fabric": (_cloth(rng), rng.uniform(0.25, 0.8)),
+        **{name: (_carpet(rng), rng.uniform(0.5, 2.0)) for name in ("carpet", "carpet_red", "carpet_gray")},
     }
     return {name: Texture(eight_bit(image), (metres, metres)) for name, (image, metres) in drawn.items()}
 
@@ -101,7 +101,7 @@ def grain(rng: Rng, low: float, high: float) -> Array:
 def _parquet(rng: Rng, wood: Array) -> Array:
     if rng.random() < 0.5:
         return _pieces(rng, wood.transpose(1, 0, 2), bond(rng, 12, 2, None), 0.07)
-    labels = herringbone(*((16, 4), (12, 3), (24, 4))[int(rng.integers(3))])
+    labels = herringbone(*((16, 4), (12, 3), (24, 4))[rng.integers(3)])
     lying, standing = (_pieces(rng, image, labels, 0.08) for image in (wood.transpose(1, 0, 2), wood))
     return np.where((labels % 2 == 0)[..., None], lying, standing)
 
@@ -113,14 +113,14 @@ def _tiles(rng: Rng, image: Array) -> Array:
         labels = bond(rng, side * (kind + 1), side, 0.5 * kind)
     else:
         labels = herringbone(16, 2) if kind == 2 else flagstones(rng, 24)
-    return _pieces(rng, image, labels, float(rng.uniform(0.0, 0.08)), float(rng.uniform(0.3, 0.85)))
+    return _pieces(rng, image, labels, rng.uniform(0.0, 0.08), rng.uniform(0.3, 0.85))
 
 
 def _brick(rng: Rng) -> Array:
     green = rng.uniform(0.5, 0.95)
     stone = _plain(rng, 0.35, 0.9) * single((1.0, green, green * rng.uniform(0.7, 1.0)))
     rough = stone * (1 + 0.15 * noise(rng, 32, 3))[..., None]
-    return _pieces(rng, rough, bond(rng, 14, 5, 0.5), 0.14, float(rng.uniform(0.4, 0.85)))
+    return _pieces(rng, rough, bond(rng, 14, 5, 0.5), 0.14, rng.uniform(0.4, 0.85))
 
 
 def _plain(rng: Rng, low: float, high: float) -> Array:
@@ -183,6 +183,6 @@ def _cloth(rng: Rng) -> Array:
     """Draw a light weave, plain or with stripes, checks or a print; the colour of an item multiplies it."""
     across, down = (np.sin(2 * np.pi * int(rng.integers(2, 7)) * axis / SIZE) > 0.3 for axis in (_COLUMN, _ROW))
     print_ = noise(rng, 8, 2) > 0.3
-    pattern = (np.zeros_like(across), across, across * 0.5 + down * 0.5, print_)[int(rng.integers(4))]
+    pattern = (np.zeros_like(across), across, across * 0.5 + down * 0.5, print_)[rng.integers(4)]
     weave = 0.08 * np.sin(2 * np.pi * 64 * (_COLUMN + _ROW) / SIZE) + 0.08 * noise(rng, 128, 1)
     return single((0.88, 0.88, 0.88)) * (1 + weave - rng.uniform(0.1, 0.5) * pattern)[..., None].astype(np.float32)

@@ -160,7 +160,7 @@ def _binders(rng: Rng) -> Array:
         if rng.random() < 0.13:
             continue
         x0, x1 = i / 11 + 0.006, (i + 1) / 11 - 0.006
-        _rectangle(image, x0, 0.1, x1, 1, hue[int(rng.integers(3))])
+        _rectangle(image, x0, 0.1, x1, 1, hue[rng.integers(3)])
         _rectangle(image, x0 + 0.012, 0.25, x1 - 0.012, 0.6, 0.92)
         _rectangle(image, (x0 + x1) / 2 - 0.012, 0.75, (x0 + x1) / 2 + 0.012, 0.82, 0.1)
     return image
@@ -177,7 +177,7 @@ def _screen(rng: Rng, kind: int) -> Array:
 def _whiteboard(rng: Rng) -> Array:
     image = _blank((0.95, 0.95, 0.96))
     for _ in range(7):
-        colour = [(0.1, 0.15, 0.5), (0.6, 0.1, 0.1), (0.1, 0.1, 0.1), (0.1, 0.4, 0.2)][int(rng.integers(4))]
+        colour = [(0.1, 0.15, 0.5), (0.6, 0.1, 0.1), (0.1, 0.1, 0.1), (0.1, 0.4, 0.2)][rng.integers(4)]
         points = np.cumsum(rng.normal(0, 16, (14, 2)), axis=0) + rng.uniform(40, 215, 2)
         cv2.polylines(image, [points.astype(np.int32)], bool(rng.random() < 0.3), colour, 3, cv2.LINE_AA)
     for _ in range(3):

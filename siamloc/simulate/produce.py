@@ -63,8 +63,8 @@ class SimulateConfig(Settings):
             middles of its squares.
         runs: lightings with numbers, such as ("cloudy1", "night2").
         spacing: metres between frames, or between the positions of the grid.
-        hours: solar time of each run, which also dims a cloudy sky, 7 to 17 but for nights; drawn around a usual one if
-            empty.
+        hours: solar time of each run, which also dims a cloudy sky, 7 to 17 but for nights; drawn around a usual
+            hour if empty.
         headings: frames at each position of a grid, evenly turned.
         positions: number of positions of a grid in each run, spread over the rooms; all that are free if None.
         months: number of months after the first, in each of which the runs are driven again; furniture, pictures and

@@ -10,7 +10,7 @@ import numpy as np
 from foundation.calls import typed
 from siamloc.data.panorama import PanoramaView
 from siamloc.simulate.camera import CAMERAS, HEIGHT, OFFSETS, Camera, CameraName, Exposure, develop, expose
-from siamloc.simulate.layout import Array, seeded, single
+from siamloc.simulate.layout import Array, single
 from siamloc.simulate.scene import LOOKS, Scene
 from siamloc.simulate.trajectory import Track
 
@@ -65,9 +65,9 @@ def meter(scene: Scene, track: Track) -> Exposure:
         light, _, _ = scene.trace(single(np.repeat(eyes, len(directions), axis=0)), rays, spread)
         brightness.append(light.mean(axis=1).reshape(len(part), -1))
         total += np.minimum(light, 3.0).sum(axis=0)
-    rng = seeded(scene.building.seed, scene.building.name, "exposure", scene.run.lighting, scene.run.number)
+    rng = scene.building.rng("exposure", scene.run.lighting, scene.run.number)
     mean, spread_stops = _COMPENSATION[scene.run.lighting]
-    offset = float(rng.normal(mean, spread_stops))
+    offset = rng.normal(mean, spread_stops)
     return expose(np.concatenate(brightness), total, track.time, offset)
 
 
@@ -83,7 +83,7 @@ def frames(scene: Scene, track: Track, camera: Camera, exposure: Exposure, rows:
         image[pixels.rows, pixels.columns] = light
         reach = float(exposure.seconds[row])
         image = _motion(image, camera, distance, float(track.speed[row]), float(track.turn_rate[row]), reach)
-        rng = seeded(scene.building.seed, scene.building.name, scene.run.name, "frame", int(row))
+        rng = scene.building.rng(scene.run.name, "frame", int(row))
         yield develop(image, float(exposure.gain[row]), exposure.balance, camera.wraps, rng, quiet)
 
 

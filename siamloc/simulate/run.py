@@ -14,7 +14,7 @@ from foundation.settings import Count, Natural, Positive, Rule, Settings
 from siamloc.data.names import LIGHTINGS
 from siamloc.errors import ConfigError, hint
 from siamloc.simulate.items import KINDS
-from siamloc.simulate.layout import SIDES, Array, Building, Colour, Item, Opening, Rng, Room, seeded
+from siamloc.simulate.layout import SIDES, Array, Building, Colour, Item, Opening, Rng, Room
 from siamloc.simulate.months import Change, aged
 from siamloc.simulate.odometry import odometry
 from siamloc.simulate.plan import clearance, crossings, inside_item, obstacles
@@ -47,7 +47,7 @@ class Run(Settings):
             squares.
         spacing: metres between frames, or between the positions of the grid.
         trajectory: a `places.lst` whose poses are used instead of the path.
-        hour: solar time, which also dims a cloudy sky, 7 to 17 unless it is a night; drawn around a usual one if None.
+        hour: solar time, which also dims a cloudy sky, 7 to 17 unless it is a night; drawn around a usual hour if None.
         headings: frames at each position of a grid, at headings 360 degrees / `headings` apart.
         positions: number of positions of a grid; all that are free if None.
         month: number of months that have passed in the building: `months.aged` changes it, and doors, lamps, chairs and
@@ -188,9 +188,9 @@ class RunState:
 def draw_run(building: Building, run: Run) -> RunState:
     """Draw everything in which a run of a building differs from others: drive, doors, blinds, lamps, chairs, people."""
     building, changes = aged(building, run.month)
-    rng = seeded(building.seed, building.name, "run", *run.key)
+    rng = building.rng("run", *run.key)
     hour = _START[run.lighting] + 2.6 * ((run.number - 1) % 3) + rng.uniform(-0.4, 0.4)
-    declination = float(rng.uniform(-10, 0))
+    declination = rng.uniform(-10, 0)
     hour, level = (hour, 1.0) if run.hour is None else (run.hour, overcast(run.hour, declination))
     if run.trajectory is not None:
         track = listed(building, run.trajectory)
@@ -213,8 +213,7 @@ def draw_odometry(building: Building, run: Run, track: Track) -> Array | None:
     if run.path in GRIDS:  # where nobody drives
         return None
     order, wheels = np.argsort(track.time, kind="stable"), np.empty_like(track.poses)
-    keys = building.seed, building.name, "odometry", *run.key
-    wheels[order] = odometry(track.poses[order], seeded(*keys))
+    wheels[order] = odometry(track.poses[order], building.rng("odometry", *run.key))
     return wheels
 
 
@@ -226,9 +225,9 @@ def draw_light(building: Building, lighting: str, rng: Rng) -> Light:
         lighting: "cloudy", "night" or "sunny"; in sunny light, the sun is above the horizon.
         rng: draws hour, season and lamps.
     """
-    hour, declination = float(rng.uniform(8.0, 18.0)), float(rng.uniform(-23.0, 23.0))
+    hour, declination = rng.uniform(8.0, 18.0), rng.uniform(-23.0, 23.0)
     while lighting == "sunny" and sun_direction(hour, building.north, declination)[2] < 0.08:
-        hour = float(rng.uniform(8.0, 18.0))
+        hour = rng.uniform(8.0, 18.0)
     share = {"night": rng.uniform(0.8, 1.0), "cloudy": rng.uniform(0.3, 1.0), "sunny": rng.uniform(0.0, 0.5)}[lighting]
     level, warmth = rng.uniform(0.6, 1.3), rng.uniform(0.0, 1.4)
     lamps: dict[str, Colour] = {}
@@ -277,7 +276,7 @@ def _door_angles(building: Building, track: Track, rng: Rng) -> dict[int, float]
 
 
 def _blinds(building: Building, lighting: str, rng: Rng) -> dict[int, float]:
-    usual = seeded(building.seed, building.name, "blinds")
+    usual = building.rng("blinds")
     blinds = {}
     for index, opening in enumerate(building.openings):
         if opening.kind != "window":
@@ -289,7 +288,7 @@ def _blinds(building: Building, lighting: str, rng: Rng) -> dict[int, float]:
 
 
 def _lamps_on(building: Building, lighting: str, rng: Rng) -> dict[str, Colour]:
-    usual = seeded(building.seed, building.name, "lamps")
+    usual = building.rng("lamps")
     lamps = {}
     for room in building.rooms.values():
         windows = _has_window(building, room)
@@ -341,7 +340,7 @@ def _standing_people(building: Building, track: Track, rng: Rng) -> list[Item]:
     for _ in range(60):
         if len(people) == wanted:
             break
-        room = rooms[int(rng.integers(len(rooms)))]
+        room = rooms[rng.integers(len(rooms))]
         x = rng.uniform(room.x[0] + 0.4, room.x[1] - 0.4)
         y = rng.uniform(room.y[0] + 0.4, room.y[1] - 0.4)
         facing, height = rng.uniform(0, 360), rng.uniform(1.6, 1.9)
@@ -366,7 +365,7 @@ def _walkers(building: Building, track: Track, rng: Rng) -> tuple[Walker, ...]:
     walkers = []
     for _ in range(max(1, round(duration / 60))):
         begin = float(track.time[0]) + rng.uniform(0, max(duration - 10, 1))
-        speed, lane, back = rng.uniform(0.9, 1.4), lanes[int(rng.integers(2))], rng.random() < 0.5
+        speed, lane, back = rng.uniform(0.9, 1.4), lanes[rng.integers(2)], rng.random() < 0.5
         look = int(rng.integers(6))
         start, end = (ends[1], ends[0]) if back else ends
         line = np.array([wall.plan(start, lane), wall.plan(end, lane)])

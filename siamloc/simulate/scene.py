@@ -265,7 +265,7 @@ def build_scene(building: Building, run: Run, detail: Detail = FULL, light: Ligh
     transport = LightTransport(building, mesh, caster, detail)
     gloss, surfaces = None, Surfaces.of(mesh, atlas)
     if building.materials == "natural":
-        rng = seeded(building.seed, building.name, "gloss")
+        rng = building.rng("gloss")
         gloss = Gloss.drawn(rng, building, index, mesh.texture, surfaces.normals)
     scene = Scene(building, run, state, atlas, surfaces, caster, transport, tuple(lamps), gloss)
     return relit(scene, state.light if light is None else light)
@@ -279,7 +279,7 @@ def built(state: RunState) -> tuple[QuadMesh, list[Lamp]]:
     """
     building = state.building
     builder = MeshBuilder(_textures(building.name, building.seed, building.materials)[1])
-    style = draw_style(seeded(building.seed, building.name, "style"), building.materials)
+    style = draw_style(building.rng("style"), building.materials)
     lamps = add_shell(builder, building, state.fixtures, style)
     add_items(builder, building, state.items)
     return builder.build(), lamps
@@ -289,8 +289,8 @@ def built(state: RunState) -> tuple[QuadMesh, list[Lamp]]:
 def relit(scene: Scene, light: Light) -> Scene:
     """Return a scene in which only the light differs; quick, since the visibility of surfaces is kept."""
     building, transport, mesh = scene.building, scene.transport, scene.surfaces.mesh
-    rng, clouds = (seeded(building.seed, building.name, key, light.lighting, light.number) for key in ("light", "sky"))
-    view = seeded(building.seed, building.name, "view")
+    rng, clouds = (building.rng(key, light.lighting, light.number) for key in ("light", "sky"))
+    view = building.rng("view")
     sun = sun_direction(light.hour, building.north, light.declination)
     sky = make_sky(light.lighting, clouds, view, sun, transport.detail.sky, light.overcast)
     on = [replace(lamp, radiosity=light.lamps_on[lamp.room]) for lamp in scene.lamps if lamp.room in light.lamps_on]

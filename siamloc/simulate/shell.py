@@ -70,9 +70,9 @@ def draw_style(rng: Rng, materials: str = "standard") -> Style:
         frame = tuple(np.clip(grey * tint / tint.mean(), 0.02, 0.85).tolist())
     drawn = []
     for leaf in rng.permutation(leaves):
-        shade = float(rng.uniform(0.6, 1.0))
+        shade = rng.uniform(0.6, 1.0)
         drawn.append((str(leaf), (0.7 * shade, 0.8 * shade, shade) if leaf == "plain" else (shade, shade, shade)))
-    shade = float(rng.uniform(0.06, 0.3))
+    shade = rng.uniform(0.06, 0.3)
     return Style(frame, tuple(drawn), (shade, shade, shade))
 
 

@@ -91,10 +91,10 @@ def pattern_textures(rng: Rng) -> dict[str, Texture]:
     """Return further textures with drawn colours, by name: bricks, wallpaper, panelling, stone, planks."""
     return _square({
         "brick": (_bricks(rng), 1.6),
-        "stripes": (_stripes(rng), float(rng.uniform(0.5, 1.6))),
+        "stripes": (_stripes(rng), rng.uniform(0.5, 1.6)),
         "panelling": (_planks(rng, 6, 0.05), 1.2),
         "planks": (np.ascontiguousarray(_planks(rng, 5, 0.04).transpose(1, 0, 2)), 1.3),
-        "checker": (_checker(rng), float(rng.uniform(0.6, 1.6))),
+        "checker": (_checker(rng), rng.uniform(0.6, 1.6)),
         "terrazzo": (_terrazzo(rng), 1.0),
         "marble": (_marble(rng), 2.4),
     })  # fmt: skip
@@ -247,9 +247,9 @@ def _leaves(rng: Rng) -> Array:
     for _ in range(260):
         centre = tuple(int(v) for v in rng.integers(0, SIZE, 2))
         axes = (int(rng.integers(8, 26)), int(rng.integers(4, 9)))
-        shade = float(rng.uniform(0.6, 1.25))
+        shade = rng.uniform(0.6, 1.25)
         colour = (0.22 * shade, 0.46 * shade, 0.16 * shade)
-        cv2.ellipse(image, centre, axes, float(rng.uniform(0, 360)), 0, 360, colour, -1, cv2.LINE_AA)
+        cv2.ellipse(image, centre, axes, rng.uniform(0, 360), 0, 360, colour, -1, cv2.LINE_AA)
     return image
 
 

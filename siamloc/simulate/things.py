@@ -16,8 +16,10 @@ from __future__ import annotations
 
 from typing import Any
 
+import numpy as np
+
 from siamloc.simulate.furniture import BLACKISH, FRONTS, SEATS, STEEL, Build, Kind, colour_of, wood_of
-from siamloc.simulate.layout import Colour, Item, Rng
+from siamloc.simulate.layout import Array, Colour, Item, Rng
 from siamloc.simulate.mesh import WHITE, MeshBuilder
 from siamloc.simulate.prints import NOTICES, POSTERS, SCREENS
 
@@ -41,7 +43,7 @@ def made_of(parts: str, palette: tuple[Colour, ...] = SEATS) -> Build:
 
     def build(b: MeshBuilder, item: Item, rng: Rng, w: float, d: float, h: float) -> None:
         own = colour_of(item, rng, palette)
-        x, y = w / 2, d / 2
+        x, y, _ = scale = np.array([w / 2, d / 2, h])
         for shape, place, texture, colour in known:
             if texture in _NUMBERED:
                 picture = f"{texture[:-1]}{rng.integers(_NUMBERED[texture])}"
@@ -49,8 +51,7 @@ def made_of(parts: str, palette: tuple[Colour, ...] = SEATS) -> Build:
                 picture = wood_of(item) if texture == "wood" else texture
             tint = own if colour == "colour" else colour
             if shape == "box":
-                low, high = place[:3], place[3:]
-                b.box((low[0] * x, low[1] * y, low[2] * h), (high[0] * x, high[1] * y, high[2] * h), picture, tint)
+                b.box(place[:3] * scale, place[3:] * scale, picture, tint)
             elif shape == "tube":
                 z, radius = (place[2] * h, place[3] * h), (place[4] * x, place[5] * x)
                 b.prism(place[0] * x, place[1] * y, z, radius, picture, tint)
@@ -62,7 +63,7 @@ def made_of(parts: str, palette: tuple[Colour, ...] = SEATS) -> Build:
     return build
 
 
-def _part(row: str) -> tuple[str, list[float], str, Any]:
+def _part(row: str) -> tuple[str, Array, str, Any]:
     """Return the shape of a part, the numbers of its place, its texture, and its colour or "colour"."""
     shape, *words = row.split()
     count = _NUMBERS[shape]
@@ -71,7 +72,7 @@ def _part(row: str) -> tuple[str, list[float], str, Any]:
         tint: Any = tuple(map(float, colour))
     else:
         tint = "colour" if colour == ["colour"] else _NAMED[colour[0]] if colour else WHITE
-    return shape, list(map(float, words[:count])), texture, tint
+    return shape, np.array(words[:count], dtype=np.float64), texture, tint
 
 
 _OWN = ("colour", "wood")

@@ -185,14 +185,12 @@ def rounded(points: Array) -> Array:
 
 
 def _check_rounded(building: Building, path: str, line: Array) -> None:
-    stuck, points = np.flatnonzero(blocked_points(building, line)), building.paths[path]
+    stuck = line[blocked_points(building, line)]
     if len(stuck):
-        x, y = line[stuck[0]]
-        corner = int(np.argmin(np.linalg.norm(points - line[stuck[0]], axis=1)))
-        room = room_codes(building, points[corner : corner + 1])[0]
+        x, y = stuck[0]
         raise DataError(
-            f"{building.source}: rounding the corners of path {path!r} leads into a wall or furniture of "
-            f"room {room!r} at ({x:.2f}, {y:.2f}): add points around it"
+            f"{building.source}: rounding the corners of path {path!r} leads into a wall or furniture at "
+            f"({x:.2f}, {y:.2f}): add points around it"
         )
 
 

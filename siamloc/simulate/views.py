@@ -99,7 +99,7 @@ def draw_views(
         lights: number of lights per drive.
         poses: largest number of poses per drive.
         spacing: metres between poses.
-        cameras: cameras to draw from: "any", "panoramas", only the "built_in" one, or only "ordinary" ones.
+        cameras: cameras to draw from: "any", "panoramas", only the "built_in" camera, or only "ordinary" cameras.
         exposure: "drawn", or "metered" for the best exposure and white balance, without noise.
         worlds: "offices" draws office floors, flats and halls with matt surfaces; "any" also homes, workshops and high
             halls, most of them with natural textures and surfaces that reflect.
@@ -117,7 +117,7 @@ def draw_views(
     building = random_building(FIRST_SEED + seed, worlds)
     camera, height = draw_camera(rng, image_size, cameras)
     taken = draw_imaging(seeded(seed, "imaging"), camera) if imaging == "drawn" else None
-    start, first = float(rng.random()), int(rng.integers(1, 1000))
+    start, first = rng.random(), int(rng.integers(1, 1000))
     parts: list[tuple[Array, ...]] = []
     lightings: list[str] = []
     eyes: list[Array] = []
