@@ -100,8 +100,9 @@ def pretrain(
         )
     if process_rank() == 0:
         check_folder(run, resume, overwrite)
-    judged: Monitor = "recall" if network.relative is None else "refined"
-    settings = replace(settings, monitor=judged) if settings.monitor == "auto" else settings
+    usual: Monitor = "recall" if network.relative is None else "refined"
+    monitor = usual if settings.monitor == "auto" else settings.monitor
+    settings = replace(settings, monitor=monitor)
     check_loss(loss, 2)
     change, augmented = augmentation_of(augmentation, bool(network.settings["circular"]), settings, trainer)
     data = ViewDataModule(network.image_size, views, places, change, settings.seed)
@@ -112,18 +113,7 @@ def pretrain(
     frames = {"train": None, "validation": None}
     about = {"data": {}, "views": views.plain(), "protocol": {}, "augment": augmented, "frames": frames}
     what = f"random buildings, a new one every {views.batches} batches, {places.epoch_batches} batches per epoch"
-    learn(
-        module,
-        data,
-        run,
-        about,
-        settings,
-        trainer,
-        monitor=settings.monitor,
-        what=what,
-        resume=resume,
-        overwrite=overwrite,
-    )
+    learn(module, data, run, about, settings, trainer, monitor=monitor, what=what, resume=resume, overwrite=overwrite)
     if process_rank() == 0:
         save_weights(without_layer(network), run.weights)
         run.record_written([run.weights])

@@ -22,11 +22,12 @@ def glossy(mini: Building) -> Scene:
     return replace(scene, gloss=replace(scene.gloss, head_on=np.where(floor, 0.05, 0).astype(np.float32)))
 
 
-def rays(scene: Scene, count: int = 4000) -> tuple[np.ndarray, np.ndarray]:
+def rays(scene: Scene, count: int = 4000) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     directions = np.random.default_rng(0).standard_normal((count, 3)).astype(np.float32)
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
     x, y, _ = scene.state.track.poses[40]
-    return np.tile(np.array([x, y, 0.95], dtype=np.float32), (count, 1)), directions
+    origins = np.tile(np.array([x, y, 0.95], dtype=np.float32), (count, 1))
+    return origins, directions, np.full(count, 0.01, dtype=np.float32)
 
 
 def exact(cosine: np.ndarray, index: float = 1.5) -> np.ndarray:
@@ -45,8 +46,8 @@ def test_the_share_that_a_surface_throws_back_is_about_that_of_glass() -> None:
 
 
 def test_a_polished_floor_shows_what_its_mirror_image_shows(glossy: Scene) -> None:
-    origins, directions = rays(glossy)
-    hits = glossy.hits(origins, directions, np.full(len(origins), 0.01, dtype=np.float32))
+    origins, directions, spread = rays(glossy)
+    hits = glossy.hits(origins, directions, spread)
     assert hits.mirrored is not None
     rows, share, mirrored = hits.mirrored
     below = directions[rows, 2] < 0
@@ -88,8 +89,8 @@ def test_lamps_are_reflected_in_the_windows_at_night(glossy: Scene) -> None:
 
 
 def test_both_faces_of_a_pane_reflect(glossy: Scene) -> None:
-    origins, directions = rays(glossy, 20_000)
-    hits = glossy.hits(origins, directions, np.full(len(origins), 0.01, dtype=np.float32))
+    origins, directions, spread = rays(glossy, 20_000)
+    hits = glossy.hits(origins, directions, spread)
     assert hits.mirrored is not None
     rows, share, mirrored = hits.mirrored
     panes = hits.quad[rows] < 0
@@ -105,6 +106,5 @@ def test_both_faces_of_a_pane_reflect(glossy: Scene) -> None:
 
 
 def test_nothing_reflects_unless_it_is_asked_for(night: Scene) -> None:
-    origins, directions = rays(night, 10)
     assert night.gloss is None
-    assert night.hits(origins, directions, np.full(10, 0.01, dtype=np.float32)).mirrored is None
+    assert night.hits(*rays(night, 10)).mirrored is None
