@@ -99,7 +99,7 @@ class OmnidirectionalCamera:
 
     @cached_property
     def pixels(self) -> Pixels:
-        """The pixels that show anything, of a mirror those of its ring."""
+        """The pixels that show anything: below a mirror, the pixels of its ring."""
         model, (height, width) = self.model, self.shape
         rows, columns = (grid.ravel() for grid in np.mgrid[0:height, 0:width])
         if isinstance(model, HyperbolicMirror):

@@ -74,8 +74,9 @@ class Gloss:
             missed: indices of the rays that hit nothing: they leave through a window.
 
         Returns:
-            Which rays they are (m,), the share of the light that the mirror throws back (m,), the points in metres just
-            in front of the mirrors (m, 3), the new directions (m, 3), and the metres to the mirror (m,), all float32.
+            Which rays they are (m,), and in single precision the share of the light that the mirror throws back (m,),
+            the points in metres just in front of the mirrors (m, 3), the new directions (m, 3), and the metres to the
+            mirror (m,).
         """
         shiny = self.head_on.take(quad) > 0
         shiny[missed] = False

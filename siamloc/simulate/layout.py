@@ -43,7 +43,7 @@ class Rectangle(NamedTuple):
     y: Interval
 
     def corners(self) -> Array:
-        """Return the corners (4, 2), counter-clockwise from the one with the smallest coordinates."""
+        """Return the corners (4, 2), counter-clockwise from the smallest x and y."""
         (x0, x1), (y0, y1) = self
         return np.array([(x0, y0), (x1, y0), (x1, y1), (x0, y1)])
 

@@ -15,7 +15,7 @@ _ROW, _COLUMN = np.mgrid[0:SIZE, 0:SIZE]
 
 
 def natural_textures(rng: Rng) -> dict[str, Texture]:
-    """Draw textures that replace those of the same names, in colours of their own.
+    """Draw textures that replace the plain textures of the same names, in their own colours.
 
     >>> sorted(natural_textures(np.random.default_rng(0)))[:4]
     ['beech', 'brick', 'carpet', 'carpet_gray']

@@ -87,7 +87,8 @@ def contact_sheet(building: Building, runs: list[Run]) -> Any:
 def floor_plan(building: Building, runs: list[Run]) -> Any:
     """Return a matplotlib figure of the plan: walls, doors, windows, furniture, room codes and the runs' paths.
 
-    The furniture is that of the last month; what has changed since the first is highlighted, what has gone is dotted.
+    It shows the furniture of the last month; furniture that has changed since the first is highlighted, or dotted
+    where it has gone.
     """
     from matplotlib.figure import Figure
     from matplotlib.patches import Polygon, Rectangle

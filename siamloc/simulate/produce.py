@@ -69,7 +69,7 @@ class SimulateConfig(Settings):
         positions: number of positions of a grid in each run, spread over the rooms; all that are free if None.
         months: number of months after the first, in each of which the runs are driven again; furniture, pictures and
             lamps are moved, exchanged, added and taken from month to month. The folders of later months end in
-            `_month1`, `_month2`, ...; those of the first are the same as without months.
+            `_month1`, `_month2`, ...; the folders of the first month are the same as without months.
         camera: "omnidirectional" (640 x 480 JPEG) or "panorama" (512 x 128 JPEG).
         trajectory: a `places.lst`; one image is rendered for each pose, under its listed name, in one run with the
             lighting that the list's file name contains, unless runs are given. Poses are checked for collisions, but

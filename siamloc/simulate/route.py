@@ -95,7 +95,7 @@ class FreeSpace:
             stops: indices of the cells, in the order in which the way passes them.
 
         Raises:
-            DataError: a cell cannot be reached from the one before.
+            DataError: a cell cannot be reached from the cell before it.
         """
         cells = [stops[0]]
         for start, end in pairwise(stops):

@@ -247,7 +247,7 @@ def build_scene(building: Building, run: Run, detail: Detail = FULL, light: Ligh
         building: the floor plan with its items.
         run: lighting, number and path of the drive.
         detail: how finely light is computed: `light.FULL`, or the faster `light.ROUGH`.
-        light: light to bake instead of the light of the run; None for that of the run.
+        light: light to bake; the light of the run if None.
 
     >>> from siamloc.simulate import load_building
     >>> build_scene(load_building("mini"), Run("night", 1, spacing=1.0))

@@ -37,7 +37,7 @@ def made_of(parts: str, palette: tuple[Colour, ...] = SEATS) -> Build:
 
     Args:
         parts: the parts, with a semicolon between two of them, in the form that the head of this file describes.
-        palette: colours from which that of an item is drawn, unless the building file gives one.
+        palette: colours from which an item's colour is drawn, unless the building file gives the colour.
     """
     known = [_part(part) for part in parts.split(";")]
 
