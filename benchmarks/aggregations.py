@@ -35,7 +35,7 @@ from siamloc.models.batch_losses import make_loss
 from siamloc.models.origins import Origins
 from siamloc.models.registry import PRETRAINED_SIZE
 from siamloc.pretraining import RECIPE, ViewSettings
-from siamloc.pretraining.view_batches import BuildingStream, Renderer, ViewBatches
+from siamloc.pretraining.view_batches import Renderer, ViewBatches
 from siamloc.simulate import Views
 
 OUTPUTS, CLUSTERS, QUERIES, HIDDEN = 2048, 16, 16, 256  # a panorama has 64 cells of features
@@ -174,7 +174,7 @@ def learn(heads: Sequence[nn.Module]) -> None:
     optimizers = [torch.optim.AdamW(head.parameters(), lr=RATE, weight_decay=0.01) for head in heads]
     cycles = [torch.optim.lr_scheduler.OneCycleLR(one, RATE, total_steps=BATCHES, pct_start=0.2) for one in optimizers]
     with closing(Renderer(1)) as renderer:
-        batches = ViewBatches(BuildingStream(renderer, PRETRAINED_SIZE, VIEWS, LEARNED_FROM), places)
+        batches = ViewBatches(renderer, PRETRAINED_SIZE, VIEWS, places, LEARNED_FROM)
         for number in range(BATCHES):
             item = batches[0, number]
             origins = Origins(**{key: item[key] for key in ("xy", "building", "room", "frame", "overlap")})

@@ -103,52 +103,6 @@ def building_seed(seed: int, number: int) -> int:
     return (seed * _STEP + number) % _SEEDS
 
 
-@dataclass(eq=False)
-class BuildingStream:
-    """Random buildings in order, rendered before they are needed.
-
-    Attributes:
-        renderer: renders the buildings.
-        image_size: rows and columns of the images.
-        settings: how many drives, lights and poses each building has, and how many buildings are in memory.
-        seed: seed of the training, from which the seed of each building follows.
-        rank: number of this process among those that train together; each has its own buildings.
-        world_size: number of those processes.
-    """
-
-    renderer: Renderer
-    image_size: Sequence[int]
-    settings: ViewSettings
-    seed: int
-    rank: int = 0
-    world_size: int = 1
-
-    def __post_init__(self) -> None:
-        self._here: dict[int, tuple[Views, FrameTable]] = {}
-
-    def held(self, newest: int) -> list[tuple[Views, FrameTable]]:
-        """Return the images and frames of the buildings in memory up to building `newest`; wait for their rendering.
-
-        Raises:
-            DataError: a rendering process has died.
-        """
-        numbers = range(max(0, newest + 1 - self.settings.held), newest + 1)
-        self._here = {number: here for number, here in self._here.items() if number in numbers}
-        for number in range(numbers.start, numbers.stop + max(2, 2 * self.settings.processes)):
-            if number not in self._here:
-                self.renderer.begin(self._wanted(number))
-        for number in numbers:
-            if number not in self._here:
-                views = self.renderer.views(self._wanted(number))
-                name = f"building {number * self.world_size + self.rank}"
-                self._here[number] = views, frames_of(views, name, self.settings.cameras == "ordinary")
-        return [self._here[number] for number in numbers]
-
-    def _wanted(self, number: int) -> Wanted:
-        seed = building_seed(self.seed, number * self.world_size + self.rank)
-        return self.settings.drawn(seed, self.image_size)
-
-
 def frames_of(views: Views, name: str, ordinary: bool = False) -> FrameTable:
     """List the images of a building as frames; each light counts as its own lighting.
 
@@ -179,14 +133,27 @@ class ViewBatches(Dataset[dict[str, Any]]):
     between buildings. It depends only on the seed, the epoch and i, not on how fast buildings are rendered.
 
     Attributes:
-        stream: renders the buildings of this process.
+        renderer: renders the buildings, before they are needed.
+        image_size: rows and columns of the images.
+        views: how many drives, lights and poses each building has, and how many buildings are in memory.
         places: how many places and images a batch has, and how places are drawn; `epoch_batches` is required.
+        seed: seed of the training, from which the seed of each building follows.
+        rank: number of this process among those that train together; each has its own buildings.
+        world_size: number of processes that train together.
         augmentation: changes the rendered images, such as their contrast; None leaves them as they are.
     """
 
-    stream: BuildingStream
+    renderer: Renderer
+    image_size: Sequence[int]
+    views: ViewSettings
     places: PlaceSettings
+    seed: int
+    rank: int = 0
+    world_size: int = 1
     augmentation: BatchAugmentation | None = None
+
+    def __post_init__(self) -> None:
+        self._here: dict[int, tuple[Views, FrameTable]] = {}
 
     def __len__(self) -> int:
         return self.places.epoch_batches or 0
@@ -198,13 +165,13 @@ class ViewBatches(Dataset[dict[str, Any]]):
             epoch: number of the epoch, from 0.
             batch: number of the batch in the epoch, from 0.
         """
-        stream, number = self.stream, epoch * len(self) + batch
-        held = stream.held(number // stream.settings.batches)
-        rng = np.random.default_rng([stream.seed, number, stream.rank, 0xB1D6])
-        chosen = rng.permutation(len(held))[: stream.settings.together]
+        number = epoch * len(self) + batch
+        held = self.held(number // self.views.batches)
+        rng = np.random.default_rng([self.seed, number, self.rank, 0xB1D6])
+        chosen = rng.permutation(len(held))[: self.views.together]
         frames = concatenate([held[one][1] for one in chosen])
-        sampler = PlaceSampler(frames, self.places, seed=stream.seed)
-        return [held[one][0] for one in chosen], frames, sampler.batch(number, stream.rank)
+        sampler = PlaceSampler(frames, self.places, seed=self.seed)
+        return [held[one][0] for one in chosen], frames, sampler.batch(number, self.rank)
 
     def __getitem__(self, number: tuple[int, int]) -> dict[str, Any]:
         views, frames, rows = self.drawn(*number)
@@ -219,12 +186,33 @@ class ViewBatches(Dataset[dict[str, Any]]):
         item: dict[str, Any] = {"images": torch.from_numpy(pictures), "overlap": torch.from_numpy(overlap)}
         item |= {name: value[rows] for name, value in origins_of(frames).items()}
         # The processes that train together number their buildings, rooms and frames separately.
-        rank, world_size = self.stream.rank, self.stream.world_size
         for name in ("building", "room", "frame"):
-            item[name] = item[name] * world_size + rank
+            item[name] = item[name] * self.world_size + self.rank
         if self.augmentation is not None:
-            self.augmentation.add(item, number, pictures.shape[1:], rank, world_size)
+            self.augmentation.add(item, number, pictures.shape[1:], self.rank, self.world_size)
         return item
+
+    def held(self, newest: int) -> list[tuple[Views, FrameTable]]:
+        """Return the images and frames of the buildings in memory up to building `newest`; wait for their rendering.
+
+        Raises:
+            DataError: a rendering process has died.
+        """
+        numbers = range(max(0, newest + 1 - self.views.held), newest + 1)
+        self._here = {number: here for number, here in self._here.items() if number in numbers}
+        for number in range(numbers.start, numbers.stop + max(2, 2 * self.views.processes)):
+            if number not in self._here:
+                self.renderer.begin(self._wanted(number))
+        for number in numbers:
+            if number not in self._here:
+                views = self.renderer.views(self._wanted(number))
+                name = f"building {number * self.world_size + self.rank}"
+                self._here[number] = views, frames_of(views, name, self.views.cameras == "ordinary")
+        return [self._here[number] for number in numbers]
+
+    def _wanted(self, number: int) -> Wanted:
+        seed = building_seed(self.seed, number * self.world_size + self.rank)
+        return self.views.drawn(seed, self.image_size)
 
 
 def validation_views(renderer: Renderer, image_size: Sequence[int], ordinary: bool = False) -> DriveBatches:
@@ -283,8 +271,8 @@ class ViewDataModule(EpochDataModule):
 
     def train_dataloader(self) -> DataLoader[Any]:
         """Make the loader of the training batches."""
-        stream = BuildingStream(self._renderer, self._size, self.views, self.seed, *self.share())
-        return self.loader(ViewBatches(stream, self.places, self.augmentation), self.next_epoch())
+        shared = self._renderer, self._size, self.views, self.places, self.seed, *self.share()
+        return self.loader(ViewBatches(*shared, self.augmentation), self.next_epoch())
 
     def val_dataloader(self) -> DataLoader[Any]:
         """Make the loader of the validation images, which are rendered once."""

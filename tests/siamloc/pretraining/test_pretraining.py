@@ -20,7 +20,7 @@ from siamloc.errors import ConfigError, DataError
 from siamloc.models.origins import Origins
 from siamloc.models.places import PlaceModule
 from siamloc.pretraining import RECIPE, ViewSettings, pretrain, view_batches
-from siamloc.pretraining.view_batches import BuildingStream, Renderer, ViewBatches, building_seed
+from siamloc.pretraining.view_batches import Renderer, ViewBatches, building_seed
 from siamloc.simulate.buildings import Worlds
 from siamloc.simulate.camera import Cameras
 from siamloc.simulate.views import Exposures, Imagings, Views, camera_of, draw_views
@@ -60,8 +60,7 @@ def rendered(monkeypatch):
 
 
 def batches(seed: int = 0, rank: int = 0, world_size: int = 1) -> ViewBatches:
-    stream = BuildingStream(Renderer(0), SIZE, SETTINGS, seed, rank, world_size)
-    return ViewBatches(stream, PLACES)
+    return ViewBatches(Renderer(0), SIZE, SETTINGS, PLACES, seed, rank, world_size)
 
 
 def test_a_batch_follows_from_its_number_alone(rendered):
@@ -114,11 +113,11 @@ def test_processes_that_train_together_have_no_overlap_with_each_other(rendered,
 
 
 def test_buildings_come_and_go(rendered):
-    stream = BuildingStream(Renderer(0), SIZE, SETTINGS, seed=3)
-    assert len(stream.held(0)) == 1
-    assert len(stream.held(5)) == SETTINGS.held
+    source = batches(seed=3)
+    assert len(source.held(0)) == 1
+    assert len(source.held(5)) == SETTINGS.held
     assert rendered == [building_seed(3, number) for number in (0, 3, 4, 5)]
-    stream.held(6)
+    source.held(6)
     assert rendered[-1] == building_seed(3, 6)
     assert len(rendered) == 5, "those that were there are not rendered again"
 
@@ -133,7 +132,7 @@ def test_all_settings_of_the_views_reach_the_renderer(monkeypatch):
     monkeypatch.setattr(view_batches, "draw_views", noted)
     of_a_building = {"drives": 3, "lights": 2, "poses": 5, "spacing": 0.7, "cameras": "ordinary"}
     of_a_building |= {"exposure": "metered", "worlds": "offices", "imaging": "plain"}
-    BuildingStream(Renderer(0), SIZE, ViewSettings(**of_a_building, processes=0), seed=1).held(0)
+    ViewBatches(Renderer(0), SIZE, ViewSettings(**of_a_building, processes=0), PLACES, seed=1).held(0)
     assert asked == [{"seed": building_seed(1, 0), "image_size": SIZE, **of_a_building}]
 
 
