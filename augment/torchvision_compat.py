@@ -6,7 +6,7 @@ does not load (a CPU build of torch with the default torchvision wheel, or any o
 which import it. Everything this project uses of torchvision (models, weight enums, transforms v2) is pure
 Python, so it is enough to declare the two schemas and import again.
 
-Call `ensure_torchvision` before the first import of torchvision, torchmetrics or lightning in a module.
+Call `ensure_torchvision` before the first import of torchvision or lightning in a module.
 """
 
 from __future__ import annotations

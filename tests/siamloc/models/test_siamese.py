@@ -13,8 +13,7 @@ from torch.utils.data import DataLoader
 from augment.torchvision_compat import ensure_torchvision
 from siamloc.errors import ConfigError, DataError
 from siamloc.models import ContrastiveLoss, Optimizer, SiameseModule, as_descriptor, build
-from siamloc.models.losses import pair_distance
-from siamloc.models.siamese import PairStatistics
+from siamloc.models.siamese import pair_figures, pair_sums
 from tests.oracles.contrastive import pair_statistics
 from tests.siamloc.models.conftest import trainer
 
@@ -48,10 +47,8 @@ def test_loss_of_a_step_is_that_of_two_separate_passes():
 
 
 def test_fit_lowers_the_loss_and_logs_finite_figures():
-    module = make(learning_rate=0.01)
-    batch = draw_pairs(16)
-    first_loss = module.training_step(batch, 1).item()
-    module.train_statistics.reset()
+    module, batch = make(learning_rate=0.01), draw_pairs(16)
+    first_loss = make().training_step(batch, 1).item()
     training = trainer(max_epochs=15)
     training.fit(module, loader(batch), loader(draw_pairs(16, seed=1)))
     logged = training.callback_metrics
@@ -137,11 +134,8 @@ def test_a_batch_with_missing_columns_is_refused():
 @pytest.mark.parametrize("stage", ["train", "val"])
 def test_a_training_that_diverges_is_stopped_before_its_epoch_is_saved(stage):
     module = make(learning_rate=0.5)
-    descriptors = torch.zeros(4, 5)
-    loss = torch.tensor(float("nan"))
-    getattr(module, f"{stage}_statistics").update(
-        descriptors, torch.ones(2), loss, torch.tensor([True, False]), torch.zeros(2)
-    )
+    loss, same = torch.tensor(float("nan")), torch.tensor([True, False])
+    module._sums[stage] = pair_sums(torch.zeros(4, 5), loss, same, torch.zeros(2), 2.0)
     end = module.on_train_epoch_end if stage == "train" else module.on_validation_epoch_end
     with pytest.raises(ConfigError, match=f"diverged: {stage}/loss of epoch 1 is nan; .* than 0.5"):
         end()
@@ -229,10 +223,14 @@ def test_gradients_are_clipped_in_mixed_precision():
 MARGIN = 2.0
 
 
-def add(statistics, d0, d1, label, same):
-    distance = pair_distance(d0, d1)
-    loss = ContrastiveLoss(MARGIN)(d0, d1, label)
-    statistics.update(torch.cat([d0, d1]), distance, loss, same, label)
+def figures(batches):
+    """The figures of an epoch of batches (d0, d1, label, same)."""
+    losses = [ContrastiveLoss(MARGIN)(d0, d1, label) for d0, d1, label, _ in batches]
+    sums = [
+        pair_sums(torch.cat([d0, d1]), loss, same, label, MARGIN)
+        for loss, (d0, d1, label, same) in zip(losses, batches, strict=True)
+    ]
+    return pair_figures({name: sum(one[name] for one in sums) for name in sums[0]})
 
 
 def draw(pairs, dimensions, seed, same_share=0.5):
@@ -251,17 +249,12 @@ def draw(pairs, dimensions, seed, same_share=0.5):
 )
 def test_agrees_with_loops_over_all_pairs_whatever_the_batches(batches, dimensions, same_share, seed):
     columns = draw(sum(batches), dimensions, seed, same_share)
-    statistics = PairStatistics(MARGIN)
-    for part in zip(*(column.split(batches) for column in columns), strict=True):
-        add(statistics, *part)
+    found = figures(list(zip(*(column.split(batches) for column in columns), strict=True)))
     expected = pair_statistics(*(column.tolist() for column in columns), MARGIN)
-    computed = {name: value.item() for name, value in statistics.compute().items()}
-    assert computed == pytest.approx(expected, rel=1e-5, abs=1e-6)
+    assert {name: value.item() for name, value in found.items()} == pytest.approx(expected, rel=1e-5, abs=1e-6)
 
 
 def test_a_collapsed_network_has_no_spread_even_far_from_zero():
-    statistics = PairStatistics(MARGIN)
-    same_for_all = torch.full((50, 3), 12345.678)
-    for _ in range(20):
-        add(statistics, same_for_all, same_for_all, torch.ones(50), torch.zeros(50, dtype=torch.bool))
-    assert statistics.compute()["spread"] < 1e-2
+    alike = torch.full((50, 3), 12345.678)
+    batch = alike, alike, torch.ones(50), torch.zeros(50, dtype=torch.bool)
+    assert figures([batch] * 20)["spread"] < 1e-2
