@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from importlib import import_module
-from typing import Any, ClassVar
+from typing import Any
 
 import torch
 from torch import Tensor, nn
@@ -47,14 +47,11 @@ class SoftContrastiveLoss(ScheduledLoss):
         True
     """
 
-    unit_length: ClassVar[bool] = True
-
     @takes(SoftContrastive)
     def __init__(self, settings: SoftContrastive) -> None:
-        super().__init__(settings)
+        super().__init__("soft_contrastive", settings)
         self.temperature, self.sigma = float(settings.temperature), float(settings.sigma)
         self.kernel, self.room, self.beyond = settings.kernel, float(settings.room), settings.beyond
-        self.settings = {"name": "soft_contrastive", **settings.plain()}
 
     def forward(self, descriptors: Tensor, origins: Origins) -> Tensor:
         """Compute the loss of a batch, a scalar.
@@ -160,13 +157,10 @@ class MetricCalibratedLoss(ScheduledLoss):
         ConfigError: a cap that is not positive.
     """
 
-    unit_length: ClassVar[bool] = True
-
     @takes(MetricCalibrated)
     def __init__(self, settings: MetricCalibrated) -> None:
-        super().__init__(settings)
+        super().__init__("metric_calibrated", settings)
         self.cap = float(settings.cap)
-        self.settings = {"name": "metric_calibrated", **settings.plain()}
 
     def forward(self, descriptors: Tensor, origins: Origins) -> Tensor:
         """Compute the loss of a batch, a scalar, from descriptors (N, D) of unit length.

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, ClassVar
+from typing import Any
 
 import torch
 import torch.nn.functional as F
@@ -39,16 +39,13 @@ class DistillationLoss(ScheduledLoss):
         True
     """
 
-    unit_length: ClassVar[bool] = True
-
     @takes(Distillation)
     def __init__(
         self, teacher_network: nn.Module | None = None, *, settings: Distillation = OF_FIELDS, **fields: Any
     ) -> None:
-        super().__init__(settings)
+        super().__init__("distillation", settings)
         found = _teacher(settings) if teacher_network is None else teacher_network
         self._teacher = [found.requires_grad_(False)]  # a list, so that it is neither trained nor stored
-        self.settings = {"name": "distillation", **settings.plain()}
 
     def teach(self, images: Tensor) -> Tensor:
         """Return the teacher's descriptors (N, T) of images (N, 3, H, W), floating point in [0, 1]."""

@@ -19,18 +19,15 @@ _POWER = 0.7  # of the magnitudes; stored maps depend on it
 
 
 class Head(nn.Module):
-    """Base of all heads.
+    """Base of all heads; made by `make_head`.
 
     Attributes:
         name: a name in `HEADS`.
         outputs: length D of a descriptor.
     """
 
+    name: str
     outputs: int
-
-    def __init__(self, name: str) -> None:
-        super().__init__()
-        self.name = name
 
 
 class FullyConnected(Head):
@@ -39,13 +36,12 @@ class FullyConnected(Head):
     Nothing follows the last layer, as in the published code of the thesis; see `SoftmaxHead` for the text's softmax.
 
     Args:
-        name: the head's name in `siamloc.models.registry.HEADS`.
         shape: (C, h, w) of the features.
         widths: neurons of the layers; the last number is D.
     """
 
-    def __init__(self, name: str, shape: tuple[int, int, int], widths: tuple[int, ...]) -> None:
-        super().__init__(name)
+    def __init__(self, shape: tuple[int, int, int], widths: tuple[int, ...]) -> None:
+        super().__init__()
         self.outputs = widths[-1]
         layers: list[nn.Module] = [nn.Flatten()]
         for inputs, outputs in pairwise((shape[0] * shape[1] * shape[2], *widths)):
@@ -76,13 +72,12 @@ class UnitHead(Head):
     """Base of the heads that end in one layer and give descriptors of unit length.
 
     Args:
-        name: the head's name in `siamloc.models.registry.HEADS`.
         inputs: number of inputs of the layer.
         outputs: length D of a descriptor.
     """
 
-    def __init__(self, name: str, inputs: int, outputs: int) -> None:
-        super().__init__(name)
+    def __init__(self, inputs: int, outputs: int) -> None:
+        super().__init__()
         self.outputs = outputs
         self.layer = nn.Linear(inputs, outputs)
 
@@ -95,13 +90,12 @@ class Flat(UnitHead):
     """One fully connected layer over all features, scaled to unit length: what is seen where, relative to the robot.
 
     Args:
-        name: the head's name in `siamloc.models.registry.HEADS`.
         shape: (C, h, w) of the features.
         outputs: length D of a descriptor.
     """
 
-    def __init__(self, name: str, shape: tuple[int, int, int], outputs: int) -> None:
-        super().__init__(name, shape[0] * shape[1] * shape[2], outputs)
+    def __init__(self, shape: tuple[int, int, int], outputs: int) -> None:
+        super().__init__(shape[0] * shape[1] * shape[2], outputs)
 
     def forward(self, features: Tensor) -> Tensor:
         """Return the descriptors of features (B, C, h, w)."""
@@ -115,16 +109,15 @@ class GeneralizedMean(UnitHead):
     maximum. The head discards where in the panorama something is.
 
     Args:
-        name: the head's name in `siamloc.models.registry.HEADS`.
         shape: (C, h, w) of the features.
         outputs: length D of a descriptor.
     """
 
     _over: ClassVar[tuple[int, ...]] = (2, 3)  # the dimensions that the mean goes over
 
-    def __init__(self, name: str, shape: tuple[int, int, int], outputs: int) -> None:
+    def __init__(self, shape: tuple[int, int, int], outputs: int) -> None:
         channels, rows, _ = shape
-        super().__init__(name, channels if 2 in self._over else channels * rows, outputs)
+        super().__init__(channels if 2 in self._over else channels * rows, outputs)
         self.power = nn.Parameter(torch.empty(1))
 
     def reset(self) -> None:
@@ -144,7 +137,6 @@ class Bands(GeneralizedMean):
     For cameras that stay level and turn, even if the columns of an image do not wrap around.
 
     Args:
-        name: the head's name in `siamloc.models.registry.HEADS`.
         shape: (C, h, w) of the features.
         outputs: length D of a descriptor.
     """
@@ -195,15 +187,14 @@ class Fourier(UnitHead):
     `siamloc.models.orientation`.
 
     Args:
-        name: the head's name in `siamloc.models.registry.HEADS`.
         shape: (C, h, w) of the features.
         outputs: length D of a descriptor.
     """
 
-    def __init__(self, name: str, shape: tuple[int, int, int], outputs: int) -> None:
+    def __init__(self, shape: tuple[int, int, int], outputs: int) -> None:
         channels, rows, columns = shape
         spectrum = Spectrum(columns)
-        super().__init__(name, channels * rows * spectrum.frequencies, outputs)
+        super().__init__(channels * rows * spectrum.frequencies, outputs)
         self.spectrum = spectrum
 
     def forward(self, features: Tensor) -> Tensor:
@@ -222,7 +213,6 @@ class Magnitudes(Head):
     ([Charikar 2002]).
 
     Args:
-        name: the head's name in `siamloc.models.registry.HEADS`.
         shape: (C, h, w) of the features, which have C * h * (w // 2) magnitudes.
         outputs: length D of a descriptor, at most the number of magnitudes.
 
@@ -233,16 +223,16 @@ class Magnitudes(Head):
     order: Tensor
     signs: Tensor
 
-    def __init__(self, name: str, shape: tuple[int, int, int], outputs: int) -> None:
-        super().__init__(name)
+    def __init__(self, shape: tuple[int, int, int], outputs: int) -> None:
+        super().__init__()
         channels, rows, columns = shape
         self.spectrum = Spectrum(columns)
         count = channels * rows * (self.spectrum.frequencies - 1)
         if columns < 2:
-            raise ConfigError(f"the head {name} needs features of 2 columns, and these have 1: take larger images")
+            raise ConfigError("the head magnitudes needs features of 2 columns, and these have 1: take larger images")
         if outputs > count:
             raise ConfigError(
-                f"the head {name} has at most {count} outputs here, one for each magnitude, got {outputs}"
+                f"the head magnitudes has at most {count} outputs here, one for each magnitude, got {outputs}"
             )
         self.outputs = outputs
         padded = -(-count // self.outputs) * self.outputs
@@ -284,5 +274,6 @@ def make_head(name: str, shape: tuple[int, int, int], outputs: int | None = None
     kind = globals()[HEADS[name].kind]
     if kind is Magnitudes and outputs is None:  # small images have fewer
         widths = (min(widths[0], shape[0] * shape[1] * max(1, shape[2] // 2)),)
-    head: Head = kind(name, shape, widths[0] if len(widths) == 1 else widths)
+    head: Head = kind(shape, widths[0] if len(widths) == 1 else widths)
+    head.name = name
     return head

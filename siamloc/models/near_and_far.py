@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, ClassVar
+from typing import Any
 
 import torch
 from torch import Tensor, nn
@@ -35,14 +35,11 @@ class NearAndFarLoss(ScheduledLoss):
     and of the gradients in both directions.
     """
 
-    unit_length: ClassVar[bool] = True
-
     def __init__(self, name: str, published: str, settings: Triplet | Circle | MultiSimilarity) -> None:
         from pytorch_metric_learning import distances, losses, miners
 
-        super().__init__(settings)
+        super().__init__(name, settings)
         self.near, self.far = float(settings.near), float(settings.far)
-        self.settings = {"name": name, **settings.plain()}
         common = {"distance", *fields_of(NearAndFar)}
         parameters = {key: value for key, value in settings.plain().items() if key not in common}
         distance = (

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import ClassVar
 
 import torch
 from torch import Tensor, nn
@@ -68,13 +69,19 @@ class Origins:
 class ScheduledLoss(nn.Module):
     """Base of losses over batches. Parameters with a start, such as `sigma` with `sigma_start`, change while training.
 
-    A loss for descriptors of unit length has the attribute `unit_length = True`: other descriptors are refused. If it
-    has a method `lacks(origins) -> str | None`, a training in which every batch lacks
-        something is refused, too.
+    Descriptors of another length than 1 are refused, unless the loss sets `unit_length = False`. If it has a method
+    `lacks(origins) -> str | None`, a training in which every batch lacks something is refused, too.
+
+    Args:
+        name: name of the loss in `siamloc.models.registry.LOSSES`.
+        settings: its parameters.
     """
 
-    def __init__(self, settings: Settings) -> None:
+    unit_length: ClassVar[bool] = True
+
+    def __init__(self, name: str, settings: Settings) -> None:
         super().__init__()
+        self.settings = {"name": name, **settings.plain()}
         starts = {key: value for key, value in settings.plain().items() if key.endswith("_start") and value is not None}
         names = {key.removesuffix("_start"): value for key, value in starts.items()}
         self._courses = {name: (start, getattr(settings, name)) for name, start in names.items()}
