@@ -53,13 +53,15 @@ class Backbone(Branch):
         self.register_buffer("mean", torch.empty(1, 3, 1, 1))
         self.register_buffer("std", torch.empty(1, 3, 1, 1))
         self.normalize_with(*_card(name, network))
-        with _explained(name, image_size), _evaluated(network):
+        network.eval()
+        with _explained(name, image_size), torch.no_grad():
             example = torch.zeros(1, 3, *image_size)
             features = _features(network, example)
             self.features = features if isinstance(features, nn.Sequential) else nn.Sequential(features)
             self._shapes = [(one.shape[1], one.shape[2], one.shape[3]) for one in self._maps(example)]
             if circular:
                 self._wrap(image_size)
+        network.train()
 
     def shapes(self, image_size: tuple[int, int]) -> list[tuple[int, int, int]]:
         """Return channels, rows and columns of the network's maps, the last of which are the features."""
@@ -103,7 +105,8 @@ class Backbone(Branch):
         images = torch.rand(1, 3, image_size[0], stride * columns, generator=generator)
         try:
             straight, turned = tried(images), tried(images.roll(stride, dims=3))
-            wraps = straight.shape[3] > 1 and _close(straight.roll(1, dims=3), turned)
+            apart = (straight.roll(1, dims=3) - turned).abs().max()
+            wraps = straight.shape[3] > 1 and bool(apart <= _EQUAL * straight.abs().max())
         except Exception:  # a network of fixed size may raise anything
             wraps = False
         if not wraps:
@@ -242,7 +245,7 @@ def _features(network: nn.Module, example: Tensor) -> nn.Module:
     if isinstance(found, Tensor) and found.ndim == 4:
         return network
     if isinstance(found, Tensor) and found.ndim == 2:
-        return nn.Sequential(nn.Sequential(network, _OnePixel()))
+        return _one_pixel(network)
     shape = tuple(found.shape) if isinstance(found, Tensor) else type(found).__name__
     raise ConfigError(f"{type(network).__qualname__} must give (B, C, h, w) or (B, D) for (B, 3, H, W), got {shape}")
 
@@ -259,7 +262,12 @@ def _timm_features(network: Any, example: Tensor) -> nn.Module:
         except Exception:  # no norm layer for maps, or no maps; each network says so by another error
             continue
     network.reset_classifier(0)
-    return nn.Sequential(nn.Sequential(network, _OnePixel()))
+    return _one_pixel(network)
+
+
+def _one_pixel(network: nn.Module) -> nn.Module:
+    """Return a network that gives (B, D) as one that gives a map of one pixel, (B, D, 1, 1)."""
+    return nn.Sequential(nn.Sequential(network, nn.Unflatten(1, (-1, 1, 1))))
 
 
 class _Timm(nn.Module):
@@ -305,13 +313,6 @@ class _Tokens(nn.Module):
         return tokens.transpose(1, 2).unflatten(2, self.grid)
 
 
-class _OnePixel(nn.Module):
-    """Pooled features (B, D) as a map (B, D, 1, 1)."""
-
-    def forward(self, pooled: Tensor) -> Tensor:
-        return pooled[:, :, None, None]
-
-
 def _check_patches(example: Tensor, rows: int, columns: int) -> None:
     height, width = example.shape[2:]
     if height % rows or width % columns:
@@ -320,19 +321,6 @@ def _check_patches(example: Tensor, rows: int, columns: int) -> None:
             f"images of {height} x {width} pixels do not divide into the network's patches of {rows} x {columns}: take "
             f"data.image_size=[{size[0]},{size[1]}] (from Python image_size=({size[0]}, {size[1]}))"
         )
-
-
-def _close(one: Tensor, other: Tensor) -> bool:
-    return bool((one - other).abs().max() <= _EQUAL * one.abs().max())
-
-
-@contextmanager
-def _evaluated(network: nn.Module) -> Iterator[None]:
-    """Put a network into evaluation mode without gradients inside a `with` block, and back into training mode."""
-    network.eval()
-    with torch.no_grad():
-        yield
-    network.train()
 
 
 @contextmanager

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from functools import lru_cache
 from typing import cast
 
+import numpy as np
 import torch
 from torch import Tensor, nn
 
@@ -74,7 +75,6 @@ class Branch(nn.Module):
         Raises:
             ConfigError: an image too small for the branch.
         """
-        feature_shape(self.name, image_size, self.circular)
         return layer_shapes(self.name, image_size, self.circular)
 
     @property
@@ -108,32 +108,6 @@ def channels_of(normalize: str) -> int:
     return 6 if normalize == "local_and_colours" else 3
 
 
-@lru_cache(maxsize=256)
-def feature_shape(name: str, image_size: tuple[int, int], circular: bool = False) -> tuple[int, int, int]:
-    """Return channels, rows and columns of the features at an image size (H, W); only shapes are computed.
-
-    Args:
-        name: a name in `BRANCHES`.
-        image_size: rows and columns of the images.
-        circular: whether convolutions and pools wrap around the azimuth.
-
-    Raises:
-        ConfigError: an unknown branch, or an image too small for it.
-    """
-    rows, columns = image_size
-    small = branch_spec(name).kind == "simple" and (rows < SIMPLE_GRID[0] or columns < SIMPLE_GRID[1])
-    try:
-        shape = layer_shapes(name, image_size, circular)[-1]
-    except RuntimeError:
-        small = True
-    if small or min(shape) < 1:
-        raise ConfigError(
-            f"an image of {rows} x {columns} pixels is too small for the branch {name!r}: take larger images, or a "
-            "branch that shrinks them less"
-        )
-    return shape
-
-
 def finer_features(branch: Branch, image_size: tuple[int, int]) -> tuple[int, tuple[int, int, int]] | None:
     """Return where a branch has features with at least twice as many columns as its output.
 
@@ -152,13 +126,31 @@ def finer_features(branch: Branch, image_size: tuple[int, int]) -> tuple[int, tu
 
 @lru_cache(maxsize=256)
 def layer_shapes(name: str, image_size: tuple[int, int], circular: bool) -> list[tuple[int, int, int]]:
-    """Return channels, rows and columns after each layer of a branch; arguments as for `feature_shape`."""
+    """Return channels, rows and columns after each layer of a branch; only shapes are computed.
+
+    Args:
+        name: a name in `BRANCHES`.
+        image_size: rows and columns of the images.
+        circular: whether convolutions and pools wrap around the azimuth.
+
+    Raises:
+        ConfigError: an unknown branch, or an image too small for it.
+    """
+    small = branch_spec(name).kind == "simple" and any(np.less(image_size, SIMPLE_GRID))
     found, features = [], torch.empty(1, 3, *image_size, device="meta")
-    with torch.no_grad():
-        for layer in _weightless(name, circular):
-            features = layer(features)
-            channels, rows, columns = features.shape[1:]
-            found.append((channels, rows, columns))
+    try:
+        with torch.no_grad():
+            for layer in _weightless(name, circular):
+                features = layer(features)
+                channels, rows, columns = features.shape[1:]
+                found.append((channels, rows, columns))
+    except RuntimeError:  # a layer has no pixel to give
+        small = True
+    if small or min(found[-1]) < 1:
+        raise ConfigError(
+            f"an image of {image_size[0]} x {image_size[1]} pixels is too small for the branch {name!r}: take larger "
+            "images, or a branch that shrinks them less"
+        )
     return found
 
 
@@ -189,7 +181,12 @@ def _features(name: str, circular: bool = False, channels: int = 3) -> nn.Sequen
         pool.register_forward_hook(_keep_layout)
         features = nn.Sequential(*layers, pool)
     elif channels == 3:
-        features = _torchvision_features(name)
+        ensure_torchvision()
+        from torchvision import models
+
+        features = models.get_model(name, weights=None).features
+        if name.startswith("densenet"):
+            features.append(nn.ReLU(inplace=True))
     else:
         raise ConfigError(f"the first layer of {name} has three channels: leave normalize=local_and_colours out")
     return cast(nn.Sequential, around(features)) if circular else features
@@ -203,20 +200,6 @@ def _keep_layout(_pool: nn.Module, inputs: tuple[Tensor], pooled: Tensor) -> Non
     (features,) = inputs
     if pooled.requires_grad and features.is_cpu and features.is_contiguous(memory_format=torch.channels_last):
         pooled.register_hook(lambda gradient: gradient.contiguous(memory_format=torch.channels_last))
-
-
-def _torchvision_features(name: str) -> nn.Sequential:
-    ensure_torchvision()
-    from torchvision import models
-
-    # The classifier, most of such a network, is discarded: on the meta device it is never allocated.
-    with torch.device("meta"):
-        features = models.get_model(name, weights=None).features
-    device = torch.empty(0).device
-    features = features.to_empty(device=device)
-    if name.startswith("densenet"):
-        features.append(nn.ReLU(inplace=True))
-    return features
 
 
 @lru_cache(maxsize=32)

@@ -9,7 +9,7 @@ from torch import nn
 
 from siamloc.errors import ConfigError
 from siamloc.models import BRANCHES, build
-from siamloc.models.branch import LEAST_CONTRAST, SURROUNDINGS, by_image, by_surroundings, feature_shape
+from siamloc.models.branch import LEAST_CONTRAST, SURROUNDINGS, by_image, by_surroundings, layer_shapes
 
 # Convolutions of [T] table 5.1; DenseNet-121 has two in each of its 58 layers, three transitions and the first.
 CONVOLUTIONS = {
@@ -42,13 +42,13 @@ def family(name):
 
 @pytest.mark.parametrize("name", BRANCHES)
 def test_features_have_the_shape_that_was_foreseen_and_end_in_a_relu(name):
-    assert feature_shape(name, (128, 512)) == AT_128_512[family(name)]
+    assert layer_shapes(name, (128, 512), False)[-1] == AT_128_512[family(name)]
     size = (70, 150)
     branch, panorama = build(name, "fc500_500_5", size).eval().branch, torch.rand(1, 3, *size)
     before = panorama.clone()
     with torch.inference_mode():
         features = branch(panorama)
-    assert features.shape[1:] == feature_shape(name, size)
+    assert features.shape[1:] == layer_shapes(name, size, False)[-1]
     assert features.min() >= 0
     assert torch.equal(panorama, before)
 
@@ -74,7 +74,7 @@ def test_simple_branches_have_three_convolutions_each_with_a_relu(name, widths):
 @pytest.mark.parametrize("name", ["simple1", "alexnet", "densenet121", "vgg11", "vgg16_bn"])
 def test_the_smallest_image_is_taken_and_a_smaller_one_is_not(name):
     rows, columns = SMALLEST[family(name)]
-    assert min(feature_shape(name, (rows, columns))) >= 1
+    assert min(layer_shapes(name, (rows, columns), False)[-1]) >= 1
     for size in ((rows - 1, columns), (rows, columns - 1)):
         with pytest.raises(ConfigError, match=rf"{size[0]} x {size[1]} pixels is too small for the branch '{name}'"):
             build(name, "fc500_500_5", size)
