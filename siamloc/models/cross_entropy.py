@@ -13,8 +13,6 @@ from siamloc.errors import ConfigError, DataError
 from siamloc.models.origins import Origins, check_batch
 from siamloc.models.registry import CrossEntropy
 
-_ROOMS = 2  # minimum number to distinguish
-
 
 class CrossEntropyLoss(nn.Module):
     """Train one fully connected layer to name the room of an image from its descriptor.
@@ -64,7 +62,7 @@ class CrossEntropyLoss(nn.Module):
         Raises:
             DataError: fewer than two rooms.
         """
-        if len(rooms) < _ROOMS:
+        if len(rooms) < 2:
             raise DataError(f"naming rooms needs two of them at least, got {len(rooms)}")
         self.rooms = tuple(rooms)
         self.layer = nn.utils.skip_init(nn.Linear, width, len(rooms))

@@ -109,14 +109,23 @@ class NetworkDescriptor(BetweenColumns):
             DataError: another shape or type, values that are not finite or outside [0, 1], or a network that returns
                 anything but a descriptor for each image.
         """
-        describes = describing(self.module)
-
-        def checked(images: Tensor) -> tuple[Tensor, ...]:
-            position, *orientation = describes(images)
-            return checked_descriptors(position, len(images)), *orientation
-
-        position, *orientation = _described(self.module, checked, batch, chunk)
-        return Description(position, orientation[0] if orientation else None)
+        describes, images, like, parts = describing(self.module), _as_images(batch), _like(self.module), []
+        with evaluating(self.module):
+            for part in images.split(chunk):
+                ready = as_float(_uploaded(part, like)).expand(-1, 3, -1, -1)
+                position, *orientation = describes(ready.to(like.dtype))
+                given = [one.float() for one in (checked_descriptors(position, len(part)), *orientation)]
+                # With the descriptors, since reading anything waits for a GPU; 8-bit numbers cannot be out of range.
+                limits = [] if part.dtype == torch.uint8 else [torch.stack(ready.aminmax()).float()]
+                found = _fetched([*given, *limits])
+                for low, high in found[len(given) :]:
+                    if not (low >= -_ROUNDING and high <= 1 + _ROUNDING):  # written so that NaN fails, too
+                        raise DataError(
+                            "floating point images must lie in [0, 1]: divide them by 255, or clean them of NaN"
+                        )
+                parts.append(found[: len(given)])
+        whole = [torch.cat(given).numpy() for given in zip(*parts, strict=True)]
+        return Description(whole[0], whole[1] if len(whole) > 1 else None)
 
     @property
     def compares(self) -> bool:
@@ -185,6 +194,7 @@ def as_descriptor(network: nn.Module | Descriptor, device: str | torch.device | 
 
 def identity_of(network: nn.Module) -> dict[str, Any]:
     """Return plain values that determine a network's descriptors: its attribute `identity`, or class and weights."""
+    network = network_of(network)
     own = getattr(network, "identity", None)
     if isinstance(own, dict):
         return own
@@ -287,27 +297,6 @@ def checked_descriptors(descriptors: Any, images: int) -> Tensor:
 def shown(value: Any) -> str:
     """Return a description of the output of a network or a loss, for an error message."""
     return f"shape {tuple(value.shape)}" if isinstance(value, Tensor) else type(value).__name__
-
-
-def _described(
-    network: nn.Module, describes: Callable[[Tensor], tuple[Tensor, ...]], batch: Any, chunk: int
-) -> list[NDArray[np.float32]]:
-    """Return the outputs of a network for images, chunk by chunk, in evaluation mode and full precision."""
-    images, like, parts = _as_images(batch), _like(network), []
-    with evaluating(network):
-        for part in images.split(chunk):
-            ready = as_float(_uploaded(part, like)).expand(-1, 3, -1, -1)
-            given = [one.float() for one in describes(ready.to(like.dtype))]
-            # With the descriptors, since reading anything waits for a GPU; 8-bit numbers cannot be out of range.
-            limits = [] if part.dtype == torch.uint8 else [torch.stack(ready.aminmax()).float()]
-            found = _fetched([*given, *limits])
-            for low, high in found[len(given) :]:
-                if not (low >= -_ROUNDING and high <= 1 + _ROUNDING):  # written so that NaN fails, too
-                    raise DataError(
-                        "floating point images must lie in [0, 1]: divide them by 255, or clean them of NaN"
-                    )
-            parts.append(found[: len(given)])
-    return [torch.cat(given).numpy() for given in zip(*parts, strict=True)]
 
 
 def _as_images(batch: Any) -> Tensor:

@@ -17,7 +17,6 @@ RECALL_RADIUS = 0.5
 """A query is found if the map frame with the nearest descriptor is this near, in the unit of the positions."""
 
 _COLUMNS = ("xy", "building", "room", "known")
-_ROOMS_NEED = 2
 _AT_ONCE = 256  # pairs to compare
 
 
@@ -111,7 +110,7 @@ class DriveFigures:
                 away = torch.linalg.vector_norm(off, dim=1)
                 figures["refined"] = torch.where(there[rows], away, ELSEWHERE).mean()
         rooms, asked = whole["room"][known], whole["room"][query]
-        if len(rooms[rooms >= 0].unique()) >= _ROOMS_NEED and bool((asked >= 0).any()):
+        if len(rooms[rooms >= 0].unique()) >= 2 and bool((asked >= 0).any()):
             figures["room"] = (rooms[apart.argmin(dim=1)] == asked)[asked >= 0].float().mean()
         if naming is not None and bool((asked >= 0).any()):
             figures["accuracy"] = naming(whole["descriptors"][query], asked)

@@ -17,7 +17,6 @@ from siamloc.models.describing import (
     as_float,
     checked_descriptors,
     comparing,
-    identity_of,
     margin_of,
     orienting,
     shown,
@@ -82,11 +81,6 @@ class NetworkModule(LightningModule):
         learns = any(weight.requires_grad for weight in comparing_weights(self.network))
         return orienting(self.network) if learns else None
 
-    @property
-    def identity(self) -> dict[str, Any]:
-        """What determines the network's descriptors; see `NetworkDescriptor.identity`."""
-        return identity_of(self.network)
-
     def forward(self, panorama: Tensor) -> Tensor:
         """Compute the descriptors (B, D) of panoramas (B, 3, H, W), floating point in [0, 1]."""
         return self.network(panorama)
@@ -107,7 +101,7 @@ class NetworkModule(LightningModule):
             self._frozen = FrozenStages(self.network, self.optimizer.frozen_stages)
 
     def on_train_start(self) -> None:
-        """Switch the frozen stages to evaluation mode."""
+        """Switch the frozen stages to evaluation mode, after Lightning has checked the modes of all modules."""
         if self._frozen is not None:
             self._frozen.rest()
 

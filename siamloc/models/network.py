@@ -277,18 +277,15 @@ class Network(nn.Module):
     def _turned(self, panorama: Tensor) -> tuple[Tensor, Tensor | None]:
         """Check panoramas, and turn them to their canonical direction if the network does that, by so many columns."""
         if not (torch.compiler.is_compiling() or torch.jit.is_tracing()):
-            self._check(panorama)
+            rows, columns = self.image_size
+            if panorama.ndim != 4 or panorama.shape[1:] != (3, rows, columns):
+                raise DataError(
+                    f"the network was built for panoramas of shape (B, 3, {rows}, {columns}), got "
+                    f"{tuple(panorama.shape)}: make the library with image_size=({rows}, {columns})"
+                )
+            if not panorama.is_floating_point():
+                raise DataError(f"panoramas must be floating point in [0, 1], got {panorama.dtype}: divide them by 255")
         return (panorama, None) if self.canonical is None else self.canonical(panorama)
-
-    def _check(self, panorama: Tensor) -> None:
-        rows, columns = self.image_size
-        if panorama.ndim != 4 or panorama.shape[1:] != (3, rows, columns):
-            raise DataError(
-                f"the network was built for panoramas of shape (B, 3, {rows}, {columns}), got {tuple(panorama.shape)}: "
-                f"make the library with image_size=({rows}, {columns})"
-            )
-        if not panorama.is_floating_point():
-            raise DataError(f"the network needs floating point in [0, 1], got {panorama.dtype}: divide by 255 first")
 
 
 def _canonical(branch: Branch, head: Head, image_size: tuple[int, int]) -> Canonical:

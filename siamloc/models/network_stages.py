@@ -40,7 +40,7 @@ def stages(network: nn.Module) -> list[list[str]]:
 
 
 def comparing_weights(network: nn.Module) -> list[nn.Parameter]:
-    """Return the names of the weights that learn to estimate displacements; empty for other networks."""
+    """Return the weights that learn to estimate displacements; none for a network that does not compare images."""
     if not isinstance(getattr(network, "relative", None), nn.Module):
         return []
     return [weight for part in ("orientation", "relative") for weight in network.get_submodule(part).parameters()]

@@ -183,19 +183,19 @@ class RelativePose(nn.Module):
         compared = (known[:, None] * around).unflatten(3, (GROUPS, -1)).mean(dim=4)  # (B, S, K, G)
         compared = compared.transpose(2, 3).flatten(1, 2)
         both = torch.cat([known, seen], dim=2).transpose(1, 2)
-        found = self.first(self._padded(torch.cat([compared, both], dim=1), 1))
+        found = self.first(self._padded(torch.cat([compared, both], dim=1)))
         if features is not None:
             found = found + self.far(features.transpose(2, 3).flatten(1, 2))
         found = F.relu(found)
         for layer in self.more:
-            found = found + F.relu(layer(self._padded(found, 1)))
+            found = found + F.relu(layer(self._padded(found)))
         return self.votes(found), self.whole(found.mean(dim=2))
 
-    def _padded(self, values: Tensor, columns: int) -> Tensor:
-        """Pad values (..., K) at each end: with columns from the other end of a full turn, else with zeros."""
+    def _padded(self, values: Tensor) -> Tensor:
+        """Pad values (..., K) by a column at each end: from the other end of a full turn, else with zeros."""
         if not self.circular:
-            return F.pad(values, (columns, columns))
-        return torch.cat([values[..., -columns:], values, values[..., :columns]], dim=-1)
+            return F.pad(values, (1, 1))
+        return torch.cat([values[..., -1:], values, values[..., :1]], dim=-1)
 
 
 def compared(origins: Origins, descriptors: Tensor) -> tuple[Tensor, Tensor, Tensor]:

@@ -48,7 +48,7 @@ def test_a_loaded_network_describes_like_the_trained_one(trained):
     images = np.random.default_rng(0).random((3, 3, *SIZE), dtype=np.float32)
     described, expected = (as_descriptor(one).describe(images).position for one in (loaded, module.network))
     np.testing.assert_array_equal(described, expected)
-    assert as_descriptor(loaded).identity == module.identity
+    assert as_descriptor(loaded).identity == module.network.identity
     assert loaded.settings == module.network.settings
     assert not loaded.training
     assert as_descriptor(loaded).margin == 1.5
@@ -72,7 +72,7 @@ def test_loading_downloads_and_reads_nothing_else(trained, tmp_path):
     for weights in ("imagenet", "/nowhere/weights.pth"):
         changed = {**about(path), "model": {**about(path)["model"], "weights": weights}}
         loaded = load(altered(path, tmp_path / "a.ckpt", siamloc=changed))
-        assert loaded.identity == module.identity
+        assert loaded.identity == module.network.identity
         assert loaded.settings["weights"] == weights
 
 
@@ -87,9 +87,9 @@ def test_a_run_gives_its_best_checkpoint_or_the_last(trained, tmp_path):
     run.checkpoints.mkdir(parents=True)
     (run.checkpoints / "last.ckpt").write_bytes(path.read_bytes())
     for source in (run, run.folder, str(run.folder)):
-        assert load(source).identity == module.identity
+        assert load(source).identity == module.network.identity
     (run.checkpoints / "best.ckpt").write_text("broken")
-    assert load(run, which="last").identity == module.identity
+    assert load(run, which="last").identity == module.network.identity
     with pytest.raises(FormatError, match=r"best\.ckpt"):
         load(run)
     with pytest.raises(ConfigError, match="must be best or last, got 'first'"):
