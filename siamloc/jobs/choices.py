@@ -348,10 +348,7 @@ class TrainerKeys(Settings):
         """
         own = set(fields_of(cls)) - {"further"}
         if further := {key: value for key, value in values.items() if key not in own}:
-            from augment.torchvision_compat import ensure_torchvision
-
-            ensure_torchvision()
-            from lightning.pytorch import Trainer
+            from siamloc.lightning import Trainer
 
             check_known(further, inspect.signature(Trainer).parameters, "trainer")
         return cls(**{key: value for key, value in values.items() if key in own}, further=further)

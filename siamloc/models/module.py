@@ -9,9 +9,9 @@ from typing import Any, ClassVar
 import torch
 from torch import Tensor, nn
 
-from augment.torchvision_compat import ensure_torchvision
 from foundation.calls import typed
 from siamloc.errors import ConfigError, DataError
+from siamloc.lightning import LightningModule
 from siamloc.models.cross_entropy import CrossEntropyLoss
 from siamloc.models.describing import (
     as_float,
@@ -26,10 +26,6 @@ from siamloc.models.network import Network
 from siamloc.models.network_stages import FrozenStages, comparing_weights, stages
 from siamloc.models.registry import Optimizer
 from siamloc.models.weights import CONTENT_KEY, FORMAT_VERSION
-
-ensure_torchvision()
-
-from lightning.pytorch import LightningModule  # noqa: E402
 
 
 class NetworkModule(LightningModule):

@@ -8,10 +8,7 @@ import torch
 from torch import Tensor, distributed, nn
 from torch.nn.modules.batchnorm import _BatchNorm
 
-from augment.torchvision_compat import ensure_torchvision
-
-ensure_torchvision()
-from lightning.pytorch.plugins import LayerSync  # noqa: E402
+from siamloc.lightning import LayerSync
 
 
 class OneBatch(LayerSync):

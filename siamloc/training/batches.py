@@ -14,13 +14,10 @@ from torch import Tensor
 from torch.utils.data import DataLoader, Dataset, DistributedSampler
 
 from augment.base import Effect
-from augment.torchvision_compat import ensure_torchvision
 from foundation.settings import Settings
 from siamloc.data.frames import FrameTable
 from siamloc.data.library import PanoramaLibrary
-
-ensure_torchvision()
-from lightning.pytorch import LightningDataModule  # noqa: E402
+from siamloc.lightning import LightningDataModule
 
 SHARE = 0.25
 """Share of a GPU's free memory that panoramas may take."""

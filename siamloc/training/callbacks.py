@@ -13,20 +13,23 @@ from typing import Any
 
 import torch
 
-from augment.torchvision_compat import ensure_torchvision
 from foundation.files import atomic_path, write_text
 from siamloc.errors import StorageError
+from siamloc.lightning import (
+    Callback,
+    Checkpoint,
+    LightningModule,
+    ModelCheckpoint,
+    TensorBoardLogger,
+    TorchCheckpointIO,
+    Trainer,
+    WeightAveraging,
+)
 from siamloc.models.describing import margin_of
 from siamloc.models.places import PlaceModule
 from siamloc.runs import Run, higher_is_better
 from siamloc.training.loggers import files_logged
 from siamloc.training.pace import Pace
-
-ensure_torchvision()
-from lightning.fabric.plugins import TorchCheckpointIO  # noqa: E402
-from lightning.pytorch import Callback, LightningModule, Trainer  # noqa: E402
-from lightning.pytorch.callbacks import Checkpoint, ModelCheckpoint, WeightAveraging  # noqa: E402
-from lightning.pytorch.loggers import TensorBoardLogger  # noqa: E402
 
 _SAID = (
     *("train/loss", "train/accuracy", "train/active", "train/relative"),

@@ -16,13 +16,13 @@ from torch import nn
 
 import augment
 from augment.base import on_host
-from augment.torchvision_compat import ensure_torchvision
 from foundation.calls import OF_FIELDS, takes
 from foundation.files import plain
 from foundation.locks import alone
 from siamloc.data.frames import FrameTable
 from siamloc.data.library import PanoramaLibrary
 from siamloc.data.places import PlaceSettings
+from siamloc.lightning import Trainer
 from siamloc.memory import kept_memory
 from siamloc.models.checkpoint import check_architecture, load
 from siamloc.models.cross_entropy import CrossEntropyLoss
@@ -58,9 +58,6 @@ from siamloc.training.settings import Training
 from siamloc.training.stopping import StepCheckpoints, first_interrupt_asks, interrupts_raised
 from siamloc.training.trainer import computing, listed, on_gpu, precision_of, quiet, run_trainer, steps_of
 from siamloc.training.worst_queries import WorstQueries
-
-ensure_torchvision()
-from lightning.pytorch import Trainer  # noqa: E402
 
 
 @takes(Training)

@@ -6,12 +6,9 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from augment.torchvision_compat import ensure_torchvision
 from siamloc.errors import ConfigError
+from siamloc.lightning import Callback, LightningModule, Trainer
 from siamloc.models.module import NetworkModule
-
-ensure_torchvision()
-from lightning.pytorch import Callback, LightningModule, Trainer  # noqa: E402
 
 
 class FiniteGuard(Callback):

@@ -11,13 +11,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from augment.torchvision_compat import ensure_torchvision
 from foundation.files import write_picture
 from siamloc.errors import ConfigError, hint, installing
+from siamloc.lightning import CSVLogger, Logger, MLFlowLogger, TensorBoardLogger, WandbLogger
 from siamloc.runs import Run
-
-ensure_torchvision()
-from lightning.pytorch.loggers import CSVLogger, Logger, MLFlowLogger, TensorBoardLogger, WandbLogger  # noqa: E402
 
 LOGGERS = ("tensorboard", "csv", "wandb", "mlflow")
 """Names of the loggers, and of their folders in a run."""

@@ -10,10 +10,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from augment.torchvision_compat import ensure_torchvision
-
-ensure_torchvision()
-from lightning.pytorch import Callback, LightningModule, Trainer  # noqa: E402
+from siamloc.lightning import Callback, LightningModule, Trainer
 
 
 def images_in(batch: Mapping[str, Any]) -> int:

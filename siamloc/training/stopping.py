@@ -14,17 +14,12 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from augment.torchvision_compat import ensure_torchvision
 from siamloc.errors import ConfigError
 from siamloc.interrupts import stop_once
+from siamloc.lightning import Checkpoint, LightningModule, SIGTERMException, Trainer
 from siamloc.models.module import NetworkModule
 from siamloc.training.guard import FiniteGuard
 from siamloc.training.run_folder import EPOCH_SUMS
-
-ensure_torchvision()
-from lightning.pytorch import LightningModule, Trainer  # noqa: E402
-from lightning.pytorch.callbacks import Checkpoint  # noqa: E402
-from lightning.pytorch.utilities.exceptions import SIGTERMException  # noqa: E402
 
 _USUAL = (signal.default_int_handler, stop_once)
 

@@ -14,10 +14,10 @@ from typing import Any, Literal
 import torch
 from torch import Tensor
 
-from augment.torchvision_compat import ensure_torchvision
 from foundation.files import content_key
 from siamloc.data.places import PlaceSettings
 from siamloc.errors import ConfigError
+from siamloc.lightning import Callback, LayerSync, LightningModule, Trainer
 from siamloc.models.module import NetworkModule
 from siamloc.models.network import Network
 from siamloc.runs import Run
@@ -28,10 +28,6 @@ from siamloc.training.loggers import check_loggers, loggers_of
 from siamloc.training.pace import Pace
 from siamloc.training.settings import Training
 from siamloc.training.stopping import StepCheckpoints
-
-ensure_torchvision()
-from lightning.pytorch import Callback, LightningModule, Trainer  # noqa: E402
-from lightning.pytorch.plugins import LayerSync  # noqa: E402
 
 TRAINER: Mapping[str, Any] = {"accelerator": "auto", "devices": 1, "log_every_n_steps": 10, "logger": "tensorboard"}
 """Default arguments of `lightning.Trainer` in `fit`."""

@@ -7,17 +7,14 @@ import numpy as np
 from numpy.typing import NDArray
 from torch import nn
 
-from augment.torchvision_compat import ensure_torchvision
 from siamloc.data.frames import FrameTable
 from siamloc.data.library import PanoramaLibrary
+from siamloc.lightning import Callback, LightningModule, Trainer
 from siamloc.models.checkpoint import load
 from siamloc.models.describing import as_descriptor
 from siamloc.runs import Run
 from siamloc.training.loggers import log_picture
 from siamloc.training.place_batches import evenly
-
-ensure_torchvision()
-from lightning.pytorch import Callback, LightningModule, Trainer  # noqa: E402
 
 NAME = "worst_queries"
 """Name of the picture in the loggers."""
