@@ -43,7 +43,6 @@ _HELD_OUT = 4  # one stretch of this many
 _SAMPLE = 1000  # frames at most from which the median similarity is computed
 _QUERIES = 256
 _SHARES = (0.0, 0.5, 0.75, 1.0)  # of the weights from after the training
-_AT_ONCE = 256  # images to describe
 
 
 @dataclass(frozen=True)
@@ -221,10 +220,9 @@ def _median_similarity(descriptors: NDArray[np.float32]) -> float:
 
 
 def _described(network: nn.Module, images: PanoramaLibrary, frames: FrameTable) -> NDArray[np.float32]:
-    """Return what the network learned to describe of frames (n, D)."""
-    descriptor, rows = as_descriptor(network, None), images.rows(frames)
-    parts = [rows[start : start + _AT_ONCE] for start in range(0, len(rows), _AT_ONCE)]
-    return learned(network, np.concatenate([descriptor.describe(images.batch(part)).position for part in parts]))
+    """Return the learned part (n, D) of the descriptors of frames."""
+    describe = as_descriptor(network, None).describe
+    return learned(network, np.concatenate([describe(batch).position for batch in images.batches(frames)]))
 
 
 def _weights(network: nn.Module) -> dict[str, Tensor]:

@@ -118,13 +118,11 @@ class MovingAverage(WeightAveraging):
         self._device = trainer.strategy.root_device
         super().setup(trainer, pl_module, stage)
 
-    def on_train_batch_end(
-        self, trainer: Trainer, pl_module: LightningModule, outputs: Any, batch: Any, batch_idx: int
-    ) -> None:
+    def on_train_batch_end(self, trainer: Trainer, pl_module: LightningModule, *more: Any) -> None:
         """Update the average; after the first step without reading numbers from the device, which would block."""
         average = self._average_model
         if average is None or self._latest_update_step == 0:
-            super().on_train_batch_end(trainer, pl_module, outputs, batch, batch_idx)
+            super().on_train_batch_end(trainer, pl_module, *more)
         elif trainer.global_step > self._latest_update_step:
             self._latest_update_step = trainer.global_step
             average.n_averaged += 1
@@ -164,23 +162,20 @@ class Curves(Checkpoint):
         self._start = (0.0, 0)
         self._logged_before = files_logged(run)
 
-    def on_train_start(self, trainer: Trainer, pl_module: LightningModule) -> None:
-        """Record the start time, the first epoch, and the files that the loggers opened."""
+    def on_train_start(self, trainer: Trainer, *_: Any) -> None:
+        """Note the start time and the first epoch, and record the files that the loggers opened."""
         self._start = (time.monotonic(), trainer.current_epoch)
         trainer.should_stop |= self._stale()
-        self._record_logged(trainer)
+        self.on_fit_end(trainer)
 
-    def on_exception(self, trainer: Trainer, pl_module: LightningModule, exception: BaseException) -> None:
-        """Record the files of the loggers if the training ends early."""
-        self._record_logged(trainer)
-
-    def on_fit_end(self, trainer: Trainer, pl_module: LightningModule) -> None:
-        """Record the pictures of the loggers."""
-        self._record_logged(trainer)
-
-    def _record_logged(self, trainer: Trainer) -> None:
+    def on_fit_end(self, trainer: Trainer, *_: Any) -> None:
+        """Record the files that the loggers wrote, pictures included."""
         if trainer.is_global_zero:
             self._run.record_written(files_logged(self._run) - self._logged_before)
+
+    def on_exception(self, trainer: Trainer, *_: Any) -> None:
+        """Record the files of the loggers if the training ends early."""
+        self.on_fit_end(trainer)
 
     def on_train_epoch_end(self, trainer: Trainer, pl_module: LightningModule) -> None:
         """Write the figures of the epoch as a row of the file."""
@@ -194,9 +189,9 @@ class Curves(Checkpoint):
             self._say(trainer, values)
             self._warn(trainer, pl_module, values)
 
-    def on_train_end(self, trainer: Trainer, pl_module: LightningModule) -> None:
+    def on_train_end(self, trainer: Trainer, *_: Any) -> None:
         """Record the files of the loggers, and print a summary, unless the training was interrupted."""
-        self._record_logged(trainer)
+        self.on_fit_end(trainer)
         early = self._stale() and len(self._rows) < (trainer.max_epochs or 0)
         if not trainer.is_global_zero or not (early or trainer.current_epoch >= (trainer.max_epochs or 0)):
             return

@@ -26,7 +26,6 @@ from siamloc.training.batches import EpochDataModule
 from siamloc.training.place_batches import PlaceDataModule, origins_of, rooms_of
 from siamloc.training.settings import Monitor, Training
 
-_ROOMS = 2  # minimum number to distinguish
 _TRIED = 8  # batches to search for something to learn from
 _UNIT_ROUNDING = 1e-2  # of the length of a descriptor in half precision
 
@@ -58,7 +57,7 @@ def usable(
         by_distance = pairs.by == "position"
     else:
         auto = pairs.label == "auto"
-        if pairs.label == "room" or (auto and len(rooms_of(tables["training"])) >= _ROOMS):
+        if pairs.label == "room" or (auto and len(rooms_of(tables["training"])) >= 2):
             leave(
                 lambda table: (table.room == "") & np.isin(table.building, table.building[table.room != ""]),
                 "room label, which others have",
@@ -88,7 +87,7 @@ def check_loss(loss: Loss | BatchLoss | None, arguments: int) -> None:
     Raises:
         ConfigError: the loss takes other arguments.
     """
-    if loss is None or not callable(loss):
+    if loss is None:
         return
     try:
         called = loss.forward if isinstance(loss, nn.Module) else loss
@@ -113,10 +112,10 @@ def check_rooms(loss: Loss | BatchLoss | None, train: FrameTable, validated: Fra
     Raises:
         DataError: too few rooms, or validation frames that are all in other rooms, for `CrossEntropyLoss`.
     """
-    if getattr(loss, "room", 0) and len(rooms_of(train)) < _ROOMS:
+    if getattr(loss, "room", 0) and len(rooms_of(train)) < 2:
         raise DataError(
             f"this loss learns from rooms, and the training frames have {len(rooms_of(train))}: give the labels of "
-            f"{_ROOMS} rooms or more, or choose another loss (or loss.room=0)"
+            f"2 rooms or more, or choose another loss (or loss.room=0)"
         )
     if isinstance(loss, CrossEntropyLoss) and validated is not None:
         known, asked = rooms_of(train), rooms_of(validated)
@@ -239,7 +238,7 @@ def monitored(
             )
         return None
     placed = bool(_buildings(train) & _buildings(validated))
-    roomed = len(rooms_of(train)) >= _ROOMS and bool(rooms_of(validated))
+    roomed = len(rooms_of(train)) >= 2 and bool(rooms_of(validated))
     turned = _buildings(train.take(np.isfinite(train.theta))) & _buildings(validated)
     compares = comparing(network) is not None and bool(turned)
     names = isinstance(loss, CrossEntropyLoss) and roomed
@@ -247,7 +246,7 @@ def monitored(
     needs = {
         "error": (placed, positions),
         "recall": (placed, positions),
-        "room": (roomed, f"validation frames with rooms, and {_ROOMS} rooms or more in training"),
+        "room": (roomed, "validation frames with rooms, and 2 rooms or more in training"),
         "accuracy": (names, "loss=cross_entropy, and training and validation frames with rooms"),
         "refined": (
             compares,
@@ -273,7 +272,7 @@ def monitored(
         return "error" if placed else "room"
     raise DataError(
         "the checkpoint is chosen by the error of localization or by the rooms found, but training and validation "
-        f"frames do not both have positions in one building, or both rooms ({_ROOMS} or more in training): give "
+        "frames do not both have positions in one building, or both rooms (2 or more in training): give "
         "either, or leave the validation out"
     )
 

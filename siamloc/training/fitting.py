@@ -43,7 +43,7 @@ from siamloc.training.checks import (
     monitored,
     usable,
 )
-from siamloc.training.loggers import log_settings
+from siamloc.training.loggers import listed, log_settings
 from siamloc.training.pair_batches import PairDataModule
 from siamloc.training.place_batches import PlaceDataModule, rooms_of, validation_drive
 from siamloc.training.run_folder import (
@@ -56,7 +56,7 @@ from siamloc.training.run_folder import (
 )
 from siamloc.training.settings import Training
 from siamloc.training.stopping import StepCheckpoints, first_interrupt_asks, interrupts_raised
-from siamloc.training.trainer import computing, listed, on_gpu, precision_of, quiet, run_trainer, steps_of
+from siamloc.training.trainer import computing, on_gpu, precision_of, quiet, run_trainer, steps_of
 from siamloc.training.worst_queries import WorstQueries
 
 

@@ -18,7 +18,6 @@ from siamloc.runs import Run
 
 LOGGERS = ("tensorboard", "csv", "wandb", "mlflow")
 """Names of the loggers, and of their folders in a run."""
-_PACKAGES = {"wandb": ("wandb",), "mlflow": ("mlflow",)}  # the others are always there
 
 
 def check_loggers(chosen: Any) -> list[str | Logger]:
@@ -30,15 +29,22 @@ def check_loggers(chosen: Any) -> list[str | Logger]:
     Raises:
         ConfigError: something else, or a logger whose package is not installed.
     """
-    listed = [] if chosen is False else list(chosen) if isinstance(chosen, list | tuple) else [chosen]
-    for one in listed:
+    found = [] if chosen is False else listed(chosen)
+    for one in found:
         if isinstance(one, Logger):
             continue
         if one not in LOGGERS:
             raise ConfigError(f"unknown trainer.logger {one!r}: {hint(str(one), LOGGERS)}, or false for none")
-        if missing := [package for package in _PACKAGES.get(one, ()) if find_spec(package) is None]:
-            raise ConfigError(f"trainer.logger={one} needs the package {missing[0]}: {installing(one)}")
-    return listed
+        if one in ("wandb", "mlflow") and find_spec(one) is None:
+            raise ConfigError(f"trainer.logger={one} needs the package {one}: {installing(one)}")
+    return found
+
+
+def listed(value: Any) -> list[Any]:
+    """Return an argument of `lightning.Trainer` that is one object, a list of them or None as a list."""
+    if value is None:
+        return []
+    return list(value) if isinstance(value, list | tuple) else [value]
 
 
 def loggers_of(run: Run, chosen: Any) -> list[Logger]:

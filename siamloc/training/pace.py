@@ -25,8 +25,6 @@ class Pace(Callback):
     waits for them.
     """
 
-    _FIRST = 2
-
     def __init__(self) -> None:
         self._images, self._seconds, self._waited = 0, 0.0, 0.0
         self._begun: Mark = 0.0
@@ -58,7 +56,7 @@ class Pace(Callback):
     ) -> None:
         """Record the time at which the step ends, and the number of its images."""
         now = mark(pl_module)
-        if self._ended is not None and batch_idx >= self._FIRST:
+        if self._ended is not None and batch_idx >= 2:
             self._steps.append((self._ended, self._begun, now, images_in(batch) * trainer.world_size))
         self._ended = now
 

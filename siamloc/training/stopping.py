@@ -54,9 +54,7 @@ class StepCheckpoints(Checkpoint):
         if self._sums and isinstance(pl_module, NetworkModule):
             pl_module.load_epoch_sums({name: value.to(pl_module.device) for name, value in self._sums.items()})
 
-    def on_train_batch_end(
-        self, trainer: Trainer, pl_module: LightningModule, outputs: Any, batch: Any, batch_idx: int
-    ) -> None:
+    def on_train_batch_end(self, trainer: Trainer, pl_module: LightningModule, *_: Any) -> None:
         """Write the checkpoint if it is due.
 
         Raises:
@@ -92,7 +90,7 @@ class StepCheckpoints(Checkpoint):
             trainer._signal_connector.received_sigterm = False
             self.asked = True
 
-    def on_train_epoch_end(self, trainer: Trainer, pl_module: LightningModule) -> None:
+    def on_train_epoch_end(self, trainer: Trainer, *_: Any) -> None:
         """Stop after the checkpoint of the epoch, if requested and the training would continue.
 
         Raises:

@@ -24,7 +24,7 @@ from siamloc.runs import Run
 from siamloc.training.batch_norm import OneBatch
 from siamloc.training.callbacks import AtomicCheckpoints, Curves, MovingAverage, checkpoint_callbacks
 from siamloc.training.guard import FiniteGuard
-from siamloc.training.loggers import check_loggers, loggers_of
+from siamloc.training.loggers import check_loggers, listed, loggers_of
 from siamloc.training.pace import Pace
 from siamloc.training.settings import Training
 from siamloc.training.stopping import StepCheckpoints
@@ -35,7 +35,6 @@ _LAUNCHED = {"MASTER_ADDR", "SLURM_JOB_ID", "LSB_JOBID", "TORCHELASTIC_RUN_ID", 
 """Environment variables set by the launchers of several machines."""
 _NO_MEMORY = re.compile("out of memory|allocate memory|not enough memory|ALLOC_FAILED")  # of CUDA, CPUs, cuDNN
 BACKEND = "inductor"  # of torch.compile
-OF_STEPS = ("accumulate_grad_batches", "limit_train_batches", "max_steps")
 
 
 def run_trainer(run: Run, settings: Training, further: Mapping[str, Any] | None, monitor: str | None) -> Trainer:
@@ -86,7 +85,8 @@ def run_trainer(run: Run, settings: Training, further: Mapping[str, Any] | None,
 
 def steps_of(trainer: Trainer) -> dict[str, Any]:
     """Return the trainer's settings, besides the number of batches, that determine the steps per epoch."""
-    return {"processes": trainer.world_size, **{key: getattr(trainer, key) for key in OF_STEPS}}
+    keys = "accumulate_grad_batches", "limit_train_batches", "max_steps"
+    return {"processes": trainer.world_size, **{key: getattr(trainer, key) for key in keys}}
 
 
 def check_trainer(further: Mapping[str, Any] | None) -> Trainer:
@@ -278,10 +278,3 @@ class _Seeds(Callback):
         torch.default_generator.manual_seed(int(key, 16))
         if trainer.strategy.root_device.type == "cuda":
             torch.cuda.manual_seed(int(key, 16))  # of this GPU; `torch.manual_seed` would seed all
-
-
-def listed(value: Any) -> list[Any]:
-    """Return an argument of `lightning.Trainer` that is one object or a list of them as a list."""
-    if value is None:
-        return []
-    return list(value) if isinstance(value, list | tuple) else [value]

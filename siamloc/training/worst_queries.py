@@ -19,7 +19,6 @@ from siamloc.training.place_batches import evenly
 NAME = "worst_queries"
 """Name of the picture in the loggers."""
 _ROWS, _WIDTH, _CAPTION, _GAP = 6, 384, 20, 8  # rows of the picture, and sizes in pixels
-_AT_ONCE = 256  # images to describe
 
 
 class WorstQueries(Callback):
@@ -60,7 +59,10 @@ def worst_queries(
     Returns:
         The picture (rows, columns, 3), uint8, RGB; the query with the largest error comes first.
     """
-    described, answers = (_described(network, images, frames) for frames in (queries, known))
+    describe = as_descriptor(network, None).describe
+    described, answers = (
+        np.concatenate([describe(batch).position for batch in images.batches(frames)]) for frames in (queries, known)
+    )
     apart = np.linalg.norm(queries.xy[:, None] - known.xy, axis=2)
     found = np.linalg.norm(described[:, None] - answers, axis=2).argmin(axis=1)
     nearest = apart.argmin(axis=1)
@@ -74,13 +76,6 @@ def worst_queries(
         ]
         strips.append(np.concatenate([_tile(images, frame, words) for frame, words in shown], axis=1))
     return np.concatenate(strips)
-
-
-def _described(network: nn.Module, images: PanoramaLibrary, frames: FrameTable) -> NDArray[np.float32]:
-    """Return the descriptors of frames (n, D)."""
-    descriptor, rows = as_descriptor(network, None), images.rows(frames)
-    parts = [rows[start : start + _AT_ONCE] for start in range(0, len(rows), _AT_ONCE)]
-    return np.concatenate([descriptor.describe(images.batch(part)).position for part in parts])
 
 
 def _tile(images: PanoramaLibrary, frame: FrameTable, words: str) -> NDArray[np.uint8]:
