@@ -22,7 +22,7 @@ from siamloc.versions import versions as versions_of
 
 Columns = dict[str, NDArray[Any]]
 UNLABELLED = "(unlabelled)"
-FURTHER = {
+FURTHER: dict[str, str] = {
     "filtered": "filter",
     "interpolated": "interpolation",
     "refined": "refinement",
