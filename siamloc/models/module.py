@@ -86,7 +86,7 @@ class NetworkModule(LightningModule):
         return self.compiled(part, *inputs) if self.training and self.compiled is not None else part(*inputs)
 
     def log_step(self, loss: Tensor) -> None:
-        """Log the loss of a training step; on a CPU also show it in the progress bar, for which a GPU would wait."""
+        """Log the loss of a training step; on a CPU also show it in the progress bar, which would make a GPU wait."""
         if self._trainer is not None:
             shown = loss.device.type == "cpu"
             self.log("loss_step", loss.detach(), on_step=True, on_epoch=False, prog_bar=shown, batch_size=1)

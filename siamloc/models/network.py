@@ -213,10 +213,9 @@ class Network(nn.Module):
     @property
     def stages(self) -> list[list[nn.Module]]:
         """The parts with weights, stage by stage: the layers of the branch by resolution, then the head."""
-        above: list[nn.Module] = [part for part in (self.head, self.orientation, self.relative) if part is not None]
-        last = [part for part in above if next(part.parameters(), None) is not None]
-        head = [last] if last else []
-        return [*self.branch.stages, *head]
+        above = [part for part in (self.head, self.orientation, self.relative) if part is not None]
+        last: list[nn.Module] = [part for part in above if next(part.parameters(), None) is not None]
+        return [*self.branch.stages, *([last] if last else [])]
 
     @property
     def identity(self) -> dict[str, Any]:
@@ -275,7 +274,7 @@ class Network(nn.Module):
         return learned, *orientation
 
     def _turned(self, panorama: Tensor) -> tuple[Tensor, Tensor | None]:
-        """Check panoramas, and turn them to their canonical direction if the network does that, by so many columns."""
+        """Check panoramas. A canonical network also turns them, and returns by how many columns; others None."""
         if not (torch.compiler.is_compiling() or torch.jit.is_tracing()):
             rows, columns = self.image_size
             if panorama.ndim != 4 or panorama.shape[1:] != (3, rows, columns):

@@ -73,9 +73,9 @@ class FrozenStages:
 
 def _parts(network: nn.Module) -> list[list[nn.Module]]:
     """Return the modules of each stage."""
-    said: Any = getattr(network, "stages", None)
-    said_so = isinstance(said, Iterable)
-    listed = [[*stage] if isinstance(stage, list | tuple) else [stage] for stage in said] if said_so else [[]]
+    given: Any = getattr(network, "stages", None)
+    stages = given if isinstance(given, Iterable) else [[]]
+    listed = [[*stage] if isinstance(stage, list | tuple) else [stage] for stage in stages]
     if not all(isinstance(part, nn.Module) for parts in listed for part in parts) or not all(listed):
         raise ConfigError(
             f"{type(network).__name__} does not say its stages: give it a property `stages`, a list of its parts from "

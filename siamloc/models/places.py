@@ -30,11 +30,10 @@ class PlaceModule(NetworkModule):
     A batch is a dictionary with `images` (N, 3, H, W), uint8 or floating point in [0, 1], and these fields of
     `Origins`: `xy` (N, 2), positions in a unit such as metres; and `building`, `room` and `frame` (N,), whole numbers.
     A network built with relative=True also learns the displacement and turn between two images, from the same
-    features and without changing them; then the batch also has `theta` (N,), headings in rad. A batch may
-    have `deviation` (N, 2), of positions and headings; and `overlap` (N, N), the visual overlap of its images, which
-    `SoftContrastiveLoss(kernel="overlap")` needs. A
-    validation batch also has `known` (N,) bool: True for map frames, False for the queries that are searched among
-    them.
+    features and without changing them; then the batch also has `theta` (N,), headings in rad. A batch may have
+    `deviation` (N, 2), of positions and headings; and `overlap` (N, N), the visual overlap of its images, which
+    `SoftContrastiveLoss(kernel="overlap")` needs. A validation batch also has `known` (N,) bool: True for map frames,
+    False for the queries that are searched among them.
 
     Logged at the end of a training epoch:
 

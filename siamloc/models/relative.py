@@ -64,13 +64,12 @@ class RelativePose(nn.Module):
     The query's columns are first turned to the map frame's direction, by whole columns; see `Alignment`. Then each
     column of the map frame is compared with its surroundings in the query, and with all of it by the alignment's
     features: from another position, things appear shifted, by an angle that shows the movement across the line of
-    sight. From that, each column votes for a displacement along and across
-    its own line of sight and for the rest of the turn, with an information matrix. The votes are rotated into the map
-    frame's axes and summed like independent measurements. Together they may carry less information than that, for
-    example if two places look alike; a factor estimated from all columns accounts for it. So it does for how sure
-    the turn is, and for how alike the aligned parts are, by their cosine as far as it is above 0.8: the columns
-    tell of movement, and images of one spot show none. By construction, turning a panorama turns the answer,
-    whatever was learned.
+    sight. From that, each column votes for a displacement along and across its own line of sight and for the rest of
+    the turn, with an information matrix. The votes are rotated into the map frame's axes and summed like independent
+    measurements. Together they may carry less information than that, for example if two places look alike: a factor
+    estimated from all columns accounts for it. The factor also depends on how certain the turn is, and on how alike
+    the aligned parts are (their cosine, as far as it is above 0.8), since columns show movement, and two images of one
+    spot show none. By construction, turning a panorama turns the answer, whatever was learned.
 
     Images of an ordinary camera, which looks ahead, are not turned first, and nothing is next to their outer columns.
     A column's line of sight is that of a field of view of 90 degrees: whatever the lens, the order of the columns and
@@ -243,8 +242,7 @@ def relative_loss(
     `SHARED` or more where it is known, and are turned alike: by their alignment, or, if the columns are not a full
     turn, by their headings. Where poses have deviations, their variance is added to that of the estimate: uncertain
     poses teach less, and the network does not take their errors for its own. The turns of the pairs within reach are
-    learned by cross entropy. The error is NaN if no two images can be
-    compared.
+    learned by cross entropy. The error is NaN if no two images can be compared.
 
     Args:
         relative: the module that compares orientation parts.
@@ -302,10 +300,10 @@ def _blurred(information: Tensor, ahead: Tensor, left: Tensor, query: Tensor, kn
 
     Args:
         information: inverse of the scale matrix of the estimated poses.
-        ahead: true displacements (P,), as seen from the map frames.
-        left: likewise.
+        ahead: true displacements ahead (P,), as seen from the map frames.
+        left: true displacements to the left (P,), as seen from the map frames.
         query: variances of each coordinate of the queries' positions, and of their headings (P, 2).
-        known: those of the map frames (P, 2).
+        known: the same variances of the map frames (P, 2).
     """
     position = query[:, 0] + known[:, 0]
     turned = torch.stack([left, -ahead, -torch.ones_like(left)], dim=1)  # derivative by the map frame's heading

@@ -25,9 +25,9 @@ from siamloc.runs import Run
 
 CONTENT_KEY = "siamloc"
 FORMAT_VERSION = 2
-"""Of checkpoints."""
+"""Version of the format of checkpoints."""
 VERSION = 1
-"""Of weights files."""
+"""Version of the format of weights files."""
 
 # The published DenseNet files number the layers "norm.1"; the class has called them "norm1" for years.
 _OLD_DENSENET = re.compile(r"(denselayer\d+\.(?:norm|relu|conv))\.([12])\.")

@@ -189,7 +189,7 @@ def check_network(network: nn.Module, image: NDArray[np.uint8], circular: bool, 
     """Describe one image (1, 3, H, W), to find out whether the network fits before anything is written.
 
     Returns:
-        The length of what is learned of a descriptor.
+        The number of learned values in a descriptor.
 
     Raises:
         ConfigError: a circular network for images that do not wrap around, or descriptors that are not of unit length.

@@ -197,7 +197,7 @@ drive finds the trained ones better.
 visits no place twice needs neither positions nor rooms. The same network without wrapping, trained half as long. If
 drives share places, give positions and `pairs.by="position"`, or rooms and `loss.room` above 0.
 
-`rooms`: such images with room labels, of one drive or several, if you only need the room. A room looks different from
+`rooms`: photographs with room labels, of one drive or several, if you only need the room. A room looks different from
 every place and in every direction, so the network learns to recognize it by the things in it: most of the target comes
 from the labels (`loss.room`), and the head ignores the direction in which something was seen.
 """
