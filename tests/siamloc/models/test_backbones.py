@@ -72,9 +72,8 @@ class Pooled(nn.Module):
 def factories(monkeypatch):
     """An imported module of one's own with factories."""
     module = types.ModuleType("siamloc_own_networks")
-    module.own, module.nothing, module.Pooled = own, lambda: 5, Pooled
+    module.own, module.nothing = own, lambda: 5
     monkeypatch.setitem(sys.modules, module.__name__, module)
-    return module.__name__
 
 
 @pytest.mark.parametrize("name", CONVOLUTIONAL)
@@ -245,6 +244,8 @@ def test_timm_that_is_missing_is_named(monkeypatch):
         ("keras/resnet", SIZE, {}, "give timm/NAME, torchvision/NAME, package.module:factory"),
         ("vgg17", SIZE, {}, "did you mean 'vgg1.'.*timm/NAME"),
         ("not_imported:factory", SIZE, {}, "import the module not_imported first"),
+        # A file calls no function of Python itself.
+        *((name, SIZE, {}, "is your own: import the mod") for name in ("sys:exit", "os:getpid", "builtins:input")),
         ("siamloc_own_networks:missing", SIZE, {}, "a function or class 'missing'"),
         ("siamloc_own_networks:nothing", SIZE, {}, "must give a torch module, got int"),
     ],
@@ -260,35 +261,22 @@ def test_a_transformer_of_odd_size_is_refused_in_torchvision_too():
         build(tiny_transformer(), "gem", (33, 96))
 
 
-def test_a_factory_of_ones_own_is_rebuilt_from_its_weights(factories, tmp_path):
-    network = build(f"{factories}:own", "magnitudes", SIZE, circular=True, seed=3)
-    assert as_descriptor(network).tells_heading
-    again = load(save_weights(network, tmp_path / "own.safetensors"))
-    torch.testing.assert_close(described(network), described(again), rtol=1e-2, atol=1e-3)  # half precision
-    assert again.settings["branch"] == f"{factories}:own"
-    pooled = build(f"{factories}:Pooled", "gem", SIZE)
-    assert pooled.grid == (1, 1)
-
-
 def test_a_module_that_is_handed_in_is_loaded_into_another():
     network = build(own(), "gem", SIZE)
     assert "branch" not in network.settings
     assert described(network).shape == (2, 256)
+    assert build(Pooled(), "gem", SIZE).grid == (1, 1)
     with pytest.raises(ConfigError, match=r"must give \(B, C, h, w\) or \(B, D\).*got \(1, 3, 4096\)"):
         build(nn.Flatten(2), "gem", SIZE)
 
 
-@pytest.mark.parametrize("name", ["timm/test_resnet", "torchvision/mobilenet_v3_small"])
+@pytest.mark.parametrize("name", ["timm/test_resnet", "torchvision/mobilenet_v3_small", "siamloc_own_networks:own"])
+@pytest.mark.usefixtures("factories")
 def test_a_saved_network_is_loaded_again(name, tmp_path):
-    network = build(name, "magnitudes", SIZE, circular=True)
+    network = build(name, "magnitudes", SIZE, circular=True, seed=3)
     again = load(save_weights(network, tmp_path / "saved.safetensors"))
+    assert again.settings["branch"] == name
     torch.testing.assert_close(described(network), described(again), rtol=1e-2, atol=1e-2)  # half precision
     further = build(name, "gem", SIZE, circular=True, weights=tmp_path / "saved.safetensors")
     images = torch.rand(1, 3, *SIZE)
     torch.testing.assert_close(further.eval().branch(images), again.branch(images))
-
-
-@pytest.mark.parametrize("name", ["sys:exit", "os:getpid", "builtins:input", "webbrowser:main"])
-def test_a_file_calls_no_function_of_python_itself(name):
-    with pytest.raises(ConfigError, match="is your own: import the module"):
-        build(name, "gem", (32, 64))

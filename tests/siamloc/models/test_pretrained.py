@@ -13,7 +13,6 @@ import pytest
 import torch
 from safetensors.torch import load_file, save_file
 
-import siamloc
 from siamloc.errors import ConfigError, FormatError
 from siamloc.models import as_descriptor, build, load, pretrained, save_weights
 from siamloc.models.checkpoint import without_layer
@@ -51,15 +50,6 @@ def test_equal_weights_give_equal_files(saved: Path, tmp_path: Path):
     other = save_weights(network(seed=3), tmp_path / "other.safetensors")
     assert other.read_bytes() == saved.read_bytes()
     assert save_weights(network(seed=4), tmp_path / "four.safetensors").read_bytes() != saved.read_bytes()
-
-
-def test_a_network_can_start_from_a_file(saved: Path, capsys):
-    started = network(weights=saved, seed=9)
-    for name, value in load(saved).state_dict().items():
-        torch.testing.assert_close(started.state_dict()[name], value, rtol=0, atol=0)
-    wider = network(weights=saved, image_size=(32, 64), seed=9)
-    torch.testing.assert_close(wider.branch.state_dict(), load(saved).branch.state_dict())
-    assert "the branch alone starts from" in capsys.readouterr().err
 
 
 def test_the_layer_that_fits_the_training_buildings_is_dropped_and_nothing_else():
@@ -154,9 +144,10 @@ def test_the_network_that_comes_along_is_ready(circular: bool):
 
 def test_turning_by_any_whole_column_changes_nothing_and_gives_the_heading():
     descriptor = as_descriptor(pretrained())
-    large = siamloc.simulate.panoramas(2)
-    images = np.stack([cv2.resize(one.transpose(1, 2, 0), (256, 64), interpolation=cv2.INTER_AREA) for one in large])
-    images = np.ascontiguousarray(images.transpose(0, 3, 1, 2))
+    noise = np.random.default_rng(0).random((2, 64, 3 * 256, 3), dtype=np.float32)
+    noise[:, :, :256] = noise[:, :, 256:512] = noise[:, :, 512:]  # so that its blurred middle wraps around
+    smooth = np.stack([cv2.GaussianBlur(one, (0, 0), 4)[:, 256:512] for one in noise]).transpose(0, 3, 1, 2)
+    images = (255 * (smooth - smooth.min()) / np.ptp(smooth)).astype(np.uint8)
     known = descriptor.describe(images)
     apart = np.linalg.norm(known.position[0] - known.position[1])
     for columns in (1, 7, 16, 100, 255):
