@@ -79,9 +79,17 @@ class Branch(nn.Module):
 
     @property
     def stages(self) -> list[list[nn.Module]]:
-        """The layers by resolution; see `layers_by_stage`."""
-        layers = iter(self.features)
-        return [[next(layers) for _ in range(count)] for count in layers_by_stage(self.name, self.circular)]
+        """The layers by resolution; a layer without weights counts with the layer before it."""
+        stages: list[list[nn.Module]] = [[]]
+        before: list[int] | None = None
+        shapes = layer_shapes(self.name, (256, 256), self.circular)
+        for layer, (_, *resolution) in zip(self.features, shapes, strict=True):
+            if next(layer.parameters(), None) is not None:
+                if before not in (None, resolution):
+                    stages.append([])
+                before = resolution
+            stages[-1].append(layer)
+        return stages
 
     def forward(self, panorama: Tensor) -> Tensor:
         """Return the features of panoramas (B, 3, H, W) in [0, 1]."""
@@ -152,21 +160,6 @@ def layer_shapes(name: str, image_size: tuple[int, int], circular: bool) -> list
             "images, or a branch that shrinks them less"
         )
     return found
-
-
-@lru_cache(maxsize=32)
-def layers_by_stage(name: str, circular: bool) -> list[int]:
-    """Count the layers of a branch at each resolution; a layer without weights counts with the layer before it."""
-    counts: list[int] = [0]
-    before: list[int] | None = None
-    shapes = layer_shapes(name, (256, 256), circular)
-    for layer, (_, *resolution) in zip(_weightless(name, circular), shapes, strict=True):
-        if next(layer.parameters(), None) is not None:
-            if before not in (None, resolution):
-                counts.append(0)
-            before = resolution
-        counts[-1] += 1
-    return counts
 
 
 def _features(name: str, circular: bool = False, channels: int = 3) -> nn.Sequential:

@@ -73,7 +73,8 @@ def load(run_or_checkpoint: str | Path | Run, *, which: str = "best", network: n
     if content is not None:
         about = content[CONTENT_KEY]
         # Losses over batches have a name; a triplet margin is not a margin of pairs.
-        network.trained_margin = None if "name" in about["loss"] else about["loss"].get("margin")
+        margin: Any = None if "name" in about["loss"] else about["loss"].get("margin")
+        network.trained_margin = margin
         network.rooms = _rooms_in(path, about, content["state_dict"])  # type: ignore[assignment]
     return network.eval()
 

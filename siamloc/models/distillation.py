@@ -14,7 +14,7 @@ from siamloc.models.checkpoint import load, pretrained
 from siamloc.models.describing import describing, evaluating
 from siamloc.models.network import build
 from siamloc.models.origins import Origins, ScheduledLoss, check_batch
-from siamloc.models.registry import Distillation, is_backbone
+from siamloc.models.registry import Distillation
 
 
 class DistillationLoss(ScheduledLoss):
@@ -84,7 +84,7 @@ def _rows(descriptors: Tensor) -> Tensor:
 
 
 def _teacher(settings: Distillation) -> nn.Module:
-    if is_backbone(settings.teacher) and settings.teacher.startswith(("timm/", "torchvision/")):
+    if settings.teacher.startswith(("timm/", "torchvision/")):
         try:
             return build(settings.teacher, "magnitudes", settings.image_size, settings.weights)
         except ConfigError as error:

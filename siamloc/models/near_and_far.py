@@ -140,7 +140,7 @@ class _PairLoss(NearAndFarLoss):
     steepest = 1.0  # roughly the largest slope of the loss of an image in the similarity of a pair
 
     def _picked(self, given: Tensor, origins: Origins) -> tuple[Tensor, tuple[Tensor, ...]]:
-        """Return descriptors and pairs as the base class does, but a single pair of each kind twice.
+        """Return descriptors and pairs as the base class does; a lone positive and a lone negative pair appear twice.
 
         For one pair of each kind, which miners often leave of a small batch, the library gives a loss of 0. A repeated
         pair counts once.

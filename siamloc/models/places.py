@@ -71,7 +71,8 @@ class PlaceModule(NetworkModule):
 
     def training_step(self, batch: Mapping[str, Tensor], batch_index: int) -> Tensor:
         """Return the loss of a batch of places."""
-        origins = _origins(batch)
+        required(batch, _KEYS, "places")
+        origins = Origins(**{key: batch[key] for key in (*_KEYS[1:], *_FURTHER) if key in batch})
         if callable(teach := getattr(self.loss, "teach", None)):
             origins = replace(origins, taught=teach(as_float(batch["images"])))
         found, orientation = self._described(batch)
@@ -147,8 +148,3 @@ class PlaceModule(NetworkModule):
         if origins.overlap is not None:  # the processes have different buildings
             fields["overlap"] = torch.block_diag(*gathered(origins.overlap).split(len(descriptors)))
         return gathered(descriptors, grads=True), Origins(**fields)
-
-
-def _origins(batch: Mapping[str, Tensor]) -> Origins:
-    required(batch, _KEYS, "places")
-    return Origins(**{key: batch[key] for key in (*_KEYS[1:], *_FURTHER) if key in batch})

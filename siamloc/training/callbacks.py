@@ -166,16 +166,19 @@ class Curves(Checkpoint):
         """Note the start time and the first epoch, and record the files that the loggers opened."""
         self._start = (time.monotonic(), trainer.current_epoch)
         trainer.should_stop |= self._stale()
-        self.on_fit_end(trainer)
-
-    def on_fit_end(self, trainer: Trainer, *_: Any) -> None:
-        """Record the files that the loggers wrote, pictures included."""
-        if trainer.is_global_zero:
-            self._run.record_written(files_logged(self._run) - self._logged_before)
+        self._record_logged(trainer)
 
     def on_exception(self, trainer: Trainer, *_: Any) -> None:
         """Record the files of the loggers if the training ends early."""
-        self.on_fit_end(trainer)
+        self._record_logged(trainer)
+
+    def on_fit_end(self, trainer: Trainer, *_: Any) -> None:
+        """Record the pictures of the loggers."""
+        self._record_logged(trainer)
+
+    def _record_logged(self, trainer: Trainer) -> None:
+        if trainer.is_global_zero:
+            self._run.record_written(files_logged(self._run) - self._logged_before)
 
     def on_train_epoch_end(self, trainer: Trainer, pl_module: LightningModule) -> None:
         """Write the figures of the epoch as a row of the file."""
@@ -191,7 +194,7 @@ class Curves(Checkpoint):
 
     def on_train_end(self, trainer: Trainer, *_: Any) -> None:
         """Record the files of the loggers, and print a summary, unless the training was interrupted."""
-        self.on_fit_end(trainer)
+        self._record_logged(trainer)
         early = self._stale() and len(self._rows) < (trainer.max_epochs or 0)
         if not trainer.is_global_zero or not (early or trainer.current_epoch >= (trainer.max_epochs or 0)):
             return

@@ -66,23 +66,21 @@ def check_folder(run: Run, resume: bool, overwrite: bool) -> None:
             )
     elif resume:
         raise ConfigError(f"there is no run to resume in {run.folder}: leave out resume=true to start one")
-    elif run.folder.is_dir() and (others := _others(run)):
-        raise ConfigError(
-            f"{run.folder} is not a run and holds other files, such as {others[0]}: choose a new or empty folder as "
-            "run="
-        )
-    elif run.folder.exists() and not run.folder.is_dir():
+    elif run.folder.is_dir():
+        # A process that was killed right at the start of a run may have left the lock and temporary files.
+        others = (path.name for path in run.folder.iterdir() if not is_temporary(path) and path.name != LOCK)
+        if (other := min(others, default=None)) is not None:
+            raise ConfigError(
+                f"{run.folder} is not a run and holds other files, such as {other}: choose a new or empty folder as "
+                "run="
+            )
+    elif run.folder.exists():
         raise ConfigError(f"{run.folder} is a file: choose a new or empty folder as run=")
     if foreign := run.foreign(names_written(validated=True)):
         raise ConfigError(
             f"{run.folder / foreign[0]} would be replaced, but siamloc did not write it into this run: move it away, "
             "or choose another run="
         )
-
-
-def _others(run: Run) -> list[str]:
-    """Return the contents of a folder, except leftovers of a process that was killed right at the start of a run."""
-    return sorted(path.name for path in run.folder.iterdir() if not is_temporary(path) and path.name != LOCK)
 
 
 def check_same_training(run: Run, now: Mapping[str, Any], epochs: int) -> None:
