@@ -80,6 +80,11 @@ def composed(pose: NDArray[np.float64], move: NDArray[np.float64]) -> NDArray[np
     return np.column_stack([pose[:, 0] + x, pose[:, 1] + y, pose[:, 2] + move[:, 2]])
 
 
+def way_along(poses: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the way from the first of n poses, or positions, to each of them (n,)."""
+    return np.asarray(np.cumsum(np.hypot(*np.diff(poses[:, :2], axis=0, prepend=poses[:1, :2]).T)))
+
+
 def inverse(pose: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the poses (n, 3) of the origin as seen from poses (n, 3)."""
     turned = np.column_stack([np.zeros((len(pose), 2)), -pose[:, 2]])

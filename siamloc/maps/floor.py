@@ -59,47 +59,17 @@ class FloorScale:
         factors: (n,) at each frame.
         height: height of the camera above the floor, in metres.
         given: whether the height was given; else it is the one with which comparisons are right on average.
-        floors: (n, R, 256 + 4) what the frames see of the floor, relative to its surroundings; NaN is the robot itself.
-        slopes: (R,) tangent of the elevation of each of its rows.
         pitch: of the camera on average, in rad, positive where it looks down ahead; 0 unless the floor tells.
     """
 
     factors: Array
     height: float
     given: bool
-    floors: NDArray[np.float32]
-    slopes: Array
     pitch: float = 0.0
 
     def lengthened(self, edges: Edges) -> Edges:
         """Return edges whose displacements are multiplied."""
         return _multiplied(edges, np.sqrt(self.factors[edges.first] * self.factors[edges.second]))
-
-    def lengthening(self, compared: Pairs) -> Pairs:
-        """Return a function that compares frames likewise, and multiplies the displacements.
-
-        Where two frames were taken near each other and see enough of the same floor, their displacement gets a factor
-        of its own.
-        """
-
-        def comparing(first: NDArray[np.int64], second: NDArray[np.int64]) -> tuple[Array, Array, Array]:
-            pose, information, odds = compared(first, second)
-            edges = self._corrected(self.lengthened(Edges(first, second, pose, information)), odds >= ODDS)
-            return edges.pose, edges.information, odds
-
-        return comparing
-
-    def _corrected(self, edges: Edges, near: NDArray[np.bool_]) -> Edges:
-        """Return edges (e) of which those of near frames (e,) agree with the floor that both see, where it is clear."""
-        moved = np.hypot(edges.pose[:, 0], edges.pose[:, 1]) / self.height
-        rows = np.flatnonzero(near & (moved > _LEAST) & (moved < _MOVES[1]))
-        tried = _FACTORS - float(np.log(self.height))
-        likely = _likelihoods(self.floors, self.slopes, edges.take(rows), tried, self.pitch)
-        clear = _clearness(likely) >= _TELLS
-        logarithms, deviation = _peaks(likely[clear])
-        factors = np.ones(len(edges))
-        factors[rows[clear]] = np.exp(logarithms)
-        return _more_certain(_multiplied(edges, factors), rows[clear], deviation)
 
 
 def shows_floor(images: PanoramaLibrary, height: float | None) -> bool:
@@ -143,28 +113,109 @@ def _rows(view: PanoramaView) -> tuple[Array, NDArray[np.bool_]]:
     return slopes, (slopes < _BELOW) & (slopes > _STEEPEST)
 
 
-def floor_scale(
-    batches: Iterable[NDArray[np.uint8]], view: PanoramaView, steps: Edges, way: Array, height: float | None
-) -> tuple[FloorScale, Edges] | None:
-    """Return what compared displacements must be multiplied by at each of n frames, and the steps as the floor tells.
+@dataclass(frozen=True, eq=False)
+class Floor:
+    """What n frames see of the floor.
 
-    Longer steps than the floor tells are left out, but for those to the next frame. None if the floor tells too little.
+    Attributes:
+        patterns: (n, R, 256 + 4) brightness relative to the surroundings, with two columns wrapped on either side; NaN
+            where the robot itself is seen.
+        slopes: (R,) tangent of the elevation of each row.
+    """
+
+    patterns: NDArray[np.float32]
+    slopes: Array
+
+    @classmethod
+    def seen(cls, batches: Iterable[NDArray[np.uint8]], view: PanoramaView) -> Floor:
+        """Return the floor in the panoramas (B, 3, H, W) of n frames, in order, whose middle looks ahead.
+
+        Args:
+            batches: the panoramas.
+            view: the elevations of their rows.
+        """
+        slopes, floor = _rows(view)
+        patterns = np.concatenate([_patterns(batch, floor) for batch in batches])
+        changes = patterns.std(axis=0)
+        patterns[:, changes < _STILL * np.median(changes)] = np.nan
+        return cls(patterns, slopes[floor])
+
+    def likelihoods(self, pairs: Edges, factors: Array, pitch: float) -> Array:
+        """Return how likely displacements (p,) are when multiplied by factors (q,), given by their logarithms: (p, q).
+
+        Logarithms, up to a constant: those of a linear relation with normal errors between the floors as both ends see
+        it. All are 0 if the least factor is the most likely: what moves along with the robot, as reflections do, tells
+        nothing.
+
+        Args:
+            pairs: displacements of the second frames as seen from the first.
+            factors: displacements then count in heights of the camera.
+            pitch: of the camera, in rad, positive where it looks down ahead.
+        """
+        slopes = self.slopes
+        azimuth = (_COLUMNS / 2 - np.arange(_COLUMNS) - 0.5) * (2 * np.pi / _COLUMNS)
+        ahead, up = _pitched(np.cos(azimuth), slopes[:, None], pitch)
+        x, y = (-ahead / up).ravel(), (-np.sin(azimuth) / up).ravel()
+        step = (slopes[-1] - slopes[0]) / (len(slopes) - 1)
+        by, made = np.exp(factors)[:, None], np.zeros((len(pairs), len(factors)))
+        for row, (ahead, left, turn) in enumerate(pairs.pose):
+            one, other = self.patterns[pairs.first[row]], self.patterns[pairs.second[row], :, 2:-2].ravel()
+            cosine, sine = np.cos(turn), np.sin(turn)
+            x_there, y_there = cosine * x - sine * y, sine * x + cosine * y
+            lane = np.abs(ahead * y_there - left * x_there) < _LANE * np.hypot(ahead, left)
+            x_there, y_there, other = x_there[lane] + by * ahead, y_there[lane] + by * left, other[lane]
+            x_there, up = _pitched(x_there, -1, -pitch)
+            columns = (_COLUMNS / 2 - 0.5 - np.arctan2(y_there, x_there) * _COLUMNS / (2 * np.pi)) % _COLUMNS + 2
+            rows = (up / np.hypot(x_there, y_there) - slopes[0]) / step
+            sampled = cv2.remap(one, columns.astype(np.float32), rows.astype(np.float32), cv2.INTER_LINEAR)
+            inside = (rows > 0) & (rows < len(slopes) - 1) & np.isfinite(sampled) & np.isfinite(other)
+            products = (np.where(inside, of, 0) for of in (sampled * other, sampled**2, other**2))
+            both, own, others = (of.sum(axis=1) for of in products)
+            alike = np.clip(both / np.sqrt(own * others + 1e-9), 0, 0.98)
+            made[row] = -0.5 * np.log1p(-(alike**2)) * np.minimum(inside.sum(axis=1) / _ALONE, _MOST)
+        made[made.argmax(axis=1) == 0] = 0
+        return made
+
+
+def lengthening(compared: Pairs, scale: FloorScale, floor: Floor) -> Pairs:
+    """Return a function that compares frames as another does, and then multiplies the displacements.
+
+    Where two frames were taken near each other and see enough of the same floor, their displacement gets a factor of
+    its own.
+    """
+    tried = _FACTORS - float(np.log(scale.height))
+
+    def comparing(first: NDArray[np.int64], second: NDArray[np.int64]) -> tuple[Edges, Array]:
+        edges, odds = compared(first, second)
+        edges = scale.lengthened(edges)
+        moved = np.hypot(edges.pose[:, 0], edges.pose[:, 1]) / scale.height
+        rows = np.flatnonzero((odds >= ODDS) & (moved > _LEAST) & (moved < _MOVES[1]))
+        likely = floor.likelihoods(edges.take(rows), tried, scale.pitch)
+        clear = _clearness(likely) >= _TELLS
+        logarithms, deviation = _peaks(likely[clear])
+        factors = np.ones(len(edges))
+        factors[rows[clear]] = np.exp(logarithms)
+        return _more_certain(_multiplied(edges, factors), rows[clear], deviation), odds
+
+    return comparing
+
+
+def floor_scale(floor: Floor, steps: Edges, way: Array, height: float | None) -> tuple[FloorScale, Edges] | None:
+    """Return the factors of compared displacements at each of n frames, and the steps with lengths by the floor.
+
+    Steps that are too long for the floor are left out, unless they lead to the next frame. None if the floor shows too
+    little.
 
     Args:
-        batches: the panoramas (B, 3, H, W) of the n frames, in order, whose middle looks ahead.
-        view: the elevations of their rows.
+        floor: what the n frames see of it.
         steps: compared pairs of frames between which the robot moved a little.
         way: (n,) way that the robot drove, in metres, with gaps between drives.
         height: of the camera above the floor, in metres; None if unknown.
     """
-    slopes, floor = _rows(view)
-    floors, slopes = np.concatenate([_floors(batch, floor) for batch in batches]), slopes[floor]
-    changes = floors.std(axis=0)
-    floors[:, changes < _STILL * np.median(changes)] = np.nan
     moved, between = np.hypot(steps.pose[:, 0], steps.pose[:, 1]), steps.second - steps.first
     some = np.flatnonzero((moved > _MOVES[0] / 2) & (moved < _MOVES[1]))
     some = some[np.unique(np.linspace(0, len(some) - 1, min(_TRIED, len(some))).astype(int))]
-    likely = [_likelihoods(floors, slopes, steps.take(some), _HEIGHTS, pitch).sum(axis=0) for pitch in _PITCHES]
+    likely = [floor.likelihoods(steps.take(some), _HEIGHTS, pitch).sum(axis=0) for pitch in _PITCHES]
     enough = np.max(likely) * np.where(_PITCHES == 0, _LEVEL, _LESS)
     best = min(np.flatnonzero(np.max(likely, axis=1) >= enough).tolist(), key=lambda one: abs(_PITCHES[one]))
     pitch, tried = float(_PITCHES[best]), likely[best]
@@ -179,7 +230,7 @@ def floor_scale(
     told = [gap for gap, length in usual.items() if _MOVES[0] < length < _MOVES[1]]
     used = np.flatnonzero(np.isin(between, told) & moving)
     near, moved = steps.take(used), moved[used]
-    found = _likelihoods(floors, slopes, near, _FACTORS - float(np.log(height)), pitch)
+    found = floor.likelihoods(near, _FACTORS - float(np.log(height)), pitch)
     telling = found[found.any(axis=1)]
     if not len(telling) or np.median(_clearness(telling)) < _TELLS:
         return None
@@ -197,11 +248,10 @@ def floor_scale(
     own = np.exp(own)
     compared, by_floor = around(np.column_stack([moved, moved * own])).T
     factors = np.where(compared > 1e-3, by_floor / np.maximum(compared, 1e-3), 1.0)[cell]
-    scale = FloorScale(factors, height, given, floors, slopes, pitch)
     every = np.sqrt(factors[steps.first] * factors[steps.second])
     every[used] = own
-    kept = np.union1d(used, np.flatnonzero(between == 1))
-    return scale, _more_certain(_multiplied(steps, every), used, deviation).take(kept)
+    steps, kept = _more_certain(_multiplied(steps, every), used, deviation), np.flatnonzero(between == 1)
+    return FloorScale(factors, height, given, pitch), steps.take(np.union1d(used, kept))
 
 
 def _multiplied(edges: Edges, factors: Array) -> Edges:
@@ -211,15 +261,21 @@ def _multiplied(edges: Edges, factors: Array) -> Edges:
 
 
 def _more_certain(edges: Edges, rows: NDArray[np.int64], deviation: Array) -> Edges:
-    """Return edges of which some rows (r,) have lengths that the floor tells, whose logarithms have deviations (r,)."""
+    """Return edges with more information in some rows (r,), whose lengths are by the floor.
+
+    Args:
+        edges: the edges (e).
+        rows: rows of the edges with such lengths.
+        deviation: standard deviations of the logarithms of these lengths (r,).
+    """
     length, information = np.hypot(edges.pose[rows, 0], edges.pose[rows, 1]), edges.information.copy()
     along = edges.pose[rows, :2] / (length**2 * np.hypot(_EXACT, deviation))[:, None]
     information[rows, :2, :2] += along[:, :, None] * along[:, None]
     return replace(edges, information=information)
 
 
-def _floors(batch: NDArray[np.uint8], floor: NDArray[np.bool_]) -> NDArray[np.float32]:
-    """Return the floor in panoramas (B, R, 256 + 4), relative to its surroundings, with two columns wrapped."""
+def _patterns(batch: NDArray[np.uint8], floor: NDArray[np.bool_]) -> NDArray[np.float32]:
+    """Return the patterns (B, R, 256 + 4) of the rows of the floor in panoramas; see `Floor`."""
     around = round(5 * _BLUR)
     made = np.empty((len(batch), int(floor.sum()), _COLUMNS + 4), dtype=np.float32)
     for one, panorama in zip(made, batch, strict=True):
@@ -229,45 +285,8 @@ def _floors(batch: NDArray[np.uint8], floor: NDArray[np.bool_]) -> NDArray[np.fl
     return made
 
 
-def _likelihoods(floors: NDArray[np.float32], slopes: Array, pairs: Edges, factors: Array, pitch: float) -> Array:
-    """Return how likely displacements (p,) are when multiplied by factors (q,), given by their logarithms: (p, q).
-
-    Logarithms, up to a constant: those of a linear relation with normal errors between the floors as both ends see it.
-    All are 0 if the least factor is the most likely: what moves along with the robot, as reflections do, tells nothing.
-
-    Args:
-        floors: (n, R, 256 + 4) floors that the frames see, NaN where they see the robot itself.
-        slopes: (R,) tangent of the elevation of each row.
-        pairs: displacements of the second frames as seen from the first.
-        factors: displacements then count in heights of the camera.
-        pitch: of the camera, in rad, positive where it looks down ahead.
-    """
-    azimuth = (_COLUMNS / 2 - np.arange(_COLUMNS) - 0.5) * (2 * np.pi / _COLUMNS)
-    ahead, up = _pitched(np.cos(azimuth), slopes[:, None], pitch)
-    x, y = (-ahead / up).ravel(), (-np.sin(azimuth) / up).ravel()
-    step = (slopes[-1] - slopes[0]) / (len(slopes) - 1)
-    by, made = np.exp(factors)[:, None], np.zeros((len(pairs), len(factors)))
-    for row, (ahead, left, turn) in enumerate(pairs.pose):
-        one, other = floors[pairs.first[row]], floors[pairs.second[row], :, 2:-2].ravel()
-        cosine, sine = np.cos(turn), np.sin(turn)
-        x_there, y_there = cosine * x - sine * y, sine * x + cosine * y
-        lane = np.abs(ahead * y_there - left * x_there) < _LANE * np.hypot(ahead, left)
-        x_there, y_there, other = x_there[lane] + by * ahead, y_there[lane] + by * left, other[lane]
-        x_there, up = _pitched(x_there, -1, -pitch)
-        columns = (_COLUMNS / 2 - 0.5 - np.arctan2(y_there, x_there) * _COLUMNS / (2 * np.pi)) % _COLUMNS + 2
-        rows = (up / np.hypot(x_there, y_there) - slopes[0]) / step
-        sampled = cv2.remap(one, columns.astype(np.float32), rows.astype(np.float32), cv2.INTER_LINEAR)
-        inside = (rows > 0) & (rows < len(slopes) - 1) & np.isfinite(sampled) & np.isfinite(other)
-        products = (np.where(inside, of, 0) for of in (sampled * other, sampled**2, other**2))
-        both, own, others = (of.sum(axis=1) for of in products)
-        alike = np.clip(both / np.sqrt(own * others + 1e-9), 0, 0.98)
-        made[row] = -0.5 * np.log1p(-(alike**2)) * np.minimum(inside.sum(axis=1) / _ALONE, _MOST)
-    made[made.argmax(axis=1) == 0] = 0
-    return made
-
-
 def _pitched(ahead: Array, up: Array | float, pitch: float) -> tuple[Array, Array]:
-    """Return directions, ahead and up as seen by a camera that looks down by a pitch, as a level one sees them."""
+    """Turn directions (ahead, up) from the view of a camera that is pitched down into the view of a level camera."""
     return np.cos(pitch) * ahead + np.sin(pitch) * up, np.cos(pitch) * up - np.sin(pitch) * ahead
 
 

@@ -11,12 +11,12 @@ from numpy.typing import ArrayLike, NDArray
 
 from foundation.calls import typed
 from siamloc.data.frames import concatenate
-from siamloc.data.moves import composed
+from siamloc.data.moves import composed, way_along
 from siamloc.errors import DataError
 from siamloc.maps.comparing import ODDS, scaled
-from siamloc.maps.floor import FloorScale
-from siamloc.maps.loops import Loops, agreed, edges_of, loops_of
+from siamloc.maps.loops import Loops, agreed, loops_of
 from siamloc.maps.pose_graph import Array, Edges, PoseGraph, solve
+from siamloc.maps.survey_checks import comparing_descriptor
 from siamloc.maps.survey_steps import (
     BEFORE,
     odometry_of,
@@ -24,8 +24,9 @@ from siamloc.maps.survey_steps import (
     start_of,
     trusted,
     wheel_edges,
+    with_odometry,
 )
-from siamloc.maps.surveying import Survey, SurveySettings, comparing_descriptor, concluded
+from siamloc.maps.surveying import Survey, SurveySettings, concluded
 from siamloc.maps.visual_map import VisualMap
 
 if TYPE_CHECKING:
@@ -38,7 +39,7 @@ _ROUNDS = 6  # of the solution of a window, which begins near its end
 
 
 class LiveSurvey:
-    """Add frames to the last drive of a survey, one by one, in some milliseconds each beside describing.
+    """Add frames to the last drive of a survey, one by one, in some milliseconds each, not counting their description.
 
     A new frame is compared with the frames just before it and with those that look alike, as in `survey`. Then the
     poses of the last 30 frames follow by least squares, with all older ones as they are: a robot that comes back to a
@@ -61,17 +62,6 @@ class LiveSurvey:
         >>> found = live.survey()  # doctest: +SKIP
     """
 
-    _poses: Array
-    _odometry: Array
-    _way: Array
-    _drive: NDArray[np.int64]
-    _steps: Edges
-    _wheels: Edges
-    _loops: Loops
-    _paths: list[str]
-    _files: set[str]
-    _floor: FloorScale | None
-
     @typed
     def __init__(
         self,
@@ -89,6 +79,13 @@ class LiveSurvey:
         self._mounting = known.mounting
         self._descriptors, self._parts = _Growing(known.learned), _Growing(scaled(parts))
         self._continue(found)
+
+    def _continue(self, found: Survey) -> None:
+        self._found, self._loops, self._paths, self._floor = found, found.loops, list[str](), found.floor
+        self._files = {path for name, path in found.frames.identities() if name == found.frames.sequence[-1]}
+        self._steps, self._wheels, self._drive = found.graph.pictures, found.graph.wheels, found.graph.drive
+        self._odometry, self._poses = found.frames.odometry, found.solution.poses.copy()
+        self._way = way_along(self._poses)
 
     def __len__(self) -> int:
         return len(self._poses)
@@ -134,7 +131,7 @@ class LiveSurvey:
         # As the robot moved since the last frame, by odometry if it has any.
         pair = np.zeros(2, dtype=np.int64)
         self._odometry = np.concatenate([self._odometry, wheels])
-        moved = odometry_steps(self._odometry[-2:], edges.pose[:1], odds[:1] >= ODDS, pair, [""], [])
+        moved = odometry_steps(self._odometry[-2:], edges.pose[:1], odds[:1] >= ODDS, pair, ["(unnamed)"], [])
         rolled = wheel_edges(moved)
         start = composed(self._poses[-1:], start_of(moved, edges.pose[:1], pair)[1:])
         self._steps = Edges.concatenate([self._steps, trusted(edges.take(slice(close)), odds[:close])])
@@ -146,7 +143,7 @@ class LiveSurvey:
         self._parts.append(parts)
         self._paths.append(path)
         self._files.add(place)
-        loops = loops_of(edges.take(slice(close, None)), odds[close:], ODDS)
+        loops = loops_of(edges.take(slice(close, None)), odds[close:])
         self._loops = agreed(Loops.concatenate([self._loops, loops]), self._poses, self._drive, n)
         self._solve()
         return np.array(self._poses[-1])
@@ -157,21 +154,14 @@ class LiveSurvey:
         new = old.take([len(old) - 1] * len(self._paths)).with_columns(
             path=self._paths, time=[np.nan] * len(self._paths)
         )
-        frames = concatenate([old, new])
+        frames = with_odometry(concatenate([old, new]), self._odometry)
         graph = replace(self._found.graph, pictures=self._steps, wheels=self._wheels, drive=self._drive)
         notes = self._found.notes
-        self._continue(concluded(frames, graph, self._loops, self._poses, self._odometry, notes, self._floor))
+        self._continue(concluded(frames, graph, self._loops, self._poses, notes, self._floor))
         return self._found
 
-    def _continue(self, found: Survey) -> None:
-        self._found, self._loops, self._paths, self._floor = found, found.loops, [], found.floor
-        self._files = {path for name, path in found.frames.identities() if name == found.frames.sequence[-1]}
-        self._steps, self._wheels, self._drive = found.graph.pictures, found.graph.wheels, found.graph.drive
-        self._odometry, self._poses = found.frames.odometry, found.solution.poses.copy()
-        self._way = np.cumsum(np.hypot(*np.diff(self._poses[:, :2], axis=0, prepend=self._poses[:1, :2]).T))
-
     def _alike(self, descriptor: NDArray[np.float32]) -> NDArray[np.int64]:
-        """Return the frames that look most like a descriptor (D,), except those just before it."""
+        """Return the frames that look most like a descriptor (D,), without the frames just before it."""
         unlike = self._descriptors.squares - 2 * self._descriptors.rows @ descriptor
         unlike[(self._drive == self._drive[-1]) & (self._way[-1] - self._way < self._settings.apart)] = np.inf
         best = np.argpartition(unlike, min(self._settings.alike, len(unlike) - 1))[: self._settings.alike]
@@ -180,18 +170,19 @@ class LiveSurvey:
     def _solve(self) -> None:
         """Improve the poses of the last frames, with all others, the scales and the biases as they are."""
         begin, found, drive = max(0, len(self) - _WINDOW), self._found.solution, self._drive[-1]
-        used = edges_of(self._loops.take((self._loops.second >= begin) & self._loops.accepted))
+        used = self._loops.take((self._loops.second >= begin) & self._loops.accepted)
         pictures = Edges.concatenate([self._steps.take(self._steps.second >= begin), used])
         wheels = self._wheels.take(self._wheels.second >= begin)
         turned = np.hypot(wheels.pose[:, 0], wheels.pose[:, 1]) * found.gyro_bias[drive]
         wheels = replace(wheels, pose=wheels.pose / [*[found.wheel_scale[drive]] * 2, 1] - np.outer(turned, [0, 0, 1]))
         pictures = replace(pictures, pose=pictures.pose / [found.scale, found.scale, 1])
         every = np.unique(np.concatenate([pictures.first, pictures.second, wheels.first, wheels.second]))
-        here = {name: np.searchsorted(every, getattr(pictures, name)) for name in ("first", "second")}
-        there = {name: np.searchsorted(every, getattr(wheels, name)) for name in ("first", "second")}
+        pictures, wheels = (
+            replace(one, first=np.searchsorted(every, one.first), second=np.searchsorted(every, one.second))
+            for one in (pictures, wheels)
+        )
         fixed = np.flatnonzero((every < begin) | np.isin(every, self._found.graph.fixed))
-        one_drive = np.zeros(len(every), dtype=np.int64)
-        graph = PoseGraph(replace(pictures, **here), replace(wheels, **there), one_drive, fixed)
+        graph = PoseGraph(pictures, wheels, np.zeros(len(every), dtype=np.int64), fixed)
         self._poses[every] = solve(graph, self._poses[every], rounds=_ROUNDS).poses
 
 

@@ -11,7 +11,9 @@ from siamloc.data.checks import wrong_odometry
 from siamloc.data.frames import FrameTable, concatenate
 from siamloc.errors import ConfigError, DataError
 from siamloc.maps.comparing import comparison_of
-from siamloc.maps.surveying import SurveySettings, check_lengths, of_descriptions
+from siamloc.maps.survey_checks import check_lengths
+from siamloc.maps.survey_steps import with_odometry
+from siamloc.maps.surveying import SurveySettings, of_descriptions
 from siamloc.maps.thinning import nearest
 from siamloc.maps.visual_map import VisualMap
 
@@ -39,7 +41,8 @@ def locate(
         the building of the nearest map frame.
 
     Raises:
-        ConfigError: a map whose descriptor does not compare images, or a drive that was described differently.
+        ConfigError: a map that is not in metres, or whose descriptor does not compare images, or a drive that was
+            described differently.
         DataError: a map frame without a pose, or a drive that `siamloc.maps.survey` would refuse, such as one that has
             no place in common with the map.
 
@@ -47,11 +50,12 @@ def locate(
         >>> tuesday = siamloc.maps.build("pretrained", images, frames, mounting=known.mounting)  # doctest: +SKIP
         >>> siamloc.maps.locate(known, tuesday).xy  # doctest: +SKIP
     """
-    if known.frames.unit != "m":
-        raise DataError(f"a drive is located in a map in metres, and this one is in {known.frames.unit!r}")
     compare = comparison_of(known)
     if compare is None:
-        raise ConfigError("a drive is located by a network that compares images, and the map's descriptor does not")
+        raise ConfigError(
+            "a drive is located in a map in metres, by a network that compares images, and this map is in "
+            f"{known.unit!r}, by {known.identity.get('name', 'an unknown descriptor')}"
+        )
     check_lengths(drive.frames)
     for finding in wrong_odometry(drive.frames):
         raise DataError(f"the odometry of the drive cannot be used: {finding}")
@@ -63,9 +67,9 @@ def locate(
     frames = concatenate([known.frames, drive.frames])
     order = np.concatenate(list(frames.rows_by("sequence").values()))
     frames, described, of_map = frames.take(order), known.merge(drive).take(order), of_map[order]
-    wheels = np.where(of_map[:, None], np.nan, frames.odometry)
+    frames = with_odometry(frames, np.where(of_map[:, None], np.nan, frames.odometry))
     chosen = SurveySettings() if settings is None else settings
-    found = of_descriptions(frames, described, wheels, compare, frames.take(of_map), None, chosen, progress).frames
+    found = of_descriptions(frames, described, compare, frames.take(of_map), None, chosen, progress).frames
     rows = np.argsort(order)[len(known) :]
     poses = {name: getattr(found, name)[rows] for name in ("x", "y", "theta", "deviation", "theta_deviation")}
     located = drive.frames.with_columns(**poses)

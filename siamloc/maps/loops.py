@@ -1,4 +1,4 @@
-"""Loops: frames of which one shows where another was taken, though the robot drove a long way between them."""
+"""Loops: pairs of frames that show one place, though the robot drove a long way between them."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ from enum import Enum
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from foundation.columns import Rows
 from siamloc.data.moves import composed, relative, wrapped
 from siamloc.errors import DataError
-from siamloc.maps.comparing import agree
+from siamloc.maps.comparing import ODDS, agree
 from siamloc.maps.joining import FREEDOM
 from siamloc.maps.pose_graph import Array, Edges
+from siamloc.maps.search import slices
 
 _NEIGHBOURHOOD = 3  # frames on either side within which loops must agree
 _AGREE = 2  # number of other loops that must agree with a loop
@@ -22,9 +22,11 @@ _CONTRADICTED = 0.15  # weight below which a loop is refused
 _CONFIRMED = 0.5  # weight from which on a refused loop is accepted
 _CLOSER = 0.75  # a solution follows from many measurements, so it agrees more closely than two loops: times this
 _PAIRS = 1 << 20  # compared at once
+_VALUES = 1 << 22  # distances between descriptors, computed at once
 
-Pairs = Callable[[NDArray[np.int64], NDArray[np.int64]], tuple[Array, Array, Array]]
-"""Returns pose (p, 3), information (p, 3, 3) and log odds (p,) of the second frames as seen from the first."""
+Pairs = Callable[[NDArray[np.int64], NDArray[np.int64]], tuple[Edges, Array]]
+"""Compares frames, given by their rows: (p,) first ones and (p,) second ones. Returns the poses of the second frames as
+seen from the first, and the log odds (p,) that both images were taken near each other."""
 
 
 class Reason(Enum):
@@ -37,23 +39,15 @@ class Reason(Enum):
 
 
 @dataclass(frozen=True, eq=False)
-class Loops(Rows):
-    """Candidates for loops between frames (p pairs).
+class Loops(Edges):
+    """Candidates for loops between frames (p pairs), of which `first` is the earlier one.
 
     Attributes:
-        first: (p,) rows of frames, the earlier ones.
-        second: (p,) rows of frames.
-        pose: (p, 3) displacement ahead and to the left as seen from `first`, and turn to the left in rad.
-        information: (p, 3, 3) inverse of the scale matrix of a t-distribution with 4 degrees of freedom.
         odds: (p,) log odds that the two images were taken near each other.
         reason: (p,) of `Reason`.
         weight: (p,) weight in the last solution, from 0 to 1; 0 for loops that are not accepted.
     """
 
-    first: NDArray[np.int64]
-    second: NDArray[np.int64]
-    pose: Array
-    information: Array
     odds: Array
     reason: NDArray[np.object_]
     weight: Array
@@ -68,15 +62,10 @@ class Loops(Rows):
         return {reason.name.lower(): int((self.reason == reason).sum()) for reason in Reason}
 
 
-def edges_of(loops: Loops) -> Edges:
-    """Return loops as edges of a pose graph."""
-    return Edges(loops.first, loops.second, loops.pose, loops.information)
-
-
 def most_alike(
     descriptors: NDArray[np.float32], path: Array, drive: NDArray[np.int64], apart: float, k: int
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return pairs of similar frames (p,) and (p,), each pair once, the smaller row first.
+    """Return pairs of similar frames, each pair once, as first rows (p,) and second rows (p,), which are larger.
 
     Args:
         descriptors: (n, D), of any length; similar ones have a small Euclidean distance.
@@ -87,10 +76,10 @@ def most_alike(
     """
     square = np.square(descriptors).sum(axis=1)
     found: set[tuple[int, int]] = set()
-    at_once, drives = max(1, (1 << 22) // len(path)), int(drive.max()) + 1
+    drives = int(drive.max()) + 1
     k = max(-(-k // drives), min(k, 2))
-    for begin in range(0, len(path), at_once):
-        rows = np.arange(begin, min(begin + at_once, len(path)))
+    for part in slices(len(path), _VALUES // len(path)):
+        rows = np.arange(len(path))[part]
         unlike = square - 2 * descriptors[rows] @ descriptors.T
         same = drive[rows, None] == drive
         unlike[same & (np.abs(path[rows, None] - path) < apart)] = np.inf
@@ -100,7 +89,7 @@ def most_alike(
             best = np.argpartition(unlike[:, columns], some - 1, axis=1)[:, :some]
             of_row = np.repeat(rows, some)
             of_column = columns[best].ravel()
-            usable = np.isfinite(unlike[of_row - begin, of_column])
+            usable = np.isfinite(unlike[of_row - part.start, of_column])
             pairs = np.sort(np.column_stack([of_row, of_column])[usable], axis=1)
             found.update(map(tuple, pairs.tolist()))
     pairs = np.array(sorted(found), dtype=np.int64).reshape(-1, 2)
@@ -125,7 +114,7 @@ def checked_pairs(pairs: ArrayLike, count: int) -> NDArray[np.int64]:
 def far_apart(
     pairs: NDArray[np.int64], path: Array, drive: NDArray[np.int64], apart: float
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return those of some pairs (p, 2) that may be loops, (q,) and (q,), each once, the smaller row first.
+    """Return the given pairs (p, 2) that may be loops, as first rows (q,) and second rows (q,), which are larger.
 
     Args:
         pairs: rows of frames; -1 for a frame that is left out.
@@ -158,8 +147,8 @@ def agreeing(loops: Loops, poses: Array, drive: NDArray[np.int64]) -> NDArray[np
     if not len(loops):
         return counts
     pairs = cKDTree(places).query_pairs(_NEIGHBOURHOOD, p=np.inf, output_type="ndarray")
-    for begin in range(0, len(pairs), _PAIRS):
-        one, other = pairs[begin : begin + _PAIRS].T
+    for part in slices(len(pairs), _PAIRS):
+        one, other = pairs[part].T
         there = relative(poses, loops.first[other], loops.first[one])
         back = relative(poses, loops.second[one], loops.second[other])
         agrees = agree(composed(composed(there, loops.pose[one]), back), loops.pose[other])
@@ -168,43 +157,21 @@ def agreeing(loops: Loops, poses: Array, drive: NDArray[np.int64]) -> NDArray[np
     return counts
 
 
-def judged(
-    first: NDArray[np.int64],
-    second: NDArray[np.int64],
-    compare: Pairs,
-    poses: Array,
-    drive: NDArray[np.int64],
-    least_odds: float,
-) -> Loops:
-    """Compare candidates (p,) and return the loops, with the reason why each is accepted or refused.
-
-    Args:
-        first: (p,) rows of the frames.
-        second: (p,) rows of the frames that are compared with them.
-        compare: compares pairs of frames.
-        poses: (n, 3), as for `agreeing`.
-        drive: (n,) number of the drive of each frame.
-        least_odds: log odds from which on two images were taken near each other.
-    """
-    pose, information, odds = compare(first, second)
-    return agreed(loops_of(Edges(first, second, pose, information), odds, least_odds), poses, drive)
-
-
-def loops_of(edges: Edges, odds: Array, least_odds: float) -> Loops:
+def loops_of(edges: Edges, odds: Array) -> Loops:
     """Return compared frames as loops that no other loop agrees with so far."""
     reason = np.full(len(odds), Reason.UNLIKE, dtype=object)
-    reason[odds >= least_odds] = Reason.ALONE
-    return Loops(edges.first, edges.second, edges.pose, edges.information, odds, reason, np.zeros(len(odds)))
+    reason[odds >= ODDS] = Reason.ALONE
+    return Loops(**vars(edges), odds=odds, reason=reason, weight=np.zeros(len(odds)))
 
 
 def agreed(loops: Loops, poses: Array, drive: NDArray[np.int64], last: int | None = None) -> Loops:
-    """Return loops (p) of which those are accepted that were alone, and with which enough others agree.
+    """Accept the loops (p) with which enough other loops agree.
 
     Args:
         loops: loops with their reasons so far.
         poses: (n, 3), as for `agreeing`.
         drive: (n,) number of the drive of each frame.
-        last: only loops to this frame, and those beside it, are judged; all if None.
+        last: only loops to this frame and its neighbours are judged; all if None.
     """
     alike = (loops.reason != Reason.UNLIKE) & (last is None or loops.second >= last - _NEIGHBOURHOOD)
     rows, reason = np.flatnonzero(alike), loops.reason.copy()

@@ -12,8 +12,8 @@ from foundation.settings import Positive
 from siamloc.data.frames import FrameTable
 from siamloc.maps.comparing import scaled
 from siamloc.maps.describing import build
+from siamloc.maps.survey_checks import comparing_descriptor
 from siamloc.maps.survey_steps import comparing
-from siamloc.maps.surveying import comparing_descriptor
 
 if TYPE_CHECKING:
     from torch import nn
@@ -63,7 +63,7 @@ def key_frames(
 
     def far(row: int, others: NDArray[np.int64]) -> NDArray[np.bool_]:
         # Whether two images show one place is not asked: the network denies it for those that are nearly the same.
-        pose, _, _ = compared(np.full(len(others), row), others)
+        pose = compared(np.full(len(others), row), others)[0].pose
         seen, rolled = np.hypot(pose[:, 0], pose[:, 1]), np.hypot(*(wheels[others] - wheels[row]).T)
         return np.fmax(seen, rolled) >= spacing
 

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from siamloc.data.frames import FrameTable
 from siamloc.data.moves import relative
-from siamloc.maps.loops import Loops, Reason, edges_of, judged_again
+from siamloc.maps.loops import Loops, Reason, judged_again
 from siamloc.maps.pose_graph import Array, Edges, PoseGraph, Solution, solve
 from siamloc.maps.survey_steps import BEFORE
 
@@ -27,7 +27,7 @@ def solved(graph: PoseGraph, loops: Loops, start: Array) -> tuple[PoseGraph, Sol
     starts: list[Array | Solution] = [start]
     while True:
         used = np.flatnonzero(reason == Reason.ACCEPTED)
-        graph = replace(graph, pictures=Edges.concatenate([steps, edges_of(loops.take(used))]))
+        graph = replace(graph, pictures=Edges.concatenate([steps, loops.take(used)]))
         if starts[0] is start:  # a robust solution that begins far off may take what is right for wrong
             starts.append(solve(graph, start, _ROUGHLY).poses)
         solution = min((solve(graph, one, enough=_ENOUGH) for one in starts), key=lambda one: one.cost)

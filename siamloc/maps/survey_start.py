@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from siamloc.data.frames import FrameTable, concatenate
-from siamloc.data.moves import TURN, composed, inverse, wrapped
+from siamloc.data.moves import TURN, composed, inverse, way_along, wrapped
 from siamloc.errors import DataError
 from siamloc.maps.loops import Loops
 from siamloc.maps.pose_graph import Array
@@ -45,27 +45,24 @@ def brought_together(
         DataError: a drive that no loops connect with the others.
     """
     start, used = start.copy(), loops.take(loops.accepted)
-    here, there = drive[used.first], drive[used.second]
+    known, own = np.concatenate([[used.first, used.second], [used.second, used.first]], axis=1)  # each loop both ways
+    seen = np.concatenate([used.pose, inverse(used.pose)])
     placed = set(placed)
-    waiting, known_name = set(range(len(names))) - placed, names[min(placed)] or "(unnamed)"
+    waiting, known_name = set(range(len(names))) - placed, names[min(placed)]
     while waiting:
         tried = []
         for number in waiting:
-            forward = np.isin(here, list(placed)) & (there == number)
-            backward = np.isin(there, list(placed)) & (here == number)
-            known = np.concatenate([used.first[forward], used.second[backward]])
-            own = np.concatenate([used.second[forward], used.first[backward]])
-            seen = np.concatenate([used.pose[forward], inverse(used.pose[backward])])
-            tried.append((*_most_agreed(start, known, own, seen), number))
+            mine = np.isin(drive[known], list(placed)) & (drive[own] == number)
+            tried.append((*_most_agreed(start, known[mine], own[mine], seen[mine]), number))
         votes, places, origin, number = max(tried, key=lambda one: one[0])
         if votes < _MEETING:
-            lost = ", ".join(names[one] or "(unnamed)" for one in sorted(waiting))
+            lost = ", ".join(names[one] for one in sorted(waiting))
             raise DataError(
                 f"no places were found that {lost} and {known_name} have in common: survey drives apart that never "
                 "meet, give one more drive that connects them, or anchors in each"
             )
         if places == 1:
-            notes.append(f"drive {names[number] or '(unnamed)'} meets the others at a single place: check that it does")
+            notes.append(f"drive {names[number]} meets the others at a single place: check that it does")
         rows = drive == number
         start[rows] = composed(np.tile(origin, (int(rows.sum()), 1)), start[rows])
         placed.add(number)
@@ -183,7 +180,7 @@ def _check_poses(name: str, start: Array, rows: NDArray[np.int64], true: Array) 
     """
     first, second = np.triu_indices(len(rows), 1)
     apart = np.hypot(*(true[second] - true[first])[:, :2].T)
-    path = np.cumsum(np.hypot(*np.diff(start[:, :2], axis=0, prepend=start[:1, :2]).T))[rows]
+    path = way_along(start)[rows]
     way, said = path[second] - path[first], f"the anchors of drive {name or '(unnamed)'}"
     if len(first) and (apart > _UNIT * (way + _SHORT)).mean() > _MOST:
         raise DataError(

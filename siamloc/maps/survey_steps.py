@@ -8,12 +8,14 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from siamloc.data.frames import ODOMETRY, FrameTable
 from siamloc.data.moves import chained, moves, relative, wrapped
 from siamloc.data.picture_checks import time_offset
 from siamloc.errors import DataError
 from siamloc.maps.comparing import ODDS, Compares
 from siamloc.maps.loops import Pairs
 from siamloc.maps.pose_graph import Array, Edges
+from siamloc.maps.search import slices
 from siamloc.progress import track
 
 BEFORE = (1, 2, 3, 5)
@@ -36,21 +38,20 @@ _ALONG = 0.5  # mean cosine of the angles between the directions by odometry and
 def comparing(compare: Compares, parts: NDArray[np.float32], progress: bool) -> Pairs:
     """Return a function that compares frames by their orientation parts (n, K, F)."""
 
-    def compared(first: NDArray[np.int64], second: NDArray[np.int64]) -> tuple[Array, Array, Array]:
-        begins = range(0, len(first), _AT_ONCE)
-        pieces = [(first[at : at + _AT_ONCE], second[at : at + _AT_ONCE]) for at in begins]
-        shown = track(pieces, len(first), "comparing frames", size=lambda one: len(one[0])) if progress else pieces
-        found = [compare(parts[other], parts[one]) for one, other in shown]
-        if not found:
-            return np.empty((0, 3)), np.empty((0, 3, 3)), np.empty(0)
+    def compared(first: NDArray[np.int64], second: NDArray[np.int64]) -> tuple[Edges, Array]:
+        blocks = slices(len(first), _AT_ONCE)
+        if progress:
+            blocks = track(blocks, len(first), "comparing frames", size=lambda rows: rows.stop - rows.start)
+        none = np.empty((0, 3)), np.empty((0, 3, 3)), np.empty(0)
+        found = [none, *(compare(parts[second[rows]], parts[first[rows]]) for rows in blocks)]
         pose, information, odds = (np.concatenate(values).astype(np.float64) for values in zip(*found, strict=True))
-        return pose, information, odds
+        return Edges(first, second, pose, information), odds
 
     return compared
 
 
 def compared_steps(compared: Pairs, drive: NDArray[np.int64]) -> tuple[Edges, Array, NDArray[np.bool_]]:
-    """Compare each frame with those shortly before it.
+    """Compare each frame with a few frames before it.
 
     Returns:
         The steps between images that are alike, and all steps from frame to frame; the poses (n - 1, 3) of each frame
@@ -60,13 +61,12 @@ def compared_steps(compared: Pairs, drive: NDArray[np.int64]) -> tuple[Edges, Ar
     first = np.concatenate([np.arange(n - back) for back in BEFORE])
     second = np.concatenate([np.arange(back, n) for back in BEFORE])
     same = drive[first] == drive[second]
-    first, second = first[same], second[same]
-    pose, information, odds = compared(first, second)
-    next_one = second == first + 1
+    steps, odds = compared(first[same], second[same])
+    next_one = steps.second == steps.first + 1
+    before = steps.first[next_one]
     seen, certain = np.full((n - 1, 3), np.nan), np.zeros(n - 1, dtype=bool)
-    seen[first[next_one]] = pose[next_one]
-    certain[first[next_one]] = odds[next_one] >= ODDS
-    return trusted(Edges(first, second, pose, information), odds), seen, certain
+    seen[before], certain[before] = steps.pose[next_one], odds[next_one] >= ODDS
+    return trusted(steps, odds), seen, certain
 
 
 def trusted(steps: Edges, odds: Array) -> Edges:
@@ -91,6 +91,12 @@ def odometry_of(values: ArrayLike, count: int) -> Array:
     return found
 
 
+def with_odometry(frames: FrameTable, odometry: Array) -> FrameTable:
+    """Return frames (n) with the odometry (n, 3); values that are not finite are unknown."""
+    known = np.where(np.isfinite(odometry), odometry, np.nan)
+    return frames.with_columns(**dict(zip(ODOMETRY, known.T, strict=True)))
+
+
 def odometry_steps(
     odometry: Array,
     seen: Array,
@@ -113,7 +119,7 @@ def odometry_steps(
     steps[drive[1:] != drive[:-1]] = np.nan
     way, compared = np.hypot(steps[:, 0], steps[:, 1]), np.hypot(seen[:, 0], seen[:, 1])
     for number, name in enumerate(names):
-        said = f"the odometry of drive {name or '(unnamed)'}"
+        said = f"the odometry of drive {name}"
         unknown = int((~np.isfinite(odometry[drive == number]).all(axis=1)).sum())
         if unknown > 0 and np.isfinite(odometry).any():
             seldom = unknown < (drive == number).sum() and not np.isfinite(way[drive[1:] == number]).any()
@@ -138,7 +144,7 @@ def odometry_steps(
 
 
 def _check_odometry(said: str, odometry: Array, seen: Array, certain: NDArray[np.bool_], time: Array) -> None:
-    """Refuse odometry (n, 3) of a drive whose unit, sign, times or directions are not those of compared steps.
+    """Refuse odometry (n, 3) of a drive if its unit, sign, times or directions contradict the compared steps.
 
     It is judged over as many frames as the robot needs for 0.3 m, so that frames may be dense.
     """
@@ -219,7 +225,7 @@ def _rows_late(heading: Array, turns: Array, first: NDArray[np.int64], back: int
 
 
 def wheel_edges(steps: Array) -> Edges:
-    """Return odometry from frame to frame (n - 1, 3) as edges with their information, without those that are NaN."""
+    """Return odometry from frame to frame (n - 1, 3), where it is known, as edges with their information."""
     first = np.flatnonzero(np.isfinite(steps).all(axis=1)).astype(np.int64)
     way = np.hypot(steps[first, 0], steps[first, 1])
     along = (_SHARE * way) ** 2 + _STILL**2
@@ -250,7 +256,7 @@ def from_own_start(odometry: Array, drive: NDArray[np.int64]) -> Array:
 
 
 def _touched(flags: NDArray[np.bool_], some: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Return the flags (n,) of runs that contain some of others (n,), and the one after each run."""
+    """Mark the runs of flags (n,) that contain other flags (n,), each run with the row after it."""
     found = np.zeros_like(flags)
     for begin, end in _spans(flags):
         found[begin : end + 1] |= some[begin:end].any()
@@ -258,7 +264,7 @@ def _touched(flags: NDArray[np.bool_], some: NDArray[np.bool_]) -> NDArray[np.bo
 
 
 def _runs(flags: NDArray[np.bool_], least: int) -> NDArray[np.bool_]:
-    """Return the flags (n,) of runs of at least so many."""
+    """Mark the runs of at least `least` flags (n,)."""
     found = np.zeros_like(flags)
     for begin, end in _spans(flags):
         found[begin:end] = end - begin >= least

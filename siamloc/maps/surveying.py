@@ -17,15 +17,16 @@ from numpy.typing import ArrayLike, NDArray
 from foundation.calls import typed
 from foundation.settings import Count, Positive, Settings
 from siamloc.data.checks import wrong_odometry
-from siamloc.data.frames import ODOMETRY, FrameTable
-from siamloc.data.moves import relative, wrapped
+from siamloc.data.frames import FrameTable
+from siamloc.data.moves import relative, way_along, wrapped
 from siamloc.data.panorama import PanoramaView
-from siamloc.errors import ConfigError, DataError
-from siamloc.maps.comparing import ODDS, Compares, scaled
-from siamloc.maps.describing import build, descriptor_from
-from siamloc.maps.floor import DEVIATION, FloorScale, elevations_known, floor_scale, shows_floor
-from siamloc.maps.loops import Loops, checked_pairs, far_apart, judged, most_alike
+from siamloc.errors import DataError
+from siamloc.maps.comparing import Compares, scaled
+from siamloc.maps.describing import build
+from siamloc.maps.floor import DEVIATION, Floor, FloorScale, elevations_known, floor_scale, lengthening, shows_floor
+from siamloc.maps.loops import Loops, agreed, checked_pairs, far_apart, loops_of, most_alike
 from siamloc.maps.pose_graph import SCALE, Array, Edges, PoseGraph, Solution, covariances, of_shape
+from siamloc.maps.survey_checks import check_drives, check_lengths, comparing_descriptor
 from siamloc.maps.survey_solving import solution_notes, solved
 from siamloc.maps.survey_start import anchored, brought_together, check_anchors, of_drives
 from siamloc.maps.survey_steps import (
@@ -36,6 +37,7 @@ from siamloc.maps.survey_steps import (
     odometry_steps,
     start_of,
     wheel_edges,
+    with_odometry,
 )
 
 if TYPE_CHECKING:
@@ -45,20 +47,16 @@ if TYPE_CHECKING:
     from siamloc.data.library import PanoramaLibrary
     from siamloc.maps.visual_map import VisualMap
 
-_FEWEST = 10  # frames of a drive
-_LEAST_WAY = 1.0  # metres of a drive
-_KNOWN = 0.3  # share of the steps of a drive that images or odometry show, at least: fewer where images are shuffled
-
 
 @dataclass(frozen=True)
 class SurveySettings(Settings):
-    """How loops are searched, and what tells the scale.
+    """How loops are searched, and how high the camera is.
 
     Attributes:
         apart: way between two frames of a drive that may be a loop, at least, in metres.
         alike: number of most similar frames that each frame is compared with, divided evenly among the drives, but at
             least two in each.
-        height: height of the camera above the floor, in metres, which tells the scale where neither odometry nor two
+        height: height of the camera above the floor, in metres, which gives the scale where neither odometry nor two
             anchors do.
     """
 
@@ -104,10 +102,7 @@ class Survey:
 
     def summary(self) -> str:
         """Say in a line how many frames were surveyed, by how many loops, and what fixes their scale."""
-        way = sum(
-            float(np.hypot(*np.diff(self.frames.xy[rows], axis=0).T).sum())
-            for rows in self.frames.rows_by("sequence").values()
-        )
+        way = sum(float(way_along(self.frames.xy[rows])[-1]) for rows in self.frames.rows_by("sequence").values())
         counts = self.loops.counts()
         refused = sum(counts.values()) - counts["accepted"]
         within = f" within {self.scale_deviation:.1%}" if self.scale_deviation else ""
@@ -197,34 +192,34 @@ def survey(
     settings = SurveySettings() if settings is None else settings
     frames = frames if isinstance(frames, FrameTable) else of_drives(frames)
     order = np.concatenate([*frames.rows_by("sequence").values(), np.empty(0, np.int64)])
-    pairs, place = None if candidates is None else checked_pairs(candidates, len(frames)), np.full(len(frames), -1)
+    place = np.full(len(frames), -1)
+    pairs = None if candidates is None else checked_pairs(candidates, len(frames))
     wheels = frames.odometry if odometry is None else odometry_of(odometry, len(frames))
-    frames, wheels = frames.take(order), np.where(np.isfinite(wheels), wheels, np.nan)[order]
+    frames = with_odometry(frames, wheels).take(order)
     looks_down = shows_floor(images, settings.height)
     check_lengths(frames)
     check_anchors(frames, anchors)
-    for finding in wrong_odometry(frames.with_columns(**dict(zip(ODOMETRY, wheels.T, strict=True)))):
+    for finding in wrong_odometry(frames):
         raise DataError(f"the odometry of a survey cannot be used: {finding}")
     described = comparing_descriptor(network, images.circular)
-    rolled = frames.with_columns(x=wheels[:, 0], y=wheels[:, 1], theta=wheels[:, 2])  # tells the camera's mounting
-    known = build(described, images, rolled, progress=progress)
+    rolled = frames.with_columns(x=frames.odom_x, y=frames.odom_y, theta=frames.odom_theta)
+    known = build(described, images, rolled, progress=progress)  # odometry tells the camera's mounting
     if len(known) < len(frames):  # images that cannot be read
         kept = set(known.frames.identities())
         left = [key in kept for key in frames.identities()]
-        frames, wheels, order = frames.take(left), wheels[left], order[left]
+        frames, order = frames.take(left), order[left]
         check_lengths(frames)
     if pairs is not None:
         place[order] = np.arange(len(order))
         pairs = place[pairs]
     straight = (known.mounting.straight(batch) for batch in images.batches(frames))
     panoramas = (straight, images.preprocessing.view, elevations_known(images)) if looks_down else None
-    return of_descriptions(frames, known, wheels, described.compare, anchors, pairs, settings, progress, panoramas)
+    return of_descriptions(frames, known, described.compare, anchors, pairs, settings, progress, panoramas)
 
 
 def of_descriptions(
     frames: FrameTable,
     described: VisualMap,
-    wheels: Array,
     compare: Compares,
     anchors: FrameTable | None,
     pairs: NDArray[np.int64] | None,
@@ -235,9 +230,8 @@ def of_descriptions(
     """Survey frames (n), drive by drive, by their descriptions; see `survey`.
 
     Args:
-        frames: the frames.
+        frames: the frames, with their odometry.
         described: the same frames, described.
-        wheels: (n, 3) odometry.
         compare: compares orientation parts.
         anchors: some of the frames, with their poses.
         pairs: (p, 2) candidates for loops, -1 for a frame that is left out; those that look alike if None.
@@ -246,8 +240,10 @@ def of_descriptions(
         panoramas: those of the frames, in batches, their view, and whether its elevations are known, if they show the
             floor.
     """
-    names = list(frames.rows_by("sequence"))
-    drive = np.array([names.index(name) for name in frames.sequence.tolist()], dtype=np.int64)
+    drive, names = np.zeros(len(frames), dtype=np.int64), list[str]()
+    for number, (name, rows) in enumerate(frames.rows_by("sequence").items()):
+        drive[rows] = number
+        names.append(name or "(unnamed)")
     notes: list[str] = []
     if described.mounting.mirrored:
         notes.append(
@@ -258,36 +254,35 @@ def of_descriptions(
     assert parts is not None
     compared = comparing(compare, scaled(parts), progress)
     steps, seen, certain = compared_steps(compared, drive)
-    moved = odometry_steps(wheels, seen, certain, drive, names, notes, frames.time)
+    moved = odometry_steps(frames.odometry, seen, certain, drive, names, notes, frames.time)
     known = certain | np.isfinite(moved).all(axis=1)
-    floor: FloorScale | None = None
+    scale: FloorScale | None = None
     if np.isfinite(moved).any():
         if settings.height is not None:
             notes.append("odometry tells the scale: the height of the camera is not used")
     elif panoramas is not None:
-        told = _told_by_floor(*panoramas, steps, seen, settings.height, notes, anchors)
+        batches, view, elevations = panoramas
+        floor = Floor.seen(batches, view)
+        told = _told_by_floor(floor, elevations, steps, seen, settings.height, notes, anchors)
         if told is not None:
-            floor, steps = told
-            compared, next_one = floor.lengthening(compared), steps.second == steps.first + 1
+            scale, steps = told
+            compared, next_one = lengthening(compared, scale, floor), steps.second == steps.first + 1
             seen[steps.first[next_one]] = steps.pose[next_one]
     fixed, start = anchored(start_of(moved, seen, drive), drive, frames, anchors)
     held = np.isin(np.arange(len(frames)), fixed)
-    _check_steps(known, np.where(held, -1, drive), names)
-    _check_ways(start, np.where(held, -1, drive), names)
-    path, apart = np.cumsum(np.hypot(*np.diff(start[:, :2], axis=0, prepend=start[:1, :2]).T)), settings.apart
+    check_drives(known, start, np.where(held, -1, drive), names)
+    path, apart = way_along(start), settings.apart
     if pairs is None:
         first, second = most_alike(described.learned, path, drive, apart, settings.alike)
     else:
         first, second = far_apart(pairs, path, drive, apart)
-    open_ones = ~(held[first] & held[second])
-    loops = judged(first[open_ones], second[open_ones], compared, start, drive, ODDS)
-    if floor is not None:
-        floor = replace(floor, floors=np.empty((0, *floor.floors.shape[1:]), np.float32))  # megabytes, no longer used
+    unsettled = ~(held[first] & held[second])
+    loops = agreed(loops_of(*compared(first[unsettled], second[unsettled])), start, drive)
     placed = set(drive[fixed].tolist()) or {0}
     start = brought_together(start, loops, drive, names, notes, placed)
-    scale = DEVIATION if floor is not None and floor.given else SCALE
-    graph = PoseGraph(steps, wheel_edges(moved), drive, fixed, scale)
-    return concluded(frames, graph, loops, start, wheels, notes, floor)
+    deviation = DEVIATION if scale is not None and scale.given else SCALE
+    graph = PoseGraph(steps, wheel_edges(moved), drive, fixed, deviation)
+    return concluded(frames, graph, loops, start, notes, scale)
 
 
 def concluded(
@@ -295,18 +290,16 @@ def concluded(
     graph: PoseGraph,
     loops: Loops,
     start: Array,
-    odometry: Array,
     notes: Sequence[str] = (),
     floor: FloorScale | None = None,
 ) -> Survey:
     """Return the survey that follows from measurements.
 
     Args:
-        frames: the frames (n).
+        frames: the frames (n), with their odometry.
         graph: steps and odometry.
         loops: judged loops.
         start: start poses (n, 3), with the given poses of the anchors.
-        odometry: (n, 3) as it was given.
         notes: sentences about parts of the data that are not used.
         floor: what the floor says about displacements.
     """
@@ -325,7 +318,6 @@ def concluded(
         theta=wrapped(theta),
         deviation=np.sqrt(variances[:, :2].mean(axis=1)),  # the root of the mean variance of x and y
         theta_deviation=np.sqrt(variances[:, 2]),
-        **dict(zip(ODOMETRY, odometry.T, strict=True)),
     )
     return Survey(
         replace(surveyed, unit="m"),
@@ -333,7 +325,7 @@ def concluded(
         scale_deviation,
         loops,
         graph,
-        from_own_start(odometry, graph.drive),
+        from_own_start(frames.odometry, graph.drive),
         solution,
         by,
         tuple(notes),
@@ -342,8 +334,7 @@ def concluded(
 
 
 def _told_by_floor(
-    batches: Iterable[NDArray[np.uint8]],
-    view: PanoramaView,
+    floor: Floor,
     known: bool,
     steps: Edges,
     seen: Array,
@@ -352,7 +343,7 @@ def _told_by_floor(
     anchors: FrameTable | None,
 ) -> tuple[FloorScale, Edges] | None:
     gap = np.nan_to_num(np.hypot(seen[:, 0], seen[:, 1]), nan=100.0)  # metres, between drives
-    told = floor_scale(batches, view, steps, np.concatenate([[0.0], np.cumsum(gap)]), height)
+    told = floor_scale(floor, steps, np.concatenate([[0.0], np.cumsum(gap)]), height)
     if told is None and height is not None:
         notes.append(
             "the height of the camera is not used: the floor shows too little, frames are too far apart, or the height "
@@ -369,53 +360,3 @@ def _told_by_floor(
             "ahead on average, which lengths make up for: mount it level, or give its tilt (columns roll and pitch)"
         )
     return told
-
-
-def comparing_descriptor(network: Descriptor | nn.Module | str, circular: bool) -> Any:
-    """Return a network as a descriptor that compares panoramas and gives headings.
-
-    Raises:
-        ConfigError: a network that does not.
-    """
-    described = descriptor_from(network, circular=circular)
-    if not (getattr(described, "compares", False) and getattr(described, "tells_heading", False)):
-        raise ConfigError(
-            "a survey needs a network that compares panoramas: take pretrained, or a network with the head fourier or "
-            "magnitudes that was built and trained with relative=True"
-        )
-    return described
-
-
-def check_lengths(frames: FrameTable) -> None:
-    """Check that each drive has enough frames, in the order in which they were taken.
-
-    Raises:
-        DataError: one that has not.
-    """
-    for name, rows in frames.rows_by("sequence").items():
-        said, times = f"drive {name or '(unnamed)'}", frames.time[rows]
-        if len(rows) < _FEWEST:
-            raise DataError(f"{said} has {len(rows)} frames: a survey needs {_FEWEST} or more of each")
-        if (np.diff(times[np.isfinite(times)]) < 0).any():
-            raise DataError(f"the times of {said} go back: give its frames in the order in which they were taken")
-
-
-def _check_steps(known: NDArray[np.bool_], drive: NDArray[np.int64], names: list[str]) -> None:
-    for number, name in enumerate(names):
-        mine = known[(drive[1:] == number) & (drive[:-1] == number)]
-        if len(mine) and mine.mean() < _KNOWN:
-            raise DataError(
-                f"only {mine.sum()} of {len(mine)} images of drive {name or '(unnamed)'} are like the one before: give "
-                "its frames in the order in which they were taken, sorted by time, at most two metres apart, or give "
-                "odometry"
-            )
-
-
-def _check_ways(start: Array, drive: NDArray[np.int64], names: list[str]) -> None:
-    for number, name in enumerate(names):
-        xy = start[drive == number, :2]
-        if len(xy) and np.hypot(*(xy - xy[0]).T).max() < _LEAST_WAY:
-            raise DataError(
-                f"drive {name or '(unnamed)'} stays within {_LEAST_WAY:g} m of where it begins: a survey needs a drive "
-                "that moves"
-            )

@@ -125,6 +125,12 @@ def surveyed(monkeypatch):
     return run
 
 
+def anchors_at(poses, rows, drive="monday") -> FrameTable:
+    """Frames of a drive with their true poses."""
+    x, y, theta = poses[rows].T
+    return FrameTable(path=[f"{drive}/{row}.png" for row in rows], sequence=[drive] * len(rows), x=x, y=y, theta=theta)
+
+
 def off(found, true, scaled=False) -> float:
     """Return the mean distance in m after the best rigid motion."""
     given, wanted = (xy - xy.mean(axis=0) for xy in (found.frames.xy, true[:, :2]))
@@ -168,10 +174,7 @@ def test_images_alone_give_the_shape(surveyed):
 
 def test_anchors_fix_position_direction_and_scale(surveyed):
     poses = eights()
-    anchors = FrameTable(
-        path=["monday/3.png", "monday/40.png", "monday/77.png"],
-        sequence=["monday"] * 3, **dict(zip("xy", poses[[3, 40, 77], :2].T, strict=True)), theta=poses[[3, 40, 77], 2],
-    )  # fmt: skip
+    anchors = anchors_at(poses, [3, 40, 77])
     found, true, _ = surveyed({"monday": poses}, scale=0.9, anchors=anchors)
     assert np.hypot(*(found.frames.xy - true[:, :2]).T).mean() < 0.03
     np.testing.assert_allclose(found.frames.xy[[3, 40, 77]], true[[3, 40, 77], :2], atol=1e-12)
@@ -212,15 +215,12 @@ def test_drives_are_brought_together(surveyed):
 
 def test_drives_that_never_meet_are_placed_by_anchors(surveyed):
     drives = {"monday": eights(2), "elsewhere": np.add(eights(2, turned=1.0), [50.0, 0, 0]), "night": eights(1)}
-    rows = [5, 50, 60 + 10, 60 + 40]  # of the first two drives
-    true = np.concatenate(list(drives.values()))[rows]
-    anchors = FrameTable(
-        path=["monday/5.png", "monday/50.png", "elsewhere/10.png", "elsewhere/40.png"],
-        sequence=["monday"] * 2 + ["elsewhere"] * 2, x=true[:, 0], y=true[:, 1], theta=true[:, 2],
-    )  # fmt: skip
+    anchors = concatenate(
+        [anchors_at(drives[name], rows, name) for name, rows in (("monday", [5, 50]), ("elsewhere", [10, 40]))]
+    )
     found, every, _ = surveyed(drives, anchors=anchors)
     assert np.hypot(*(found.frames.xy - every[:, :2]).T).mean() < 0.05
-    np.testing.assert_allclose(found.frames.xy[rows], true[:, :2], atol=1e-12)
+    np.testing.assert_allclose(found.frames.xy[[5, 50, 60 + 10, 60 + 40]], anchors.xy, atol=1e-12)
     with pytest.raises(DataError, match=r"elsewhere and monday have in common.*anchors in each"):
         surveyed(drives, anchors=anchors.take([0, 1]))
 
@@ -328,10 +328,8 @@ def test_an_anchor_that_contradicts_the_images_is_noted(surveyed):
     poses = eights()
 
     def anchors(rows, x=0.0):
-        return FrameTable(
-            path=[f"monday/{row}.png" for row in rows], sequence=["monday"] * len(rows),
-            x=poses[rows, 0] + x, y=poses[rows, 1], theta=poses[rows, 2],
-        )  # fmt: skip
+        right = anchors_at(poses, rows)
+        return right.with_columns(x=right.x + x)
 
     found, _, _ = surveyed({"monday": poses}, anchors=anchors([5, 40, 80], np.array([0, 3.0, 0])))
     assert "1 of 3 anchors contradict the images around them, the first is monday/40.png" in found.notes[-1]
@@ -353,14 +351,9 @@ def test_anchors_in_another_unit_or_mirrored_are_refused(surveyed, wheeled):
         ([1, 1, 180 / np.pi], "drive monday have theta in degrees"),
         ([1, -1, -1], "drive monday turn left where its images turn right"),
     ):
-        x, y, theta = (poses[rows] * factor).T
-        path, name = [f"monday/{row}.png" for row in rows], ["monday"] * len(rows)
+        wheels, wrong = drifting(poses) if wheeled else False, anchors_at(poses * factor, rows)
         with pytest.raises(DataError, match=says):
-            surveyed(
-                {"monday": poses},
-                odometry=drifting(poses) if wheeled else False,
-                anchors=FrameTable(path=path, sequence=name, x=x, y=y, theta=theta),
-            )
+            surveyed({"monday": poses}, odometry=wheels, anchors=wrong)
 
 
 def test_what_cannot_be_surveyed_is_a_sentence(surveyed):
@@ -398,13 +391,9 @@ def test_two_anchors_bend_a_long_straight_drive(surveyed):
     rng = np.random.default_rng(5)
     heading = 0.05 * np.cumsum(rng.normal(size=300)) * 0.3
     true = chained(np.column_stack([np.full(300, 0.4), np.zeros(300), np.diff(heading, prepend=0)]))
-    anchors = FrameTable(
-        path=["monday/0.png", "monday/299.png"], sequence=["monday"] * 2, x=true[[0, -1], 0], y=true[[0, -1], 1],
-        theta=true[[0, -1], 2],
-    )  # fmt: skip
     wheels = drifting(true, degrees=1.0)
     assert np.hypot(*(wheels - true)[:, :2].T).max() > 15
-    found, _, _ = surveyed({"monday": true}, odometry=wheels, anchors=anchors)
+    found, _, _ = surveyed({"monday": true}, odometry=wheels, anchors=anchors_at(true, [0, 299]))
     assert np.hypot(*(found.frames.xy - true[:, :2]).T).mean() < 1.5
 
 
@@ -425,7 +414,7 @@ def test_drives_that_meet_once_are_noted(surveyed):
 
 
 def test_units_and_signs_of_dense_frames_are_judged_as_well(surveyed):
-    poses = eights(rounds=2, per_round=500)
+    poses = eights(rounds=1, per_round=500)
     wheels = drifting(poses)
     for changed, says in ((wheels * [100, 100, 1], "give odom_x"), (wheels * [1, -1, -1], "turns left where")):
         with pytest.raises(DataError, match=says):
@@ -465,7 +454,7 @@ def test_late_odometry_of_images_with_times_is_named_in_seconds(surveyed):
 
 
 def test_frames_out_of_order_are_refused_before_any_image_is_described(surveyed, monkeypatch):
-    monkeypatch.setattr(sys.modules["siamloc.maps.surveying"], "descriptor_from", None)
+    monkeypatch.setattr(sys.modules["siamloc.maps.surveying"], "comparing_descriptor", None)
     table = FrameTable(path=[f"{n}.png" for n in range(12)], time=[*range(6), 3, *range(6, 11)])
     with pytest.raises(DataError, match=r"times of drive .* go back"):
         survey("pretrained", object.__new__(Panoramas), table)
@@ -520,7 +509,7 @@ def test_a_live_survey_goes_on_with_the_lengths_of_the_floor(surveyed):
     x, known = np.arange(90) * 0.3, 60
     poses = np.column_stack([x, np.sin(x / 3), np.arctan(np.cos(x / 3) / 3)])
     before, _, _ = surveyed({"monday": poses[:known]}, odometry=False, noise=0.01)
-    before = replace(before, floor=FloorScale(np.full(known, 1.25), 0.95, True, np.empty((known, 0, 260)), np.empty(0)))
+    before = replace(before, floor=FloorScale(np.full(known, 1.25), 0.95, True))
     network = TrueComparison(poses, 0.8, 0.01)
     held = VisualMap(
         places_of(poses[:known]), before.frames, orientation=numbered(range(known)), heading={"name": "network"}
