@@ -7,7 +7,7 @@ from .hierarchy import (
     HierarchicalSearch as HierarchicalSearch,
     LayerSearch as LayerSearch,
 )
-from .history import History as History
+from .history import History as History, Reason as Reason
 from .joining import RefinedPoses as RefinedPoses
 from .selecting import key_frames as key_frames
 from .live_survey import LiveSurvey as LiveSurvey
@@ -17,7 +17,6 @@ from .matching import frame_distances as frame_distances, headings as headings, 
 from .motion import motions as motions
 from .pose_filter import PoseFilter as PoseFilter
 from .ranking import NodeRanking as NodeRanking
-from .reasons import Reason as Reason
 from .refinement import Refinement as Refinement, interpolate_poses as interpolate_poses, refine as refine
 from .search import Retrieval as Retrieval, VectorIndex as VectorIndex
 from .sequence_filter import (

@@ -61,8 +61,22 @@ def checked_orientation(orientation: Any, descriptors: NDArray, *, halved: bool)
     return array
 
 
+def check_placed(frames: FrameTable, what: str) -> None:
+    """Refuse map frames without a position, and a map without frames, where something needs positions.
+
+    Raises:
+        DataError: a frame without a position, or no frames.
+    """
+    lacking = int((~frames.has_position).sum())
+    if lacking or not len(frames):
+        raise DataError(
+            f"{lacking} of the {len(frames)} map frames have no position, which {what} needs: leave them out, "
+            "known.placed()"
+        )
+
+
 def check_distance(name: str, width: int) -> None:
-    """Refuse an unknown distance, or one that makes all descriptors of this width alike."""
+    """Refuse an unknown distance, or a distance by which all descriptors of this width are alike."""
     least = {"cosine": 2, "correlation": 3}.get(known(name, DISTANCES, "distance"), 1)
     if width < least:
         raise ConfigError(

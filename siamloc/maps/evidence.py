@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 
 from siamloc.data.moves import relative
 from siamloc.maps.comparing import ODDS, agree, compare_with, comparison_of
+from siamloc.maps.history import Reason
 from siamloc.maps.matching import learned_distances
-from siamloc.maps.reasons import Reason
 from siamloc.maps.search import slices
-from siamloc.maps.thinning import near
+from siamloc.maps.thinning import compared_nearby
 from siamloc.maps.visual_map import VisualMap
 
 _COMPARED = 3  # map frames that each frame of a drive is compared with
@@ -28,8 +28,7 @@ class Judged:
     """The frames of a drive (n) and of a map (m), compared.
 
     Attributes:
-        nearest: (n,) the map frame taken nearest to each frame of the drive.
-        away: (n,) its distance; infinite if the map has no frame in that building.
+        away: (n,) distance of the map frame taken nearest to each; infinite if the map has none in that building.
         unlike: (n,) descriptor distance to the most similar map frame within the radius; infinite if there is none.
         recognized: (m,) whether a frame taken near a map frame resembles it more than all map frames elsewhere.
         passed: (m,) whether the drive has a frame near the map frame.
@@ -39,7 +38,6 @@ class Judged:
             compare, or the map is not in metres.
     """
 
-    nearest: NDArray[np.int64]
     away: NDArray[np.float64]
     unlike: NDArray[np.float64]
     recognized: NDArray[np.bool_]
@@ -61,7 +59,7 @@ def judged(known: VisualMap, drive: VisualMap, radius: float) -> Judged:
             map frames beyond it are elsewhere.
     """
     n, m = len(drive), len(known)
-    nearest, away, unlike = np.zeros(n, dtype=np.int64), np.zeros(n), np.zeros(n)
+    away, unlike = np.zeros((2, n))
     recognized, passed, changed = np.zeros(m, dtype=bool), np.zeros(m, dtype=bool), np.full(m, np.inf)
     misplaced, votes = np.zeros(n, dtype=bool), np.zeros(m, dtype=np.int64)
     for part in slices(n, _AT_ONCE):
@@ -74,17 +72,17 @@ def judged(known: VisualMap, drive: VisualMap, radius: float) -> Judged:
         passed |= close.any(axis=0)
         np.minimum(changed, np.where(close, alike, np.inf).min(axis=0), out=changed)
         recognized |= (close & (alike < elsewhere)).any(axis=0)
-        nearest[part], away[part] = apart.argmin(axis=1), apart.min(axis=1)
+        away[part] = apart.min(axis=1)
         alike[apart > radius] = np.inf
         unlike[part] = alike.min(axis=1)
         misplaced[part] = _misplaced(known, drive.take(rows), alike, votes)
-    return Judged(nearest, away, unlike, recognized & (votes >= 0), passed, changed, misplaced)
+    return Judged(away, unlike, recognized & (votes >= 0), passed, changed, misplaced)
 
 
 def _misplaced(
     known: VisualMap, drive: VisualMap, alike: NDArray[np.float64], votes: NDArray[np.int64]
 ) -> NDArray[np.bool_]:
-    """Return of which frames of a drive (n,) most comparisons with map frames are off.
+    """Return for which frames of a drive (n,) most comparisons with map frames give a wrong pose.
 
     Args:
         known: the map (m frames).
@@ -118,18 +116,19 @@ def usual_distance(known: VisualMap, radius: float, share: float) -> float | Non
         The distance between descriptors.
     """
     nearest = np.full(len(known), np.inf)
-    for rows, others, _ in near(known.frames, known.frames, radius, _AT_ONCE):
-        same = (rows != others) & (known.frames.sequence[rows] == known.frames.sequence[others])
-        if same.any():
-            which, row = np.unique(rows[same], return_inverse=True)
-            alike = learned_distances(known, known.turning(which))[row, others[same]]
-            np.minimum.at(nearest, rows[same], alike)
+    drive = known.frames.sequence
+
+    def of_one_drive(rows: NDArray[np.int64], others: NDArray[np.int64]) -> NDArray[np.bool_]:
+        return np.asarray((rows != others) & (drive[rows] == drive[others]))
+
+    for rows, _, apart in compared_nearby(known, radius, of_one_drive):
+        np.minimum.at(nearest, rows, apart)
     nearest = nearest[np.isfinite(nearest)]
     return None if len(nearest) < _FEWEST else float(np.quantile(nearest, share))
 
 
 def enough_of(evidence: NDArray[np.bool_], least: int, window: int) -> NDArray[np.bool_]:
-    """Return which of n consecutive frames lie in a window in which at least some frames hold evidence."""
+    """Return which of n consecutive frames lie in a window with evidence in at least `least` frames."""
     if len(evidence) < window:
         return np.zeros(len(evidence), dtype=bool)
     ones = np.ones(window, dtype=np.int64)
@@ -138,16 +137,12 @@ def enough_of(evidence: NDArray[np.bool_], least: int, window: int) -> NDArray[n
 
 
 def repeated(drive: VisualMap, radius: float, usual: float) -> NDArray[np.bool_]:
-    """Return which frames of a drive (n,) an earlier frame that is not repeated itself shows, taken one by one."""
+    """Return which frames of a drive (n,) show almost the same as an earlier frame that is no repetition itself."""
     alike: list[set[int]] = [set() for _ in range(len(drive))]
-    for rows, others, _ in near(drive.frames, drive.frames, radius, _AT_ONCE):
-        before = others < rows
-        rows, others = rows[before], others[before]
-        if len(rows):
-            which, row = np.unique(rows, return_inverse=True)
-            close = learned_distances(drive, drive.turning(which))[row, others] <= usual
-            for one, other in zip(rows[close].tolist(), others[close].tolist(), strict=True):
-                alike[one].add(other)
+    for rows, others, apart in compared_nearby(drive, radius, np.greater):
+        close = apart <= usual
+        for one, other in zip(rows[close].tolist(), others[close].tolist(), strict=True):
+            alike[one].add(other)
     new: set[int] = set()
     for number, shown in enumerate(alike):
         if not shown & new:

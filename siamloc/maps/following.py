@@ -22,7 +22,7 @@ def numbers_of(layer: CoarseLayer) -> NDArray[np.int64]:
 
 
 def nodes_of(layer: CoarseLayer, known: FrameTable, drive: FrameTable) -> NDArray[np.int64]:
-    """Return the node of the nearest map frame that is in one, for each frame of a drive (n,).
+    """Return for each frame of a drive (n,) the node of the nearest map frame; map frames in no node do not count.
 
     Args:
         layer: nodes over the m frames of a map.

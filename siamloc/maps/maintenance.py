@@ -16,14 +16,14 @@ from siamloc.data.checks import wrong_headings
 from siamloc.data.frames import FrameTable, check_units
 from siamloc.errors import ConfigError, DataError, logger
 from siamloc.maps.axes import check_axes
+from siamloc.maps.checked_arrays import check_placed
 from siamloc.maps.comparing import comparison_of
 from siamloc.maps.describing import build
 from siamloc.maps.evidence import Judged, enough_of, judged, map_reasons, repeated, usual_distance
 from siamloc.maps.following import followed, left_by, nodes_of, numbers_of
 from siamloc.maps.grouping import Built
-from siamloc.maps.history import UPKEEP, History
+from siamloc.maps.history import GONE, JOINED, UPKEEP, History, Reason, among
 from siamloc.maps.matching import match
-from siamloc.maps.reasons import GONE, JOINED, Reason, among
 from siamloc.maps.thinning import Budget, thin
 from siamloc.maps.visual_map import VisualMap
 
@@ -248,8 +248,7 @@ def updated(
         DataError, AnalyticError: as `update`.
     """
     settings = Maintenance() if settings is None else settings
-    if lacking := int((~known.frames.has_position).sum()):
-        raise DataError(f"{lacking} of the {len(known)} map frames have no position: leave them out, known.placed()")
+    check_placed(known.frames, "an update")
     if built is not None:
         built.check_map(known)
         if built.mapper is None and "ids" in built.layer.made:

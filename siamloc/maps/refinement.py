@@ -14,6 +14,7 @@ from foundation.settings import Count, NotNegative, Positive
 from siamloc.data.frames import FrameTable
 from siamloc.data.moves import wrapped
 from siamloc.errors import ConfigError, DataError
+from siamloc.maps.checked_arrays import check_placed
 from siamloc.maps.comparing import Compares, compare_with
 from siamloc.maps.joining import RefinedPoses, joined
 from siamloc.maps.learned import Learned
@@ -123,23 +124,6 @@ def check_compares(known: VisualMap) -> None:
         )
 
 
-def path_positions(frames: FrameTable) -> NDArray[np.float64]:
-    """Return how far along the path of its sequence each frame lies (m,), 0 for the first of each sequence.
-
-    Raises:
-        DataError: a frame without a position.
-    """
-    if not frames.has_position.all():
-        raise DataError(
-            f"{int((~frames.has_position).sum())} of {len(frames)} map frames have no position: there is no path "
-            "along which to interpolate"
-        )
-    along = np.zeros(len(frames))
-    for rows in frames.rows_by("sequence").values():
-        along[rows[1:]] = np.cumsum(np.hypot(np.diff(frames.x[rows]), np.diff(frames.y[rows])))
-    return along
-
-
 @typed
 def interpolate_poses(
     found: Retrieval,
@@ -175,8 +159,12 @@ def interpolate_poses(
             f"interpolation needs {k} neighbours a query, rows 0 to {len(frames) - 1} of the map, got shape "
             f"{rows.shape}"
         )
+    check_placed(frames, "a path along which to interpolate")
+    along = np.zeros(len(frames))  # the path of each drive, from its first frame
+    for drive in frames.rows_by("sequence").values():
+        along[drive[1:]] = np.cumsum(np.hypot(np.diff(frames.x[drive]), np.diff(frames.y[drive])))
     near, apart = rows[:, :k], found.distances[:, :k]
-    along, best = path_positions(frames), near[:, :1]
+    best = near[:, :1]
     inside = (np.abs(along[near] - along[best]) <= radius) & (frames.sequence[near] == frames.sequence[best])
     weight = np.where(inside, 1 / (apart + epsilon), 0.0)
     weight /= weight.sum(axis=1, keepdims=True)

@@ -23,6 +23,7 @@ from foundation.columns import Rows
 from foundation.settings import Positive, Probability
 from siamloc.data.frames import FrameTable
 from siamloc.errors import ConfigError, DataError
+from siamloc.maps.checked_arrays import check_placed
 from siamloc.maps.matching import frame_distances
 from siamloc.maps.motion import UnitOfMotion, motion_or_none, motions_of
 from siamloc.maps.thinning import near
@@ -205,11 +206,7 @@ class MotionModel:
             ConfigError: a step or an interval that is not positive.
             DataError: no frames, or a frame without a position.
         """
-        if not len(frames) or not frames.has_position.all():
-            raise DataError(
-                f"{int((~frames.has_position).sum())} of {len(frames)} map frames have no position: motion is learned "
-                "from a map whose frames all have one"
-            )
+        check_placed(frames, "a model of motion")
         spacing = spacing_of(frames)
         if step is None:
             length, seconds = _steps(frames)
@@ -254,7 +251,7 @@ class MotionModel:
 
 
 def spacing_of(frames: FrameTable) -> float:
-    """Return the median distance between consecutive frames of a sequence, of those that moved; 0 if none did."""
+    """Return the median distance between consecutive frames of a sequence, without standstill; 0 if nothing moved."""
     length, _ = _steps(frames)
     return float(np.median(length[length > 0])) if (length > 0).any() else 0.0
 
@@ -327,8 +324,7 @@ def temperature_of_map(known: VisualMap) -> float:
     Raises:
         DataError: a map frame without a position.
     """
-    if not known.frames.has_position.all():
-        raise DataError("a temperature is learned from a map whose frames all have positions")
+    check_placed(known.frames, "a temperature")
     if len(known) == 1:
         return 1.0
     chosen = np.unique(np.linspace(0, len(known) - 1, min(len(known), _SAMPLE)).astype(np.int64))

@@ -1,8 +1,8 @@
-"""`thin`: keep a map within a budget, by forgetting one of two frames nearby that look alike, time and again."""
+"""`thin`: keep a map within a budget, by forgetting one of two frames nearby that look alike, again and again."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -12,9 +12,10 @@ from numpy.typing import NDArray
 from foundation.calls import OF_FIELDS, takes
 from foundation.settings import Count, Positive, Settings
 from siamloc.data.frames import FrameTable
-from siamloc.errors import ConfigError, DataError
+from siamloc.errors import ConfigError
+from siamloc.maps.checked_arrays import check_placed
+from siamloc.maps.history import Reason
 from siamloc.maps.matching import learned_distances
-from siamloc.maps.reasons import Reason
 from siamloc.maps.search import slices
 from siamloc.maps.visual_map import VisualMap
 
@@ -68,7 +69,7 @@ class Thinned:
 
 @takes(Budget)
 def thin(known: VisualMap, *, settings: Budget = OF_FIELDS, **fields: Any) -> Thinned:
-    """Forget frames of a map until it is within a budget; one of each building stays in any case.
+    """Forget frames of a map until it is within a budget; one frame of each building stays in any case.
 
     Of the two frames nearby whose descriptors are the most alike, the one that the last drives did not recognize is
     forgotten (the one contradicted more often), or else the one that the last drive found more changed, or confirmed
@@ -89,8 +90,7 @@ def thin(known: VisualMap, *, settings: Budget = OF_FIELDS, **fields: Any) -> Th
         >>> [reason.name for reason in found.reason]
         ['KEPT', 'REDUNDANT', 'KEPT']
     """
-    if not known.frames.has_position.all():
-        raise DataError("a map frame has no position: thin(known.placed()) leaves those out")
+    check_placed(known.frames, "thinning")
     reason = np.full(len(known), Reason.KEPT, dtype=object)
     most, per_cell = settings.most(known), settings.per_square_metre
     _, building = np.unique(known.frames.building, return_inverse=True)
@@ -120,13 +120,9 @@ def thin(known: VisualMap, *, settings: Budget = OF_FIELDS, **fields: Any) -> Th
 def _alike(known: VisualMap, reach: float) -> NDArray[np.int64]:
     """Return the pairs of map frames (p, 2) at most `reach` apart, those with the most similar descriptors first."""
     pairs, apart = list[NDArray[np.int64]](), list[NDArray[np.float64]]()
-    for rows, others, _ in near(known.frames, known.frames, reach, _AT_ONCE):
-        once = others > rows
-        rows, others = rows[once], others[once]
-        if len(rows):
-            which, row = np.unique(rows, return_inverse=True)
-            apart.append(learned_distances(known, known.description.take(which))[row, others])
-            pairs.append(np.column_stack([rows, others]))
+    for rows, others, unlike in compared_nearby(known, reach, np.less):
+        apart.append(unlike)
+        pairs.append(np.column_stack([rows, others]))
     if not pairs:
         return np.empty((0, 2), dtype=np.int64)
     return np.concatenate(pairs)[np.argsort(np.concatenate(apart), kind="stable")]
@@ -138,10 +134,31 @@ def nearest(known: FrameTable, drive: FrameTable) -> NDArray[np.int64]:
     return np.array(found, dtype=np.int64)
 
 
+def compared_nearby(
+    known: VisualMap, reach: float, wanted: Callable[[NDArray[np.int64], NDArray[np.int64]], NDArray[np.bool_]]
+) -> Iterator[tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float64]]]:
+    """Yield pairs of map frames of one building at most `reach` apart, and how far apart their descriptors are.
+
+    Args:
+        known: a map whose frames have positions.
+        reach: distance in the unit of the positions.
+        wanted: returns which pairs to compare (q,), by the rows of both frames (q,).
+
+    Yields:
+        Rows of the first frames (p,), increasing, rows of the second ones (p,), and distances of descriptors (p,).
+    """
+    for rows, others, _ in near(known.frames, known.frames, reach, _AT_ONCE):
+        some = wanted(rows, others)
+        rows, others = rows[some], others[some]
+        if len(rows):
+            which, row = np.unique(rows, return_inverse=True)
+            yield rows, others, learned_distances(known, known.turning(which))[row, others]
+
+
 def near(
     first: FrameTable, second: FrameTable, reach: float, at_once: int | None = None
 ) -> Iterator[tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float64]]]:
-    """Yield the pairs of frames of one building at most `reach` apart, some frames of the first table at a time.
+    """Yield the pairs of frames of one building at most `reach` apart, for blocks of frames of the first table.
 
     Args:
         first: n frames with positions.

@@ -65,7 +65,7 @@ def test_errors() -> None:
         ((less, frames, 2), DataError, r"needs 2 neighbours a query, rows 0 to 1 of the map, got shape \(2, 1\)"),
         ((Retrieval(found.indices + 1, found.distances), frames, 2), DataError, "rows 0 to 1"),
         ((found, frames, 2, 1, [[0.0], [1.0]]), DataError, "2 queries need headings by 2 neighbours"),
-        ((found, placed([[0, 0], [math.nan, 0]]), 2), DataError, "1 of 2 map frames have no position"),
+        ((found, placed([[0, 0], [math.nan, 0]]), 2), DataError, "1 of the 2 map frames have no position"),
     ):
         with pytest.raises(error, match=says):
             interpolate_poses(*asked)

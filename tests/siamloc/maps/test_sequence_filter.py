@@ -196,12 +196,12 @@ def test_errors() -> None:
     for call, error, says in (
         (lambda: MotionModel.learn(known, step=0), ConfigError, "step must be a number above 0, or null, got 0"),
         (lambda: MotionModel.learn(known, interval=math.nan), ConfigError, "interval must be a number .*, got nan"),
-        (lambda: MotionModel.learn(gap), DataError, "1 of 4 map frames have no position"),
-        (lambda: MotionModel.learn(known.take([])), DataError, "0 of 0 map frames"),
+        (lambda: MotionModel.learn(gap), DataError, "1 of the 4 map frames have no position"),
+        (lambda: MotionModel.learn(known.take([])), DataError, "0 of the 0 map frames"),
         (lambda: SequenceFilter(motion, 0), ConfigError, "temperature must be a number above 0, got 0"),
         (lambda: SequenceFilter(motion, 1, 0), ConfigError, "kidnapping must be a number between 0 and 1, got 0"),
         (lambda: SequenceFilter(motion, 1).run([[0.0, 1, 2]], ["a"]), DataError, r"shape \(1, 4\), got \(1, 3\)"),
-        (lambda: temperature_of_map(VisualMap(np.eye(4), gap)), DataError, "whose frames all have positions"),
+        (lambda: temperature_of_map(VisualMap(np.eye(4), gap)), DataError, "which a temperature needs"),
         (lambda: tune_filter(motion, *one, [[0, 0]], ["a"], 1, softer=()), ConfigError, "at least one factor"),
         (lambda: tune_filter(motion, *one, [[0, math.nan]], ["a"], 1), DataError, "true positions"),
     ):
