@@ -1,4 +1,4 @@
-"""From images to maps: `build` describes the frames of a map, `describe` those to be found in it."""
+"""From images to maps: `build` describes the frames of a map, `describe` the queries that are located in it."""
 
 from __future__ import annotations
 
@@ -7,7 +7,6 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from analytic import DESCRIPTORS, Description, Descriptor, Fused, descriptor
 from analytic.descriptors.fused import distinct
@@ -195,9 +194,15 @@ def describe(
         by.check_images(images.preprocessing.parameters())
         heading, mounting = by.heading_descriptor, by.mounting
         by = by.descriptor
-    clock = Stopwatch() if clock is None else clock
-    parts = (_timed(clock, by, heading, batch, mounting) for batch in images.batches(frames))
-    return parts if progress is None else track(parts, len(frames), progress, size=len)
+    timed = Stopwatch() if clock is None else clock
+
+    def descriptions() -> Iterator[Description]:
+        for batch in images.batches(frames):
+            with timed.of("describe", len(batch)):
+                found = described(by, heading, batch, mounting)
+            yield found
+
+    return descriptions() if progress is None else track(descriptions(), len(frames), progress, size=len)
 
 
 def _check_elevations(by: Descriptor, images: PanoramaLibrary) -> None:
@@ -209,17 +214,6 @@ def _check_elevations(by: Descriptor, images: PanoramaLibrary) -> None:
             f"show {there[0]:g} to {there[1]:g}: set unwrap.top={wanted[0]:g} unwrap.bottom={wanted[1]:g} (in Python "
             "PanoramaLibrary(frames, unwrap=camera, **network.view))"
         )
-
-
-def _timed(
-    clock: Stopwatch,
-    by: Descriptor,
-    heading: Descriptor | None,
-    batch: NDArray[np.uint8],
-    mounting: Mounting | None,
-) -> Description:
-    with clock.of("describe", len(batch)):
-        return described(by, heading, batch, mounting)
 
 
 def descriptor_from(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -11,11 +11,9 @@ from numpy.typing import ArrayLike, NDArray
 from foundation.calls import typed
 from foundation.settings import Count, Natural, NotNegative, Positive
 from siamloc.errors import ConfigError, DataError
+from siamloc.maps.joining import RefinedPoses
 from siamloc.maps.learned import Learned
 from siamloc.maps.search import Retrieval
-
-if TYPE_CHECKING:
-    from siamloc.maps.joining import RefinedPoses
 
 _GROUP = 25  # validation queries behind each value of the model, at least
 _FEWEST = 10
@@ -167,7 +165,9 @@ class ErrorModel(Learned):
     def scores(self, found: Retrieval, map_xy: ArrayLike, poses: RefinedPoses | None = None) -> NDArray[np.float64]:
         """Return the score of each query (n,). Arguments and errors as for `judged`."""
         if self.of_poses:
-            return pose_score(_given(poses))
+            if poses is None:
+                raise ConfigError("the error model was learned from refined poses: give it those")
+            return pose_score(poses)
         xy = np.asarray(map_xy, dtype=np.float64)
         if xy.ndim != 2 or xy.shape[1] != 2 or not np.isfinite(xy).all():
             raise DataError(f"the error of an estimate needs map positions (m, 2), all known, got shape {xy.shape}")
@@ -264,9 +264,3 @@ class ErrorModel(Learned):
         if found.strangeness is None:
             raise ConfigError("the error model was learned from compared images: search with siamloc.maps.match")
         return found.strangeness
-
-
-def _given(poses: RefinedPoses | None) -> RefinedPoses:
-    if poses is None:
-        raise ConfigError("the error model was learned from refined poses: give it those")
-    return poses

@@ -20,7 +20,7 @@ from siamloc.errors import ConfigError, DataError
 from siamloc.maps.coarse import UNASSIGNED, CoarseLayer
 from siamloc.maps.matching import match
 from siamloc.maps.ranking import NodeRanking, rank_by_classifier, rank_by_representatives, rank_by_vote
-from siamloc.maps.search import Retrieval, VectorIndex
+from siamloc.maps.search import Retrieval, VectorIndex, slices
 from siamloc.maps.visual_map import VisualMap
 
 Ranking = Literal["representatives", "vote", "classifier"]
@@ -191,9 +191,7 @@ class HierarchicalSearch:
             raise DataError(f"{int((searched == 0).sum())} of {n} queries have no candidate node: nothing to search")
         strangeness = np.full(n, np.inf)  # until a comparison tells it
         best = Retrieval(np.zeros((n, k), dtype=np.int64), np.full((n, k), np.inf), strangeness=strangeness)
-        step = max(1, _FOUND // (k * (nodes.shape[1] + 1)))
-        for start in range(0, n, step):
-            part = slice(start, min(start + step, n))
+        for part in slices(n, _FOUND // (k * (nodes.shape[1] + 1))):
             self._fill(best.take(part), described.take(part), nodes[part])
         if len(self._steps):
             searched = searched + self._fill_along(best, described, nodes)

@@ -8,6 +8,8 @@ from typing import Any, Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
+from siamloc.maps.search import slices
+
 Precision = Literal["float32", "float16", "int8"]
 """How numbers are stored."""
 PRECISIONS: tuple[Precision, ...] = get_args(Precision)
@@ -57,8 +59,8 @@ def shares_values(one: NDArray[Any], other: NDArray[Any]) -> bool:
 
 def all_finite(values: NDArray[Any]) -> bool:
     """Whether all values of an array (n, ...) are finite, checked in blocks of rows since maps are large."""
-    rows = max(1, _AT_ONCE // max(1, math.prod(values.shape[1:])))
-    return all(bool(np.isfinite(values[at : at + rows]).all()) for at in range(0, len(values), rows))
+    blocks = slices(len(values), _AT_ONCE // max(1, math.prod(values.shape[1:])))
+    return all(bool(np.isfinite(values[block]).all()) for block in blocks)
 
 
 def unpacked(values: NDArray, scale: NDArray) -> NDArray:

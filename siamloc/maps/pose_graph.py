@@ -18,6 +18,7 @@ from scipy.sparse.linalg import splu
 from foundation.columns import Rows
 from siamloc.data.moves import relative, wrapped
 from siamloc.maps.joining import FREEDOM
+from siamloc.maps.search import slices
 
 Array = NDArray[np.float64]
 
@@ -138,9 +139,9 @@ def solve(
 def covariances(graph: PoseGraph, found: Solution) -> Array:
     """Return the covariances (n, 3, 3) of the poses, given the fixed ones, in squared units and rad."""
     factors, n = _factors(_System(graph, _State.at(found)).normal(0.0)), len(graph)
-    made, at_once = np.empty((n, 3, 3)), max(1, _AT_ONCE // factors.shape[0])
-    for begin in range(0, n, at_once):
-        rows = np.arange(begin, min(begin + at_once, n))
+    made = np.empty((n, 3, 3))
+    for part in slices(n, _AT_ONCE // factors.shape[0]):
+        rows = np.arange(n)[part]
         unknowns = (3 * rows[:, None] + np.arange(3)).ravel()
         units = np.zeros((factors.shape[0], len(unknowns)))
         units[unknowns, np.arange(len(unknowns))] = 1

@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from foundation.columns import Rows
 from siamloc.maps.coarse import UNASSIGNED
-from siamloc.maps.search import Retrieval, VectorIndex
+from siamloc.maps.search import Retrieval, VectorIndex, slices
 from siamloc.models.room_classifier import RoomClassifier
 
 _COUNTS = 1 << 22  # votes counted at once
@@ -29,31 +29,25 @@ class NodeRanking(Rows):
 
 
 def rank_by_representatives(
-    queries: ArrayLike,
-    representatives: ArrayLike | VectorIndex,
-    candidates: int = 1,
-    distance: str = "euclidean",
-    ratio: float | None = None,
+    queries: ArrayLike, representatives: VectorIndex, candidates: int = 1, ratio: float | None = None
 ) -> NodeRanking:
     """Rank nodes by the distance of a query to their representatives ([C] 4).
 
     Args:
         queries: (n, D), described as the representatives were.
-        representatives: (k, D) representatives of a `CoarseLayer`, or an index of them prepared for search.
+        representatives: those of a `CoarseLayer` (k, D), with the distance of the map that it was built from.
         candidates: number of nodes to keep; all of them if there are fewer.
-        distance: the distance of the map that the coarse layer was built from.
         ratio: nodes more than `ratio` times as far as the nearest one are not candidates; see `HierarchicalSearch`.
 
     Raises:
-        ConfigError: a number of candidates below 1, or an unknown distance.
+        ConfigError: a number of candidates below 1.
         DataError: vectors of different lengths.
     """
-    index = representatives if isinstance(representatives, VectorIndex) else VectorIndex(representatives, distance)
-    found = index.search(queries, candidates)
+    found = representatives.search(queries, candidates)
     nodes = found.indices
     if ratio is not None:
         nodes = np.where(found.distances <= ratio * found.distances[:, :1], nodes, UNASSIGNED)
-    return NodeRanking(nodes, np.full(len(found), len(index)))
+    return NodeRanking(nodes, np.full(len(found), len(representatives)))
 
 
 def rank_by_classifier(queries: ArrayLike, classifier: RoomClassifier, candidates: int = 1) -> NodeRanking:
@@ -86,9 +80,7 @@ def rank_by_vote(found: Retrieval, labels: ArrayLike, candidates: int = 1) -> No
     n, k = found.indices.shape
     total = max(int(node.max()) + 1, 1)
     kept = np.full((n, min(candidates, total)), UNASSIGNED, dtype=np.int64)
-    step = max(1, _COUNTS // total)
-    for start in range(0, n, step):
-        part = slice(start, start + step)
+    for part in slices(n, _COUNTS // total):
         kept[part] = _elected(node[found.indices[part]], total, k)[:, : kept.shape[1]]
     return NodeRanking(kept, np.full(n, len(node)))
 
@@ -111,7 +103,7 @@ def rank_by_position(query_xy: ArrayLike, map_xy: ArrayLike, labels: ArrayLike) 
 
 
 def _elected(votes: NDArray[np.int64], total: int, k: int) -> NDArray[np.int64]:
-    """Return the nodes (b, total) ranked by some ballots (b, k), UNASSIGNED in place of those without a vote."""
+    """Return the nodes (b, total) in the order of their votes (b, k), UNASSIGNED in place of nodes without votes."""
     row, place = np.nonzero(votes != UNASSIGNED)
     node = votes[row, place]
     count = np.zeros((len(votes), total), dtype=np.int64)

@@ -151,7 +151,7 @@ class VisualMap:
 
     @cached_property
     def heading_by(self) -> Descriptor:
-        """The descriptor that compares the orientation parts: the map's own, its network's stand-in, or a second one.
+        """The descriptor that compares the orientation parts: the map's own, a second, or one without its network.
 
         Raises:
             AnalyticError: a descriptor or a parameter that this version does not know.
@@ -208,7 +208,8 @@ class VisualMap:
         """
         weights = self.identity.get("weights")  # of the parts; of a network alone, a hash
         idle = isinstance(weights, Mapping) and next(iter(weights.values()), None) == 0
-        return bool(self._network.get("colours")) and not idle
+        network = next(iter(parts_of(self.identity).values()), self.identity)  # the first part of a fused descriptor
+        return bool(network.get("colours")) and not idle
 
     @property
     def learned(self) -> NDArray[np.float32]:
@@ -217,11 +218,6 @@ class VisualMap:
             return self.descriptors
         fused = list(self.identity.get("widths", {}).values())
         return self.descriptors[:, : fused[0] - COLOURS if fused else -COLOURS]
-
-    @property
-    def _network(self) -> Mapping[str, Any]:
-        """The identity of the descriptor, or of the first part of a fused one."""
-        return next(iter(parts_of(self.identity).values()), self.identity)
 
     @cached_property
     def learned_index(self) -> VectorIndex:

@@ -11,7 +11,7 @@ from siamloc.evaluation import metrics
 from siamloc.evaluation.absolute import neighbours
 from siamloc.evaluation.hierarchy import CoarseRanking, evaluate_hierarchical
 from siamloc.evaluation.result import Result
-from siamloc.maps import VisualMap
+from siamloc.maps import VectorIndex, VisualMap
 from siamloc.maps.coarse import CoarseLayer
 from siamloc.maps.hierarchy import HierarchicalSearch
 from siamloc.maps.ranking import NodeRanking, rank_by_position, rank_by_representatives
@@ -33,7 +33,7 @@ def evaluated(
     known: VisualMap, layer: CoarseLayer, queries, vectors, candidates: int = 3, ranking: NodeRanking | None = None
 ) -> Result:
     search = HierarchicalSearch(known, layer)
-    ranking = ranking or rank_by_representatives(vectors, layer.representatives, candidates)
+    ranking = ranking or rank_by_representatives(vectors, VectorIndex(layer.representatives), candidates)
     found = search.search(vectors, ranking, neighbours(KS, len(known)))
     perfect = search.search(vectors, rank_by_position(queries.xy, known.frames.xy, layer.labels))
     return evaluate_hierarchical(known, layer, queries, found, perfect, known.search(vectors), RADII, KS)
@@ -45,7 +45,7 @@ def test_columns_and_measures() -> None:
     layer = layer_of(known, unassigned=10)
     result = evaluated(known, layer, queries, vectors, candidates=2)
     measures = result.parts["hierarchical"]
-    ranking = rank_by_representatives(vectors, layer.representatives, 2)
+    ranking = rank_by_representatives(vectors, VectorIndex(layer.representatives), 2)
     size = np.bincount(layer.labels[layer.labels >= 0])
     for i in (0, 17, 79):
         row = result.rows[i]

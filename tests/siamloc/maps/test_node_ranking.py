@@ -10,7 +10,6 @@ from siamloc.maps import Retrieval, VectorIndex
 from siamloc.maps.ranking import rank_by_position, rank_by_representatives, rank_by_vote
 from tests.oracles import hierarchy as oracle
 
-ONE = VectorIndex([[0.0]]).search([[0.0]])
 seeds = st.integers(0, 2**32 - 1)
 
 
@@ -19,7 +18,7 @@ seeds = st.integers(0, 2**32 - 1)
 def test_nodes_by_representatives_equal_the_loop(seed: int, candidates: int, distance: str) -> None:
     rng = np.random.default_rng(seed)
     queries, representatives = rng.normal(size=(4, 3)), rng.normal(size=(5, 3))
-    ranking = rank_by_representatives(queries, representatives, candidates, distance)
+    ranking = rank_by_representatives(queries, VectorIndex(representatives, distance), candidates)
     expected = [oracle.by_representatives(query, representatives, candidates, distance) for query in queries.tolist()]
     assert ranking.nodes.tolist() == expected
     assert ranking.compared.tolist() == [5] * 4
@@ -30,8 +29,8 @@ def test_nodes_by_representatives_equal_the_loop(seed: int, candidates: int, dis
 def test_nodes_within_a_ratio_of_the_nearest_stay_candidates(seed: int, ratio: float) -> None:
     rng = np.random.default_rng(seed)
     queries, representatives = rng.normal(size=(4, 2)), rng.normal(size=(5, 2))
-    every = rank_by_representatives(queries, representatives, 3)
-    ranking = rank_by_representatives(queries, representatives, 3, ratio=ratio)
+    index = VectorIndex(representatives)
+    every, ranking = (rank_by_representatives(queries, index, 3, within) for within in (None, ratio))
     for query, nodes, kept in zip(queries, every.nodes.tolist(), ranking.nodes.tolist(), strict=True):
         apart = [float(np.linalg.norm(query - representatives[node])) for node in nodes]
         # Apart from rounding, which could only matter at the limit itself.
@@ -67,7 +66,7 @@ def test_the_perfect_layer_is_the_node_of_the_nearest_frame(seed: int) -> None:
 @pytest.mark.parametrize(
     ("call", "message"),
     [
-        (lambda: rank_by_representatives([[0.0, 1]], [[0.0]], 1), "2 values each"),
+        (lambda: rank_by_representatives([[0.0, 1]], VectorIndex([[0.0]])), "2 values each"),
         (lambda: rank_by_position([[0.0, np.nan]], [[0.0, 0]], [0]), "not finite"),
     ],
 )

@@ -15,7 +15,7 @@ from siamloc.evaluation.disturbed import Disturbance
 from siamloc.evaluation.hierarchy import evaluate_hierarchical
 from siamloc.evaluation.result import Result
 from siamloc.evaluation.room_retrieval import evaluate_pairs
-from siamloc.maps import VisualMap
+from siamloc.maps import VectorIndex, VisualMap
 from siamloc.maps.coarse import CoarseLayer
 from siamloc.maps.hierarchy import HierarchicalSearch
 from siamloc.maps.ranking import rank_by_position, rank_by_representatives
@@ -98,7 +98,8 @@ def write_hierarchical(folder: Path, known: VisualMap, queries: FrameTable) -> N
     layer = CoarseLayer.of_labels(known, labels)
     vectors = scenes.describe(queries, noise=0.8)
     search = HierarchicalSearch(known, layer)
-    found = search.search(vectors, rank_by_representatives(vectors, layer.representatives, 2), neighbours((1,), 40))
+    ranking = rank_by_representatives(vectors, VectorIndex(layer.representatives), 2)
+    found = search.search(vectors, ranking, neighbours((1,), 40))
     perfect = search.search(vectors, rank_by_position(queries.xy, known.frames.xy, layer.labels))
     result = evaluate_hierarchical(known, layer, queries, found, perfect, known.search(vectors), (0.5, 1.0), (1,))
     more = {"layer": {"name": "spectral", "nodes": len(layer)}, "coarse_descriptor": {"name": "hog"}}
