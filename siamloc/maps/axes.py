@@ -22,13 +22,13 @@ _UNIT = 50.0  # ratio of distances from which on they are in another unit, such 
 def check_axes(known: VisualMap, drive: VisualMap, alike: Retrieval, located: NDArray[np.int64], radius: float) -> None:
     """Refuse a drive whose positions have axes or a unit of their own.
 
-    Where the map compares images, axes are found that differ by little, too.
+    Where the map compares images, axes that differ by little are refused, too.
 
     Args:
         known: a map whose frames all have positions.
         drive: the drive (n frames), whose frames all have positions.
         alike: the map frames that resemble them most.
-        located: the map frame at which each is located (n,).
+        located: the map frame at which each frame of the drive is located (n,).
         radius: distance within which positions agree.
 
     Raises:
@@ -48,12 +48,12 @@ def check_axes(known: VisualMap, drive: VisualMap, alike: Retrieval, located: ND
 def _check_motion(
     drive: FrameTable, building: NDArray[np.str_], xy: NDArray[np.float64], radius: float, few: float
 ) -> None:
-    """Refuse a drive if one motion brings most of its positions to where it is located, and few are there already.
+    """Refuse a drive if one motion brings most of its positions to where the map locates its frames, and few agree now.
 
     Args:
         drive: its frames (n).
-        building: the building in which each is located (n,).
-        xy: where each is located (n, 2).
+        building: the building in which the map locates each frame (n,).
+        xy: where the map locates each frame (n, 2).
         radius: distance within which positions agree.
         few: share of the frames that agree with other axes, at most.
     """

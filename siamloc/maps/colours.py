@@ -68,7 +68,7 @@ def nearest_in_light(
 
 
 def with_learned(known: VisualMap, queries: Description, found: Retrieval, near: NDArray[np.int64]) -> Retrieval:
-    """Insert, before the map frames that are nearest with colours, those that are nearest by the learned part alone.
+    """Put the map frames that are nearest by the learned part alone before those that are nearest with colours.
 
     In the light of the map, colours find places whose shapes look alike; in another light they mislead, and the learned
     part alone finds the place. So do the means of the distances with colours and without, which the first 2 c map

@@ -14,7 +14,7 @@ from siamloc.maps.visual_map import VisualMap
 Compares = Callable[
     [NDArray[np.float32], NDArray[np.float32]], tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]
 ]
-"""Compares orientation parts of queries (n, K, F) with those of as many map frames (n, K, F). Returns pose (n, 3):
+"""Compares orientation parts of queries (n, K, F) with those of n map frames, pair by pair. Returns pose (n, 3):
 the displacement ahead and to the left as seen from the map frame's robot, and how far the query's robot is turned left,
 in rad; the inverse of the scale matrix of a t-distribution with 4 degrees of freedom (n, 3, 3), the information; and
 the log odds (n,) that the images were taken near each other."""
@@ -71,7 +71,7 @@ def scaled(parts: NDArray[np.float32]) -> NDArray[np.float32]:
 
 
 def agree(found: NDArray[np.float64], pose: NDArray[np.float64], tolerance: float = 1.0) -> NDArray[np.bool_]:
-    """Return which of some relative poses (p, 3) agree with those that comparisons found (p, 3)."""
+    """Return which relative poses by other means (p, 3) agree with the poses (p, 3) that comparisons give."""
     error, length = found - pose, np.hypot(pose[:, 0], pose[:, 1])
     near = np.hypot(error[:, 0], error[:, 1]) < tolerance * (_OFF + _OFF_SHARE * length)
     return np.asarray(near & (np.abs(wrapped(error[:, 2])) < _TURNED))

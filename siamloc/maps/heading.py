@@ -27,7 +27,7 @@ that one band, which divides every height, is enough for it."""
 
 
 def halved(by: Descriptor, orientation: NDArray[Any]) -> NDArray[np.float16]:
-    """Return orientation parts (n, K, F) that a descriptor made in half precision, complex ones as (n, K, F, 2).
+    """Return the orientation parts (n, K, F) of a descriptor in half precision, complex ones as (n, K, F, 2).
 
     Each frame's parts are scaled by a power of two that brings the largest value to 2^13 ... 2^14: a heading is the
     turn with the largest correlation, and no scale changes that.

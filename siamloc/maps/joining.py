@@ -202,6 +202,6 @@ def _limit(share: float) -> float:
 
 
 def _turns(theta: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the matrices (..., 2, 2) that turn a robot's axes into those of the building."""
+    """Return the matrices (..., 2, 2) that turn the axes of robots with these headings into those of the building."""
     cosine, sine = np.cos(theta), np.sin(theta)
     return np.stack([np.stack([cosine, -sine], axis=-1), np.stack([sine, cosine], axis=-1)], axis=-2)

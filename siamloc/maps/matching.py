@@ -32,7 +32,7 @@ def match(
     """Find the min(k, m) nearest map frames of each query, exactly.
 
     If the map is in metres and its descriptor compares images, such as a network built with relative=True, the first
-    eight are put in order anew by a comparison with the query, which changes their distances; see
+    eight are put in order again by a comparison with the query, which changes their distances; see
     `siamloc.maps.reranking`. If it also describes colours, so are the eight that are nearest without them; and if it
     describes colours and does not compare, colours count only in the light of the map, with Euclidean distances; see
     `siamloc.maps.colours`.

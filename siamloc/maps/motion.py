@@ -77,7 +77,7 @@ class UnitOfMotion:
 
 @typed
 def motions(frames: FrameTable) -> NDArray[np.float64]:
-    """Return how the robot moved to each frame from the one before in its drive, by the odometry of the frames.
+    """Return how the robot moved to each frame from the frame before in its drive, by the odometry of the frames.
 
     Args:
         frames: n frames, in capture order within each sequence.

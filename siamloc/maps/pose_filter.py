@@ -1,4 +1,4 @@
-"""A filter over refined poses: a robot is expected to move as it tells or as before; an outlier must repeat to count.
+"""A filter over refined poses: a robot moves as its odometry says, or as before; a single outlier does not count.
 
 `SequenceFilter` tracks the frames of a map; this filter tracks positions between them. If the robot's motion is known,
 as from its wheels, it has moved by that (an extended Kalman filter in x, y and heading); otherwise, it keeps its
@@ -213,7 +213,7 @@ class PoseFilter:
 
 
 def _told(story: _Story, pose: RefinedPoses, seen: NDArray[np.float64], spread: NDArray[np.float64]) -> _Story:
-    """Return a story updated with a pose, which is weighted by the probability that it is not a stray one.
+    """Return a story updated with a pose, which counts the less, the more probable it is that the pose is stray.
 
     Args:
         story: the story; the first values of its mean are those that the pose shows.

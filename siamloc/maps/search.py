@@ -53,7 +53,7 @@ class Retrieval(Rows):
 
     @property
     def most_alike(self) -> NDArray[np.int64]:
-        """Row (n,) of the reference that looks most like each query: the nearest may stand in another room."""
+        """Row (n,) of the reference that looks most like each query: the nearest may be in another room."""
         return self.indices[:, 0] if self.alike is None else self.alike
 
 
@@ -206,7 +206,7 @@ class VectorIndex:
         self._longest = float(np.sqrt(squares.max()))
 
     def _embed(self, vectors: NDArray, *, is_query: bool) -> NDArray[np.float64]:
-        """Return float64 vectors whose Euclidean distance is, or yields, the requested one: (n, D) or (n, D + 2).
+        """Return float64 vectors (n, D) or (n, D + 2) whose Euclidean distance gives the distance of this index.
 
         A zero vector is at cosine distance 1 from everything. Two more coordinates, one for zero queries and one for
         zero references, ensure that.
