@@ -28,6 +28,7 @@ from siamloc.data import (
     read,
 )
 from siamloc.data.decoding import size_of
+from siamloc.data.levelling import SIZE, tilt_of
 from siamloc.data.manifest import manifest_of
 from siamloc.data.photo_sphere import stated
 from siamloc.data.picture_checks import drive_faults
@@ -41,6 +42,7 @@ from siamloc.runs import Run
 from siamloc.runtime import Bundle
 
 _NETWORK = "pretrained"
+_LOOKED_AT, _SWAYS = 40, 1.0  # pictures, and the tilt in degrees from which on each is levelled
 _FEWEST = 60  # key frames: a third of them teaches the error model
 
 
@@ -58,7 +60,8 @@ class WalkSettings(Settings):
 
     Attributes:
         recording: what to take from the recording; poses are not used.
-        unwrap: the camera, as for `PanoramaLibrary`; found if its kind is "auto" (`siamloc.data.find_camera`).
+        unwrap: the camera, as for `PanoramaLibrary`; found if its kind is "auto" (`siamloc.data.find_camera`). Whether
+            its pictures are levelled is decided by how much they are tilted, unless `level` says it.
         spacing: distance of two key frames in metres, at least.
         survey: how the survey searches loops, and the height of the camera.
         left_out: every k-th key frame is left out of the map, to learn the expected errors, and to measure.
@@ -138,6 +141,13 @@ def walk(
     if wheels == "without" and isinstance(given.camera, AutoRing) and isinstance(ring, HyperbolicMirror | PolarRing):
         mirrored = "mirrored" if ring.mirrored else "not mirrored"
         say(f"direction: the robot is taken to drive ahead, and the picture to be {mirrored} (unwrap.mirrored=)")
+    if settings.unwrap.get("level") is None and ring is not None:
+        fine = replace(camera, view=replace(camera.view, height=SIZE[0], width=SIZE[1]))
+        looked_at = fine.panoramas(frames.path.tolist(), _LOOKED_AT)
+        tilt = np.degrees(np.median([np.hypot(*tilt_of(one.transpose(1, 2, 0), fine.view)) for one in looked_at]))
+        camera = replace(camera, level=bool(tilt > _SWAYS))
+        how = "levelled by upright edges" if camera.level else "taken as they are"
+        say(f"level: pictures are tilted by {tilt:.1f} degrees in the median, and {how} (unwrap.level=)")
     library = partial(
         PanoramaLibrary, cache=folder / "panoramas", image_size=PRETRAINED_SIZE, unwrap=camera.unwrap_settings()
     )

@@ -21,6 +21,7 @@ from foundation.files import plain
 from foundation.settings import Size, as_words, checked, leaves
 from siamloc.data.cameras import CAMERAS
 from siamloc.data.frames import image_files
+from siamloc.data.levelling import SIZE, tilt_of
 from siamloc.data.panorama import OmnidirectionalCamera, PanoramaView, PolarRing, unwrap
 from siamloc.data.photo_sphere import stated
 from siamloc.data.two_lenses import wrong_lenses
@@ -41,6 +42,7 @@ class Preprocessing:
         size: rows and columns of the pictures in whose pixels the camera's parameters count; others of the same shape
             are scaled. None for any.
         bits: how many of 16 bits deep images use; found out from the images of the folder if None.
+        level: whether pictures without a known tilt are levelled by the edges that stand upright in them.
 
     Example:
         >>> ring = Preprocessing.checked((64, 256), {"kind": "polar", "inner": 30})
@@ -54,6 +56,13 @@ class Preprocessing:
     camera: OmnidirectionalCamera | None
     size: tuple[int, int] | None = dataclasses.field(default=None, compare=False)
     bits: int | None = dataclasses.field(default=None, compare=False)
+    level: bool = False
+
+    def __post_init__(self) -> None:
+        if self.level and self.camera is None:
+            raise ConfigError(
+                "unwrap.level=true needs the camera that took the pictures: choose an unwrap, or leave it out"
+            )
 
     @classmethod
     def checked(
@@ -61,6 +70,7 @@ class Preprocessing:
         image_size: Sequence[int],
         unwrap: OmnidirectionalCamera | Mapping[str, Any] | None = None,
         elevations: tuple[float, float] | None = None,
+        level: bool = False,
     ) -> Preprocessing:
         """Make the preprocessing from settings.
 
@@ -68,10 +78,11 @@ class Preprocessing:
             image_size: rows and columns (H, W) of a panorama.
             unwrap: the camera; or plain values: `kind`, a name in `CAMERAS`, "calibrated", or "module:Class" for a
                 camera class of your own in a module that is imported; the parameters of the camera, or of
-                `read_calibration` (`file`, `camera` and where it looks); and the view's `top` and `bottom`. None or
-                "none" to resize what is a panorama.
+                `read_calibration` (`file`, `camera` and where it looks); the view's `top` and `bottom`, and `level`.
+                None or "none" to resize what is a panorama.
             elevations: elevations of the panorama's upper and lower edge in degrees, unless `unwrap` has `top` and
                 `bottom`; 30 and -45 if None.
+            level: see `Preprocessing`; true as well if `unwrap` has a true `level`.
 
         Raises:
             ConfigError: an impossible size, an unknown kind or parameter, or a camera whose parameters cannot be read.
@@ -83,18 +94,19 @@ class Preprocessing:
             options = dict(unwrap)
             kind = checked(options.pop("kind", "none"), str, "unwrap.kind")
             given = {key: options.pop(key, None) for key in ("top", "bottom")}
+            level = checked(options.pop("level", None) or level, bool, "unwrap.level")
             edges |= {key: value for key, value in given.items() if value is not None}
             view = PanoramaView(*size, **edges)
             if kind == "none" and options:
                 raise ConfigError(f"unwrap.kind={kind} has no parameters, got {next(iter(options))!r}: leave it out")
-            return cls(view, _calibrated(options) if kind == "calibrated" else _camera(kind, options))
+            return cls(view, _calibrated(options) if kind == "calibrated" else _camera(kind, options), level=level)
         if isinstance(unwrap, type):
             raise ConfigError(
                 f"a camera must be an object, got the class {unwrap.__name__}: call it with its parameters"
             )
         if unwrap is not None and not (dataclasses.is_dataclass(unwrap) and hasattr(unwrap, "sampling")):
             raise ConfigError(f"a camera must be a dataclass with a method `sampling`, got {unwrap!r}")
-        return cls(PanoramaView(*size, **edges), cast("OmnidirectionalCamera | None", unwrap))
+        return cls(PanoramaView(*size, **edges), cast("OmnidirectionalCamera | None", unwrap), level=level)
 
     @classmethod
     def of(cls, parameters: Mapping[str, Any]) -> Preprocessing:
@@ -106,7 +118,8 @@ class Preprocessing:
         try:
             view = PanoramaView(**{key: value for key, value in parameters.items() if key != "camera"})
             options = dict(parameters["camera"] or {"kind": "none"})
-            return cls(view, _camera(options.pop("kind"), options))
+            level = options.pop("level", False)
+            return cls(view, _camera(options.pop("kind"), options), level=level)
         except (KeyError, TypeError, ValueError) as error:
             raise ConfigError(f"these values do not say how images become panoramas: {parameters} ({error})") from error
 
@@ -119,7 +132,8 @@ class Preprocessing:
         """Return everything that determines the panorama's pixels, as plain values that `of` reads back."""
         if self.camera is None:
             return {"height": self.view.height, "width": self.view.width, "camera": None}
-        camera = {"kind": _name(type(self.camera)), **_plain(self.camera)}
+        levels = {"level": True} if self.level else {}
+        camera = {"kind": _name(type(self.camera)), **_plain(self.camera), **levels}
         return {**dataclasses.asdict(self.view), "camera": camera}
 
     def unwrap_settings(self) -> dict[str, Any]:
@@ -128,7 +142,8 @@ class Preprocessing:
             return {"kind": "none"}
         own = type(self.camera)
         kind = next((kind for kind, camera in CAMERAS.items() if camera is own), _name(own))
-        return {"kind": kind, **_plain(self.camera), "top": self.view.top, "bottom": self.view.bottom}
+        edges = {"top": self.view.top, "bottom": self.view.bottom}
+        return {"kind": kind, **_plain(self.camera), **edges, "level": self.level}
 
     def words(self) -> str:
         """Return the camera as words of the command line without defaults, such as "unwrap=polar unwrap.inner=60"."""
@@ -214,10 +229,13 @@ class Preprocessing:
         if self.camera is None:
             size = (self.view.width, self.view.height)
             return np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), dtype=np.uint8)
-        view = self.view if tilt is None or not np.nan_to_num(tilt).any() else self.view.tilted(*tilt)
         image = self._scaled(image)
         if (fault := wrong_lenses(image, self.camera)) is not None:
             raise DataError(fault)
+        if self.level and (tilt is None or not np.isfinite(tilt).all()):
+            fine = dataclasses.replace(self.view, height=SIZE[0], width=SIZE[1])
+            tilt = tilt_of(unwrap(image, self.camera, fine), fine)
+        view = self.view if tilt is None or not np.nan_to_num(tilt).any() else self.view.tilted(*tilt)
         return unwrap(image, self.camera, view)
 
     def _scaled(self, image: NDArray[np.uint8]) -> NDArray[np.uint8]:

@@ -42,6 +42,7 @@ class PanoramaLibrary:
             of the robot, where frames have it, is taken out.
         elevations: elevations of a panorama's upper and lower edge in degrees, 30 and -45 if None;
             `PanoramaLibrary(frames, unwrap=camera, **network.view)` makes the panoramas that a network was trained on.
+        level: whether pictures whose tilt is unknown are levelled by the edges that stand upright in them.
         circular: whether the columns wrap around; False for ordinary cameras.
         on_error: "skip" leaves unreadable images out and reports them, "raise" stops at the first.
         workers: decoding threads; one per core, up to 16, if None.
@@ -78,13 +79,14 @@ class PanoramaLibrary:
         image_size: Sequence[int] = (128, 512),
         unwrap: OmnidirectionalCamera | Mapping[str, Any] | None = None,
         elevations: tuple[float, float] | None = None,
+        level: bool = False,
         circular: bool = True,
         on_error: Policy = "skip",
         workers: Thousand | None = None,
     ) -> None:
         if len(frames) == 0:
             raise DataError("there are no frames to decode: the table is empty")
-        self.preprocessing = Preprocessing.checked(image_size, unwrap, elevations)
+        self.preprocessing = Preprocessing.checked(image_size, unwrap, elevations, level)
         self.image_size = (self.preprocessing.view.height, self.preprocessing.view.width)
         self.circular = circular
         self._on_error = on_error

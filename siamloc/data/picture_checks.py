@@ -14,10 +14,11 @@ from numpy.typing import NDArray
 
 from analytic import Descriptor
 from siamloc.data.frames import FrameTable
+from siamloc.data.levelling import tilt_of
 from siamloc.data.library import PanoramaLibrary
 from siamloc.data.mounting import CERTAIN, Mounting, MountingEstimate, find_mounting, orientation_parts
 from siamloc.data.moves import wrapped
-from siamloc.data.panorama import column_azimuth
+from siamloc.data.panorama import PanoramaView, column_azimuth
 
 Array = NDArray[Any]
 
@@ -54,7 +55,7 @@ def drive_faults(
     spread = np.unique(np.linspace(0, len(frames) - 1, _LOOKED_AT).astype(int))
     sees = images.seen(str(frames.sequence[0]))
     turn = images.circular and (sees is None or bool(sees.any(axis=0).all()))  # what is not seen is filled
-    found = picture_faults(images.batch(images.rows(frames.take(spread))), turn)
+    found = picture_faults(images.batch(images.rows(frames.take(spread))), images.preprocessing.view, turn)
     if images.circular:
         part = _turning(frames)
         seen = turns_seen(images.batch(images.rows(part)))
@@ -82,12 +83,13 @@ def _turning(frames: FrameTable) -> FrameTable:
     return frames.take(slice(begin, begin + _IN_A_ROW))
 
 
-def picture_faults(panoramas: NDArray[np.uint8], circular: bool) -> list[str | None]:
+def picture_faults(panoramas: NDArray[np.uint8], view: PanoramaView, circular: bool) -> list[str | None]:
     """Return the faults of a drive's panoramas that show without poses."""
     grey = panoramas.mean(axis=1, dtype=np.float32)
     if (text := exposure(grey)) is not None:
         return [text]  # nothing else can be judged
-    return [blur(grey), own_robot(grey), *([missing_azimuth(grey) or seam(grey), horizon(grey)] if circular else [])]
+    around = [missing_azimuth(grey) or seam(grey), horizon(panoramas, view)] if circular else []
+    return [blur(grey), own_robot(grey), *around]
 
 
 def mounted(found: MountingEstimate, unit: str = "m") -> str | None:
@@ -176,24 +178,24 @@ def own_robot(grey: Array) -> str | None:
     )
 
 
-def horizon(grey: Array) -> str | None:
-    """Look for a camera that is mounted tilted: on average over a drive (n, H, W), one side shows things lower."""
-    mean = grey.mean(axis=0)
-    mean = mean - mean.mean(axis=0)
-    usual = mean.mean(axis=1)
-    slope = np.gradient(usual)
-    slope -= slope.mean()  # sides may be brighter than others, which is no shift
-    lower = -(mean - usual[:, None]).T @ slope / max(float(slope @ slope), 1e-6)  # rows, of each column
-    azimuth = column_azimuth(len(lower))
-    first = 2 * (lower * np.exp(-1j * azimuth)).mean()
-    tilt = abs(first) * 360 / len(lower)
-    rest = lower - (first * np.exp(1j * azimuth)).real
-    if tilt < _LEVEL or abs(first) < 1.5 * rest.std():
-        return None
-    side = ("ahead", "on the left", "behind", "on the right")[round(-np.angle(first) / (np.pi / 2)) % 4]
+def horizon(panoramas: NDArray[np.uint8], view: PanoramaView) -> str | None:
+    """Look for a camera that is mounted tilted, or sways: in most panoramas (n, 3, H, W), upright edges lean."""
+    tilts = np.degrees([tilt_of(one.transpose(1, 2, 0), view) for one in panoramas])
+    roll, pitch = np.median(tilts, axis=0)
+    tilt, sway = np.hypot(roll, pitch), np.median(np.hypot(*tilts.T))
+    if tilt < _LEVEL:
+        return (
+            None
+            if sway < _LEVEL
+            else (
+                f"the camera sways: it is tilted by {sway:.0f} degrees, now to one side and now to another. Set "
+                "unwrap.level=true, or give its tilt (the columns roll and pitch)"
+            )
+        )
+    side = ("ahead", "on the left", "behind", "on the right")[round(np.arctan2(roll, -pitch) / (np.pi / 2)) % 4]
     return (
-        f"the horizon is not level: things appear about {tilt:.0f} degrees lower {side}. Mount the camera upright, or "
-        "give its tilt (unwrap.elevation and unwrap.roll, or the columns roll and pitch)"
+        f"the horizon is not level: things appear about {tilt:.0f} degrees lower {side}. Mount the camera upright, set "
+        "unwrap.level=true, or give its tilt (unwrap.elevation and unwrap.roll, or the columns roll and pitch)"
     )
 
 

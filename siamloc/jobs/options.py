@@ -71,7 +71,7 @@ def _of_data() -> Options:
 
     kinds = {kind: Option(DataSettings.options(kind), summary_of(reader)) for kind, reader in READERS.items()}
     cameras = {name: camera for name, camera in CAMERAS.items() if camera is not None}
-    edges = {"top": None, "bottom": None}
+    edges = {"top": None, "bottom": None, "level": None}
     central = dict.fromkeys(key for key in defaults_of(CentralCamera) if key != "image_size")
     calibrated = {"kind": "calibrated", "file": "???", "camera": None, **central, **edges}
     filed = {path.stem for path in (config_folder() / "data").glob("*.yaml")}

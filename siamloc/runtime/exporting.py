@@ -321,6 +321,11 @@ def _own_camera(
     made = Preprocessing.of(parameters) if given is None else given
     if made.camera is None or ":" not in parameters["camera"]["kind"]:
         return None
+    if made.level:
+        raise ConfigError(
+            "unwrap.level=true needs a camera model that siamloc knows: the bundle holds only where the pixels of "
+            "level panoramas lie in the pictures of a camera of your own"
+        )
     tables = [one.frames for one in (images, known) if one is not None]
     size = next((size for frames in tables for path in frames.path[:1] if (size := size_of(path)) is not None), None)
     if size is None:

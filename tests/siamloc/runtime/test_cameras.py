@@ -95,6 +95,8 @@ for name in sys.argv[2:]:
 def test_a_camera_of_ones_own_travels_in_the_bundle_without_its_code(frames, tmp_path):
     images = library(frames, tmp_path, Third())
     known = build("hog", images, frames, progress=False)
+    with pytest.raises(ConfigError, match=r"unwrap\.level=true needs a camera model that siamloc knows"):
+        export("hog", known, tmp_path / "bundle", images=library(frames, tmp_path, Third(), level=True))
     export("hog", known, tmp_path / "bundle")
     cv2.imwrite(str(tmp_path / "small.png"), np.zeros((64, 128, 3), np.uint8))
     command = [sys.executable, "-c", LOCATE, str(tmp_path / "bundle"), frames.path[2], str(tmp_path / "small.png")]
