@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import threading
 import time
+from collections import deque
 from pathlib import Path
 from typing import Any
 
@@ -22,13 +23,18 @@ MOST = 2000
 _CERTAIN = 0.25  # largest standard deviation of a position, in the unit of the map
 _AGREEMENT = 0.5  # least agreement on a pose about which nothing else is known
 _APART, _TURNED = 0.1, math.radians(20)  # by how much pictures differ, in the unit of the map and in rad
+_ELSEWHERE = 1.0  # farther than that apart are two places, in the unit of the map
+_BLANK = 5.0  # standard deviation of the pixels of a picture that shows nothing
+_WAITING = 200  # largest number of pictures in memory
 
 
 class Collector:
     """Keeps panoramas with their poses in a folder: `<folder>/<start of the drive>/<time and pose>.png`.
 
     A picture is kept if its position is certain: its standard deviation, or else its expected error, is at most 0.25,
-    and the robot is followed by a tracker or not lost. It is taken at least 0.1 or 20 degrees away from the one before.
+    and it is recognized there. It is taken at least 0.1 or 20 degrees away from the one before. A picture that only the
+    tracker of a robot locates waits in memory until a later picture is recognized where the tracker has the robot; it
+    is dropped if the tracker was wrong, or if the drive ends before.
 
     Args:
         folder: the folder; each collector begins another drive in it.
@@ -40,44 +46,65 @@ class Collector:
         self.folder, self.most, self.headings = Path(folder), most, headings
         self.drive = self.folder / time.strftime("drive-%Y%m%d-%H%M%S")
         self._kept = [path for path, _ in _pictures(self.folder)]
-        self._last: tuple[float, float, float] | None = None
+        self._before: NamedPose | None = None
+        self._last: NamedPose | None = None
+        self._waiting = deque[tuple[NamedPose, NDArray[np.uint8]]](maxlen=_WAITING)
         self._lock = threading.Lock()
 
     def take(self, panorama: NDArray[np.uint8], location: Location, tracked: bool) -> Path | None:
-        """Keep a panorama (3, H, W), uint8, RGB, if it was located well; return its file, None if it is not kept.
+        """Keep a panorama (3, H, W), uint8, RGB, if it was located well; return its file, None if it has none yet.
 
         Raises:
             StorageError: the disk is full or cannot be written to.
         """
-        pose = location.x, location.y, location.theta if self.headings else 0.0
-        if not _certain(location, tracked) or not all(map(math.isfinite, pose)):
+        pose = NamedPose(time.time(), location.x, location.y, location.theta if self.headings else 0.0)
+        if not all(map(math.isfinite, pose)):
             return None
         with self._lock:
+            before, self._before = self._before or pose, pose
+            if math.hypot(pose.x - before.x, pose.y - before.y) > _ELSEWHERE:
+                self._waiting.clear()  # the tracker was wrong
+            recognized = _recognized(location, tracked)
+            if not _certain(location) or not (recognized or (tracked and panorama.std() > _BLANK)):
+                return None
             if self._last is not None:
-                x, y, theta = self._last
-                turned = abs(math.remainder(pose[2] - theta, 2 * math.pi))
-                if math.hypot(pose[0] - x, pose[1] - y) < _APART and turned < _TURNED:
+                turned = abs(math.remainder(pose.theta - self._last.theta, 2 * math.pi))
+                if math.hypot(pose.x - self._last.x, pose.y - self._last.y) < _APART and turned < _TURNED:
                     return None
-            path = self.drive / format_name(NamedPose(time.time(), *pose), ".png")
-            write_picture(path, np.ascontiguousarray(panorama.transpose(1, 2, 0)))
             self._last = pose
+            self._waiting.append((pose, panorama.copy()))
+            return self._written() if recognized else None
+
+    def _written(self) -> Path:
+        """Write the waiting pictures, and return the file of the last one."""
+        while self._waiting:
+            pose, panorama = self._waiting.popleft()
+            path = self.drive / format_name(pose, ".png")
+            write_picture(path, np.ascontiguousarray(panorama.transpose(1, 2, 0)))
             self._kept.append(path)
-            while len(self._kept) > self.most:
-                oldest = self._kept.pop(0)
-                with storage_errors(oldest):
-                    oldest.unlink(missing_ok=True)
-            return path
+        while len(self._kept) > self.most:
+            oldest = self._kept.pop(0)
+            with storage_errors(oldest):
+                oldest.unlink(missing_ok=True)
+        return path
 
 
-def _certain(location: Location, tracked: bool) -> bool:
-    if location.covariance is not None:
-        (xx, _), (_, yy) = location.covariance
-        deviation = math.sqrt((xx + yy) / 2)
-    else:
-        deviation = location.error_m
-    if not deviation <= _CERTAIN:  # NaN is not
+def _certain(location: Location) -> bool:
+    """Whether the position of a picture is certain."""
+    if location.covariance is None:
+        return location.error_m <= _CERTAIN  # NaN is not
+    (xx, _), (_, yy) = location.covariance
+    return math.sqrt((xx + yy) / 2) <= _CERTAIN
+
+
+def _recognized(location: Location, tracked: bool) -> bool:
+    """Whether a picture alone shows that the robot is where it was located."""
+    if location.lost:
         return False
-    return tracked or location.lost is False or (location.lost is None and location.agreement >= _AGREEMENT)
+    if tracked and math.isnan(location.agreement):
+        nearest = location.candidates[0]
+        return math.hypot(nearest.x - location.x, nearest.y - location.y) <= _ELSEWHERE
+    return (location.lost is False and not tracked) or location.agreement >= _AGREEMENT
 
 
 def collected(folder: str | Path) -> list[FrameTable]:

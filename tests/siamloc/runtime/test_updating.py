@@ -15,8 +15,8 @@ from siamloc.data import PanoramaLibrary
 from siamloc.errors import ConfigError, DataError
 from siamloc.jobs.robot import Localize
 from siamloc.maps import ErrorModel, LayerSearch, group
-from siamloc.runtime import Bundle, Localizer, Location, export, update
-from siamloc.runtime.collecting import Collector, collected
+from siamloc.runtime import Bundle, Candidate, Localizer, Location, export, update
+from siamloc.runtime.collecting import Collector, _pictures, collected
 from tests.siamloc.runtime.conftest import SIZE, batch, drive, mapped, printed_without_torch
 
 HOG = analytic.descriptor("hog", rows=4)
@@ -80,13 +80,32 @@ def test_only_pictures_that_were_located_well_are_kept(tmp_path):
     assert kept()
     assert not kept(x=0.05), "almost the same place"
     assert kept(x=0.05, theta=0.5)
-    assert kept(x=1, lost=True, covariance=sure, tracked=True)
+    assert kept(x=1, covariance=sure, agreement=0.9, tracked=True)
     assert kept(x=2, lost=None, covariance=sure, agreement=0.9)
     (found,) = collected(tmp_path)
     np.testing.assert_allclose(found.x, [0.05, 1, 2], err_msg="the oldest picture is gone")
     np.testing.assert_allclose(found.theta, [0.5, 0, 0])
     assert (np.diff(found.time) > 0).all()
     assert len(Collector(tmp_path)._kept) == 3
+
+
+def test_pictures_that_the_tracker_alone_locates_wait_until_a_recognized_one_confirms_it(tmp_path):
+    collector, noise = Collector(tmp_path), np.random.default_rng(0)
+    near, far = (Candidate("", x, 0.0, "", 0.0) for x in (0.5, 9.0))
+
+    def take(x, lost, agreement, black=False, candidates=()):
+        picture = np.zeros((3, 4, 8), np.uint8) if black else noise.integers(0, 256, (3, 4, 8)).astype(np.uint8)
+        collector.take(picture, located(x, lost=lost, agreement=agreement, candidates=candidates), tracked=True)
+        return [pose.x for _, pose in _pictures(tmp_path)]
+
+    assert take(0, lost=True, agreement=0.9) == []
+    assert take(0.2, lost=False, agreement=0.1) == []
+    assert take(0.4, lost=True, agreement=0.1, black=True) == []
+    assert take(0.6, lost=False, agreement=0.9) == [0, 0.2, 0.6]
+    assert take(0.8, lost=True, agreement=0.1) == [0, 0.2, 0.6]
+    assert take(7, lost=False, agreement=0.9) == [0, 0.2, 0.6, 7], "the tracker was wrong at 0.8"
+    assert take(8.1, lost=False, agreement=math.nan, candidates=(near,)) == [0, 0.2, 0.6, 7]
+    assert take(8.3, lost=None, agreement=math.nan, candidates=(far,)) == [0, 0.2, 0.6, 7, 8.1, 8.3]
 
 
 def test_headings_that_a_map_does_not_give_are_0(tmp_path):
