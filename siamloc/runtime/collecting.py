@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import secrets
 import threading
 import time
 from collections import deque
@@ -37,19 +38,25 @@ class Collector:
     is dropped if the tracker was wrong, or if the drive ends before.
 
     Args:
-        folder: the folder; each collector begins another drive in it.
+        folder: the folder, with a folder for each drive.
         most: number of pictures in the folder; the oldest are removed for others.
         headings: whether the map gives headings; without, they are 0 in the names of the files.
     """
 
     def __init__(self, folder: str | Path, most: int = MOST, headings: bool = True) -> None:
         self.folder, self.most, self.headings = Path(folder), most, headings
-        self.drive = self.folder / time.strftime("drive-%Y%m%d-%H%M%S")
         self._kept = [path for path, _ in _pictures(self.folder)]
-        self._before: NamedPose | None = None
-        self._last: NamedPose | None = None
         self._waiting = deque[tuple[NamedPose, NDArray[np.uint8]]](maxlen=_WAITING)
         self._lock = threading.Lock()
+        self.begin()
+
+    def begin(self) -> None:
+        """Begin another drive."""
+        with self._lock:
+            self.drive = self.folder / f"{time.strftime('drive-%Y%m%d-%H%M%S')}-{secrets.token_hex(4)}"
+            self._before: NamedPose | None = None
+            self._last: NamedPose | None = None
+            self._waiting.clear()
 
     def take(self, panorama: NDArray[np.uint8], location: Location, tracked: bool) -> Path | None:
         """Keep a panorama (3, H, W), uint8, RGB, if it was located well; return its file, None if it has none yet.

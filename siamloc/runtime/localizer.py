@@ -151,6 +151,8 @@ class Localizer:
     def tracker(self, step: float | None = None) -> Tracker:
         """Return a tracker that follows a robot from image to image, for `locate`; use one per drive.
 
+        Images that are collected from then on are another drive.
+
         If poses are refined by comparison with map frames, the poses are tracked (`siamloc.maps.PoseFilter`); otherwise
         the robot is tracked from map frame to map frame (`siamloc.maps.SequenceFilter`). With the `motion` in `locate`,
         the tracker knows sooner that the robot was carried away, and goes on where nothing is recognized.
@@ -163,6 +165,8 @@ class Localizer:
         """
         if self._placed is None:
             raise ConfigError(f"{self.bundle.path} cannot follow a robot: none of its map frames has a position")
+        if self._collector is not None:
+            self._collector.begin()
         if self._refinement is not None and self._refinement.method == "relative":
             return PoseFilter(spacing_of(self._placed.frames) or _STANDING if step is None else step)
         return SequenceFilter(MotionModel.learn(self._placed.frames, step=step), temperature_of_map(self._placed))

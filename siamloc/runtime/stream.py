@@ -119,12 +119,11 @@ def locate_all(
     files = [path for _, some in named(images) for path in some or []]
     if wheels and files and not any(abspath(path) in wheels for path in files):  # noqa: PTH100
         raise DataError(f"{odometry} names none of the images, such as {files[0]}: paths are relative to its folder")
-    tracker, drive, last = localizer.tracker() if track else None, "", UNKNOWN
+    tracker, drive, last = None, "", UNKNOWN
     for name, image, pose in pictures(images):
         before, drive = drive, str(image.parent) if isinstance(image, Path) else name.rpartition("#")[0]
-        if tracker is not None and drive != before:
-            tracker.reset()
-            last = UNKNOWN
+        if track and drive != before:
+            tracker, last = localizer.tracker(), UNKNOWN
         here = wheels.get(abspath(name), UNKNOWN)  # noqa: PTH100
         motion = moves([last[:3], here[:3]])[1] if wheels else None
         try:

@@ -35,7 +35,8 @@ def update(bundle: str | Path, folder: str | Path, *, settings: Maintenance = OF
 
     The map follows as by `siamloc.maps.update`, and so do its coarse layer and its thumbnails; the expected errors and
     the refinement stay as they were learned. The old bundle is replaced only once the new one is complete and was
-    opened. A drive that the map counted before is left out. A frame that joins gets the room of the nearest map frame.
+    opened. Pictures that the map counted before are left out; those that came since count as another drive. A frame
+    that joins gets the room of the nearest map frame.
 
     Args:
         bundle: folder of the bundle.
@@ -63,8 +64,9 @@ def update(bundle: str | Path, folder: str | Path, *, settings: Maintenance = OF
         built = Built(replace(layer, made=made), np.zeros(1), known.digest)
     parts = _Parts(localizer)
     updates = []
-    for drive in collected(folder):
-        if set(drive.sequence.tolist()) <= set(known.made.get(UPKEEP, {}).get("drives", [])):
+    for whole in collected(folder):
+        drive = _uncounted(whole, known.made.get(UPKEEP, {}).get("drives", []))
+        if not len(drive):
             continue
         panoramas = _read(drive, held.image_size)
         described = [localizer.describe(panoramas[at : at + _AT_ONCE]) for at in range(0, len(panoramas), _AT_ONCE)]
@@ -120,6 +122,17 @@ class _Parts:
             write_json(fresh / files.DESCRIPTION, about)
             if len(Localizer(fresh).map) != len(known):
                 raise SiamlocError(f"the updated bundle of {path} cannot be read back: the old one stays")
+
+
+def _uncounted(drive: FrameTable, counted: list[str]) -> FrameTable:
+    """Return the pictures of a drive that a map did not count yet, as a drive named after the newest of them.
+
+    A robot that drives on between two updates adds to the folder of its drive.
+    """
+    name = str(drive.sequence[0])
+    parts = (one.rpartition("@") for one in counted)
+    drive = drive.take(drive.time > max((float(newest) for one, _, newest in parts if one == name), default=-np.inf))
+    return drive.with_columns(sequence=[f"{name}@{drive.time.max(initial=0):.6f}"] * len(drive))
 
 
 def _read(drive: FrameTable, size: tuple[int, int]) -> NDArray[np.uint8]:

@@ -15,7 +15,7 @@ from siamloc.data import PanoramaLibrary
 from siamloc.errors import ConfigError, DataError
 from siamloc.jobs.robot import Localize
 from siamloc.maps import ErrorModel, LayerSearch, group
-from siamloc.runtime import Bundle, Candidate, Localizer, Location, export, update
+from siamloc.runtime import Bundle, Candidate, Localizer, Location, export, locate_all, update
 from siamloc.runtime.collecting import Collector, _pictures, collected
 from tests.siamloc.runtime.conftest import SIZE, batch, drive, mapped, printed_without_torch
 
@@ -160,6 +160,30 @@ def test_the_map_and_all_that_has_its_frames_follow(bundle, tmp_path):
     asked = painted(pictures)[found.added][0]
     assert after.locate(asked).candidates[0].distance < before.locate(asked).candidates[0].distance
     assert update(bundle, tmp_path / "seen") == [], "each drive counts once"
+
+
+def test_pictures_taken_after_an_update_count_too(bundle, tmp_path):
+    collector = Collector(tmp_path / "seen")
+    pictures, frames = drive(1)
+    early, late = (slice(None, 12), slice(12, None))
+    kept_by(collector, painted(pictures[early]), frames.take(early))
+    (first,) = update(bundle, collector.folder, growth=None)
+    whole = kept_by(collector, painted(pictures[late]), frames.take(late))
+    (second,) = update(bundle, collector.folder, growth=None)
+    assert [*first.drive.path, *second.drive.path] == whole.path.tolist()
+    assert len(Localizer(bundle).map) > len(first.known)
+    assert update(bundle, collector.folder) == []
+
+
+def test_each_drive_has_a_folder(bundle, tmp_path):
+    folders = [tmp_path / "drives" / name for name in ("first", "second")]
+    for folder in folders:
+        folder.mkdir(parents=True)
+        for number, picture in enumerate(drive(0)[0][:3]):
+            cv2.imwrite(str(folder / f"{number}.png"), picture[..., ::-1])
+    for _ in range(2):
+        list(locate_all(Localizer(bundle, collect=tmp_path / "seen"), folders, track=True))
+    assert len(collected(tmp_path / "seen")) == 4
 
 
 def test_an_update_needs_numpy_opencv_and_onnxruntime_alone(bundle, tmp_path):
