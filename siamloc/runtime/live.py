@@ -73,7 +73,6 @@ class Live:
             port that is in use.
         DataError: a file that does not exist, a folder without images, or a map.yaml that cannot be read or shows
             another part of the world.
-        FormatError: the thumbnails in the bundle are damaged.
 
     Example:
         with siamloc.runtime.Live(siamloc.runtime.Localizer("bundle"), "drive.mp4") as page:
@@ -96,7 +95,6 @@ class Live:
     ) -> None:
         self.host, self.fps = host, fps
         named(images)
-        localizer.bundle.thumbnail(0)  # fails here if the thumbnails are damaged
         if track:
             localizer.tracker()
         self._plan = None if plan is None else read_occupancy(plan)

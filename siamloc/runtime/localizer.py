@@ -102,6 +102,7 @@ class Localizer:
         if known is None:
             raise ConfigError(f"{bundle_path} holds no map: run `siamloc map`, then `siamloc export` again")
         known.check_describer(self.bundle.identity)
+        self.bundle.thumbnail(0)  # read with the map, which an update replaces
         self._describer = Describer(self.bundle, known, threads, providers)
         self.map = self._describer.known
         self._search = self._layered(hierarchical)

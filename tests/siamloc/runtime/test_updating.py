@@ -152,6 +152,8 @@ def test_the_map_and_all_that_has_its_frames_follow(bundle, tmp_path):
     np.testing.assert_allclose(layer.representatives[0], coarse.descriptors[layer.labels == 0].mean(axis=0), rtol=1e-5)
     np.testing.assert_array_equal(coarse.frames.xy, after.map.frames.xy)
     thumbnails = opened.load("thumbnails.npz")
+    with pytest.raises(IndexError):
+        before.bundle.thumbnail(len(before.map))
     assert len(thumbnails) == len(after.map)
     shown = cv2.imdecode(np.frombuffer(thumbnails[-1], np.uint8), cv2.IMREAD_COLOR)[..., ::-1]
     last = painted(pictures)[np.flatnonzero(found.added)[-1]]
