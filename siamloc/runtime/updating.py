@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from analytic import Description
 from foundation.calls import OF_FIELDS, takes
-from foundation.files import atomic_folder, file_hash, write_json
+from foundation.files import atomic_folder, file_hash, read_json, write_json
 from siamloc.data.decoding import read_image
 from siamloc.data.frames import FrameTable
 from siamloc.errors import DataError, SiamlocError
@@ -51,6 +51,7 @@ def update(bundle: str | Path, folder: str | Path, *, settings: Maintenance = OF
         ConfigError: a bundle without a map, or a setting out of range.
         DataError: no collected pictures, pictures of another size, or a map frame without a position.
         StorageError: the disk is full or cannot be written to.
+        SiamlocError: the bundle was replaced meanwhile.
 
     Example:
         >>> updates = siamloc.runtime.update("bundle", "collected")  # doctest: +SKIP
@@ -122,6 +123,8 @@ class _Parts:
             write_json(fresh / files.DESCRIPTION, about)
             if len(Localizer(fresh).map) != len(known):
                 raise SiamlocError(f"the updated bundle of {path} cannot be read back: the old one stays")
+            if read_json(path / files.DESCRIPTION) != self.bundle.about:
+                raise SiamlocError(f"{path} was replaced while its map was updated: it stays; update it again")
 
 
 def _uncounted(drive: FrameTable, counted: list[str]) -> FrameTable:

@@ -12,12 +12,12 @@ import pytest
 
 import analytic
 from siamloc.data import PanoramaLibrary
-from siamloc.errors import ConfigError, DataError
+from siamloc.errors import ConfigError, DataError, SiamlocError
 from siamloc.jobs.robot import Localize
 from siamloc.maps import ErrorModel, LayerSearch, group
 from siamloc.runtime import Bundle, Candidate, Localizer, Location, export, locate_all, update
 from siamloc.runtime.collecting import Collector, _pictures, collected
-from tests.siamloc.runtime.conftest import SIZE, batch, drive, mapped, printed_without_torch
+from tests.siamloc.runtime.conftest import SIZE, altered, batch, drive, mapped, printed_without_torch
 
 HOG = analytic.descriptor("hog", rows=4)
 TOLD = ErrorModel("ratio", 1.0, 5, (0.0, 1.0), (0.05, 0.2), 24, lost_above=0.15)
@@ -162,6 +162,21 @@ def test_the_map_and_all_that_has_its_frames_follow(bundle, tmp_path):
     asked = painted(pictures)[found.added][0]
     assert after.locate(asked).candidates[0].distance < before.locate(asked).candidates[0].distance
     assert update(bundle, tmp_path / "seen") == [], "each drive counts once"
+
+
+def test_a_bundle_that_was_replaced_meanwhile_stays(bundle, tmp_path):
+    kept_by(Collector(tmp_path / "seen"), painted(drive(1)[0]), drive(1)[1])
+
+    def replacing(folder):
+        altered(bundle, figures={"mean": 0.1})
+        return collected(folder)
+
+    with (
+        patch("siamloc.runtime.updating.collected", replacing),
+        pytest.raises(SiamlocError, match="was replaced while its map was updated"),
+    ):
+        update(bundle, tmp_path / "seen")
+    assert Bundle.open(bundle).about["figures"] == {"mean": 0.1}
 
 
 def test_pictures_taken_after_an_update_count_too(bundle, tmp_path):
