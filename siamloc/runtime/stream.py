@@ -101,8 +101,9 @@ def locate_all(
         track: follow the robot from image to image, see `Localizer.tracker`; each folder, video and camera is a drive.
         seen: called with each panorama (3, H, W), uint8, RGB, before it is located.
         odometry: how the robot moved from image to image, for `track`: a manifest, or any CSV table with the columns
-            `image`, `odom_x`, `odom_y` (in the map's unit) and `odom_theta` (rad); paths are relative to its folder.
-            With the columns `roll` and `pitch` (rad), the tilt of the robot is taken out of the images.
+            `image`, `odom_x`, `odom_y` (in the map's unit) and `odom_theta` (rad); paths are relative to its folder,
+            and the first image of a video is called "drive.mp4#0". With the columns `roll` and `pitch` (rad), the tilt
+            of the robot is taken out of the images.
 
     Yields:
         The outcome for each image, in order.
@@ -116,9 +117,13 @@ def locate_all(
     if odometry is not None and not track:
         raise ConfigError(f"odometry={odometry} says how the robot is followed: set track=true (in Python track=True)")
     wheels = {} if odometry is None else read_odometry(odometry)
-    files = [path for _, some in named(images) for path in some or []]
-    if wheels and files and not any(abspath(path) in wheels for path in files):  # noqa: PTH100
-        raise DataError(f"{odometry} names none of the images, such as {files[0]}: paths are relative to its folder")
+    names = [str(path) for name, files in named(images) for path in files or [Path(name)]]
+    in_table = {*wheels, *(path.rpartition("#")[0] for path in wheels)}
+    if wheels and not any(abspath(name) in in_table for name in names):  # noqa: PTH100
+        raise DataError(
+            f"{odometry} names none of the images, such as {names[0]}: paths are relative to its folder, and the first "
+            "image of drive.mp4 is drive.mp4#0"
+        )
     tracker, drive, last = None, "", UNKNOWN
     for name, image, pose in pictures(images):
         before, drive = drive, str(image.parent) if isinstance(image, Path) else name.rpartition("#")[0]

@@ -221,6 +221,14 @@ def test_images_are_followed_by_a_table_of_odometry(bundle, tmp_path, monkeypatc
     wheels.write_text("image,odom_x,odom_y,odom_theta\nother.png,0,0,0\n")
     with pytest.raises(DataError, match=r"robot\.csv names none of the images, such as .*0\.png: paths are relative"):
         next(locate_all(localizer, folder, track=True, odometry=wheels))
+    (tmp_path / "film.avi").touch()
+    with pytest.raises(
+        DataError, match=r"robot\.csv names none of the images, such as .*film\.avi: paths are relative"
+    ):
+        next(locate_all(localizer, tmp_path / "film.avi", track=True, odometry=wheels))
+    wheels.write_text("image,odom_x,odom_y,odom_theta\nfilm.avi#1,0,0,0\n")
+    with pytest.raises(DataError, match="gives no image"):
+        next(locate_all(localizer, tmp_path / "film.avi", track=True, odometry=wheels))
     wheels.write_text("image,odom_x\ndrive/0.png,0\n")
     with pytest.raises(DataError, match=r"has no row with all of odom_x, odom_y and odom_theta"):
         next(locate_all(localizer, folder, track=True, odometry=wheels))
