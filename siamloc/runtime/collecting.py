@@ -13,10 +13,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from foundation.files import storage_errors, write_picture
+from foundation.files import scratch_folder, storage_errors, write_picture
 from siamloc.data.frames import FrameTable
 from siamloc.data.names import NamedPose, format_name, parse_name
-from siamloc.errors import DataError
+from siamloc.errors import DataError, StorageError, say_once
 from siamloc.runtime.location import Location
 
 MOST = 2000
@@ -41,11 +41,15 @@ class Collector:
         folder: the folder, with a folder for each drive.
         most: number of pictures in the folder; the oldest are removed for others.
         headings: whether the map gives headings; without, they are 0 in the names of the files.
+
+    Raises:
+        StorageError: the folder cannot be written to.
     """
 
     def __init__(self, folder: str | Path, most: int = MOST, headings: bool = True) -> None:
         self.folder, self.most, self.headings = Path(folder), most, headings
-        self._kept = [path for path, _ in _pictures(self.folder)]
+        with scratch_folder(self.folder / "drive"):  # refuses a folder that cannot be written to
+            self._kept = [path for path, _ in _pictures(self.folder)]
         self._waiting = deque[tuple[NamedPose, NDArray[np.uint8]]](maxlen=_WAITING)
         self._lock = threading.Lock()
         self.begin()
@@ -61,8 +65,7 @@ class Collector:
     def take(self, panorama: NDArray[np.uint8], location: Location, tracked: bool) -> Path | None:
         """Keep a panorama (3, H, W), uint8, RGB, if it was located well; return its file, None if it has none yet.
 
-        Raises:
-            StorageError: the disk is full or cannot be written to.
+        A disk that is full or cannot be written to is a warning: the robot drives on.
         """
         pose = NamedPose(time.time(), location.x, location.y, location.theta if self.headings else 0.0)
         if not all(map(math.isfinite, pose)):
@@ -80,7 +83,11 @@ class Collector:
                     return None
             self._last = pose
             self._waiting.append((pose, panorama.copy()))
-            return self._written() if recognized else None
+            try:
+                return self._written() if recognized else None
+            except StorageError:
+                say_once(f"{self.folder} takes no more images, which are not collected: free some space on its disk")
+                return None
 
     def _written(self) -> Path:
         """Write the waiting pictures, and return the file of the last one."""

@@ -78,6 +78,7 @@ class Localizer:
         ConfigError: a bundle without a map, or without the requested coarse layer, or that refines poses by comparison
             in a map that is not in metres, top, threads or most below 1, a provider that this onnxruntime lacks, or a
             bundle that cannot say which images were located well.
+        StorageError: the folder for collected images cannot be written to.
     """
 
     @typed
@@ -122,14 +123,14 @@ class Localizer:
                 f"{self.map.frames.unit!r}: make the map with x and y in metres, or export it with "
                 "task.refine=interpolate"
             )
-        headed = self.map.orientation is not None
-        self._collector = None if collect is None else Collector(collect, most, headed)
         judges = self._errors is not None or relative
         if collect is not None and not (judges and self._placed is not None):
             raise ConfigError(
                 f"{bundle_path} cannot say which images were located well: export it with an error model or refined "
                 "poses, or leave collect out"
             )
+        headed = self.map.orientation is not None
+        self._collector = None if collect is None else Collector(collect, most, headed)
         looked_at = [one.neighbours for one in (self._errors, self._refinement) if one is not None]
         self._wanted = max(self._top, *looked_at, 1)
         for known in (self.map, self._placed):

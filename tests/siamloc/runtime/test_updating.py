@@ -12,7 +12,7 @@ import pytest
 
 import analytic
 from siamloc.data import PanoramaLibrary
-from siamloc.errors import ConfigError, DataError, SiamlocError
+from siamloc.errors import ConfigError, DataError, SiamlocError, StorageError
 from siamloc.jobs.robot import Localize
 from siamloc.maps import ErrorModel, LayerSearch, group
 from siamloc.runtime import Bundle, Candidate, Localizer, Location, export, locate_all, update
@@ -106,6 +106,17 @@ def test_pictures_that_the_tracker_alone_locates_wait_until_a_recognized_one_con
     assert take(7, lost=False, agreement=0.9) == [0, 0.2, 0.6, 7], "the tracker was wrong at 0.8"
     assert take(8.1, lost=False, agreement=math.nan, candidates=(near,)) == [0, 0.2, 0.6, 7]
     assert take(8.3, lost=None, agreement=math.nan, candidates=(far,)) == [0, 0.2, 0.6, 7, 8.1, 8.3]
+
+
+def test_a_disk_that_refuses_pictures_ends_no_drive(bundle, tmp_path, caplog):
+    localizer = Localizer(bundle, collect=tmp_path / "seen")
+    with patch("siamloc.runtime.collecting.write_picture", side_effect=StorageError("full")):
+        for picture in drive(0)[0][:6]:
+            assert localizer.locate(picture).lost is False
+    assert caplog.text.count("takes no more images") == 1
+    (tmp_path / "taken").touch()
+    with pytest.raises(StorageError, match="a file stands where a folder is needed"):
+        Localizer(bundle, collect=tmp_path / "taken")
 
 
 def test_headings_that_a_map_does_not_give_are_0(tmp_path):
