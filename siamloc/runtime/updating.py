@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 from analytic import Description
 from foundation.calls import OF_FIELDS, takes
 from foundation.files import atomic_folder, file_hash, read_json, write_json
-from siamloc.data.decoding import read_image
+from siamloc.data.decoding import UnreadableImageError, read_image
 from siamloc.data.frames import FrameTable
-from siamloc.errors import DataError, SiamlocError
+from siamloc.errors import DataError, SiamlocError, logger
 from siamloc.maps import Built, CoarseLayer, VisualMap
 from siamloc.maps.history import UPKEEP
 from siamloc.maps.maintenance import Maintenance, Update, updated
@@ -67,9 +67,9 @@ def update(bundle: str | Path, folder: str | Path, *, settings: Maintenance = OF
     updates = []
     for whole in collected(folder):
         drive = _uncounted(whole, known.made.get(UPKEEP, {}).get("drives", []))
+        drive, panoramas = _read(drive, held.image_size)
         if not len(drive):
             continue
-        panoramas = _read(drive, held.image_size)
         described = [localizer.describe(panoramas[at : at + _AT_ONCE]) for at in range(0, len(panoramas), _AT_ONCE)]
         drive = _in_rooms(known, drive)
         found = updated(known, known.like(drive, Description.concatenate(described)), built=built, settings=settings)
@@ -138,19 +138,25 @@ def _uncounted(drive: FrameTable, counted: list[str]) -> FrameTable:
     return drive.with_columns(sequence=[f"{name}@{drive.time.max(initial=0):.6f}"] * len(drive))
 
 
-def _read(drive: FrameTable, size: tuple[int, int]) -> NDArray[np.uint8]:
-    """Return the collected panoramas of a drive (n, 3, H, W), uint8, RGB."""
-    found = []
-    for path in drive.path.tolist():
-        picture = read_image(path)
+def _read(drive: FrameTable, size: tuple[int, int]) -> tuple[FrameTable, NDArray[np.uint8]]:
+    """Return the readable pictures of a drive, and their panoramas (n, 3, H, W), uint8, RGB."""
+    rows, found, faults = list[int](), [np.empty((0, *size, 3), np.uint8)], list[str]()
+    for row, path in enumerate(drive.path.tolist()):
+        try:
+            picture = read_image(path)
+        except UnreadableImageError as error:
+            faults.append(f"{path}: {error}")
+            continue
         if picture.shape[:2] != size:
-            (rows, columns), (height, width) = picture.shape[:2], size
             raise DataError(
-                f"{path} is {rows} x {columns} px, and the bundle's panoramas {height} x {width}: give a folder that "
-                "this bundle collected"
+                f"{path} is {picture.shape[0]} x {picture.shape[1]} px, and the bundle's panoramas {size[0]} x "
+                f"{size[1]}: give a folder that this bundle collected"
             )
-        found.append(picture[..., ::-1].transpose(2, 0, 1))
-    return np.stack(found)
+        rows.append(row)
+        found.append(picture[None, ..., ::-1])
+    if faults:
+        logger.warning("%d of %d pictures cannot be read, the first: %s; left out", len(faults), len(drive), faults[0])
+    return drive.take(np.array(rows, dtype=np.int64)), np.concatenate(found).transpose(0, 3, 1, 2)
 
 
 def _in_rooms(known: VisualMap, drive: FrameTable) -> FrameTable:

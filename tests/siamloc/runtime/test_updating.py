@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from pathlib import Path
 from unittest.mock import patch
 
 import cv2
@@ -188,6 +189,17 @@ def test_a_bundle_that_was_replaced_meanwhile_stays(bundle, tmp_path):
     ):
         update(bundle, tmp_path / "seen")
     assert Bundle.open(bundle).about["figures"] == {"mean": 0.1}
+
+
+def test_pictures_that_cannot_be_read_are_left_out(bundle, tmp_path, caplog):
+    whole = kept_by(Collector(tmp_path / "seen"), painted(drive(1)[0]), drive(1)[1])
+    Path(whole.path[3]).write_bytes(Path(whole.path[3]).read_bytes()[:100])
+    (tmp_path / "seen" / "none").mkdir()
+    (tmp_path / "seen" / "none" / Path(whole.path[4]).name).touch()
+    (found,) = update(bundle, tmp_path / "seen")
+    assert found.drive.path.tolist() == np.delete(whole.path, 3).tolist()
+    assert f"1 of {len(whole)} pictures cannot be read, the first: {whole.path[3]}" in caplog.text
+    assert "1 of 1 pictures cannot be read" in caplog.text
 
 
 def test_pictures_taken_after_an_update_count_too(bundle, tmp_path):
