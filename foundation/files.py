@@ -57,8 +57,7 @@ def atomic_path(path: str | Path) -> Iterator[Path]:
         temporary.touch(exist_ok=False)
         try:
             yield temporary
-            with temporary.open("r+b") as file:  # Windows flushes only what can be written
-                os.fsync(file.fileno())
+            _flush(temporary)
             temporary.replace(path)
         except BaseException:
             temporary.unlink(missing_ok=True)
@@ -86,7 +85,7 @@ def atomic_folder(path: str | Path) -> Iterator[Path]:
     """Yield an empty temporary folder next to `path` that becomes `path` when the block ends without an error.
 
     An older folder is replaced as a whole. After an error nothing is left behind and the older folder stays as it was.
-    A kill in the instant between the two leaves the older folder beside `path`, under a name that ends in `.old`.
+    A kill in the instant between the two leaves the older folder beside `path`, see `older_folder`.
 
     Raises:
         StorageError: the disk is full or refuses.
@@ -94,6 +93,9 @@ def atomic_folder(path: str | Path) -> Iterator[Path]:
     path = real_path(path)
     with scratch_folder(path) as fresh:
         yield fresh
+        for file in fresh.rglob("*"):
+            if file.is_file():
+                _flush(file)
         if not path.exists():
             fresh.replace(path)
             return
@@ -106,6 +108,14 @@ def atomic_folder(path: str | Path) -> Iterator[Path]:
             older.replace(path)
             raise
         older.replace(fresh)  # which is removed
+
+
+def older_folder(path: str | Path) -> Path | None:
+    """Return the newest folder that kills left beside `path` while `atomic_folder` replaced it; None without any."""
+    path = real_path(path)
+    name = re.compile(rf"\.{re.escape(path.name)}\.[0-9a-f]{{8}}-\d+-\d+\.old")
+    left = (entry for entry in path.parent.glob(".*.old") if name.fullmatch(entry.name))
+    return max(left, key=lambda entry: entry.stat().st_mtime, default=None)
 
 
 @contextmanager
@@ -128,6 +138,12 @@ def atomic_files(folder: str | Path) -> Iterator[Path]:
 def is_temporary(path: str | Path) -> bool:
     """Return whether a path is a temporary file or folder of this module."""
     return _TEMPORARY.fullmatch(Path(path).name) is not None
+
+
+def _flush(path: Path) -> None:
+    """Let the disk have the content of a file, so that a power cut leaves no empty file under its name."""
+    with path.open("r+b") as file:  # Windows flushes only what can be written
+        os.fsync(file.fileno())
 
 
 def _temporary(path: Path) -> Path:

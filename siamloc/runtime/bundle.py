@@ -11,7 +11,7 @@ from typing import Any, Literal
 import numpy as np
 
 from foundation.calls import typed
-from foundation.files import check_version, file_hash, read_json
+from foundation.files import check_version, file_hash, older_folder, read_json
 from foundation.settings import Count, Size, misfit
 from siamloc.data.decoding import Preprocessing, is_known
 from siamloc.errors import ConfigError, FormatError
@@ -170,7 +170,11 @@ class Bundle:
         path = Path(path)
         described = path / DESCRIPTION
         if not path.is_dir():
-            raise FormatError(f"there is no folder {path}: give that of a bundle, which `siamloc export` writes")
+            older = older_folder(path)
+            advice = "give that of a bundle, which `siamloc export` writes"
+            if older is not None:
+                advice = f"rename {older}, the bundle that was to be replaced, to that name"
+            raise FormatError(f"there is no folder {path}: {advice}")
         if not _holds(described):
             raise FormatError(f"{path} is not a bundle, it holds no {DESCRIPTION}: write one with `siamloc export`")
         if described.stat().st_size > _LONGEST:

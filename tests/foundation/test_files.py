@@ -17,6 +17,7 @@ from foundation.files import (
     atomic_path,
     content_key,
     is_temporary,
+    older_folder,
     read_json,
     real_path,
     write_json,
@@ -96,6 +97,15 @@ def test_a_folder_appears_whole_and_replaces_the_older_one(tmp_path):
         (temporary / "third.txt").write_text(str(1 / 0))
     assert [path.name for path in target.iterdir()] == ["second.txt"]
     assert sorted(path.name for path in tmp_path.iterdir()) == ["store", "usual"]
+
+
+def test_the_files_of_a_folder_are_on_the_disk_before_it_appears(tmp_path, monkeypatch):
+    flushed = []
+    monkeypatch.setattr(files, "_flush", lambda path: flushed.append((path.name, (tmp_path / "store").exists())))
+    with atomic_folder(tmp_path / "store") as temporary:
+        (temporary / "inner").mkdir()
+        (temporary / "inner" / "file").touch()
+    assert flushed == [("file", False)]
 
 
 def test_files_appear_together_or_not_at_all(tmp_path):
@@ -204,6 +214,8 @@ def test_a_kill_while_a_folder_is_replaced_leaves_the_older_one_beside_it(tmp_pa
     write_text(tmp_path / "other", "clears what was left")
     (older,) = tmp_path.glob(".folder.*.old")
     assert [item.name for item in older.iterdir()] == ["old"]
+    assert older_folder(path) == older
+    assert older_folder(tmp_path / "folder.v3") is None
     with atomic_folder(path) as fresh:
         (fresh / "newer").touch()
     assert older.is_dir()

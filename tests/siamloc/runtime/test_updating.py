@@ -13,7 +13,7 @@ import pytest
 
 import analytic
 from siamloc.data import PanoramaLibrary
-from siamloc.errors import ConfigError, DataError, SiamlocError, StorageError
+from siamloc.errors import ConfigError, DataError, FormatError, SiamlocError, StorageError
 from siamloc.jobs.robot import Localize
 from siamloc.maps import ErrorModel, LayerSearch, group
 from siamloc.runtime import Bundle, Candidate, Localizer, Location, export, locate_all, update
@@ -189,6 +189,12 @@ def test_a_bundle_that_was_replaced_meanwhile_stays(bundle, tmp_path):
     ):
         update(bundle, tmp_path / "seen")
     assert Bundle.open(bundle).about["figures"] == {"mean": 0.1}
+
+
+def test_the_bundle_that_a_killed_update_left_is_named(bundle):
+    bundle.rename(bundle.with_name(".bundle.0123abcd-7-0.old"))
+    with pytest.raises(FormatError, match=r"there is no folder .*bundle: rename .*\.bundle\.0123abcd-7-0\.old, "):
+        Bundle.open(bundle)
 
 
 def test_pictures_that_cannot_be_read_are_left_out(bundle, tmp_path, caplog):
