@@ -9,6 +9,7 @@ Targets: no camera loses more than 0.01 m of the mean error against panoramas, n
 of another camera, nor does the one that sways if it is levelled.
 
     python -m benchmarks.cameras --data data/cameras --picture docs/cameras.jpg
+    python -m benchmarks.cameras --data data/cameras --levelled docs/levelled.jpg
 """
 
 from __future__ import annotations
@@ -33,10 +34,12 @@ from siamloc.data import (
     FrameTable,
     PanoramaLibrary,
     PanoramaView,
+    Preprocessing,
     UnifiedCamera,
     seen,
     unwrap,
 )
+from siamloc.data.levelling import tilt_of
 from siamloc.evaluation.metrics import error_floor
 from siamloc.report.draw.look import style
 from siamloc.simulate import Run, build_scene, load_building, render
@@ -75,7 +78,11 @@ def main() -> None:
     arguments = parser(__doc__)
     arguments.add_argument("--data", type=Path, required=True, help="folder of the images, rendered where missing")
     arguments.add_argument("--picture", type=Path, help="only draw this picture of one place through the cameras")
+    arguments.add_argument("--levelled", type=Path, help="only draw this picture of the camera that sways")
     options = arguments.parse_args()
+    if options.levelled is not None:
+        draw_levelled(options.data / SWAYING / "map", options.levelled)
+        return
     if options.picture is not None:
         draw(options.picture)
         return
@@ -176,6 +183,20 @@ def draw(path: Path) -> Path:
         grid[0, 2].set_title("panorama, 30 to -45 degrees of elevation")
         canvas.draw()
         write_picture(path, np.asarray(canvas.buffer_rgba())[..., :3])
+    return path
+
+
+def draw_levelled(folder: Path, path: Path) -> Path:
+    """Draw the three most tilted pictures of a camera, as taken and levelled, side by side, and return the file."""
+    as_taken, gap = Preprocessing(PanoramaView(), EquirectangularCamera()), 8
+    panoramas = {one: as_taken.panorama(one).transpose(1, 2, 0) for one in sorted(folder.glob("*.png"))}
+    tilts = {one: np.linalg.norm(tilt_of(panorama, as_taken.view)) for one, panorama in panoramas.items()}
+    rows = []
+    for picture in sorted(sorted(tilts, key=lambda one: tilts[one])[-3:]):
+        left, right = panoramas[picture], replace(as_taken, level=True).panorama(picture).transpose(1, 2, 0)
+        white = np.full((len(left), gap, 3), 255, np.uint8)
+        rows += [np.hstack([left, white, right]), np.full((gap, 2 * left.shape[1] + gap, 3), 255, np.uint8)]
+    write_picture(path, np.vstack(rows[:-1]))
     return path
 
 
