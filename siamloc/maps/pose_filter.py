@@ -123,7 +123,8 @@ class PoseFilter:
             raise DataError(f"a step takes the pose of one query, got {len(pose)}")
         about, move = pose.information[0], motion_or_none(motion)
         told = bool(about.any() and np.isfinite(about).all() and np.isfinite(pose.xy).all())
-        self._unit.step(move, pose.xy[0] if told and pose.agreement[0] >= _RECOGNIZED else None)
+        recognized = bool(told and pose.agreement[0] >= _RECOGNIZED)
+        self._unit.step(move, pose.xy[0] if recognized else None)
         if move is None:
             stories = [self._moved(story) for story in self._stories]
         else:
@@ -144,7 +145,7 @@ class PoseFilter:
             stories.append(replace(begun, evidence=fresh))
         if not stories:
             return pose
-        self._stories = self._kept(stories)
+        self._stories = self._kept(stories, stories[-1] if recognized else None)
         story = self._stories[0]
         return replace(
             pose,
@@ -201,15 +202,20 @@ class PoseFilter:
         turn = (_WHEELS * motion[2]) ** 2 + _SWERVE**2 * (steps + _STANDING)
         return np.diag([place, place, turn])
 
-    def _kept(self, stories: list[_Story]) -> list[_Story]:
-        """Return the stories that explain the poses best, best first, each place once, the best with evidence 0."""
+    def _kept(self, stories: list[_Story], begun: _Story | None) -> list[_Story]:
+        """Return the stories that explain the poses best, best first, each place once, the best with evidence 0.
+
+        A story that has just begun at a recognized pose is among them: a later pose must be able to confirm it, even if
+        old stories that no pose confirms are as likely.
+        """
         kept: list[_Story] = []
         for story in sorted(stories, key=lambda one: -one.evidence):
             near = _NEAR * self.length
             if all(np.hypot(*(story.mean[:2] - other.mean[:2])) > near for other in kept):
                 kept.append(story)
-        best = kept[0].evidence
-        return [replace(story, evidence=story.evidence - best) for story in kept[:_STORIES]]
+        best, last = kept[0].evidence, kept[_STORIES - 1 :]
+        kept[_STORIES - 1 :] = [story for story in last if story is begun] or last[:1]
+        return [replace(story, evidence=story.evidence - best) for story in kept]
 
 
 def _told(story: _Story, pose: RefinedPoses, seen: NDArray[np.float64], spread: NDArray[np.float64]) -> _Story:

@@ -180,6 +180,16 @@ def test_stray_poses_before_do_not_hide_where_a_robot_was_carried():
     assert errors(found, carried[:, :2])[62:].max() < 0.3
 
 
+@pytest.mark.parametrize("count", [12, 40])
+def test_a_robot_that_was_carried_with_its_camera_running_is_found_again(count):
+    """Its wheels stand still for many pictures, each of which begins a story that the next picture does not confirm."""
+    poses = around(200)
+    motion = moves(poses)
+    motion[100 : 100 + count] = 0.0
+    found = PoseFilter(STEP).run(seen(poses, 0), ["a"] * len(poses), motion)
+    assert errors(found, poses[:, :2])[103 + count :].max() < 0.3
+
+
 def test_where_nothing_is_recognized_odometry_leads_on_with_growing_doubt():
     poses = around(100)
     given = seen(poses, 0)
