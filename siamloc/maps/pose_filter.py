@@ -6,11 +6,15 @@ velocity up to a random acceleration (a Kalman filter in x and y). Each pose fro
 its information and by the probability that it is not a stray one. Several hypotheses, called stories, are kept at once
 [Reid 1979]: every pose starts a new one, which is dropped if it stays near a better one, and takes over if it explains
 the following poses better.
+
+Motions may be wrong, such as those of a stuck encoder: a robot whose motions are known is also tracked without them, by
+other stories, which answer while they explain the poses far better.
 """
 
 from __future__ import annotations
 
 import math
+from collections import deque
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -37,6 +41,7 @@ _NO_HEADING = math.pi**2 / 3  # variance of a heading that may be any
 _SURE = 1.0  # rad^2: a heading with a larger variance is unknown
 _WHEELS = 0.1  # standard deviation of a known motion, as a share of the distance, and of the turn
 _SWERVE = math.radians(1)  # standard deviation of the turn of a known motion over the usual step
+_JUDGED = 6  # recognized poses by which motions are judged
 _STANDING = 0.01  # standard deviation of a motion of zero, as a share of the usual step
 # Divisors of the t-distributions of 2 and 3 values: the position, with or without the heading.
 _HEIGHT = {2: 2 * math.pi, 3: math.gamma(FREEDOM / 2) * (FREEDOM * math.pi) ** 1.5 / math.gamma((FREEDOM + 3) / 2)}
@@ -96,7 +101,9 @@ class PoseFilter:
 
     def reset(self) -> None:
         """Forget all queries: the robot may be anywhere."""
-        self._stories: list[_Story] = []
+        self._stories: list[_Story] = []  # that follow the motions, where these are known
+        self._alone: list[_Story] = []  # that do without, from the first known motion
+        self._explained: deque[tuple[float, float]] = deque(maxlen=_JUDGED)  # share of both in the last poses
         self._unit.reset()
 
     def step(
@@ -105,7 +112,8 @@ class PoseFilter:
         """Update the filter with the pose of one query and return the filtered pose.
 
         A pose that is NaN or has no information (see `RefinedPoses`) only lets the robot move on. The map frame is that
-        of the last pose that is not considered stray; so is the heading, unless the motion is known.
+        of the last pose that is not considered stray; so is the heading, unless the motion is known. Motions are not
+        used while most of the last recognized poses agree with each other, but not with the motions.
 
         Args:
             pose: the pose of the query.
@@ -125,28 +133,15 @@ class PoseFilter:
         told = bool(about.any() and np.isfinite(about).all() and np.isfinite(pose.xy).all())
         recognized = bool(told and pose.agreement[0] >= _RECOGNIZED)
         self._unit.step(move, pose.xy[0] if recognized else None)
-        if move is None:
-            stories = [self._moved(story) for story in self._stories]
-        else:
-            noise = self._noise(move) if covariance is None else _checked(covariance)
-            stories = [_driven(_with_heading(story), move, noise) for story in self._stories]
-            self._last = move
-        if told:
-            spread, seen = np.linalg.inv(about), pose.xy[0]
-            best = max((story.evidence for story in stories), default=0.0)
-            begun = _Story(np.concatenate([seen, np.zeros(2)]), _blocks(spread, self.length**2 * np.eye(2)), 0, 1, pose)
-            if move is not None:
-                begun = _with_heading(begun)
-                if np.isfinite(pose.theta[0]):
-                    spread, seen = begun.covariance, begun.mean
-            right = max(float(pose.agreement[0]), _NEVER)
-            fresh = best + math.log(self.kidnapping * right * _ANYWHERE[len(seen)])
-            stories = [_told(story, pose, seen, spread) for story in stories]
-            stories.append(replace(begun, evidence=fresh))
-        if not stories:
+        noise = None if move is None else self._noise(move) if covariance is None else _checked(covariance)
+        if move is not None or self._alone:
+            self._alone = self._followed(self._alone, pose if told else None)
+        self._stories = self._followed(self._stories, pose if told else None, move, noise)
+        if not self._stories:
             return pose
-        self._stories = self._kept(stories, stories[-1] if recognized else None)
-        story = self._stories[0]
+        if recognized and move is not None:
+            self._explained.append((self._stories[0].share, self._alone[0].share))
+        story = self._alone[0] if self._contradicted() else self._stories[0]
         return replace(
             pose,
             xy=story.mean[None, :2],
@@ -179,6 +174,41 @@ class PoseFilter:
                 found[row] = self.step(found[row], moved[row])
         self.reset()
         return RefinedPoses.concatenate(found) if found else poses
+
+    def _followed(
+        self,
+        stories: list[_Story],
+        pose: RefinedPoses | None,
+        move: NDArray[np.float64] | None = None,
+        noise: NDArray[np.float64] | None = None,
+    ) -> list[_Story]:
+        """Return the stories, best first, after a motion with a covariance, and a pose; None where unknown."""
+        if move is None or noise is None:
+            stories = [self._moved(story) for story in stories]
+        else:
+            stories = [_driven(_with_heading(story), move, noise) for story in stories]
+            self._last = move
+        if pose is None:
+            return self._kept(stories, None) if stories else []
+        spread, seen = np.linalg.inv(pose.information[0]), pose.xy[0]
+        best = max((story.evidence for story in stories), default=0.0)
+        begun = _Story(np.concatenate([seen, np.zeros(2)]), _blocks(spread, self.length**2 * np.eye(2)), 0, 1, pose)
+        if move is not None:
+            begun = _with_heading(begun)
+            if np.isfinite(pose.theta[0]):
+                spread, seen = begun.covariance, begun.mean
+        agreement = float(pose.agreement[0])
+        fresh = best + math.log(self.kidnapping * max(agreement, _NEVER) * _ANYWHERE[len(seen)])
+        begun = replace(begun, evidence=fresh)
+        stories = [*(_told(story, pose, seen, spread) for story in stories), begun]
+        return self._kept(stories, begun if agreement >= _RECOGNIZED else None)
+
+    def _contradicted(self) -> bool:
+        """Return whether most of the last recognized poses agree with each other, but not with the motions."""
+        if len(self._explained) < _JUDGED:
+            return False
+        driven, alone = np.mean(self._explained, axis=0)
+        return bool(driven < alone / 2 and alone > 0.5)
 
     def _moved(self, story: _Story) -> _Story:
         if len(story.mean) == 3:

@@ -10,6 +10,7 @@ import pytest
 from siamloc.data.moves import moves
 from siamloc.errors import ConfigError, DataError
 from siamloc.maps import PoseFilter, RefinedPoses
+from siamloc.maps.motion import UnitOfMotion
 from siamloc.simulate.odometry import odometry
 
 STEP, SD = 0.2, 0.05
@@ -188,6 +189,21 @@ def test_a_robot_that_was_carried_with_its_camera_running_is_found_again(count):
     motion[100 : 100 + count] = 0.0
     found = PoseFilter(STEP).run(seen(poses, 0), ["a"] * len(poses), motion)
     assert errors(found, poses[:, :2])[103 + count :].max() < 0.3
+
+
+@pytest.mark.parametrize("factors", [[0, 0, 0], [100, 100, 1], [1, -1, -1]], ids=["stuck", "another unit", "mirrored"])
+def test_motions_that_the_pictures_contradict_are_not_used(factors, monkeypatch):
+    monkeypatch.setattr(UnitOfMotion, "step", lambda *_: None)  # it refuses another unit, but only later
+    poses, wrong = around(), np.random.default_rng(0).random(400) < 0.25
+    given = seen(poses, 0, wrong)
+    given.agreement[wrong] *= 0.5  # as those of other buildings
+    motion = wheels(poses)
+    motion[:200] *= factors
+    without, found, right = (
+        errors(PoseFilter(STEP).run(given, ["a"] * 400, moved), poses[:, :2]) for moved in (None, motion, wheels(poses))
+    )
+    assert found[20:200].mean() < 2 * without[20:200].mean()
+    np.testing.assert_allclose(found[220:], right[220:], atol=0.01, err_msg="they are used again")
 
 
 def test_where_nothing_is_recognized_odometry_leads_on_with_growing_doubt():
