@@ -8,7 +8,8 @@ its information and by the probability that it is not a stray one. Several hypot
 the following poses better.
 
 Motions may be wrong, such as those of a stuck encoder: a robot whose motions are known is also tracked without them, by
-other stories, which answer while they explain the poses far better.
+other stories, which answer while they explain the poses far better. Poses of one place have their errors in common:
+with known motions, a pose counts by the share of a usual step, or of a radian, that the robot moved since the last one.
 """
 
 from __future__ import annotations
@@ -104,6 +105,7 @@ class PoseFilter:
         self._stories: list[_Story] = []  # that follow the motions, where these are known
         self._alone: list[_Story] = []  # that do without, from the first known motion
         self._explained: deque[tuple[float, float]] = deque(maxlen=_JUDGED)  # share of both in the last poses
+        self._moved_on = math.inf  # steps and rad since the last recognized pose
         self._unit.reset()
 
     def step(
@@ -133,10 +135,12 @@ class PoseFilter:
         told = bool(about.any() and np.isfinite(about).all() and np.isfinite(pose.xy).all())
         recognized = bool(told and pose.agreement[0] >= _RECOGNIZED)
         self._unit.step(move, pose.xy[0] if recognized else None)
+        self._moved_on += math.inf if move is None else math.hypot(*move[:2]) / self.length + abs(move[2]) + _STANDING
         noise = None if move is None else self._noise(move) if covariance is None else _checked(covariance)
         if move is not None or self._alone:
             self._alone = self._followed(self._alone, pose if told else None)
-        self._stories = self._followed(self._stories, pose if told else None, move, noise)
+        self._stories = self._followed(self._stories, pose if told else None, move, noise, min(self._moved_on, 1.0))
+        self._moved_on = 0.0 if recognized else self._moved_on
         if not self._stories:
             return pose
         if recognized and move is not None:
@@ -181,8 +185,12 @@ class PoseFilter:
         pose: RefinedPoses | None,
         move: NDArray[np.float64] | None = None,
         noise: NDArray[np.float64] | None = None,
+        new: float = 1.0,
     ) -> list[_Story]:
-        """Return the stories, best first, after a motion with a covariance, and a pose; None where unknown."""
+        """Return the stories, best first, after a motion with a covariance, and a pose; None where unknown.
+
+        `new` is the share of the pose that the pose before did not tell.
+        """
         if move is None or noise is None:
             stories = [self._moved(story) for story in stories]
         else:
@@ -200,7 +208,7 @@ class PoseFilter:
         agreement = float(pose.agreement[0])
         fresh = best + math.log(self.kidnapping * max(agreement, _NEVER) * _ANYWHERE[len(seen)])
         begun = replace(begun, evidence=fresh)
-        stories = [*(_told(story, pose, seen, spread) for story in stories), begun]
+        stories = [*(_told(story, pose, seen, spread, new) for story in stories), begun]
         return self._kept(stories, begun if agreement >= _RECOGNIZED else None)
 
     def _contradicted(self) -> bool:
@@ -248,7 +256,9 @@ class PoseFilter:
         return [replace(story, evidence=story.evidence - best) for story in kept]
 
 
-def _told(story: _Story, pose: RefinedPoses, seen: NDArray[np.float64], spread: NDArray[np.float64]) -> _Story:
+def _told(
+    story: _Story, pose: RefinedPoses, seen: NDArray[np.float64], spread: NDArray[np.float64], new: float
+) -> _Story:
     """Return a story updated with a pose, which counts the less, the more probable it is that the pose is stray.
 
     Args:
@@ -256,6 +266,7 @@ def _told(story: _Story, pose: RefinedPoses, seen: NDArray[np.float64], spread: 
         pose: the pose.
         seen: position (2,), or position and heading (3,), of the pose.
         spread: covariance of `seen`.
+        new: share of the pose that the pose before did not tell.
     """
     n, agreement = len(seen), float(pose.agreement[0])
     apart, total = seen - story.mean[:n], story.covariance[:n, :n] + spread
@@ -263,7 +274,7 @@ def _told(story: _Story, pose: RefinedPoses, seen: NDArray[np.float64], spread: 
     squared = float(apart @ np.linalg.solve(total, apart))
     height = (1 + squared / FREEDOM) ** (-(FREEDOM + n) / 2) / (_HEIGHT[n] * math.sqrt(np.linalg.det(total)))
     share = agreement * height / (agreement * height + _ANYWHERE[n])
-    weight = max(share * (FREEDOM + n) / (FREEDOM + squared), 1e-9)
+    weight = max(new * share * (FREEDOM + n) / (FREEDOM + squared), 1e-9)
     gain = story.covariance[:, :n] @ np.linalg.inv(story.covariance[:n, :n] + spread / weight)
     covariance = story.covariance - gain @ story.covariance[:n]
     evidence = story.evidence + math.log(agreement * height + _ANYWHERE[n])

@@ -155,6 +155,18 @@ def test_with_odometry_the_heading_is_filtered_too():
     assert found.inside(poses[:, :2]).mean() > 0.85
 
 
+def test_a_robot_that_stands_still_is_no_surer_than_one_picture_makes_it():
+    poses = around(300)
+    given = seen(poses, 0)
+    inside = []
+    for row in range(20, 300, 10):
+        order = [*range(row - 20, row), *[row] * 100]
+        motion = np.concatenate([moves(poses)[row - 20 : row + 1], np.zeros((99, 3))])
+        found = PoseFilter(STEP).run(given.take(order), ["a"] * 120, motion)
+        inside.append(found.take([119]).inside(poses[[row], :2])[0])
+    assert np.mean(inside) > 0.85
+
+
 def test_with_odometry_a_robot_that_was_carried_away_is_found_within_three_pictures():
     poses = around()
     away = poses.copy()
