@@ -57,7 +57,7 @@ def read_calibration(path: str | Path, camera: str | Sequence[str] | None = None
         DataError: a file that cannot be read, or of a model that no omnidirectional camera has.
     """
     file = Path(path).expanduser()
-    text = read_file(file, "the calibration")
+    text = read_file(file, "the calibration", most=1_000_000)
     if re.match(r"\s*#\s*polynomial", text):
         kind, values = _ocam(file, text)
         return kind.of({**values, **where})

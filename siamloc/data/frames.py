@@ -329,14 +329,14 @@ def placed(frames: FrameTable, what: str, on_error: str) -> FrameTable:
     return frames.take(frames.has_position)
 
 
-def read_file(path: Path, what: str = "the file") -> str:
-    """Return the text of a file that a user gave, without a mark of its byte order.
+def read_file(path: Path, what: str = "the file", most: int = 64_000_000) -> str:
+    """Return the text of a file that a user gave, of at most `most` bytes, without a mark of its byte order.
 
     Raises:
-        DataError: the file cannot be read, or is no text.
+        DataError: the file cannot be read, is too long, or is no text.
     """
     try:
-        return read_text(path).removeprefix("\ufeff")
+        return read_text(path, most).removeprefix("\ufeff")
     except (OSError, ValueError) as error:
         raise DataError(f"{what} {path} cannot be read: {getattr(error, 'strerror', None) or error}") from error
 

@@ -122,8 +122,9 @@ def read_occupancy(path: str | Path) -> OccupancyMap:
     import yaml
 
     file = Path(path).expanduser()
+    text = read_file(file, "the map")
     try:
-        about = yaml.safe_load(read_file(file, "the map"))
+        about = yaml.safe_load(text)
     except (ValueError, RecursionError, yaml.YAMLError) as error:
         raise DataError(f"the map {file} is not YAML: {shortened(str(error))}") from error
     missing = [key for key in _NEEDED if key not in about] if isinstance(about, Mapping) else list(_NEEDED)

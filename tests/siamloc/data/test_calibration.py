@@ -281,5 +281,8 @@ def test_files_that_are_not_there(tmp_path):
     (tmp_path / "bytes.yaml").write_bytes(b"\xff\xfe\x00")
     with pytest.raises(DataError, match="cannot be read"):
         read_calibration(tmp_path / "bytes.yaml")
+    (tmp_path / "long.yaml").write_text("#" * 1_000_001)
+    with pytest.raises(DataError, match="it has 1,000,001 bytes, more than 1,000,000"):
+        read_calibration(tmp_path / "long.yaml")
     with pytest.raises(ConfigError, match=r"unwrap.file must be a path"):
         Preprocessing.checked((64, 256), {"kind": "calibrated"})

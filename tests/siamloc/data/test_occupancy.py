@@ -85,7 +85,7 @@ def test_a_wrong_file_is_refused_in_one_sentence(written, keys, reason):
 
 
 def test_a_missing_file_is_refused(tmp_path):
-    with pytest.raises(DataError, match=r"the map .*map\.yaml cannot be read: No such file"):
+    with pytest.raises(DataError, match=r"^the map \S*map\.yaml cannot be read: No such file"):
         read_occupancy(tmp_path / "map.yaml")
 
 
