@@ -370,9 +370,11 @@ def _saved_maps(named: Sequence[str], label: str, described: Descriptor) -> list
     for path in map(Path, named):
         file = path if path.is_file() else map_file(Run(path), label)
         if not file.is_file():
+            others = [other.parent.name for other in sorted(path.glob("evaluation/*/map.npz"))]
+            held = f"it holds one by {' and one by '.join(others)}; choose that descriptor, or " if others else ""
             raise ConfigError(
-                f"{path} holds no map by {label}: choose the descriptor of its map, or make this one with `siamloc map "
-                f"run={path} descriptor={label}`"
+                f"{path} holds no map by {label}: {held}make it with `siamloc map run={path}`, with the same "
+                "descriptor and data"
             )
         try:
             loaded.append(VisualMap.load(file, described))

@@ -16,7 +16,8 @@ from siamloc.evaluation.localize import Localization
 
 Kind = TypeVar("Kind", bound=Settings)
 Maps = Annotated[
-    tuple[Text, ...], Rule("a list of two run folders or map files, or more", lambda value: len(value) > 1)
+    tuple[Text, ...],
+    Rule("a list of two or more run folders or map files, such as [runs/a,runs/b]", lambda value: len(value) > 1),
 ]
 _COMPARED = ("thumbnail", "untrained")
 

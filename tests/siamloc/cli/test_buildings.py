@@ -106,10 +106,17 @@ def test_an_aligned_descriptor_chooses_by_its_own_distance(table, tmp_path, caps
 @pytest.mark.parametrize(
     ("line", "says"),
     [
-        ("task.maps=[{north}]", "task.maps must be a list of two run folders or map files, or more, or null, got"),
-        ("task.maps={north}", "task.maps must be a list of two run folders"),
+        (
+            "task.maps=[{north}]",
+            "task.maps must be a list of two or more run folders or map files, such as [runs/a,runs/b], or null, got",
+        ),
+        ("task.maps={north}", "task.maps must be a list of two or more run folders"),
         ("task.maps=[{north},{north}]", "two of the maps are of building 'north'"),
-        ("task.maps=[{north},/none]", "holds no map by hog: choose the descriptor of its map, or make this one"),
+        ("task.maps=[{north},/none]", "/none holds no map by hog: make it with `siamloc map run=/none`, with the same"),
+        (
+            "task.maps=[{north},{south}] descriptor=thumbnail",
+            "north holds no map by thumbnail: it holds one by hog; choose that descriptor, or make it with",
+        ),
         ("task.maps=[{north},{south}] descriptor.bins=16", "bins is 32 in the map, 16 here"),
         ("task.maps=[{north},{south}] protocol.query.sequences=[north_first]", "is in the map and among the queries"),
         ("protocol.map.sequences=[north_first]", "all map frames are of building 'north'"),
