@@ -41,20 +41,23 @@ def locate(
         the building of the nearest map frame.
 
     Raises:
-        ConfigError: a map that is not in metres, or whose descriptor does not compare images, or a drive that was
-            described differently.
-        DataError: a map frame without a pose, or a drive that `siamloc.maps.survey` would refuse, such as one that has
-            no place in common with the map.
+        ConfigError: a map whose descriptor does not compare images, or whose distances are not Euclidean, or a drive
+            that was described differently.
+        DataError: a map that is not in metres, a map frame without a pose, or a drive that `siamloc.maps.survey` would
+            refuse, such as one that has no place in common with the map.
 
     Example:
         >>> tuesday = siamloc.maps.build("pretrained", images, frames, mounting=known.mounting)  # doctest: +SKIP
         >>> siamloc.maps.locate(known, tuesday).xy  # doctest: +SKIP
     """
+    if known.unit != "m":
+        raise DataError(f"a drive is located in a map in metres, and this map is in {known.unit!r}")
     compare = comparison_of(known)
     if compare is None:
         raise ConfigError(
-            "a drive is located in a map in metres, by a network that compares images, and this map is in "
-            f"{known.unit!r}, by {known.identity.get('name', 'an unknown descriptor')}"
+            "a drive is located by a network that compares images, with euclidean distances, and this map is by "
+            f"{known.identity.get('name', 'an unknown descriptor')}, with {known.distance} distances: build the map "
+            "with pretrained"
         )
     check_lengths(drive.frames)
     for finding in wrong_odometry(drive.frames):

@@ -90,10 +90,12 @@ def test_what_cannot_be_located_is_a_sentence(poses):
     known, drive = maps(by, poses)
     with pytest.raises(DataError, match="a map frame has no pose"):
         locate(replace(known, frames=known.frames.with_columns(theta=np.full(60, np.nan))), drive, progress=False)
-    with pytest.raises(ConfigError, match=r"in a map in metres, .* and this map is in 'frames'"):
+    with pytest.raises(DataError, match=r"in a map in metres, and this map is in 'frames'$"):
         locate(replace(known, frames=replace(known.frames, unit="frames")), drive, progress=False)
     with pytest.raises(DataError, match="monday has 5 frames: a survey needs 10"):
         locate(known, drive.take(np.arange(5)), progress=False)
+    with pytest.raises(ConfigError, match=r"compares images, .* with cosine distances: build the map with pretrained"):
+        locate(known.with_distance("cosine"), drive, progress=False)
     with pytest.raises(ConfigError, match="by a network that compares images"):
         locate(replace(known, heading=None, orientation=None), drive, progress=False)
 
