@@ -29,7 +29,7 @@ def check_loggers(chosen: Any) -> list[str | Logger]:
     Raises:
         ConfigError: something else, or a logger whose package is not installed.
     """
-    found = [] if chosen is False else listed(chosen)
+    found: list[Any] = [None] if chosen is None else [] if chosen is False else listed(chosen)
     for one in found:
         if isinstance(one, Logger):
             continue

@@ -31,6 +31,8 @@ def train(images, drives, tmp_path):
 def test_unknown_and_missing_loggers_are_named(monkeypatch):
     with pytest.raises(ConfigError, match=r"unknown trainer.logger 'board': did you mean 'tensorboard'\?"):
         check_loggers("board")
+    with pytest.raises(ConfigError, match=r"unknown trainer.logger None: .* or false for none"):
+        check_loggers(None)
     monkeypatch.setattr(loggers, "find_spec", lambda package: None)
     for name in ("wandb", "mlflow"):
         with pytest.raises(ConfigError, match=rf"pip install '\.\[{name}\]'"):
