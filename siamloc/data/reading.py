@@ -95,6 +95,7 @@ def read(kind: str, *, unit: str = "m", name: str = "", **where: Any) -> FrameTa
     for key, parameter in parameters.items():
         if parameter.default is parameter.empty and where.get(key) is None:
             raise ConfigError(f"data of kind {kind!r} need {key}=...; valid: {', '.join(parameters)}")
+    checked(where.get("on_error", "skip"), Policy, "on_error")  # readers of one's own may not say what it can be
     given = _fitted(kind, where)
     paths = {key: value.absolute() for key, value in given.items() if isinstance(value, Path)}
     for key, path in paths.items():

@@ -36,6 +36,12 @@ def test_a_reader_that_returns_no_frames_is_named(monkeypatch):
         siamloc.data.read("mine")
 
 
+def test_a_reader_without_annotations_gets_no_unknown_policy(monkeypatch):
+    monkeypatch.setitem(siamloc.data.READERS, "mine", lambda on_error: siamloc.data.FrameTable(path=["a.png"]))
+    with pytest.raises(ConfigError, match="on_error must be skip or raise, got 'sip'"):
+        siamloc.data.read("mine", on_error="sip")
+
+
 @pytest.mark.skipif(not Path("/proc/self").exists(), reason="only Linux shows its processes as files")
 def test_a_view_of_the_running_system_is_no_data_set(tmp_path):
     (tmp_path / "link").symlink_to("/proc/self")
