@@ -23,7 +23,7 @@ from siamloc.errors import ConfigError
 from siamloc.jobs.choices import OF_A_RUN, Build, DescriptorChoice, Device, Folder, Frozen, Heading, Model, names_in
 from siamloc.jobs.job import Given, Job, Say
 from siamloc.jobs.options import option
-from siamloc.jobs.stored import only_descriptor, with_settings_of_the_run
+from siamloc.jobs.stored import descriptor_of, only_map, with_settings_of_the_run
 from siamloc.jobs.sweep import of_layer, own_folder
 from siamloc.models.registry import PRETRAINED_SIZE
 from siamloc.runs import Run, suggested_run
@@ -136,10 +136,12 @@ class RunJob(DataJob):
         chosen = values["descriptor"]
         if values.get("run") is not None:
             told = cls.REPLACES_MAP or any(key.partition(".")[0] == "descriptor" for key in given.keys)
-            if chosen.get("name") == "network" and chosen.get("run") is None and not told:
-                values = {**values, "descriptor": only_descriptor(Run(Path(str(values["run"])))) or chosen}
+            own = chosen.get("name") == "network" and chosen.get("run") is None
+            loaded = only_map(Run(Path(str(values["run"])))) if own and not told else {}
+            for file, known in loaded.items():
+                values = {**values, "descriptor": descriptor_of(file, known.identity) or chosen}
             replaces = cls.REPLACES_MAP and not (values.get("update") or {}).get("sequences")
-            values = with_settings_of_the_run(values, given, cls.key_names(), replaces_map=replaces)
+            values = with_settings_of_the_run(values, given, cls.key_names(), replaces_map=replaces, loaded=loaded)
         elif set(names_in(chosen)) & set(OF_A_RUN) and chosen.get("run") is None:
             otherwise = "train one first with `siamloc train run=FOLDER`, or choose a descriptor that needs none"
             raise ConfigError(f"no run is named: {suggested_run(f'{otherwise}, descriptor=hog')}")
@@ -256,7 +258,11 @@ def by_name(name: str) -> DescriptorChoice:
     """
     values = option("descriptor", name).values
     if needed := [key for key, value in values.items() if value == "???"]:
-        raise ConfigError(f"{name} cannot be given by its name alone: it needs descriptor.{needed[0]}")
+        key = f"descriptor.{needed[0]}"
+        raise ConfigError(
+            f"{name} cannot be given by its name alone: it needs {key}; choose another descriptor here, or use it by "
+            f"itself, descriptor={name} {key}=..."
+        )
     return DescriptorChoice.of(values)
 
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Container, Mapping
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from analytic import DESCRIPTORS
 from foundation.settings import fields_of
@@ -22,6 +22,9 @@ from siamloc.models.registry import Optimizer
 from siamloc.runs import Run
 from siamloc.training.settings import Learning
 
+if TYPE_CHECKING:
+    from siamloc.maps import VisualMap
+
 OF_TRAINING = tuple(name for name in fields_of(Learning) if name not in ("pairs", "optimizer"))
 """Settings of a training that are keys of their own on the command line."""
 _OF_DATA = ("data", "unwrap", "protocol")
@@ -34,7 +37,13 @@ _CHOOSES = {
 
 
 def with_settings_of_the_run(
-    values: dict[str, Any], given: Given, known: Container[str], *, resumed: bool = False, replaces_map: bool = False
+    values: dict[str, Any],
+    given: Given,
+    known: Container[str],
+    *,
+    resumed: bool = False,
+    replaces_map: bool = False,
+    loaded: Mapping[Path, VisualMap] | None = None,
 ) -> dict[str, Any]:
     """Return the values of a job with the settings of its run; unchanged if there is no such run yet.
 
@@ -44,6 +53,7 @@ def with_settings_of_the_run(
         known: keys of the job.
         resumed: whether to take the settings of the training as well.
         replaces_map: whether the job makes a new map, which takes neither frames nor headings from the old map.
+        loaded: maps that have been read already, by their files.
 
     Raises:
         ConfigError: an empty run name, or a folder that is not a run although its network is needed.
@@ -59,7 +69,7 @@ def with_settings_of_the_run(
     if needed and not trained.record.is_file():
         _hint_at_maps(trained.folder)
     record = trained.settings if needed or trained.record.is_file() else {}
-    made = None if resumed or "descriptor" not in values else _map_made(run, values, replaces_map)
+    made = None if resumed or "descriptor" not in values else _map_made(run, values, loaded or {}, replaces_map)
     kept = _kept(record, made, resumed=resumed, replaces_map=replaces_map)
     own = [key for key in given.keys if key not in given.groups]
     said = {key: value for key in own if (value := at(values, key, _NOTHING)) is not _NOTHING}
@@ -125,22 +135,24 @@ def map_known(run: Run, titles: Mapping[str, str]) -> Path:
     return next((path for path in places if path.is_file()), places[-1])
 
 
-def only_descriptor(run: Run) -> dict[str, Any] | None:
-    """Return the descriptor of the only map of a folder without a trained network, as values of a job.
-
-    None if there is no such map, or if it was made by the network of another run.
-    """
+def only_map(run: Run) -> dict[Path, VisualMap]:
+    """Return the map of a folder with one map and no trained network, by its file; nothing for other folders."""
     made = list(run.folder.glob("evaluation/*/map.npz"))
     if run.record.is_file() or len(made) != 1:
-        return None
+        return {}
     from siamloc.maps import VisualMap
 
-    label, identity = made[0].parent.name, VisualMap.load(made[0]).identity
-    if identity.get("name") not in DESCRIPTORS:
+    return {made[0]: VisualMap.load(made[0])}
+
+
+def descriptor_of(file: Path, identity: Mapping[str, Any]) -> dict[str, Any] | None:
+    """Return the descriptor of a saved map as values of a job; None for the network of another run."""
+    label, name = file.parent.name, identity.get("name")
+    if name not in DESCRIPTORS:
         itself = label == "pretrained" or is_fused(label)
         return dict(option("descriptor", label).values) if itself else None
-    values = {key: identity[key] for key in ("name", *parameters_of(identity["name"])) if key in identity}
-    return values if label == identity["name"] else {**values, "label": label}
+    values = {key: identity[key] for key in ("name", *parameters_of(name)) if key in identity}
+    return values if label == name else {**values, "label": label}
 
 
 def _hint_at_maps(folder: Path) -> None:
@@ -194,7 +206,9 @@ def _kept(
     return kept
 
 
-def _map_made(run: Run, values: Mapping[str, Any], replaced: bool) -> dict[str, Any] | None:
+def _map_made(
+    run: Run, values: Mapping[str, Any], loaded: Mapping[Path, VisualMap], replaced: bool
+) -> dict[str, Any] | None:
     """Return the settings with which the map of the descriptor was made, by section; None without a map.
 
     A map of an older siamloc that is to be replaced is passed over.
@@ -207,7 +221,7 @@ def _map_made(run: Run, values: Mapping[str, Any], replaced: bool) -> dict[str, 
     from siamloc.maps import VisualMap
 
     try:
-        known = VisualMap.load(path)
+        known = loaded[path] if path in loaded else VisualMap.load(path)
     except OldFormatError:
         if replaced:
             return None

@@ -67,7 +67,11 @@ def test_weights_can_be_given_and_python_takes_the_list(words, data, flat, tmp_p
     [
         ("descriptor=[]", "a list of two descriptors or more, such as [hog,hsv], got []"),
         ("descriptor=[hog,hgo]", "unknown descriptor 'hgo': did you mean 'hog'?"),
-        ("descriptor=[hog,frozen]", "frozen cannot be given by its name alone: it needs descriptor.branch"),
+        (
+            "descriptor=[hog,frozen]",
+            "frozen cannot be given by its name alone: it needs descriptor.branch; choose another descriptor here, or "
+            "use it by itself, descriptor=frozen descriptor.branch=...",
+        ),
         ("descriptor.weights=[1]", "descriptor.weights must be 2 numbers, one for each of hog, hsv"),
     ],
 )

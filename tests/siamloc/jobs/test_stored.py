@@ -12,7 +12,7 @@ from siamloc.cli.compose import composed
 from siamloc.data import FrameTable, Mounting
 from siamloc.errors import ConfigError, FormatError
 from siamloc.jobs import Evaluate, Export, MapFrames
-from siamloc.maps import VisualMap
+from siamloc.maps import VisualMap, visual_map
 
 
 @pytest.fixture
@@ -37,6 +37,14 @@ def test_the_settings_of_the_only_map_of_a_folder_are_taken(run):
     job = Evaluate.of({"run": run})
     assert (job.descriptor.name, job.descriptor.parameters["rows"]) == ("thumbnail", 4)
     assert (job.data.where["manifest"], job.protocol.map.every) == (Path("robot.csv"), 3)
+
+
+def test_the_only_map_of_a_folder_is_read_once(run, monkeypatch):
+    files = []
+    read = visual_map.read_map
+    monkeypatch.setattr(visual_map, "read_map", lambda path, kind: files.append(path) or read(path, kind))
+    Evaluate.of({"run": run})
+    assert files == [Path(run) / "evaluation/thumbnail/map.npz"]
 
 
 def test_data_of_another_kind_replace_those_of_the_map(run):
