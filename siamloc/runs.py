@@ -351,6 +351,7 @@ def runs_in(folder: str | Path) -> list[Run]:
     return [Run(record.parent) for record in sorted(Run(Path(folder)).folder.glob("*/run.json"))]
 
 
+@typed
 def run_with(evaluation: str | Path) -> Run | None:
     """Return the run that contains an evaluation; None if the folder is not inside a run.
 

@@ -8,7 +8,7 @@ import pytest
 
 from foundation.files import read_json, write_json
 from siamloc.errors import ConfigError, FormatError, OldFormatError
-from siamloc.runs import Run
+from siamloc.runs import Run, run_with
 
 
 @pytest.fixture
@@ -97,3 +97,8 @@ def test_a_run_of_the_first_version_is_cleared_by_its_folders(tmp_path):
     run.clear()
     assert sorted(path.name for path in tmp_path.iterdir()) == ["notes.txt", "photos", "run.json"]
     assert (tmp_path / "photos" / "a.jpg").is_file()
+
+
+def test_a_number_is_no_folder_of_an_evaluation():
+    with pytest.raises(ConfigError, match=r"evaluation must be .*, got 5"):
+        run_with(5)
