@@ -70,8 +70,8 @@ def check_placed(frames: FrameTable, what: str) -> None:
     lacking = int((~frames.has_position).sum())
     if lacking or not len(frames):
         raise DataError(
-            f"{lacking} of the {len(frames)} map frames have no position, which {what} needs: leave them out, "
-            "known.placed()"
+            f"{lacking} of the {len(frames)} map frames have no position, which {what} needs: leave them out with "
+            "`VisualMap.placed()`"
         )
 
 

@@ -188,9 +188,11 @@ def _check_rounded(building: Building, path: str, line: Array) -> None:
     stuck = line[blocked_points(building, line)]
     if len(stuck):
         x, y = stuck[0]
+        points = building.paths[path]
+        corner = points[[np.argmin(np.linalg.norm(points - stuck[0], axis=1))]]
         raise DataError(
-            f"{building.source}: rounding the corners of path {path!r} leads into a wall or furniture at "
-            f"({x:.2f}, {y:.2f}): add points around it"
+            f"{building.source}: rounding the corners of path {path!r} leads into a wall or furniture of "
+            f"room {room_codes(building, corner)[0]!r} at ({x:.2f}, {y:.2f}): add points around it"
         )
 
 

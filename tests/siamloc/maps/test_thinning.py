@@ -88,5 +88,7 @@ def test_budgets_that_make_no_sense_are_refused():
         thin(known, megabytes=1e-6)
     with pytest.raises(ConfigError, match=r"update.per_square_metre must be a whole number from 1"):
         thin(known, per_square_metre=0)
-    with pytest.raises(DataError, match=r"of the .* map frames have no position, which thinning needs"):
+    with pytest.raises(
+        DataError, match=r"of the .* map frames have no position, which thinning needs: .*`VisualMap.placed"
+    ):
         thin(VisualMap([[1.0]], FrameTable(path=["a.png"])), per_square_metre=1)

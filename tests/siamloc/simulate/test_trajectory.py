@@ -145,5 +145,7 @@ def test_corners_that_cannot_be_rounded(mini: Building) -> None:
     corner = np.array([[0.3, 3.6], [0.3, 6.4], [2.6, 6.4]])
     desk = replace(mini.items[0], kind="desk", x=0.55, y=6.15, facing=0.0, size=(0.3, 0.3, 0.7), room="office_west")
     tight = replace(mini, paths={"path1": corner}, items=(desk,))
-    with pytest.raises(DataError, match=r": rounding the corners of path 'path1' leads into .* at \(0\.\d+, 6"):
+    with pytest.raises(
+        DataError, match=r": rounding the corners of path 'path1' leads into .* of room '1PO-A' at \(0\.\d+, 6"
+    ):
         drive(tight, "path1", 0.15, np.random.default_rng(0), 0.0)
