@@ -173,12 +173,20 @@ def joined(parts: Sequence[tuple[NDArray[Any], NDArray[Any] | None]]) -> tuple[N
     """Join the position parts and the orientation parts of several descriptions.
 
     If the position part is a flat view of the orientation part, it stays one, so the values are in memory only once.
+
+    Raises:
+        AnalyticError: only some of the descriptions have an orientation part.
     """
     if len(parts) == 1:
         return parts[0]
     positions, orientations = zip(*parts, strict=True)
-    if orientations[0] is None:
+    lacking = sum(orientation is None for orientation in orientations)
+    if lacking == len(parts):
         return np.concatenate(positions), None
+    if lacking:
+        raise AnalyticError(
+            f"{lacking} of {len(parts)} descriptions have no orientation part: give one for every image, or for none"
+        )
     orientation = np.concatenate(orientations)
     if all(map(np.shares_memory, positions, orientations)):
         return orientation.reshape(len(orientation), -1), orientation

@@ -276,6 +276,25 @@ def test_a_descriptor_of_ones_own_needs_no_orientation_part():
         made.relative_heading(made.describe(COLOUR), made.describe(COLOUR))
 
 
+def test_a_descriptor_of_ones_own_with_an_orientation_part_of_some_images_only():
+    @dataclass(frozen=True, kw_only=True)
+    class Mixed(ImageDescriptor):
+        name = "mixed"
+
+        def sizes(self, height, width):
+            return (height,), (width, height)
+
+        def _check_size(self, height, width):
+            pass
+
+        def _describe(self, image):
+            return image.mean(axis=1), image.T if image.mean() > 0.5 else None
+
+    for levels in ((0, 255), (255, 0)):
+        with pytest.raises(AnalyticError, match="1 of 2 descriptions have no orientation part: give one for every"):
+            Mixed().describe(np.stack([np.full((1, 4, 8), level, np.uint8) for level in levels]))
+
+
 @pytest.mark.parametrize("name", ["hog", "gist", "wisurf", "thumbnail"])
 def test_neither_contrast_nor_an_offset_matters(name):
     made = small(name)
