@@ -203,7 +203,10 @@ def check_alike(first: Description, second: Description) -> None:
         raise AnalyticError(other_parameters(one, other))
     sizes = [_sizes(description) for description in (first, second)]
     if sizes[0] != sizes[1]:
-        raise AnalyticError(f"descriptions have different sizes ({sizes[0]}, {sizes[1]}): describe images of one size")
+        raise AnalyticError(
+            f"descriptions have different sizes ({sizes[0]}, {sizes[1]}): describe images of one size with the same "
+            "descriptor"
+        )
 
 
 def other_parameters(expected: dict[str, Any], found: dict[str, Any]) -> str:

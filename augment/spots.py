@@ -15,7 +15,7 @@ from augment.base import Effect, Numbers
 from augment.errors import AugmentError
 from augment.layers import Layer, start_of
 from augment.ranges import Range
-from foundation.errors import known
+from foundation.errors import hint
 
 TONES = ("light", "dark", "any")
 
@@ -46,7 +46,9 @@ class Spot(Layer):
 
     def __init__(self, **params: Any) -> None:
         super().__init__(**params)
-        known(self.options["tone"], TONES, f"tone of {self.name}", AugmentError)
+        tone = self.options["tone"]
+        if tone not in TONES:
+            raise AugmentError(f"unknown tone {tone!r} of {self.name}: {hint(tone, TONES)}")
 
     def places(self, height: int, width: int) -> dict[str, Range]:
         """Return the ranges of the centre's column and row, and of `light`: 1 for a light spot, 0 for a dark one."""

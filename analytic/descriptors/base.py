@@ -340,7 +340,10 @@ def check_divides(made: Any, key: str, pixels: int, side: str) -> None:
     value = getattr(made, key)
     if pixels % value:
         near = divisors_near(pixels, value)
-        raise AnalyticError(f"{made.name}'s {key}={value} does not divide the {side} of {pixels} pixels: use {near}")
+        raise AnalyticError(
+            f"{made.name}'s {key}={value} does not divide the {side} of {pixels} pixels: use {key}={near}, or resize "
+            "the image"
+        )
 
 
 def divisors_near(number: int, wanted: int) -> str:

@@ -144,9 +144,14 @@ class FourierSignature(ImageDescriptor):
         most = (width + 1) // 2 if self.circular else width
         for key in ("columns", "orientation_columns"):
             if (value := getattr(self, key)) > most:
-                raise AnalyticError(f"fs's {key}={value} is above the {most} frequencies of {width} columns: use fewer")
+                raise AnalyticError(
+                    f"fs's {key}={value} is above the {most} frequencies of {width} columns: use at most {key}={most}"
+                )
         if self.circular and width % self.turns and self.turns % width:
-            raise AnalyticError(f"fs's turns={self.turns} is no multiple or divisor of {width} columns: use {width}")
+            raise AnalyticError(
+                f"fs's turns={self.turns} is no multiple or divisor of {width} columns: use turns={width}, or resize "
+                "the image"
+            )
 
     def _describe(self, image: NDArray[np.float32]) -> tuple[NDArray[Any], NDArray[Any]]:
         position = np.abs(self._signature(image, self.rows)[:, : self.columns])

@@ -73,7 +73,9 @@ class Fused(Descriptor):
             if isinstance(part, Fused):
                 raise AnalyticError(f"{name} is fused itself: name its parts, {', '.join(part.parts)}, instead of it")
             if part.aligned:
-                raise AnalyticError(f"{name} is compared after turning, so it cannot be part of a fused descriptor")
+                raise AnalyticError(
+                    f"{name} is compared after turning, so it cannot be part of a fused descriptor: leave it out"
+                )
         if self.compares:
             first = sorted(self.parts.items(), key=lambda one: one[1] is not self.oriented_by)
             object.__setattr__(self, "parts", dict(first))

@@ -74,7 +74,8 @@ def check_square(name: str, source: str, height: int, width: int) -> None:
     """
     if source == "omnidirectional" and height != width:
         raise AnalyticError(
-            f"{name} with source='omnidirectional' takes square images, got {height} x {width} pixels: crop them"
+            f"{name} with source='omnidirectional' takes square images, got {height} x {width} pixels: crop them, or "
+            "use source='panorama' for panoramas"
         )
 
 

@@ -44,7 +44,8 @@ class Thumbnail(ImageDescriptor):
     def _check_size(self, height: int, width: int) -> None:
         if height < self.rows or width < self.columns:
             raise AnalyticError(
-                f"{height} x {width} pixels are fewer than the thumbnail's {self.rows} x {self.columns}"
+                f"{height} x {width} pixels are fewer than the thumbnail's {self.rows} x {self.columns}: ask for a "
+                "smaller thumbnail"
             )
 
     def _describe(self, image: NDArray[np.float32]) -> tuple[NDArray[Any], None]:

@@ -148,7 +148,10 @@ def replay(events: Iterable[str | Mapping[str, Any]]) -> Integers:
         try:
             _apply(labels, json.loads(line) if isinstance(line, str) else line)
         except (ValueError, KeyError, TypeError, IndexError, AttributeError, RecursionError) as error:
-            raise AnalyticError(f"event {number} of the log is not a line that a mapper wrote ({error!r})") from error
+            raise AnalyticError(
+                f"event {number} of the log is not a line that a mapper wrote ({error!r}): give a log of this version, "
+                "whole and in order"
+            ) from error
     return np.array(labels, dtype=np.int64)
 
 

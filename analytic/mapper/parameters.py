@@ -90,12 +90,16 @@ class Parameters(Settings):
         for part, whole in (("checked_unassigned", "checked_window"), ("forced_unassigned", "forced_window")):
             if getattr(self, part) > getattr(self, whole):
                 raise AnalyticError(
-                    f"{self._key(part)}={getattr(self, part)} is more than {self._key(whole)}={getattr(self, whole)}"
+                    f"{self._key(part)}={getattr(self, part)} is more than {self._key(whole)}={getattr(self, whole)}, "
+                    "the frames that it is counted in: lower the one or raise the other"
                 )
         least = f"{self._key('smallest_node')}={self.smallest_node}"
         for name in ("first_node", "new_node", "checked_unassigned", "forced_unassigned", "changes_window"):
             if getattr(self, name) < self.smallest_node:
-                raise AnalyticError(f"{self._key(name)}={getattr(self, name)} is less than {least}")
+                raise AnalyticError(
+                    f"{self._key(name)}={getattr(self, name)} is less than {least}, so nodes would have too few "
+                    "frames: raise the one or lower the other"
+                )
         held = floor(self.held_out * self.smallest_node + CLOSE)
         if not _SMALLEST_GAUSSIAN <= held <= self.smallest_node - _SMALLEST_GAUSSIAN:
             raise AnalyticError(

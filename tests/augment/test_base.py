@@ -34,7 +34,7 @@ def test_logarithmic_ranges_have_their_geometric_middle_in_the_middle():
     [
         ("bulb", {"radius": (40, 15)}, r"radius of bulb must lie in .*, lower first, got \(40, 15\)"),
         ("bulb", {"intensity": 300}, r"intensity of bulb must lie in \[0, 255\], .*, got 300"),
-        ("bulb", {"tone": "lihgt"}, "unknown tone of bulb 'lihgt': did you mean 'light'"),
+        ("bulb", {"tone": "lihgt"}, "unknown tone 'lihgt' of bulb: did you mean 'light'"),
         ("gamma", {"gamma": "high"}, "gamma of gamma must be a number or a pair of them .low, high., got 'high'"),
         ("gamma", {"gamma": (1, 2, 3)}, "must be a number or a pair"),
         ("gamma", {"gamma": True}, "must be a number or a pair"),
