@@ -60,7 +60,7 @@ def step(state: State, descriptor: Descriptor, description: Description) -> Deci
     if changed != NONE and (rules.merge == "changed" or (rules.merge == "created" and created is not None)):
         merge_alike(state, changed)
     reason = placement.reason
-    for change in state.changes:  # the last change that moved the frame; a merger moves all frames of a node
+    for change in state.changes:  # the last change that moved the frame; a merger moves the frames of the removed node
         if frame in change.frames and change.reason is not Reason.PARKED_FORGOTTEN:
             reason = change.reason
     label = int(state.labels[frame])

@@ -62,7 +62,7 @@ class Job(Settings):
         GROUPS: the groups of options, each with the option that is chosen by default.
         MORE: values that replace the values of options and defaults.
         SHARED: whether the job takes experiments, which may also set keys of other jobs; those are ignored.
-        ALONE: the key whose value a word without "=" is.
+        ALONE: the key that a word without "=" sets, such as `file` in `siamloc walk drive.mp4`.
         BY_HYDRA: whether Hydra composes the settings; the robot runs without it.
     """
 

@@ -81,8 +81,8 @@ def sweep_suffix(wanted: Choice | None = None) -> str:
 def own_folder(folder: Path, titles: Mapping[str, str], wanted: Choice) -> Path:
     """Return the folder of a job inside the folder that a sweep shares; outside sweeps, the shared folder itself.
 
-    Keys that the shared folder is named by do not count: the run, and the choice of a descriptor or a build, unless it
-    has a title of its own.
+    Keys that the shared folder is named by do not count: the run, and the choice of a descriptor or a build if its
+    title is the chosen word.
 
     Args:
         folder: folder that the jobs share.

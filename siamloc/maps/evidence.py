@@ -28,7 +28,7 @@ class Judged:
     """The frames of a drive (n) and of a map (m), compared.
 
     Attributes:
-        away: (n,) distance of the map frame taken nearest to each; infinite if the map has none in that building.
+        away: (n,) distance of each frame of the drive to the nearest map frame; infinite if its building has none.
         unlike: (n,) descriptor distance to the most similar map frame within the radius; infinite if there is none.
         recognized: (m,) whether a frame taken near a map frame resembles it more than all map frames elsewhere.
         passed: (m,) whether the drive has a frame near the map frame.

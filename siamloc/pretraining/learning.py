@@ -55,8 +55,7 @@ def pretrain(
         views: how many random buildings, drives, lights and poses are rendered, and by which cameras; the defaults of
             `ViewSettings` if None.
         loss: (descriptors (N, D), `Origins`) -> scalar; the loss of `RECIPE` if None.
-        augmentation: augmentation of the images, as for `siamloc.training.fit`; the augmentation of
-            `RECIPE` if None.
+        augmentation: augmentation of the images, as for `siamloc.training.fit`; the augmentation of `RECIPE` if None.
         trainer: further arguments of `lightning.Trainer`, as for `siamloc.training.fit`.
         resume: continue from the last checkpoint of the run.
         overwrite: replace a run: files that siamloc wrote into the folder are removed, all other files stay.

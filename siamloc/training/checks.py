@@ -115,7 +115,7 @@ def check_rooms(loss: Loss | BatchLoss | None, train: FrameTable, validated: Fra
     if getattr(loss, "room", 0) and len(rooms_of(train)) < 2:
         raise DataError(
             f"this loss learns from rooms, and the training frames have {len(rooms_of(train))}: give the labels of "
-            f"2 rooms or more, or choose another loss (or loss.room=0)"
+            "2 rooms or more, or choose another loss (or loss.room=0)"
         )
     if isinstance(loss, CrossEntropyLoss) and validated is not None:
         known, asked = rooms_of(train), rooms_of(validated)
