@@ -29,7 +29,7 @@ def _densenet(monkeypatch):
 
 @pytest.mark.usefixtures("_densenet")
 @pytest.mark.parametrize(
-    "name", [pytest.param(name, marks=[pytest.mark.slow] * (name == "densenet121")) for name in SIZES]
+    "name", [pytest.param(name, marks=[pytest.mark.slow] * (name in ("densenet121", "shipped"))) for name in SIZES]
 )
 def test_a_network_on_the_gpu_is_exported(gpu, drives, tmp_path, name):
     images, some = PanoramaLibrary(drives[0], tmp_path, image_size=SIZES[name]), drives[0].every(8)

@@ -237,6 +237,7 @@ def test_rooms_alone_have_a_folder_of_their_own(words, tmp_path, capsys):
     ]
 
 
+@pytest.mark.slow
 def test_results_of_other_queries_are_not_replaced_in_silence(flat, words, tmp_path, capsys):
     given = ["evaluate", *words, "descriptor=thumbnail", f"run={tmp_path / 'run'}", *QUICK]
     path = tmp_path / "run/evaluation/thumbnail/results.json"

@@ -118,6 +118,7 @@ def test_walls_beside_the_lane_do_not_count(drive):
     np.testing.assert_allclose(found.factors, 1, atol=0.06)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("pitch", [-3, 2])
 def test_a_pitched_camera_tells_the_same_lengths(drive, pitch):
     poses, _, steps = drive

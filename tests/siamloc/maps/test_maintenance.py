@@ -382,6 +382,7 @@ def test_frames_that_joined_a_map_before_it_kept_them_are_those_of_the_drives_th
     assert VisualMap.load(tmp_path / "map.npz").history.joined.tolist() == after.history.joined.tolist()
 
 
+@pytest.mark.slow
 def test_the_command_takes_drives_together_and_in_tables_of_their_own(drives, tmp_path, capsys):
     header, *rows = (drives[0] / "manifest.csv").read_text().splitlines()
 

@@ -235,6 +235,7 @@ def seen_in_a_round_room(where: Tensor, theta: Tensor, seed: int, field: float =
     return 1.4 * (angle[..., None] * waves + phase).cos()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("circular", [True, False])
 def test_displacements_and_turns_are_learned(circular):
     rng = torch.Generator().manual_seed(0)

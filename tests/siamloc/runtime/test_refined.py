@@ -83,6 +83,7 @@ def seen(known):
     return known.describe(batch(PICTURES))
 
 
+@pytest.mark.slow
 def test_the_robot_refines_by_an_ordinary_camera(tmp_path):
     network = build("panoresnet", "magnitudes", SIZE, relative=True).eval()
     known = mapped(as_descriptor(network))
@@ -313,6 +314,7 @@ def test_a_map_without_some_positions_is_refined_by_the_others(network, known, s
             assert math.isnan(one.x)
 
 
+@pytest.mark.slow
 def test_expected_errors_are_those_of_the_refined_poses(network, known, seen, tmp_path):
     poses = refinement(known, "relative").poses(known, seen, match(known, seen, 3))
     errors = replace(
