@@ -28,7 +28,6 @@ from siamloc.data import (
     read,
 )
 from siamloc.data.decoding import size_of
-from siamloc.data.levelling import SIZE, tilt_of
 from siamloc.data.manifest import manifest_of
 from siamloc.data.photo_sphere import stated
 from siamloc.data.picture_checks import drive_faults
@@ -141,10 +140,8 @@ def walk(
     if wheels == "without" and isinstance(given.camera, AutoRing) and isinstance(ring, HyperbolicMirror | PolarRing):
         mirrored = "mirrored" if ring.mirrored else "not mirrored"
         say(f"direction: the robot is taken to drive ahead, and the picture to be {mirrored} (unwrap.mirrored=)")
-    if settings.unwrap.get("level") is None and ring is not None:
-        fine = replace(camera, view=replace(camera.view, height=SIZE[0], width=SIZE[1]))
-        looked_at = fine.panoramas(frames.path.tolist(), _LOOKED_AT)
-        tilt = np.degrees(np.median([np.hypot(*tilt_of(one.transpose(1, 2, 0), fine.view)) for one in looked_at]))
+    if settings.unwrap.get("level") is None and camera.elevations is not None and not np.isfinite(frames.tilt).any():
+        tilt = np.degrees(np.median(np.hypot(*camera.tilts(frames.path.tolist(), _LOOKED_AT).T)))
         camera = replace(camera, level=bool(tilt > _SWAYS))
         how = "levelled by upright edges" if camera.level else "taken as they are"
         say(f"level: pictures are tilted by {tilt:.1f} degrees in the median, and {how} (unwrap.level=)")

@@ -22,7 +22,7 @@ from foundation.settings import Size, as_words, checked, leaves
 from siamloc.data.cameras import CAMERAS
 from siamloc.data.frames import image_files
 from siamloc.data.levelling import SIZE, tilt_of
-from siamloc.data.panorama import OmnidirectionalCamera, PanoramaView, PolarRing, unwrap
+from siamloc.data.panorama import OmnidirectionalCamera, PanoramaView, PolarRing, seen, unwrap
 from siamloc.data.photo_sphere import stated
 from siamloc.data.two_lenses import wrong_lenses
 from siamloc.errors import ConfigError, DataError, hint, logger, say_once
@@ -59,9 +59,10 @@ class Preprocessing:
     level: bool = False
 
     def __post_init__(self) -> None:
-        if self.level and self.camera is None:
+        if self.level and self.elevations is None:
             raise ConfigError(
-                "unwrap.level=true needs the camera that took the pictures: choose an unwrap, or leave it out"
+                "unwrap.level=true needs a camera model that knows the elevation of each pixel, which a ring of two "
+                "radii and what is only resized do not: choose another unwrap, or leave it out"
             )
 
     @classmethod
@@ -82,7 +83,7 @@ class Preprocessing:
                 None or "none" to resize what is a panorama.
             elevations: elevations of the panorama's upper and lower edge in degrees, unless `unwrap` has `top` and
                 `bottom`; 30 and -45 if None.
-            level: see `Preprocessing`; true as well if `unwrap` has a true `level`.
+            level: see `Preprocessing`; the one in `unwrap`, if there is one, goes before.
 
         Raises:
             ConfigError: an impossible size, an unknown kind or parameter, or a camera whose parameters cannot be read.
@@ -94,7 +95,8 @@ class Preprocessing:
             options = dict(unwrap)
             kind = checked(options.pop("kind", "none"), str, "unwrap.kind")
             given = {key: options.pop(key, None) for key in ("top", "bottom")}
-            level = checked(options.pop("level", None) or level, bool, "unwrap.level")
+            own = options.pop("level", None)
+            level = level if own is None else checked(own, bool, "unwrap.level")
             edges |= {key: value for key, value in given.items() if value is not None}
             view = PanoramaView(*size, **edges)
             if kind == "none" and options:
@@ -233,10 +235,27 @@ class Preprocessing:
         if (fault := wrong_lenses(image, self.camera)) is not None:
             raise DataError(fault)
         if self.level and (tilt is None or not np.isfinite(tilt).all()):
-            fine = dataclasses.replace(self.view, height=SIZE[0], width=SIZE[1])
-            tilt = tilt_of(unwrap(image, self.camera, fine), fine)
+            tilt = self._tilt(image)
         view = self.view if tilt is None or not np.nan_to_num(tilt).any() else self.view.tilted(*tilt)
         return unwrap(image, self.camera, view)
+
+    def tilts(self, paths: Sequence[str | Path], count: int) -> NDArray[np.float64]:
+        """Return the roll and pitch (n, 2) in rad of up to `count` readable images, spread evenly over a list.
+
+        They are found by upright edges; what a picture says of its own tilt is taken out before.
+        """
+        found = []
+        for path in spread(paths, count):
+            with suppress(UnreadableImageError, DataError):
+                image = self._read(path)
+                own = dataclasses.replace(self, camera=stated(self.camera, path, image.shape[:2], levelled=False))
+                found.append(own._tilt(own._scaled(image)))
+        return np.reshape(found, (-1, 2))
+
+    def _tilt(self, image: NDArray[np.uint8]) -> NDArray[np.float64]:
+        assert self.camera is not None
+        fine = dataclasses.replace(self.view, height=SIZE[0], width=SIZE[1])
+        return tilt_of(unwrap(image, self.camera, fine), fine, seen(self.camera, fine, image.shape[:2]))
 
     def _scaled(self, image: NDArray[np.uint8]) -> NDArray[np.uint8]:
         """Return an image of the size in whose pixels the camera's parameters count."""

@@ -210,8 +210,7 @@ def unwrap(image: Array, camera: OmnidirectionalCamera, view: PanoramaView | Non
     if image.ndim not in (2, 3) or min(image.shape[:2]) < 2:
         raise DataError(f"an omnidirectional image has shape (rows, columns[, 3]), got {image.shape}")
     view = view or PanoramaView()
-    tables = _cached_tables if type(view) is PanoramaView else _tables  # every tilt has tables of its own
-    columns, rows, sees, size = tables(camera, view, image.shape[:2])
+    columns, rows, sees, size = _tables_for(camera, view, image.shape[:2])
     if size != image.shape[:2]:
         image = cv2.resize(image, size[::-1], interpolation=cv2.INTER_AREA)
     found = cv2.remap(image, columns, rows, cv2.INTER_LINEAR, borderMode=cv2.BORDER_WRAP)
@@ -242,7 +241,7 @@ def seen(camera: OmnidirectionalCamera, view: PanoramaView, image_size: Sequence
         [6, 8, 8, 8]
     """
     rows, columns = image_size
-    return np.asarray(_tables(camera, view, (rows, columns))[2])
+    return np.asarray(_tables_for(camera, view, (rows, columns))[2])
 
 
 def in_pixels(camera: OmnidirectionalCamera, view: PanoramaView, image_size: tuple[int, int]) -> bool:
@@ -297,6 +296,14 @@ def _tables(
 
 
 _cached_tables = lru_cache(maxsize=8)(_tables)
+
+
+def _tables_for(
+    camera: OmnidirectionalCamera, view: PanoramaView, image_size: tuple[int, int]
+) -> tuple[Array, Array, Array, tuple[int, int]]:
+    """Return the tables of a view, kept from picture to picture unless it is tilted: every tilt has its own."""
+    tables = _cached_tables if type(view) is PanoramaView else _tables
+    return tables(camera, view, image_size)
 
 
 def _sampled(camera: OmnidirectionalCamera, view: PanoramaView, image_size: tuple[int, int]) -> tuple[Array, Array]:

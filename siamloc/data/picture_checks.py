@@ -13,12 +13,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analytic import Descriptor
+from siamloc.data.decoding import Preprocessing
 from siamloc.data.frames import FrameTable
 from siamloc.data.levelling import tilt_of
 from siamloc.data.library import PanoramaLibrary
 from siamloc.data.mounting import CERTAIN, Mounting, MountingEstimate, find_mounting, orientation_parts
 from siamloc.data.moves import wrapped
-from siamloc.data.panorama import PanoramaView, column_azimuth
+from siamloc.data.panorama import column_azimuth
 
 Array = NDArray[Any]
 
@@ -55,7 +56,7 @@ def drive_faults(
     spread = np.unique(np.linspace(0, len(frames) - 1, _LOOKED_AT).astype(int))
     sees = images.seen(str(frames.sequence[0]))
     turn = images.circular and (sees is None or bool(sees.any(axis=0).all()))  # what is not seen is filled
-    found = picture_faults(images.batch(images.rows(frames.take(spread))), images.preprocessing.view, turn)
+    found = picture_faults(images.batch(images.rows(frames.take(spread))), images.preprocessing, turn, sees)
     if images.circular:
         part = _turning(frames)
         seen = turns_seen(images.batch(images.rows(part)))
@@ -83,12 +84,14 @@ def _turning(frames: FrameTable) -> FrameTable:
     return frames.take(slice(begin, begin + _IN_A_ROW))
 
 
-def picture_faults(panoramas: NDArray[np.uint8], view: PanoramaView, circular: bool) -> list[str | None]:
+def picture_faults(
+    panoramas: NDArray[np.uint8], made_by: Preprocessing, circular: bool, sees: NDArray[np.bool_] | None = None
+) -> list[str | None]:
     """Return the faults of a drive's panoramas that show without poses."""
     grey = panoramas.mean(axis=1, dtype=np.float32)
     if (text := exposure(grey)) is not None:
         return [text]  # nothing else can be judged
-    around = [missing_azimuth(grey) or seam(grey), horizon(panoramas, view)] if circular else []
+    around = [missing_azimuth(grey) or seam(grey), horizon(panoramas, made_by, sees)] if circular else []
     return [blur(grey), own_robot(grey), *around]
 
 
@@ -178,25 +181,26 @@ def own_robot(grey: Array) -> str | None:
     )
 
 
-def horizon(panoramas: NDArray[np.uint8], view: PanoramaView) -> str | None:
+def horizon(panoramas: NDArray[np.uint8], made_by: Preprocessing, sees: NDArray[np.bool_] | None = None) -> str | None:
     """Look for a camera that is mounted tilted, or sways: in most panoramas (n, 3, H, W), upright edges lean."""
-    tilts = np.degrees([tilt_of(one.transpose(1, 2, 0), view) for one in panoramas])
+    tilts = np.degrees([tilt_of(one.transpose(1, 2, 0), made_by.view, sees) for one in panoramas])
     roll, pitch = np.median(tilts, axis=0)
     tilt, sway = np.hypot(roll, pitch), np.median(np.hypot(*tilts.T))
-    if tilt < _LEVEL:
+    levelled = "choose the camera model that levels pictures (unwrap=, with unwrap.level=true)"
+    if made_by.elevations is not None:
+        levelled = "set unwrap.level=true, or give its tilt (the columns roll and pitch)"
+    if tilt >= _LEVEL:
+        side = ("ahead", "on the left", "behind", "on the right")[round(np.arctan2(roll, -pitch) / (np.pi / 2)) % 4]
         return (
-            None
-            if sway < _LEVEL
-            else (
-                f"the camera sways: it is tilted by {sway:.0f} degrees, now to one side and now to another. Set "
-                "unwrap.level=true, or give its tilt (the columns roll and pitch)"
-            )
+            f"the horizon is not level: things appear about {tilt:.0f} degrees lower {side}. Mount the camera upright, "
+            f"or {levelled}"
         )
-    side = ("ahead", "on the left", "behind", "on the right")[round(np.arctan2(roll, -pitch) / (np.pi / 2)) % 4]
-    return (
-        f"the horizon is not level: things appear about {tilt:.0f} degrees lower {side}. Mount the camera upright, set "
-        "unwrap.level=true, or give its tilt (unwrap.elevation and unwrap.roll, or the columns roll and pitch)"
-    )
+    if sway >= _LEVEL:
+        return (
+            f"the camera sways: it is tilted by {sway:.0f} degrees, now to one side and now to another. Hold it "
+            f"upright, or {levelled}"
+        )
+    return None
 
 
 def turns_seen(panoramas: NDArray[np.uint8]) -> Array:

@@ -11,7 +11,7 @@ from siamloc.data.presets import AutoRing, ColdRing
 from siamloc.maps.heading import parts_of
 
 _RINGS = {kind.__name__ for kind in (PolarRing, AutoRing, ColdRing)}  # whose rows have no known elevations
-_FOUND = {"centre", "inner", "outer", "level"}  # what may differ from drive to drive with an `AutoRing`
+_FOUND = {"centre", "inner", "outer"}  # values of an `AutoRing` that may differ from drive to drive
 
 
 def differences(ours: Mapping[str, Any], theirs: Mapping[str, Any]) -> str:

@@ -140,7 +140,8 @@ class PoseFilter:
         if move is not None or self._alone:
             self._alone = self._followed(self._alone, pose if told else None)
         self._stories = self._followed(self._stories, pose if told else None, move, noise, min(self._moved_on, 1.0))
-        self._moved_on = 0.0 if recognized else self._moved_on
+        if told:  # the next pose tells little more if the robot stays here
+            self._moved_on = 0.0 if recognized else (1 - float(pose.agreement[0])) * min(self._moved_on, 1.0)
         if not self._stories:
             return pose
         if recognized and move is not None:
@@ -189,7 +190,7 @@ class PoseFilter:
     ) -> list[_Story]:
         """Return the stories, best first, after a motion with a covariance, and a pose; None where unknown.
 
-        `new` is the share of the pose that the pose before did not tell.
+        `new` is the weight of the pose, 0 to 1: how far the robot moved since the last recognized pose, in usual steps.
         """
         if move is None or noise is None:
             stories = [self._moved(story) for story in stories]
@@ -266,7 +267,7 @@ def _told(
         pose: the pose.
         seen: position (2,), or position and heading (3,), of the pose.
         spread: covariance of `seen`.
-        new: share of the pose that the pose before did not tell.
+        new: weight of the pose, 0 to 1: how far the robot moved since the last recognized pose, in usual steps.
     """
     n, agreement = len(seen), float(pose.agreement[0])
     apart, total = seen - story.mean[:n], story.covariance[:n, :n] + spread

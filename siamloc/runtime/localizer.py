@@ -96,8 +96,9 @@ class Localizer:
     ) -> None:
         self._top, self.bundle = top, Bundle.open(bundle_path)
         if camera is not None:
-            view = self.bundle.preprocessing.view
-            other = Preprocessing.checked(self.bundle.image_size, camera, (view.top, view.bottom))
+            own = self.bundle.preprocessing
+            edges = own.view.top, own.view.bottom
+            other = Preprocessing.checked(self.bundle.image_size, camera, edges, own.level)
             self.bundle = replace(self.bundle, preprocessing=other)
         known: VisualMap | None = self.bundle.load(MAP)
         if known is None:

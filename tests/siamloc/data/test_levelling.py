@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from siamloc.data import EquirectangularCamera, PanoramaLibrary, PanoramaView, Preprocessing
+from siamloc.data import EquirectangularCamera, FisheyeCamera, PanoramaLibrary, PanoramaView, Preprocessing
 from siamloc.data.levelling import tilt_of
 from siamloc.data.picture_checks import horizon
 from siamloc.errors import ConfigError
@@ -70,8 +70,10 @@ def test_a_library_levels_its_pictures_and_says_so_in_its_settings(tmp_path):
     assert made == Preprocessing.checked((128, 512), EquirectangularCamera(), level=True)
     other = replace(made, level=False).parameters()["camera"]
     assert exchangeable(made.parameters()["camera"], other), "panoramas that were taken level need no levelling"
-    with pytest.raises(ConfigError, match=r"unwrap\.level=true needs the camera"):
-        Preprocessing.checked((128, 512), {"kind": "none", "level": True})
+    for kind in ("none", "polar", "auto"):
+        with pytest.raises(ConfigError, match=r"unwrap\.level=true needs a camera model that knows the elevation"):
+            Preprocessing.checked((128, 512), {"kind": kind, "level": True})
+    assert not Preprocessing.checked((128, 512), {**options, "level": False}, level=True).level
 
 
 @pytest.mark.parametrize(
@@ -80,6 +82,18 @@ def test_a_library_levels_its_pictures_and_says_so_in_its_settings(tmp_path):
 def test_a_camera_that_is_mounted_tilted_or_sways_is_named(roll, pitch, lower):
     made = Preprocessing(VIEW, EquirectangularCamera())
     tilted, against, level = (made.prepare(picture(*tilt)) for tilt in ((roll, pitch), (-roll, -pitch), (0, 1)))
-    assert f"things appear about 5 degrees lower {lower}" in (horizon(np.stack([tilted]), VIEW) or "")
-    assert "the camera sways: it is tilted by 5 degrees" in (horizon(np.stack([tilted, against]), VIEW) or "")
-    assert horizon(np.stack([level]), VIEW) is None
+    said = f"things appear about 5 degrees lower {lower}. Mount the camera upright, or set unwrap.level=true"
+    assert said in (horizon(np.stack([tilted]), made) or "")
+    assert "the camera sways: it is tilted by 5 degrees" in (horizon(np.stack([tilted, against]), made) or "")
+    assert "or choose the camera model" in (horizon(np.stack([tilted]), replace(made, camera=None)) or "")
+    assert horizon(np.stack([level]), made) is None
+
+
+def test_what_fills_the_pixels_that_a_camera_does_not_see_says_nothing(tmp_path):
+    camera, tilt = FisheyeCamera(fov=200, elevation=90, roll=180), Rotation.from_euler("x", 5, degrees=True).as_matrix()
+    own = camera.back_project(np.stack(np.meshgrid(np.arange(640.0), np.arange(640.0)), axis=-1), (640, 640))
+    inside = np.isfinite(own).all(axis=-1, keepdims=True)
+    shown = np.where(inside, seen(np.where(inside, own, [1.0, 0.0, 0.0]) @ tilt.T), 0).astype(np.uint8)
+    cv2.imwrite(str(tmp_path / "1.png"), cv2.GaussianBlur(shown, (0, 0), 1))
+    (found,) = np.degrees(Preprocessing(VIEW, camera).tilts([tmp_path / "1.png", tmp_path / "missing.png"], 2))
+    np.testing.assert_allclose(found, [5, 0], atol=0.7)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from analytic import Description
-from siamloc.data import FrameTable, MountingEstimate, PanoramaLibrary, PanoramaView, check
+from siamloc.data import FrameTable, MountingEstimate, PanoramaLibrary, PanoramaView, Preprocessing, check
 from siamloc.data.moves import wrapped
 from siamloc.data.picture_checks import (
     direction,
@@ -22,6 +22,7 @@ from siamloc.data.picture_checks import (
 from tests.drawn import written
 
 N, H, W = 60, 32, 128
+MADE_BY = Preprocessing(PanoramaView(), None)
 THETA = 1.2 * np.sin(np.arange(N) / 5)
 
 
@@ -88,13 +89,13 @@ def with_robot(panoramas):
     ],
 )
 def test_each_fault_of_pictures_is_named(fault, says):
-    found = [text for text in picture_faults(fault(drive()), PanoramaView(), True) if text is not None]
+    found = [text for text in picture_faults(fault(drive()), MADE_BY, True) if text is not None]
     assert sum(bool(re.search(says, text)) for text in found) == 1, found
 
 
 def test_nothing_is_said_about_pictures_as_they_should_be():
-    assert not any(picture_faults(drive(), PanoramaView(), True))
-    assert not any(picture_faults(drive(), PanoramaView(), False))
+    assert not any(picture_faults(drive(), MADE_BY, True))
+    assert not any(picture_faults(drive(), MADE_BY, False))
 
 
 def test_turns_are_those_of_the_headings():
