@@ -39,7 +39,6 @@ from siamloc.data import (
     seen,
     unwrap,
 )
-from siamloc.data.levelling import tilt_of
 from siamloc.evaluation.metrics import error_floor
 from siamloc.report.draw.look import style
 from siamloc.simulate import Run, build_scene, load_building, render
@@ -122,12 +121,13 @@ def drives(folder: Path, camera: Camera, sway: float = 0.0) -> FrameTable:
         paths = [folder / name / f"{row:04d}.png" for row in rows]
         if not all(path.is_file() for path in paths):
             (folder / name).mkdir(parents=True, exist_ok=True)
+            exposure = meter(scene, track)
             for path, row in zip(paths, rows, strict=True):
                 held = camera
                 if sway and isinstance(camera, OmnidirectionalCamera):
                     elevation, roll = rng.normal(0, sway, 2)
                     held = replace(camera, model=replace(camera.model, elevation=elevation, roll=roll))
-                (image,) = rendered(scene, track, held, meter(scene, track), [row])
+                (image,) = rendered(scene, track, held, exposure, [row])
                 cv2.imwrite(str(path), image[..., ::-1])
         x, y, theta = track.poses[rows].T
         tables.append(
@@ -189,11 +189,11 @@ def draw(path: Path) -> Path:
 def draw_levelled(folder: Path, path: Path) -> Path:
     """Draw the three most tilted pictures of a camera, as taken and levelled, side by side, and return the file."""
     as_taken, gap = Preprocessing(PanoramaView(), EquirectangularCamera()), 8
-    panoramas = {one: as_taken.panorama(one).transpose(1, 2, 0) for one in sorted(folder.glob("*.png"))}
-    tilts = {one: np.linalg.norm(tilt_of(panorama, as_taken.view)) for one, panorama in panoramas.items()}
+    pictures = np.array(sorted(folder.glob("*.png")))
+    tilts = np.linalg.norm(as_taken.tilts(pictures, len(pictures)), axis=1)
     rows = []
-    for picture in sorted(sorted(tilts, key=lambda one: tilts[one])[-3:]):
-        left, right = panoramas[picture], replace(as_taken, level=True).panorama(picture).transpose(1, 2, 0)
+    for picture in pictures[np.sort(np.argsort(tilts)[-3:])]:
+        left, right = (made.panorama(picture).transpose(1, 2, 0) for made in (as_taken, replace(as_taken, level=True)))
         white = np.full((len(left), gap, 3), 255, np.uint8)
         rows += [np.hstack([left, white, right]), np.full((gap, 2 * left.shape[1] + gap, 3), 255, np.uint8)]
     write_picture(path, np.vstack(rows[:-1]))

@@ -172,8 +172,7 @@ class Preprocessing:
         """
         known = tilt is not None and bool(np.isfinite(tilt).all())
         try:
-            image = self._read(path)
-            own = dataclasses.replace(self, camera=stated(self.camera, path, image.shape[:2], levelled=known))
+            image, own = self._opened(path, levelled=known)
             picture = own._picture(image, tilt)
         except DataError as error:
             raise UnreadableImageError(str(error)) from error
@@ -211,6 +210,11 @@ class Preprocessing:
         first, names = Path(path), getattr(self.camera, "second", None)
         return [first] if names is None else [first, first.with_name(first.name.replace(*names))]
 
+    def _opened(self, path: str | Path, *, levelled: bool) -> tuple[NDArray[np.uint8], Preprocessing]:
+        """Return an image, and the preprocessing with the camera as the image says that it was placed."""
+        image = self._read(path)
+        return image, dataclasses.replace(self, camera=stated(self.camera, path, image.shape[:2], levelled=levelled))
+
     def _read(self, path: str | Path) -> NDArray[np.uint8]:
         if len(files := self.files(path)) > 1 and files[0] == files[1]:
             raise DataError("its name lacks what unwrap.second replaces, so that no second picture is known")
@@ -247,8 +251,7 @@ class Preprocessing:
         found = []
         for path in spread(paths, count):
             with suppress(UnreadableImageError, DataError):
-                image = self._read(path)
-                own = dataclasses.replace(self, camera=stated(self.camera, path, image.shape[:2], levelled=False))
+                image, own = self._opened(path, levelled=False)
                 found.append(own._tilt(own._scaled(image)))
         return np.reshape(found, (-1, 2))
 

@@ -22,9 +22,8 @@ _BLUR = 0.8  # pixels: a sharp edge that leans shows a few steps, and upright pi
 _AROUND = 4  # pixels beyond the seam, and between what is looked at and what the camera does not see
 _CLEAR = 0.2  # change of the logarithm of the brightness, in a pixel, from which on every edge counts alike
 _STEEPEST = 0.5  # sideways over up: edges that lean more are not upright ones
-_WIDTHS = [
-    max(0.35 * 0.75**step, 0.05) for step in range(12)
-]  # standard deviation, in each round, of the lean of edges that count
+# Standard deviation, in each round, of the lean of the edges that count.
+_WIDTHS = [max(0.35 * 0.75**step, 0.05) for step in range(12)]
 _FEW = 10.0  # clear pixels: with so few, the tilt that they show is halved
 
 
