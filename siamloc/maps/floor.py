@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d
 
 from siamloc.data.cameras import HyperbolicMirror
+from siamloc.data.levelling import tilt_of
 from siamloc.data.library import PanoramaLibrary
 from siamloc.data.panorama import PanoramaView, PolarRing
 from siamloc.errors import ConfigError
@@ -39,9 +40,8 @@ _LEAST = 0.1  # least displacement, in heights
 _STEP = 0.05
 _FACTORS = np.linspace(-10, 10, 21) * _STEP  # logarithms of the factors that displacements are tried with
 _HEIGHTS = np.linspace(-18, 28, 47) * _STEP  # and of the reciprocal heights in metres
-_PITCHES = np.radians(np.arange(-4, 5))
-_LEVEL, _LESS = 0.92, 0.98  # share of the largest likelihood that no pitch must have, and a smaller one
-_TRIED = 150  # displacements that tell which pitch and height fit
+_EVERY = 4  # panoramas, of which one tells how the camera is pitched
+_TRIED = 150  # displacements that tell which height fits
 _WRONG = 0.4  # logarithm of a given height over that one that cannot be true
 _ALONE, _MOST = 6.0, 60.0  # pixels that tell as much as one alone, and how many count at most
 _USUAL = 0.2  # standard deviation of the logarithms of factors, and of those of neighbouring steps
@@ -59,13 +59,11 @@ class FloorScale:
         factors: (n,) at each frame.
         height: height of the camera above the floor, in metres.
         given: whether the height was given; else it is the one with which comparisons are right on average.
-        pitch: of the camera on average, in rad, positive where it looks down ahead; 0 unless the floor tells.
     """
 
     factors: Array
     height: float
     given: bool
-    pitch: float = 0.0
 
     def lengthened(self, edges: Edges) -> Edges:
         """Return edges whose displacements are multiplied."""
@@ -80,7 +78,8 @@ def shows_floor(images: PanoramaLibrary, height: float | None) -> bool:
     """
     view = images.preprocessing.view
     own = np.tan(view.row_elevation()) < _BELOW
-    shown = min(_rows(view)[1].sum(), own.sum()) >= _FEWEST and _seen_by_cameras(images, own)
+    rings = any(isinstance(camera, PolarRing) for camera in images.cameras.values())
+    shown = not rings and min(_rows(view)[1].sum(), own.sum()) >= _FEWEST and seen_by_all(images)[own].mean() >= _SHOWN
     if height is not None and not (shown and elevations_known(images)):
         raise ConfigError(
             "survey.height needs panoramas that show the floor at known elevations: a ring of two radii does not say "
@@ -96,14 +95,10 @@ def elevations_known(images: PanoramaLibrary) -> bool:
     return not any(isinstance(camera, HyperbolicMirror) and camera.presumed for camera in cameras)
 
 
-def _seen_by_cameras(images: PanoramaLibrary, floor: NDArray[np.bool_]) -> bool:
-    """Return whether the cameras of all drives see the rows of the floor; resized panoramas count as seen."""
-    for name in images.frames.rows_by("sequence"):
-        camera = images.cameras[name]
-        sees = None if camera is None or isinstance(camera, PolarRing) else images.seen(name)
-        if camera is not None and (sees is None or sees[floor].mean() < _SHOWN):
-            return False
-    return True
+def seen_by_all(images: PanoramaLibrary) -> NDArray[np.bool_]:
+    """Return which pixels (H, W) of panoramas the cameras of all drives see; resized panoramas count as seen."""
+    by_drive = (images.seen(name) for name in images.frames.rows_by("sequence"))
+    return np.logical_and.reduce([np.ones(images.image_size, bool), *(sees for sees in by_drive if sees is not None)])
 
 
 def _rows(view: PanoramaView) -> tuple[Array, NDArray[np.bool_]]:
@@ -121,26 +116,35 @@ class Floor:
         patterns: (n, R, 256 + 4) brightness relative to the surroundings, with two columns wrapped on either side; NaN
             where the robot itself is seen.
         slopes: (R,) tangent of the elevation of each row.
+        pitch: of the camera on average, in rad, positive where it looks down ahead, by the edges that stand upright.
     """
 
     patterns: NDArray[np.float32]
     slopes: Array
+    pitch: float
 
     @classmethod
-    def seen(cls, batches: Iterable[NDArray[np.uint8]], view: PanoramaView) -> Floor:
+    def seen(
+        cls, batches: Iterable[NDArray[np.uint8]], view: PanoramaView, sees: NDArray[np.bool_] | None = None
+    ) -> Floor:
         """Return the floor in the panoramas (B, 3, H, W) of n frames, in order, whose middle looks ahead.
 
         Args:
             batches: the panoramas.
             view: the elevations of their rows.
+            sees: which of their pixels (H, W) the camera sees; all if None.
         """
         slopes, floor = _rows(view)
-        patterns = np.concatenate([_patterns(batch, floor) for batch in batches])
+        made, pitches = list[NDArray[np.float32]](), list[float]()
+        for batch in batches:
+            made.append(_patterns(batch, floor))
+            pitches += [tilt_of(panorama.transpose(1, 2, 0), view, sees)[1] for panorama in batch[::_EVERY]]
+        patterns = np.concatenate(made)
         changes = patterns.std(axis=0)
         patterns[:, changes < _STILL * np.median(changes)] = np.nan
-        return cls(patterns, slopes[floor])
+        return cls(patterns, slopes[floor], float(np.median(pitches)))
 
-    def likelihoods(self, pairs: Edges, factors: Array, pitch: float) -> Array:
+    def likelihoods(self, pairs: Edges, factors: Array) -> Array:
         """Return how likely displacements (p,) are when multiplied by factors (q,), given by their logarithms: (p, q).
 
         Logarithms, up to a constant: those of a linear relation with normal errors between the floors as both ends see
@@ -150,11 +154,10 @@ class Floor:
         Args:
             pairs: displacements of the second frames as seen from the first.
             factors: displacements then count in heights of the camera.
-            pitch: of the camera, in rad, positive where it looks down ahead.
         """
         slopes = self.slopes
         azimuth = (_COLUMNS / 2 - np.arange(_COLUMNS) - 0.5) * (2 * np.pi / _COLUMNS)
-        ahead, up = _pitched(np.cos(azimuth), slopes[:, None], pitch)
+        ahead, up = _pitched(np.cos(azimuth), slopes[:, None], self.pitch)
         x, y = (-ahead / up).ravel(), (-np.sin(azimuth) / up).ravel()
         step = (slopes[-1] - slopes[0]) / (len(slopes) - 1)
         by, made = np.exp(factors)[:, None], np.zeros((len(pairs), len(factors)))
@@ -164,7 +167,7 @@ class Floor:
             x_there, y_there = cosine * x - sine * y, sine * x + cosine * y
             lane = np.abs(ahead * y_there - left * x_there) < _LANE * np.hypot(ahead, left)
             x_there, y_there, other = x_there[lane] + by * ahead, y_there[lane] + by * left, other[lane]
-            x_there, up = _pitched(x_there, -1, -pitch)
+            x_there, up = _pitched(x_there, -1, -self.pitch)
             columns = (_COLUMNS / 2 - 0.5 - np.arctan2(y_there, x_there) * _COLUMNS / (2 * np.pi)) % _COLUMNS + 2
             rows = (up / np.hypot(x_there, y_there) - slopes[0]) / step
             sampled = cv2.remap(one, columns.astype(np.float32), rows.astype(np.float32), cv2.INTER_LINEAR)
@@ -190,7 +193,7 @@ def lengthening(compared: Pairs, scale: FloorScale, floor: Floor) -> Pairs:
         edges = scale.lengthened(edges)
         moved = np.hypot(edges.pose[:, 0], edges.pose[:, 1]) / scale.height
         rows = np.flatnonzero((odds >= ODDS) & (moved > _LEAST) & (moved < _MOVES[1]))
-        likely = floor.likelihoods(edges.take(rows), tried, scale.pitch)
+        likely = floor.likelihoods(edges.take(rows), tried)
         clear = _clearness(likely) >= _TELLS
         logarithms, deviation = _peaks(likely[clear])
         factors = np.ones(len(edges))
@@ -215,10 +218,7 @@ def floor_scale(floor: Floor, steps: Edges, way: Array, height: float | None) ->
     moved, between = np.hypot(steps.pose[:, 0], steps.pose[:, 1]), steps.second - steps.first
     some = np.flatnonzero((moved > _MOVES[0] / 2) & (moved < _MOVES[1]))
     some = some[np.unique(np.linspace(0, len(some) - 1, min(_TRIED, len(some))).astype(int))]
-    likely = [floor.likelihoods(steps.take(some), _HEIGHTS, pitch).sum(axis=0) for pitch in _PITCHES]
-    enough = np.max(likely) * np.where(_PITCHES == 0, _LEVEL, _LESS)
-    best = min(np.flatnonzero(np.max(likely, axis=1) >= enough).tolist(), key=lambda one: abs(_PITCHES[one]))
-    pitch, tried = float(_PITCHES[best]), likely[best]
+    tried = floor.likelihoods(steps.take(some), _HEIGHTS).sum(axis=0)
     if not tried.any():
         return None
     fits, given = float(np.exp(-_HEIGHTS[tried.argmax()])), height is not None
@@ -230,7 +230,7 @@ def floor_scale(floor: Floor, steps: Edges, way: Array, height: float | None) ->
     told = [gap for gap, length in usual.items() if _MOVES[0] < length < _MOVES[1]]
     used = np.flatnonzero(np.isin(between, told) & moving)
     near, moved = steps.take(used), moved[used]
-    found = floor.likelihoods(near, _FACTORS - float(np.log(height)), pitch)
+    found = floor.likelihoods(near, _FACTORS - float(np.log(height)))
     telling = found[found.any(axis=1)]
     if not len(telling) or np.median(_clearness(telling)) < _TELLS:
         return None
@@ -251,7 +251,7 @@ def floor_scale(floor: Floor, steps: Edges, way: Array, height: float | None) ->
     every = np.sqrt(factors[steps.first] * factors[steps.second])
     every[used] = own
     steps, kept = _more_certain(_multiplied(steps, every), used, deviation), np.flatnonzero(between == 1)
-    return FloorScale(factors, height, given, pitch), steps.take(np.union1d(used, kept))
+    return FloorScale(factors, height, given), steps.take(np.union1d(used, kept))
 
 
 def _multiplied(edges: Edges, factors: Array) -> Edges:

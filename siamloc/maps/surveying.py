@@ -7,8 +7,9 @@ poses of all frames are those of a graph of all these measurements, see `siamloc
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -19,11 +20,19 @@ from foundation.settings import Count, Positive, Settings
 from siamloc.data.checks import wrong_odometry
 from siamloc.data.frames import FrameTable
 from siamloc.data.moves import relative, way_along, wrapped
-from siamloc.data.panorama import PanoramaView
 from siamloc.errors import DataError
 from siamloc.maps.comparing import Compares, scaled
 from siamloc.maps.describing import build
-from siamloc.maps.floor import DEVIATION, Floor, FloorScale, elevations_known, floor_scale, lengthening, shows_floor
+from siamloc.maps.floor import (
+    DEVIATION,
+    Floor,
+    FloorScale,
+    elevations_known,
+    floor_scale,
+    lengthening,
+    seen_by_all,
+    shows_floor,
+)
 from siamloc.maps.loops import Loops, agreed, checked_pairs, far_apart, loops_of, most_alike
 from siamloc.maps.pose_graph import SCALE, Array, Edges, PoseGraph, Solution, covariances, of_shape
 from siamloc.maps.survey_checks import check_drives, check_lengths, comparing_descriptor
@@ -213,8 +222,11 @@ def survey(
         place[order] = np.arange(len(order))
         pairs = place[pairs]
     straight = (known.mounting.straight(batch) for batch in images.batches(frames))
-    panoramas = (straight, images.preprocessing.view, elevations_known(images)) if looks_down else None
-    return of_descriptions(frames, known, described.compare, anchors, pairs, settings, progress, panoramas)
+    looks = None
+    if looks_down:
+        sees = known.mounting.straight(seen_by_all(images))
+        looks = partial(Floor.seen, straight, images.preprocessing.view, sees), elevations_known(images)
+    return of_descriptions(frames, known, described.compare, anchors, pairs, settings, progress, looks)
 
 
 def of_descriptions(
@@ -225,7 +237,7 @@ def of_descriptions(
     pairs: NDArray[np.int64] | None,
     settings: SurveySettings,
     progress: bool,
-    panoramas: tuple[Iterable[NDArray[np.uint8]], PanoramaView, bool] | None = None,
+    looks_down: tuple[Callable[[], Floor], bool] | None = None,
 ) -> Survey:
     """Survey frames (n), drive by drive, by their descriptions; see `survey`.
 
@@ -237,8 +249,8 @@ def of_descriptions(
         pairs: (p, 2) candidates for loops, -1 for a frame that is left out; those that look alike if None.
         settings: how loops are searched, and the height of the camera.
         progress: whether to show the progress.
-        panoramas: those of the frames, in batches, their view, and whether its elevations are known, if they show the
-            floor.
+        looks_down: what returns the floor that the panoramas show, and whether their elevations are known; None if
+            they show none.
     """
     drive, names = np.zeros(len(frames), dtype=np.int64), list[str]()
     for number, (name, rows) in enumerate(frames.rows_by("sequence").items()):
@@ -260,10 +272,9 @@ def of_descriptions(
     if np.isfinite(moved).any():
         if settings.height is not None:
             notes.append("odometry tells the scale: the height of the camera is not used")
-    elif panoramas is not None:
-        batches, view, elevations = panoramas
-        floor = Floor.seen(batches, view)
-        told = _told_by_floor(floor, elevations, steps, seen, settings.height, notes, anchors)
+    elif looks_down is not None:
+        floor = looks_down[0]()
+        told = _told_by_floor(floor, looks_down[1], steps, seen, settings.height, notes, anchors)
         if told is not None:
             scale, steps = told
             compared, next_one = lengthening(compared, scale, floor), steps.second == steps.first + 1
@@ -354,9 +365,10 @@ def _told_by_floor(
             f"the scale is right if the camera is {told[0].height:.2f} m above the floor: if not, give its height "
             "(survey.height)"
         )
-    if told is not None and known and (degrees := round(float(np.degrees(told[0].pitch)))):
+    if told is not None and known and (degrees := round(float(np.degrees(floor.pitch)))):
         notes.append(
-            f"by what the floor shows, the camera looks about {abs(degrees)} degrees {'down' if degrees > 0 else 'up'} "
-            "ahead on average, which lengths make up for: mount it level, or give its tilt (columns roll and pitch)"
+            f"by the edges that stand upright, the camera looks about {abs(degrees)} degrees "
+            f"{'down' if degrees > 0 else 'up'} ahead on average, which lengths make up for: mount it level, or level "
+            "its pictures (unwrap.level=true)"
         )
     return told
