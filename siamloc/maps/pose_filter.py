@@ -105,6 +105,7 @@ class PoseFilter:
         self._stories: list[_Story] = []  # that follow the motions, where these are known
         self._alone: list[_Story] = []  # that do without, from the first known motion
         self._explained: deque[tuple[float, float]] = deque(maxlen=_JUDGED)  # share of both in the last poses
+        self._contradicted = False
         self._moved_on = math.inf  # steps and rad since the last recognized pose
         self._unit.reset()
 
@@ -115,7 +116,7 @@ class PoseFilter:
 
         A pose that is NaN or has no information (see `RefinedPoses`) only lets the robot move on. The map frame is that
         of the last pose that is not considered stray; so is the heading, unless the motion is known. Motions are not
-        used while most of the last recognized poses agree with each other, but not with the motions.
+        used once most of the last recognized poses agree with each other, but not with the motions, until they do.
 
         Args:
             pose: the pose of the query.
@@ -146,7 +147,8 @@ class PoseFilter:
             return pose
         if recognized and move is not None:
             self._explained.append((self._stories[0].share, self._alone[0].share))
-        story = self._alone[0] if self._contradicted() else self._stories[0]
+            self._contradicted = self._contradicts()
+        story = self._alone[0] if self._contradicted else self._stories[0]
         return replace(
             pose,
             xy=story.mean[None, :2],
@@ -212,12 +214,16 @@ class PoseFilter:
         stories = [*(_told(story, pose, seen, spread, new) for story in stories), begun]
         return self._kept(stories, begun if agreement >= _RECOGNIZED else None)
 
-    def _contradicted(self) -> bool:
-        """Return whether most of the last recognized poses agree with each other, but not with the motions."""
+    def _contradicts(self) -> bool:
+        """Return whether the last recognized poses contradict the motions.
+
+        They do once most of them agree with each other but not with the motions, until the motions explain them as
+        well: wrong wheels come near the truth again and again, while poses pull the robot along.
+        """
         if len(self._explained) < _JUDGED:
             return False
         driven, alone = np.mean(self._explained, axis=0)
-        return bool(driven < alone / 2 and alone > 0.5)
+        return bool(driven < alone / (1 if self._contradicted else 2) and alone > 0.5)
 
     def _moved(self, story: _Story) -> _Story:
         if len(story.mean) == 3:

@@ -203,7 +203,11 @@ def test_a_robot_that_was_carried_with_its_camera_running_is_found_again(count):
     assert errors(found, poses[:, :2])[103 + count :].max() < 0.3
 
 
-@pytest.mark.parametrize("factors", [[0, 0, 0], [100, 100, 1], [1, -1, -1]], ids=["stuck", "another unit", "mirrored"])
+@pytest.mark.parametrize(
+    "factors",
+    [[0, 0, 0], [2, 2, 1], [100, 100, 1], [1, -1, -1]],
+    ids=["stuck", "doubled", "another unit", "mirrored"],
+)
 def test_motions_that_the_pictures_contradict_are_not_used(factors, monkeypatch):
     monkeypatch.setattr(UnitOfMotion, "step", lambda *_: None)  # it refuses another unit, but only later
     poses, wrong = around(), np.random.default_rng(0).random(400) < 0.25
