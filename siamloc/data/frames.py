@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from datetime import date, timedelta
 from decimal import Decimal
 from fnmatch import fnmatchcase
 from os.path import abspath
@@ -38,6 +39,7 @@ TILT = ("roll", "pitch")
 _LISTED = 12  # sequences, rooms or lightings that a description names
 _POSED = ("path", "x", "y", "theta", "room", "sequence", "lighting", "time", "building")
 COLUMNS = (*_POSED, *ODOMETRY, *DEVIATIONS, *TILT)
+_TIMES = (date, timedelta, np.datetime64, np.timedelta64)
 _UNKNOWN = {name: "" if name in _TEXT else np.nan for name in COLUMNS}
 
 
@@ -377,6 +379,8 @@ def _listed(names: Sequence[str]) -> str:
 
 def _as_column(name: str, value: ArrayLike) -> NDArray[Any]:
     try:
+        if name not in _TEXT and _is_time(np.asarray(value)):
+            raise ValueError("got dates or durations, so give seconds: (times - times.min()) / np.timedelta64(1, 's')")
         column = np.array(value, dtype=np.str_ if name in _TEXT else np.float64)
         if name in _TEXT and column.ndim == 1 and not (isinstance(value, np.ndarray) and value.dtype.kind == "U"):
             missing = [_is_missing(one) for one in np.array(value, dtype=object)]
@@ -388,6 +392,11 @@ def _as_column(name: str, value: ArrayLike) -> NDArray[Any]:
     except (TypeError, ValueError) as error:
         what = "texts" if name in _TEXT else "numbers"
         raise DataError(f"column {name!r} must hold {what}, one for each frame: {error}") from error
+
+
+def _is_time(values: NDArray[Any]) -> bool:
+    """Return whether an array holds dates or durations, which numpy would turn into counts of some unit."""
+    return values.dtype.kind in "mM" or (values.dtype == object and any(isinstance(one, _TIMES) for one in values.flat))
 
 
 def _is_missing(label: Any) -> bool:

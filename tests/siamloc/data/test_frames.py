@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import math
+from datetime import datetime
 
 import numpy as np
 import pytest
@@ -65,6 +66,20 @@ def test_a_label_that_is_none_or_nan_is_missing(rooms):
     assert frames.with_columns(lighting=[math.nan, np.float32("nan")]).lighting.tolist() == ["", ""]
     assert FrameTable.from_rows([{"path": "a", "room": None}]).room.tolist() == [""]
     assert FrameTable(path=["a", "b"], room=np.array([3.0, np.nan])).room.tolist() == ["3.0", ""]
+
+
+@pytest.mark.parametrize(
+    "times",
+    [
+        np.array(["2026-05-12T10:15:00", "2026-05-12T10:15:05"], "datetime64[ns]"),
+        [np.timedelta64(0, "s"), np.timedelta64(5, "s")],
+        np.array([0.0, np.timedelta64(5, "s")], dtype=object),
+        [datetime(2026, 5, 12), datetime(2026, 5, 13)],
+    ],
+)
+def test_dates_and_durations_are_no_numbers(times):
+    with pytest.raises(DataError, match="dates or durations, so give seconds"):
+        FrameTable(path=["a", "b"], time=times)
 
 
 @pytest.mark.parametrize("missing", [None, math.nan, NotAvailable()])
