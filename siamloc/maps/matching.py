@@ -60,6 +60,7 @@ def match(
         >>> match(known, query, 2, excluded=[[False, True, False]]).indices
         array([[0, 2]])
     """
+    known.check_descriptor(queries.identity)
     if known.aligned:
         return known.aligned_index.search(queries, k, excluded=excluded, within=within)
     compares = None if queries.orientation is None else comparison_of(known)
@@ -117,8 +118,9 @@ def frame_distances(
     With Euclidean distances, colours count only in the light of the map; see `siamloc.maps.colours`.
 
     Raises:
-        AnalyticError: descriptions that cannot be compared.
+        AnalyticError, ConfigError: descriptions that cannot be compared.
     """
+    known.check_descriptor(queries.identity)
     mask = None if excluded is None else np.asarray(excluded, dtype=bool)
     if known.aligned:
         apart = known.aligned_index.distances(queries)

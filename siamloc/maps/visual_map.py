@@ -293,6 +293,7 @@ class VisualMap:
             description: what `describe` returned for their panoramas.
 
         Raises:
+            ConfigError: a description by another descriptor; those by networks do not name theirs.
             DataError: a frame that the map holds already, positions in another unit, or a description of another form.
 
         Example:
@@ -304,6 +305,7 @@ class VisualMap:
 
     def like(self, frames: FrameTable, description: Description) -> VisualMap:
         """Return the map of other frames (n) that were described as those of this map; see `add`."""
+        self.check_descriptor(description.identity)
         parts = description.orientation if self.orientation is not None else None
         if parts is not None and self.heading is not None:
             parts = halved(self.heading_by, parts)
@@ -388,8 +390,7 @@ class VisualMap:
             held: dict[str, Any] = {key: self.identity.get(key) for key in NUMBERS if getattr(descriptor, key) is None}
             if set(order := parts_of(self.identity)) == set(descriptor.parts):
                 descriptor = replace(descriptor, parts={name: descriptor.parts[name] for name in order}, **held)
-        images = {key: value for key, value in self.identity.items() if key == "images"}
-        self.check_describer({**descriptor.identity, **images})
+        self.check_descriptor(descriptor.identity)
         return replace(self, describes=descriptor)
 
     def with_distance(self, distance: str | None) -> VisualMap:
@@ -475,6 +476,16 @@ class VisualMap:
             if exchangeable(camera, other):
                 preprocessing = {**preprocessing, "camera": camera}
             self.check_describer({**self.identity, "images": preprocessing})
+
+    def check_descriptor(self, identity: Mapping[str, Any] | None) -> None:
+        """Check that this is the identity of the map's descriptor, or None, that is, unknown.
+
+        Raises:
+            ConfigError: as `check_describer`, which also compares how images became panoramas.
+        """
+        if identity is not None:
+            images = {key: value for key, value in self.identity.items() if key == "images"}
+            self.check_describer({**identity, **images})
 
     def check_describer(self, identity: Mapping[str, Any]) -> None:
         """Check that queries were described by the descriptor that described the map.

@@ -1,8 +1,11 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 import analytic
-from siamloc.errors import DataError
+from siamloc.data import FrameTable
+from siamloc.errors import ConfigError, DataError
 from siamloc.maps import VisualMap, frame_distances, headings, match
 from tests.siamloc.maps.conftest import map_of, placed
 
@@ -33,6 +36,16 @@ def test_no_headings_where_there_is_nothing_to_find_them_by():
         told = headings(known, queries, match(known, queries, 3), 2)
         assert told.shape == (9, 2)
         assert np.isnan(told).all()
+
+
+def test_descriptions_by_another_descriptor_are_refused_whatever_their_size():
+    known = replace(map_of(HOG, IMAGES), identity={**HOG.identity, "images": {"size": [16, 64]}})
+    other = replace(HOG, homomorphic=True).describe(IMAGES)
+    more = FrameTable(path=[f"{i}.png" for i in range(100, 109)])
+    for call in (match, frame_distances, lambda known, queries: known.add(more, queries)):
+        with pytest.raises(ConfigError, match="differently from the queries: homomorphic is False in the map"):
+            call(known, other)
+        call(known, HOG.describe(IMAGES))
 
 
 @pytest.mark.parametrize("descriptor", [HOG, BRIEF, THUMBNAIL], ids=lambda d: d.name)
