@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from foundation.calls import typed
 from foundation.files import read_text
-from foundation.settings import Count, Natural, Positive
+from foundation.settings import Count, Natural, Positive, shortened
 from siamloc.errors import ConfigError, DataError, hint, leave_out
 
 _ADVICE = {  # on formats that are not read
@@ -110,9 +110,10 @@ class FrameTable:
     source: Mapping[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        if not isinstance(self.path, Sequence | np.ndarray) or isinstance(self.path, str | bytes):
-            raise DataError(f"column 'path' must be a list of image files, got {self.path!r}")
-        n = len(self.path)
+        paths = _as_column("path", self.path)
+        if paths.ndim != 1:
+            raise DataError(f"column 'path' must be a list of image files, got {shortened(repr(self.path))}")
+        n = len(paths)
         for name in COLUMNS:
             value = getattr(self, name)
             column = _as_column(name, np.full(n, _UNKNOWN[name]) if value is None else value)

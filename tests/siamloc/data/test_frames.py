@@ -82,6 +82,20 @@ def test_dates_and_durations_are_no_numbers(times):
         FrameTable(path=["a", "b"], time=times)
 
 
+def test_a_column_of_another_library_is_a_list_of_image_files_and_a_single_one_is_not():
+    class Series:  # as those of pandas, no Sequence
+        def __len__(self):
+            return 2
+
+        def __array__(self, dtype=None, copy=None):
+            return np.array(["a.jpg", "b.jpg"], dtype=dtype)
+
+    assert FrameTable(path=Series()).path.tolist() == ["a.jpg", "b.jpg"]
+    for wrong in ("a.jpg", None, np.array("a.jpg"), [["a.jpg"]]):
+        with pytest.raises(DataError, match="column 'path' must be a list of image files, got"):
+            FrameTable(path=wrong)
+
+
 @pytest.mark.parametrize("missing", [None, math.nan, NotAvailable()])
 def test_a_frame_without_an_image_file_is_refused(missing):
     says = "column 'path' must hold texts, one for each frame: 2 of 3 are missing, the first in row 1"
