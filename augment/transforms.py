@@ -46,7 +46,8 @@ class Augment(v2.Transform):
         calls: number of draws so far; set it to continue where an earlier run stopped.
 
     Raises:
-        AugmentError: not an effect, a negative seed, or images of a wrong shape, dtype or range.
+        AugmentError: not an effect, a negative seed, a sample without an image, or images of a wrong shape, dtype or
+            range.
 
     Example:
         >>> import torch, augment
@@ -77,7 +78,16 @@ class Augment(v2.Transform):
         return inputs if len(inputs) > 1 else inputs[0]
 
     def make_params(self, flat_inputs: list[Any]) -> Params:
-        """Draw the parameters for the images of a sample; none if it has no image."""
+        """Draw the parameters for the images of a sample; none if it has only masks, boxes and the like.
+
+        Raises:
+            AugmentError: it has none of these, or images of different sizes.
+        """
+        if not flat_inputs:
+            raise AugmentError(
+                "the sample holds no image, which is a tensor (..., 3, H, W) or an RGB image of Pillow: turn an array "
+                "(3, H, W) into a tensor with torch.from_numpy"
+            )
         shapes = {_shape(item) for item in flat_inputs if _is_picture(item)}
         if not shapes:
             return {}

@@ -122,6 +122,8 @@ def test_a_sample_of_pictures_and_other_things():
     assert int(first.max()) < 200
     assert second is label
     assert build("rotate")([mask])[0] is mask
+    pose = np.zeros(3)
+    assert build("darken")(left, pose)[1] is pose
 
 
 def test_what_cannot_be_turned():
@@ -136,6 +138,7 @@ def test_what_cannot_be_turned():
     [
         (torch.zeros(1, 8, 16), r"an image has shape \(..., 3, H, W\), got \(1, 8, 16\)"),
         (torch.zeros(8, 16), r"an image has shape"),
+        (np.zeros((3, 8, 16), np.uint8), "the sample holds no image, which is a tensor"),
         (torch.full((3, 8, 16), 2.0), "a float batch lies in"),
         (torch.zeros(3, 8, 16, dtype=torch.int64), "a batch is a tensor .*, uint8, or float32"),
         (Image.new("L", (16, 8)), "a Pillow image must be RGB, got L"),
