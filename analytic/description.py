@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from analytic.distances import unit_vectors
 from analytic.errors import AnalyticError
+from foundation.columns import chosen_rows
 from foundation.files import plain
 
 T = TypeVar("T")
@@ -52,7 +53,12 @@ class Description:
         return len(self.position)
 
     def take(self, rows: Any) -> Description:
-        """Return the description of some images, given by an index array, a mask or a slice."""
+        """Return the description of some images, given by their numbers, a mask (B,) or a slice.
+
+        Raises:
+            AnalyticError: images that it does not hold.
+        """
+        rows = chosen_rows(rows, len(self), AnalyticError)
         orientation = None if self.orientation is None else self.orientation[rows]
         return Description(self.position[rows], orientation, self.identity)
 

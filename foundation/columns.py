@@ -1,4 +1,4 @@
-"""`Rows`: the base of results that hold one row of several arrays for each query or frame."""
+"""`Rows`: the base of results that hold one row of several arrays for each query or frame, and how to select some."""
 
 from __future__ import annotations
 
@@ -7,6 +7,10 @@ from dataclasses import dataclass, fields, replace
 from typing import Any, TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
+
+from foundation.errors import DataError
+from foundation.settings import shortened
 
 Own = TypeVar("Own", bound="Rows")
 
@@ -30,7 +34,8 @@ class Rows:
         return len(getattr(self, fields(self)[0].name))
 
     def take(self: Own, rows: Any) -> Own:
-        """Return some of the rows, selected by index, mask or slice."""
+        """Return some of the rows; see `chosen_rows`."""
+        rows = chosen_rows(rows, len(self))
 
         def taken(value: Any) -> Any:
             return value[rows] if isinstance(value, np.ndarray) else None if value is None else value.take(rows)
@@ -48,3 +53,34 @@ class Rows:
             return np.concatenate(values) if isinstance(first, np.ndarray) else type(first).concatenate(values)
 
         return cls(**{one.name: joined([getattr(part, one.name) for part in parts]) for one in fields(cls)})
+
+
+def chosen_rows(rows: Any, count: int, error: type[Exception] = DataError) -> slice | NDArray[Any]:
+    """Return what selects rows of an array (count, ...), after checking it.
+
+    Args:
+        rows: row numbers, of which negative ones count from the end, a single number, a mask (count,) or a slice.
+        count: number of rows.
+        error: the exception to raise.
+
+    Raises:
+        DataError: anything else, or rows that do not exist; or another `error`.
+
+    Example:
+        >>> np.arange(0, 50, 10)[chosen_rows(-1, 5)]
+        array([40])
+    """
+    if isinstance(rows, slice):
+        return rows
+    key = np.atleast_1d(rows)
+    key = key if key.size else key.astype(np.int64)
+    if key.dtype == bool:
+        fits = key.shape == (count,)
+    else:
+        fits = key.ndim == 1 and key.dtype.kind in "iu" and bool(((-count <= key) & (key < count)).all())
+    if not fits:
+        raise error(
+            f"of {count} rows, some are taken by their numbers from 0, a mask ({count},) or a slice, got "
+            f"{shortened(repr(rows))}"
+        )
+    return key

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from foundation.calls import typed
+from foundation.columns import chosen_rows
 from foundation.files import read_text
 from foundation.settings import Count, Natural, Positive, shortened
 from siamloc.errors import ConfigError, DataError, hint, leave_out
@@ -180,10 +181,12 @@ class FrameTable:
 
     @typed
     def take(self, rows: ArrayLike | slice) -> FrameTable:
-        """Return the frames at some rows, given by row numbers, a mask (n,) or a slice, in that order."""
-        key: Any = rows if isinstance(rows, slice) else np.asarray(rows)
-        if not isinstance(key, slice) and key.size == 0:
-            key = key.astype(np.int64)
+        """Return the frames at some rows, given by row numbers, a mask (n,) or a slice, in that order.
+
+        Raises:
+            DataError: rows that do not exist.
+        """
+        key = chosen_rows(rows, len(self))
         return self.with_columns(**{name: column[key] for name, column in self.columns().items()})
 
     @typed

@@ -17,6 +17,7 @@ from analytic import Description, Descriptor, Fused
 from analytic.descriptors.fused import NUMBERS
 from analytic.distances import DISTANCES
 from foundation.calls import typed
+from foundation.columns import chosen_rows
 from foundation.files import plain
 from siamloc.data.frames import FrameTable, concatenate
 from siamloc.data.mounting import Mounting
@@ -250,10 +251,13 @@ class VisualMap:
             digest.update(array.tobytes())
         return digest.hexdigest()
 
-    def take(self, rows: ArrayLike) -> VisualMap:
-        """Return the map of some rows, given by index or by a mask."""
-        key: Any = np.atleast_1d(rows)
-        key = key if key.size else key.astype(np.int64)
+    def take(self, rows: ArrayLike | slice) -> VisualMap:
+        """Return the map of some rows, given by row numbers, a mask (n,) or a slice, in that order.
+
+        Raises:
+            DataError: rows that do not exist, or none.
+        """
+        key = chosen_rows(rows, len(self))
         descriptors, orientation = self.descriptors[key], self.orientation
         if orientation is not None:
             shared = shares_values(orientation, self.descriptors)
@@ -276,8 +280,7 @@ class VisualMap:
                     f"{len(missing)} of {len(frames)} frames to leave out are not in the map, such as {min(missing)[1]}"
                 )
         else:
-            key: Any = np.atleast_1d(frames)
-            left[key if key.size else key.astype(np.int64)] = False
+            left[chosen_rows(frames, len(self))] = False
         if not left.any():
             raise DataError(f"all {len(self)} frames of the map would be left out: a map needs at least one")
         return self.take(left)

@@ -3,8 +3,15 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import pytest
 
+from analytic import AnalyticError, Description
 from foundation.columns import Rows
+from foundation.errors import DataError
+from siamloc.data.frames import FrameTable
+from siamloc.maps import VisualMap
+
+FRAMES = FrameTable(path=["0.png", "1.png", "2.png"])
 
 
 @dataclass(frozen=True)
@@ -29,3 +36,19 @@ def test_rows_are_taken_and_joined_in_every_field():
         assert sorted(some.inner.distance.tolist()) == [0, 12]
         assert sorted(some.frame.tolist()) == [[0, 1], [14, 15]]
         assert some.heading is None
+
+
+@pytest.mark.parametrize(
+    "table",
+    [Inner(np.arange(3.0)), Description(np.eye(3), np.ones((3, 2, 2))), FRAMES, VisualMap(np.eye(3), FRAMES)],
+    ids=lambda one: type(one).__name__,
+)
+def test_every_table_takes_a_single_row_and_a_slice_and_refuses_rows_that_it_lacks(table):
+    for rows, count in ((1, 1), (-1, 1), (slice(0, 2), 2), ([True, False, True], 2)):
+        some = table.take(rows)
+        assert (type(some), len(some)) == (type(table), count)
+    for wrong in ([3], [-4], [True, False], [0.0], "1", [[0]]):
+        with pytest.raises(
+            (DataError, AnalyticError), match=r"of 3 rows, some are taken by their numbers from 0, a mask"
+        ):
+            table.take(wrong)
