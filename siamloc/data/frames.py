@@ -259,7 +259,12 @@ class FrameTable:
         return {str(labels[i]): np.flatnonzero(inverse == i) for i in np.argsort(first, kind="stable")}
 
     def with_columns(self, **columns: ArrayLike) -> FrameTable:
-        """Return the table with some columns replaced."""
+        """Return the table with some columns, or `unit` and `source`, replaced.
+
+        Raises:
+            DataError: a name of no column.
+        """
+        _check_names(name for name in columns if name not in ("unit", "source"))
         return replace(self, **columns)  # type: ignore[arg-type]
 
     def describe(self) -> str:
@@ -285,10 +290,7 @@ class FrameTable:
         Raises:
             DataError: a key that names no column.
         """
-        for name in dict.fromkeys(key for row in rows for key in row):
-            if name not in COLUMNS:
-                wanted = "path" if name == "image" else name
-                raise DataError(f"frames have no column {name!r}; {hint(wanted, COLUMNS)}")
+        _check_names(dict.fromkeys(key for row in rows for key in row))
         return cls(**{name: [row.get(name, _UNKNOWN[name]) for row in rows] for name in COLUMNS})  # type: ignore[arg-type]
 
 
@@ -379,6 +381,13 @@ def _labels(column: NDArray[np.str_]) -> list[str]:
 def _listed(names: Sequence[str]) -> str:
     more = f" and {len(names) - _LISTED} more" if len(names) > _LISTED else ""
     return (", ".join(names[:_LISTED]) or "none") + more
+
+
+def _check_names(names: Iterable[str]) -> None:
+    for name in names:
+        if name not in COLUMNS:
+            wanted = "path" if name == "image" else name
+            raise DataError(f"frames have no column {name!r}; {hint(wanted, COLUMNS)}")
 
 
 def _as_column(name: str, value: ArrayLike) -> NDArray[Any]:

@@ -119,6 +119,8 @@ def test_equality_counts_nan_as_equal_and_rows_make_the_table_again():
 def test_a_key_that_names_no_column_is_refused_with_the_nearest_name(key, nearest):
     with pytest.raises(DataError, match=f"frames have no column '{key}'; did you mean '{nearest}'"):
         FrameTable.from_rows([{"path": "1.jpg"}, {"path": "2.jpg", key: "3"}])
+    with pytest.raises(DataError, match=f"frames have no column '{key}'; did you mean '{nearest}'"):
+        table().with_columns(**{key: range(6)})
 
 
 def test_select_by_labels_and_patterns():
