@@ -22,7 +22,7 @@ T = TypeVar("T")
 _VALUES = 1 << 20  # transformed at a time: 4 MiB
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Description:
     """A batch of images as a descriptor sees them: position parts, orientation parts, and the descriptor's identity.
 
@@ -109,7 +109,7 @@ class Description:
         return spectrum(self.turnable)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Alignment:
     """The relative heading of n queries to m references, and their distances after alignment.
 
@@ -130,7 +130,7 @@ class Alignment:
     distance: NDArray[np.float64]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Match:
     """The nearest frame of a map for each query.
 

@@ -15,7 +15,7 @@ from foundation.settings import shortened
 Own = TypeVar("Own", bound="Rows")
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Rows:
     """Base of a frozen dataclass whose fields have n rows: arrays, results with `take` and `concatenate`, or None.
 

@@ -35,7 +35,7 @@ _SMALLEST = float(np.finfo(np.float32).tiny)
 _LARGEST = 1e15  # of a scaled query; beyond, float32 products overflow
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Retrieval(Rows):
     """Result of a search for n queries, the nearest reference first.
 

@@ -1,15 +1,15 @@
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import MISSING, dataclass, fields
 
 import numpy as np
 import pytest
 
-from analytic import AnalyticError, Description
+from analytic import Alignment, AnalyticError, Description, Match
 from foundation.columns import Rows
 from foundation.errors import DataError
 from siamloc.data.frames import FrameTable
-from siamloc.maps import VisualMap
+from siamloc.maps import NodeRanking, Retrieval, VisualMap
 
 FRAMES = FrameTable(path=["0.png", "1.png", "2.png"])
 
@@ -52,3 +52,9 @@ def test_every_table_takes_a_single_row_and_a_slice_and_refuses_rows_that_it_lac
             (DataError, AnalyticError), match=r"of 3 rows, some are taken by their numbers from 0, a mask"
         ):
             table.take(wrong)
+
+
+@pytest.mark.parametrize("kind", [Description, Alignment, Match, Retrieval, NodeRanking])
+def test_results_that_hold_arrays_can_be_looked_for_in_a_list(kind):
+    one, other = (kind(*[np.zeros((2, 2))] * sum(field.default is MISSING for field in fields(kind))) for _ in "ab")
+    assert [other, one].index(one) == 1
