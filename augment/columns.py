@@ -27,7 +27,8 @@ class Rotate(Effect):
     s / W rad, wrapped to (-pi, pi], positive when the robot turns left. Exact: turning back gives the same image.
 
     Args:
-        degrees: angle of the turn to the left; whole columns within this range are drawn. 10 ... 350 as published.
+        degrees: angle of the turn to the left; whole columns within this range are drawn, or, if it holds none, the one
+            nearest to its middle, which may be no turn at all. 10 ... 350 as published.
         circular: the image of an ordinary camera cannot be turned this way; with False the shift is 0.
     """
 
