@@ -73,7 +73,8 @@ class Occlude(Effect):
     """Hide a share of the columns behind vertical bars of one grey level ([T] 3.4.2).
 
     The frame is divided into as many sectors as there are bars, counted from `column`. Each sector has one bar, at an
-    independent place; all are equally wide. Bars therefore never overlap, and the share is exact to whole columns.
+    independent place; all are equally wide. Bars therefore never overlap, and each hides its part of the share, to half
+    a column.
 
     Args:
         share: share of the columns that are hidden. 5 ... 40 % as published.
