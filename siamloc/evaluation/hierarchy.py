@@ -163,19 +163,18 @@ def evaluate_hierarchical(
     """Compare the results of a hierarchical search with the queries' true poses.
 
     The table "queries" is that of `evaluate_absolute`, with further columns: `node` of the estimate and `true_node`,
-    the node of the geometrically nearest map frame (-1 for none); `nodes_tried`, numbers in one string, the best first;
-    `coarse_correct`, whether the true node was tried (frames in no node are always searched, so a query whose true
-    frame is in no node counts as correct); `frames_compared` and `comparisons`, which also counts the comparisons with
-    the coarse layer; `error_perfect_coarse` and `error_absolute`, the errors of a search for the same query in the true
-    node alone and in the whole map. The table "map" has the `node` of each frame, the table "nodes" a row for each
-    node.
+    see `true_nodes` (-1 for none); `nodes_tried`, numbers in one string, the best first; `coarse_correct`, whether the
+    true node was tried (frames in no node are always searched, so a query without a true node counts as correct);
+    `frames_compared` and `comparisons`, which also counts the comparisons with the coarse layer; `error_perfect_coarse`
+    and `error_absolute`, the errors of a search for the same query in the true node alone and in the whole map. The
+    table "map" has the `node` of each frame, the table "nodes" a row for each node.
 
     Args:
         visual_map: a map of m frames, all with positions.
         layer: nodes over these frames.
         frames: the queries (n), all with positions.
         found: result of the search to measure, with `siamloc.evaluation.absolute.neighbours(ks, m)` neighbours.
-        perfect: result with the nodes of `rank_by_position`, a perfect coarse layer, with at least one neighbour.
+        perfect: result with the nodes of `true_nodes`, a perfect coarse layer, with at least one neighbour.
         whole: result of the search in the whole map, with at least one neighbour.
         radii: radii of the recall, in units of x and y.
         ks: numbers of retrieved frames for the recall.
@@ -183,7 +182,7 @@ def evaluate_hierarchical(
     """
     base = evaluate_absolute(visual_map, frames, found.found, radii, ks, headings)
     known = visual_map.frames.xy
-    true = rank_by_position(frames.xy, known, layer.labels).nodes[:, 0]
+    true = perfect.tried[:, 0]
     columns: Columns = {
         **base.tables["queries"],
         "node": found.node,
@@ -211,6 +210,25 @@ def evaluate_hierarchical(
         tables={"queries": columns, "map": map_columns, "nodes": node_columns},
         denominators={**base.denominators, "nodes": len(layer)},
     )
+
+
+def true_nodes(visual_map: VisualMap, layer: CoarseLayer, frames: FrameTable) -> NodeRanking:
+    """Return the true node of each query (n, 1): the node of its room if nodes are rooms, so that labels decide.
+
+    In other layers, and for queries without a room label or in a room that the map lacks, it is the node of the
+    geometrically nearest map frame.
+
+    Args:
+        visual_map: a map of m frames, all with positions.
+        layer: nodes over these frames.
+        frames: the queries (n), all with positions.
+    """
+    nearest = rank_by_position(frames.xy, visual_map.frames.xy, layer.labels)
+    if layer.made.get("name") != "rooms":
+        return nearest
+    number = {name: node for node, name in enumerate(layer.names.tolist())}
+    labelled = np.array([number.get(place, UNASSIGNED) for place in frames.place.tolist()], dtype=np.int64)[:, None]
+    return replace(nearest, nodes=np.where(labelled == UNASSIGNED, nearest.nodes, labelled))
 
 
 def node_measures(columns: Mapping[str, NDArray], about: Mapping[str, Any]) -> dict[str, Any]:
@@ -290,7 +308,7 @@ def _run(
         found.append(_Found(both, whole, headings(known, part, both.found)[:, 0]))
         inside = np.flatnonzero(scored[rows])
         if len(inside):
-            true = rank_by_position(queries.xy[rows[inside]], known.frames.xy, search.layer.labels)
+            true = true_nodes(known, search.layer, queries.take(rows[inside]))
             perfect.append(search.search(part.take(inside), true, 1))
         start += len(part)
     return _Found.concatenate(found), HierarchicalRetrieval.concatenate(perfect) if perfect else None

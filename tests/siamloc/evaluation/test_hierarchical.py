@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 
 from analytic import Description
+from siamloc import maps
 from siamloc.errors import ConfigError
 from siamloc.evaluation import metrics
 from siamloc.evaluation.absolute import neighbours
-from siamloc.evaluation.hierarchy import CoarseRanking, evaluate_hierarchical
+from siamloc.evaluation.hierarchy import CoarseRanking, evaluate_hierarchical, hierarchical
 from siamloc.evaluation.result import Result
 from siamloc.maps import VectorIndex, VisualMap
 from siamloc.maps.coarse import CoarseLayer
@@ -17,6 +18,7 @@ from siamloc.maps.hierarchy import HierarchicalSearch
 from siamloc.maps.ranking import NodeRanking, rank_by_position, rank_by_representatives
 from tests.siamloc.evaluation import scenes
 from tests.siamloc.evaluation.scenes import evaluate_absolute
+from tests.siamloc.evaluation.world import Reads, drive, library
 
 RADII, KS = (0.5, 1 / 3), (1, 5, 10)
 
@@ -85,6 +87,16 @@ def test_a_perfect_coarse_layer_finds_the_nearest_frame() -> None:
     overall = evaluated(known, layer, queries, queries.xy, ranking=perfect).parts["hierarchical"]["overall"]
     assert overall["excess"]["max"] < 1e-6
     assert overall["error"] == overall["perfect_coarse"]["error"]
+
+
+def test_the_right_room_is_that_of_the_label_where_the_nearest_frame_is_in_another(tmp_path) -> None:
+    monday, tuesday = drive(tmp_path, "monday", 40, 1), drive(tmp_path, "tuesday", 3, 2, x=np.array([1.0, 1.5, 2.0]))
+    images = library(tmp_path, monday, tuesday.with_columns(room=np.array(["lab", "", "attic"])))
+    known = maps.build(Reads(), images, monday, progress=False)
+    rooms = maps.group(known, "rooms")
+    found = hierarchical(known, images, images.frames.select(sequence="tuesday"), rooms, candidates=1).tables["queries"]
+    assert rooms.layer.names[found["true_node"]].tolist() == ["lab", "office", "office"]
+    assert (found["error_perfect_coarse"] > 15).tolist() == [True, False, False]
 
 
 @pytest.mark.parametrize("n", [1, 7, 99])
