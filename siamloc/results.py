@@ -35,6 +35,9 @@ FINEST = ("tracked", "refined")
 REMARKS = ("rooms", "positions")
 """Keys of `skipped` in a result whose texts are remarks on what was measured, and no reasons why something was not."""
 
+DEPTH = 100
+"""Number of nearest map frames of a query over which the average precision of rooms is taken."""
+
 _OF_ESTIMATES = ("est_x", "est_y", "est_theta", "error", "heading_error", "match")
 _SCHEMA = "siamloc-results"
 _VERSION = 1

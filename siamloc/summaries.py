@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
-from siamloc.results import FURTHER
+from siamloc.results import DEPTH, FURTHER
 from siamloc.tables import Column, Form, Table
 
 ALL = "all"
@@ -126,7 +126,7 @@ def rooms(methods: Mapping[str, Measures], by: str = "lighting") -> list[Table]:
     shares = {
         "room retrieved": "accuracy",
         "room in top 5": "top.5",
-        "mAP": "mean_average_precision",
+        f"mAP@{DEPTH}": "mean_average_precision",
         "chance": "chance",
     }
     columns = [*_as("percent", shares), *_as("count", {"queries": "queries"})]

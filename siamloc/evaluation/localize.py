@@ -33,6 +33,7 @@ from siamloc.evaluation.result import Result
 from siamloc.evaluation.session import Baselines, Counts, Radii, Search, Session, cost, several
 from siamloc.maps import VisualMap, motions
 from siamloc.maps.error_model import ErrorModel
+from siamloc.results import DEPTH
 from siamloc.stopwatch import Stopwatch
 
 Name = Literal["absolute", "room_retrieval"]
@@ -201,7 +202,7 @@ def _measured(session: Session, settings: Localization, name: str, known: Visual
         if search := _search(session, "position", "absolute", known, at_least, skipped):
             searches["absolute"] = prepared(settings, search)
     if "room_retrieval" in settings.names and (
-        search := _search(session, "room label", "room_retrieval", known, room_retrieval.DEPTH, skipped)
+        search := _search(session, "room label", "room_retrieval", known, DEPTH, skipped)
     ):
         searches["room_retrieval"] = search
     bare = np.flatnonzero(~queries.has_position)

@@ -18,7 +18,6 @@ from siamloc.maps.visual_map import VisualMap
 from siamloc.results import Columns, by_label
 
 TOP = (1, 5, 10)  # numbers of retrieved frames among which the right room must be
-DEPTH = 100  # retrieved frames used for average precision
 
 
 def pair_measures(columns: Mapping[str, NDArray], margin: float, threshold: float) -> dict[str, Any]:
@@ -53,9 +52,9 @@ def room_measures(columns: Mapping[str, NDArray], labels: Sequence[str], missing
     Returns:
         The groups "overall", "room" (by label) and "lighting" (by label), each with `accuracy`, `correct`, `queries`,
         `top` (the share of queries with a frame of their room among the k nearest, by k), `mean_average_precision` (of
-        the 100 nearest frames) and `chance` (the accuracy of a map frame drawn at random); `confusion` with the
-        `labels`, the `counts` of all queries (row = true room, column = room of the match) and those by `lighting`;
-        and `rooms_missing_in_map`.
+        the `siamloc.results.DEPTH` nearest frames) and `chance` (the accuracy of a map frame drawn at random);
+        `confusion` with the `labels`, the `counts` of all queries (row = true room, column = room of the match) and
+        those by `lighting`; and `rooms_missing_in_map`.
     """
 
     def group(rows: NDArray) -> dict[str, Any]:
@@ -129,7 +128,8 @@ def evaluate_rooms(
     Args:
         visual_map: a map of m frames, all with room labels.
         frames: the queries (n), all with room labels, n at least 1. Rooms of different buildings are different rooms.
-        found: the nearest map frames of each query, `DEPTH` or fewer: then top-k and average precision use only these.
+        found: the nearest map frames of each query, `siamloc.results.DEPTH` or fewer: then top-k and average precision
+            use only these.
         excluded: (n, m) map frames that a query was not compared with.
     """
     order = (found.indices != found.most_alike[:, None]).argsort(axis=1, kind="stable")

@@ -43,7 +43,7 @@ def test_localization_is_the_search_of_the_map_compared_with_the_truth(world):
     assert result.about["protocol"] == "cross_run"
     assert "reads has no margin" in result.skipped["room_pairs"]
     assert "thumbnail" in result.table()
-    assert "mAP" in result.table()
+    assert "mAP@100" in result.table()
 
 
 def test_a_result_is_written_and_read_back(world, tmp_path):
