@@ -75,7 +75,8 @@ class Expanded:
         lines.append(f"{self.folder}: {count} images of {self.frames} frames, {self.depth} each{before}")
         where = next(f"data.{key}={value}" for key, value in self.source.items() if key != "kind")
         unwrap = " unwrap=none" if self.kind == "cold" else ""
-        lines.append(f"train with: siamloc train data={self.kind} {where}{unwrap}")
+        train = """'protocol.train.sequences=["*"]'"""
+        lines.append(f"train with: siamloc train data={self.kind} {where}{unwrap} {train}")
         return "\n".join(lines)
 
 

@@ -46,7 +46,9 @@ def test_one_unreadable_image_is_left_out_and_said(manifest, tmp_path, capsys):
     broken = data.read("manifest", manifest=table).path[1]
     Path(broken).write_bytes(b"no image")
     done(*words(table, tmp_path / "out"))
-    assert "left out: 1 of 3 images, the first: " in capsys.readouterr().out
+    said = capsys.readouterr().out
+    assert "left out: 1 of 3 images, the first: " in said
+    assert said.rstrip().endswith("""/manifest.csv 'protocol.train.sequences=["*"]'"""), "training needs sequences"
     assert len(data.read("manifest", manifest=tmp_path / "out" / "manifest.csv")) == 32
     assert str(broken) in refused(capsys, *words(table, tmp_path / "strict", "data.on_error=raise"))
 
