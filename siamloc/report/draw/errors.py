@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from functools import reduce
 from operator import getitem
+from textwrap import fill
 from typing import Any
 
 import numpy as np
@@ -32,6 +33,7 @@ from siamloc.results import rows_by_label
 _MOST_POINTS = 120  # of a curve; more make no visible difference
 _SIZE, _LARGE_SIZE = (3.6, 3.2), (4.6, 3.4)  # of a panel in inches: three in a row, and two
 _LONG = 22  # characters from which a label gets its own line in the legend
+_WIDEST, _LINE = 64, 0.17  # characters of a line of the legend below all panels, and its height in inches
 
 _ALL = "all queries"
 # The marks of a row of mean errors: label, path of the error in a group of measures, and look.
@@ -121,7 +123,7 @@ def compared_curves(tables: Mapping[str, Mapping[str, NDArray]], unit: str = "m"
                 floors.append(columns["floor"][rows])
         same = all(np.array_equal(floors[0], floor) for floor in floors)
         charts.append((chart, curves, floors[0] if same else None))
-    return _drawn(charts, unit)
+    return _drawn(charts, unit, below=True)
 
 
 @style()
@@ -178,11 +180,24 @@ def node_errors(measures: Mapping[str, Any]) -> Picture:
     return figure
 
 
-def _drawn(charts: Sequence[tuple[str, Sequence[Curve], NDArray | None]], unit: str, shared: bool = False) -> Picture:
-    """Draw a panel for each chart: its title, its curves, and the floor if they share one."""
+def _drawn(
+    charts: Sequence[tuple[str, Sequence[Curve], NDArray | None]],
+    unit: str,
+    shared: bool = False,
+    below: bool = False,
+) -> Picture:
+    """Draw a panel for each chart: its title, its curves, and the floor if they share one.
+
+    Args:
+        charts: the charts.
+        unit: unit of the errors.
+        shared: give all panels the same limits.
+        below: name the curves in one legend below all panels, for names that are long.
+    """
     size = _LARGE_SIZE if len(charts) in (1, 2, 4) else _SIZE
     figure, every = panels(len(charts), *size, sharey=True, ylabel="queries with at most this error [%]")
     common = [error for _, curves, _ in charts for _, error, _ in curves] if shared else []
+    lines: dict[str, Any] = {}
     for axes, (title, curves, floor) in zip(every, charts, strict=True):
         if floor is not None:
             curves = [*curves, ("floor", floor, {**FLOOR, "zorder": 2})]
@@ -190,13 +205,17 @@ def _drawn(charts: Sequence[tuple[str, Sequence[Curve], NDArray | None]], unit: 
         labels = []
         for label, error, look in curves:
             count = "" if alike else f", n = {len(error):,}"
-            labels.append(f"{label}: {error.mean():.2f} {unit}{count}")
-            axes.plot(*_cumulative(error), label=labels[-1], **look)
+            labels.append(f"{'' if below else f'{label}: '}{error.mean():.2f} {unit}{count}")
+            (lines[label],) = axes.plot(*_cumulative(error), label=labels[-1], **look)
         scale_errors(axes.xaxis, common or [error for _, error, _ in curves], f"error [{unit}]")
         axes.set(title=title + f", n = {len(curves[0][1]):,}" * alike, ylim=(0, 101.5))
         columns = 1 if max(map(len, labels)) > _LONG else 2
         place: dict[str, Any] = {"loc": "upper left", "bbox_to_anchor": (-0.02, -0.24)}
         axes.legend(**place, ncols=columns, borderpad=0, columnspacing=1.2, fontsize=7.5, handlelength=2.2)
+    if below:
+        names = [fill(label, _WIDEST) for label in lines]
+        figure.set_figheight(figure.get_figheight() + _LINE * len("\n".join(names).splitlines()))
+        figure.legend(list(lines.values()), names, loc="outside lower center", fontsize=7.5, handlelength=2.2)
     return figure
 
 

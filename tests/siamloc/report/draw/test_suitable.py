@@ -151,9 +151,13 @@ def test_another_estimate_and_several_evaluations() -> None:
     assert [axes.get_title("left") for axes in figure.axes] == ["dusk, n = 2", "night, n = 2"]
     assert next(iter(lines_of(figure, 1))) == "filtered: 0.25 m"
     assert figure.axes[0].get_xlim() == figure.axes[1].get_xlim()
-    figure = compared_curves({"a": QUERIES, "b": {**QUERIES, "floor": np.full(4, 0.2)}})
+    long = "network-hog-spectral, hierarchical over spectral nodes of hog"
+    figure = compared_curves({"a": QUERIES, long: {**QUERIES, "error": QUERIES["error"] / 2, "floor": np.full(4, 0.2)}})
     assert [axes.get_title("left").split(",")[0] for axes in figure.axes] == ["all queries", "dusk", "night"]
-    assert list(lines_of(figure)) == ["a: 0.40 m", "b: 0.40 m"], "floors that differ are not drawn"
+    assert list(lines_of(figure)) == ["0.40 m", "0.20 m"], "floors that differ are not drawn"
+    assert [text.get_text() for text in figure.legends[0].get_texts()] == ["a", long]
+    figure.rendered("png")
+    assert all(axes.get_position().width > 0.25 for axes in figure.axes), "long names leave the panels their width"
 
 
 def test_a_query_set_without_any_error() -> None:
