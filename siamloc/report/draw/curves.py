@@ -88,7 +88,8 @@ def pair_curves(measures: Mapping[str, Any]) -> Picture:
     by_lighting = {label: group for label, group in measures["lighting"].items() if "curve" in group}
     groups |= by_lighting if len(by_lighting) > 1 else {}
     shared: dict[str, Any] = {"sharex": True, "sharey": True, "margin": (0.3, 0.6), "ylabel": "judged right [%]"}
-    figure, every = panels(len(groups), 3.0, 2.3, **shared)
+    width = 3.0 if len(groups) > 1 else 4.6  # room for the legend
+    figure, every = panels(len(groups), width, 2.3, **shared)
     for axes, (label, group) in zip(every, groups.items(), strict=True):
         for name, words, look in _PAIRS:
             axes.plot(column(group["curve"], "threshold"), 100 * column(group["curve"], name), label=words, **look)

@@ -60,7 +60,11 @@ def test_pair_curves_by_lighting_pass_the_measured_accuracy(full: Path) -> None:
         for name, label in (("same", "pairs of one room"), ("overall", "all pairs")):
             assert lines[label][0.5] == pytest.approx(100 * group[name])
     one = {**pairs, "lighting": {"night": pairs["lighting"]["night"]}}
-    assert len(pair_curves(one).axes) == 1, "one lighting is drawn once"
+    single = pair_curves(one)
+    assert len(single.axes) == 1, "one lighting is drawn once"
+    single.rendered("png")
+    legend = single.legends[0].get_window_extent()
+    assert single.bbox.x0 <= legend.x0 < legend.x1 <= single.bbox.x1, "the legend is whole"
 
 
 def test_the_calibration_curve_holds_every_point(full: Path) -> None:
