@@ -220,6 +220,24 @@ def check_network(network: nn.Module, image: NDArray[np.uint8], circular: bool, 
     return descriptor.shape[1]
 
 
+def check_weights(module: nn.Module) -> None:
+    """Check that a network and its loss have weights to train.
+
+    Args:
+        module: the module that holds both.
+
+    Raises:
+        ConfigError: no weights, or only frozen ones.
+    """
+    learns = [weight.requires_grad for weight in module.parameters()]
+    if not any(learns):
+        found = "have no weights" if not learns else f"have only frozen ones, {len(learns)} with requires_grad=False"
+        raise ConfigError(
+            f"training needs weights to change, and the network and its loss {found}: train a network with layers that "
+            "learn, or thaw some by layer.requires_grad_()"
+        )
+
+
 def monitored(
     settings: Training, train: FrameTable, validated: FrameTable | None, network: nn.Module, loss: object = None
 ) -> Monitor | None:

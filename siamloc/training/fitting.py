@@ -40,6 +40,7 @@ from siamloc.training.checks import (
     check_loss,
     check_network,
     check_rooms,
+    check_weights,
     monitored,
     usable,
 )
@@ -151,6 +152,7 @@ def fit(
         network.settings["elevations"] = list(elevations)
     if isinstance(module.loss, CrossEntropyLoss):
         module.loss.open(rooms_of(train), width, settings.seed)
+    check_weights(module)
     about = {
         "data": {**train.source, "unit": train.unit, **images.settings()},
         "protocol": dict(protocol) if protocol is not None else _protocol(train, validated),

@@ -419,6 +419,8 @@ def test_frames_without_a_room_are_left_out_of_pairs_where_others_have_one(train
         ({"network": build("simple1", "fc500_500_5", (32, 64))}, DataError, r"\(B, 3, 32, 64\), got \(1, 3, 32, 128"),
         ({"network": nn.Linear(5, 2)}, DataError, "cannot take panoramas of 3 x 32 x 128: mat1 and mat2"),
         ({"network": nn.Identity()}, DataError, r"per image, shape \(1, D\), got shape \(1, 3, 32, 128\)"),
+        ({"network": nn.Sequential(nn.AdaptiveAvgPool2d(4), nn.Flatten())}, ConfigError, "its loss have no weights"),
+        ({"network": Small().requires_grad_(False)}, ConfigError, "only frozen ones, 2 with requires_grad=False"),
         ({"frames": FrameTable(path=["a.png"])}, DataError, "make the library from all needed frames"),
     ],
 )
