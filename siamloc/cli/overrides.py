@@ -43,9 +43,12 @@ def only_of_others(key: str, kind: type[Job]) -> list[str]:
 
 def _check_words(words: list[str]) -> None:
     """Make sure that Hydra can read every word, and explain what is wrong with the first that it cannot."""
+    from hydra._internal.utils import get_args_parser
     from hydra.core.override_parser.overrides_parser import OverridesParser
     from hydra.errors import HydraException
 
+    if unknown := [word for word in get_args_parser().parse_known_args(words)[1] if word.startswith("-")]:
+        raise ConfigError(f"there is no option {unknown[0]}: give settings as key=value, which --help lists")
     if "--resolve" in words and not {"-c", "--cfg"} & set(words):
         raise ConfigError("--resolve shows a configuration with its references resolved: add --cfg job")
     parser = OverridesParser.create()
