@@ -383,7 +383,10 @@ def decode_image(data: bytes, folder: Path | None = None, bits: int | None = Non
     if image is None and data[4:8] == b"ftyp":
         raise UnreadableImageError("it is a HEIC or AVIF picture or a video: convert it to JPEG")
     if image is None:
-        raise UnreadableImageError("the file is not an image, or it is damaged")
+        raise UnreadableImageError(
+            "the file is not an image, is damaged, or is of a kind that OpenCV does not read, such as a TIFF of 32-bit "
+            "floats: save it with 8 or 16 bits"
+        )
     return np.asarray(image, dtype=np.uint8)
 
 

@@ -55,6 +55,7 @@ def test_unreadable_files_say_why(tmp_path):
         (thumbnail, "cut short"),
         (png[: len(png) // 2], "cut short"),
         (b"no image at all", "not an image"),
+        (cv2.imencode(".tif", np.ones((8, 16), np.float32))[1].tobytes(), "32-bit floats: save it with 8 or 16 bits"),
         (b"\0\0\0\x1cftypheic\0\0\0\0mif1heic", "HEIC or AVIF picture or a video: convert it to JPEG"),
         (jpeg[:20] + b"\xff\xd9", "not an image|cannot be decoded"),
     ):
