@@ -274,7 +274,10 @@ def read_text(path: str | Path, most: int = 64_000_000) -> str:
         raise ValueError("it is not a regular file")
     if about.st_size > most:
         raise ValueError(f"it has {about.st_size:,} bytes, more than {most:,}")
-    return path.read_text(encoding="utf-8")
+    try:
+        return path.read_text(encoding="utf-8")
+    except UnicodeDecodeError as error:
+        raise ValueError(f"it is not text in UTF-8 (at byte {error.start}): save it as UTF-8") from error
 
 
 def read_json(path: str | Path) -> Any:

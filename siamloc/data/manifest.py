@@ -122,7 +122,7 @@ def _lines(file: Path) -> Iterator[tuple[int, list[str]]]:
     except csv.Error as error:
         raise DataError(f"{file}, line {reader.line_num}: not a CSV row ({error})") from error
     except UnicodeDecodeError as error:
-        raise DataError(f"{file} is not a CSV table in UTF-8 ({error})") from error
+        raise DataError(f"{file} is not a CSV table in UTF-8 ({error}): save it as UTF-8") from error
     except OSError as error:
         raise DataError(f"the table {file} cannot be read: {error.strerror or error}") from error
 

@@ -19,6 +19,7 @@ from foundation.files import (
     is_temporary,
     older_folder,
     read_json,
+    read_text,
     real_path,
     write_json,
     write_text,
@@ -73,6 +74,13 @@ def test_json_cut_short_is_said_to_be(tmp_path, content):
         read_json(tmp_path / "v.json")
     with pytest.raises(FormatError, match="does not exist"):
         read_json(tmp_path / "w.json")
+
+
+@pytest.mark.parametrize("encoding", ["latin-1", "utf-16"])
+def test_a_text_in_another_encoding_is_refused_with_what_to_do(tmp_path, encoding):
+    (tmp_path / "poses.txt").write_text("# Büro", encoding=encoding)
+    with pytest.raises(ValueError, match=r"it is not text in UTF-8 \(at byte \d\): save it as UTF-8"):
+        read_text(tmp_path / "poses.txt")
 
 
 @given(st.dictionaries(st.text(), st.integers(), min_size=2))

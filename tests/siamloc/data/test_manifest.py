@@ -85,7 +85,7 @@ def test_columns_that_are_not_used_are_reported(folder, caplog):
         ("image\na.jpg\nb.jpg\n./a.jpg\n", "line 4: image './a.jpg' is already in line 2 with the same sequence"),
         ('image\n"a.jpg\n', r"frames\.csv, line \d: not a CSV row"),
         ("image\na\0.jpg\n", r"frames\.csv, line 2: (the row has a NUL|not a CSV row)"),
-        (b"image\n\xff.jpg\n", "is not a CSV table in UTF-8"),
+        (b"image\n\xff.jpg\n", r"is not a CSV table in UTF-8 \(.*\): save it as UTF-8"),
     ],
 )
 def test_each_fault_is_named(folder, text, message):
