@@ -208,7 +208,7 @@ def simulate(*, settings: SimulateConfig) -> Summary:
     tracks = {name: state.track.head(settings.frames) for name, state in states.items()}
     work = [batch for run in drives for batch in _missing(settings, building, run, tracks[run.name])]
     total = sum(len(rows) for _, rows in work)
-    for _ in track(_rendered(settings, work), total, f"rendering {building.name}", size=int):
+    for _ in track(_rendered(settings, work), total, f"rendering {building.name}", size=int) if work else ():
         pass
     counts: dict[str, int] = {}
     changed: dict[str, float] = {}

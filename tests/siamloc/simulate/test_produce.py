@@ -72,7 +72,9 @@ def test_equal_bytes_with_other_worker_counts(written: Path, tmp_path: Path) -> 
     assert not set(hashes(tmp_path / "other").values()) & set(two.values()), "another seed is another building"
 
 
-def test_an_interrupted_rendering_goes_on(written: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_interrupted_rendering_goes_on(
+    written: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     real, done = produce.write_picture, []
 
     def stopping(path: Path, picture: np.ndarray, quality: int) -> None:
@@ -91,7 +93,9 @@ def test_an_interrupted_rendering_goes_on(written: Path, tmp_path: Path, monkeyp
     summary = small(out=tmp_path)
     assert summary.rendered == 3
     assert hashes(tmp_path) == hashes(written)
+    assert "rendering mini: 3 of 3" in capsys.readouterr().err
     again = small(out=tmp_path)
+    assert "rendering" not in capsys.readouterr().err
     first = f"{tmp_path / 'mini'}: 0 frames rendered in {again.seconds:.0f} s"
     assert repr(again).splitlines() == [first, "  mini_a_seq2_cloudy1: 6 frames", "  rooms: CR-A 6"]
 
