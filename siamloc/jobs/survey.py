@@ -35,6 +35,7 @@ class SurveyDrives(DataJob):
         network=runs/robot              the run of a network that compares images, instead of the shipped one
         survey.apart=3.0                metres of way between two frames that may close a loop
         survey.alike=8                  similar frames that each frame is compared with
+        survey.drift=0.5                degrees by which the heading of odometry is off after a metre
         survey.height=0.95              height of the camera above the floor in metres, which tells the scale where
                                         there is no odometry
         out=survey                      the folder

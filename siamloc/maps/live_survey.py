@@ -50,7 +50,7 @@ class LiveSurvey:
         network: the network of the survey.
         found: the survey.
         known: its map, `siamloc.maps.build(network, images, found.frames)`.
-        settings: how loops are searched.
+        settings: how loops are searched, and how exact odometry is.
 
     Raises:
         ConfigError: a network that does not compare panoramas.
@@ -132,7 +132,7 @@ class LiveSurvey:
         pair = np.zeros(2, dtype=np.int64)
         self._odometry = np.concatenate([self._odometry, wheels])
         moved = odometry_steps(self._odometry[-2:], edges.pose[:1], odds[:1] >= ODDS, pair, ["(unnamed)"], [])
-        rolled = wheel_edges(moved)
+        rolled = wheel_edges(moved, self._settings.drift)
         start = composed(self._poses[-1:], start_of(moved, edges.pose[:1], pair)[1:])
         self._steps = Edges.concatenate([self._steps, trusted(edges.take(slice(close)), odds[:close])])
         rolled = replace(rolled, first=rolled.first + n - 1, second=rolled.second + n - 1)

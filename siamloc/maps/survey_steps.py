@@ -22,7 +22,7 @@ BEFORE = (1, 2, 3, 5)
 """How many frames before it each frame is compared with."""
 _DOUBTED = 100.0  # the information of a step between images that are not alike is divided by this
 _AT_ONCE = 2048  # pairs to compare
-_SHARE, _TURN = 0.03, np.radians(0.5)  # deviation of odometry: as a share of the way, and per square root of the way
+_SHARE = 0.03  # deviation of the way by odometry, as a share
 _STILL, _ROLLED = 2e-3, np.radians(0.05)  # deviation of odometry however short the way
 _SURE = 0.05  # metres: a displacement that comparisons see for certain
 _UNITS = 0.4, 2.5  # ratio of the ways by odometry and by comparison; outside, the units differ
@@ -224,12 +224,17 @@ def _rows_late(heading: Array, turns: Array, first: NDArray[np.int64], back: int
     return int(late[best]) if wrong else 0
 
 
-def wheel_edges(steps: Array) -> Edges:
-    """Return odometry from frame to frame (n - 1, 3), where it is known, as edges with their information."""
+def wheel_edges(steps: Array, drift: float) -> Edges:
+    """Return odometry from frame to frame (n - 1, 3), where it is known, as edges with their information.
+
+    Args:
+        steps: the odometry.
+        drift: standard deviation of its heading after a metre, in degrees.
+    """
     first = np.flatnonzero(np.isfinite(steps).all(axis=1)).astype(np.int64)
     way = np.hypot(steps[first, 0], steps[first, 1])
     along = (_SHARE * way) ** 2 + _STILL**2
-    turn = _TURN**2 * way + _ROLLED**2
+    turn = np.radians(drift) ** 2 * way + _ROLLED**2
     information = np.zeros((len(first), 3, 3))
     information[:, 0, 0] = information[:, 1, 1] = 1 / along
     information[:, 2, 2] = 1 / turn

@@ -59,12 +59,14 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class SurveySettings(Settings):
-    """How loops are searched, and how high the camera is.
+    """How loops are searched, how exact odometry is, and how high the camera is.
 
     Attributes:
         apart: way between two frames of a drive that may be a loop, at least, in metres.
         alike: number of most similar frames that each frame is compared with, divided evenly among the drives, but at
             least two in each.
+        drift: standard deviation of the heading by odometry after a metre, in degrees; it grows with the root of the
+            way.
         height: height of the camera above the floor, in metres, which gives the scale where neither odometry nor two
             anchors do.
     """
@@ -73,6 +75,7 @@ class SurveySettings(Settings):
 
     apart: Positive = 3.0
     alike: Count = 8
+    drift: Positive = 0.5
     height: Positive | None = None
 
 
@@ -181,7 +184,7 @@ def survey(
         anchors: some of the frames, with their true poses, which fix position, direction and scale of the whole.
         candidates: (p, 2) rows of pairs of frames that may show one place, such as `IncrementalMapper.graph().loops`
             of the same frames: loops are searched among them, instead of among the frames that look most alike.
-        settings: how loops are searched, and the height of the camera.
+        settings: how loops are searched, how exact odometry is, and the height of the camera.
         progress: whether to show the progress.
 
     Returns:
@@ -292,7 +295,7 @@ def of_descriptions(
     placed = set(drive[fixed].tolist()) or {0}
     start = brought_together(start, loops, drive, names, notes, placed)
     deviation = DEVIATION if scale is not None and scale.given else SCALE
-    graph = PoseGraph(steps, wheel_edges(moved), drive, fixed, deviation)
+    graph = PoseGraph(steps, wheel_edges(moved, settings.drift), drive, fixed, deviation)
     return concluded(frames, graph, loops, start, notes, scale)
 
 

@@ -16,7 +16,7 @@ from siamloc.data.decoding import Preprocessing
 from siamloc.data.mounting import Mounting
 from siamloc.data.moves import chained, composed, relative, wrapped
 from siamloc.errors import ConfigError, DataError
-from siamloc.maps import LiveSurvey, VisualMap, survey
+from siamloc.maps import LiveSurvey, SurveySettings, VisualMap, survey
 from siamloc.maps.floor import FloorScale
 
 
@@ -143,6 +143,14 @@ def off(found, true, scaled=False) -> float:
     return float(np.hypot(*(moved - wanted).T).mean())
 
 
+def test_odometry_that_drifts_more_is_believed_less(surveyed):
+    drives = {"monday": eights()}
+    found, _, _ = surveyed(drives)
+    loose, _, _ = surveyed(drives, settings=SurveySettings(drift=5.0))
+    assert (loose.graph.wheels.information[:, 2, 2] < found.graph.wheels.information[:, 2, 2] / 50).all()
+    assert (loose.frames.theta_deviation[1:] > found.frames.theta_deviation[1:]).all()
+
+
 def test_loops_undo_the_drift_of_odometry(surveyed):
     poses = eights()
     found, true, _ = surveyed({"monday": poses}, scale=0.9)
@@ -203,7 +211,7 @@ def test_loops_are_searched_among_given_candidates(surveyed):
 
 def test_drives_are_brought_together(surveyed):
     drives = {"monday": eights(2), "tuesday": np.add(eights(2)[::-1], [0.05, 0.1, np.pi]), "night": eights(1)}
-    found, true, _ = surveyed(drives)
+    found, _, _ = surveyed(drives)
     assert off(found, true) < 0.08
     assert found.graph.drive.tolist() == [0] * 60 + [1] * 60 + [2] * 30
     assert list(found.report()["odometry"]) == ["monday", "tuesday", "night"]
