@@ -96,9 +96,13 @@ def elevations_known(images: PanoramaLibrary) -> bool:
 
 
 def seen_by_all(images: PanoramaLibrary) -> NDArray[np.bool_]:
-    """Return which pixels (H, W) of panoramas the cameras of all drives see; resized panoramas count as seen."""
-    by_drive = (images.seen(name) for name in images.frames.rows_by("sequence"))
-    return np.logical_and.reduce([np.ones(images.image_size, bool), *(sees for sees in by_drive if sees is not None)])
+    """Return which pixels (H, W) of panoramas every drive's camera is known to see; resized ones count as seen."""
+    every = np.ones(images.image_size, dtype=bool)
+    for name in images.frames.rows_by("sequence"):
+        if images.cameras[name] is not None:
+            sees = images.seen(name)
+            every &= False if sees is None else sees
+    return every
 
 
 def _rows(view: PanoramaView) -> tuple[Array, NDArray[np.bool_]]:

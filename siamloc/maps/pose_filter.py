@@ -8,8 +8,9 @@ its information and by the probability that it is not a stray one. Several hypot
 the following poses better.
 
 Motions may be wrong, such as those of a stuck encoder: a robot whose motions are known is also tracked without them, by
-other stories, which answer while they explain the poses far better. Poses of one place have their errors in common:
-with known motions, a pose counts by the share of a usual step, or of a radian, that the robot moved since the last one.
+other stories, which answer once they explain the poses far better, until the motions explain them as well. Poses of one
+place have their errors in common: with known motions, a pose counts by the share of a usual step, or of a radian, that
+the robot moved since the last one.
 """
 
 from __future__ import annotations
@@ -223,7 +224,7 @@ class PoseFilter:
         if len(self._explained) < _JUDGED:
             return False
         driven, alone = np.mean(self._explained, axis=0)
-        return bool(driven < alone / (1 if self._contradicted else 2) and alone > 0.5)
+        return bool(driven < alone if self._contradicted else driven < alone / 2 and alone > 0.5)
 
     def _moved(self, story: _Story) -> _Story:
         if len(story.mean) == 3:

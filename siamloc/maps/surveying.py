@@ -372,6 +372,6 @@ def _told_by_floor(
         notes.append(
             f"by the edges that stand upright, the camera looks about {abs(degrees)} degrees "
             f"{'down' if degrees > 0 else 'up'} ahead on average, which lengths make up for: mount it level, or level "
-            "its pictures (unwrap.level=true)"
+            "its pictures if the camera's model is known (unwrap.level=true)"
         )
     return told

@@ -129,9 +129,18 @@ def test_a_pitched_camera_tells_the_same_lengths(drive, pitch):
     notes: list[str] = []
     assert _told_by_floor(floor, True, steps, steps.pose[:39], HEIGHT, notes, None) is not None
     assert f"the camera looks about {abs(pitch)} degrees {'down' if pitch > 0 else 'up'} ahead" in notes[0]
-    pitched[..., :64] = pitched[..., 192:] = 40  # who only sees the floor ahead can tell a pitch less well
+    pitched[..., :64] = pitched[..., 192:] = 40  # edges ahead alone show a pitch less well
     found, _ = scaled(pitched, steps)
     np.testing.assert_allclose(found.factors, 1, atol=0.15)  # 9 and 28 % off if taken to be level
+
+
+def test_what_fills_unseen_pixels_tells_no_pitch(drive):
+    hidden = np.stack([panorama(pose, pitch=np.radians(3)) for pose in drive[0][:8]])
+    sees = np.ones((64, 256), dtype=bool)
+    sees[:, :64] = sees[:, 192:] = False  # behind
+    hidden[..., ~sees] = np.tile(STREAKS, (64, 1))[~sees]
+    assert np.degrees(Floor.seen([hidden], VIEW, sees).pitch) == pytest.approx(3, abs=0.5)
+    assert np.degrees(Floor.seen([hidden], VIEW).pitch) < 2.5
 
 
 @pytest.mark.parametrize("wrong", [0.5, 2.5])
@@ -205,11 +214,11 @@ def test_the_floor_tells_how_far_apart_images_are_that_were_taken_nearby(drive, 
     assert np.median(np.linalg.det(longer.information)) > 100  # which was 1
 
 
-def grey_frames(folder) -> FrameTable:
+def grey_frames(folder, kind="png") -> FrameTable:
     """Write 12 grey pictures of 32 x 32 px, and return their frames."""
     for number in range(12):
-        cv2.imwrite(str(folder / f"{number}.png"), np.full((32, 32, 3), number, np.uint8))
-    return FrameTable(path=[str(folder / f"{number}.png") for number in range(12)])
+        cv2.imwrite(str(folder / f"{number}.{kind}"), np.full((32, 32, 3), number, np.uint8))
+    return FrameTable(path=[str(folder / f"{number}.{kind}") for number in range(12)])
 
 
 @pytest.mark.parametrize(
@@ -229,6 +238,12 @@ def test_a_height_needs_a_floor_at_known_elevations(tmp_path, options):
     assert not shows_floor(images, None)
     for good in ({"elevations": (30, -30)}, {"unwrap": FisheyeCamera(fov=200, elevation=-90)}):
         assert shows_floor(PanoramaLibrary(frames, tmp_path / "cache", image_size=(64, 256), **good), 1.0)
+
+
+def test_a_camera_whose_pictures_have_an_unknown_size_is_not_known_to_see_the_floor(tmp_path):
+    frames = grey_frames(tmp_path, "bmp")
+    upward = FisheyeCamera(fov=200, elevation=90)
+    assert not shows_floor(PanoramaLibrary(frames, tmp_path / "cache", image_size=(64, 256), unwrap=upward), None)
 
 
 def test_no_height_gives_metres_below_a_mirror_that_is_presumed_in_a_ring(tmp_path):

@@ -208,11 +208,12 @@ def test_a_robot_that_was_carried_with_its_camera_running_is_found_again(count):
     [[0, 0, 0], [2, 2, 1], [100, 100, 1], [1, -1, -1]],
     ids=["stuck", "doubled", "another unit", "mirrored"],
 )
-def test_motions_that_the_pictures_contradict_are_not_used(factors, monkeypatch):
+@pytest.mark.parametrize(("strays", "agree"), [(0.25, 0.5), (0.5, 1.0)], ids=["other buildings", "mistaken places"])
+def test_motions_that_the_pictures_contradict_are_not_used(factors, strays, agree, monkeypatch):
     monkeypatch.setattr(UnitOfMotion, "step", lambda *_: None)  # it refuses another unit, but only later
-    poses, wrong = around(), np.random.default_rng(0).random(400) < 0.25
+    poses, wrong = around(), np.random.default_rng(0).random(400) < strays
     given = seen(poses, 0, wrong)
-    given.agreement[wrong] *= 0.5  # as those of other buildings
+    given.agreement[wrong] *= agree
     motion = wheels(poses)
     motion[:200] *= factors
     without, found, right = (

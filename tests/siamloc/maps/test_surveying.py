@@ -211,7 +211,7 @@ def test_loops_are_searched_among_given_candidates(surveyed):
 
 def test_drives_are_brought_together(surveyed):
     drives = {"monday": eights(2), "tuesday": np.add(eights(2)[::-1], [0.05, 0.1, np.pi]), "night": eights(1)}
-    found, _, _ = surveyed(drives)
+    found, true, _ = surveyed(drives)
     assert off(found, true) < 0.08
     assert found.graph.drive.tolist() == [0] * 60 + [1] * 60 + [2] * 30
     assert list(found.report()["odometry"]) == ["monday", "tuesday", "night"]
