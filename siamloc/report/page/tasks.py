@@ -68,10 +68,10 @@ def hierarchical(part: Part) -> Markup | None:
     what = f"{nodes} {layer['name']} nodes" if nodes and "name" in layer else "The nodes"
     tried = f", the best {settings['candidates']} of them searched" if "candidates" in settings else ""
     text = (
-        f"{what} over {count(found['map_frames'])} map frames{tried}. Errors are means. A node is found if the one "
-        "that the nearest map frame belongs to is among those searched; right and wrong node refer to this. Perfect "
-        "nodes means always searching the right one. The loss is relative to a search of the whole map; the last two "
-        "columns are shares of its comparisons, without and with those of the nodes."
+        f"{what} over {count(found['map_frames'])} map frames{tried}. Errors are means. A node is found if the right "
+        "one is among those searched: the node of the nearest map frame, or of the query's room where nodes are rooms. "
+        "Perfect nodes means always searching the right one. The loss is relative to a search of the whole map; the "
+        "last two columns are shares of its comparisons, without and with those of the nodes."
     )
     return section(
         "Nodes first, then the frames in them",
