@@ -296,7 +296,8 @@ class VisualMap:
             description: what `describe` returned for their panoramas.
 
         Raises:
-            ConfigError: a description by another descriptor; those by networks do not name theirs.
+            ConfigError: a description by another descriptor; those by networks and by several descriptors together
+                do not name theirs.
             DataError: a frame that the map holds already, positions in another unit, or a description of another form.
 
         Example:
