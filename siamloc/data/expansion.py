@@ -20,7 +20,7 @@ from augment.expand import headings
 from foundation.calls import typed
 from foundation.files import csv_text, real_path, storage_errors, write_json, write_text
 from foundation.locks import alone
-from foundation.settings import Count, Seed, Thousand
+from foundation.settings import Count, Seed, Thousand, as_words
 from siamloc.data.decoding import Preprocessing, UnreadableImageError
 from siamloc.data.frames import FrameTable
 from siamloc.data.manifest import COLUMNS
@@ -73,10 +73,9 @@ class Expanded:
         before = f", {self.kept} were there" if self.kept else ""
         count = self.written + self.kept
         lines.append(f"{self.folder}: {count} images of {self.frames} frames, {self.depth} each{before}")
-        where = next(f"data.{key}={value}" for key, value in self.source.items() if key != "kind")
-        unwrap = " unwrap=none" if self.kind == "cold" else ""
-        train = """'protocol.train.sequences=["*"]'"""
-        lines.append(f"train with: siamloc train data={self.kind} {where}{unwrap} {train}")
+        words = {"data" if key == "kind" else f"data.{key}": value for key, value in self.source.items()}
+        unwrap = {"unwrap": "none"} if self.kind == "cold" else {}
+        lines.append(f"train with: siamloc train {as_words({**words, **unwrap, 'protocol.train.sequences': ['*']})}")
         return "\n".join(lines)
 
 

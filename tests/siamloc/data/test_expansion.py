@@ -116,7 +116,10 @@ def test_a_single_list_of_cold_is_expanded(tmp_path):
     write_picture(picture, np.zeros((32, 32, 3), np.uint8))
     (drive / "places.lst").write_text(f"{picture.name} CR-A\n")
     frames = data.read("cold", places=drive / "places.lst")
-    done = data.expand(frames, tmp_path / "out", depth=1, image_size=(16, 64))
+    done = data.expand(frames, tmp_path / "my out", depth=1, image_size=(16, 64))
+    assert done.summary().endswith(
+        f"siamloc train data=cold 'data.root={done.folder}' unwrap=none 'protocol.train.sequences=[\"*\"]'"
+    )
     assert [path.name for path in done.folder.rglob("*.jpeg")] == [name]
     assert data.read(**done.source).sequence.tolist() == ["seq1_night2"]
 
