@@ -72,7 +72,10 @@ def chosen_rows(rows: Any, count: int, error: type[Exception] = DataError) -> sl
     """
     if isinstance(rows, slice):
         return rows
-    key = np.atleast_1d(rows)
+    try:
+        key = np.atleast_1d(rows)
+    except ValueError:  # lists of different lengths
+        key = np.array(None)
     key = key if key.size else key.astype(np.int64)
     if key.dtype == bool:
         fits = key.shape == (count,)

@@ -47,7 +47,7 @@ def test_every_table_takes_a_single_row_and_a_slice_and_refuses_rows_that_it_lac
     for rows, count in ((1, 1), (-1, 1), (slice(0, 2), 2), ([True, False, True], 2)):
         some = table.take(rows)
         assert (type(some), len(some)) == (type(table), count)
-    for wrong in ([3], [-4], [True, False], [0.0], "1", [[0]]):
+    for wrong in ([3], [-4], [True, False], [0.0], "1", [[0]], [[1], [1, 2]]):
         with pytest.raises(
             (DataError, AnalyticError), match=r"of 3 rows, some are taken by their numbers from 0, a mask"
         ):
