@@ -117,7 +117,8 @@ class FrameTable:
         n = len(paths)
         for name in COLUMNS:
             value = getattr(self, name)
-            column = _as_column(name, np.full(n, _UNKNOWN[name]) if value is None else value)
+            value = np.full(n, _UNKNOWN[name]) if value is None else value
+            column = paths if name == "path" else _as_column(name, value)
             if column.shape != (n,):
                 raise DataError(f"column {name!r} has shape {column.shape}, expected ({n},) like 'path'")
             if name in DEVIATIONS and (column < 0).any():
