@@ -41,6 +41,10 @@ _LISTED = 12  # sequences, rooms or lightings that a description names
 _POSED = ("path", "x", "y", "theta", "room", "sequence", "lighting", "time", "building")
 COLUMNS = (*_POSED, *ODOMETRY, *DEVIATIONS, *TILT)
 _TIMES = (date, timedelta, np.datetime64, np.timedelta64)
+_IN_SECONDS = (
+    ", so give seconds: t = np.array(times, 'datetime64[us]'), or 'timedelta64[us]' for durations, and then "
+    "(t - t.min()) / np.timedelta64(1, 's')"
+)
 _UNKNOWN = {name: "" if name in _TEXT else np.nan for name in COLUMNS}
 
 
@@ -394,7 +398,7 @@ def _check_names(names: Iterable[str]) -> None:
 def _as_column(name: str, value: ArrayLike) -> NDArray[Any]:
     try:
         if name not in _TEXT and _is_time(np.asarray(value)):
-            raise ValueError("got dates or durations, so give seconds: (times - times.min()) / np.timedelta64(1, 's')")
+            raise ValueError(f"got dates or durations{_IN_SECONDS if name == 'time' else ''}")
         column = np.array(value, dtype=np.str_ if name in _TEXT else np.float64)
         if name in _TEXT and column.ndim == 1 and not (isinstance(value, np.ndarray) and value.dtype.kind == "U"):
             missing = [_is_missing(one) for one in np.array(value, dtype=object)]

@@ -78,8 +78,10 @@ def test_a_label_that_is_none_or_nan_is_missing(rooms):
     ],
 )
 def test_dates_and_durations_are_no_numbers(times):
-    with pytest.raises(DataError, match="dates or durations, so give seconds"):
+    with pytest.raises(DataError, match=r"dates or durations, so give seconds: t = np\.array"):
         FrameTable(path=["a", "b"], time=times)
+    with pytest.raises(DataError, match=r"column 'x' must hold numbers, one for each frame: got dates or durations$"):
+        FrameTable(path=["a", "b"], x=times)
 
 
 def test_a_column_of_another_library_is_a_list_of_image_files_and_a_single_one_is_not():
