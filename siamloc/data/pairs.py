@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from foundation.calls import typed
+from foundation.columns import Rows
 from foundation.settings import Count, Positive, Seed, Settings, Share, checked
 from siamloc.data.frames import FrameTable
 from siamloc.errors import ConfigError, DataError
@@ -40,8 +41,8 @@ class PairSettings(Settings):
     scale: Positive | Mapping[str, Any] | None = None
 
 
-@dataclass(frozen=True)
-class Pairs:
+@dataclass(frozen=True, eq=False)
+class Pairs(Rows):
     """Pairs as columns of equal length n.
 
     Attributes:
@@ -55,13 +56,6 @@ class Pairs:
     second: NDArray[np.int64]
     label: NDArray[np.float32]
     same: NDArray[np.bool_]
-
-    def __len__(self) -> int:
-        return len(self.first)
-
-    def take(self, rows: Any) -> Pairs:
-        """Return the pairs at some positions, given by index, mask or slice."""
-        return Pairs(self.first[rows], self.second[rows], self.label[rows], self.same[rows])
 
 
 class PairSampler:

@@ -16,7 +16,7 @@ from siamloc.evaluation.metrics import error_floor, localization_error, recall_f
 from siamloc.results import Columns
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Answer(Rows):
     """Answers of a descriptor for a batch of images.
 

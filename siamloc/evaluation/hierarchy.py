@@ -268,7 +268,7 @@ def node_measures(columns: Mapping[str, NDArray], about: Mapping[str, Any]) -> d
     return pose_measures(columns, about, group)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class _Found(Rows):
     """Results of the queries: with both layers, in the whole map, and headings, NaN where unknown (n,)."""
 

@@ -37,7 +37,7 @@ Radii = Annotated[tuple[NotNegative, ...], several("numbers from 0")]
 Counts = Annotated[tuple[Count, ...], several("whole numbers from 1")]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Found(Rows):
     """Results of a search in a map for n frames.
 

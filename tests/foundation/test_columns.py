@@ -9,6 +9,9 @@ from analytic import Alignment, AnalyticError, Description, Match
 from foundation.columns import Rows
 from foundation.errors import DataError
 from siamloc.data.frames import FrameTable
+from siamloc.data.pairs import Pairs
+from siamloc.evaluation.disturbed_tables import Answer
+from siamloc.evaluation.session import Found
 from siamloc.maps import NodeRanking, Retrieval, VisualMap
 
 FRAMES = FrameTable(path=["0.png", "1.png", "2.png"])
@@ -40,7 +43,13 @@ def test_rows_are_taken_and_joined_in_every_field():
 
 @pytest.mark.parametrize(
     "table",
-    [Inner(np.arange(3.0)), Description(np.eye(3), np.ones((3, 2, 2))), FRAMES, VisualMap(np.eye(3), FRAMES)],
+    [
+        Inner(np.arange(3.0)),
+        Description(np.eye(3), np.ones((3, 2, 2))),
+        FRAMES,
+        VisualMap(np.eye(3), FRAMES),
+        Pairs(*np.zeros((4, 3))),
+    ],
     ids=lambda one: type(one).__name__,
 )
 def test_every_table_takes_a_single_row_and_a_slice_and_refuses_rows_that_it_lacks(table):
@@ -54,7 +63,7 @@ def test_every_table_takes_a_single_row_and_a_slice_and_refuses_rows_that_it_lac
             table.take(wrong)
 
 
-@pytest.mark.parametrize("kind", [Description, Alignment, Match, Retrieval, NodeRanking])
+@pytest.mark.parametrize("kind", [Description, Alignment, Match, Retrieval, NodeRanking, Pairs, Found, Answer])
 def test_results_that_hold_arrays_can_be_looked_for_in_a_list(kind):
     one, other = (kind(*[np.zeros((2, 2))] * sum(field.default is MISSING for field in fields(kind))) for _ in "ab")
     assert [other, one].index(one) == 1
