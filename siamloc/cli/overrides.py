@@ -47,7 +47,9 @@ def _check_words(words: list[str]) -> None:
     from hydra.core.override_parser.overrides_parser import OverridesParser
     from hydra.errors import HydraException
 
-    if unknown := [word for word in get_args_parser().parse_known_args(words)[1] if word.startswith("-")]:
+    known, rest = get_args_parser().parse_known_args(words)  # whose overrides may hold -5, and what follows --
+    unread = ["--", *rest, *known.overrides]
+    if unknown := [word for word in words if word.startswith("-") and word in unread]:
         raise ConfigError(f"there is no option {unknown[0]}: give settings as key=value, which --help lists")
     if "--resolve" in words and not {"-c", "--cfg"} & set(words):
         raise ConfigError("--resolve shows a configuration with its references resolved: add --cfg job")

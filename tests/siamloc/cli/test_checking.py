@@ -73,6 +73,8 @@ def test_damaged_files_are_told_in_a_sentence():
         ("train photo.jpeg", "'photo.jpeg' is not of the form key=value"),
         ("train --resolve", "add --cfg job"),
         ("train epochs=2 --foo seed=1", "there is no option --foo: give settings as key=value"),
+        ("train -5", "there is no option -5: give"),
+        ("train epochs=2 -- --foo", "there is no option --: give"),
         ("augment expand out=x dept=3", "did you mean 'depth'"),
         # values
         ("train epochs=abc", "epochs must be a whole number from 1 to 10 million, got 'abc'"),
