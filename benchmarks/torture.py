@@ -31,7 +31,7 @@ from benchmarks.report import Report, parser
 from benchmarks.torture_calls import call_cases
 from benchmarks.torture_files import FILES, damaged
 from siamloc.cli.compose import composed
-from siamloc.data.decoding import UnreadableImageError
+from siamloc.data.image_files import UnreadableImageError
 from siamloc.errors import SiamlocError
 from siamloc.jobs import Localize, Watch
 from siamloc.jobs.job import Job, leaves

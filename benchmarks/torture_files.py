@@ -266,7 +266,7 @@ def _read_building(path: Path) -> Any:
 FILES: dict[str, Kind] = {
     "manifest": Kind(_write_manifest, lambda path: siamloc.data.read("manifest", manifest=path)),
     "places": Kind(_write_places, _read_places),
-    "image": Kind(_write_image, siamloc.data.decoding.read_image),
+    "image": Kind(_write_image, siamloc.data.image_files.read_image),
     "map": Kind(_saved("map.npz", _known), siamloc.maps.VisualMap.load),
     "layer": Kind(_saved("", _built, "layer.npz"), _read_layer),
     "error model": Kind(_saved("error_model.json", _errors), siamloc.maps.ErrorModel.load),

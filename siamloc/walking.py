@@ -27,7 +27,7 @@ from siamloc.data import (
     find_camera,
     read,
 )
-from siamloc.data.decoding import size_of
+from siamloc.data.image_files import size_of
 from siamloc.data.manifest import manifest_of
 from siamloc.data.photo_sphere import stated
 from siamloc.data.picture_checks import drive_faults

@@ -34,7 +34,7 @@ class Demo(Job):
 
     def run(self, say: Say = quiet) -> None:
         """Run the commands one after the other, in the folder of the run, from rendering a building to the report."""
-        from siamloc.data.frames import image_files
+        from siamloc.data.image_files import image_files
         from siamloc.runs import Run
         from siamloc.training.run_folder import check_folder
 

@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from siamloc.data.decoding import bits_used
+from siamloc.data.image_files import bits_used
 from siamloc.data.trajectory import Trajectory, composed
 from siamloc.errors import DataError, SiamlocError, hint, lacking, logger
 

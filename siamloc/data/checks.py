@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from analytic import Descriptor
 from foundation.calls import typed
 from foundation.files import file_hash
-from siamloc.data.decoding import UnreadableImageError, read_image, size_of
 from siamloc.data.frames import FrameTable
+from siamloc.data.image_files import UnreadableImageError, read_image, size_of
 from siamloc.data.library import PanoramaLibrary
 from siamloc.data.pairs import diameter
 from siamloc.data.panorama import OmnidirectionalCamera, PanoramaView, seen

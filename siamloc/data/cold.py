@@ -11,7 +11,8 @@ from typing import Any, NamedTuple
 
 from foundation.files import first_names, is_picture
 from foundation.settings import shortened
-from siamloc.data.frames import ODOMETRY, FrameTable, image_files, in_capture_order, read_file
+from siamloc.data.frames import ODOMETRY, FrameTable, in_capture_order, read_file
+from siamloc.data.image_files import image_files
 from siamloc.data.manifest import read_rows
 from siamloc.data.names import SequenceName, name_sequence, parse_name
 from siamloc.errors import ConfigError, DataError, Policy, hint, leave_out, logger

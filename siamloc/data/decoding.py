@@ -1,16 +1,13 @@
-"""Decode an image file into a panorama of the working size."""
+"""`Preprocessing`: how an image becomes a panorama of the working size."""
 
 from __future__ import annotations
 
 import dataclasses
-import struct
 import sys
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
-from functools import cache
 from pathlib import Path
-from threading import Lock
 from typing import Any, cast
 
 import cv2
@@ -20,16 +17,14 @@ from numpy.typing import NDArray
 from foundation.files import plain
 from foundation.settings import Size, as_words, checked, leaves
 from siamloc.data.cameras import CAMERAS
-from siamloc.data.frames import image_files
+from siamloc.data.image_files import UnreadableImageError, read_image, spread
 from siamloc.data.levelling import SIZE, tilt_of
 from siamloc.data.panorama import OmnidirectionalCamera, PanoramaView, PolarRing, seen, unwrap
 from siamloc.data.photo_sphere import stated
 from siamloc.data.two_lenses import wrong_lenses
-from siamloc.errors import ConfigError, DataError, hint, logger, say_once
+from siamloc.errors import ConfigError, DataError, hint, say_once
 
-
-class UnreadableImageError(Exception):
-    """An image file that cannot be decoded; the text says why."""
+_ALIKE = 0.01  # by which the shapes of pictures may differ that are scaled
 
 
 @dataclass(frozen=True)
@@ -328,139 +323,3 @@ def _imported(kind: str) -> Any:
 
 def _hashable(value: Any) -> Any:
     return tuple(map(_hashable, value)) if isinstance(value, list) else value
-
-
-_LARGEST = 16_384  # pixels per side of an image
-_LOOKED_AT = 16  # images of a folder
-_ALIKE = 0.01  # by which the shapes of pictures may differ that are scaled
-_ONE_BY_ONE = Lock()  # a folder is looked at once, by one of the threads
-_HEADER = 200_000  # bytes in which a file says its size, after thumbnails
-
-
-def read_image(path: str | Path, bits: int | None = None) -> NDArray[np.uint8]:
-    """Read an image file as (rows, columns, 3), uint8, BGR; grey images get three equal channels.
-
-    Args:
-        path: the file.
-        bits: how many of 16 bits are in use; if None, as many as in the images of the folder.
-
-    Raises:
-        UnreadableImageError: the file is missing, empty, cut short, or not an image.
-    """
-    try:
-        data = Path(path).read_bytes()
-    except FileNotFoundError as error:
-        raise UnreadableImageError("the file does not exist") from error
-    except (OSError, ValueError) as error:  # a name that no file can have
-        raise UnreadableImageError(getattr(error, "strerror", None) or str(error)) from error
-    return decode_image(data, Path(path).absolute().parent, bits)
-
-
-def decode_image(data: bytes, folder: Path | None = None, bits: int | None = None) -> NDArray[np.uint8]:
-    """Decode the content of an image file as (rows, columns, 3), uint8, BGR; see `read_image`.
-
-    Args:
-        data: the content.
-        folder: the folder whose images of 16 bits say how many of them are in use; this image does if None.
-        bits: how many of 16 bits are in use; None if unknown.
-
-    Raises:
-        UnreadableImageError: the content is empty, cut short, too large, or not an image.
-    """
-    if not data:
-        raise UnreadableImageError("the file is empty")
-    if cut_short(data):
-        raise UnreadableImageError("the file is cut short")
-    if (size := _declared_size(data)) is not None and max(size) > _LARGEST:
-        raise UnreadableImageError(f"it has {size[0]:,} x {size[1]:,} pixels, and {_LARGEST:,} a side are the most")
-    try:
-        image = cv2.imdecode(np.frombuffer(data, dtype=np.uint8), cv2.IMREAD_COLOR)
-        if (deep := _deep(data)) is not None:
-            bits = bits or (bits_used(deep) if folder is None else _bits_in(folder))
-            image = np.minimum(deep >> (bits - 8), 255)
-    except cv2.error as error:
-        raise UnreadableImageError(f"the image cannot be decoded ({error.err})") from error
-    if image is None and data[4:8] == b"ftyp":
-        raise UnreadableImageError("it is a HEIC or AVIF picture or a video: convert it to JPEG")
-    if image is None:
-        raise UnreadableImageError(
-            "the file is not an image, is damaged, or is of a kind that OpenCV does not read, such as a TIFF of 32-bit "
-            "floats: save it with 8 or 16 bits"
-        )
-    return np.asarray(image, dtype=np.uint8)
-
-
-def _deep(data: bytes) -> NDArray[np.uint16] | None:
-    """Return the pixels (rows, columns, 3), BGR, of a PNG or TIFF of 16 bits; None for all other images."""
-    if not (data.startswith((b"II*\0", b"MM\0*")) or (data.startswith(b"\x89PNG") and data[24:25] == b"\x10")):
-        return None
-    image = cv2.imdecode(np.frombuffer(data, dtype=np.uint8), cv2.IMREAD_COLOR | cv2.IMREAD_ANYDEPTH)
-    return np.asarray(image, np.uint16) if image is not None and image.dtype == np.uint16 else None
-
-
-def bits_used(image: NDArray[Any]) -> int:
-    """Return how many bits the sensor of an image has: 10, 12, 14 or 16, since a dark image leaves upper ones empty."""
-    bits = max(int(image.max()).bit_length(), 10)
-    return bits + bits % 2
-
-
-def bits_of(path: str | Path) -> int | None:
-    """Return how many bits the images of 16 bits next to an image, itself among them, use; None if it has 8."""
-    return None if _deep(Path(path).read_bytes()) is None else _bits_in(Path(path).absolute().parent)
-
-
-def _bits_in(folder: Path) -> int:
-    with _ONE_BY_ONE:
-        return _bits_found(folder)
-
-
-@cache
-def _bits_found(folder: Path) -> int:
-    """Return how many bits the images of 16 bits in a folder use, so that all of them are brightened alike."""
-    most = 0
-    for file in spread(image_files(folder), _LOOKED_AT):
-        with suppress(OSError, cv2.error):
-            if (image := _deep(file.read_bytes())) is not None:
-                most = max(most, bits_used(image))
-    most = most or 16
-    if most < 16:
-        logger.warning("%s: its images use %d of 16 bits, and are brightened alike", folder, most)
-    return most
-
-
-def spread(items: Sequence[Any] | NDArray[Any], most: int) -> list[Any]:
-    """Return up to `most` of some items, evenly spread from the first to the last."""
-    rows = np.linspace(0, len(items) - 1, min(len(items), most)).round().astype(int)
-    return [items[row] for row in rows.tolist()]
-
-
-def size_of(path: str | Path) -> tuple[int, int] | None:
-    """Return the rows and columns in the header of a PNG or JPEG file; None for others, or if it cannot be read."""
-    try:
-        with Path(path).open("rb") as file:
-            return _declared_size(file.read(_HEADER))
-    except (OSError, ValueError):
-        return None
-
-
-def _declared_size(data: bytes) -> tuple[int, int] | None:
-    """Return the rows and columns in the header of a PNG or JPEG; None for other formats, or without a header."""
-    if data.startswith(b"\x89PNG") and len(data) > 24:
-        columns, rows = struct.unpack(">II", data[16:24])
-        return rows, columns
-    at = 2
-    while data.startswith(b"\xff\xd8") and at + 9 <= len(data) and data[at] == 0xFF:
-        marker, length = data[at + 1], int.from_bytes(data[at + 2 : at + 4], "big")
-        if 0xC0 <= marker <= 0xCF and marker not in (0xC4, 0xC8, 0xCC):
-            rows, columns = struct.unpack(">HH", data[at + 5 : at + 9])
-            return rows, columns
-        at += 2 + length
-    return None
-
-
-def cut_short(data: bytes) -> bool:
-    """Whether a JPEG or PNG ends before its end marker: some releases of OpenCV fill the rest with grey."""
-    if data.startswith(b"\xff\xd8"):
-        # The last scan has to be closed; an earlier end marker may belong to an embedded thumbnail.
-        return data.rfind(b"\xff\xd9") < data.rfind(b"\xff\xda") or b"\xff\xd9" not in data
-    return data.startswith(b"\x89PNG") and b"IEND" not in data

@@ -21,8 +21,9 @@ from foundation.calls import typed
 from foundation.files import csv_text, real_path, storage_errors, write_json, write_text
 from foundation.locks import alone
 from foundation.settings import Count, Seed, Thousand, as_words
-from siamloc.data.decoding import Preprocessing, UnreadableImageError
+from siamloc.data.decoding import Preprocessing
 from siamloc.data.frames import FrameTable
+from siamloc.data.image_files import UnreadableImageError
 from siamloc.data.manifest import COLUMNS
 from siamloc.data.moves import wrapped
 from siamloc.data.names import NamedPose, format_name, name_sequence, parse_name

@@ -17,8 +17,8 @@ from foundation.calls import OF_FIELDS, takes, typed
 from foundation.files import read_json, write_bytes, write_json, write_picture, write_text
 from foundation.settings import Count, Positive, Settings, Text
 from siamloc.data.bags import KINDS, Bag, Clock, Damaged, proposed
-from siamloc.data.decoding import UnreadableImageError, decode_image
 from siamloc.data.frames import BAGS, VIDEOS, FrameTable, advice, placed
+from siamloc.data.image_files import UnreadableImageError, decode_image
 from siamloc.data.manifest import manifest_of
 from siamloc.data.names import lighting_in
 from siamloc.data.reading import read

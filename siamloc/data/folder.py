@@ -6,7 +6,8 @@ from pathlib import Path
 from typing import Any
 
 from foundation.files import first_names
-from siamloc.data.frames import FrameTable, image_files, in_capture_order
+from siamloc.data.frames import FrameTable, in_capture_order
+from siamloc.data.image_files import image_files
 from siamloc.data.names import lighting_in, parse_name
 from siamloc.errors import DataError, Policy, leave_out
 

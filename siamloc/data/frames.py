@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from datetime import date, timedelta
-from decimal import Decimal
 from fnmatch import fnmatchcase
 from os.path import abspath
 from pathlib import Path
@@ -352,23 +350,6 @@ def read_file(path: Path, what: str = "the file", most: int = 64_000_000) -> str
         return read_text(path, most).removeprefix("\ufeff")
     except (OSError, ValueError) as error:
         raise DataError(f"{what} {path} cannot be read: {getattr(error, 'strerror', None) or error}") from error
-
-
-def image_files(folder: Path) -> list[Path]:
-    """Return the image files directly inside a folder, in the order of their names, where 2 comes before 10.
-
-    Hidden files, whose names begin with a dot, are left out.
-    """
-    suffixes = {".jpeg", ".jpg", ".png", ".bmp", ".ppm", ".tif", ".tiff", ".webp"}
-    shown = (path for path in folder.iterdir() if not path.name.startswith("."))
-    return sorted((path for path in shown if path.suffix.lower() in suffixes and path.is_file()), key=_counted)
-
-
-def _counted(file: Path) -> tuple[list[tuple[Decimal, str]], str]:
-    """Return what sorts names by the numbers in them, and those with equal numbers, such as 1 and 01, as texts."""
-    parts = re.split(r"(\d+(?:\.\d+)?)", file.name)
-    counted = [(Decimal(part), "") if place % 2 else (Decimal(0), part) for place, part in enumerate(parts)]
-    return counted, file.name
 
 
 def advice(names: Iterable[str]) -> str:

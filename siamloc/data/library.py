@@ -15,8 +15,9 @@ from foundation.calls import typed
 from foundation.files import read_json
 from foundation.settings import Thousand, shortened
 from siamloc.data.cameras import twice_as_wide
-from siamloc.data.decoding import Preprocessing, size_of
+from siamloc.data.decoding import Preprocessing
 from siamloc.data.frames import FrameTable
+from siamloc.data.image_files import size_of
 from siamloc.data.panorama import OmnidirectionalCamera, seen
 from siamloc.data.photo_sphere import is_equirectangular, stated
 from siamloc.data.ring import fitted

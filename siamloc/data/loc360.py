@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 
 from foundation.settings import shortened
-from siamloc.data.frames import TILT, FrameTable, image_files, placed
+from siamloc.data.frames import TILT, FrameTable, placed
+from siamloc.data.image_files import image_files
 from siamloc.data.trajectory import Array, Trajectory, text_rows
 from siamloc.errors import DataError, Policy, hint
 

@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 
 from foundation.calls import typed
 from foundation.settings import shortened
-from siamloc.data.decoding import UnreadableImageError, read_image
 from siamloc.data.frames import read_file
+from siamloc.data.image_files import UnreadableImageError, read_image
 from siamloc.data.moves import composed, inverse
 from siamloc.errors import DataError
 

@@ -9,7 +9,8 @@ from pathlib import Path
 import numpy as np
 
 from foundation.settings import Positive, shortened
-from siamloc.data.frames import BAGS, ODOMETRY, TILT, FrameTable, advice, image_files, in_capture_order, placed
+from siamloc.data.frames import BAGS, ODOMETRY, TILT, FrameTable, advice, in_capture_order, placed
+from siamloc.data.image_files import image_files
 from siamloc.data.names import lighting_in
 from siamloc.data.picture_times import taken_at
 from siamloc.data.trajectory import Array, Axes, Form, Order, Trajectory, is_number, read_trajectory, seconds, text_rows

@@ -21,7 +21,8 @@ from numpy.typing import NDArray
 from foundation.calls import typed
 from foundation.files import read_json, write_json
 from siamloc.data.cameras import DualFisheyeCamera, EquirectangularCamera, HyperbolicMirror, twice_as_wide, two_views
-from siamloc.data.decoding import Preprocessing, UnreadableImageError, read_image, size_of, spread
+from siamloc.data.decoding import Preprocessing
+from siamloc.data.image_files import UnreadableImageError, read_image, size_of, spread
 from siamloc.data.panorama import OmnidirectionalCamera, PanoramaView, PolarRing, unwrap
 from siamloc.data.photo_sphere import is_equirectangular, stated
 from siamloc.data.presets import AutoRing

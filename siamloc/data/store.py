@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 from foundation.files import atomic_folder, content_key, parsed_json, storage_errors, write_json
 from foundation.locks import locked
 from foundation.threads import in_order, processors
-from siamloc.data.decoding import Preprocessing, UnreadableImageError, size_of
+from siamloc.data.decoding import Preprocessing
+from siamloc.data.image_files import UnreadableImageError, size_of
 from siamloc.errors import ConfigError, DataError, leave_out, logger
 from siamloc.progress import track
 

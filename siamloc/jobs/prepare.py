@@ -13,8 +13,8 @@ from analytic import Descriptor
 from foundation.files import write_picture
 from foundation.settings import as_words
 from siamloc.data import AutoRing, PanoramaLibrary, check, contents, extract, find_mounting, summary
-from siamloc.data.decoding import read_image
 from siamloc.data.extracting import MANIFEST, Contents, Extraction
+from siamloc.data.image_files import read_image
 from siamloc.data.ring import draw_ring
 from siamloc.jobs.job import Given, Say, quiet
 from siamloc.jobs.run_job import DataJob

@@ -15,7 +15,8 @@ import numpy as np
 from analytic import Descriptor, Fused
 from foundation.calls import typed
 from foundation.files import atomic_folder, file_hash, plain, read_json, write_json
-from siamloc.data.decoding import Preprocessing, bits_of, size_of
+from siamloc.data.decoding import Preprocessing
+from siamloc.data.image_files import bits_of, size_of
 from siamloc.data.panorama import in_pixels
 from siamloc.data.reading import path_keys
 from siamloc.errors import ConfigError, SiamlocError

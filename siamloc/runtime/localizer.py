@@ -15,7 +15,8 @@ from numpy.typing import ArrayLike, NDArray
 from analytic import Description
 from foundation.calls import typed
 from foundation.settings import Count, checked
-from siamloc.data.decoding import Preprocessing, UnreadableImageError
+from siamloc.data.decoding import Preprocessing
+from siamloc.data.image_files import UnreadableImageError
 from siamloc.data.panorama import OmnidirectionalCamera
 from siamloc.errors import ConfigError, DataError, FormatError
 from siamloc.maps import (

@@ -18,7 +18,8 @@ from numpy.typing import NDArray
 
 from foundation.calls import typed
 from foundation.files import atomic_path, csv_text, plain
-from siamloc.data.frames import VIDEOS, image_files
+from siamloc.data.frames import VIDEOS
+from siamloc.data.image_files import image_files
 from siamloc.data.moves import moves
 from siamloc.data.names import NamedPose, parse_name
 from siamloc.errors import ConfigError, DataError

@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from analytic import Description
 from foundation.calls import OF_FIELDS, takes
 from foundation.files import atomic_folder, file_hash, read_json, write_json
-from siamloc.data.decoding import UnreadableImageError, read_image
 from siamloc.data.frames import FrameTable
+from siamloc.data.image_files import UnreadableImageError, read_image
 from siamloc.errors import DataError, SiamlocError, logger
 from siamloc.maps import Built, CoarseLayer, VisualMap
 from siamloc.maps.history import UPKEEP

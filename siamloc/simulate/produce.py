@@ -24,8 +24,8 @@ from foundation.files import content_key, csv_text, read_json, storage_errors, w
 from foundation.settings import Count, Natural, Rule, Seed, Settings, Text, Thousand
 from foundation.threads import processors
 from siamloc.data.cold import ODOMETRY_FILE
-from siamloc.data.decoding import cut_short
 from siamloc.data.frames import ODOMETRY
+from siamloc.data.image_files import cut_short
 from siamloc.data.names import lighting_in, name_sequence, parse_name
 from siamloc.errors import ConfigError, DataError, FormatError
 from siamloc.progress import track

@@ -14,7 +14,7 @@ import pytest
 from foundation.files import atomic_path
 from siamloc.cli import main
 from siamloc.cli.compose import composed
-from siamloc.data.decoding import UnreadableImageError, read_image
+from siamloc.data.image_files import UnreadableImageError, read_image
 from siamloc.data.protocol import Role
 from siamloc.errors import ConfigError, DataError, FormatError, StorageError
 from siamloc.runs import Run

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from sensor_msgs.msg import CompressedImage, Image
 from std_msgs.msg import Header
 
-from siamloc.data.decoding import UnreadableImageError, decode_image
+from siamloc.data.image_files import UnreadableImageError, decode_image
 from siamloc.data.moves import composed, euler, inverse
 from siamloc.errors import DataError
 from siamloc.runtime import Location

@@ -11,7 +11,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from siamloc.data.decoding import Preprocessing, UnreadableImageError, read_image
+from siamloc.data.decoding import Preprocessing
+from siamloc.data.image_files import UnreadableImageError, read_image
 from siamloc.errors import ConfigError, SiamlocError
 from siamloc.progress import track
 

@@ -24,7 +24,8 @@ from siamloc.data import (
     seen,
     unwrap,
 )
-from siamloc.data.decoding import Preprocessing, UnreadableImageError
+from siamloc.data.decoding import Preprocessing
+from siamloc.data.image_files import UnreadableImageError
 from siamloc.errors import ConfigError, DataError
 from tests.oracles import cameras as oracle
 

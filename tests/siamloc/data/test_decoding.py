@@ -8,7 +8,8 @@ import pytest
 
 from siamloc.cli.compose import composed
 from siamloc.data import DualFisheyeCamera, FisheyeCamera, OCamCamera
-from siamloc.data.decoding import Preprocessing, UnreadableImageError, decode_image, read_image
+from siamloc.data.decoding import Preprocessing
+from siamloc.data.image_files import UnreadableImageError, decode_image, read_image
 from siamloc.data.panorama import PanoramaView, PolarRing, unwrap
 from siamloc.errors import ConfigError, DataError
 

@@ -8,7 +8,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from siamloc.data.frames import FrameTable, concatenate, image_files
+from siamloc.data.frames import FrameTable, concatenate
+from siamloc.data.image_files import image_files
 from siamloc.errors import ConfigError, DataError
 
 

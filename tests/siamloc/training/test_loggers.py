@@ -7,7 +7,7 @@ import csv
 import pytest
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
-from siamloc.data.decoding import size_of
+from siamloc.data.image_files import size_of
 from siamloc.errors import ConfigError
 from siamloc.training import fit, loggers
 from siamloc.training.loggers import check_loggers
