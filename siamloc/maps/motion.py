@@ -8,16 +8,24 @@ from numpy.typing import ArrayLike, NDArray
 from foundation.calls import typed
 from siamloc.data.checks import wrong_odometry
 from siamloc.data.frames import FrameTable
-from siamloc.data.moves import composed, moves
+from siamloc.data.moves import composed, moves, wrapped
 from siamloc.errors import DataError
 
 _WORDS = "the distance ahead, the distance to the left and the turn to the left in rad, NaN where unknown"
 _FEWEST, _KEPT, _FAR = 15, 30, 3.0  # places from which a unit is judged, at least and at most, and steps between two
 _ALIKE, _RIGHT = 0.9, 3.0  # share of the pairs of places that agree; factor that no drift explains
+_APART, _TURNS, _MOST = 5, 10, 0.7  # places between which turns are judged, the fewest such turns, their share
+_TURNED = np.radians([10, 120])  # turns that noise does not reverse, and that are not half a turn
+
+MIRRORED = (
+    "turns left where its images turn right: headings grow counter-clockwise and the columns of a panorama run "
+    "clockwise; give"
+)
+"""What is wrong with odometry that turns the other way, up to what to give."""
 
 
 class WrongUnitError(DataError):
-    """Motions in another unit than that of the positions of the map."""
+    """Motions in another unit than that of the positions of the map, or that turn the other way."""
 
 
 class UnitOfMotion:
@@ -25,6 +33,7 @@ class UnitOfMotion:
 
     The way between two places as seen by the images, and as told by the motions, differ by one factor and one turn for
     most pairs of places if the unit is wrong. They do not if wheels slip, nor if the robot stands, is carried or lost.
+    If motions turn the other way, most turns are as large as the images show, but opposite.
 
     Args:
         length: distance the robot moves between two queries, in units of x and y.
@@ -36,16 +45,22 @@ class UnitOfMotion:
 
     def reset(self) -> None:
         """Forget the drive."""
-        self._driven, self._judged = np.zeros((1, 3)), False
-        self._places = np.empty((0, 2), dtype=np.complex128)  # by images and by motions
+        self._driven, self._unit_judged, self._turns_judged = np.zeros((1, 3)), False, False
+        self._places = np.empty((0, 2, 3))  # poses by images and by motions
+        self._turns = np.empty((0, 2))
 
-    def step(self, motion: NDArray[np.float64] | None, xy: NDArray[np.float64] | None) -> None:
+    def step(self, motion: NDArray[np.float64] | None, xy: NDArray[np.float64] | None, theta: float = np.nan) -> None:
         """Take a motion (3,), None if unknown, and the position (2,) by the image after it, None if not recognized.
 
+        Args:
+            motion: the motion.
+            xy: the position.
+            theta: heading by the image, in rad; NaN if unknown.
+
         Raises:
-            WrongUnitError: the motions of the drive are in another unit.
+            WrongUnitError: the motions of the drive are in another unit, or turn the other way.
         """
-        if self._judged:
+        if self._unit_judged and self._turns_judged:
             return
         if motion is None:
             self.reset()
@@ -53,12 +68,19 @@ class UnitOfMotion:
             self._driven = composed(self._driven, motion[None])
         if xy is None:
             return
-        place = np.array([[complex(*xy), complex(*self._driven[0, :2])]])
-        if len(self._places) and np.abs(place - self._places[-1])[0, 0] < self.length:
+        place = np.array([[[*xy, theta], self._driven[0]]])
+        if len(self._places) and np.hypot(*(place - self._places[-1])[0, 0, :2]) < self.length:
             return
         self._places = np.concatenate([self._places[1 - _KEPT :], place])
+        if not self._unit_judged:
+            self._judge_unit()
+        if not self._turns_judged and len(self._places) > _APART:
+            self._judge_turns()
+
+    def _judge_unit(self) -> None:
         first, second = np.triu_indices(len(self._places), 1)
-        seen, driven = (self._places[second] - self._places[first]).T
+        apart = self._places[second] - self._places[first]
+        seen, driven = (apart[..., 0] + 1j * apart[..., 1]).T
         far = np.abs(seen) > _FAR * self.length
         if len(self._places) < _FEWEST or far.sum() < _FEWEST:
             return
@@ -72,7 +94,23 @@ class UnitOfMotion:
                 f"the odometry of the robot moves {abs(usual):.3g} times as far as its images show: give it in the "
                 "unit of the map's positions, such as metres"
             )
-        self._judged = True
+        self._unit_judged = True
+
+    def _judge_turns(self) -> None:
+        turn = wrapped(self._places[-1, :, 2] - self._places[-1 - _APART, :, 2])
+        if not _TURNED[0] < abs(turn[0]) < _TURNED[1]:
+            return
+        self._turns = np.concatenate([self._turns[1 - _KEPT :], turn[None]])
+        if len(self._turns) < _TURNS:
+            return
+        seen, driven = self._turns.T
+        same, opposite = (np.mean(np.abs(wrapped(driven - turns)) < np.abs(seen) / 2) for turns in (seen, -seen))
+        if opposite > _MOST:
+            self.reset()
+            raise WrongUnitError(
+                f"the odometry of the robot {MIRRORED} headings with the other sign, and y if it points to the right"
+            )
+        self._turns_judged = bool(same > _MOST)
 
 
 @typed

@@ -129,14 +129,15 @@ class PoseFilter:
 
         Raises:
             DataError: not exactly one pose, or a motion or a covariance of another form.
-            WrongUnitError: motions in another unit than the poses, as soon as enough poses show it.
+            WrongUnitError: motions in another unit than the poses, or that turn the other way, as soon as enough poses
+                show it.
         """
         if len(pose) != 1:
             raise DataError(f"a step takes the pose of one query, got {len(pose)}")
         about, move = pose.information[0], motion_or_none(motion)
         told = bool(about.any() and np.isfinite(about).all() and np.isfinite(pose.xy).all())
         recognized = bool(told and pose.agreement[0] >= _RECOGNIZED)
-        self._unit.step(move, pose.xy[0] if recognized else None)
+        self._unit.step(move, pose.xy[0] if recognized else None, float(pose.theta[0]))
         self._moved_on += math.inf if move is None else math.hypot(*move[:2]) / self.length + abs(move[2]) + _STANDING
         noise = None if move is None else self._noise(move) if covariance is None else _checked(covariance)
         if move is not None or self._alone:

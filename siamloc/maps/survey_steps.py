@@ -14,6 +14,7 @@ from siamloc.data.picture_checks import time_offset
 from siamloc.errors import DataError
 from siamloc.maps.comparing import ODDS, Compares
 from siamloc.maps.loops import Pairs
+from siamloc.maps.motion import MIRRORED
 from siamloc.maps.pose_graph import Array, Edges
 from siamloc.maps.search import slices
 from siamloc.progress import track
@@ -172,10 +173,7 @@ def _check_odometry(said: str, odometry: Array, seen: Array, certain: NDArray[np
                 "counter-clockwise"
             )
         if float(np.mean(by_wheels[turning, 2] * by_images[turning, 2] < 0)) > 0.7:
-            raise DataError(
-                f"{said} turns left where its images turn right: headings grow counter-clockwise and the columns of a "
-                "panorama run clockwise; give odom_theta with the other sign, or mirror the panoramas"
-            )
+            raise DataError(f"{said} {MIRRORED} odom_theta with the other sign, or mirror the panoramas")
         late = _rows_late(odometry[:, 2], by_images[turning, 2], first[turning], back)
         if late != 0:
             offset: float = late

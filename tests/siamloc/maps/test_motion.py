@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from siamloc.data import FrameTable
-from siamloc.data.moves import moves
+from siamloc.data.moves import chained, moves
 from siamloc.errors import DataError
 from siamloc.maps import MotionModel, PoseFilter, RefinedPoses, SequenceFilter, motions
 from siamloc.maps.motion import WrongUnitError
@@ -38,8 +38,8 @@ def test_odometry_in_degrees_is_refused():
         motions(frames)
 
 
-def along(places, moved, recognized=None, tracked_by="poses"):
-    """Track a robot whose images show some places (n, 2), and whose odometry shows some poses (n, 3)."""
+def along(places, moved, recognized=None, tracked_by="poses", heading=None):
+    """Track a robot whose images show places (n, 2) and headings (n,), and whose odometry shows poses (n, 3)."""
     motion, names = moves(moved), np.full(len(places), "drive")
     if tracked_by == "frames":
         x, y, _ = circle().T
@@ -48,7 +48,8 @@ def along(places, moved, recognized=None, tracked_by="poses"):
         return SequenceFilter(MotionModel.learn(frames, step=0.3), 0.2).run(apart, names, motion=motion)
     sure = np.ones(len(places)) if recognized is None else recognized
     information = np.tile(100 * np.eye(2), (len(places), 1, 1))
-    poses = RefinedPoses(places, np.full(len(places), np.nan), information, sure, np.zeros(len(places), int), 9 * sure)
+    theta = np.full(len(places), np.nan) if heading is None else heading
+    poses = RefinedPoses(places, theta, information, sure, np.zeros(len(places), int), 9 * sure)
     return PoseFilter(0.3).run(poses, names, motion)
 
 
@@ -83,3 +84,19 @@ def test_a_robot_that_slips_stands_or_is_lost_is_not_said_to_have_another_unit(t
 def test_few_recognized_images_say_nothing_about_the_unit_of_motions():
     poses = circle()
     along(poses[:, :2], poses * [1000, 1000, 1], np.where(np.arange(60) % 6 == 0, 1.0, 0.2))
+
+
+@pytest.mark.parametrize("factors", [[1, -1, -1], [1, 1, -1], [1, 1, 1], [0, 0, 0]])
+@pytest.mark.parametrize("straight_first", [True, False])
+def test_motions_that_turn_the_other_way_are_refused(factors, straight_first):
+    poses, rng = circle(), np.random.default_rng(0)
+    if straight_first:
+        ahead = poses[0] + np.outer(np.arange(-40, 0), [0, 0.3, 0])
+        poses = np.concatenate([ahead, poses])
+    heading = poses[:, 2] + rng.normal(size=len(poses)) * 0.05
+    foreign = rng.random(len(poses)) < 0.25
+    heading[foreign] = rng.uniform(-3, 3, foreign.sum())
+    moved = chained(moves(poses) * factors)
+    said = "the odometry of the robot turns left where its images turn right: .*; give headings with the other sign"
+    with pytest.raises(WrongUnitError, match=said) if factors[2] < 0 else nullcontext():
+        along(poses[:, :2] + rng.normal(size=(len(poses), 2)) * 0.05, moved, heading=heading)
