@@ -31,12 +31,18 @@ EXTRAS = {
 """The extra that installs a module; modules that are not listed come with the extra `train`."""
 
 
-def lacking(error: ModuleNotFoundError) -> str | None:
-    """Return a sentence that names the extra with the package that an import misses; None for our own modules."""
+def lacking(error: ModuleNotFoundError, wider: str = "train") -> str | None:
+    """Return a sentence that names the extra with the package that an import misses; None for our own modules.
+
+    Args:
+        error: what the import raises.
+        wider: the extra to name instead of `train`, if the command also needs the rest of that extra.
+    """
     package = (error.name or "").partition(".")[0]
     if package in _OURS:
         return None
-    return f"this needs {package}, which is not installed here: {installing(EXTRAS.get(package, 'train'))}"
+    extra = EXTRAS.get(package, "train")
+    return f"this needs {package}, which is not installed here: {installing(wider if extra == 'train' else extra)}"
 
 
 def installing(extra: str) -> str:

@@ -35,7 +35,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         sys.stderr.close()
         return 141
     except Exception as error:
-        sentence = _sentence(error)
+        sentence = _sentence(error, words)
         if sentence is None and follows_from(error) and not debug:
             print("siamloc: interrupted", file=sys.stderr)
             return 130
@@ -105,12 +105,14 @@ def _command(words: list[str]) -> tuple[str | None, list[str]]:
     raise ConfigError(f"unknown command {given!r}: use one of {', '.join(family)}")
 
 
-def _sentence(error: Exception) -> str | None:
+def _sentence(error: Exception, words: list[str]) -> str | None:
     """Return the line to print, or None if the error is a bug in siamloc and needs its traceback."""
     if isinstance(error, SiamlocError):
         return str(error)
     if isinstance(error, ModuleNotFoundError):
-        return lacking(error)
+        from siamloc import checkup
+
+        return lacking(error, "simulate" if words[0] in checkup.COMMANDS["simulate"] else "train")
     if isinstance(error, OSError) and error.filename is not None and error.strerror:
         return f"{error.filename} cannot be used: {error.strerror.lower()}"
     if isinstance(error, OSError) and error.errno in (errno.ENOSPC, errno.EIO, errno.EDQUOT) and error.strerror:

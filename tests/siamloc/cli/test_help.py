@@ -56,6 +56,13 @@ sys.exit(main({words}))
     assert "there is no image a.png" in done.stderr or "images=[a.jpeg,folder]" in done.stdout
 
 
+@pytest.mark.parametrize(("command", "extra"), [("pretrain", "simulate"), ("survey", "train")])
+def test_a_command_names_the_extra_that_brings_all_it_needs(command, extra):
+    code = f"import sys; sys.modules['yaml'] = None; from siamloc.cli import main; sys.exit(main(['{command}']))"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert f"pip install '.[{extra}]'" in done.stderr
+
+
 def test_the_module_answers_within_five_seconds():
     command = [sys.executable, "-m", "siamloc", "--help"]
     shown = subprocess.run(command, capture_output=True, text=True, check=True, timeout=5)
