@@ -146,7 +146,7 @@ def session_of(path: str | Path, threads: int | None = None, providers: Sequence
         providers: execution providers in order of preference; if None, those of `PROVIDERS` that onnxruntime has.
 
     Raises:
-        ConfigError: a provider that this onnxruntime lacks.
+        ConfigError: a provider that this onnxruntime lacks, or a path that the locale of this process cannot show.
         FormatError: a file that onnxruntime cannot run.
     """
     import onnxruntime
@@ -157,7 +157,10 @@ def session_of(path: str | Path, threads: int | None = None, providers: Sequence
         if provider not in there:
             raise ConfigError(f"this onnxruntime has no provider {provider!r}: {hint(provider, there)}")
     try:
+        str(path).encode()  # as onnxruntime does
         session = _session(str(path), threads, wanted)
+    except UnicodeEncodeError as error:
+        raise ConfigError(f"the locale of this process lacks letters of {path}: set PYTHONUTF8=1") from error
     except Exception as error:  # onnxruntime's exceptions have no common base
         raise FormatError(
             f"{path} is not an ONNX file that onnxruntime can run ({type(error).__name__}): export again"

@@ -113,6 +113,7 @@ def test_files_of_other_networks_and_other_files_fail_the_comparison(exported, t
         ("fc500_100_10", path, SiamlocError, r"shape \(1, 5\) instead of \(1, 10\)"),
         ("fc500_500_5", tmp_path / "text.onnx", FormatError, "not an ONNX file that onnxruntime can run"),
         ("fc500_500_5", tmp_path / "missing.onnx", FormatError, "not an ONNX file that onnxruntime can run"),
+        ("fc500_500_5", tmp_path / "\udcfc.onnx", ConfigError, "locale of this process lacks letters .*PYTHONUTF8=1"),
     ):
         with pytest.raises(error, match=says):
             parity(build("vgg11_bn", head, SIZE, seed=1), file)
