@@ -1,4 +1,7 @@
-"""Public names of a package that are loaded on first use, so that importing the package stays light."""
+"""Public names of a package that are loaded on first use, so that importing the package stays light.
+
+What is not installed is named with the extra that has it.
+"""
 
 from __future__ import annotations
 
@@ -8,6 +11,8 @@ from importlib.util import find_spec
 from typing import Any
 
 import lazy_loader
+
+from foundation.extras import lacking
 
 
 def lazy(package: str, file: str) -> tuple[Callable[[str], Any], Callable[[], list[str]], list[str]]:
@@ -22,8 +27,11 @@ def lazy(package: str, file: str) -> tuple[Callable[[str], Any], Callable[[], li
     load, names, public = lazy_loader.attach_stub(package, file)
 
     def loaded(name: str) -> Any:
-        if name not in public and not name.startswith("_") and find_spec(f"{package}.{name}") is not None:
-            return import_module(f"{package}.{name}")
-        return load(name)
+        try:
+            if name not in public and not name.startswith("_") and find_spec(f"{package}.{name}") is not None:
+                return import_module(f"{package}.{name}")
+            return load(name)
+        except ModuleNotFoundError as error:
+            raise ModuleNotFoundError(lacking(error) or str(error), name=error.name) from error
 
     return loaded, names, public

@@ -13,7 +13,7 @@
 Importing the package loads neither torch nor lightning; each subpackage loads what it needs on first use.
 """
 
-from siamloc.lazy import lazy
+from foundation.lazy import lazy
 
 __version__ = "0.2.0"
 

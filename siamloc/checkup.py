@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analytic import descriptor
+from foundation.extras import EXTRAS, installing
 from foundation.threads import processors
-from siamloc.errors import EXTRAS, installing
 from siamloc.versions import PACKAGES, installed, versions
 
 COMMANDS = {

@@ -12,9 +12,10 @@ from collections.abc import Sequence
 from contextlib import suppress
 from functools import partial
 
+from foundation.extras import lacking
 from siamloc.cli.help import COMMANDS, command_help, job_of, overview
 from siamloc.cli.words import values_of
-from siamloc.errors import ConfigError, SiamlocError, hint, lacking
+from siamloc.errors import ConfigError, SiamlocError, hint
 from siamloc.interrupts import follows_from
 
 

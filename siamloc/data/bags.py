@@ -13,9 +13,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from foundation.extras import lacking
 from siamloc.data.image_files import bits_used
 from siamloc.data.trajectory import Trajectory, composed
-from siamloc.errors import DataError, SiamlocError, hint, lacking, logger
+from siamloc.errors import DataError, SiamlocError, hint, logger
 
 Clock = Literal["stamp", "bag"]
 Edge = tuple[str, str]

@@ -6,6 +6,6 @@ A task takes a map, panoramas and the frames to locate, and returns a `Result`:
     print(result.measures["error"], result.table())
 """
 
-from siamloc.lazy import lazy
+from foundation.lazy import lazy
 
 __getattr__, __dir__, __all__ = lazy(__name__, __file__)

@@ -7,6 +7,6 @@
 Importing this package loads no job; each is loaded on first use.
 """
 
-from siamloc.lazy import lazy
+from foundation.lazy import lazy
 
 __getattr__, __dir__, __all__ = lazy(__name__, __file__)

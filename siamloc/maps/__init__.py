@@ -6,6 +6,6 @@
 Importing this package loads neither torch nor scipy.
 """
 
-from siamloc.lazy import lazy
+from foundation.lazy import lazy
 
 __getattr__, __dir__, __all__ = lazy(__name__, __file__)

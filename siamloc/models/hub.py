@@ -12,7 +12,8 @@ import torch
 from torch import Tensor
 
 from augment.torchvision_compat import ensure_torchvision
-from siamloc.errors import ConfigError, hint, installing
+from foundation.extras import installing
+from siamloc.errors import ConfigError, hint
 
 CACHED, DOWNLOAD = "cached", "download"
 """Published weights by name: those in the cache of this machine; or the same, downloaded first if they are missing."""

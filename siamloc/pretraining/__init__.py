@@ -3,6 +3,6 @@
 Importing this package loads no torch; each name is loaded on first use.
 """
 
-from siamloc.lazy import lazy
+from foundation.lazy import lazy
 
 __getattr__, __dir__, __all__ = lazy(__name__, __file__)

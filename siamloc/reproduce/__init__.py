@@ -5,6 +5,6 @@ print(result.table())
 result.save("reproduced")
 """
 
-from siamloc.lazy import lazy
+from foundation.lazy import lazy
 
 __getattr__, __dir__, __all__ = lazy(__name__, __file__)

@@ -6,6 +6,6 @@
 Importing this package does not load torch; the robot needs only numpy, opencv and, for networks, onnxruntime.
 """
 
-from siamloc.lazy import lazy
+from foundation.lazy import lazy
 
 __getattr__, __dir__, __all__ = lazy(__name__, __file__)

@@ -20,6 +20,6 @@ of these), `camera` and `rendering` (images), `overlap` (what two images, or mon
 images, quickly), and `produce` (the data set). Rendering needs the package embreex, installed by the extra "simulate".
 """
 
-from siamloc.lazy import lazy
+from foundation.lazy import lazy
 
 __getattr__, __dir__, __all__ = lazy(__name__, __file__)

@@ -9,7 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from siamloc.errors import SiamlocError, installing
+from foundation.extras import installing
+from siamloc.errors import SiamlocError
 from siamloc.simulate.layout import Array
 
 Point = Sequence[float] | Array

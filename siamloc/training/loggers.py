@@ -11,8 +11,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from foundation.extras import installing
 from foundation.files import write_picture
-from siamloc.errors import ConfigError, hint, installing
+from siamloc.errors import ConfigError, hint
 from siamloc.lightning import CSVLogger, Logger, MLFlowLogger, TensorBoardLogger, WandbLogger
 from siamloc.runs import Run
 

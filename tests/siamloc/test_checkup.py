@@ -5,10 +5,10 @@ from importlib import util
 import numpy as np
 import pytest
 
+from foundation.extras import EXTRAS
 from siamloc import checkup
 from siamloc.cli import main
 from siamloc.cli.help import COMMANDS
-from siamloc.errors import EXTRAS
 from siamloc.runtime import describing
 
 

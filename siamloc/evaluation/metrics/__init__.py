@@ -3,6 +3,6 @@
 Positions are in the unit of the data set (metres by default), angles in radians.
 """
 
-from siamloc.lazy import lazy
+from foundation.lazy import lazy
 
 __getattr__, __dir__, __all__ = lazy(__name__, __file__)

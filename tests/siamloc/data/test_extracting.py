@@ -14,10 +14,11 @@ import numpy as np
 import pytest
 
 import siamloc.data
+from foundation.extras import lacking
 from siamloc.cli import main
 from siamloc.data.bags import proposed
 from siamloc.data.extracting import Film
-from siamloc.errors import ConfigError, DataError, lacking
+from siamloc.errors import ConfigError, DataError
 
 pytest.importorskip("rosbags", reason="the extra `recordings` is not installed")
 from rosbags.typesys import get_types_from_msg
