@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
+from foundation.files import real_path
 from foundation.settings import Count, Pace, Port, Rule, Text
 from siamloc.errors import ConfigError, DataError
 from siamloc.jobs.job import Job, Say, quiet
@@ -130,6 +131,9 @@ class Localize(Robot):
         """
         if self.update and self.collect is None:
             raise ConfigError("an update needs the images that the robot collected: give collect=FOLDER")
+        target = self.target if self.images and self.update else None
+        if target is not None and real_path(target).is_relative_to(real_path(self.bundle_folder)):
+            raise ConfigError(f"{target} is in the bundle, which the update replaces: give out= a place outside of it")
         count = self._located(say) if self.images or not self.update else 0
         if self.update:
             assert self.collect is not None

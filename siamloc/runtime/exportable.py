@@ -28,7 +28,10 @@ def check_replaceable(path: Path) -> None:
     names = {file.name for file in path.iterdir()}
     others = sorted(names - {files.DESCRIPTION, *files.PARTS})
     if others or (names and files.DESCRIPTION not in names):
-        raise ConfigError(f"{path} holds other files, such as {(others or sorted(names))[0]}: name another folder")
+        raise ConfigError(
+            f"{path} holds other files, such as {(others or sorted(names))[0]}, and a bundle replaces all of it: "
+            "move them elsewhere, or name another folder"
+        )
 
 
 def described_alike(

@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from analytic import Description
 from foundation.calls import typed
+from foundation.files import real_path
 from foundation.settings import Count, checked
 from siamloc.data.decoding import Preprocessing
 from siamloc.data.image_files import UnreadableImageError
@@ -77,8 +78,8 @@ class Localizer:
     Raises:
         FormatError: not a bundle, an altered one, or one of another version.
         ConfigError: a bundle without a map, or without the requested coarse layer, or that refines poses by comparison
-            in a map that is not in metres, top, threads or most below 1, a provider that this onnxruntime lacks, or a
-            bundle that cannot say which images were located well.
+            in a map that is not in metres, top, threads or most below 1, a provider that this onnxruntime lacks, a
+            bundle that cannot say which images were located well, or a folder for them in the bundle.
         StorageError: the folder for collected images cannot be written to.
     """
 
@@ -131,6 +132,8 @@ class Localizer:
                 f"{bundle_path} cannot say which images were located well: export it with an error model or refined "
                 "poses, or leave collect out"
             )
+        if collect is not None and real_path(collect).is_relative_to(real_path(bundle_path)):
+            raise ConfigError(f"{collect} is in the bundle, which an update replaces: collect outside of it")
         headed = self.map.orientation is not None
         self._collector = None if collect is None else Collector(collect, most, headed)
         looked_at = [one.neighbours for one in (self._errors, self._refinement) if one is not None]

@@ -23,6 +23,7 @@ from siamloc.maps.thinning import nearest
 from siamloc.runtime import bundle as files
 from siamloc.runtime.collecting import collected
 from siamloc.runtime.describing import coarse_map
+from siamloc.runtime.exportable import check_replaceable
 from siamloc.runtime.localizer import Localizer
 from siamloc.runtime.thumbnails import jpeg, write_thumbnails
 
@@ -48,7 +49,7 @@ def update(bundle: str | Path, folder: str | Path, *, settings: Maintenance = OF
 
     Raises:
         FormatError: not a bundle, or an altered one.
-        ConfigError: a bundle without a map, or a setting out of range.
+        ConfigError: a bundle without a map, or with other files in its folder, or a setting out of range.
         DataError: no collected pictures, pictures of another size, or a map frame without a position.
         StorageError: the disk is full or cannot be written to.
         SiamlocError: the bundle was replaced meanwhile.
@@ -57,6 +58,7 @@ def update(bundle: str | Path, folder: str | Path, *, settings: Maintenance = OF
         >>> updates = siamloc.runtime.update("bundle", "collected")  # doctest: +SKIP
     """
     localizer = Localizer(bundle)
+    check_replaceable(Path(bundle))
     known, held = localizer.map, localizer.bundle
     layer: CoarseLayer | None = held.load(files.LAYER)
     built = None

@@ -257,6 +257,19 @@ def test_the_command_updates_what_was_collected(bundle, tmp_path):
         Localize.of({"bundle": str(bundle), "update": True}).run()
 
 
+def test_an_update_keeps_the_users_files_in_the_folder_of_the_bundle(bundle, tmp_path):
+    kept_by(Collector(tmp_path / "seen"), painted(drive(1)[0]), drive(1)[1])
+    with pytest.raises(ConfigError, match="seen is in the bundle, which an update replaces"):
+        Localizer(bundle, collect=bundle / "seen")
+    job = {"bundle": str(bundle), "collect": str(tmp_path / "seen"), "update": True, "images": str(tmp_path)}
+    with pytest.raises(ConfigError, match=r"locations\.csv is in the bundle, which the update replaces"):
+        Localize.of({**job, "out": str(bundle / "locations.csv")}).run()
+    (bundle / "NOTES.txt").write_text("hi")
+    with pytest.raises(ConfigError, match=r"holds other files, such as NOTES\.txt, and .*: move them elsewhere"):
+        update(bundle, tmp_path / "seen")
+    assert (bundle / "NOTES.txt").read_text() == "hi"
+
+
 def test_what_cannot_be_collected_or_updated_is_refused(bundle, tmp_path):
     with pytest.raises(DataError, match="nowhere is not a folder"):
         update(bundle, tmp_path / "nowhere")
