@@ -1,4 +1,4 @@
-"""Ctrl-C handling: the first press stops the work and cleans up, the second ends the process at once."""
+"""Ctrl-C and SIGTERM: the first one stops the work and cleans up, the second ends the process at once."""
 
 from __future__ import annotations
 
@@ -6,6 +6,8 @@ import _thread
 import signal
 import sys
 import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
 from types import FrameType
 from typing import Any
 
@@ -14,12 +16,36 @@ _SOON = 0.02
 
 
 def stop_once(number: int, frame: FrameType | None) -> None:
-    """Handle Ctrl-C: raise KeyboardInterrupt, and let the system end the process at the next Ctrl-C.
+    """Handle Ctrl-C or SIGTERM: raise KeyboardInterrupt, and let the system end the process at the next one.
 
     Half-written files are then removed by the next command that writes them.
     """
-    signal.signal(signal.SIGINT, signal.SIG_DFL)
+    signal.signal(number, signal.SIG_DFL)
     raise KeyboardInterrupt
+
+
+@contextmanager
+def sigterm_stops() -> Iterator[None]:
+    """Stop the work inside at SIGTERM, as `systemctl stop` and `docker stop` send it, as at Ctrl-C.
+
+    Trainings have a way of their own, see `siamloc.training.stopping`.
+
+    Raises:
+        SystemExit: with 143, once the work has stopped by SIGTERM.
+    """
+    free = signal.getsignal(signal.SIGTERM) is signal.SIG_DFL
+    if not free or threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    signal.signal(signal.SIGTERM, stop_once)
+    try:
+        yield
+    except KeyboardInterrupt:
+        if signal.getsignal(signal.SIGTERM) is signal.SIG_DFL:  # as `stop_once` left it
+            raise SystemExit(143) from None
+        raise
+    finally:
+        signal.signal(signal.SIGTERM, signal.SIG_DFL)
 
 
 def hear_again() -> None:

@@ -16,7 +16,7 @@ from foundation.extras import lacking
 from siamloc.cli.help import COMMANDS, command_help, job_of, overview
 from siamloc.cli.words import values_of
 from siamloc.errors import ConfigError, SiamlocError, hint
-from siamloc.interrupts import follows_from
+from siamloc.interrupts import follows_from, sigterm_stops
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -73,7 +73,8 @@ def _dispatch(words: list[str]) -> int:
         return 0
     kind = job_of(command)
     if not kind.BY_HYDRA:  # the robot has none
-        kind.of(values_of(overrides, kind)).run(partial(print, flush=True))
+        with sigterm_stops():
+            kind.of(values_of(overrides, kind)).run(partial(print, flush=True))
         return 0
     from siamloc.cli.compose import run
 

@@ -88,7 +88,7 @@ class Localize(Robot):
 
     Needs only numpy, OpenCV and onnxruntime. Prints a line for each image as soon as it is located: position and
     room; heading, expected error and verdict if the bundle supports them; covariance and agreement of refined
-    poses; and the error if file names carry poses as COLD's do. Ctrl-C keeps the results so far.
+    poses; and the error if file names carry poses as COLD's do. Ctrl-C and SIGTERM keep the results so far.
 
         images=[a.jpeg,folder]   files, folders, videos, or cameras such as camera:0
         run=FOLDER               the run whose bundle is used

@@ -27,13 +27,13 @@ entry()
 """
 
 
-def started(code, *arguments):
+def started(code, *arguments, sent=signal.SIGINT):
     """Start a program, interrupt it once it is ready, and return it while it cleans up."""
     command = [sys.executable, "-c", code, *map(str, arguments)]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     assert process.stdout is not None
     assert process.stdout.readline() == "ready\n"
-    process.send_signal(signal.SIGINT)
+    process.send_signal(sent)
     assert process.stdout.readline() == "cleaning\n"
     return process
 
@@ -41,6 +41,35 @@ def started(code, *arguments):
 def test_once_stops_and_cleans_up():
     with started(WAITS, 0) as process:  # `communicate` would pass over what `readline` has read ahead
         assert (process.stdout.read(), process.stderr.read()) == ("clean\n", "siamloc: interrupted\n")
+    assert process.returncode == 130
+
+
+ROBOT = """
+import time
+import siamloc.cli
+from siamloc.__main__ import entry
+from siamloc.jobs.robot import Localize
+
+def run(self, say):
+    try:
+        say("ready")
+        for _ in range(3000):  # a signal just before a wait is heard after it
+            time.sleep(0.02)
+    except KeyboardInterrupt:
+        say("cleaning")
+        raise
+
+Localize.run = run
+entry()
+"""
+
+
+def test_a_service_that_is_stopped_cleans_up():
+    with started(ROBOT, "localize", sent=signal.SIGTERM) as process:
+        assert (process.stdout.read(), process.stderr.read()) == ("", "")
+    assert process.returncode == 143
+    with started(ROBOT, "localize") as process:
+        assert process.stderr.read() == "siamloc: interrupted\n"
     assert process.returncode == 130
 
 
