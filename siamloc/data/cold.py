@@ -44,7 +44,7 @@ def read_cold(
     `freiburg_seq2_cloudy1/<camera>` next to it and need not be there. Frames are ordered by time within each sequence;
     sequences are called `freiburg_a_seq2_cloudy3`, their building `freiburg_a`. Without a list, the frames are the
     images in the camera's folder, without rooms. Next to `places.lst`, a table `odometry.csv` with the columns `image`,
-    `odom_x`, `odom_y` and `odom_theta` gives the odometry. Pronobis & Caputo 2009, IJRR 28(5).
+    `odom_x`, `odom_y` and `odom_theta` gives the odometry, by file names. Pronobis & Caputo 2009, IJRR 28(5).
 
     Args:
         root: the database, a building, a part, or one sequence.

@@ -238,7 +238,7 @@ def _write_lists(folder: Path, drive: Track, wheels: Array | None) -> None:
     """Write the list of a drive's n images and rooms and, if there is odometry (n or more, 3), the table of it."""
     if wheels is not None:
         poses = wheels[: len(drive)].round(6).tolist()
-        rows = [[name, *pose] for name, pose in zip(drive.names, poses, strict=True)]
+        rows = [[f"../omni_cam/{name}", *pose] for name, pose in zip(drive.names, poses, strict=True)]
         write_text(folder / ODOMETRY_FILE, csv_text([("image", *ODOMETRY), *rows]))
     lines = [f"{name} {code}\n" for name, code in zip(drive.names, drive.codes, strict=True)]
     write_text(folder / "places.lst", "".join(lines))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import os
 import shlex
 import subprocess
 import sys
@@ -18,6 +19,7 @@ from siamloc.cli import main
 from siamloc.cli.compose import composed
 from siamloc.data.cold import read_cold
 from siamloc.errors import ConfigError, DataError
+from siamloc.runtime.wheels import read_odometry
 from siamloc.simulate import Run, Summary, load_building, produce, simulate
 from siamloc.simulate.buildings import building_folder
 from siamloc.simulate.preview import floor_plan
@@ -51,6 +53,8 @@ def test_the_cold_reader_reads_it(written: Path) -> None:
     driven, reported = (np.hypot(*np.diff(xy, axis=0).T) for xy in (table.xy, table.odometry[:, :2]))
     np.testing.assert_allclose(reported, driven, rtol=0.2)
     assert not np.allclose(reported, driven, rtol=0.001)
+    wheels = read_odometry(written / "mini/part_a/seq2_cloudy1/localization/odometry.csv")
+    assert set(wheels) == {os.path.abspath(path) for path in table.path}  # noqa: PTH100
     image = cv2.imread(str(table.path[0]))
     assert image.shape == (128, 512, 3)
     assert image.std() > 10
