@@ -87,3 +87,13 @@ def chosen_rows(rows: Any, count: int, error: type[Exception] = DataError) -> sl
             f"{shortened(repr(rows))}"
         )
     return key
+
+
+def spread_rows(count: int, most: int) -> NDArray[np.int64]:
+    """Return up to `most` of `count` rows, evenly spread from the first to the last.
+
+    Example:
+        >>> spread_rows(9, 3).tolist(), spread_rows(2, 3).tolist()
+        ([0, 4, 8], [0, 1])
+    """
+    return np.linspace(0, count - 1, min(count, most)).round().astype(np.int64)

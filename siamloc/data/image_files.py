@@ -16,6 +16,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from foundation.columns import spread_rows
 from siamloc.errors import logger
 
 _LARGEST = 16_384  # pixels per side of an image
@@ -138,8 +139,7 @@ def _bits_found(folder: Path) -> int:
 
 def spread(items: Sequence[Any] | NDArray[Any], most: int) -> list[Any]:
     """Return up to `most` of some items, evenly spread from the first to the last."""
-    rows = np.linspace(0, len(items) - 1, min(len(items), most)).round().astype(int)
-    return [items[row] for row in rows.tolist()]
+    return [items[row] for row in spread_rows(len(items), most).tolist()]
 
 
 def size_of(path: str | Path) -> tuple[int, int] | None:

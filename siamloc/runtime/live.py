@@ -20,6 +20,7 @@ from aiohttp import web
 from numpy.typing import NDArray
 
 from foundation.calls import typed
+from foundation.columns import spread_rows
 from foundation.files import plain
 from foundation.settings import Pace, Port, Text
 from siamloc.data.occupancy import read_occupancy
@@ -271,7 +272,7 @@ class Live:
         """Answer with the constant data: the map's frames and rooms."""
         frames = self._localizer.map.frames
         rows = np.flatnonzero(frames.has_position)
-        rows = rows[np.unique(np.linspace(0, len(rows) - 1, min(len(rows), _DOTS)).round().astype(int))]
+        rows = rows[spread_rows(len(rows), _DOTS)]
         rooms, room = np.unique(frames.room[rows], return_inverse=True)
         about: dict[str, Any] = {
             "bundle": self._localizer.bundle.path.name,

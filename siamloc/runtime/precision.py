@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from analytic import Descriptor
 from foundation.calls import typed
+from foundation.columns import spread_rows
 from siamloc.errors import ConfigError, DataError, FormatError
 from siamloc.maps.packing import Precision
 from siamloc.runtime.bundle import Bundle
@@ -135,5 +136,5 @@ def spread(images: PanoramaLibrary, frames: FrameTable, count: int = _ASKED) -> 
     readable = images.readable(frames)
     if not len(readable):
         raise DataError(f"none of the images of {len(frames)} frames could be read")
-    chosen = readable.take(np.unique(np.linspace(0, len(readable) - 1, min(count, len(readable))).round().astype(int)))
+    chosen = readable.take(spread_rows(len(readable), count))
     return np.concatenate(list(images.batches(chosen))), chosen

@@ -22,6 +22,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
+from foundation.columns import spread_rows
 from siamloc.data.frames import FrameTable
 from siamloc.data.library import PanoramaLibrary
 from siamloc.data.places import PlaceSettings
@@ -215,7 +216,7 @@ def steps_of(descriptors: NDArray[np.float32]) -> NDArray[np.int64]:
 
 def _median_similarity(descriptors: NDArray[np.float32]) -> float:
     """Return the median of the similarities of all frames of a drive, from their descriptors (n, D) of unit length."""
-    sample = descriptors[np.unique(np.linspace(0, len(descriptors) - 1, _SAMPLE).round().astype(np.int64))]
+    sample = descriptors[spread_rows(len(descriptors), _SAMPLE)]
     return float(np.median(sample @ sample.T))
 
 

@@ -10,6 +10,7 @@ from typing import Any
 import cv2
 import numpy as np
 
+from foundation.columns import spread_rows
 from foundation.files import content_key, is_temporary
 from foundation.locks import LOCK
 from foundation.settings import leaves
@@ -193,7 +194,7 @@ def note_frames(images: PanoramaLibrary, frames: FrameTable) -> dict[str, Any]:
         Plain values; `pictures` holds the thumbnails as hexadecimal digits.
     """
     names = [frames.sequence, [Path(path).name for path in frames.path.tolist()]]
-    rows = np.unique(np.linspace(0, len(frames) - 1, _PICTURES).round().astype(np.int64))
+    rows = spread_rows(len(frames), _PICTURES)
     panoramas = images.batch(images.rows(frames.take(rows)))
     thumbnails = [cv2.resize(np.moveaxis(one, 0, -1), _CELLS, interpolation=cv2.INTER_AREA) for one in panoramas]
     return {

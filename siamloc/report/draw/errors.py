@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from foundation.columns import spread_rows
 from siamloc.report.draw.look import (
     DASHES,
     FLOOR,
@@ -222,7 +223,7 @@ def _drawn(
 def _cumulative(error: NDArray) -> tuple[NDArray, NDArray]:
     """Return the corners of a cumulative curve: errors, and the share of queries in percent."""
     ordered = np.sort(error)
-    keep = np.unique(np.linspace(0, len(ordered) - 1, min(len(ordered), _MOST_POINTS)).round().astype(np.int64))
+    keep = spread_rows(len(ordered), _MOST_POINTS)
     share = 100 * (keep + 1) / len(ordered)  # exact at each kept point
     if len(keep) == len(ordered):
         x, y = np.repeat(ordered, 2), np.concatenate([[0], np.repeat(share, 2)[:-1]])
