@@ -24,7 +24,7 @@ from siamloc.evaluation.metrics import localization_error, summarize
 from siamloc.evaluation.result import Result
 from siamloc.evaluation.session import Counts, Radii, Session, cost
 from siamloc.maps import Built, Retrieval, VisualMap, headings, match
-from siamloc.maps.coarse import UNASSIGNED, CoarseLayer
+from siamloc.maps.coarse import UNASSIGNED, CoarseLayer, numbered
 from siamloc.maps.hierarchy import HierarchicalRetrieval, HierarchicalSearch, LayerSearch, Ranking
 from siamloc.maps.ranking import NodeRanking, rank_by_position
 from siamloc.results import Columns
@@ -226,8 +226,7 @@ def true_nodes(visual_map: VisualMap, layer: CoarseLayer, frames: FrameTable) ->
     nearest = rank_by_position(frames.xy, visual_map.frames.xy, layer.labels)
     if layer.made.get("name") != "rooms":
         return nearest
-    number = {name: node for node, name in enumerate(layer.names.tolist())}
-    labelled = np.array([number.get(place, UNASSIGNED) for place in frames.place.tolist()], dtype=np.int64)[:, None]
+    labelled = numbered(frames.place, layer.names.tolist())[:, None]
     return replace(nearest, nodes=np.where(labelled == UNASSIGNED, nearest.nodes, labelled))
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -120,9 +120,7 @@ class CoarseLayer:
         names = sorted(set(places.tolist()) - {""})
         if not names:
             raise DataError("no map frame has a room label: rooms cannot be the coarse layer of this map")
-        number = {name: node for node, name in enumerate(names)}
-        labels = np.array([number.get(place, UNASSIGNED) for place in places.tolist()])
-        layer = cls.of_labels(known, labels, names, {"name": "rooms"})
+        layer = cls.of_labels(known, numbered(places, names), names, {"name": "rooms"})
         return replace(layer, classifier=naming(known, layer))
 
     @typed
@@ -167,6 +165,12 @@ def naming(known: VisualMap, layer: CoarseLayer) -> RoomClassifier | None:
     if not isinstance(rooms, RoomClassifier) or not set(layer.names.tolist()) <= set(rooms.names.tolist()):
         return None
     return rooms.of(layer.names.tolist())
+
+
+def numbered(places: NDArray[np.str_], names: Sequence[str]) -> NDArray[np.int64]:
+    """Return the number of each place (n,) among the names of nodes, UNASSIGNED for those that are none."""
+    number = {name: node for node, name in enumerate(names)}
+    return np.array([number.get(place, UNASSIGNED) for place in places.tolist()], dtype=np.int64)
 
 
 def connections(labels: NDArray[np.int64], sequence: NDArray[np.str_]) -> NDArray[np.int64]:
