@@ -287,9 +287,9 @@ class Live:
     async def _events(self, request: web.Request) -> web.StreamResponse:
         """Send the newest state whenever it changes; a slow browser misses states in between."""
         response = web.StreamResponse(headers={"Content-Type": "text/event-stream"})
-        await response.prepare(request)
         told, last, first = None, 0, True
-        with suppress(ConnectionError):
+        with suppress(ConnectionError):  # the browser is closed
+            await response.prepare(request)
             while not self._stopped.is_set() or told is not self._state:  # the last state is sent in any case
                 changed = self._changed
                 with self._lock:

@@ -172,6 +172,14 @@ def test_a_browser_that_does_not_read_holds_nobody_up(world):
         idle.close()
 
 
+def test_browsers_that_leave_at_once_leave_no_trace(played, caplog):
+    for _ in range(20):
+        with socket.create_connection(("127.0.0.1", played.port)) as hasty:
+            hasty.sendall(b"GET /events HTTP/1.1\r\nHost: localhost\r\n\r\n")
+    assert asked(played, "/map.json")[0] == 200
+    assert caplog.text == ""
+
+
 def test_the_way_is_bounded(world, monkeypatch):
     monkeypatch.setattr(live_module, "_TRACK", 5)
     _, count = world
