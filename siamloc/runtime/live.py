@@ -194,7 +194,8 @@ class Live:
 
     def _tell(self, one: Located) -> None:
         number, location = self.count + 1, one.location
-        state: dict[str, Any] = {"status": "running", "number": number, "name": Path(one.image).name, "text": one.fault}
+        # What is known of the last image that was located stays until another one is.
+        state: dict[str, Any] = {**self._state, "status": "running", "number": number, "text": one.fault}
         if location is None:
             state["status"] = "left out"
             self._left_out += 1
@@ -204,6 +205,7 @@ class Live:
             for candidate in told["candidates"]:  # viewers need not know the folders
                 candidate["image"] = Path(candidate["image"]).name
             state.update({key: value for key, value in told.items() if key != "image"})
+            state.update(located=number, name=Path(one.image).name)
             if location.lost:  # nothing is claimed: the candidates are all that is known
                 state.update(dict.fromkeys(("x", "y", "theta", "room", "error_m", "off_by", "covariance")))
             state["picture"] = self._localizer.bundle.thumbnail(location.candidates[0].row) is not None

@@ -137,13 +137,13 @@ function picture(id, source, missing) {
 }
 
 function show(state) {
-  const located = known(state.candidates), lost = Boolean(state.lost);
+  const lost = Boolean(state.lost);
   say(state, lost);
-  if (!state.number) return;
-  $("name").textContent = state.name || "";
-  $("number").textContent = state.number;
-  if (state.status !== "left out") picture("live", `/live.jpg?${state.number}`, "");
-  if (!located) return;
+  if (!known(state.located)) return;
+  $("name").textContent = state.name;
+  $("number").textContent = state.located;
+  $("number-of").textContent = state.located === state.number ? "image" : "last located image";
+  picture("live", `/live.jpg?${state.located}`, "");
   const best = state.candidates[0];
   picture("match", state.picture ? `/map/${best.row}.jpg` : null, "no pictures in this bundle: export it with thumbnails=true");
   $("match-name").textContent = best.image;

@@ -201,6 +201,17 @@ def test_images_that_cannot_be_read_are_left_out_and_said(world, tmp_path):
         assert asked(page, "/live.jpg")[0] == 404
 
 
+def test_after_an_image_that_cannot_be_read_the_last_location_stays(world, played, tmp_path):
+    (tmp_path / "z.png").write_bytes(b"nothing")
+    with served(world, [world[0] / "drive", tmp_path], fps=0) as page:
+        page.join(30)
+        state, before = state_of(page), state_of(played)
+        assert (state["number"], state["located"]) == (before["number"] + 1, before["located"])
+        changed = {key for key in before if state[key] != before[key]}
+        assert changed <= {"number", "text", "ms"}
+        assert asked(page, "/live.jpg")[2] == asked(played, "/live.jpg")[2]
+
+
 def test_an_empty_video_ends_in_a_sentence(world, tmp_path):
     (tmp_path / "a.mp4").write_bytes(b"")
     with served(world, tmp_path / "a.mp4") as page:
