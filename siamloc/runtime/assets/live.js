@@ -4,6 +4,7 @@ const $ = (id) => document.getElementById(id);
 const SVG = "http://www.w3.org/2000/svg";
 const AGES = 6; // shades of the path so far
 const KEPT = 2000; // poses of the path
+const MARGIN = 34; // pixels around the plan
 const SIGMAS = 2.45; // radius that holds 95 % of a plane's normal distribution
 
 function drawn(kind, parent, attributes) {
@@ -14,59 +15,76 @@ function drawn(kind, parent, attributes) {
 }
 
 const number = (value, digits) => value === null || value === undefined ? "–" : value.toFixed(digits);
+const degrees = (angle) => angle * 180 / Math.PI;
 const known = (value) => value !== null && value !== undefined;
 
 let map = null;
 let track = []; // [x, y, lost]
-let layers = {};
+let layers = {}; // none before the plan is drawn, and in a map without positions
 let unit = "m";
-let size = 1; // of a dot, in units of the map
+let scale = 1; // pixels per unit
+let place = null; // from a position to pixels, which point down
+let robot = null; // the last state with a location
 
-function drawMap() {
-  const plan = $("plan");
-  plan.replaceChildren();
-  const xs = map.x, ys = map.y, [across, up] = map.plan ? map.plan.around : [xs, ys];
-  const low = [Math.min(...across), Math.min(...up)], high = [Math.max(...across), Math.max(...up)];
-  const extent = Math.max(high[0] - low[0], high[1] - low[1], 1e-6);
-  const margin = 0.09 * extent;
-  const box = [low[0] - margin, -high[1] - margin, high[0] - low[0] + 2 * margin, high[1] - low[1] + 2 * margin];
-  plan.setAttribute("viewBox", box.map((value) => value.toFixed(4)).join(" "));
-  // y points up on the plan, but down in the SVG.
-  const world = drawn("g", plan, { transform: "scale(1 -1)" });
-  size = Math.max(box[2], box[3]) / 150;
-  if (map.plan) {
-    const { x, y, heading, width, height } = map.plan, turn = `rotate(${heading * 180 / Math.PI})`;
-    const place = `translate(${x} ${y}) ${turn} scale(1 -1) translate(0 ${-height})`; // its rows run downwards
-    drawn("image", world, { href: "/plan.png", width, height, preserveAspectRatio: "none", transform: place });
-  }
-  layers = { map: drawn("g", world), way: drawn("g", world), truth: drawn("g", world), robot: drawn("g", world) };
-  for (let row = 0; row < xs.length; row++) {
-    const room = map.rooms[map.room[row]];
-    const dot = drawn("circle", layers.map, { cx: xs[row], cy: ys[row], class: "dot " + (room ? "k" + (map.room[row] % 8) : "none-room") });
-    dot.style.setProperty("--dot", 0.55 * size);
-  }
-  for (let age = 0; age < AGES; age++) drawn("path", layers.way, { class: "way", opacity: 0.12 + 0.88 * ((age + 1) / AGES) ** 2 });
-  drawScale(plan, box, extent);
-  $("rooms").replaceChildren(...map.rooms.map((room, place) => {
-    if (!room) return document.createTextNode("");
-    const item = document.createElement("li"), swatch = document.createElement("i");
-    swatch.className = "k" + (place % 8);
-    item.append(swatch, room);
-    return item;
-  }));
+/** Draw the plan in the size that the page gives it. */
+function draw() {
+  drawMap();
+  drawWay();
+  if (robot) drawRobot(robot);
 }
 
-function drawScale(plan, box, extent) {
-  const wanted = extent / 5, power = 10 ** Math.floor(Math.log10(wanted));
-  const length = power * [5, 2, 1].find((step) => step * power <= wanted);
-  const x = box[0] + 0.02 * box[2], y = box[1] + box[3] - 0.02 * box[2];
-  const scale = drawn("g", plan, { class: "scale" });
-  drawn("line", scale, { x1: x, x2: x + length, y1: y, y2: y });
-  drawn("text", scale, { x: x, y: y - 0.8 * size, "font-size": 2.6 * size }).textContent = `${length} ${unit}`;
+function drawMap() {
+  const plan = $("plan"), { width, height } = plan.getBoundingClientRect();
+  plan.replaceChildren();
+  plan.setAttribute("viewBox", `0 0 ${width} ${height}`);
+  const [across, up] = map.plan ? map.plan.around : [map.x, map.y];
+  const low = [Math.min(...across), Math.min(...up)], high = [Math.max(...across), Math.max(...up)];
+  const extent = [high[0] - low[0], high[1] - low[1]].map((length) => Math.max(length, 1e-6));
+  scale = Math.min((width - 2 * MARGIN) / extent[0], (height - 2 * MARGIN) / extent[1]);
+  place = (x, y) => [width / 2 + (x - (low[0] + high[0]) / 2) * scale, height / 2 - (y - (low[1] + high[1]) / 2) * scale];
+  if (map.plan) {
+    const { x, y, heading, width, height } = map.plan;
+    const transform = `translate(${place(x, y)}) rotate(${degrees(-heading)}) scale(${scale}) translate(0 ${-height})`;
+    drawn("image", plan, { href: "/plan.png", width, height, preserveAspectRatio: "none", transform });
+  }
+  map.x.forEach((x, row) => {
+    const [cx, cy] = place(x, map.y[row]), room = map.room[row];
+    drawn("circle", plan, { cx, cy, r: 3, class: "dot " + (map.rooms[room] ? `k${room % 8}` : "none-room") });
+  });
+  const way = drawn("g", plan);
+  for (let age = 0; age < AGES; age++) drawn("path", way, { class: "way", opacity: 0.12 + 0.88 * ((age + 1) / AGES) ** 2 });
+  drawRooms(drawn("g", plan, { class: "names" }));
+  drawScale(drawn("g", plan, { class: "scale" }), height);
+  layers = { way, truth: drawn("g", plan), robot: drawn("g", plan) };
+}
+
+/** Write each room's name at the map frame nearest to the middle of the room's frames where it covers no other name. */
+function drawRooms(parent) {
+  const rows = map.rooms.map(() => []), taken = [];
+  map.room.forEach((room, row) => rows[room].push(row));
+  const named = rows.map((inside, room) => [map.rooms[room], inside]).filter(([name]) => name);
+  for (const [name, inside] of named.sort(([, a], [, b]) => b.length - a.length)) { // those with many frames come first
+    const mean = (values) => inside.reduce((sum, row) => sum + values[row], 0) / inside.length;
+    const middle = [mean(map.x), mean(map.y)], off = (row) => Math.hypot(map.x[row] - middle[0], map.y[row] - middle[1]);
+    const half = 3.6 * name.length + 3;
+    const at = inside.sort((a, b) => off(a) - off(b)).map((row) => place(map.x[row], map.y[row])).find(([x, y]) =>
+      taken.every(([tx, ty, th]) => Math.abs(tx - x) >= th + half || Math.abs(ty - y) >= 14));
+    if (!at) continue;
+    taken.push([...at, half]);
+    drawn("text", parent, { x: at[0], y: at[1] - 7 }).textContent = name;
+  }
+}
+
+function drawScale(parent, height) {
+  const wanted = 110 / scale, power = 10 ** Math.floor(Math.log10(wanted));
+  const length = power * [5, 2, 1].find((step) => step * power <= wanted * (1 + 1e-9));
+  const x = 14, y = height - 14;
+  drawn("path", parent, { d: `M${x} ${y - 4}V${y}H${x + length * scale}V${y - 4}` });
+  drawn("text", parent, { x: x + 4, y: y - 6 }).textContent = `${Number(length.toPrecision(3))} ${unit}`;
 }
 
 function drawWay() {
-  if (!layers.way) return; // a map without positions has no plan
+  if (!layers.way) return;
   const paths = layers.way.children, step = Math.ceil(track.length / AGES) || 1;
   for (let age = 0; age < AGES; age++) {
     // Each shade begins with the last pose of the one before, so that the path has no gaps.
@@ -74,7 +92,7 @@ function drawWay() {
     let path = "", pen = false;
     for (const [x, y, lost] of track.slice(begin, end)) {
       if (lost) { pen = false; continue; }
-      path += `${pen ? "L" : "M"}${x} ${y}`;
+      path += `${pen ? "L" : "M"}${place(x, y)}`;
       pen = true;
     }
     paths[age].setAttribute("d", path);
@@ -92,26 +110,26 @@ function ellipse(state) {
 }
 
 function drawRobot(state) {
+  if (!layers.robot) return;
   layers.robot.replaceChildren();
   layers.truth.replaceChildren();
   if (state.pose) {
     $("truth").hidden = false;
-    const { x, y } = state.pose, arm = 1.1 * size;
-    drawn("path", layers.truth, { class: "truth", d: `M${x - arm} ${y}H${x + arm}M${x} ${y - arm}V${y + arm}` });
+    const transform = `translate(${place(state.pose.x, state.pose.y)})`;
+    drawn("path", layers.truth, { class: "truth", transform, d: "M-5.5 0H5.5M0 -5.5V5.5" });
   }
   if (!known(state.x)) return;
-  const robot = drawn("g", layers.robot, { transform: `translate(${state.x} ${state.y})` });
+  const here = drawn("g", layers.robot, { transform: `translate(${place(state.x, state.y)})` });
   const shape = ellipse(state);
   if (shape) {
-    const turn = { rx: shape[0], ry: shape[1], transform: `rotate(${shape[2] * 180 / Math.PI})` };
-    drawn("ellipse", robot, { ...turn, class: "halo" });
-    drawn("ellipse", robot, { ...turn, class: "rim" });
+    const turn = { rx: shape[0] * scale, ry: shape[1] * scale, transform: `rotate(${degrees(-shape[2])})` };
+    drawn("ellipse", here, { ...turn, class: "halo" });
+    drawn("ellipse", here, { ...turn, class: "rim" });
   }
   if (known(state.theta)) {
-    const nose = 2.6 * size, wing = 1.5 * size;
-    drawn("path", robot, { class: "body", transform: `rotate(${state.theta * 180 / Math.PI})`, d: `M${nose} 0L${-wing} ${wing}L${-0.7 * wing} 0L${-wing} ${-wing}Z` });
+    drawn("path", here, { class: "body", transform: `rotate(${degrees(-state.theta)})`, d: "M13 0L-7.5 7.5L-5 0L-7.5 -7.5Z" });
   } else {
-    drawn("circle", robot, { class: "body", r: 1.3 * size });
+    drawn("circle", here, { class: "body", r: 6.5 });
   }
 }
 
@@ -149,7 +167,7 @@ function show(state) {
   $("match-name").textContent = best.image;
   $("room").textContent = state.room || "–";
   $("position").textContent = known(state.x) ? `${number(state.x, 2)}, ${number(state.y, 2)}` : "unknown";
-  $("heading").textContent = known(state.theta) ? `${Math.round(state.theta * 180 / Math.PI)}°` : "–";
+  $("heading").textContent = known(state.theta) ? `${Math.round(degrees(state.theta))}°` : "–";
   $("error").textContent = lost ? "unknown" : known(state.error_m) ? `${number(state.error_m, 2)} ${unit}` : "–";
   $("off-card").hidden = !known(state.off_by);
   $("off").textContent = `${number(state.off_by, 2)} ${unit}`;
@@ -166,7 +184,8 @@ function show(state) {
     }
     return row;
   }));
-  drawRobot(state);
+  robot = state;
+  drawRobot(robot);
 }
 
 function listen() {
@@ -195,7 +214,7 @@ async function begin() {
   for (const place of document.querySelectorAll(".unit")) place.textContent = `(${unit})`;
   $("bundle").textContent = `${map.bundle} · ${map.frames.toLocaleString("en")} map frames`;
   document.title = `siamloc live · ${map.bundle}`;
-  if (map.x.length) drawMap();
+  if (map.x.length) new ResizeObserver(draw).observe($("plan"));
   listen();
 }
 

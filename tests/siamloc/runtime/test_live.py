@@ -32,9 +32,7 @@ def world(tmp_path_factory):
     folder = tmp_path_factory.mktemp("live")
     images = siamloc.data.PanoramaLibrary(example.frames, folder / "cache", image_size=(32, 64))
     monday, tuesday = (example.frames.select(sequence=day) for day in ("monday", "tuesday"))
-    network = as_descriptor(build("simple1", "fourier", (32, 64), circular=True))
-    known = maps.build(network, images, monday, progress=False)
-    runtime.export(network, known, folder / "bundle", images=images, thumbnails=True)
+    exported(folder / "bundle", images, monday)
     drive = folder / "drive"
     drive.mkdir()
     for row, path in enumerate(tuesday.path.tolist()):
@@ -42,6 +40,13 @@ def world(tmp_path_factory):
         name = f"t{1000 + row}.000000_x{x:.6f}_y{y:.6f}_a0.100000.png"
         shutil.copy(path, drive / name)
     return folder, len(tuesday)
+
+
+def exported(folder, images, frames):
+    """Export a bundle with pictures, whose map holds these frames."""
+    network = as_descriptor(build("simple1", "fourier", (32, 64), circular=True))
+    known = maps.build(network, images, frames, progress=False)
+    runtime.export(network, known, folder, images=images, thumbnails=True)
 
 
 @pytest.fixture
@@ -284,7 +289,34 @@ def test_a_lost_robot_is_nowhere(world, monkeypatch):
     assert {state[key] for key in ("x", "y", "theta", "room", "error_m", "off_by", "covariance")} == {None}
 
 
-@pytest.mark.skipif(CHROMIUM is None or DRIVER is None, reason="there is no chromium here")
+with_browser = pytest.mark.skipif(CHROMIUM is None or DRIVER is None, reason="there is no chromium here")
+
+
+@with_browser
+@pytest.mark.parametrize("width", [600, 1400])
+def test_the_plan_names_every_room_and_draws_in_pixels(world, tmp_path, width):
+    monday = siamloc.data.example().frames.select(sequence="monday")
+    rooms = [f"room {row}" for row in range(len(monday))]
+    frames = siamloc.data.FrameTable(path=monday.path, x=[0, 2] * 6, y=np.repeat(range(6), 2), room=rooms)
+    exported(tmp_path / "bundle", siamloc.data.PanoramaLibrary(frames, image_size=(32, 64)), frames)
+    with (
+        runtime.Live(runtime.Localizer(tmp_path / "bundle"), world[0] / "drive", port=0, fps=0) as page,
+        Browser(tmp_path / "profile", width) as browser,
+    ):
+        browser.go(page.url)
+        browser.wait("document.querySelector('#plan .body')")
+        names, dot, text, robot = browser.run(
+            "const box = (kind) => document.querySelector(`#plan ${kind}`).getBBox();"
+            "const names = [...document.querySelectorAll('#plan .names text')].map((text) => text.textContent);"
+            "return [names, box('.dot').width, box('.scale text').height, box('.body').width]"
+        )
+        assert sorted(names) == sorted(rooms)
+        assert (dot, robot) == (6, 13)
+        assert 10 < text < 20
+        assert browser.complaints() == []
+
+
+@with_browser
 def test_a_browser_watches_a_drive(world, tmp_path):
     folder, count = world
     (tmp_path / "profile").mkdir()
