@@ -214,6 +214,8 @@ async function begin() {
   for (const place of document.querySelectorAll(".unit")) place.textContent = `(${unit})`;
   $("bundle").textContent = `${map.bundle} · ${map.frames.toLocaleString("en")} map frames`;
   document.title = `siamloc live · ${map.bundle}`;
+  $("legend").hidden = !map.x.length;
+  $("no-plan").hidden = Boolean(map.x.length);
   if (map.x.length) new ResizeObserver(draw).observe($("plan"));
   listen();
 }

@@ -317,6 +317,23 @@ def test_the_plan_names_every_room_and_draws_in_pixels(world, tmp_path, width):
 
 
 @with_browser
+def test_a_map_without_positions_has_no_plan(world, tmp_path):
+    frames = siamloc.data.example().frames.select(sequence="monday")
+    frames = siamloc.data.FrameTable(path=frames.path, room=frames.room)
+    exported(tmp_path / "bundle", siamloc.data.PanoramaLibrary(frames, image_size=(32, 64)), frames)
+    with (
+        runtime.Live(runtime.Localizer(tmp_path / "bundle"), world[0] / "drive", port=0, fps=0) as page,
+        Browser(tmp_path / "profile") as browser,
+    ):
+        browser.go(page.url)
+        browser.wait("document.getElementById('status').dataset.state === 'ended'")
+        shown = browser.run("return ['no-plan', 'legend'].map((id) => !document.getElementById(id).hidden)")
+        assert shown == [True, False]
+        assert browser.run("return document.getElementById('position').textContent") == "unknown"
+        assert browser.complaints() == []
+
+
+@with_browser
 def test_a_browser_watches_a_drive(world, tmp_path):
     folder, count = world
     (tmp_path / "profile").mkdir()
