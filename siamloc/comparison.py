@@ -29,6 +29,7 @@ class Comparison:
         rows: for each training or evaluation, the differing settings and the measures. Rows without the measure `by`
             have NaN and come last.
         highest: whether a higher value is better.
+        unit: unit of the measure `by`; "" if it has none, or not always the same.
     """
 
     by: str
@@ -36,6 +37,7 @@ class Comparison:
     measured: tuple[str, ...]
     rows: tuple[Mapping[str, Any], ...]
     highest: bool = False
+    unit: str = ""
 
     def in_order(self) -> Comparison:
         """Return the comparison with the best row first; ties keep their order."""
@@ -96,7 +98,7 @@ class Comparison:
         """
         from siamloc.report.draw.curves import swept_curves
 
-        return swept_curves(self.rows, self.differing, self.by, against, highest=self.highest)
+        return swept_curves(self.rows, self.differing, self.by, against, highest=self.highest, unit=self.unit)
 
     @typed
     def save_picture(self, path: str | Path, against: str | None = None) -> Path:

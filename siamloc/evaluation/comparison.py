@@ -22,6 +22,7 @@ _HIGHEST = (
     *("recall", "recall_at_one_percent", "hit_rate", "room", "top", "mean_average_precision", "accuracy", "auc"),
     *("silhouette", "descriptor_silhouette", "purity", "precision", "f1"),
 )
+_LENGTHS = frozenset({"error", "floor", "excess"})
 _ALWAYS = ("descriptor", "distance", "heading", "build")
 # Keys that only say where files are, or that follow from the others.
 _LEFT_OUT = ("data.cache", "data.name", "model.image_size", "frames", "data.unit")
@@ -71,9 +72,8 @@ def compare(folders: str | Path | Iterable[str | Path], by: str | None = None) -
         }
         for path, one, said, found in zip(paths, results, settings, measures, strict=True)
     ]
-    return Comparison(
-        by, tuple(keys), (by, *shown, "queries", "folder"), tuple(rows), highest=highest_is_best(by)
-    ).in_order()
+    columns, highest = (by, *shown, "queries", "folder"), highest_is_best(by)
+    return Comparison(by, tuple(keys), columns, tuple(rows), highest, _unit(by, results)).in_order()
 
 
 def highest_is_best(measure: str) -> bool:
@@ -84,6 +84,12 @@ def highest_is_best(measure: str) -> bool:
         (True, False)
     """
     return any(part.partition("@")[0] in _HIGHEST for part in measure.split("."))
+
+
+def _unit(measure: str, results: Iterable[Mapping[str, Any]]) -> str:
+    """Return the unit of a measure that is a length, if all evaluations share it; "" otherwise."""
+    units = {part["unit"] for one in results for part in one["measures"].values() if part and "unit" in part}
+    return units.pop() if len(units) == 1 and not _LENGTHS.isdisjoint(measure.split(".")) else ""
 
 
 def _chosen(by: str | None, known: Sequence[str], parts: Container[str]) -> str:

@@ -183,8 +183,12 @@ def swept_curves(
     against: str | None = None,
     *,
     highest: bool = False,
+    unit: str = "",
 ) -> Picture:
     """Draw a measure of a sweep against a setting, with a line for each combination of the other settings.
+
+    Against a setting that holds names there are points without lines, and settings that follow from the name, such as
+    the distance of a descriptor, are left out.
 
     Args:
         rows: for each training or evaluation, its settings and the measure; NaN if unknown.
@@ -192,6 +196,7 @@ def swept_curves(
         by: name of the measure, a key of `rows`, such as "error".
         against: the setting on the x axis; if None, the first numeric setting other than a seed, or else the first.
         highest: whether the highest value is the best.
+        unit: unit of the measure; "" if it has none.
 
     Raises:
         ConfigError: a setting that does not differ.
@@ -214,25 +219,34 @@ def swept_curves(
     numeric = against in numbers
     values: list[Any] = sorted({row[against] if numeric else _shown(row[against]) for row in usable})
     places = {_shown(value): value if numeric else number for number, value in enumerate(values)}
-    others = [name for name in settings if name != against]
+    others = [name for name in settings if name != against and (numeric or not _follows(usable, name, against))]
     lines: dict[str, list[tuple[Any, float]]] = {}
     for row in sorted(usable, key=lambda row: [_shown(row[name]) for name in others]):
         label = ", ".join(f"{name}={_shown(row[name])}" for name in others)
         lines.setdefault(label, []).append((places[_shown(row[against])], row[by]))
     figure, (axes,) = panels(1, 6.4, 4.0 + 0.2 * (len(lines) // _LINES_ACROSS))
     for i, (label, points) in enumerate(lines.items()):
-        axes.plot(*zip(*sorted(points), strict=True), label=label, **series_look(i))
+        look = {**series_look(i), **({} if numeric else {"linestyle": "none", "markersize": 5})}
+        axes.plot(*zip(*sorted(points), strict=True), label=label, **look)
     best = (max if highest else min)(usable, key=lambda row: row[by])
     ring: dict[str, Any] = {"marker": "o", "markersize": 10, "markerfacecolor": "none", "markeredgecolor": INK}
     axes.plot([places[_shown(best[against])]], [best[by]], linestyle="none", label=f"best: {best[by]:.4g}", **ring)
     if numeric and min(values) > 0 and max(values) >= _LOG_FROM * min(values):
         axes.set_xscale("log")
+        axes.xaxis.set_major_formatter("{x:g}")
         axes.set_xticks([], minor=True)
     if not numeric or len(values) <= 12:
         axes.set_xticks(list(places.values()), [_shown(value) for value in values])
-    axes.set(xlabel=against, ylabel=f"{by} ({'higher' if highest else 'lower'} is better)")
+    measure = f"{by} [{unit}]" if unit else by
+    axes.set(xlabel=against, ylabel=f"{measure} ({'higher' if highest else 'lower'} is better)")
     shared_legend(figure, _LINES_ACROSS)
     return figure
+
+
+def _follows(rows: Sequence[Mapping[str, Any]], name: str, other: str) -> bool:
+    """Whether a setting has only one value for each value of another one."""
+    pairs = {(_shown(row[other]), _shown(row[name])) for row in rows}
+    return len(pairs) == len({of for of, _ in pairs})
 
 
 def _shown(value: Any) -> str:

@@ -45,6 +45,7 @@ def test_rows_hold_what_was_swept_and_the_measures_and_the_best_comes_first(meas
         (8, 0.9, (tmp_path / "a" / "8").as_posix()),
     ]
     overall = measured.parts["absolute"]["overall"]
+    assert (found.unit, compare(tmp_path, by="hit_rate").unit) == ("m", "")
     assert found.best["hit_rate"] == overall["hit_rate"][0]["rate"]
     assert found.best["recall@1_0.5"] == overall["recall"][0]["recall"]
     assert found.best["room"] == measured.parts["room_retrieval"]["overall"]["accuracy"]
