@@ -22,6 +22,7 @@ from siamloc.report.draw.look import (
     SOFT,
     Picture,
     column,
+    legend_entries,
     lighting_colours,
     method_look,
     panels,
@@ -148,7 +149,7 @@ def calibration_curve(measures: Mapping[str, Any], unit: str = "m") -> Picture:
     limits = scale_errors(axes.xaxis, curves, f"expected error [{unit}]", lowest=0)
     scale_errors(axes.yaxis, curves, f"true error, mean [{unit}]", lowest=0)
     axes.plot(limits, limits, label="equal", **FLOOR)
-    axes.legend(loc="upper left")
+    axes.legend(*legend_entries(axes), loc="upper left")
     return figure
 
 
@@ -212,7 +213,8 @@ def _drawn(
         axes.set(title=title + f", n = {len(curves[0][1]):,}" * alike, ylim=(0, 101.5))
         columns = 1 if max(map(len, labels)) > _LONG else 2
         place: dict[str, Any] = {"loc": "upper left", "bbox_to_anchor": (-0.02, -0.24)}
-        axes.legend(**place, ncols=columns, borderpad=0, columnspacing=1.2, fontsize=7.5, handlelength=2.2)
+        place |= {"ncols": columns, "borderpad": 0, "columnspacing": 1.2, "fontsize": 7.5, "handlelength": 2.2}
+        axes.legend(*legend_entries(axes), **place)
     if below:
         names = [fill(label, _WIDEST) for label in lines]
         figure.set_figheight(figure.get_figheight() + _LINE * len("\n".join(names).splitlines()))

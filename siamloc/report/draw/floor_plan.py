@@ -18,7 +18,7 @@ from matplotlib.transforms import Affine2D
 from numpy.typing import NDArray
 
 from siamloc.data.occupancy import OccupancyMap
-from siamloc.report.draw.look import PALE, PAPER, SOFT, TEXT, Picture, lighting_colours, panels, style
+from siamloc.report.draw.look import PALE, PAPER, SOFT, TEXT, Picture, legend_entries, lighting_colours, panels, style
 from siamloc.results import rows_by_label
 
 Table = Mapping[str, NDArray]
@@ -137,7 +137,7 @@ def _along_line(columns: Table, map_columns: Table, groups: Mapping[str, NDArray
     upper.set_ylabel(f"estimated {axis} [{unit}]")
     lower.set(xlabel=f"true {axis} [{unit}]", ylabel=f"error [{unit}]")
     lower.set_ylim(bottom=0)
-    figure.legend(loc="outside upper center", ncols=3 if len(groups) == 1 else 2)
+    figure.legend(*legend_entries(upper, lower), loc="outside upper center", ncols=3 if len(groups) == 1 else 2)
     return figure
 
 

@@ -3,16 +3,23 @@
 from __future__ import annotations
 
 import io
+import logging
 import math
+import re
+import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from functools import cache
 from pathlib import Path
 from typing import Any, Literal
 
 import matplotlib
 import numpy as np
+from matplotlib import font_manager
 from matplotlib.axes import Axes
+from matplotlib.collections import Collection
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 from numpy.typing import NDArray
 
 from foundation.files import atomic_path
@@ -30,8 +37,8 @@ _STYLE: dict[str, Any] = {
     **dict.fromkeys(("axes.edgecolor", "xtick.color", "ytick.color"), SOFT),
     **dict.fromkeys(("axes.labelcolor", "axes.titlecolor", "text.color"), INK),
     **dict.fromkeys(("xtick.labelcolor", "ytick.labelcolor", "legend.labelcolor"), TEXT),
-    "font.family": "sans-serif",
     "font.size": 9,
+    "text.parse_math": False,  # a user's names may hold dollar signs
     "axes.titlesize": 9,
     "axes.labelsize": 9,
     "axes.titleweight": "bold",
@@ -52,6 +59,13 @@ _STYLE: dict[str, Any] = {
     "svg.fonttype": "none",
     "svg.hashsalt": "siamloc",
 }
+# Fonts for names in scripts that matplotlib's own font lacks, of Linux, Windows and macOS.
+_FURTHER_FONTS = (
+    *("Noto Sans CJK JP", "Noto Sans CJK SC", "Noto Sans SC", "WenQuanYi Zen Hei", "WenQuanYi Micro Hei"),
+    *("Droid Sans Fallback", "Microsoft YaHei", "Yu Gothic", "Malgun Gothic", "Hiragino Sans", "Arial Unicode MS"),
+    *("Noto Sans Devanagari", "Noto Sans Thai", "Nirmala UI", "Leelawadee UI"),
+)
+_UNNAMED = re.compile(r"(_child\d+)?")  # the labels that matplotlib gives to what has none
 
 
 class Picture(Figure):
@@ -71,10 +85,25 @@ class Picture(Figure):
 @contextmanager
 def style() -> Iterator[None]:
     """Apply the project's look regardless of the user's settings, as a context manager or decorator `@style()`."""
-    settings: dict[Any, Any] = {**matplotlib.rcParamsDefault, **_STYLE}
+    settings: dict[Any, Any] = {**matplotlib.rcParamsDefault, **_STYLE, "font.family": _fonts()}
     # The backend is the calling program's choice, and reading or setting it here could load one.
-    with matplotlib.rc_context({key: value for key, value in settings.items() if not key.startswith("backend")}):
-        yield
+    settings = {key: value for key, value in settings.items() if not key.startswith("backend")}
+    log = logging.getLogger(font_manager.__name__)
+    level = log.level
+    with matplotlib.rc_context(settings), warnings.catch_warnings():
+        # Letters that no font has are boxes in a PNG; in an SVG the reader's fonts count. Not every font has bold ones.
+        warnings.filterwarnings("ignore", r"Glyph \d+ |Matplotlib currently does not support", UserWarning)
+        log.setLevel(logging.ERROR)
+        try:
+            yield
+        finally:
+            log.setLevel(level)
+
+
+@cache
+def _fonts() -> list[str]:
+    installed = set(font_manager.get_font_names())  # matplotlib logs a warning for each of the others
+    return ["sans-serif", *(name for name in _FURTHER_FONTS if name in installed)]
 
 
 def save(figure: Figure, path: str | Path) -> Path:
@@ -137,8 +166,17 @@ def shared_legend(
         columns: number of columns of the legend.
         place: "outside upper center", above all panels, or "outside lower center", below all of them.
     """
-    handles, labels = figure.axes[0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc=place, ncols=columns)
+    figure.legend(*legend_entries(figure.axes[0]), loc=place, ncols=columns)
+
+
+def legend_entries(*panels: Axes) -> tuple[list[Any], list[str]]:
+    """Return what is drawn with a label in some panels, and the labels, for a legend.
+
+    Matplotlib itself leaves out labels that begin with an underscore, as a user's names may.
+    """
+    drawn = [one for axes in panels for one in axes.get_children() if isinstance(one, Line2D | Collection)]
+    named = [one for one in drawn if not _UNNAMED.fullmatch(str(one.get_label()))]
+    return named, [str(one.get_label()) for one in named]
 
 
 def lighting_colours(labels: Sequence[str] | Mapping[str, Any]) -> list[str]:

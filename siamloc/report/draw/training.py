@@ -9,7 +9,7 @@ import numpy as np
 from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
-from siamloc.report.draw.look import DASHES, MARKS, SERIES, Picture, panels, series_1_2_5, style
+from siamloc.report.draw.look import DASHES, MARKS, SERIES, Picture, legend_entries, panels, series_1_2_5, style
 
 _NAMES = {
     "accuracy_same": "accuracy, pairs of one room",
@@ -59,5 +59,5 @@ def training_curves(columns: Mapping[str, NDArray[np.float64]]) -> Picture:
         axes.set(xlim=(low - 0.02 * (high - low), high + 0.02 * (high - low)))
         axes.set_ylim(min(0.0, float(values.min())), 1.03 * top)
         axes.xaxis.set_major_locator(MaxNLocator(integer=True))
-        axes.legend(loc="best")
+        axes.legend(*legend_entries(axes), loc="best")
     return figure
