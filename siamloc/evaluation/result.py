@@ -184,22 +184,21 @@ class Result:
             if name in ("queries", "rooms", "pairs")
         }
         learned = {"error_model.json": self.error_model, "refinement.json": self.refinement}
-        drawn: list[Path] = []
         with atomic_files(folder) as fresh:
             for name, model in learned.items():
                 if model is not None:
                     model.save(fresh / name)
             write_results(fresh, self.as_dict(), tables={**self.tables, **extra})
-            if pictures:
-                from siamloc.report.draw import save_all
-
-                drawn = save_all(fresh, self.layer, occupancy)
         # Remove files that only the replaced result had, and nothing else.
         gone = (older - files_of(folder)) | {name for name, model in learned.items() if model is None}
         with storage_errors(folder):
             for name in gone:
                 (folder / name).unlink(missing_ok=True)
-        return [folder / path.name for path in drawn]
+        if not pictures:
+            return []
+        from siamloc.report.draw import save_all
+
+        return save_all(folder, self.layer, occupancy)  # last: no picture that fails takes the measures with it
 
     def as_dict(self) -> dict[str, Any]:
         """Return the content of `results.json`, without the tables."""

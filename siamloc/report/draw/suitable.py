@@ -83,7 +83,7 @@ def pictures(
 def save_all(folder: str | Path, layer: str | Path | None = None, occupancy: OccupancyMap | None = None) -> list[Path]:
     """Draw every plot that a result folder holds the numbers for, save them there, and return the files.
 
-    Their names are added to `results.json`.
+    Their names are added to `results.json`, also if a later one cannot be drawn.
 
     Args:
         folder: result folder of an evaluation, with `results.json` and its tables.
@@ -99,12 +99,16 @@ def save_all(folder: str | Path, layer: str | Path | None = None, occupancy: Occ
     tables = {table: read_rows(folder, table) for table in _TABLES if table in results["tables"]}
     name = name_of(results)
     made = pictures(results["measures"], tables, name, occupancy)
-    drawn = [save(draw(), target / f"{key}.png") for key, draw in made.items()]
+    drawn: list[Path] = []
     log = None if layer is None else Path(layer) / "events.jsonl"
-    if "nodes" in made and log is not None and log.is_file():
-        plan = node_plan(results["measures"]["mapping"], tables["frames"], tables["nodes"], name, occupancy)
-        drawn.append(animate(read_story(log, plan), target / "growth.gif"))
-    add_pictures(folder, [path.name for path in drawn])
+    try:
+        for key, draw in made.items():
+            drawn.append(save(draw(), target / f"{key}.png"))
+        if "nodes" in made and log is not None and log.is_file():
+            plan = node_plan(results["measures"]["mapping"], tables["frames"], tables["nodes"], name, occupancy)
+            drawn.append(animate(read_story(log, plan), target / "growth.gif"))
+    finally:
+        add_pictures(folder, [path.name for path in drawn])
     return drawn
 
 

@@ -11,7 +11,7 @@ import pytest
 from siamloc.data.frames import FrameTable
 from siamloc.evaluation import Result
 from siamloc.maps import VisualMap
-from siamloc.report.draw import pictures, save_all
+from siamloc.report.draw import pictures, save_all, suitable
 from siamloc.report.draw.errors import compared_curves, error_curve, estimate_curve
 from siamloc.report.draw.floor_plan import along, floor_plan
 from siamloc.report.draw.look import Picture
@@ -90,6 +90,30 @@ def test_results_that_are_replaced_take_only_their_own_pictures_with_them(tmp_pa
     assert [path.stem for path in rooms.save(both)] == ["confusion", "confusion_by_lighting"]
     Result.load(both).save(both, pictures=False)
     assert {path.name for path in both.iterdir() if path.suffix in (".png", ".gif")} == {"mine.png", "growth.gif"}
+
+
+@pytest.mark.parametrize("name", ["Lab $1_$", r"\$2", "_alt", "走廊"])
+def test_names_are_drawn_as_they_are(name: str) -> None:
+    figure = confusion([name], {name: [[1]]})
+    assert figure.rendered("svg").decode().count(f">{name}") == 3  # the title and the label of both axes
+    assert figure.rendered("png"), "without a warning, even if no font has the letters"
+    figure = error_curve({**QUERIES, "lighting": np.array([name] * 4)})
+    assert figure.axes[0].get_legend().get_texts()[0].get_text() == f"{name}: 0.40 m"
+
+
+def test_a_picture_that_fails_costs_neither_the_measures_nor_other_pictures(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fail(*_: object) -> None:
+        raise ValueError("cannot be drawn")
+
+    queries = scenes.frames(2, 30)
+    result = evaluate_absolute(scenes.visual_map(), scenes.describe(queries), queries)
+    monkeypatch.setattr(suitable, "error_curve", fail)
+    with pytest.raises(ValueError, match="cannot be drawn"):
+        result.save(tmp_path)
+    assert read_results(tmp_path)["pictures"] == ["floor_plan.png"]
+    assert Result.load(tmp_path).parts == result.parts
 
 
 def test_a_panel_per_lighting() -> None:
