@@ -17,14 +17,16 @@ from foundation.files import write_json, write_text
 from siamloc.data.manifest import manifest_of
 from siamloc.data.moves import composed, relative
 from siamloc.report.draw.film import write_film
-from siamloc.report.draw.look import INK, SERIES, Picture, panels, save, style
+from siamloc.report.draw.look import INK, SERIES, SOFT, Picture, legend_entries, panels, save, series_look, style
 
 if TYPE_CHECKING:
     from siamloc.maps import Survey
 
 _PICTURES = 80
 _DOTS_PER_INCH = 110
-_LOOP, _REFUSED = "#009e74", "#c44e00"
+# Neither has a colour of a drive.
+_LOOP: dict[str, Any] = {"color": SOFT, "linewidth": 0.6}
+_REFUSED: dict[str, Any] = {"color": INK, "linewidth": 0.9, "linestyle": (0, (4, 2))}
 _BEHIND = 12  # frames of the path that are drawn boldly behind the robot
 
 
@@ -45,7 +47,7 @@ def save_survey(found: Survey, folder: str | Path, settings: Mapping[str, Any]) 
 def survey_picture(found: Survey) -> Picture:
     """Draw the path by odometry, if there is any, beside the surveyed path with its loops.
 
-    Each drive has a colour. Loops that are used are thin green lines, and those that contradict the rest are orange.
+    Each drive has a colour. Loops that are used are thin and grey; those that contradict the rest are dashed in black.
     """
     wheels = np.isfinite(found.odometry).all(axis=1).any()
     drives = list(found.frames.rows_by("sequence").items())
@@ -55,22 +57,22 @@ def survey_picture(found: Survey) -> Picture:
     figure, drawn = panels(1 + int(wheels), 5.2, height, margin=(0.2, 0.9), across=2, sharex=True, sharey=True)
     if wheels:
         for number, (_, rows) in enumerate(drives):
-            drawn[0].plot(*_turned(found, rows).T, color=_colour(number), linewidth=1.3)
+            drawn[0].plot(*_turned(found, rows).T, linewidth=1.3, **_look(number))
         drawn[0].set_title("by odometry")
     axes = drawn[-1]
     _add_loops(axes, found)
     for number, (name, rows) in enumerate(drives):
-        axes.plot(*xy[rows].T, color=_colour(number), linewidth=1.6, label=name or "drive")
-        axes.plot(*xy[rows[0]], "o", color=_colour(number), markersize=6, markeredgecolor="white")
+        axes.plot(*xy[rows].T, linewidth=1.6, label=name or "drive", **_look(number))
+        axes.plot(*xy[rows[0]], "o", color=_look(number)["color"], markersize=6, markeredgecolor="white")
     counts = found.loops.counts()
     axes.set_title(f"surveyed: {counts['accepted']} loops used")
     for one in drawn:
         one.set(xlabel="x [m]", ylabel="y [m]", aspect="equal")
-    handles, labels = axes.get_legend_handles_labels()
-    handles.append(axes.plot([], [], color=_LOOP, linewidth=0.8)[0])
+    handles, labels = legend_entries(axes)
+    handles.append(axes.plot([], [], **_LOOP)[0])
     labels.append("loop")
     if counts["contradicted"]:
-        handles.append(axes.plot([], [], color=_REFUSED, linewidth=0.8)[0])
+        handles.append(axes.plot([], [], **_REFUSED)[0])
         labels.append("loop refused as contradicting")
     figure.legend(handles, labels, loc="outside lower center", ncols=min(len(labels), 4))
     figure.draw_without_rendering()  # the layout of panels with equal axes is only right the second time
@@ -83,7 +85,7 @@ def survey_film(found: Survey, path: str | Path) -> Path:
     Raises:
         StorageError: the disk is full or cannot be written to.
     """
-    return write_film(_driven(found), path, [*SERIES, _LOOP])
+    return write_film(_driven(found), path, [*SERIES, SOFT])
 
 
 @style()
@@ -98,10 +100,10 @@ def _driven(found: Survey) -> list[NDArray[np.uint8]]:
     margin = 0.05 * extent.max()
     axes.set(xlim=(xy[:, 0].min() - margin, xy[:, 0].max() + margin))
     axes.set(ylim=(xy[:, 1].min() - margin, xy[:, 1].max() + margin))
-    closed = LineCollection([], colors=_LOOP, linewidths=0.6, alpha=0.35)
+    closed = LineCollection([], alpha=0.35, **_LOOP)
     axes.add_collection(closed)
     drive = found.graph.drive
-    paths = [axes.plot([], [], color=_colour(number), linewidth=1.2)[0] for number in range(int(drive.max()) + 1)]
+    paths = [axes.plot([], [], linewidth=1.2, **_look(number))[0] for number in range(int(drive.max()) + 1)]
     (robot,) = axes.plot([], [], "o", color=INK, markersize=7)
     (tail,) = axes.plot([], [], color=INK, linewidth=2.2)
     pictures: list[NDArray[np.uint8]] = []
@@ -123,12 +125,9 @@ def _driven(found: Survey) -> list[NDArray[np.uint8]]:
 def _add_loops(axes: Axes, found: Survey) -> None:
     xy = found.frames.xy
     contradicted = np.array([reason.name == "CONTRADICTED" for reason in found.loops.reason.tolist()], dtype=bool)
-    for rows, options in (
-        (found.loops.accepted, {"colors": _LOOP, "linewidths": 0.5, "alpha": 0.25}),
-        (contradicted, {"colors": _REFUSED, "linewidths": 0.8, "alpha": 0.9}),
-    ):
+    for rows, options in ((found.loops.accepted, {**_LOOP, "alpha": 0.35}), (contradicted, _REFUSED)):
         ends = np.stack([xy[found.loops.first[rows]], xy[found.loops.second[rows]]], axis=1)
-        axes.add_collection(LineCollection(list(ends), **options))  # type: ignore[arg-type]
+        axes.add_collection(LineCollection(list(ends), **options))
 
 
 def _turned(found: Survey, rows: NDArray[np.int64]) -> NDArray[np.float64]:
@@ -141,5 +140,6 @@ def _turned(found: Survey, rows: NDArray[np.int64]) -> NDArray[np.float64]:
     return composed(begin, relative(found.odometry, first, known))[:, :2]
 
 
-def _colour(number: int) -> str:
-    return SERIES[number % len(SERIES)]
+def _look(number: int) -> dict[str, Any]:
+    """Return colour and dash of the path of a drive."""
+    return {**series_look(number), "marker": ""}

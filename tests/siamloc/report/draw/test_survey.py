@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from matplotlib.collections import LineCollection
+from matplotlib.colors import to_hex
 
 from siamloc.maps.surveying import Survey
 from siamloc.report.draw.survey import survey_film, survey_picture
@@ -31,6 +34,19 @@ def test_the_picture_shows_odometry_paths_and_loops(found):
     np.testing.assert_allclose(surveyed.lines[0].get_xydata(), found.frames.xy[:6])
     labels = [text.get_text() for text in figure.legends[0].get_texts()]
     assert labels == ["monday", "tuesday", "loop", "loop refused as contradicting"]
+
+
+def test_loops_look_like_no_drive_and_every_drive_is_named(found):
+    loops = a_survey()
+    names = [f"_{row}" for row in range(12)]
+    loops = replace(loops, frames=loops.frames.with_columns(sequence=names))
+    surveyed = survey_picture(loops).axes[-1]
+    drives = {(line.get_color(), str(line.get_linestyle())) for line in surveyed.lines if line.get_label() in names}
+    assert len(drives) == 12
+    used, refused = (one for one in surveyed.collections if isinstance(one, LineCollection))
+    for one in (used, refused):
+        assert to_hex(one.get_color()[0]) not in {colour for colour, _ in drives}
+    assert [text.get_text() for text in surveyed.figure.legends[0].get_texts()][:12] == names
 
 
 def test_the_film_ends_with_the_whole_path(found, tmp_path):
