@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.ticker import MultipleLocator
+from matplotlib.ticker import MaxNLocator, MultipleLocator
 
 from siamloc.errors import ConfigError, DataError, hint
 from siamloc.report.draw.look import (
@@ -56,7 +56,8 @@ def compact_curves(measures: Mapping[str, Any]) -> Picture:
     curves, unit = measures["curves"], measures["unit"]
     figure, (errors, shape, took) = panels(3, 3.2, 3.9, width_ratios=[1.5, 1, 1])
     top = 0.0
-    for i, way in enumerate(dict.fromkeys(one["way"] for one in curves)):
+    ways = list(dict.fromkeys(one["way"] for one in curves))
+    for i, way in enumerate(ways):
         entries = sorted((one for one in curves if one["way"] == way), key=lambda one: one["nodes"])
         nodes, look = column(entries, "nodes"), series_look(i)
         fine: dict[str, Any] = {"color": look["color"], "linestyle": DASHES[1], "linewidth": 1.1}
@@ -67,13 +68,15 @@ def compact_curves(measures: Mapping[str, Any]) -> Picture:
         shape.plot(nodes, column(entries, "silhouette"), **look)
         shape.plot(nodes, column(entries, "descriptor_silhouette"), **fine)
         took.plot(nodes, 1000 * column(entries, "search_ms"), **look)
-        errors.plot(nodes, column(entries, "floor"), label="floor: nearest node" if not i else None, **FLOOR)
+        floor = {**FLOOR, "color": look["color"]}
+        errors.plot(nodes, column(entries, "floor"), label=f"{WAYS[way]}: floor, to the nearest node", **floor)
     errors.set(title="mean error", ylabel=f"[{unit}]", ylim=(0, 1.06 * top or 1))
     shape.set(title="silhouette", ylabel="full: positions, dashed: descriptors")
     took.set(title="time of a search", ylabel="[µs a query]", ylim=(0, None))
     for axes in (errors, shape, took):
         axes.set_xlabel("nodes")
-    shared_legend(figure, 2)
+        axes.xaxis.set_major_locator(MaxNLocator(6, integer=True))
+    shared_legend(figure, len(ways))
     return figure
 
 

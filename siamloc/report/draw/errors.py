@@ -38,14 +38,15 @@ _LONG = 22  # characters from which a label gets its own line in the legend
 _WIDEST, _LINE = 64, 0.17  # characters of a line of the legend below all panels, and its height in inches
 
 _ALL = "all queries"
-# The marks of a row of mean errors: label, path of the error in a group of measures, and look.
+_HOLLOW = {"markerfacecolor": "none", "markeredgewidth": 1.8}
+# The marks of a row of mean errors, which may coincide: label, path of the error in a group of measures, and look.
 _MEANS: tuple[tuple[str, tuple[str, ...], dict[str, Any]], ...] = (
     ("floor", ("floor",), {"color": SOFT, "marker": "|", "markersize": 11, "markeredgewidth": 2.5}),
-    ("whole map", ("absolute", "error"), {"color": SERIES[0], "marker": "s"}),
+    ("whole map", ("absolute", "error"), {"color": SERIES[0], "marker": "s", "markersize": 12, **_HOLLOW}),
     ("perfect nodes", ("perfect_coarse", "error"), {"color": SERIES[4], "marker": "D"}),
     ("right node", ("given_right", "error"), {"color": SERIES[3], "marker": "^"}),
     ("wrong node", ("given_wrong", "error"), {"color": SERIES[5], "marker": "v"}),
-    ("hierarchical", ("error",), {"color": INK, "marker": "o", "markersize": 8}),
+    ("hierarchical", ("error",), {"color": INK, "marker": "o", "markersize": 8, **_HOLLOW}),
 )
 
 # A curve: its label, the errors, and how it looks.
@@ -170,8 +171,9 @@ def node_errors(measures: Mapping[str, Any]) -> Picture:
         axes.plot([min(row), max(row)], [place, place], color=GRID, linewidth=4, solid_capstyle="round", zorder=1)
     for i, (label, _, look) in enumerate(_MEANS):
         points = [(row[i], place) for place, row in enumerate(values) if row[i] is not None]
-        x, y = zip(*points, strict=True) if points else ((), ())
-        axes.plot(x, y, label=label, linestyle="none", **{"markersize": 7, "markeredgewidth": 0, "zorder": 3, **look})
+        if points:
+            look = {"markersize": 5, "markeredgewidth": 0, "zorder": 3, **look}
+            axes.plot(*zip(*points, strict=True), label=label, linestyle="none", **look)
     scale_errors(axes.xaxis, known, f"mean error [{measures['unit']}]", lowest=0)
     axes.set_yticks(range(len(groups)), list(groups))
     axes.set_ylim(len(groups) - 0.4, -0.6)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from siamloc.errors import ConfigError, DataError
-from siamloc.report.draw.curves import pair_curves, robustness_curves, swept_curves
+from siamloc.report.draw.curves import compact_curves, pair_curves, robustness_curves, swept_curves
 from siamloc.report.draw.errors import calibration_curve, node_errors
 from siamloc.report.draw.rooms import confusion
 from siamloc.results import read_results
@@ -81,6 +81,23 @@ def test_the_errors_of_a_hierarchy(full: Path) -> None:
     assert lines_of(figure)["wrong node"][-1] == [found["overall"]["given_wrong"]["error"]["mean"], 3]
     labels = [label.get_text() for label in figure.axes[0].get_yticklabels()]
     assert labels == ["cloudy", "night", "sunny", "all queries"]
+    for group in (found["overall"], *found["lighting"].values()):
+        group["given_wrong"]["error"] = {"mean": None}
+    assert "wrong node" not in text_of(node_errors(found)), "what no query has is not in the legend"
+
+
+def test_each_way_of_a_compact_map_has_its_own_floor() -> None:
+    curves = [
+        {"way": way, "nodes": nodes, "floor": 1 / nodes, "silhouette": 0, "descriptor_silhouette": 0, "search_ms": 1}
+        | {"error": {"mean": 1.0}, "error_frames": {"mean": 0.9}}
+        for way in ("spectral", "sample")
+        for nodes in (5, 10, 20)
+    ]
+    figure = compact_curves({"curves": curves, "unit": "m"})
+    floors = [line for line in figure.axes[0].lines if "floor" in str(line.get_label())]
+    assert len({line.get_color() for line in floors}) == len({line.get_label() for line in floors}) == 2
+    for axes in figure.axes:
+        assert all(tick == round(tick) for tick in axes.get_xticks())
 
 
 def test_robustness_curves_hold_every_level(full: Path) -> None:
@@ -129,6 +146,29 @@ def test_texts_and_lists_are_put_side_by_side():
     rows = [{"ways": ["b"], "error": 1.0}, {"ways": None, "error": 2.0}, {"ways": ["a"], "error": float("nan")}]
     figure = swept_curves(rows, ["ways"], "error")
     assert [label.get_text() for label in figure.axes[0].get_xticklabels()] == ["['b']", "none"]
+
+
+def test_names_are_points_without_lines_and_what_follows_from_them_is_left_out():
+    rows = [
+        {"descriptor": name, "distance": distance, "error": error}
+        for name, distance, error in (("hog", "cosine", 0.5), ("hsv", "manhattan", 0.7), ("gist", "cosine", 0.9))
+    ]
+    figure = swept_curves(rows, ["descriptor", "distance"], "error", unit="m")
+    (points, best) = figure.axes[0].lines
+    assert points.get_xydata().tolist() == [[0, 0.9], [1, 0.5], [2, 0.7]]
+    assert points.get_linestyle() == "None"
+    assert [text.get_text() for text in figure.legends[0].get_texts()] == [best.get_label()]
+    assert figure.axes[0].get_ylabel() == "error [m] (lower is better)"
+    rows += [{**row, "distance": "euclidean"} for row in rows]
+    assert set(lines_of(swept_curves(rows, ["descriptor", "distance"], "error"))) > {"distance=euclidean"}
+
+
+def test_a_long_logarithmic_axis_has_plain_numbers():
+    rows = [{"bins": 2**i, "error": 1.0} for i in range(14)]
+    figure = swept_curves(rows, ["bins"], "error")
+    figure.rendered("png")  # the ticks are chosen when they are drawn
+    assert "1000" in text_of(figure)
+    assert "$" not in text_of(figure)
 
 
 def test_there_has_to_be_something_to_draw():
