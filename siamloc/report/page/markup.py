@@ -143,7 +143,8 @@ def _bars(table: Table, column: int) -> list[Markup]:
         value, text = row[column], cells[column]
         shown = tag("b", text) if value is not None and value == smallest.get(row[table.labels - 1]) else join(text)
         if longest > 0:
-            shares = {"floor": row[part] or 0, "excess": max((value or 0) - (row[part] or 0), 0)}
+            floor = min(row[part] or 0, value or 0)  # estimates that are no frame of the map can be below it
+            shares = {"floor": floor, "excess": (value or 0) - floor}
             bits = (tag(f"i.{kind}", style=f"width:{100 * share / longest:.1f}%") for kind, share in shares.items())
             shown = join(shown, tag("span.bar", *bits, aria_hidden="true"))
         made.append(shown)
