@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from foundation.calls import typed
 from foundation.files import check_version, plain, read_json, real_path, storage_errors, write_json
 from foundation.locks import locked
+from foundation.ordering import by_numbers
 from foundation.settings import checked, misfit
 from siamloc.errors import ConfigError, FormatError, OldFormatError
 from siamloc.results import versions
@@ -348,7 +349,7 @@ def runs_in(folder: str | Path) -> list[Run]:
     """
     if Run(Path(folder)).record.is_file():
         return []
-    return [Run(record.parent) for record in sorted(Run(Path(folder)).folder.glob("*/run.json"))]
+    return [Run(record.parent) for record in sorted(Run(Path(folder)).folder.glob("*/run.json"), key=by_numbers)]
 
 
 @typed

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import re
 import struct
 from collections.abc import Sequence
 from contextlib import suppress
-from decimal import Decimal
 from functools import cache
 from pathlib import Path
 from threading import Lock
@@ -17,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from foundation.columns import spread_rows
+from foundation.ordering import by_numbers
 from siamloc.errors import logger
 
 _LARGEST = 16_384  # pixels per side of an image
@@ -36,14 +35,7 @@ def image_files(folder: Path) -> list[Path]:
     """
     suffixes = {".jpeg", ".jpg", ".png", ".bmp", ".ppm", ".tif", ".tiff", ".webp"}
     shown = (path for path in folder.iterdir() if not path.name.startswith("."))
-    return sorted((path for path in shown if path.suffix.lower() in suffixes and path.is_file()), key=_counted)
-
-
-def _counted(file: Path) -> tuple[list[tuple[Decimal, str]], str]:
-    """Return what sorts names by the numbers in them, and those with equal numbers, such as 1 and 01, as texts."""
-    parts = re.split(r"(\d+(?:\.\d+)?)", file.name)
-    counted = [(Decimal(part), "") if place % 2 else (Decimal(0), part) for place, part in enumerate(parts)]
-    return counted, file.name
+    return sorted((path for path in shown if path.suffix.lower() in suffixes and path.is_file()), key=by_numbers)
 
 
 def read_image(path: str | Path, bits: int | None = None) -> NDArray[np.uint8]:

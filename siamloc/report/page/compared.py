@@ -44,16 +44,17 @@ def comparison(parts: list[Part]) -> Markup | None:
 
 
 def differences(evaluations: Mapping[str, Evaluation]) -> list[str]:
-    """Return a warning for each evaluation whose queries or map frames differ from those of the first evaluation.
+    """Return a warning for evaluations whose queries or map frames differ from those of the first evaluation.
 
-    Frames are the same if the ends of their paths are the same, and their positions where known. The folder of the data
-    set, the order of the frames and the descriptor do not matter.
+    Evaluations that differ from it in the same way share a warning. Frames are the same if the ends of their paths are
+    the same, and their positions where known. The folder of the data set, the order of the frames and the descriptor do
+    not matter.
 
     Args:
         evaluations: results of two or more evaluations, by the title that the sentences use.
     """
     (first, one), *others = evaluations.items()
-    found = []
+    found: dict[str, list[str]] = {}
     for title, other in others:
         table = "rooms" if one.queries is None or other.queries is None else "queries"
         queries = _difference("queries", one.tables.get(table), other.tables.get(table))
@@ -63,8 +64,11 @@ def differences(evaluations: Mapping[str, Evaluation]) -> list[str]:
             maps = "map frames (protocol.map)" if None not in chosen and chosen[0] != chosen[1] else ""
         if queries or maps:
             what = " and ".join(filter(None, [queries, maps]))
-            found.append(f"Take care when comparing {title} with {first}: they differ in their {what}.")
-    return found
+            found.setdefault(what, []).append(title)
+    return [
+        f"Take care when comparing {', '.join(titles)} with {first}: they differ in their {what}."
+        for what, titles in found.items()
+    ]
 
 
 def _compared(parts: list[Part]) -> list[Table]:
@@ -83,7 +87,7 @@ def _compared(parts: list[Part]) -> list[Table]:
         *((Column(name, form="count"), name) for name in ("map", "queries")),
         *((Column(name), name) for name in differing),
         (Column("mean", unit, 3), "error.mean"),
-        *((Column(f"mean, {label}", form=3), f"lighting.{i}.error.mean") for i, label in enumerate(lightings)),
+        *((Column(f"mean, {label}", unit, 3), f"lighting.{i}.error.mean") for i, label in enumerate(lightings)),
         *((Column(name, unit, 3), f"error.{key}") for name, key in (("median", "median"), ("95 %", "p95"))),
         *((Column(name, unit, 3), f"{name}.mean") for name in ("floor", "excess")),
         *((Column("recall@1"), "recall@1"), (Column("heading", "deg", 1), "heading_error.mean")),

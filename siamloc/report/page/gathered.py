@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from foundation.files import real_path
+from foundation.ordering import by_numbers
 from siamloc.errors import ConfigError, DataError, FormatError
 from siamloc.results import FINEST, Columns, read_results, read_rows
 from siamloc.runs import Run, run_with, runs_in
@@ -157,7 +158,7 @@ def _gather(folder: Path, title: str) -> RunFiles:
     found = [folder / "results.json"] if single else [*top.glob("*/results.json"), *top.glob("*/*/results.json")]
     if not found:
         raise ConfigError(f"{folder} holds no evaluation: measure it first with `siamloc evaluate run={folder}`")
-    folders = sorted((path.parent for path in found), key=lambda path: (path.name != "network", path))
+    folders = sorted((path.parent for path in found), key=lambda path: (path.name != "network", by_numbers(path)))
     return RunFiles(
         title,
         tuple(sorted(map(_evaluation, folders), key=lambda one: (*_KINDS, one.kind).index(one.kind))),

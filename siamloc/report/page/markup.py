@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import html
 import json
+import re
 from collections.abc import Iterable
 from pathlib import Path
 from string import Template
@@ -94,7 +95,7 @@ def plural(value: int, what: str, many: str | None = None) -> str:
 def key_values(pairs: Iterable[tuple[str, Content]]) -> Markup:
     """Return a table of two columns: keys and values."""
     rows = (tag("tr", tag("th", key, scope="row"), tag("td", value)) for key, value in pairs)
-    return tag("table.pairs", tag("tbody", *rows))
+    return tag("table.values", tag("tbody", *rows))
 
 
 def grid(table: Table) -> Markup:
@@ -153,4 +154,4 @@ def _bars(table: Table, column: int) -> list[Markup]:
 
 def _unbroken(text: str) -> str:
     """Return a text whose unit is not separated from its number or name by a line break."""
-    return text.replace(" ", "\u00a0") if len(text) < 12 else text
+    return text.replace(" ", "\u00a0") if len(text) < 12 else re.sub(r"(?<=\d) (?=\w+$)| (?=\[)", "\u00a0", text)

@@ -16,10 +16,11 @@ from siamloc.errors import ConfigError, FormatError, SiamlocError
 from siamloc.maps import VisualMap
 from siamloc.report.page import compared, parts, sections
 from siamloc.report.page.gathered import Evaluation
-from siamloc.report.page.markup import Markup, tag
+from siamloc.report.page.markup import Markup, grid, tag
 from siamloc.report.page.write import write_report
 from siamloc.results import read_results, read_rows, write_results
 from siamloc.runs import Run
+from siamloc.tables import Column, Table
 from tests.siamloc.cli.commands import refused
 from tests.siamloc.evaluation import scenes
 from tests.siamloc.report import pages
@@ -94,7 +95,7 @@ def test_without_rooms_headings_baselines_or_lightings(tmp_path: Path, lighting:
     (row,) = rows_of(page.all("table", class_="errors")[0])
     assert row[:2] == ["network", lighting or "all"]
     assert not page.all("input", type="radio")
-    assert "mean [frame]" in page.all("table", class_="errors")[0].text
+    assert "mean\u00a0[frame]" in page.all("table", class_="errors")[0].text
     assert len(page.one("section", class_="curves").all("figure")) == 1
 
 
@@ -180,6 +181,32 @@ def rooms_alone(queries: FrameTable, map_every: int | None = None) -> Evaluation
 def test_evaluations_differ_in_their_frames_not_in_where_these_lie(one, other, says) -> None:
     expected = [f"Take care when comparing b with a: they differ in their {says}."] if says else []
     assert compared.differences({"a": one, "b": other}) == expected
+
+
+def test_evaluations_that_differ_alike_share_a_warning() -> None:
+    every = {"a": localized(QUERIES, KNOWN), "b": localized(QUERIES, MOVED), "c": localized(QUERIES, MOVED)}
+    (warning,) = compared.differences(every)
+    assert warning.startswith("Take care when comparing b, c with a: ")
+
+
+def test_a_sweep_is_in_the_order_of_its_numbers(tmp_path: Path) -> None:
+    names = [f"descriptor.bins-{bins}" for bins in (4, 8, 16)]
+    for name in reversed(names):
+        folder = tmp_path / "run" / "evaluation" / "hog" / name
+        pages.write_evaluation(folder, scenes.visual_map(), scenes.frames(2, 10), name=name, rooms=False)
+    page = report(tmp_path, tmp_path / "run")
+    table = page.one("table", class_="comparison")
+    assert [link.text for link in table.all("a")] == names
+    headings = [cell.text.replace("\u00a0", " ") for cell in table.one("thead").all("th")]
+    assert {"mean [m]", "mean, night [m]"} <= set(headings)
+
+
+@pytest.mark.parametrize(("mean", "widths"), [(0.5, ["12.5%", "12.5%"]), (0.1, ["5.0%", "0.0%"])])
+def test_bars_are_as_long_as_the_mean(mean: float, widths: list[str]) -> None:
+    columns = (Column("method"), Column("mean", "m", 3, part="floor"), Column("floor", "m", 3))
+    page = pages.parse(grid(Table("errors", columns, (("tracked", mean, 0.25), ("hog", 2.0, 0.25)))))
+    bits = page.all("span", class_="bar")[0].all("i")
+    assert [bit.attributes["style"] for bit in bits] == [f"width:{width}" for width in widths]
 
 
 def test_names_are_never_markup(tmp_path: Path) -> None:
