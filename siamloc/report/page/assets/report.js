@@ -277,6 +277,7 @@
       this.draw();
       const { query, map, rooms, lightings, unit } = this.data;
       const facts = this.article.querySelector(".facts");
+      this.article.querySelector(".details .triple").style.visibility = i < 0 ? "hidden" : "";
       if (i < 0) {
         facts.textContent = "no query is shown";
         return;

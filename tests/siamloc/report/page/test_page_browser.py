@@ -133,6 +133,12 @@ def test_classes_of_errors_can_be_hidden(page: Browser) -> None:
     """)
     assert hidden > 0
     assert int(state(page)["drawn"]) == before - hidden
+    page.run("document.querySelectorAll('.classes input:checked').forEach((box) => box.click())")
+    assert page.run("return document.querySelector('.facts').innerText") == "no query is shown"
+    pictures = "return getComputedStyle(document.querySelector('.details .triple')).visibility"
+    assert page.run(pictures) == "hidden"
+    page.run("document.querySelector('.classes input').click()")
+    assert page.run(pictures) == "visible"
 
 
 def test_the_worst_query_is_shown_first_with_its_pictures(full: Path, page: Browser) -> None:
