@@ -105,7 +105,7 @@ class _Month:
         self.items = [
             replace(item, options={"number": number, **item.options}) for number, item in enumerate(building.items)
         ]
-        self.ways = np.concatenate([rounded(points)[::4] for points in building.paths.values()])
+        self.ways = np.concatenate([np.empty((0, 2)), *(rounded(points)[::4] for points in building.paths.values())])
         self.changes: list[Change] = []
 
     def changed(self) -> Building:
@@ -213,7 +213,7 @@ class _Month:
             return False
         if not KINDS[item.kind].blocks:
             return True
-        clear = clearance(self.ways, item.edges()).min() > _KEEP_OFF
+        clear = (clearance(self.ways, item.edges()) > _KEEP_OFF).all()
         return bool(clear) and not inside_item(item, self.ways).any()
 
     def _table_of(self, chair: Item) -> Item | None:

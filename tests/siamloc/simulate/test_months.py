@@ -62,6 +62,15 @@ def test_furniture_has_space_and_the_way_stays_free(name: str, seed: int) -> Non
                 assert not (level and inside_item(other, _inside(item)).any()), f"{item} reaches into {other}"
 
 
+def test_a_building_without_paths_changes_as_well(mini: Building) -> None:
+    pathless = replace(mini, paths={})
+    later, changes = aged(pathless, 2)
+    blocking = [change for change in changes if change.kind in KINDS and KINDS[change.kind].blocks]
+    assert {"moved", "added"} <= {change.what for change in blocking}
+    track = draw_run(pathless, Run("cloudy", 1, "grid", 0.8, month=2)).track
+    assert not blocked_points(later, track.poses[:, :2]).any()
+
+
 def _among(item: Item, items: object) -> bool:
     """Return whether an item of the same size is in the same place."""
     return any((item.x, item.y, item.size) == (other.x, other.y, other.size) for other in items)

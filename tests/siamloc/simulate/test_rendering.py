@@ -9,7 +9,7 @@ from siamloc.data.cameras import HyperbolicMirror
 from siamloc.data.panorama import PanoramaView, unwrap
 from siamloc.errors import ConfigError
 from siamloc.simulate import Run, build_scene, render
-from siamloc.simulate.camera import CAMERAS
+from siamloc.simulate.camera import CAMERAS, develop, expose
 from siamloc.simulate.layout import Building
 from siamloc.simulate.rendering import frames, meter
 from siamloc.simulate.scene import Scene
@@ -109,6 +109,13 @@ def test_exposure_follows_slowly(cloudy: Scene) -> None:
     assert exposure.gain.max() / exposure.gain.min() > 1.15
     assert steps.max() < 0.6
     assert ((exposure.seconds >= 0.004) & (exposure.seconds <= 0.06)).all()
+
+
+def test_a_camera_in_the_dark_takes_black_pictures() -> None:
+    exposure = expose(np.zeros((2, 5)), np.zeros(3), np.arange(2.0), 0.0)
+    np.testing.assert_array_equal(exposure.balance, 1)
+    dark = np.zeros((8, 16, 3), dtype=np.float32)
+    assert develop(dark, exposure.gain[0], exposure.balance, False, np.random.default_rng(0), 1.0).max() < 64
 
 
 def test_the_sun_goes_from_east_to_west_and_highest_at_noon() -> None:
