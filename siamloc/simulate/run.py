@@ -111,9 +111,8 @@ class Run(Settings):
         """
         parts = re.fullmatch(rf"({'|'.join(LIGHTINGS)})([0-9]+)", name)
         if parts is None:
-            raise ConfigError(
-                f"a run is a lighting and a number such as cloudy1, got {name!r}; {hint(name, LIGHTINGS)}"
-            )
+            first = [f"{lighting}1" for lighting in LIGHTINGS]
+            raise ConfigError(f"a run is a lighting and a number such as cloudy1, got {name!r}; {hint(name, first)}")
         return cls(parts[1], int(parts[2]), path, spacing, **options)  # type: ignore[arg-type]
 
 
