@@ -1,4 +1,4 @@
-"""The exceptions that all packages share, and the spelling hint at the end of their messages."""
+"""The exceptions that all packages share, and parts of their messages."""
 
 from __future__ import annotations
 
@@ -71,6 +71,22 @@ def known(name: Any, valid: Iterable[str], what: str, error: type[Exception] = C
     if not isinstance(name, str) or name not in options:
         raise error(f"unknown {what} {name!r}: {hint(name, options)}")
     return name
+
+
+def not_yaml(file: object, error: Exception) -> str:
+    """Return the error message about a file that is not YAML: the line, if the parser names one, and what is wrong.
+
+    Example:
+        >>> import yaml
+        >>> try:
+        ...     yaml.safe_load("a: 1\\nb: c: d")
+        ... except yaml.YAMLError as error:
+        ...     print(not_yaml("own.yaml", error))
+        own.yaml, line 2, is not YAML: mapping values are not allowed here
+    """
+    mark = getattr(error, "problem_mark", None)
+    line = f", line {mark.line + 1}," if mark else ""
+    return f"{file}{line} is not YAML: {getattr(error, 'problem', None) or ' '.join(str(error).split())}"
 
 
 def _initials(name: str) -> str:

@@ -22,7 +22,7 @@ import yaml
 from augment.compose import Policy
 from augment.errors import AugmentError, hint
 from augment.registry import POLICIES
-from foundation.errors import known
+from foundation.errors import known, not_yaml
 from foundation.settings import checked
 
 Tree = dict[str, Any]
@@ -111,7 +111,7 @@ def _read(path: Path) -> Tree:
     except OSError as error:
         raise AugmentError(f"{path} cannot be read: {error.strerror}") from error
     except (yaml.YAMLError, UnicodeDecodeError) as error:
-        raise AugmentError(f"{path} is not valid YAML: {' '.join(str(error).split())}") from error
+        raise AugmentError(not_yaml(path, error)) from error
     if not isinstance(described, dict):
         raise AugmentError(f"{path} must contain a mapping with one of {', '.join(_ROOTS)}, got {described!r}")
     return described

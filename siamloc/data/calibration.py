@@ -11,6 +11,7 @@ import cv2
 import numpy as np
 
 from foundation.calls import typed
+from foundation.errors import not_yaml
 from foundation.settings import shortened
 from siamloc.data.cameras import DoubleSphereCamera, DualFisheyeCamera, FisheyeCamera, OCamCamera, UnifiedCamera
 from siamloc.data.central import CentralCamera
@@ -205,7 +206,7 @@ def _yaml(file: Path, text: str) -> dict[str, Any]:
     try:
         found = yaml.safe_load(text)
     except (yaml.YAMLError, ValueError, RecursionError) as error:
-        raise DataError(f"{file} is not YAML: {shortened(str(error))}") from error
+        raise DataError(not_yaml(file, error)) from error
     if not isinstance(found, dict):
         raise DataError(f"{file} is not a calibration file: {_READ}")
     return {str(name): one.get("data", one) if isinstance(one, dict) else one for name, one in found.items()}

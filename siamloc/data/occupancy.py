@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from foundation.calls import typed
-from foundation.settings import shortened
+from foundation.errors import not_yaml
 from siamloc.data.frames import read_file
 from siamloc.data.image_files import UnreadableImageError, read_image
 from siamloc.data.moves import composed, inverse
@@ -126,7 +126,7 @@ def read_occupancy(path: str | Path) -> OccupancyMap:
     try:
         about = yaml.safe_load(text)
     except (ValueError, RecursionError, yaml.YAMLError) as error:
-        raise DataError(f"the map {file} is not YAML: {shortened(str(error))}") from error
+        raise DataError(not_yaml(f"the map {file}", error)) from error
     missing = [key for key in _NEEDED if key not in about] if isinstance(about, Mapping) else list(_NEEDED)
     if missing:
         raise DataError(f"{file} is not the YAML file of a map server: {', '.join(missing)} missing")

@@ -15,6 +15,7 @@ from typing import Any
 import yaml
 
 from analytic.descriptors.fused import SIGN, distinct
+from foundation.errors import not_yaml
 from foundation.settings import complaint, defaults_of, merged
 from siamloc.errors import ConfigError, hint
 from siamloc.jobs.choices import Frozen, Fusion, parameters_of
@@ -237,7 +238,7 @@ def option(group: str, name: str) -> Option:
     try:
         own = yaml.safe_load(path.read_text(encoding="utf-8"))
     except (yaml.YAMLError, ValueError) as error:
-        raise ConfigError(f"{path} is not YAML: {' '.join(str(error).split())}") from error
+        raise ConfigError(not_yaml(path, error)) from error
     if complaint(own, Mapping) or complaint(own.get("defaults", []), list[str | Mapping]):
         raise ConfigError(f"{path} must be a mapping of keys to values, and its `defaults` a list of options")
     values: dict[str, Any] = {}

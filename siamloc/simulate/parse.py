@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import re
-from collections import Counter
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
 from itertools import combinations
@@ -14,9 +13,11 @@ from typing import Annotated, Any, ClassVar, Literal, TypeVar
 import numpy as np
 import yaml
 
+from foundation.errors import not_yaml
 from foundation.files import read_text
 from foundation.settings import Rule, Seed, Settings, complaint, default_of, fields_of
 from siamloc.errors import DataError, hint
+from siamloc.simulate.camera import HEIGHT
 from siamloc.simulate.items import KINDS
 from siamloc.simulate.layout import HALF_WALL, SIDES, Array, Building, Item, Opening, Room, shared_wall
 from siamloc.simulate.textures import SURFACES
@@ -32,6 +33,9 @@ _WORD = re.compile(r"\w[\w.-]*")
 Word = Annotated[
     str | int, Rule("a word of letters, digits, '.', '-' and '_'", lambda value: bool(_WORD.fullmatch(str(value))))
 ]
+#: Lowest ceiling over the camera and highest ceiling, and farthest wall from 0, in metres. Farther away, single
+#: precision no longer tells a surface from what is right before it.
+LOWEST, HIGHEST, FARTHEST = HEIGHT + 0.3, 200.0, 1000.0
 Keys = dict[str, Any]
 List = Annotated[list[Any], Rule("a list", lambda value: True)]
 Surface: Any = Literal[tuple(SURFACES)]
@@ -135,7 +139,7 @@ def read_building_file(path: FilePath, seed: int) -> Building:
     except OSError as error:
         raise DataError(f"the building file {path} cannot be read: {error}") from error
     except (yaml.YAMLError, ValueError, RecursionError) as error:
-        raise DataError(f"{path} is not YAML: {' '.join(str(error).split())}") from error
+        raise DataError(not_yaml(path, error)) from error
     return parse_building(content, seed, str(path))
 
 
@@ -214,10 +218,16 @@ class _Parser:
         for axis, (low, high) in (("x", given.x), ("y", given.y)):
             if high - low < 0.8:
                 raise self.error(f"{what} must be at least 0.8 m wide, but {axis} runs from {low} to {high}")
+            if max(-low, high) > FARTHEST:
+                reach = f"{axis} must lie within {FARTHEST:g} m of 0, but runs from {low} to {high}"
+                raise self.error(f"{what}: {reach}: lengths are in metres")
         code = str(name if given.code is None else given.code)
         names = ("x", "y", "floor", "walls", "ceiling", "paint", "wainscot")
         values = {key: _real(getattr(given, key)) for key in names}
         high = float(given.height or height)
+        if not LOWEST <= high <= HIGHEST:
+            heights = f"{LOWEST:g} to {HIGHEST:g} m high, as the camera is {HEIGHT:g} m above the floor"
+            raise self.error(f"{what} must be {heights}, got height {high:g}: lengths are in metres")
         return Room(name=name, code=code, height=high, lamps=given.lamps, **values)
 
     def check_overlaps(self, rooms: dict[str, Room]) -> None:
@@ -241,6 +251,9 @@ class _Parser:
         sides = a.name, b.name
         opening = Opening(given.kind, along, level, at, width, low, top, sides, given.hinge, into)
         self.check_within(opening, span, min(a.height, b.height), what)
+        if opening.passable and not (low == 0 and top >= LOWEST):
+            ends = f"must begin at the floor and be at least {LOWEST:g} m high, as the camera is at {HEIGHT:g} m"
+            raise self.error(f"{what} {ends}, got {low:g} to {top:g}; kind: pane is no way for a robot")
         return opening
 
     def window(self, entry: Any, room: Room, rooms: dict[str, Room]) -> Opening:
@@ -326,9 +339,10 @@ class _Loader(yaml.SafeLoader):
 
     def construct_mapping(self, node: Any, deep: bool = False) -> dict[Any, Any]:
         """Construct a mapping; a key must not appear twice."""
-        keys = [str(key.value) for key, _ in node.value]
-        for key, count in Counter(keys).items():
-            if count > 1:
-                message = f"the key {key!r} appears twice"
-                raise yaml.constructor.ConstructorError(None, None, message, node.start_mark)
+        seen: set[str] = set()
+        for key, _ in node.value:
+            if str(key.value) in seen:
+                message = f"the key {key.value!r} appears twice"
+                raise yaml.constructor.ConstructorError(None, None, message, key.start_mark)
+            seen.add(str(key.value))
         return super().construct_mapping(node, deep)

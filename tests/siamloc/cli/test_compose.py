@@ -47,7 +47,7 @@ def test_every_option_of_every_group_composes(override, tmp_path):
 @pytest.mark.parametrize(
     ("group", "content", "says"),
     [
-        ("protocol", "a: b: c", r"protocol/own\.yaml is not YAML: mapping values are not allowed"),
+        ("protocol", "a: b: c", r"protocol/own\.yaml, line 1, is not YAML: mapping values are not allowed"),
         *(("experiment", text, r"experiment/own\.yaml must be a mapping") for text in ("[1]", "", "defaults: {a: 1}")),
         *(("augment", text, r"augment/own\.yaml must be a mapping") for text in ("[1]", "5", "defaults: [5]")),
     ],
