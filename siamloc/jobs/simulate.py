@@ -22,7 +22,7 @@ class Simulate(SimulateConfig, Job):
         runs=[cloudy1,night1]       lighting and number; each number is a different hour of a different day
         path=path2                  the route through the building
         trajectory=FILE.places.lst  or a COLD list of poses: one image for each
-        spacing=0.15                metres between frames
+        spacing=0.15                metres after which a frame is taken; after 20 degrees of turning, earlier
         path=grid                   no route: a grid of positions over the free floor, spacing metres apart
         path=halfway                the middles of the grid's squares: queries for such a map
         positions=11 headings=16    with these two: number of positions in each run, of frames at each of them

@@ -62,7 +62,8 @@ class SimulateConfig(Settings):
         path: name of one of the building's paths; or "grid", a grid of positions over the free floor, or "halfway", the
             middles of its squares.
         runs: lightings with numbers, such as ("cloudy1", "night2").
-        spacing: metres between frames, or between the positions of the grid.
+        spacing: metres after which the robot takes the next frame, or one earlier after 20 degrees of turning; or
+            metres between the positions of the grid.
         hours: solar time of each run, which also dims a cloudy sky, 7 to 17 but for nights; drawn around a usual
             hour if empty.
         headings: frames at each position of a grid, evenly turned.

@@ -45,7 +45,8 @@ class Run(Settings):
         number: 1, 2, ... within the lighting; each number is a different hour and a different day.
         path: name of one of the building's paths; or "grid" or "halfway", a grid of positions or the middles of its
             squares.
-        spacing: metres between frames, or between the positions of the grid.
+        spacing: metres after which the robot takes the next frame, or one earlier after 20 degrees of turning; or
+            metres between the positions of the grid.
         trajectory: a `places.lst` whose poses are used instead of the path.
         hour: solar time, which also dims a cloudy sky, 7 to 17 unless it is a night; drawn around a usual hour if None.
         headings: frames at each position of a grid, at headings 360 degrees / `headings` apart.
@@ -100,7 +101,7 @@ class Run(Settings):
         Args:
             name: a lighting, "cloudy", "night" or "sunny", followed by a number.
             path: name of one of the building's paths, "grid" or "halfway", as in `Run`.
-            spacing: metres between frames, or between the positions of the grid.
+            spacing: metres between frames at most, or between the positions of the grid, as in `Run`.
             options: the other attributes of `Run`, such as `hour`.
 
         >>> Run.parse("night2").name
