@@ -17,7 +17,7 @@ class Simulate(SimulateConfig, Job):
     Renders drives of a robot with an omnidirectional camera in cloudy, night and sunny light, and writes them with
     COLD's folders and file names. The same seed gives the same bytes, whatever the number of workers.
 
-        building=freiburg_like      or annex, mini, random, or a YAML file
+        building=freiburg_like      or annex, mini, random, or a YAML file: docs/howto/building.md
         out=data                    output folder
         runs=[cloudy1,night1]       lighting and number; each number is a different hour of a different day
         path=path2                  the route through the building

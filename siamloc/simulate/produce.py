@@ -57,7 +57,7 @@ class SimulateConfig(Settings):
 
     Attributes:
         out: output folder, which receives `<building>/part_a/seq2_cloudy1/...`.
-        building: name of a built-in building, "random", or a YAML file.
+        building: name of a built-in building, "random", or a YAML file (docs/howto/building.md).
         seed: seed of all random draws; equal seeds give equal bytes.
         path: name of one of the building's paths; or "grid", a grid of positions over the free floor, or "halfway", the
             middles of its squares.

@@ -2,16 +2,24 @@
 
 from __future__ import annotations
 
+import dataclasses
+import re
+import shlex
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
+from foundation.settings import default_of, fields_of
+from siamloc.cli import main
 from siamloc.errors import DataError
+from siamloc.simulate import parse
 from siamloc.simulate.buildings import building_names, load_building
 from siamloc.simulate.items import KINDS
+from siamloc.simulate.parse import FARTHEST, HIGHEST, LOWEST
 from siamloc.simulate.plan import clearance, obstacles, room_codes
+from siamloc.simulate.textures import SURFACES
 
 PLAN = """name: two
 rooms:
@@ -121,3 +129,47 @@ def test_built_in_buildings_are_possible(name: str) -> None:
     assert set(room_codes(building, building.paths["path2"])) == set(building.codes)
     nine = {"1PO-A", "2PO1-A", "2PO2-A", "CR-A", "KT-A", "LO-A", "PA-A", "ST-A", "TL-A"}
     assert name != "freiburg_like" or set(building.codes) == nine
+
+
+PAGE = (Path(__file__).parents[3] / "docs/howto/building.md").read_text(encoding="utf-8")
+SECTIONS = {part.partition("\n")[0].split()[-1]: part for part in PAGE.split("\n## ")}
+
+
+def test_the_file_on_the_page_is_simulated_as_it_says(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    file, command = re.findall(r"^```\w*\n(.*?)^```", PAGE, flags=re.DOTALL | re.MULTILINE)
+    Path("floor.yaml").write_text(file, encoding="utf-8")
+    assert main([*shlex.split(command)[1:], "frames=1", "workers=1"]) == 0
+    assert len(list(Path("data/floor/part_a").rglob("*.jpeg"))) == 2
+
+
+@pytest.mark.parametrize("entry", [parse._Building, parse._Room, parse._Door, parse._Window, parse._Item])
+def test_the_page_lists_every_key_with_its_default(entry: type[Any]) -> None:
+    rows = re.findall(r"^\| (`.*?`) \| (.*?) \|", SECTIONS[entry.__name__[1:].lower()], flags=re.MULTILINE)
+    written = {key: without for keys, without in rows for key in re.findall(r"\w+", keys)}
+    assert set(written) == set(fields_of(entry))
+    for key, default in ((one.name, default_of(one)) for one in dataclasses.fields(entry)):
+        if default is dataclasses.MISSING:
+            assert written[key] == "required"
+        elif default is not None and key != "picture":  # which is drawn if the file has none
+            assert f"`{_flow(default)}`" in written[key], key
+
+
+def _flow(value: Any) -> str:
+    """Write a value as YAML does within a line."""
+    if isinstance(value, tuple | list):
+        return f"[{', '.join(map(_flow, value))}]"
+    return str(value).lower() if isinstance(value, bool) else f"{value:g}" if isinstance(value, float) else str(value)
+
+
+def test_the_page_lists_every_surface_and_kind_of_item() -> None:
+    text = " ".join(PAGE.split())
+    assert f"Surfaces: {', '.join(f'`{name}`' for name in SURFACES)}." in text
+    assert f"farther than {FARTHEST:,g} m from 0, or are not {LOWEST:g} to {HIGHEST:g} m high" in text
+    found = {}
+    for part, blocks in zip(SECTIONS["item"].split("These hang"), (True, False), strict=True):
+        for line in part.split("\n- ")[1:]:
+            options = tuple(re.findall(r"`(\w+)`", line.partition(":")[0]))
+            for kind, size, z in re.findall(r"`(\w+) (\S+ x \S+ x [\d.]+)(?: at (\S+))?`", line):
+                found[kind] = tuple(map(float, size.split(" x "))), float(z or 0), blocks, options
+    assert found == {name: (kind.size, kind.z, kind.blocks, kind.options) for name, kind in KINDS.items()}
