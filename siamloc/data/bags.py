@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from foundation.extras import lacking
-from siamloc.data.image_files import bits_used
+from siamloc.data.image_files import UnreadableImageError, bits_used
 from siamloc.data.trajectory import Trajectory, composed
 from siamloc.errors import DataError, SiamlocError, hint, logger
 
@@ -60,10 +60,6 @@ _FIXED = 0.01  # m by which the height of a camera that is fixed on the robot ma
 _LOOKED_AT = 2000  # messages of a topic of frames, to know which frames there are
 
 
-class Damaged(DataError):
-    """One image that cannot be used, among others that can."""
-
-
 class Bag:
     """A bag that is open inside a `with` block: a file .bag, .db3 or .mcap, or a folder with metadata.yaml.
 
@@ -99,7 +95,7 @@ class Bag:
 
     def images(
         self, topic: str, clock: Clock = "stamp"
-    ) -> Iterator[tuple[int, bytes | NDArray[np.uint8] | Damaged, str]]:
+    ) -> Iterator[tuple[int, bytes | NDArray[np.uint8] | UnreadableImageError, str]]:
         """Yield the time in ns of each image of a topic, the image, and the ending of its file.
 
         A compressed image comes as the bytes of its file, others as pixels (rows, columns, 3), RGB. An image that
@@ -113,7 +109,7 @@ class Bag:
             if hasattr(message, "encoding"):
                 try:
                     yield time, self._pixels(topic, message, shift), ".jpg"
-                except Damaged as error:
+                except UnreadableImageError as error:
                     yield time, error, ""
                 continue
             content, kind = bytes(message.data), message.format.lower()
@@ -122,7 +118,7 @@ class Bag:
                 yield time, content, ending
             elif "depth" not in kind and any(word in kind for word in ("jpeg", "jpg", "png")):
                 reason = f"the image at {time / 1e9:.3f} s, of {len(content)} bytes, is neither JPEG nor PNG"
-                yield time, Damaged(reason), ""
+                yield time, UnreadableImageError(reason), ""
             else:
                 raise DataError(
                     f"{self.path}: images of {topic} are compressed as {message.format!r}, expected JPEG or PNG"
@@ -258,7 +254,7 @@ class Bag:
             return 0
         bits = 8
         for _, one in self._messages(topic, IMAGES, "bag"):
-            with suppress(Damaged):
+            with suppress(UnreadableImageError):
                 bits = max(bits, bits_used(self._numbers(topic, one)))
         if bits < 16:
             logger.warning("%s: the images of %s use %d of 16 bits, and are brightened alike", self.path, topic, bits)
@@ -277,7 +273,9 @@ class Bag:
         raw = np.frombuffer(message.data, dtype=np.uint8)
         if not row * message.height or message.step < row or len(raw) < message.step * message.height:
             size = f"{message.width} x {message.height} px in {message.encoding}"
-            raise Damaged(f"the image at {_stamp(message) / 1e9:.3f} s has {len(raw)} bytes, too few for {size}")
+            raise UnreadableImageError(
+                f"the image at {_stamp(message) / 1e9:.3f} s has {len(raw)} bytes, too few for {size}"
+            )
         rows = raw[: message.step * message.height].reshape(message.height, message.step)[:, :row]
         return np.ascontiguousarray(rows).view(order + kind).reshape(message.height, message.width, channels)
 

@@ -9,14 +9,14 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, ClassVar
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from foundation.calls import OF_FIELDS, takes, typed
 from foundation.files import read_json, write_bytes, write_json, write_picture, write_text
 from foundation.settings import Count, Positive, Settings, Text
-from siamloc.data.bags import KINDS, Bag, Clock, Damaged, proposed
+from siamloc.data.bags import KINDS, Bag, Clock, proposed
+from siamloc.data.films import Film
 from siamloc.data.frames import BAGS, VIDEOS, FrameTable, advice, placed
 from siamloc.data.image_files import UnreadableImageError, decode_image
 from siamloc.data.manifest import manifest_of
@@ -118,38 +118,6 @@ class Contents:
         lacking = [what for what in SOURCES if what not in self.proposal]
         said = [f"{what}={source}" for what, source in self.proposal.items()] + [f"no {what}" for what in lacking]
         return "\n".join([*lines, f"proposed: {', '.join(said)}"])
-
-
-class Film:
-    """A video that is open inside a `with` block, with the methods of a `Bag`."""
-
-    def __init__(self, path: Path) -> None:
-        self.path = path
-        self.topics: dict[str, tuple[str, int]] = {}
-
-    def __enter__(self) -> Film:
-        self._film = cv2.VideoCapture(str(self.path))
-        count, self._rate = (self._film.get(key) for key in (cv2.CAP_PROP_FRAME_COUNT, cv2.CAP_PROP_FPS))
-        if not self._film.isOpened() or not self._rate > 0:
-            raise DataError(f"{self.path} cannot be read as a video: it is damaged, or in a format that OpenCV lacks")
-        self.topics = {"video": ("video", max(int(count), 0))}
-        self.seconds = max(count, 0) / self._rate
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._film.release()
-
-    def images(self, topic: str, clock: Clock) -> Iterator[tuple[int, NDArray[np.uint8], str]]:
-        """Yield the time in ns, the pixels (rows, columns, 3), RGB, and the ending of the file of each picture."""
-        number = 0
-        while True:
-            there, picture = self._film.read()
-            if not there:
-                return
-            time = self._film.get(cv2.CAP_PROP_POS_MSEC) / 1e3
-            seconds = time if time > 0 else number / self._rate  # some formats know no times of pictures
-            yield round(seconds * 1e9), np.ascontiguousarray(picture[:, :, ::-1]), ".jpg"
-            number += 1
 
 
 class Pictures:
@@ -297,10 +265,10 @@ def _write_images(
     for number, (time, image, ending) in enumerate(messages):
         if strict and (late or same or damaged):
             break
-        if number % settings.every:
-            continue
-        if isinstance(image, Damaged):
+        if isinstance(image, UnreadableImageError):
             damaged.append(str(image))
+            continue
+        if number % settings.every:
             continue
         if time in found:
             same.append(f"{time / 1e9:.3f} s")
@@ -332,6 +300,10 @@ def _write_images(
     leave_out(damaged, count, f"images of {topic} in {recording.path} cannot be used", settings.on_error)
     if not found:
         raise DataError(f"{recording.path}: {topic} holds no images")
+    if isinstance(recording, Film) and recording.short:
+        if strict:
+            raise DataError(f"{recording.short} (on_error=skip takes what is there)")
+        logger.warning("%s", recording.short)
     what = f"images of {recording.path} were recorded after later ones, which a rate leaves out"
     leave_out(late, number + 1, what, settings.on_error)
     stamped = isinstance(recording, Bag) and settings.clock == "stamp"

@@ -25,7 +25,7 @@ _HEADER = 200_000  # bytes in which a file says its size, after thumbnails
 
 
 class UnreadableImageError(Exception):
-    """An image file that cannot be decoded; the text says why."""
+    """An image that cannot be used, among others that can; the text says why."""
 
 
 def image_files(folder: Path) -> list[Path]:

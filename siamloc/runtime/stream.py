@@ -4,32 +4,31 @@ from __future__ import annotations
 
 import json
 import math
-import os
 import re
 from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
-from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from os.path import abspath
 from pathlib import Path
 from typing import Any, Literal
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from foundation.calls import typed
 from foundation.files import atomic_path, csv_text, plain
+from siamloc.data.films import Film, quiet
 from siamloc.data.frames import VIDEOS
-from siamloc.data.image_files import image_files
+from siamloc.data.image_files import UnreadableImageError, image_files
 from siamloc.data.moves import moves
 from siamloc.data.names import NamedPose, parse_name
-from siamloc.errors import ConfigError, DataError
+from siamloc.errors import ConfigError, DataError, logger
 from siamloc.maps.motion import WrongUnitError
 from siamloc.runtime.localizer import Localizer
 from siamloc.runtime.location import Location
 from siamloc.runtime.wheels import UNKNOWN, read_odometry
 
 CAMERA = "camera:"
-_FFMPEG_LEVEL, _FFMPEG_SILENT = "OPENCV_FFMPEG_LOGLEVEL", "-8"
 COLUMNS = (
     *("image", "x", "y", "theta", "room", "error_m", "lost", "covariance_xx", "covariance_xy", "covariance_yy"),
     *("agreement", "match", "distance", "ms", "off_by"),
@@ -133,6 +132,8 @@ def locate_all(
         here = wheels.get(abspath(name), UNKNOWN)  # noqa: PTH100
         motion = moves([last[:3], here[:3]])[1] if wheels else None
         try:
+            if isinstance(image, UnreadableImageError):
+                raise DataError(str(image))
             location = localizer.locate(image, tracker, seen, motion, here[3:] if np.isfinite(here[3:]).all() else None)
             last = here
             yield Located(name, location, pose=pose)
@@ -144,8 +145,10 @@ def locate_all(
 
 def pictures(
     images: str | Path | Sequence[str | Path],
-) -> Iterator[tuple[str, Path | NDArray[np.uint8], NamedPose | None]]:
+) -> Iterator[tuple[str, Path | NDArray[np.uint8] | UnreadableImageError, NamedPose | None]]:
     """Yield for each image its name, the image (a file, or pixels in RGB), and the pose in its name.
+
+    A picture of a video that cannot be decoded comes as the error that says so.
 
     All names are checked before the first image is yielded.
 
@@ -154,7 +157,7 @@ def pictures(
     """
     for name, files in named(images):
         if files is None:
-            yield from _filmed(name)
+            yield from (_live if name.startswith(CAMERA) else _filmed)(name)
         else:
             yield from ((str(path), path, parse_name(path.name)) for path in files)
 
@@ -187,50 +190,37 @@ def _files(name: str | Path) -> list[Path] | None:
     return None if path.suffix.lower() in VIDEOS else [path]
 
 
-def _filmed(name: str) -> Iterator[tuple[str, NDArray[np.uint8], None]]:
-    """Yield the frames of a video, or of a camera for as long as it delivers any."""
-    import cv2
+def _filmed(name: str) -> Iterator[tuple[str, NDArray[np.uint8] | UnreadableImageError, None]]:
+    """Yield the pictures of a video, and an error in place of each that cannot be decoded."""
+    number = -1
+    with Film(Path(name)) as film:
+        for number, (_, picture, _) in enumerate(film.images()):
+            yield f"{name}#{number}", picture, None
+    if number < 0:
+        raise DataError(f"{name} holds no images")
+    if film.short:
+        logger.warning("%s", film.short)
 
-    live = name.startswith(CAMERA)
+
+def _live(name: str) -> Iterator[tuple[str, NDArray[np.uint8], None]]:
+    """Yield the pictures of a camera for as long as it delivers any."""
     number = name.removeprefix(CAMERA)
-    if live and not number.isdigit():
+    if not number.isdigit():
         raise ConfigError(f"{name} is not a camera: give its number, such as {CAMERA}0")
-    with _quiet():
-        film = cv2.VideoCapture(int(number) if live else name)
+    with quiet():
+        camera = cv2.VideoCapture(int(number))
     given = 0
     try:
-        while film.isOpened():
-            there, picture = film.read()
+        while camera.isOpened():
+            there, picture = camera.read()
             if not there:
                 break
             yield f"{name}#{given}", np.ascontiguousarray(picture[:, :, ::-1]), None
             given += 1
     finally:
-        film.release()
-    if not given:
-        raise DataError(
-            f"{name} gives no image: "
-            + ("check that it is plugged in" if live else "it is not a video, or it is empty")
-        )
-    if live:
-        raise DataError(f"{name} gives no more images after {given}: check that it is plugged in")
-
-
-@contextmanager
-def _quiet() -> Iterator[None]:
-    """Silence OpenCV's and FFmpeg's messages about a missing camera or video: the error raised here reports it."""
-    import cv2
-
-    log = cv2.utils.logging
-    level = log.getLogLevel()
-    log.setLogLevel(log.LOG_LEVEL_SILENT)
-    chosen = os.environ.setdefault(_FFMPEG_LEVEL, _FFMPEG_SILENT)  # read when the first video is opened
-    try:
-        yield
-    finally:
-        log.setLogLevel(level)
-        if chosen is _FFMPEG_SILENT:
-            os.environ.pop(_FFMPEG_LEVEL, None)
+        camera.release()
+    what = f"no more images after {given}" if given else "no image"
+    raise DataError(f"{name} gives {what}: check that it is plugged in")
 
 
 @typed

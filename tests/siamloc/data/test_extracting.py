@@ -17,7 +17,7 @@ import siamloc.data
 from foundation.extras import lacking
 from siamloc.cli import main
 from siamloc.data.bags import proposed
-from siamloc.data.extracting import Film
+from siamloc.data.films import Film
 from siamloc.errors import ConfigError, DataError
 
 pytest.importorskip("rosbags", reason="the extra `recordings` is not installed")
@@ -409,10 +409,10 @@ def test_an_interrupted_call_decodes_only_the_pictures_that_are_not_there(tmp_pa
     assert again.path.tolist() == first.path.tolist()
 
 
-def film(path):
+def film(path, times=1):
     code = cv2.VideoWriter_fourcc(*("MJPG" if path.suffix == ".avi" else "mp4v"))
     writer = cv2.VideoWriter(str(path), code, 10, (64, 48))
-    for picture in PICTURES:
+    for picture in PICTURES * times:
         writer.write(picture)
     writer.release()
     return path
@@ -433,6 +433,25 @@ def test_a_video_with_a_trajectory(tmp_path, ending):
     path.write_bytes(b"no video")
     with pytest.raises(DataError, match="cannot be read as a video"):
         siamloc.data.contents(path)
+
+
+def test_a_video_goes_on_after_a_picture_that_is_damaged_and_says_if_its_end_is_missing(tmp_path, caplog):
+    path = film(tmp_path / "walk.avi", 5)
+    content = path.read_bytes()
+    starts = [found.start() for found in re.finditer(b"\xff\xd8\xff", content)]
+    end = starts[5] - 16  # before the head of the next picture
+    path.write_bytes(content[: starts[4]] + bytes(end - starts[4]) + content[end:])
+    frames = siamloc.data.extract(path, tmp_path / "out")
+    np.testing.assert_allclose(frames.time, np.delete(0.1 * np.arange(25), 4), atol=1e-3)
+    assert f"1 of 25 images of video in {path} cannot be used, the first: {path}#4 cannot be decoded" in caplog.text
+    assert "early" not in caplog.text
+    with pytest.raises(DataError, match=r"#4 cannot be decoded: .* \(on_error=skip leaves them out\)"):
+        siamloc.data.extract(path, tmp_path / "strict", on_error="raise")
+    path.write_bytes(content[: starts[15]])
+    assert len(siamloc.data.extract(path, tmp_path / "short")) == 15
+    assert "walk.avi ends 1.0 s early, after 15 of the 25 pictures that it announces" in caplog.text
+    with pytest.raises(DataError, match="s early, after 15 of the 25"):
+        siamloc.data.extract(path, tmp_path / "strict short", on_error="raise")
 
 
 def test_the_command_looks_first_and_then_extracts(bags, tmp_path, monkeypatch, capsys):

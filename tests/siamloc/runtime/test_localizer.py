@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 import subprocess
 import sys
 from dataclasses import replace
@@ -222,12 +223,29 @@ def test_files_folders_and_videos_are_located_in_order(bundle, tmp_path):
         list(locate_all(localizer, photos, on_error="raise"))
 
 
+def test_a_damaged_picture_of_a_video_is_reported_and_the_next_ones_are_located(bundle, tmp_path):
+    path = tmp_path / "film.avi"
+    film = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"MJPG"), 5, SIZE[::-1])
+    for picture in PICTURES[:4]:
+        film.write(np.ascontiguousarray(picture[..., ::-1]))
+    film.release()
+    content = path.read_bytes()
+    _, start, after, *_ = [found.start() for found in re.finditer(b"\xff\xd8\xff", content)]
+    end = after - 16  # before the head of the next picture
+    path.write_bytes(content[:start] + bytes(end - start) + content[end:])
+    found = list(locate_all(Localizer(bundle), path))
+    assert [one.image for one in found] == [f"{path}#{number}" for number in range(4)]
+    assert [one.location is None for one in found] == [False, True, False, False]
+    with pytest.raises(DataError, match=r"film\.avi#1 cannot be decoded"):
+        list(locate_all(Localizer(bundle), path, on_error="raise"))
+
+
 def test_an_empty_video_is_one_sentence_and_no_word_of_its_decoder(tmp_path):
     (tmp_path / "film.mp4").write_bytes(b"no film")
     code = "import sys; from siamloc.runtime.stream import pictures; list(pictures(sys.argv[1]))"
     command = [sys.executable, "-c", code, tmp_path / "film.mp4"]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
-    assert "it is not a video, or it is empty" in done.stderr.splitlines()[-1]
+    assert "cannot be read as a video" in done.stderr.splitlines()[-1]
     assert done.stderr.startswith("Traceback")
 
 
