@@ -279,14 +279,14 @@ def _write_images(
             continue
         file = folder / f"{time:019d}{ending}"
         there = file.is_file()
-        if isinstance(image, Path) and not there:
+        if isinstance(image, (Path, bytes)) and not there:
+            name = image if isinstance(image, Path) else f"the image at {time / 1e9:.3f} s"
             try:
-                content = image.read_bytes()
-                decode_image(content)
+                image = image.read_bytes() if isinstance(image, Path) else image
+                decode_image(image)
             except (OSError, UnreadableImageError) as error:
-                damaged.append(f"{image}: {getattr(error, 'strerror', None) or error}")
+                damaged.append(f"{name}: {getattr(error, 'strerror', None) or error}")
                 continue
-            image = content
         if apart is not None:
             last = time
             due = (max(due, time - apart / 2) if found else time) + apart

@@ -362,14 +362,15 @@ def test_bad_images_and_poses(tmp_path):
             siamloc.data.extract(bag.path, tmp_path / "out", **given)
 
 
-def test_a_damaged_image_does_not_end_an_extraction(tmp_path, caplog):
+@pytest.mark.parametrize("content", [b"", jpeg(PICTURES[0])[:-99]])
+def test_a_damaged_image_does_not_end_an_extraction(tmp_path, caplog, content):
     bag = Written(tmp_path / "bag", "sqlite3")
     grey = PICTURES[0][:, :, 1].astype("<u2")
     with bag.writer:
         for number in range(4):
             time = START + number * 10**9
-            content = b"" if number == 0 else jpeg(PICTURES[number])
-            fields = {"format": "bgr8; jpeg compressed bgr8", "data": np.frombuffer(content, dtype=np.uint8)}
+            data = np.frombuffer(jpeg(PICTURES[number]) if number else content, dtype=np.uint8)
+            fields = {"format": "bgr8; jpeg compressed bgr8", "data": data}
             name = "sensor_msgs/msg/CompressedImage"
             bag.write("/compressed", name, time, header=bag.header(time), **fields)
             bag.image("/raw", time, grey, "mono16", **({"height": 99} if number == 2 else {}))
