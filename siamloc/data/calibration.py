@@ -45,8 +45,9 @@ def read_calibration(path: str | Path, camera: str | Sequence[str] | None = None
 
     Args:
         path: the file.
-        camera: name of the camera in a chain of Kalibr, such as "cam1", or its topic; the first if None. Two names
-            make one `DualFisheyeCamera`, turned towards each other as in the chain.
+        camera: name of the camera in a chain of Kalibr, such as "cam1", the topic of its images, or that of its camera
+            info; None if the file has one camera. Two names make one `DualFisheyeCamera`, turned towards each other as
+            in the chain.
         **where: where the camera looks: `azimuth`, `elevation`, `roll`, `mirrored` and `fov`, see `CentralCamera`.
 
     Returns:
@@ -54,7 +55,7 @@ def read_calibration(path: str | Path, camera: str | Sequence[str] | None = None
         the size that it was calibrated on.
 
     Raises:
-        ConfigError: a camera that the file does not have, or an impossible parameter.
+        ConfigError: a camera that the file does not have, none named of several, or an impossible parameter.
         DataError: a file that cannot be read, or of a model that no omnidirectional camera has.
     """
     file = Path(path).expanduser()
@@ -70,10 +71,9 @@ def read_calibration(path: str | Path, camera: str | Sequence[str] | None = None
             raise ConfigError(f"{file} is of one camera: leave out camera={camera}")
         kind, values = (_camodocal if "model_type" in content else _opencv)(file, content)
         return kind.of({**values, **where})
-    names = [camera] if isinstance(camera, str) else list(camera or list(chain)[:1])
-    for name in names:
-        if name not in chain:
-            raise ConfigError(f"{file} has no camera {name!r}: {hint(name, chain)}")
+    if camera is None and len(chain) > 1:
+        raise ConfigError(f"{file} is of several cameras: give camera=NAME, one of {', '.join(chain)}")
+    names = [_name_in(file, chain, one) for one in ([camera] if isinstance(camera, str) else camera or chain)]
     if len(names) > 2:
         raise ConfigError(f"one camera or two of {file} make a camera, got {len(names)}: choose of {', '.join(chain)}")
     (first, one), *rest = [(_opencv if "k" in chain[name] else _kalibr)(file, chain[name], name) for name in names]
@@ -100,6 +100,15 @@ def angles_of(axes: Array) -> dict[str, float]:
 
 
 Made = tuple[type[CentralCamera], dict[str, Any]]
+
+
+def _name_in(file: Path, chain: Mapping[str, Any], camera: str) -> str:
+    """Return the name of a camera in a file by this name, or by the topic of its images."""
+    above = camera.removesuffix("/compressed").rpartition("/")
+    for name, values in chain.items():
+        if camera in (name, values.get("rostopic")) or ("/" in name and above[:2] == name.rpartition("/")[:2]):
+            return name
+    raise ConfigError(f"{file} has no camera {camera!r}: {hint(camera, chain)}")
 
 
 def _kalibr(file: Path, values: Mapping[str, Any], name: str) -> Made:
@@ -153,11 +162,17 @@ def _opencv(file: Path, values: Mapping[str, Any], name: str = "the camera") -> 
     xi = values.get("xi")
     model = str(_first(values, "distortion_model", "camera_model", "model") or "")
     fisheye = model.lower() in ("fisheye", "equidistant") or bool(values.get("fisheye_model"))
+    if xi is None and not fisheye and not model and len(bent) == 4:
+        raise DataError(
+            f"{name} of {file} has 4 distortion coefficients, and the file does not say of which model: add the line "
+            "'fisheye_model: 1' if it was calibrated by cv2.fisheye, or its xi for cv2.omnidir; pictures of an "
+            "ordinary camera are not unwrapped, set data.circular=false"
+        )
     if (xi is None and not fisheye) or len(bent) != 4:
         what = f"the distortion model {model}" if model else "no model"
         raise DataError(
-            f"{name} of {file} has {what} and {len(bent)} distortion coefficients: {_READ} (fisheye_model: 1, or xi, "
-            "says so); pictures of an ordinary camera are not unwrapped, set data.circular=false"
+            f"{name} of {file} has {what} and {len(bent)} distortion coefficients: {_READ}; pictures of an "
+            "ordinary camera are not unwrapped, set data.circular=false"
         )
     if xi is not None:
         return UnifiedCamera, {**found, "xi": _numbers(file, xi, "xi", 1)[0], "distortion": bent}

@@ -192,8 +192,16 @@ def test_the_camera_info_of_a_recording(tmp_path):
     file = written(tmp_path / "camera_info.json", json.dumps(topics))
     camera = read_calibration(file, "/omni/camera_info")
     assert (camera.image_size, camera.k, camera.skew) == ((480, 640), tuple(BENT), 0.3)
+    for topic in ("/omni/image_raw", "/omni/image_raw/compressed"):
+        assert read_calibration(file, topic) == camera
     with pytest.raises(DataError, match=r"/front/camera_info of .* has the distortion model plumb_bob"):
+        read_calibration(file, "/front/image_raw")
+    with pytest.raises(ConfigError, match="several cameras: give camera=NAME, one of /front/camera_info, /omni/camera"):
         read_calibration(file)
+    one = written(tmp_path / "one.json", json.dumps({"/omni/camera_info": own}))
+    assert read_calibration(one) == camera
+    with pytest.raises(ConfigError, match="has no camera '/front/image_raw'"):
+        read_calibration(one, "/front/image_raw")
 
 
 def test_a_file_of_ocamcalib(tmp_path):
@@ -246,12 +254,14 @@ def test_the_command_line_names_the_file_and_a_run_keeps_the_camera(tmp_path):
     ("text", "camera", "error", "message"),
     [
         (KALIBR, "cam9", ConfigError, "has no camera 'cam9': .*valid: cam0, cam1"),
+        (KALIBR, None, ConfigError, "is of several cameras: give camera=NAME, one of cam0, cam1"),
+        (ROS.replace("distortion_model: equidistant", ""), None, DataError, "add the line 'fisheye_model: 1'"),
         (KALIBR, "cam3", DataError, "cam3 of .* is of the model eucm with none distortion: Kalibr's omni"),
         (KALIBR, ["cam0", "cam1", "cam2"], ConfigError, "one camera or two"),
         (KALIBR, ["cam1", "cam2"], DataError, "cam2 of .* has no T_cn_cnm1"),
-        (KALIBR.replace("190.97, 190.97, ", ""), None, DataError, "has 2 intrinsics and 4 .*pinhole has 4 and 4"),
-        (KALIBR.replace("resolution: [512, 510]", "a: 1", 1), None, DataError, "cam0.resolution must be"),
-        (KALIBR.replace("190.97", "nan", 1), None, DataError, "cam0.intrinsics must be finite numbers"),
+        (KALIBR.replace("190.97, 190.97, ", ""), "cam0", DataError, "has 2 intrinsics and 4 .*pinhole has 4 and 4"),
+        (KALIBR.replace("resolution: [512, 510]", "a: 1", 1), "cam0", DataError, "cam0.resolution must be"),
+        (KALIBR.replace("190.97", "nan", 1), "cam0", DataError, "cam0.intrinsics must be finite numbers"),
         (ROS.replace("equidistant", "plumb_bob"), None, DataError, "model plumb_bob and 4 .*data.circular=false"),
         (ROS.replace("equidistant", "rational_polynomial"), "cam0", ConfigError, "is of one camera: leave out"),
         (ROS.replace("camera_matrix", "matrix"), None, DataError, "holds no camera matrix among image_width"),
