@@ -53,9 +53,15 @@ class DataJob(Job):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        Preprocessing.checked(self.data.image_size, self.unwrap)
+        if self.has_camera:
+            Preprocessing.checked(self.data.image_size, self.unwrap)
         if self.data.where.get("camera") == "std_cam" and (self.unwrap.get("kind") == "cold" or self.data.circular):
             raise ConfigError("the pictures of COLD's std_cam show no full turn: set unwrap=none data.circular=false")
+
+    @property
+    def has_camera(self) -> bool:
+        """Whether the camera is known before the job runs."""
+        return True
 
     @property
     def preprocessing(self) -> Preprocessing:
