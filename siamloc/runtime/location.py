@@ -66,7 +66,7 @@ class Location:
 
     def describe(self, unit: str = "m") -> str:
         """Return one line with where the image was taken, in the unit of x and y, and which map frames resemble it."""
-        heading = "" if math.isnan(self.theta) else f", heading {math.degrees(self.theta):.0f} deg"
+        heading = "" if math.isnan(self.theta) else f", heading {round(math.degrees(self.theta))} deg"
         room = f" in {self.room}" if self.room else ""
         expected = "" if math.isnan(self.error_m) else f"; expected error {self.error_m:.2f} {unit}"
         lost = ", lost" if self.lost else ""

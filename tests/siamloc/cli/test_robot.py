@@ -56,7 +56,7 @@ def test_the_robot_says_what_the_evaluation_says(finished, flat, tmp_path, capsy
     image = f"images=[{flat.parent / 'second/0003.png'}]"
     done("localize", f"run={finished}", image, "top=1", f"out={tmp_path / 'one.csv'}")
     line = capsys.readouterr().out.split("\n")[0]
-    assert f"heading {math.degrees(float(row['theta'])):.0f} deg" in line
+    assert f"heading {round(math.degrees(float(row['theta'])))} deg" in line
     assert f"expected error {float(row['error_m']):.2f} m" in line
     assert (", lost" in line) == (row["lost"] == "True")
 

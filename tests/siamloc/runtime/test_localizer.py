@@ -147,6 +147,7 @@ def test_locations_are_written_as_a_table(bundle, tmp_path):
     assert (first[-1], second.rpartition(",")[2], third) == (",", "2.0", f"c.png{14 * ','}")
     assert location.describe("m").startswith(f"x {location.x:.2f} m, y {location.y:.2f} m, heading ")
     assert ", heading" not in replace(location, theta=math.nan).describe()
+    assert ", heading 0 deg" in replace(location, theta=-0.001).describe()
     assert located[1].describe().endswith("; 2.00 m from the pose in its name")
     assert located[2].describe() == "left out: c.png cannot be located"
 
