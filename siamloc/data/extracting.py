@@ -53,7 +53,8 @@ class Extraction(Settings):
             the two may be a robot's: poses or odometry that stay upright only as a robot's are, and odometry next to
             poses has those axes with which it stays upright best.
         clock: "stamp" for the times that the messages carry, "bag" for those at which they were recorded.
-        offset: seconds to add to the times of the images for those of the poses. The time in a video begins with 0.
+        offset: seconds to add to the times of the images for those of the poses; the frames' times have it, the names
+            of the files do not. The time in a video begins with 0.
         gap: longest time between two poses, in s, over which poses are interpolated.
         every: take every k-th image.
         rate: images per second, at most; all if None.
@@ -204,6 +205,7 @@ def extract(file: str | Path, out: str | Path, *, settings: Extraction = OF_FIEL
             raise DataError(f"{folder} holds the images of another recording, as {_KEPT} says: give another folder")
         files, times = _write_images(recording, folder, sources["images"], settings, given["poses"])
         write_json(folder / _KEPT, about)
+        times = times + settings.offset
         columns = {"time": times}
         for what, names in COLUMNS_OF.items():
             if (trajectory := given[what]) is not None:
@@ -356,9 +358,9 @@ def _trajectory(recording: Bag | Film | Pictures, what: str, source: str, settin
 def _joined(
     recording: Bag | Film | Pictures, times: Array, trajectory: Trajectory, what: str, settings: Extraction
 ) -> Array:
-    """Return the poses in the plane, roll and pitch (n, 5) at the times of the images (n,)."""
+    """Return the poses in the plane, roll and pitch (n, 5) at the times of the images (n,), in the poses' clock."""
     try:
-        return joined(times + settings.offset, trajectory, settings.gap, _axes(trajectory, what, settings))
+        return joined(times, trajectory, settings.gap, _axes(trajectory, what, settings))
     except DataError as error:
         if settings.clock == "bag" or not isinstance(recording, Bag):
             raise

@@ -12,7 +12,7 @@ import numpy as np
 from foundation.settings import shortened
 from siamloc.data.frames import TILT, FrameTable, placed
 from siamloc.data.image_files import image_files
-from siamloc.data.trajectory import Array, Trajectory, text_rows
+from siamloc.data.trajectory import Array, Axes, Trajectory, text_rows
 from siamloc.errors import DataError, Policy, hint
 
 _PARTS = {"mapping": "mapping", "query_360": "query"}
@@ -20,7 +20,9 @@ _LAYOUT = "<scene>/{mapping,query_360}/<sequence>/image/*.jpg with poses in <sce
 _LIGHTINGS = {"daytime": "day", "nighttime": "night"}
 
 
-def read_360loc(root: str | Path, *, scene: str | None = None, on_error: Policy = "skip") -> FrameTable:
+def read_360loc(
+    root: str | Path, *, scene: str | None = None, axes: Axes | None = None, on_error: Policy = "skip"
+) -> FrameTable:
     """Read the scenes of 360Loc.
 
     Sequences are called `atrium_mapping_daytime_360_0` and `atrium_query_nighttime_360_1`, buildings after the scenes,
@@ -30,6 +32,7 @@ def read_360loc(root: str | Path, *, scene: str | None = None, on_error: Policy 
     Args:
         root: the folder of the scenes, or of one scene.
         scene: only this scene: "atrium", "concourse", "hall" or "piatrium".
+        axes: whose poses they are: "camera", with z ahead and y down, also if None, or "robot", with x ahead and z up.
         on_error: "skip" or "raise", for pictures without a pose.
 
     Raises:
@@ -42,11 +45,11 @@ def read_360loc(root: str | Path, *, scene: str | None = None, on_error: Policy 
     chosen = [path for path in found if scene in (None, path.absolute().name)]
     if not chosen:
         raise DataError(f"{folder} has no scene {scene!r}; {hint(scene, [path.absolute().name for path in found])}")
-    rows = [row for path in chosen for row in _scene(path)]
+    rows = [row for path in chosen for row in _scene(path, axes or "camera")]
     return placed(FrameTable.from_rows(rows), f"pictures of {folder} have no pose", on_error)
 
 
-def _scene(folder: Path) -> Iterator[dict[str, Any]]:
+def _scene(folder: Path, axes: Axes) -> Iterator[dict[str, Any]]:
     listed = _listed(folder)
     name = folder.absolute().name
     for part, called in _PARTS.items():
@@ -56,9 +59,8 @@ def _scene(folder: Path) -> Iterator[dict[str, Any]]:
             poses = {}
             if own:
                 values = np.array(list(own.values()))
-                source = f"the poses of {sequence}"
-                trajectory = Trajectory.of(np.full(len(own), np.nan), values[:, :3], values[:, 3:], source)
-                poses = dict(zip(own, trajectory.tilted("camera"), strict=True))
+                trajectory = Trajectory.of(np.full(len(own), np.nan), values[:, :3], values[:, 3:], str(sequence))
+                poses = dict(zip(own, trajectory.tilted(axes), strict=True))
             light = next((light for word, light in _LIGHTINGS.items() if word in sequence.name), "")
             labels = {"sequence": f"{name}_{called}_{sequence.name}", "building": name, "lighting": light}
             for image in image_files(sequence / "image"):

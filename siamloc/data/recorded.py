@@ -59,7 +59,7 @@ def read_recorded(
         axes: whose poses they are: "robot", with x ahead and z up, or "camera", with z ahead and y down; "camera" in
             KITTI form and otherwise "robot" if None. With "camera", the poses or the odometry may be a robot's, see
             `siamloc.data.trajectory.Trajectory.own_axes`.
-        offset: seconds to add to the images' times for those of the trajectories.
+        offset: seconds to add to the images' times for those of the trajectories, which the frames' times then are.
         gap: longest time between two entries, in s, over which poses are interpolated.
         sequence: name of the drive; the folder's name if empty.
         lighting: lighting of the drive; the one in its name if empty.
@@ -76,6 +76,7 @@ def read_recorded(
     }
     span = next((length for one in given.values() if (length := float(np.ptp(one.time))) > 0), None)
     files, taken = images_of(folder, None if times is None else Path(times).expanduser(), span)
+    taken = taken + offset
     columns: dict[str, Array] = {"time": taken}
     for what, trajectory in given.items():
         timed = bool(np.isfinite(trajectory.time).all())
@@ -84,7 +85,7 @@ def read_recorded(
         )
         for doubt in doubts(trajectory, own):
             logger.warning("%s", doubt)
-        found = joined(taken + offset, trajectory, gap, own) if timed else _in_order(len(files), trajectory, own)
+        found = joined(taken, trajectory, gap, own) if timed else _in_order(len(files), trajectory, own)
         columns |= dict(zip(COLUMNS_OF[what], found.T, strict=False))
     name = sequence or next((part for part in reversed(folder.absolute().parts) if part not in _ANY_DRIVE), "")
     labels = {"sequence": [name] * len(files), "lighting": [lighting or lighting_in(name)] * len(files)}

@@ -428,12 +428,24 @@ def test_a_video_with_a_trajectory(tmp_path, ending):
     assert siamloc.data.contents(path).proposal == {"images": "video"}
     frames = siamloc.data.extract(path, tmp_path / "out", poses=str(poses), offset=102.0)
     np.testing.assert_allclose(frames.x, 2 + 0.1 * np.arange(5), atol=1e-3)
-    np.testing.assert_allclose(frames.time, 0.1 * np.arange(5), atol=1e-3)
+    np.testing.assert_allclose(frames.time, 102 + 0.1 * np.arange(5), atol=1e-3)
+    assert [Path(file).name for file in frames.path.tolist()][:2] == [
+        "0000000000000000000.jpg",
+        "0000000000100000000.jpg",
+    ]
     for file, picture in zip(frames.path.tolist(), PICTURES, strict=True):
         assert np.abs(cv2.imread(file).astype(float) - picture).mean() < 20
     path.write_bytes(b"no video")
     with pytest.raises(DataError, match="cannot be read as a video"):
         siamloc.data.contents(path)
+
+
+def test_the_calibration_of_a_recording_is_read_after_it_was_written(bags, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    words = [f"recording.{what}" for what in ("out=new", "poses=none", "odometry=none")]
+    assert main(["prepare", str(bags["mcap"]), *words, "unwrap=calibrated", "unwrap.file=new/camera_info.json"]) != 0
+    assert "has the distortion model plumb_bob" in capsys.readouterr().err
+    assert len(siamloc.data.read("manifest", manifest="new/frames.csv")) == 5
 
 
 def test_a_video_goes_on_after_a_picture_that_is_damaged_and_says_if_its_end_is_missing(tmp_path, caplog):

@@ -66,6 +66,7 @@ def test_offset_odometry_and_frames_without_a_pose(tmp_path, poses, caplog):
     assert "2 of 13 images of" in caplog.text
     np.testing.assert_allclose(frames.x, 0.5 * np.arange(11))
     np.testing.assert_allclose(frames.odom_x, 5 + np.arange(11.0))
+    np.testing.assert_allclose(frames.time, START + np.arange(11.0))
     assert set(frames.sequence.tolist()) == {"one"}
     with pytest.raises(DataError, match=r"2 of 13 images of .* outside of .*groundtruth\.txt, or in a gap"):
         siamloc.data.read("trajectory", **given, on_error="raise")
@@ -235,6 +236,17 @@ def test_360loc(tmp_path, json_only):
     with pytest.raises(DataError, match=r"holds no scene of 360Loc: expected <scene>/"):
         siamloc.data.read("360loc", root=scene / "pose")
     if not json_only:
+        turns = ("1 0 0 0", "0.70710678 0 0 0.70710678", "0 0 0 1")
+        level = [
+            f"mapping/daytime_360_0/image/000{number}.jpg {number} 5 0 {turn}" for number, turn in enumerate(turns)
+        ]
+        (scene / "pose/360_mapping_gt.txt").write_text("\n".join(level))
+        with pytest.raises(DataError, match=r"daytime_360_0: the poses are those of a robot, .*: give axes=robot"):
+            siamloc.data.read("360loc", root=scene)
+        (scene / "pose/query_gt_360_night.txt").unlink()
+        np.testing.assert_allclose(
+            siamloc.data.read("360loc", root=scene, axes="robot").theta, [0, np.pi / 2, np.pi], atol=1e-6
+        )
         (scene / "pose/360_mapping_gt.txt").write_text("0000.jpg 1 2 3 1 0 0 0\n")
         with pytest.raises(DataError, match=r"360_mapping_gt\.txt, line 1: expected SEQUENCE/image/NAME x y z qw"):
             siamloc.data.read("360loc", root=scene)
