@@ -30,6 +30,7 @@ SUMS = "SHA256SUMS"
 _LATER = (408, 425, 429)  # besides 500 and above: the server asks for another attempt
 _LONGEST_PAUSE = 30.0  # s, between two attempts
 _BLOCK = 1 << 18
+_SMALL = 10_000_000  # bytes, below which progress counts kB
 
 
 class _Broken(Exception):
@@ -287,6 +288,11 @@ def _attempt(address: str, part: Path, name: str, timeout: float) -> None:
         _discard(part)
         raise _Broken("the file here is longer than the server's") from error
     with response:
+        if (encoding := response.headers.get("Content-Encoding", "identity")) != "identity":
+            raise DataError(
+                f"{address} cannot be fetched: the server sends it encoded as {encoding}, and was asked for the file "
+                "as it is; give the address of a mirror"
+            )
         if response.status != 206:
             have = 0
             tag = response.headers.get("ETag") or ""  # a weak one begins with W and does not say that bytes are equal
@@ -296,18 +302,20 @@ def _attempt(address: str, part: Path, name: str, timeout: float) -> None:
             raise _Broken("the server sends another part of the file")
         rest = response.length
         with part.open("ab" if have else "wb") as file:
-            for _ in track(_megabytes(response, file), (rest or 0) // 1_000_000, f"fetching {name}, MB", size=int):
+            size, unit = (1_000, "kB") if rest is not None and rest < _SMALL else (1_000_000, "MB")
+            copied = _copied(response, file, size)
+            for _ in track(copied, (rest or 0) // size, f"fetching {name}, {unit}", size=int):
                 pass
     if rest is not None and _size(part) != have + rest:
         raise _Broken(f"{_size(part):,} of {have + rest:,} bytes arrived")
 
 
-def _megabytes(response: BinaryIO, file: BinaryIO) -> Iterator[int]:
-    """Copy a response to a file, and yield how many full megabytes each piece completes."""
+def _copied(response: BinaryIO, file: BinaryIO, size: int) -> Iterator[int]:
+    """Copy a response to a file, and yield how many full units of this size each piece completes."""
     done = 0
     while block := _read(response):
         file.write(block)
-        yield (done + len(block)) // 1_000_000 - done // 1_000_000
+        yield (done + len(block)) // size - done // size
         done += len(block)
 
 

@@ -79,6 +79,8 @@ class Handler(BaseHTTPRequestHandler):
         self.send_response(206 if begin else 200)
         if begin:
             self.send_header("Content-Range", f"bytes {begin}-{len(content) - 1}/{len(content)}")
+        if step == "gzip":
+            self.send_header("Content-Encoding", "gzip")
         self.send_header("ETag", tag)
         self.send_header("Content-Length", len(content) - begin)
         self.end_headers()
@@ -354,6 +356,15 @@ def test_the_reason_of_each_failure_is_said(server, tmp_path, caplog):
         siamloc.data.fetch("cold", [NAME, "freiburg_a_seq2_sunny4"], tmp_path, mirror=server.address)
     assert re.search(f"{NAME} cannot be fetched: .* holds ../evil", caplog.text)
     assert re.search("freiburg_a_seq2_sunny4 cannot be fetched: .* 404 Not Found", caplog.text)
+
+
+def test_an_archive_that_the_server_encodes_is_refused(server, tmp_path, capsys):
+    server.steps = ["gzip"]
+    with pytest.raises(DataError, match="the server sends it encoded as gzip, and was asked for the file as it is"):
+        server.fetch(tmp_path)
+    server.fetch(tmp_path)
+    size = len(server.files[PATH]) // 1000
+    assert f"kB: {size} of {size} in" in capsys.readouterr().err
 
 
 def test_nobody_there(tmp_path):
