@@ -57,7 +57,7 @@ class Extraction(Settings):
             of the files do not. The time in a video begins with 0.
         gap: longest time between two poses, in s, over which poses are interpolated.
         every: take every k-th image.
-        rate: images per second, at most; all if None.
+        rate: images per second on average, at most; all if None.
         sequence: name of the drive; the recording's name if empty.
         on_error: "skip" or "raise", for images that are damaged or have no pose, or out of order where a rate is
             asked for.
@@ -136,7 +136,9 @@ class Pictures:
         files, self.taken = images_of(path, times)
         kind, taken = "pictures", self.taken
         if not np.isfinite(taken).all():
-            kind = "pictures without times (give times=FILE, or they count as a second apart)"
+            kind = (
+                "pictures without times (give times=FILE, or they count as a second apart; small numbers are counters)"
+            )
             taken = np.arange(len(files), dtype=np.float64)
         self._files = sorted(zip(taken.tolist(), files, strict=True))
         self.topics = {"pictures": (kind, len(files))}

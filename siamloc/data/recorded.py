@@ -124,7 +124,8 @@ def check_taken(taken: Array) -> None:
     if not np.isfinite(taken).all():
         raise DataError(
             "the images have no times: neither do their names end in a number of seconds or ns, or hold a date and "
-            "time, nor did their camera write a time into each file, so give times=FILE, with a time on each line"
+            "time, nor did their camera write a time into each file (small whole numbers are taken for counters), so "
+            "give times=FILE, with a time on each line"
         )
 
 

@@ -57,7 +57,7 @@ class Prepare(DataJob):
         drive.bag                   the recording
         recording.out=FOLDER        where its images and frames.csv go
         recording.images=TOPIC      and poses=, odometry=: a topic, a frame such as map:base_link, or a file of poses
-        recording.every=5           every fifth image; recording.rate=5 for five per second, at most
+        recording.every=5           every fifth image; recording.rate=5 for at most five per second on average
         recording.offset=0.2        seconds to add to the times of the images; recording.clock=bag for the recorder's
 
     Example:

@@ -149,7 +149,9 @@ def test_pictures_without_times_are_joined_with_nothing(tmp_path):
     pictures(tmp_path / "monday", ["1.png", "2.png"])
     wheels = tmp_path / "wheels.txt"
     wheels.write_text("".join(f"{second} {second} 0 0\n" for second in range(6)))
-    with pytest.raises(DataError, match=r"the images have no times: neither do their names end in .* give times=FILE"):
+    with pytest.raises(
+        DataError, match=r"the images have no times: neither do their names .* counters\), so give times=FILE"
+    ):
         siamloc.data.extract(tmp_path / "monday", tmp_path / "out", odometry=str(wheels))
     assert not (tmp_path / "out").exists()
 
