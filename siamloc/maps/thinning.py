@@ -74,7 +74,7 @@ def thin(known: VisualMap, *, settings: Budget = OF_FIELDS, **fields: Any) -> Th
     Of the two frames nearby whose descriptors are the most alike, the one that the last drives did not recognize is
     forgotten (the one contradicted more often), or else the one that the last drive found more changed, or confirmed
     less often, or the later one, and so on. Frames of one place under different lights, or before and after a change,
-    are less alike than consecutive frames, and so stay longer.
+    are less alike than consecutive frames, and so stay longer. Squares with too many frames lose theirs first.
 
     Args:
         known: the map.
@@ -92,7 +92,7 @@ def thin(known: VisualMap, *, settings: Budget = OF_FIELDS, **fields: Any) -> Th
     """
     check_placed(known.frames, "thinning")
     reason = np.full(len(known), Reason.KEPT, dtype=object)
-    most, per_cell = settings.most(known), settings.per_square_metre
+    most, per_cell = settings.most(known) or len(known), settings.per_square_metre or len(known)
     _, building = np.unique(known.frames.building, return_inverse=True)
     squares = np.column_stack([building, np.floor(known.frames.xy)])
     _, cell, in_cell = np.unique(squares, axis=0, return_inverse=True, return_counts=True)
@@ -102,17 +102,17 @@ def thin(known: VisualMap, *, settings: Budget = OF_FIELDS, **fields: Any) -> Th
     change = np.nan_to_num(known.history.change)  # frames that no drive has passed show the place as it is
 
     reach, widest = _REACH, float(np.ptp(known.frames.xy, axis=0).sum()) + _REACH
-    while (most is not None and left > most) or (per_cell is not None and (in_cell > per_cell).any()):
+    while (crowded := (in_cell > per_cell).any()) or left > most:
         kept = np.flatnonzero(reason == Reason.KEPT)
         for pair in kept[_alike(known.take(kept), min(reach, widest))].tolist():
             if (reason[pair] == Reason.KEPT).all():
                 row = max(pair, key=lambda row: (contradicted[row], change[row], -confirmed[row], row))
-                if (per_cell is not None and in_cell[cell[row]] > per_cell) or (most is not None and left > most):
+                if in_cell[cell[row]] > per_cell if crowded else left > most:
                     reason[row], left = Reason.UNRECOGNIZED if contradicted[row] else Reason.REDUNDANT, left - 1
                     in_cell[cell[row]] -= 1
         if reach > widest:
             break  # one frame in each building
-        reach *= 2
+        reach *= 1 if crowded else 2
     kept = reason == Reason.KEPT
     return Thinned(known if kept.all() else known.take(kept), reason)
 

@@ -37,6 +37,22 @@ def test_the_light_with_few_frames_outlives_the_frames_that_crowd():
     assert names(found) == ["KEPT", "REDUNDANT"] * 5 + ["KEPT"] * 5
 
 
+@pytest.mark.parametrize(
+    ("limits", "forgotten"),
+    [
+        ({"per_square_metre": 1}, [1, 2]),
+        ({"frames": 3}, [2, 4]),
+        ({"frames": 3, "per_square_metre": 1}, [1, 2]),
+        ({"frames": 2, "per_square_metre": 1}, [1, 2, 4]),
+        ({"frames": 3, "per_square_metre": 3}, [2, 4]),
+    ],
+)
+def test_limits_together_forget_no_more_than_they_ask_for(limits, forgotten):
+    crowded_and_alike = placed([(0.1, 0.5), (0.2, 0.5), (0.3, 0.5), (1.2, 0.5), (2.2, 0.5)])
+    found = thin(VisualMap([[0.0], [90.0], [170.0], [300.0], [301.0]], crowded_and_alike), **limits)
+    assert [row for row, name in enumerate(names(found)) if name == "REDUNDANT"] == forgotten
+
+
 def test_of_two_alike_frames_the_one_contradicted_more_often_goes_and_the_only_look_of_a_place_stays():
     history = History([0, 9, 0, 0, 0], [0, 2, 0, 1, 3], [np.nan] * 5)
     known = replace(plain_map(np.array([[0.0], [1.0], [3.0], [5.0], [90.0]])), history=history)
