@@ -18,7 +18,7 @@ import shutil
 import stat
 import threading
 import zlib
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from itertools import count
 from pathlib import Path
@@ -81,11 +81,16 @@ def scratch_folder(path: str | Path) -> Iterator[Path]:
 
 
 @contextmanager
-def atomic_folder(path: str | Path) -> Iterator[Path]:
+def atomic_folder(path: str | Path, check: Callable[[Path], object] | None = None) -> Iterator[Path]:
     """Yield an empty temporary folder next to `path` that becomes `path` when the block ends without an error.
 
     An older folder is replaced as a whole. After an error nothing is left behind and the older folder stays as it was.
     A kill in the instant between the two leaves the older folder beside `path`, see `older_folder`.
+
+    Args:
+        path: the folder.
+        check: called with the older folder, moved to where nobody else replaces it, or with a path that does not exist
+            if there is none; if it raises an error, the older folder stays.
 
     Raises:
         StorageError: the disk is full or refuses.
@@ -96,18 +101,21 @@ def atomic_folder(path: str | Path) -> Iterator[Path]:
         for file in fresh.rglob("*"):
             if file.is_file():
                 _flush(file)
-        if not path.exists():
-            fresh.replace(path)
-            return
-        if not path.is_dir():
+        if path.exists() and not path.is_dir():
             raise NotADirectoryError(errno.ENOTDIR, "not a folder")
-        older = path.replace(fresh.with_name(f"{fresh.name.rpartition('.tmp')[0]}.old"))
+        older = fresh.with_name(f"{fresh.name.rpartition('.tmp')[0]}.old")
+        with suppress(FileNotFoundError):
+            path.replace(older)
         try:
+            if check is not None:
+                check(older)
             fresh.replace(path)
         except BaseException:
-            older.replace(path)
+            if older.exists():
+                older.replace(path)
             raise
-        older.replace(fresh)  # which is removed
+        if older.exists():
+            older.replace(fresh)  # which is removed
 
 
 def older_folder(path: str | Path) -> Path | None:

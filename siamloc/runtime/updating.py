@@ -104,7 +104,12 @@ class _Parts:
     def write(self, path: Path, known: VisualMap, built: Built | None) -> None:
         """Write the bundle with another map, in place of the old one."""
         about = dict(self.bundle.about)
-        with atomic_folder(path.absolute()) as fresh:
+
+        def unchanged(older: Path) -> None:
+            if not older.exists() or read_json(older / files.DESCRIPTION) != self.bundle.about:
+                raise SiamlocError(f"{path} was replaced while its map was updated: it stays; update it again")
+
+        with atomic_folder(path.absolute(), unchanged) as fresh:
             for name in self.bundle.files:
                 shutil.copyfile(self.bundle.path / name, fresh / name)
             changed: dict[str, Any] = {files.MAP: known, files.COARSE: self.coarse}
@@ -125,8 +130,6 @@ class _Parts:
             write_json(fresh / files.DESCRIPTION, about)
             if len(Localizer(fresh).map) != len(known):
                 raise SiamlocError(f"the updated bundle of {path} cannot be read back: the old one stays")
-            if read_json(path / files.DESCRIPTION) != self.bundle.about:
-                raise SiamlocError(f"{path} was replaced while its map was updated: it stays; update it again")
 
 
 def _uncounted(drive: FrameTable, counted: list[str]) -> FrameTable:

@@ -229,6 +229,18 @@ def test_a_kill_while_a_folder_is_replaced_leaves_the_older_one_beside_it(tmp_pa
     assert older.is_dir()
 
 
+def test_a_folder_stays_if_the_check_of_the_older_one_fails(tmp_path):
+    def check(older):
+        if older.exists():
+            raise ZeroDivisionError
+
+    with atomic_folder(tmp_path / "folder", check) as fresh:
+        (fresh / "first").touch()
+    with pytest.raises(ZeroDivisionError), atomic_folder(tmp_path / "folder", check) as fresh:
+        (fresh / "second").touch()
+    assert [str(item.relative_to(tmp_path)) for item in tmp_path.rglob("*")] == ["folder", "folder/first"]
+
+
 def test_a_folder_does_not_replace_a_file(tmp_path):
     (tmp_path / "taken").write_text("mine")
     with pytest.raises(StorageError, match="a file stands where a folder is needed"), atomic_folder(tmp_path / "taken"):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import pkgutil
 from dataclasses import replace
 from pathlib import Path
 from unittest.mock import patch
@@ -176,19 +177,22 @@ def test_the_map_and_all_that_has_its_frames_follow(bundle, tmp_path):
     assert update(bundle, tmp_path / "seen") == [], "each drive counts once"
 
 
-def test_a_bundle_that_was_replaced_meanwhile_stays(bundle, tmp_path):
+@pytest.mark.parametrize(
+    ("called", "given"), [("siamloc.runtime.updating.collected", "seen"), ("foundation.files._flush", "bundle.json")]
+)
+def test_a_bundle_that_was_replaced_meanwhile_stays(bundle, tmp_path, called, given):
     kept_by(Collector(tmp_path / "seen"), painted(drive(1)[0]), drive(1)[1])
+    as_before = pkgutil.resolve_name(called)
 
-    def replacing(folder):
-        altered(bundle, figures={"mean": 0.1})
-        return collected(folder)
+    def replacing(path):
+        if path.name == given:
+            altered(bundle, figures={"mean": 0.1})
+        return as_before(path)
 
-    with (
-        patch("siamloc.runtime.updating.collected", replacing),
-        pytest.raises(SiamlocError, match="was replaced while its map was updated"),
-    ):
+    with patch(called, replacing), pytest.raises(SiamlocError, match="was replaced while its map was updated"):
         update(bundle, tmp_path / "seen")
     assert Bundle.open(bundle).about["figures"] == {"mean": 0.1}
+    assert [path.name for path in bundle.parent.iterdir() if path.suffix in (".old", ".tmp")] == []
 
 
 def test_the_bundle_that_a_killed_update_left_is_named(bundle):
