@@ -27,27 +27,11 @@ from siamloc.maps import VisualMap
 from siamloc.models.batch_losses import make_loss
 
 METHODS = {"HOG": "hog_mapping", "gist": "gist_mapping", "network": "network"}
-SPARSE = {
-    "omega": 1.0,
-    "x_start": 1.0,
-    "merge": "never",
-    "held_out": 0.5,
-    "first_node": 8,
-    "smallest_node": 4,
-    "checked_unassigned": 6,
-    "checked_window": 8,
-    "forced_unassigned": 9,
-    "forced_window": 10,
-    "node_changes": 5,
-    "changes_window": 10,
-    "window": 12,
-}
-"""Settings of the incremental mapper for frames 15 cm apart, as in conf/build/incremental_sparse.yaml."""
 OWN = "30 clusters of the network"
 # The layers searched first, by name in the table: how nodes are built, with which descriptor, and how they are ranked.
 LAYERS: dict[str, tuple[dict[str, Any], str, dict[str, Any]]] = {
     "40 clusters of HOG": ({"way": "spectral", "nodes": 40}, "hog_mapping", {"candidates": 3}),
-    "nodes of HOG": ({"way": "incremental", **SPARSE}, "hog_mapping", {"candidates": 3}),
+    "nodes of HOG": ({"way": "incremental_sparse"}, "hog_mapping", {"candidates": 3}),
     "nodes of HOG, published thresholds": ({"way": "incremental"}, "hog_mapping", {"candidates": 3}),
     OWN: ({"way": "spectral", "nodes": 30}, "network", {"candidates": 4, "coarse": {"ratio": 1.3}, "along": 2}),
     "the room network's room": ({"way": "rooms"}, "rooms", {"candidates": 1}),

@@ -17,7 +17,7 @@ from foundation.calls import typed
 from foundation.errors import known as known_name
 from foundation.files import read_json, storage_errors, write_json, write_text
 from foundation.locks import LOCK, locked
-from foundation.settings import Count, Positive, Seed, Settings
+from foundation.settings import Count, Natural, Positive, Probability, Seed, Settings
 from siamloc.errors import ConfigError, DataError, FormatError
 from siamloc.maps.coarse import CoarseLayer, naming
 from siamloc.maps.visual_map import VisualMap
@@ -85,12 +85,36 @@ class Incremental(Parameters):
     version: Literal[1, 2] = 2
 
 
+@dataclass(frozen=True, kw_only=True)
+class IncrementalSparse(Incremental):
+    """The incremental mapper for frames about 15 cm apart.
+
+    The published thresholds count frames, and are meant for about 5 cm: here a node takes a third as many frames, so
+    that it is as long on the ground, and nodes are never merged.
+    """
+
+    omega: Positive = 1.0
+    x_start: Positive = 1.0
+    merge: Literal["changed", "created", "never"] = "never"
+    held_out: Probability = 0.5
+    first_node: Count = 8
+    checked_unassigned: Count = 6
+    checked_window: Count = 8
+    forced_unassigned: Count = 9
+    forced_window: Count = 10
+    node_changes: Count = 5
+    changes_window: Count = 10
+    window: Natural = 12
+    smallest_node: Count = 4
+
+
 WAYS: dict[str, type[Settings]] = {
     "rooms": Rooms,
     "sample": Sample,
     "spectral": Spectral,
     "som": SelfOrganizing,
     "incremental": Incremental,
+    "incremental_sparse": IncrementalSparse,
 }
 
 
@@ -197,7 +221,7 @@ def group(
 
     Args:
         known: a map of n frames in capture order.
-        way: a name in `WAYS`: "rooms", "sample", "spectral", "som" or "incremental".
+        way: a name in `WAYS`: "rooms", "sample", "spectral", "som", "incremental" or "incremental_sparse".
         seed: seed of the clusterings.
         folder: folder of the layer. A layer that was built over this map in the same way is read from there, otherwise
             the result is written there. Nothing is written if None.
@@ -216,7 +240,7 @@ def group(
         array(['hall', 'office'], dtype='<U6')
     """
     settings = WAYS[known_name(way, WAYS, "build")].of(parameters)
-    made = {"name": way, **settings.plain(), **({} if way in ("rooms", "incremental") else {"seed": seed})}
+    made = {"name": way, **settings.plain(), **({} if isinstance(settings, Rooms | Incremental) else {"seed": seed})}
     if folder is not None and (found := _built_before(Path(folder), known, made)) is not None:
         return found
     start = time.perf_counter()

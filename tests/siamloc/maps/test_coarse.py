@@ -112,6 +112,9 @@ def test_an_incremental_layer_is_the_mappers(driven):
     assert built.summary().startswith(f"{len(built.layer)} nodes over 90 frames")
     with pytest.raises(DataError, match="made no node of 12 frames"):
         group(driven.take(np.arange(12)), "incremental", progress=False)
+    sparse = driven.take(slice(0, 90, 3))
+    assert len(group(sparse, "incremental", progress=False).layer) == 1
+    assert len(group(sparse, "incremental_sparse", progress=False).layer) == 3
 
 
 def test_a_layer_that_was_built_before_is_read_and_another_is_built(driven, tmp_path):
