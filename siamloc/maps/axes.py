@@ -77,11 +77,14 @@ def _check_motion(
         if not agree.size or agree.max() < max(_MOST * len(given), 2 * agreeing):
             continue
         best = agree.argmax()
-        length = float(np.abs(turn[best, 0]))
-        unit = "" if length > 0.5 else f" and a factor of {length:.2g}, as between units,"
+        middle, there = axes[near[best]].mean(), found[near[best]].mean()
+        offset, other = axes[near[best]] - middle, found[near[best]] - there
+        motion = np.vdot(offset, other) / np.vdot(offset, offset)  # that of two frames may be off by the radius
+        unit = "" if rigid[some][best] else f" and a factor of {abs(motion):.1g}, as between units,"
         if not (exchanged or unit):
-            degrees = abs(np.degrees(np.angle(turn[best, 0])))
-            unit = f" by {np.median(np.abs(at[best] - given)):.2f} {drive.unit} and {degrees:.0f} degrees"
+            moved_by = np.median(np.abs(motion / abs(motion) * (given - middle) + there - given))
+            degrees = abs(np.degrees(np.angle(motion)))
+            unit = f" by {moved_by:.2f} {drive.unit} and {degrees:.0f} degrees"
         raise DataError(
             f"the drive's positions have other axes than the map's: one motion{exchanged}{unit} brings "
             f"{near[best].sum()} of {len(given)} frames to where the map locates them. Leave x, y and theta out, so "

@@ -213,14 +213,15 @@ def test_positions_with_other_axes_than_the_map_are_refused(known, drives):
     [
         (lambda x, y: (y, x), "one motion, with x and y exchanged or one of them reversed, brings 40 of 40"),
         (lambda x, y: (x, -y), "one motion, with x and y exchanged or one of them reversed, brings 40 of 40"),
+        (lambda x, y: (3 - y, 7 + x), r"one motion by \d\.\d\d m and 90 degrees brings 40 of 40"),
         (lambda x, y: (1000 * x, 1000 * y), r"one motion and a factor of 0\.001, as between units, brings 40 of 40"),
     ],
 )
-def test_positions_that_are_exchanged_reversed_or_in_another_unit_are_refused(made, says):
-    angle, out = 0.15 * np.arange(40), 2 + 0.1 * np.arange(40)  # a spiral, which no motion brings into its mirror image
+def test_positions_that_are_turned_exchanged_reversed_or_in_another_unit_are_refused(made, says):
+    angle, out = 0.15 * np.arange(40), 1 + 0.1 * np.arange(40)  # a spiral, which no motion brings into its mirror image
     x, y = out * np.cos(angle), out * np.sin(angle)
     descriptors = np.column_stack([x, y]).astype(np.float32)
-    known = VisualMap(descriptors, FrameTable(path=[f"{n}.png" for n in range(40)], x=x, y=y))
+    known = VisualMap(descriptors, FrameTable(path=[f"{n}.png" for n in range(40)], x=x, y=y)).take(slice(0, 40, 3))
     moved = dict(zip("xy", made(x, y), strict=True))
     with pytest.raises(DataError, match=says):
         updated(known, VisualMap(descriptors, FrameTable(path=[f"drive/{n}.png" for n in range(40)], **moved)))
@@ -422,7 +423,9 @@ def test_the_command_maintains_the_saved_map_and_its_nodes(drives, tmp_path, cap
     assert f"no map yet in {saved}: `siamloc map run={tmp_path / 'run'} descriptor=hog` makes one" in asked
     done("map", *words, *common, "protocol.map.sequences=[old]")
     before = len(VisualMap.load(saved))
-    assert "no frame has sequence" in refused(capsys, "map", *common, "update.sequences=[nowhere]")
+    assert "update.sequences: no frame has sequence 'nowhere'" in refused(
+        capsys, "map", *common, "update.sequences=[nowhere]"
+    )
     assert "add update.sequences=[NAME]" in refused(capsys, "map", *common, "update.radius=2")
     assert "update is a group of keys" in refused(capsys, "map", *common, "update=[changed]")
     asked = refused(capsys, "map", *common[:2], "update.sequences=[changed]")
