@@ -10,7 +10,7 @@ from typing import Any
 from analytic.mapper import IncrementalMapper
 from foundation.settings import as_words, defaults_of, leaves
 from siamloc import maps
-from siamloc.data import Protocol, Role
+from siamloc.data import Protocol
 from siamloc.errors import ConfigError
 from siamloc.jobs.choices import OF_A_RUN
 from siamloc.jobs.job import Given, Say, quiet
@@ -150,13 +150,18 @@ class MapFrames(RunJob):
                 f"{other} holds nodes over this map, which would not fit the map after an update: update them as well, "
                 f"with `siamloc map build={name} update.sequences=[...]`, or remove the folder"
             )
-        drives = replace(self, protocol=Protocol(map=Role(sequences=self.update.sequences)))
-        known.check_frames(self.data.read(), whole=False)
-        images, roles = drives.open_roles("map")
+        frames = self.data.read()
+        known.check_frames(frames, whole=False)
+        try:
+            drives = frames.select(sequence=self.update.sequences)
+        except ConfigError as error:
+            raise ConfigError(f"update.sequences: {error}") from error
+        images = self.data.library(drives, self.unwrap)
+        drives = images.readable(drives)
         settings = Maintenance.of({key: value for key, value in self.update.plain().items() if key != "sequences"})
         before, updates = known.digest, []
-        for name, rows in roles["map"].rows_by("sequence").items():
-            found = maps.update(known, images, roles["map"].take(rows), built=built, settings=settings)
+        for name, rows in drives.rows_by("sequence").items():
+            found = maps.update(known, images, drives.take(rows), built=built, settings=settings)
             known, built = found.known, found.built
             updates.append(found)
             say(f"{name}: {found.summary()}" if name else found.summary())

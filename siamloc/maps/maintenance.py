@@ -96,6 +96,9 @@ class Update:
     known_place: NDArray[np.bool_]
     window: int
 
+    def __repr__(self) -> str:
+        return f"Update({self.summary().removeprefix('update: ')})"
+
     @property
     def added(self) -> NDArray[np.bool_]:
         """Which frames of the drive joined the map (n,)."""
@@ -167,9 +170,9 @@ def update(
 
     Raises:
         ConfigError: a setting out of range, or an image size or descriptor other than the map's.
-        DataError: frames of several drives, a map frame without a position, no frame of the drive with a certain one,
-            positions in two units or with other axes than the map's, headings in degrees or clockwise that the map
-            would compare, nodes over another map, or an incremental map without its mapper.
+        DataError: no frames, frames of several drives or given twice, a map frame without a position, no frame of the
+            drive with a certain one, positions in two units or with other axes than the map's, headings in degrees or
+            clockwise that the map would compare, nodes over another map, or an incremental map without its mapper.
         AnalyticError: a mapper that is read-only.
 
     Example:
@@ -184,10 +187,19 @@ def update(
         1
     """
     check_units([known.frames, drive])
+    if not len(drive):
+        raise DataError("the drive has no frames: look at how they were selected")
     if len(drives := drive.rows_by("sequence")) != 1:
         raise DataError(
             f"an update takes the frames of one drive, and these are of {len(drives)}: call it for each in turn, with "
             "the map of the update before"
+        )
+    keys, held = drive.identities(), set(known.frames.identities())
+    if len(set(keys)) < len(keys):
+        twice, _ = Counter(keys).most_common(1)[0]
+        raise DataError(
+            f"{len(keys) - len(set(keys))} of {len(keys)} frames of the drive are repeated, such as {twice[1]}: give "
+            "each frame once"
         )
     describe = partial(
         build, known.descriptor, images, heading=known.heading_descriptor, mounting=known.mounting, progress=progress
@@ -210,7 +222,6 @@ def update(
         if (spread < 0).any():
             raise DataError(f"a deviation is 0 or more, or NaN where it is unknown, got {np.nanmin(spread):g}")
         sure = sure & (spread <= settings.certain)
-    keys, held = drive.identities(), set(known.frames.identities())
     new = np.array([key not in held for key in keys], dtype=bool)
     if not new.any():
         raise DataError(f"all {len(drive)} frames of the drive are in the map already: update it by another drive")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any
@@ -34,8 +35,6 @@ class Budget(Settings):
         megabytes: size of descriptors and orientation parts in float32, as in memory; a saved map may be smaller.
     """
 
-    WHERE = "update"
-
     frames: Count | None = None
     per_square_metre: Count | None = None
     megabytes: Positive | None = None
@@ -54,7 +53,7 @@ class Budget(Settings):
         return most if self.frames is None else min(most, self.frames)
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Thinned:
     """A map within its budget.
 
@@ -65,6 +64,16 @@ class Thinned:
 
     known: VisualMap
     reason: NDArray[np.object_]
+
+    def __repr__(self) -> str:
+        return f"Thinned({self.summary()})"
+
+    def summary(self) -> str:
+        """Return one line about how many frames are left, and why the others were forgotten."""
+        gone = Counter(reason.name.lower() for reason in self.reason.tolist() if reason != Reason.KEPT)
+        forgotten = ", ".join(f"{count} {name}" for name, count in sorted(gone.items()))
+        left = f"{len(self.known)} of {len(self.reason)} frames are left"
+        return f"{left}; forgotten: {forgotten}" if gone else left
 
 
 @takes(Budget)
@@ -89,6 +98,8 @@ def thin(known: VisualMap, *, settings: Budget = OF_FIELDS, **fields: Any) -> Th
         >>> found = thin(VisualMap([[0.0], [0.1], [5.0]], frames), per_square_metre=2)
         >>> [reason.name for reason in found.reason]
         ['KEPT', 'REDUNDANT', 'KEPT']
+        >>> found
+        Thinned(2 of 3 frames are left; forgotten: 1 redundant)
     """
     check_placed(known.frames, "thinning")
     reason = np.full(len(known), Reason.KEPT, dtype=object)

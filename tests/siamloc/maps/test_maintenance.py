@@ -91,6 +91,7 @@ def test_a_drive_that_looks_as_before_changes_little(known, drives):
     assert (named(found.map_reason) == "CONFIRMED").mean() > 0.95
     np.testing.assert_array_equal(found.known.history.confirmed, named(found.map_reason) == "CONFIRMED")
     assert found.summary().endswith("the map is up to date")
+    assert repr(found) == f"Update({found.summary().removeprefix('update: ')})"
     assert update(known, drives[1], drives[2]["same"], progress=False).added.sum() <= 0.05 * FRAMES
 
 
@@ -103,9 +104,16 @@ def test_a_drive_is_counted_once(known, drives, caplog):
 
 
 def test_drives_are_counted_one_by_one(known, drives):
-    both = drives[1].frames.select(sequence=["same", "later"])
-    for frames, count in ((both, 2), (both.take([]), 0)):
-        with pytest.raises(DataError, match=f"takes the frames of one drive, and these are of {count}"):
+    both, same = drives[1].frames.select(sequence=["same", "later"]), drives[2]["same"]
+    for frames, asked in (
+        (both, "takes the frames of one drive, and these are of 2"),
+        (both.take([]), "the drive has no frames: look at how they were selected"),
+        (
+            same.take([0, 1, 2, 1, 0]),
+            r"2 of 5 frames of the drive are repeated, such as .*same-00.\.png: give each frame once",
+        ),
+    ):
+        with pytest.raises(DataError, match=asked):
             update(known, drives[1], frames)
 
 

@@ -102,7 +102,7 @@ def test_budgets_that_make_no_sense_are_refused():
     known = plain_map(np.zeros((2, 4)))
     with pytest.raises(ConfigError, match=r"megabytes=1e-06 holds no frame of 1.6e-05 MB: give more"):
         thin(known, megabytes=1e-6)
-    with pytest.raises(ConfigError, match=r"update.per_square_metre must be a whole number from 1"):
+    with pytest.raises(ConfigError, match=r"^per_square_metre must be a whole number from 1"):
         thin(known, per_square_metre=0)
     with pytest.raises(
         DataError, match=r"of the .* map frames have no position, which thinning needs: .*`VisualMap.placed"
