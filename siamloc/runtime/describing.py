@@ -73,9 +73,12 @@ class Describer:
         Raises:
             DataError: another shape or type.
         """
-        expected = (3, *self._size)
-        if panoramas.dtype != np.uint8 or panoramas.ndim != 4 or panoramas.shape[1:] != expected:
-            raise DataError(f"a panorama has shape {expected} and dtype uint8, got {panoramas.shape} {panoramas.dtype}")
+        rows, columns = self._size
+        if panoramas.dtype != np.uint8 or panoramas.ndim != 4 or panoramas.shape[1:] != (3, rows, columns):
+            raise DataError(
+                f"panoramas have shape (B, 3, {rows}, {columns}) and dtype uint8, got {panoramas.shape} "
+                f"{panoramas.dtype}"
+            )
         found = self.known.descriptor.describe(panoramas)
         turning = found if self._turning is None else self._turning.describe(panoramas)
         return Description(found.position, turning.orientation)

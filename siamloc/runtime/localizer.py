@@ -216,7 +216,7 @@ class Localizer:
     def locate_panorama(
         self, panorama: NDArray[np.uint8], tracker: Tracker | None = None, motion: ArrayLike | None = None
     ) -> Location:
-        """Locate a panorama of the bundle's size, uint8, RGB; see `locate`.
+        """Locate a panorama of the bundle's size (H, W), uint8, RGB; see `locate`, which resizes images.
 
         Args:
             panorama: (3, H, W), as from a library, or (H, W, 3), as from `siamloc.data.unwrap` or a camera.
@@ -229,7 +229,13 @@ class Localizer:
         """
         start = time.perf_counter()
         _check_motion(tracker, motion)
-        if panorama.ndim == 3 and panorama.shape[0] != 3 == panorama.shape[2]:
+        expected = (3, *self.bundle.image_size)
+        if panorama.dtype != np.uint8 or panorama.shape not in (expected, (*expected[1:], 3)):
+            raise DataError(
+                f"a panorama has shape {expected} and dtype uint8, got {panorama.shape} {panorama.dtype}: resize it to "
+                "the bundle's size, or give the camera's image to `locate`, which does"
+            )
+        if panorama.shape != expected:
             panorama = np.ascontiguousarray(panorama.transpose(2, 0, 1))
         return self._located(panorama, self.describe(panorama[None]), tracker, motion, start)
 

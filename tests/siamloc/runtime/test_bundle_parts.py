@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import shutil
 from dataclasses import asdict, replace
 from pathlib import Path
@@ -337,5 +338,8 @@ def test_several_images_at_once_give_the_same_answers(images, tuesday, network, 
 def test_panoramas_of_another_size_are_one_sentence(made):
     localizer = runtime.Localizer(made.path)
     for wrong in (np.zeros((3, 16, 64), np.uint8), np.zeros((3, 32, 64)), np.zeros((16, 64, 3), np.uint8)):
-        with pytest.raises(siamloc.errors.DataError, match=r"a panorama has shape \(3, 32, 64\) and dtype uint8, got"):
+        asked = rf"has shape \(3, 32, 64\) and dtype uint8, got {re.escape(str(wrong.shape))} {wrong.dtype}: resize it"
+        with pytest.raises(siamloc.errors.DataError, match=asked):
             localizer.locate_panorama(wrong)
+    with pytest.raises(siamloc.errors.DataError, match=r"shape \(B, 3, 32, 64\) and dtype uint8, got \(3, 32, 64\) "):
+        localizer.describe(np.zeros((3, 32, 64), np.uint8))
