@@ -49,7 +49,7 @@ function drawMap() {
   }
   map.x.forEach((x, row) => {
     const [cx, cy] = place(x, map.y[row]), room = map.room[row];
-    drawn("circle", plan, { cx, cy, r: 3, class: "dot " + (map.rooms[room] ? `k${room % 8}` : "none-room") });
+    drawn("circle", plan, { cx, cy, r: 2.2, class: "dot " + (map.rooms[room] ? `k${room % 8}` : "none-room") });
   });
   const way = drawn("g", plan);
   for (let age = 0; age < AGES; age++) drawn("path", way, { class: "way", opacity: 0.12 + 0.88 * ((age + 1) / AGES) ** 2 });
