@@ -23,6 +23,11 @@ def say_once(text: str) -> None:
     logger.warning("%s", text)
 
 
+def in_one_line(error: Exception) -> str:
+    """Return an exception of a user's own code in one line: its type, and the start of what it says."""
+    return ": ".join(filter(None, [type(error).__name__, " ".join(str(error).split())[:300]]))
+
+
 def leave_out(problems: Sequence[str], total: int, what: str, on_error: str) -> None:
     """Report files or frames that are left out: one warning line, or an error if `on_error` is "raise".
 

@@ -16,7 +16,7 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 
 from augment.torchvision_compat import ensure_torchvision
-from siamloc.errors import ConfigError, SiamlocError, hint
+from siamloc.errors import ConfigError, SiamlocError, hint, in_one_line
 from siamloc.models.branch import IMAGENET_MEAN, IMAGENET_STD, Branch, channels_of
 from siamloc.models.circular import circular as around
 from siamloc.models.hub import timm
@@ -148,7 +148,7 @@ def make_backbone(
         try:
             network.load_state_dict(dict(state))
         except RuntimeError as error:
-            raise ConfigError(f"the weights are of another architecture than {name}: {_line(error)}") from error
+            raise ConfigError(f"the weights are of another architecture than {name}: {in_one_line(error)}") from error
     return Backbone(name, network.train(), image_size, circular, normalize)
 
 
@@ -332,9 +332,5 @@ def _explained(name: str, image_size: tuple[int, int]) -> Iterator[None]:
         raise
     except Exception as error:
         raise ConfigError(
-            f"{name} cannot be made for images of {image_size[0]} x {image_size[1]} pixels: {_line(error)}"
+            f"{name} cannot be made for images of {image_size[0]} x {image_size[1]} pixels: {in_one_line(error)}"
         ) from error
-
-
-def _line(error: Exception) -> str:
-    return " ".join(str(error).split())[:300] or type(error).__name__

@@ -17,6 +17,8 @@ from foundation.calls import typed
 from siamloc.device import chosen_device
 from siamloc.errors import ConfigError, DataError
 from siamloc.full_precision import full_precision
+from siamloc.models.branch import Branch
+from siamloc.models.descriptor_checks import check_repeatable, checked_descriptors
 from siamloc.models.losses import ContrastiveLoss
 from siamloc.models.network import Network
 from siamloc.models.relative import RelativePose
@@ -44,6 +46,7 @@ class NetworkDescriptor(BetweenColumns):
 
     def __init__(self, module: nn.Module) -> None:
         self.module = module
+        self._repeatable = not _of_ones_own(module)
 
     def __repr__(self) -> str:
         return f"NetworkDescriptor({type(self.module).__name__})"
@@ -107,12 +110,16 @@ class NetworkDescriptor(BetweenColumns):
 
         Raises:
             DataError: another shape or type, values that are not finite or outside [0, 1], or a network that returns
-                anything but a descriptor for each image.
+                anything but a descriptor for each image, or one that depends on chance or on the other images, which
+                the first call checks for networks that siamloc does not define.
         """
         describes, images, like, parts = describing(self.module), _as_images(batch), _like(self.module), []
         with evaluating(self.module):
             for part in images.split(chunk):
                 ready = as_float(_uploaded(part, like)).expand(-1, 3, -1, -1)
+                if not self._repeatable:
+                    check_repeatable(describes, ready[:1].to(like.dtype))
+                    self._repeatable = True
                 position, *orientation = describes(ready.to(like.dtype))
                 given = [one.float() for one in (checked_descriptors(position, len(part)), *orientation)]
                 # With the descriptors, since reading anything waits for a GPU; 8-bit numbers cannot be out of range.
@@ -281,22 +288,10 @@ def as_float(images: Tensor) -> Tensor:
     return images
 
 
-def checked_descriptors(descriptors: Any, images: int) -> Tensor:
-    """Check the output of a network for a number of images, and return it.
-
-    Raises:
-        DataError: the output is not one descriptor per image.
-    """
-    if not isinstance(descriptors, Tensor) or descriptors.ndim != 2 or len(descriptors) != images:
-        raise DataError(
-            f"the network must give one descriptor per image, shape ({images}, D), got {shown(descriptors)}"
-        )
-    return descriptors
-
-
-def shown(value: Any) -> str:
-    """Return a description of the output of a network or a loss, for an error message."""
-    return f"shape {tuple(value.shape)}" if isinstance(value, Tensor) else type(value).__name__
+def _of_ones_own(module: nn.Module) -> bool:
+    """Whether a module computes anything that siamloc did not define, and so may depend on more than an image."""
+    network = network_of(module)
+    return type(network) is not Network or type(network.branch) is not Branch
 
 
 def _as_images(batch: Any) -> Tensor:

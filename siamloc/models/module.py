@@ -13,14 +13,8 @@ from foundation.calls import typed
 from siamloc.errors import ConfigError, DataError
 from siamloc.lightning import LightningModule
 from siamloc.models.cross_entropy import CrossEntropyLoss
-from siamloc.models.describing import (
-    as_float,
-    checked_descriptors,
-    comparing,
-    margin_of,
-    orienting,
-    shown,
-)
+from siamloc.models.describing import as_float, comparing, margin_of, orienting
+from siamloc.models.descriptor_checks import checked_descriptors, shown
 from siamloc.models.drive_figures import RECALL_RADIUS, DriveFigures
 from siamloc.models.network import Network
 from siamloc.models.network_stages import FrozenStages, comparing_weights, stages
@@ -211,17 +205,25 @@ def name_of(thing: object) -> str:
     return str(getattr(thing, "__qualname__", type(thing).__qualname__))
 
 
-def checked_loss(loss: Any, kind: object, training: bool) -> Tensor:
+def checked_loss(loss: Any, kind: object, learned_from: Tensor | None) -> Tensor:
     """Check the output of a loss, and return it as a scalar.
+
+    Args:
+        loss: the output.
+        kind: the loss itself.
+        learned_from: the descriptors of a training step; None where nothing is learned.
 
     Raises:
         DataError: the output is not one number, or in training a number without a gradient.
     """
     if not isinstance(loss, Tensor) or loss.numel() != 1:
         raise DataError(f"the loss {name_of(kind)} must give one number, got {shown(loss)}")
-    if training and not loss.requires_grad:
+    if learned_from is not None and not loss.requires_grad:
+        what = f"the loss {name_of(kind)} gives a number"
+        if not learned_from.requires_grad:
+            what = f"the network gives descriptors ({str(learned_from.dtype).removeprefix('torch.')})"
         raise DataError(
-            f"the loss {name_of(kind)} gives a number without a gradient, so nothing can be learned from it: compute "
-            "it from the descriptors without detach(), item() or NumPy"
+            f"{what} without a gradient, so nothing can be learned from it: compute floating point numbers without "
+            "detach(), item() or NumPy"
         )
     return loss.squeeze()

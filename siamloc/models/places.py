@@ -12,7 +12,8 @@ from torch import Tensor
 from siamloc.errors import DataError
 from siamloc.models.batch_losses import SoftContrastiveLoss
 from siamloc.models.cross_entropy import CrossEntropyLoss
-from siamloc.models.describing import as_float, checked_descriptors, required_comparing
+from siamloc.models.describing import as_float, required_comparing
+from siamloc.models.descriptor_checks import checked_descriptors
 from siamloc.models.module import NetworkModule, checked_loss
 from siamloc.models.network_stages import comparing_weights
 from siamloc.models.origins import Origins, required
@@ -80,7 +81,7 @@ class PlaceModule(NetworkModule):
         mine = origins, descriptors.detach()
         if self._trainer is not None and self.trainer.world_size > 1:
             descriptors, origins = self._of_all(descriptors, origins)
-        loss = checked_loss(self.loss(descriptors, origins), self.loss, descriptors.requires_grad)
+        loss = checked_loss(self.loss(descriptors, origins), self.loss, descriptors)
         seen, total = descriptors.detach(), loss
         apart = torch.linalg.vector_norm(seen - seen.mean(dim=0), dim=1)
         figures = {"loss": loss.detach(), "spread": apart.mean()}

@@ -8,7 +8,8 @@ import torch
 from torch import Tensor, nn
 
 from siamloc.errors import ConfigError
-from siamloc.models.describing import as_float, checked_descriptors, margin_of
+from siamloc.models.describing import as_float, margin_of
+from siamloc.models.descriptor_checks import checked_descriptors
 from siamloc.models.drive_figures import RECALL_RADIUS
 from siamloc.models.losses import ContrastiveLoss, check_labels, pair_distance
 from siamloc.models.module import NetworkModule, checked_loss
@@ -107,7 +108,8 @@ class SiameseModule(NetworkModule):
         check_labels(label, len(batch["first"]))
         images = as_float(torch.cat([batch["first"], batch["second"]]))
         descriptors = checked_descriptors(self.computed(self.network, images), 2 * len(label))
-        loss = checked_loss(self.loss(*descriptors.chunk(2), label), self.loss, descriptors.requires_grad)
+        learned_from = descriptors if stage == "train" else None
+        loss = checked_loss(self.loss(*descriptors.chunk(2), label), self.loss, learned_from)
         added = pair_sums(descriptors.detach(), loss.detach(), batch["same"], label, margin_of(self.loss))
         before = self._sums[stage]
         self._sums[stage] = {name: before[name] + value if before else value for name, value in added.items()}

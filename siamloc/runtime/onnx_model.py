@@ -21,7 +21,15 @@ from foundation.calls import typed
 from foundation.files import atomic_path
 from siamloc.errors import ConfigError, SiamlocError
 from siamloc.maps.refinement import OUTPUTS
-from siamloc.models.describing import describing, evaluating, identity_of, network_of, orienting, required_comparing
+from siamloc.models.describing import (
+    NetworkDescriptor,
+    describing,
+    evaluating,
+    identity_of,
+    network_of,
+    orienting,
+    required_comparing,
+)
 from siamloc.models.orientation import VALUES
 from siamloc.models.relative import RelativePose
 from siamloc.runtime.describing import session_of
@@ -55,15 +63,15 @@ def export_onnx(network: nn.Module, path: str | Path, image_size: Sequence[int])
         What `parity` returns.
 
     Raises:
-        ConfigError: weights that are not float32 or take 2 GB or more, or an image size that does not suit the network.
+        ConfigError: weights that are not float32 or take 2 GB or more.
+        DataError: an image size that does not suit the network, or descriptors that depend on more than their image.
         SiamlocError: the file's descriptors differ from the network's.
         StorageError: the disk is full or cannot be written to.
     """
     network = on_cpu(network)
     graph = _FromPixels(network)
     example = torch.zeros(2, 3, int(image_size[0]), int(image_size[1]), dtype=torch.uint8)
-    with evaluating(graph):
-        graph(example)  # a wrong size fails here, with the network's own message
+    NetworkDescriptor(network).describe(example)  # a wrong size fails here, with the network's own message
     if sum(tensor.nbytes for tensor in network.state_dict().values()) >= MOST_BYTES:
         raise ConfigError("a network of 2 GB or more does not fit into an ONNX file: export a smaller one")
     with _written(path, graph, {INPUT: example}, graph.outputs, FORMAT, identity_of(network)) as temporary:

@@ -15,7 +15,7 @@ from siamloc.data.checks import wrong_headings
 from siamloc.data.frames import FrameTable
 from siamloc.data.library import PanoramaLibrary
 from siamloc.data.places import PlaceSettings
-from siamloc.errors import ConfigError, DataError, SiamlocError, leave_out
+from siamloc.errors import ConfigError, DataError, SiamlocError, in_one_line, leave_out
 from siamloc.models.cross_entropy import CrossEntropyLoss
 from siamloc.models.describing import NetworkDescriptor, comparing, learned
 from siamloc.models.module import name_of
@@ -193,7 +193,7 @@ def check_network(network: nn.Module, image: NDArray[np.uint8], circular: bool, 
 
     Raises:
         ConfigError: a circular network for images that do not wrap around, or descriptors that are not of unit length.
-        DataError: a network that does not take the images.
+        DataError: a network that does not take the images, or gives one image different descriptors.
     """
     if getattr(network, "settings", {}).get("circular") and not circular:
         raise ConfigError(
@@ -208,8 +208,7 @@ def check_network(network: nn.Module, image: NDArray[np.uint8], circular: bool, 
         raise
     except Exception as error:  # a custom module may raise anything
         shape = " x ".join(map(str, image.shape[1:]))
-        first_line = (str(error).strip() or type(error).__name__).splitlines()[0]
-        raise DataError(f"the network cannot take panoramas of {shape}: {first_line}") from error
+        raise DataError(f"the network cannot take panoramas of {shape}: {in_one_line(error)}") from error
     descriptor = learned(network, descriptor)
     length = float((descriptor.astype("float64") ** 2).sum() ** 0.5)
     if unit and abs(length - 1) > _UNIT_ROUNDING:

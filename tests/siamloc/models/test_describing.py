@@ -128,3 +128,34 @@ def test_a_module_of_ones_own_is_known_by_its_class_and_its_weights():
         module.layer.bias += 1
     assert own.identity["weights"] != before["weights"]
     assert own.margin is None
+
+
+@pytest.mark.parametrize(
+    ("changed", "message"),
+    [
+        (lambda found: found - found.mean(0), "when other images are in its batch.* along dim=1 instead of dim=0"),
+        (lambda found: nn.functional.normalize(found, dim=0), "when other images are in its batch"),
+        (lambda found: nn.functional.dropout(found.repeat(1, 50)), "again: switch dropout .* off in evaluation mode"),
+        (nn.BatchNorm1d(2, track_running_stats=False), r"together but not one alone \(ValueError: Expected more"),
+        (lambda found: torch.complex(found, found), r"complex numbers.*: return .*torch\.view_as_real"),
+    ],
+)
+def test_a_network_whose_descriptors_depend_on_more_than_the_image_is_refused(changed, message):
+    class Changed(Own):
+        def forward(self, panorama):
+            return changed(super().forward(panorama))
+
+    module = Changed()
+    if isinstance(changed, nn.Module):
+        module.changed = changed
+    for images in (draw(1), draw(4)):
+        with pytest.raises(DataError, match=message):
+            as_descriptor(module, "cpu").describe(images)
+
+
+def test_the_rounding_of_other_kernels_is_no_dependence_on_the_batch():
+    class Rounded(Own):
+        def forward(self, panorama):
+            return super().forward(panorama) * (1 + 0.01 * (len(panorama) > 1))
+
+    assert as_descriptor(Rounded(), "cpu").describe(draw()).position.shape == (8, 2)

@@ -124,6 +124,20 @@ def test_a_loss_without_a_gradient_is_refused_in_training():
         module.validation_step(draw_pairs(), 0)
 
 
+@pytest.mark.parametrize("change", [lambda found: found.detach(), lambda found: found.long()])
+def test_a_network_without_a_gradient_is_refused_in_training(change):
+    class Changed(torch.nn.Module):
+        def __init__(self):
+            super().__init__()
+            self.layer = torch.nn.Linear(3, 2)
+
+        def forward(self, panorama):
+            return change(self.layer(panorama.mean((2, 3))))
+
+    with pytest.raises(DataError, match=r"the network gives descriptors .* without a gradient"):
+        SiameseModule(Changed(), loss=triplet_like).training_step(draw_pairs(), 0)
+
+
 def test_a_batch_with_missing_columns_is_refused():
     batch = draw_pairs()
     del batch["same"]
