@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from copy import deepcopy
 from pathlib import Path
 from typing import Any
@@ -11,6 +12,7 @@ from torch import Tensor, nn
 
 from foundation.calls import typed
 from siamloc.errors import ConfigError, DataError, FormatError, SiamlocError
+from siamloc.models.describing import network_of
 from siamloc.models.network import Network, build
 from siamloc.models.registry import PRETRAINED, PRETRAINED_ELEVATIONS
 from siamloc.models.room_classifier import RoomClassifier
@@ -24,6 +26,9 @@ from siamloc.models.weights import (
     write_weights,
 )
 from siamloc.runs import Run
+
+_BUILT = ("head", "image_size", "outputs", "circular", "normalize", "canonical", "relative", "colours")
+"""Arguments of `build` that change what a network computes with its weights."""
 
 
 @typed
@@ -42,7 +47,8 @@ def load(run_or_checkpoint: str | Path | Run, *, which: str = "best", network: n
     Raises:
         ConfigError: a folder without a checkpoint, an unknown `which`, or a checkpoint of a custom module without
             `network`.
-        FormatError: the file is missing, incomplete, altered, not such a checkpoint, or of another architecture.
+        FormatError: the file is missing, incomplete, altered, not such a checkpoint, or of another architecture, or
+            its network was built with other arguments than `network`.
 
     Example:
         >>> network = load("runs/robot")  # doctest: +SKIP
@@ -69,7 +75,10 @@ def load(run_or_checkpoint: str | Path | Run, *, which: str = "best", network: n
             return _made(path, dict(model)).eval()
         network = _made(path, {**model, "weights": None})
         network.settings = dict(model)  # type: ignore[assignment]
-    load_whole(network, state, _another_architecture(path, model))
+    if isinstance(network, Network) and model is not None and "head" in model:
+        _check_built_alike(path, model, network.settings)
+        network.settings |= {key: model[key] for key in ("elevations",) if key in model}
+    load_whole(network, state, _another_architecture(path, network))
     if content is not None:
         about = content[CONTENT_KEY]
         # Losses over batches have a name; a triplet margin is not a margin of pairs.
@@ -144,8 +153,10 @@ def without_layer(network: Network) -> Network:
 
 def _rebuilt(network: Network, **changes: Any) -> Network:
     """Make a network that differs in some arguments of `build`; branch and comparing part keep their weights."""
-    own = {} if "branch" in network.settings else {"branch": deepcopy(network.branch.features)}
-    made = build(**{**own, **network.settings, "weights": None, **changes})
+    settings = dict(network.settings)
+    if settings.pop("class", None) is not None:
+        settings["branch"] = deepcopy(network.branch.features)
+    made = build(**{**settings, "weights": None, **changes})
     for part in ("branch", "orientation", "relative"):
         if part == "branch" or made.relative is not None:
             made.get_submodule(part).load_state_dict(network.get_submodule(part).state_dict())
@@ -160,12 +171,26 @@ def check_architecture(path: Path, module: nn.Module) -> None:
     """
     content = read_checkpoint(path, mmap=True)
     if difference := mismatch(module, content["state_dict"]):
-        raise FormatError(f"{_another_architecture(path, content[CONTENT_KEY]['model'])}: {difference}")
+        raise FormatError(f"{_another_architecture(path, network_of(module))}: {difference}")
 
 
-def _another_architecture(path: Path, model: Any) -> str:
-    of = "the network" if model is None else _name(model)
-    return f"the weights in the file {path} are of another architecture than {of}"
+def _another_architecture(path: Path, network: nn.Module) -> str:
+    name = _name(network.settings) if isinstance(network, Network) else type(network).__qualname__
+    return f"the weights in the file {path} are of another architecture than {name}"
+
+
+def _check_built_alike(path: Path, model: Mapping[str, Any], here: Mapping[str, Any]) -> None:
+    """Raise FormatError if two networks with the same weights were built with other arguments, which they hold apart.
+
+    The branches may differ: a network by its name may also be handed in as a module.
+    """
+    for key in _BUILT:
+        there = model.get(key, False)
+        if there != here.get(key, False):
+            raise FormatError(
+                f"the network of {path} was built with {key}={there!r}, and the given one with "
+                f"{key}={here.get(key, False)!r}: build it with the same arguments"
+            )
 
 
 def _rooms_in(path: Path, about: dict[str, Any], state: dict[str, Tensor]) -> RoomClassifier | None:
@@ -198,8 +223,7 @@ def _made(path: Path, model: dict[str, Any]) -> nn.Module:
         raise FormatError(f"the file {path} names a network that cannot be made: {error}") from error
 
 
-def _name(model: Any) -> str:
-    if "branch" not in model:
-        return str(model.get("class"))
+def _name(model: Mapping[str, Any]) -> str:
+    name = str(model.get("branch", model.get("class")))
     size = " x ".join(map(str, model.get("image_size", [])))
-    return f"{model['branch']} + {model.get('head')} at {size}"
+    return f"{name} + {model['head']} at {size}" if "head" in model else name

@@ -134,9 +134,7 @@ class NetworkModule(LightningModule):
         loss: dict[str, Any] = {"class": name_of(self.loss), **getattr(self.loss, "settings", {})}
         if margin_of(self.loss) is not None:
             loss["margin"] = margin_of(self.loss)
-        model = getattr(self.network, "settings", None)
-        if not isinstance(model, dict) or "branch" not in model:
-            model = {"class": name_of(self.network)}
+        model = self.network.settings if isinstance(self.network, Network) else {"class": name_of(self.network)}
         rooms = {"rooms": list(self.loss.rooms)} if isinstance(self.loss, CrossEntropyLoss) else {}
         return {"model": model, "loss": loss, **rooms, "optimizer": self.optimizer.plain()}
 

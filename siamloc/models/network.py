@@ -115,7 +115,7 @@ def build(
             child.to_empty(device="cpu")
     _initialize(network, seed)
     if not isinstance(branch, str):
-        del network.settings["branch"]
+        network.settings = {"class": network.settings.pop("branch"), **network.settings}
     network.settings |= {
         "weights": None if weights is None else fspath(weights.folder if isinstance(weights, Run) else weights),
         "seed": seed,
@@ -158,7 +158,8 @@ class Network(nn.Module):
         colours: the `Colours` that descriptions include; None without.
         rooms: the `RoomClassifier` that names the room from a descriptor, after a training with `CrossEntropyLoss`;
             else None.
-        settings: the arguments of `build` that made the network, as plain values.
+        settings: the arguments of `build` that made the network, as plain values; for a branch that was handed in as a
+            module `class`, the name of its class, instead of `branch`.
     """
 
     rooms: RoomClassifier | None = None

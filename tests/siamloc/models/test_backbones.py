@@ -11,7 +11,7 @@ from safetensors.torch import save_file
 from torch import nn
 
 from augment.torchvision_compat import ensure_torchvision
-from siamloc.errors import ConfigError
+from siamloc.errors import ConfigError, FormatError
 from siamloc.models import DistillationLoss, as_descriptor, build, load, save_weights, stages
 from siamloc.runtime import export_onnx
 
@@ -268,6 +268,23 @@ def test_a_module_that_is_handed_in_is_loaded_into_another():
     assert build(Pooled(), "gem", SIZE).grid == (1, 1)
     with pytest.raises(ConfigError, match=r"must give \(B, C, h, w\) or \(B, D\).*got \(1, 3, 4096\)"):
         build(nn.Flatten(2), "gem", SIZE)
+
+
+def test_a_module_that_is_handed_in_is_saved_with_the_arguments_of_its_network(tmp_path):
+    network = build(own(), "gem", SIZE, circular=True, normalize="image")
+    assert {
+        "class": "Sequential",
+        "head": "gem",
+        "circular": True,
+        "normalize": "image",
+    }.items() <= network.settings.items()
+    path = save_weights(network, tmp_path / "saved.safetensors")
+    again = load(path, network=build(own(), "gem", SIZE, circular=True, normalize="image", seed=1))
+    torch.testing.assert_close(described(network), described(again), rtol=1e-2, atol=1e-2)
+    with pytest.raises(FormatError, match="was built with circular=True, and the given one with circular=False: build"):
+        load(path, network=build(own(), "gem", SIZE, normalize="image"))
+    with pytest.raises(ConfigError, match=r"a module of your own, Sequential \+ gem at 32 x 128, which no command"):
+        load(path)
 
 
 @pytest.mark.parametrize("name", ["timm/test_resnet", "torchvision/mobilenet_v3_small", "siamloc_own_networks:own"])

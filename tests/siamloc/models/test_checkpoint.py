@@ -143,3 +143,8 @@ def test_weights_that_do_not_fit_the_network_are_refused(trained, tmp_path, chan
     changed = {**about(path), "model": about(path)["model"] | changes}
     with pytest.raises(FormatError, match=message):
         load(altered(path, tmp_path / "a.ckpt", siamloc=changed))
+
+
+def test_a_given_network_of_another_class_is_named(trained):
+    with pytest.raises(FormatError, match=r"of another architecture than Linear: missing: 2 of 2"):
+        load(trained[1], network=torch.nn.Linear(3, 4))
