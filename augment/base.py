@@ -85,6 +85,7 @@ class Effect(ABC):
     name: ClassVar[str]
     RANGES: ClassVar[Mapping[str, Range]] = {}
     OPTIONS: ClassVar[Mapping[str, Any]] = {}
+    _finite = False  # whether `render` returned finite numbers before
 
     def __init__(self, **params: Any) -> None:
         if not hasattr(self, "name"):
@@ -301,11 +302,18 @@ class Effect(ABC):
         """
 
     def rendered(self, batch: Tensor, values: Mapping[str, Tensor]) -> Tensor:
-        """Return what `render`, which may be the user's own, makes of a batch, after checking its shape."""
+        """Return what `render`, which may be the user's own, makes of a batch, after checking its shape and numbers.
+
+        On a GPU only the first batch is searched for NaN and infinity, since each search waits for the device.
+        """
         made = self.render(batch, values)
         if not isinstance(made, Tensor) or made.shape != batch.shape:
             got = tuple(made.shape) if isinstance(made, Tensor) else type(made).__name__
             raise AugmentError(f"`render` of {self.name} must return a tensor {tuple(batch.shape)}, got {got}")
+        if made.device.type == "cpu" or not self._finite:
+            self._finite = bool(made.sum(dtype=torch.float32).isfinite())
+            if not self._finite:
+                raise AugmentError(f"`render` of {self.name} must return finite numbers, got NaN or infinity")
         return made
 
     def tensors(self, params: Mapping[str, Tensor], height: int, width: int) -> dict[str, Tensor]:

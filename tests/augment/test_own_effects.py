@@ -1,5 +1,6 @@
 """Effects that users write: one formula, or less, is enough for every device and dtype."""
 
+import math
 import re
 from pathlib import Path
 from typing import ClassVar
@@ -99,6 +100,17 @@ def test_an_effect_that_gives_another_shape_is_refused(dtype):
         augment.AugmentError, match=r"`render` of grey must return a tensor .*3, 8, 16\), got .*1, 8, 16"
     ):
         OneChannel()(batch, generator())
+
+
+@pytest.mark.parametrize("dtype", [torch.uint8, torch.float32])
+@pytest.mark.parametrize("number", [math.nan, math.inf])
+def test_an_effect_that_gives_no_finite_numbers_is_refused(dtype, number):
+    class Ruined(Grey):
+        def render(self, batch, values):
+            return batch + number
+
+    with pytest.raises(augment.AugmentError, match="`render` of grey must return finite numbers, got NaN or infinity"):
+        Ruined()(torch.zeros((2, 3, 8, 16), dtype=dtype), generator())
 
 
 def test_an_effect_without_a_name_is_refused():
