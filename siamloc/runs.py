@@ -176,25 +176,31 @@ class Run:
 
         return training_curves(self.curves())
 
-    def start(self, settings: Mapping[str, Any], names: Iterable[str]) -> None:
-        """Write the record of a training that is about to begin.
+    def start(self, settings: Mapping[str, Any], names: Iterable[str], created: str | None = None) -> None:
+        """Write the record of a training that is about to begin, or to go on.
 
         Args:
             settings: what the run is trained with, as plain values.
             names: names of the files that the training will write, relative to the folder; recorded before they exist,
                 so that nothing of a killed training is left behind.
+            created: when a training that goes on began; now if None.
         """
         write_json(
             self.record,
             {
                 "format": FORMAT,
                 "version": VERSION,
-                "created": time.strftime("%Y-%m-%dT%H:%M:%S%z"),
+                "created": created or time.strftime("%Y-%m-%dT%H:%M:%S%z"),
                 "settings": plain(dict(settings)),
                 "versions": versions(),
                 "written": sorted(set(names)),
             },
         )
+
+    def check_resumable(self) -> None:
+        """Raise ConfigError if there is no run in the folder that a training could go on with."""
+        if not self.record.is_file():
+            raise ConfigError(f"there is no run to resume in {self.folder}: leave out resume=true to start one")
 
     def load_record(self) -> dict[str, Any]:
         """Read the record: `settings`, `written`, `versions`, `created`.

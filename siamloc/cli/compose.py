@@ -17,7 +17,7 @@ from siamloc.cli.help import job_of
 from siamloc.cli.overrides import flags_first, key_of, meant, only_of_others, quoted, together
 from siamloc.cli.words import values_of
 from siamloc.errors import ConfigError, DataError, SiamlocError, check_known, hint
-from siamloc.jobs.job import Given, Job
+from siamloc.jobs.job import Given, Job, import_own
 from siamloc.jobs.options import choices, config_folder, groups, is_fused, option, options
 from siamloc.jobs.sweep import Sweep
 from siamloc.models.registry import is_backbone
@@ -64,7 +64,7 @@ def run(command: str, words: list[str]) -> None:
         sweep = _sweep_of_the_job()
         try:
             with Sweep.running(sweep):
-                _for_each_run(command, config, lambda one: _made(kind, one, given).run(_print))
+                _for_each_run(command, config, given, lambda one, words: _made(kind, one, words).run(_print))
         except Exception as error:
             if os.getpid() != process:  # of a launcher, whose list is a copy
                 raise
@@ -209,22 +209,30 @@ def _sweep_of_the_job() -> Sweep:
     return Sweep(values, {key: word.partition("=")[2] for key, word in words.items()}, int(hydra.job.num))
 
 
-def _for_each_run(command: str, config: DictConfig, work: Callable[[DictConfig], None]) -> None:
+def _for_each_run(
+    command: str, config: DictConfig, given: list[str], work: Callable[[DictConfig, list[str]], object]
+) -> None:
     """Do the work for each run of the given sweep, or once if there is none; a failing run does not stop the others.
+
+    A branch of one's own is imported for all runs of a sweep, of which each keeps its own branch.
 
     Raises:
         SiamlocError: what was wrong with the first run that failed.
     """
     found = runs_in(config.run) if command in OF_SWEEPS and str(config.run or "").strip() else []
     if not found:
-        work(config)
+        work(config, given)
+    own = [word for word in given if found and re.fullmatch(r"model/branch=[^,:]+:[^,:]+", word)]
+    for word in own:
+        import_own(*word.replace("'", "").split("=", 1))
+    words = [word for word in given if word not in own]
     failed: dict[str, SiamlocError] = {}
     for number, run in enumerate(found, 1):
         print(f"run {number} of {len(found)}: {run.folder}", flush=True)
         one = config.copy()
         one.run = str(run.folder)
         try:
-            work(one)
+            work(one, words)
         except SiamlocError as error:
             failed[str(run.folder)] = error
             print(f"siamloc: {run.folder}: {error}", file=sys.stderr)

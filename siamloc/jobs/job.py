@@ -16,7 +16,7 @@ from importlib import import_module
 from typing import Any, ClassVar, TypeVar
 
 from foundation.settings import Settings, Text, checked, defaults_of, fields_of, leaves, merged
-from siamloc.errors import ConfigError, check_known
+from siamloc.errors import ConfigError, check_known, in_one_line
 
 Kind = TypeVar("Kind", bound="Job")
 Say = Callable[[str], None]
@@ -116,10 +116,7 @@ class Job(Settings):
             named = "model.branch.name" if key == "model.branch" else key
             own = at(values, named)
             if {key, named} & {*given.keys, *given.groups} and isinstance(own, str) and ":" in own:
-                try:
-                    import_module(own.partition(":")[0])
-                except ImportError as error:
-                    raise ConfigError(f"{key}={own} cannot be imported ({error}): check PYTHONPATH") from error
+                import_own(key, own)
         return values
 
     @classmethod
@@ -135,6 +132,20 @@ class Job(Settings):
     @classmethod
     def _key(cls, name: str) -> str:  # the name of a field in the sentences of `Settings`
         return _KEY.get(name, name)
+
+
+def import_own(key: str, name: str) -> None:
+    """Import the module of something of the user's own, which a key names, such as my_module:factory.
+
+    Raises:
+        ConfigError: the module cannot be imported.
+    """
+    try:
+        import_module(name.partition(":")[0])
+    except Exception as error:  # a module may raise anything
+        raise ConfigError(
+            f"{key}={name} cannot be imported ({in_one_line(error)}): check the module, and PYTHONPATH"
+        ) from error
 
 
 def given_by(kind: type[Job], values: Mapping[str, Any]) -> Given:

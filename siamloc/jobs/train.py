@@ -59,6 +59,8 @@ class _Training(Learning, Job):
         values = super().completed(values, given)
         if values.get("resume") is True and values.get("run", cls.folder) is not None:
             values = {"run": cls.folder, **values}
+            if isinstance(values["run"], str) and values["run"].strip() and not sweep_suffix():
+                Run(Path(values["run"])).check_resumable()
             return with_settings_of_the_run(values, given, cls.key_names(), resumed=True)
         return values
 

@@ -207,9 +207,11 @@ def _factory(name: str) -> Callable[[], Any]:
     is_class = isinstance(found, type) and issubclass(found, nn.Module)
     is_function = isinstance(found, FunctionType) and found.__module__.partition(".")[0] not in sys.stdlib_module_names
     if not (is_class or is_function):
+        todo = f"import the module {module} first (on the command line give model/branch={name})"
+        if module in sys.modules:
+            todo = f"the module {module} has no such function, or class of torch modules"
         raise ConfigError(
-            f"the branch {name} is your own: import the module {module} first, which must have a function or class "
-            f"{function!r} without arguments (on the command line give model/branch={name})"
+            f"the branch {name} is a function or class {function!r} of your own, without arguments: {todo}"
         )
     return cast("Callable[[], Any]", found)
 

@@ -59,14 +59,14 @@ def check_folder(run: Run, resume: bool, overwrite: bool) -> None:
     """
     if resume and overwrite:
         raise ConfigError("resume=true continues a run, overwrite=true removes it: choose one")
-    if run.record.is_file():
-        if not resume and not overwrite:
+    if resume:
+        run.check_resumable()
+    elif run.record.is_file():
+        if not overwrite:
             raise ConfigError(
                 f"{run.folder} holds a run already: go on with it by resume=true, replace it by overwrite=true, "
                 "or choose another run="
             )
-    elif resume:
-        raise ConfigError(f"there is no run to resume in {run.folder}: leave out resume=true to start one")
     elif run.folder.is_dir():
         # A process that was killed right at the start of a run may have left the lock and temporary files.
         others = (path.name for path in run.folder.iterdir() if not is_temporary(path) and path.name != LOCK)
@@ -171,10 +171,10 @@ def open_run(run: Run, used: Mapping[str, Any], *, resume: bool, validated: bool
         resume: whether the training continues; its files then stay.
         validated: whether there are validation frames, and so a best checkpoint.
     """
-    written = run.load_record()["written"] if resume else []
+    before = run.load_record() if resume else {}
     if not resume and run.record.is_file():
         run.clear()
-    run.start(used, list(dict.fromkeys([*written, *names_written(validated=validated)])))
+    run.start(used, [*before.get("written", []), *names_written(validated=validated)], before.get("created"))
 
 
 def names_written(*, validated: bool) -> list[str]:

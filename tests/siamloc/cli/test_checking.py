@@ -70,6 +70,8 @@ def test_damaged_files_are_told_in_a_sentence():
         ("train model.branch=alexnat", "unknown option model/branch=alexnat: did you mean 'alexnet'"),
         ("train model/branch=torchvision/resnat18", "torchvision has no network 'resnat18'"),
         ("train model/branch=not_there:factory", "model.branch=not_there:factory cannot be imported"),
+        ("train model/branch=:factory", "model.branch=:factory cannot be imported (ValueError: Empty module name)"),
+        ("train resume=true run=nowhere", "there is no run to resume in nowhere: leave out resume=true"),
         ("train photo.jpeg", "'photo.jpeg' is not of the form key=value"),
         ("train --resolve", "add --cfg job"),
         ("train epochs=2 --foo seed=1", "there is no option --foo: give settings as key=value"),

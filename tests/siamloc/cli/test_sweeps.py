@@ -3,6 +3,7 @@
 import csv
 import itertools
 import shutil
+import sys
 
 import pytest
 
@@ -218,3 +219,14 @@ def test_joblib_trains_the_jobs_of_a_sweep_side_by_side(here, data):
     done(*train(data, "runs/sweep"), "hydra/launcher=joblib", "hydra.launcher.n_jobs=2")
     assert sorted(path.parent.name for path in here.glob("runs/sweep/*/run.json")) == ["seed-0", "seed-1"]
     assert sorted(path.name for path in here.iterdir()) == ["runs"]
+
+
+def test_a_sweep_over_a_branch_of_ones_own_and_another_is_mapped_at_once(data, here, monkeypatch):
+    code = "from torch import nn\ndef factory():\n    return nn.Conv2d(3, 4, 5, stride=4)\n"
+    (here / "swept_branches.py").write_text(code, encoding="utf-8")
+    monkeypatch.syspath_prepend(here)
+    given = [word for word in train(data, here / "sweep") if not word.startswith(("seed=", "model"))]
+    done(*given, "model/branch=swept_branches:factory,simple1", "model/head=gem")
+    monkeypatch.delitem(sys.modules, "swept_branches")
+    done("map", f"run={here / 'sweep'}", "model/branch=swept_branches:factory")
+    assert [run.map.is_file() for run in runs_in(here / "sweep")] == [True, True]

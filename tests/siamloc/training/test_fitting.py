@@ -329,10 +329,12 @@ class Squared(nn.Module):
 def test_a_network_and_a_loss_of_ones_own_are_trained_resumed_and_loaded(train):
     whole = train("whole", network=Small(), loss=Squared(), epochs=3)
     network = Small()
-    train("part", network=Small(), loss=Squared(), epochs=1)
+    begun = train("part", network=Small(), loss=Squared(), epochs=1)
+    write_json(begun.record, {**begun.load_record(), "created": "2020-02-29T12:00:00+0000"})
     torch.manual_seed(99)
     run = train("part", network=network, loss=Squared(), epochs=3, resume=True)
     assert curve(run) == curve(whole)
+    assert run.load_record()["created"] == "2020-02-29T12:00:00+0000"
     assert run.settings["model"] == {"class": "Small"}
     assert run.settings["loss"] == {"class": "Squared"}
     assert "train/accuracy" not in run.curves()
