@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from dataclasses import dataclass
 from pathlib import Path
+from shlex import quote
 
 from foundation.settings import Seed, Text
 from siamloc.errors import ConfigError
@@ -59,7 +60,7 @@ class Demo(Job):
         _step(say, "localize", [*here, f"images=['{photograph}']"])
         _step(say, "report", here)
         say(f"\nThe run is in {run.folder}, the building in {data / 'mini'} with images in preview; curves for")
-        say(f"tensorboard --logdir {run.tensorboard}; {time.monotonic() - begin:.0f} s in all.")
+        say(f"tensorboard --logdir {quote(str(run.tensorboard))}; {time.monotonic() - begin:.0f} s in all.")
         say(f"To watch a drive at night: siamloc live run={run.folder} images=['{photograph.parent}']")
 
 

@@ -9,6 +9,7 @@ import sys
 import time
 from collections.abc import Mapping
 from pathlib import Path
+from shlex import quote
 from typing import Any
 
 import torch
@@ -211,7 +212,7 @@ class Curves(Checkpoint):
         kept = "" if self._checked else f"checkpoint: {checkpoint}; "
         self._tell(trainer, ", ".join(parts))
         board = any(isinstance(logger, TensorBoardLogger) for logger in trainer.loggers)
-        curves = f"tensorboard --logdir {self._run.tensorboard}" if board else str(self._run.metrics)
+        curves = f"tensorboard --logdir {quote(str(self._run.tensorboard))}" if board else str(self._run.metrics)
         self._tell(trainer, f"{kept}curves: {curves}")
 
     def state_dict(self) -> dict[str, Any]:
