@@ -1,4 +1,5 @@
 import re
+import shlex
 import shutil
 
 import pytest
@@ -9,7 +10,7 @@ from siamloc.data import Protocol
 from siamloc.errors import ConfigError
 from siamloc.jobs import Evaluate, MapFrames, Prepare, Pretrain, Preview, Report, SurveyDrives, Train, Walk
 from siamloc.jobs.options import choices, config_folder, groups, option
-from tests.siamloc.cli.commands import refused
+from tests.siamloc.cli.commands import done, refused
 
 CALIBRATION = """\
 image_width: 640
@@ -196,3 +197,14 @@ def test_the_tab_key_offers_the_keys_of_the_command():
     assert candidates("siamloc evaluate o") == ["out=", "overwrite="]
     assert candidates("siamloc map exp") == ["experiment="]
     assert candidates("siamloc map mo") == ["model.", "model/", "mounting."]
+
+
+def test_options_of_ones_own_are_files_in_a_folder_as_the_guide_says(tmp_path, monkeypatch, capsys):
+    guide = (config_folder().parent / "docs/guide/commands.md").read_text(encoding="utf-8")
+    file, text = re.search(r"The file `(.*?)` with\n\n```yaml\n(.*?)```", guide, flags=re.DOTALL).groups()
+    command = re.search(r'`siamloc (train --config-dir "my conf" protocol=mine) \.\.\.`', guide)[1]
+    (tmp_path / file).parent.mkdir(parents=True)
+    (tmp_path / file).write_text(text, encoding="utf-8")
+    monkeypatch.chdir(tmp_path)
+    done(*shlex.split(command), "data.manifest=x", "--cfg", "job")
+    assert "- monday" in capsys.readouterr().out
