@@ -56,7 +56,7 @@ from siamloc.training.run_folder import (
     progress,
 )
 from siamloc.training.settings import Training
-from siamloc.training.stopping import StepCheckpoints, first_interrupt_asks, interrupts_raised
+from siamloc.training.stopping import StepCheckpoints, first_interrupt_asks, interrupts_raised, sigterm_ends_the_start
 from siamloc.training.trainer import computing, on_gpu, precision_of, quiet, run_trainer, steps_of
 from siamloc.training.worst_queries import WorstQueries
 
@@ -352,9 +352,17 @@ def _train(trainer: Trainer, module: NetworkModule, data: EpochDataModule, run: 
     try:
         steps = next(one for one in trainer.checkpoint_callbacks if isinstance(one, StepCheckpoints))
         # With several processes, one could stop a step before the others, which would then wait for it.
-        asking = first_interrupt_asks(steps) if trainer.world_size == 1 else nullcontext()
+        single = trainer.world_size == 1
+        asking = first_interrupt_asks(steps) if single else nullcontext()
+        starting = sigterm_ends_the_start(steps) if single else nullcontext()
         device = trainer.strategy.root_device
-        with kept_memory(), interrupts_raised(), torch.random.fork_rng([device] * (device.type == "cuda")), asking:
+        with (
+            kept_memory(),
+            interrupts_raised(),
+            torch.random.fork_rng([device] * (device.type == "cuda")),
+            asking,
+            starting,
+        ):
             trainer.fit(module, datamodule=data, ckpt_path=start, weights_only=True)
         if steps.asked:  # in the last epoch, when nothing was left to stop
             raise KeyboardInterrupt(f"the training finished before it could be stopped: {run.folder}")

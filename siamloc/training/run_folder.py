@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import multiprocessing
 import sys
 from collections.abc import Mapping
 from pathlib import Path
@@ -55,8 +56,13 @@ def check_folder(run: Run, resume: bool, overwrite: bool) -> None:
         overwrite: the run is to be replaced.
 
     Raises:
-        ConfigError: the folder cannot be used in this way.
+        ConfigError: the folder cannot be used in this way, or a process of a training imports its script.
     """
+    if getattr(multiprocessing.current_process(), "_inheriting", False):  # as multiprocessing itself asks
+        raise ConfigError(
+            "a process that the training started runs the whole script again, as the start method spawn does: put what "
+            'the script does under `if __name__ == "__main__":`, or set workers=0'
+        )
     if resume and overwrite:
         raise ConfigError("resume=true continues a run, overwrite=true removes it: choose one")
     if resume:

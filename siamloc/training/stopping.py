@@ -39,10 +39,11 @@ class StepCheckpoints(Checkpoint):
 
     Attributes:
         asked: whether the training shall stop at the end of the step.
+        begun: whether there are steps to finish, and not only workers that start.
     """
 
     def __init__(self, path: Path, every: int | None, guard: FiniteGuard) -> None:
-        self.asked = False
+        self.asked = self.begun = False
         self._path, self._every, self._guard = path, every, guard
         self._due = self._saving = False
         self._step = 0
@@ -50,6 +51,7 @@ class StepCheckpoints(Checkpoint):
 
     def on_train_start(self, trainer: Trainer, pl_module: LightningModule) -> None:
         """Restore the sums of the epoch that a checkpoint within the epoch holds."""
+        self.begun = True
         self._step = trainer.global_step
         if self._sums and isinstance(pl_module, NetworkModule):
             pl_module.load_epoch_sums({name: value.to(pl_module.device) for name, value in self._sums.items()})
@@ -154,6 +156,25 @@ def first_interrupt_asks(checkpoints: StepCheckpoints) -> Iterator[None]:
 
 
 @contextmanager
+def sigterm_ends_the_start(checkpoints: StepCheckpoints) -> Iterator[None]:
+    """Stop the training at once at a SIGTERM before its first step, which Lightning would wait for."""
+    before, owner = signal.getsignal(signal.SIGTERM), os.getpid()
+    if threading.current_thread() is not threading.main_thread() or before is not signal.SIG_DFL:
+        yield
+        return
+
+    def end(*_: object) -> None:
+        if not checkpoints.begun and os.getpid() == owner:
+            raise KeyboardInterrupt
+
+    signal.signal(signal.SIGTERM, end)  # Lightning calls it after its own
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)
+
+
+@contextmanager
 def interrupts_raised() -> Iterator[None]:
     """Raise KeyboardInterrupt where Lightning responds to Ctrl-C or SIGTERM by exiting the interpreter.
 
@@ -169,3 +190,7 @@ def interrupts_raised() -> Iterator[None]:
         if pressed:
             signal.signal(signal.SIGINT, before)
         raise KeyboardInterrupt from error
+    except Exception as error:
+        if isinstance(error.__context__, KeyboardInterrupt):  # Lightning fails to clean up what had not begun
+            raise KeyboardInterrupt from error
+        raise

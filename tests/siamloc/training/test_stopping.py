@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import multiprocessing
 import os
 import signal
 import sys
@@ -14,6 +15,7 @@ import siamloc
 from augment.torchvision_compat import ensure_torchvision
 from siamloc.errors import ConfigError
 from siamloc.models.weights import read_checkpoint
+from siamloc.training.pair_batches import PairDataModule
 from siamloc.training.run_folder import progress
 from siamloc.training.stopping import StepCheckpoints
 from tests.siamloc.training.conftest import SETTINGS, Small
@@ -114,6 +116,22 @@ def test_a_signal_ends_the_step_and_the_training_goes_on_there(train, tmp_path, 
     with pytest.raises(ConfigError, match=REFUSED[epochs]):
         train("cut", kind, resume=True, epochs=epochs)
     same(whole, train("cut", kind, resume=True))
+
+
+def test_sigterm_before_the_first_step_ends_the_training_at_once(train, monkeypatch):
+    """As while workers start, which may hang."""
+    monkeypatch.setattr(PairDataModule, "train_dataloader", lambda _: os.kill(os.getpid(), signal.SIGTERM))
+    before = signal.getsignal(signal.SIGTERM)
+    with pytest.raises(KeyboardInterrupt, match="stopped after 0 of 3 epochs"):
+        train("cut", "pairs")
+    assert signal.getsignal(signal.SIGTERM) is before
+
+
+def test_a_process_that_imports_the_script_trains_nothing(train, tmp_path, monkeypatch):
+    monkeypatch.setattr(multiprocessing.current_process(), "_inheriting", True, raising=False)
+    with pytest.raises(ConfigError, match=r"runs the whole script again.* under `if __name__ == "):
+        train("cut", "pairs")
+    assert not (tmp_path / "cut").exists()
 
 
 def test_a_second_training_in_the_same_folder_is_refused(train):
