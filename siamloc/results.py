@@ -150,7 +150,7 @@ def _is_name(value: Any) -> bool:
 
 
 def add_pictures(folder: str | Path, names: Iterable[str]) -> None:
-    """Add the names of pictures that were drawn from a result folder to its `results.json`.
+    """Add the names of pictures that are drawn from a result folder to its `results.json`.
 
     Raises:
         FormatError: as `read_results`.

@@ -198,7 +198,8 @@ class Result:
             return []
         from siamloc.report.draw import save_all
 
-        return save_all(folder, self.layer, occupancy)  # last: no picture that fails takes the measures with it
+        # Last: a picture that cannot be drawn must not cost the measures.
+        return save_all(folder, self.layer, occupancy)
 
     def as_dict(self) -> dict[str, Any]:
         """Return the content of `results.json`, without the tables."""

@@ -63,7 +63,7 @@ class Evaluate(RunJob):
                                           whether it is lost: above task.lost_above=1.0, or from another building
         heading=hog                       estimates headings for a network; as the map does if not given
         mounting.yaw=90                   how the camera is mounted, as for `siamloc map`; that of the map if not given
-        task=hierarchical build=incremental|spectral|som|sample|rooms
+        task=hierarchical build=incremental|incremental_sparse|spectral|som|sample|rooms
                                           search the nodes of a map first, then the frames inside the nearest ones
         task.candidates=3                 number of nodes; task.coarse.ratio=1.3 leaves out those much farther than
                                           the nearest, task.along=2 adds two frames of the drive on either side of
@@ -104,6 +104,8 @@ class Evaluate(RunJob):
 
     def run(self, say: Say = quiet) -> Result:
         """Measure the task and write its results."""
+        from siamloc.report.draw import save_all
+
         run = self.here
         shared = run.evaluation(self.name) if self.out is None else Path(self.out)
         if self.out is None:
@@ -111,22 +113,29 @@ class Evaluate(RunJob):
         else:
             folder = shared / sweep_suffix()  # of all swept keys, since `out` says nothing about the run
         self._check_folder(folder)
-        if self.plan is not None:
-            read_occupancy(self.plan)  # refused before anything is measured
+        occupancy = None if self.plan is None else read_occupancy(self.plan)  # refused before anything is measured
         result = self._measure(say)
         if folder != shared:
             result = replace(result, name=with_swept(result.name))
         if swept():
             result = replace(result, about={**result.about, "swept": dict(swept())})
-        pictures = result.save(folder, pictures=self.task.plots, plan=self.plan)
-        if self.out is None:
-            run.record_written(files_in(folder))
+        result.save(folder, pictures=False)
+        self._record(folder)
         say(f"data: {self.data.summary()}")
         say(result.table())
-        for path in pictures:
-            say(f"picture: {path}")
         say(f"results: {folder / 'results.json'}, one row each in {folder / next(iter(result.tables))}.csv")
+        if self.task.plots:  # last: a picture that cannot be drawn must not cost the measures
+            try:
+                for path in save_all(folder, result.layer, occupancy):
+                    say(f"picture: {path}")
+            finally:
+                self._record(folder)
         return result
+
+    def _record(self, folder: Path) -> None:
+        """Record the files of a result folder in the run, unless the user chose the folder."""
+        if self.out is None:
+            self.here.record_written(files_in(folder))
 
     @property
     def label(self) -> str:

@@ -83,7 +83,7 @@ def pictures(
 def save_all(folder: str | Path, layer: str | Path | None = None, occupancy: OccupancyMap | None = None) -> list[Path]:
     """Draw every plot that a result folder holds the numbers for, save them there, and return the files.
 
-    Their names are added to `results.json`, also if a later one cannot be drawn.
+    Their names are added to `results.json` first, so that none is left behind when these results are replaced.
 
     Args:
         folder: result folder of an evaluation, with `results.json` and its tables.
@@ -99,16 +99,13 @@ def save_all(folder: str | Path, layer: str | Path | None = None, occupancy: Occ
     tables = {table: read_rows(folder, table) for table in _TABLES if table in results["tables"]}
     name = name_of(results)
     made = pictures(results["measures"], tables, name, occupancy)
-    drawn: list[Path] = []
-    log = None if layer is None else Path(layer) / "events.jsonl"
-    try:
-        for key, draw in made.items():
-            drawn.append(save(draw(), target / f"{key}.png"))
-        if "nodes" in made and log is not None and log.is_file():
-            plan = node_plan(results["measures"]["mapping"], tables["frames"], tables["nodes"], name, occupancy)
-            drawn.append(animate(read_story(log, plan), target / "growth.gif"))
-    finally:
-        add_pictures(folder, [path.name for path in drawn])
+    log = None if layer is None or "nodes" not in made else Path(layer) / "events.jsonl"
+    log = log if log is not None and log.is_file() else None
+    add_pictures(folder, [*(f"{key}.png" for key in made), *(["growth.gif"] if log is not None else [])])
+    drawn = [save(draw(), target / f"{key}.png") for key, draw in made.items()]
+    if log is not None:
+        plan = node_plan(results["measures"]["mapping"], tables["frames"], tables["nodes"], name, occupancy)
+        drawn.append(animate(read_story(log, plan), target / "growth.gif"))
     return drawn
 
 

@@ -6,6 +6,7 @@ import pytest
 from siamloc.cli import main
 from siamloc.maps import CoarseLayer, VisualMap
 from siamloc.results import read_results, read_rows
+from siamloc.runs import Run
 from tests.siamloc.cli.commands import QUICK, done, measures
 
 SMALLER = {
@@ -36,6 +37,21 @@ def test_any_descriptor_is_evaluated_like_a_network(words, tmp_path, name):
         done("evaluate", *given, "task.baselines=[thumbnail]")
         assert (folder / "queries.csv").read_text() == before, "a saved map gives the same results"
         assert VisualMap.load(folder / "map.npz").orientation is not None
+
+
+def test_a_picture_that_fails_costs_neither_the_record_nor_the_output(words, tmp_path, monkeypatch, capsys):
+    def fail(*_):
+        raise ValueError("cannot be drawn")
+
+    run = Run(tmp_path)
+    run.start({}, [])
+    monkeypatch.setattr("siamloc.report.draw.suitable.error_curve", fail)
+    with pytest.raises(ValueError, match="cannot be drawn"):
+        main(["evaluate", *map(str, words), f"run={tmp_path}", "descriptor=hog", "task.baselines=[]"])
+    folder = tmp_path / "evaluation/hog"
+    assert f"results: {folder / 'results.json'}" in capsys.readouterr().out
+    written = {f"evaluation/hog/{name}" for name in ("results.json", "queries.csv", "floor_plan.png")}
+    assert written <= set(run.load_record()["written"])
 
 
 def test_ordinary_cameras_have_no_heading(words, tmp_path):

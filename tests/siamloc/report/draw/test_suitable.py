@@ -112,8 +112,10 @@ def test_a_picture_that_fails_costs_neither_the_measures_nor_other_pictures(
     monkeypatch.setattr(suitable, "error_curve", fail)
     with pytest.raises(ValueError, match="cannot be drawn"):
         result.save(tmp_path)
-    assert read_results(tmp_path)["pictures"] == ["floor_plan.png"]
+    assert [path.name for path in tmp_path.glob("*.png")] == ["floor_plan.png"]
     assert Result.load(tmp_path).parts == result.parts
+    result.save(tmp_path, pictures=False)
+    assert not list(tmp_path.glob("*.png")), "also a picture that was drawn before the failing one is removed"
 
 
 def test_a_panel_per_lighting() -> None:
