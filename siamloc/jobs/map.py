@@ -62,7 +62,7 @@ class MapFrames(RunJob):
                                         the panorama's middle looks 90 degrees to the left of the heading;
                                         mounting.mirrored=true, mounting.ahead=0.3, mounting.left=-0.1; what is not said
                                         is straight, so mounting.yaw=0 alone switches the estimate off
-        build=incremental|spectral|som|sample|rooms
+        build=incremental|incremental_sparse|spectral|som|sample|rooms
                                         also group the frames into nodes, and write that coarse layer
         build.nodes=40 build.y=1.5      its parameters; `siamloc map build=... --cfg job` lists them
         update.sequences=[tuesday]      maintain the map instead, by drives with positions, or without if the map can

@@ -186,8 +186,11 @@ class Built:
         if self.reasons and len(self.layer) == 1:
             text += (
                 "; one node: the thresholds count frames that lie a few centimetres apart, so take more frames into "
-                "the map (protocol.map.every=1), or use build=incremental_sparse"
+                "the map (protocol.map.every=1)"
             )
+            sparse = IncrementalSparse().plain()
+            if any(self.layer.made.get(key) != value for key, value in sparse.items()):
+                text += ", or use build=incremental_sparse"
         return text
 
     @classmethod
@@ -240,7 +243,8 @@ def group(
         array(['hall', 'office'], dtype='<U6')
     """
     settings = WAYS[known_name(way, WAYS, "build")].of(parameters)
-    made = {"name": way, **settings.plain(), **({} if isinstance(settings, Rooms | Incremental) else {"seed": seed})}
+    name = "incremental" if isinstance(settings, Incremental) else way  # with thresholds of its own
+    made = {"name": name, **settings.plain(), **({} if isinstance(settings, Rooms | Incremental) else {"seed": seed})}
     if folder is not None and (found := _built_before(Path(folder), known, made)) is not None:
         return found
     start = time.perf_counter()

@@ -8,6 +8,7 @@ from siamloc.data.frames import FrameTable
 from siamloc.errors import ConfigError, DataError, FormatError
 from siamloc.maps import Built, CoarseLayer, VisualMap, group
 from siamloc.maps.coarse import UNASSIGNED, connections
+from siamloc.maps.grouping import IncrementalSparse
 
 RNG = np.random.default_rng(2)
 ROOMS = ["a"] * 4 + ["b"] * 5 + [""] * 1 + ["a"] * 2
@@ -115,6 +116,16 @@ def test_an_incremental_layer_is_the_mappers(driven):
     sparse = driven.take(slice(0, 90, 3))
     assert len(group(sparse, "incremental", progress=False).layer) == 1
     assert len(group(sparse, "incremental_sparse", progress=False).layer) == 3
+
+
+def test_the_thresholds_for_sparse_frames_are_those_of_the_incremental_mapper(driven, tmp_path):
+    layer = {"folder": tmp_path / "layer", "progress": False}
+    built = group(driven.take(slice(0, 12)), "incremental", **layer, **IncrementalSparse().plain())
+    again = group(driven.take(slice(0, 12)), "incremental_sparse", **layer)
+    assert again.mapper is None, "it was read"
+    assert again.layer.made["name"] == "incremental"
+    assert len(built.layer) == 1
+    assert "incremental_sparse" not in again.summary(), "no advice to take what was taken"
 
 
 def test_a_layer_that_was_built_before_is_read_and_another_is_built(driven, tmp_path):
