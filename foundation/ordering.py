@@ -9,13 +9,13 @@ from typing import Any
 
 
 def by_numbers(path: Path) -> list[Any]:
-    """Return what sorts paths by the numbers in their names, and those with equal numbers, such as 1 and 01, as texts.
+    """Return a sort key that orders paths by the numbers in their names; equal ones, such as 1 and 01, by their text.
 
     Example:
         >>> [path.name for path in sorted([Path("bins-16"), Path("bins-4")], key=by_numbers)]
         ['bins-4', 'bins-16']
     """
-    split = [(re.split(r"(\d+(?:\.\d+)?)", name), name) for name in path.parts]
+    split = [(re.split(r"(\d+(?:\.\d+)?(?:e[+-]\d{1,3}(?!\d))?)", name), name) for name in path.parts]
     return [
         ([(Decimal(part), "") if place % 2 else (Decimal(0), part) for place, part in enumerate(parts)], name)
         for parts, name in split
