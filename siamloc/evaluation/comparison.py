@@ -89,7 +89,9 @@ def highest_is_best(measure: str) -> bool:
 def _unit(measure: str, results: Iterable[Mapping[str, Any]]) -> str:
     """Return the unit of a measure that is a length, if all evaluations share it; "" otherwise."""
     units = {part["unit"] for one in results for part in one["measures"].values() if part and "unit" in part}
-    return units.pop() if len(units) == 1 and not _LENGTHS.isdisjoint(measure.split(".")) else ""
+    names = measure.split(".")
+    length = not _LENGTHS.isdisjoint(names) and names[-1] != "count"
+    return units.pop() if len(units) == 1 and length else ""
 
 
 def _chosen(by: str | None, known: Sequence[str], parts: Container[str]) -> str:

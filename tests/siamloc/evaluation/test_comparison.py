@@ -46,6 +46,7 @@ def test_rows_hold_what_was_swept_and_the_measures_and_the_best_comes_first(meas
     ]
     overall = measured.parts["absolute"]["overall"]
     assert (found.unit, compare(tmp_path, by="hit_rate").unit) == ("m", "")
+    assert compare(tmp_path, by="absolute.overall.error.count").unit == "", "a number of queries"
     assert found.best["hit_rate"] == overall["hit_rate"][0]["rate"]
     assert found.best["recall@1_0.5"] == overall["recall"][0]["recall"]
     assert found.best["room"] == measured.parts["room_retrieval"]["overall"]["accuracy"]
