@@ -61,8 +61,9 @@ _STYLE: dict[str, Any] = {
 }
 # Fonts for names in scripts that matplotlib's own font lacks, of Linux, Windows and macOS.
 _FURTHER_FONTS = (
-    *("Noto Sans CJK JP", "Noto Sans CJK SC", "Noto Sans SC", "WenQuanYi Zen Hei", "WenQuanYi Micro Hei"),
-    *("Droid Sans Fallback", "Microsoft YaHei", "Yu Gothic", "Malgun Gothic", "Hiragino Sans", "Arial Unicode MS"),
+    *("Noto Sans CJK JP", "Noto Sans CJK SC", "Noto Sans SC", "Noto Sans JP", "Noto Sans KR", "WenQuanYi Zen Hei"),
+    *("WenQuanYi Micro Hei", "Droid Sans Fallback", "Microsoft YaHei", "SimHei", "Yu Gothic", "Malgun Gothic"),
+    *("PingFang SC", "Hiragino Sans", "Arial Unicode MS"),
     *("Noto Sans Devanagari", "Noto Sans Thai", "Nirmala UI", "Leelawadee UI"),
 )
 _UNNAMED = re.compile(r"(_child\d+)?")  # the labels that matplotlib gives to what has none
@@ -89,15 +90,18 @@ def style() -> Iterator[None]:
     # The backend is the calling program's choice, and reading or setting it here could load one.
     settings = {key: value for key, value in settings.items() if not key.startswith("backend")}
     log = logging.getLogger(font_manager.__name__)
-    level = log.level
+
+    def only_errors(record: logging.LogRecord) -> bool:  # of this call: drawings in several threads share the logger
+        return record.levelno >= logging.ERROR
+
     with matplotlib.rc_context(settings), warnings.catch_warnings():
         # Letters that no font has are boxes in a PNG; in an SVG the reader's fonts count. Not every font has bold ones.
         warnings.filterwarnings("ignore", r"Glyph \d+ |Matplotlib currently does not support", UserWarning)
-        log.setLevel(logging.ERROR)
+        log.addFilter(only_errors)
         try:
             yield
         finally:
-            log.setLevel(level)
+            log.removeFilter(only_errors)
 
 
 @cache
@@ -170,7 +174,7 @@ def shared_legend(
 
 
 def legend_entries(*panels: Axes) -> tuple[list[Any], list[str]]:
-    """Return what is drawn with a label in some panels, and the labels, for a legend.
+    """Return the lines and collections with a label in some panels, and their labels, for a legend.
 
     Matplotlib itself leaves out labels that begin with an underscore, as a user's names may.
     """

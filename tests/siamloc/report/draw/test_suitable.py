@@ -1,6 +1,8 @@
 from __future__ import annotations
 
+import logging
 import sys
+import warnings
 from dataclasses import replace
 from pathlib import Path
 
@@ -14,7 +16,7 @@ from siamloc.maps import VisualMap
 from siamloc.report.draw import pictures, save_all, suitable
 from siamloc.report.draw.errors import compared_curves, error_curve, estimate_curve
 from siamloc.report.draw.floor_plan import along, floor_plan
-from siamloc.report.draw.look import Picture
+from siamloc.report.draw.look import Picture, style
 from siamloc.report.draw.rooms import confusion
 from siamloc.report.draw.training import training_curves
 from siamloc.results import read_results, read_rows
@@ -209,3 +211,12 @@ def test_drawing_leaves_the_users_settings_alone() -> None:
     confusion(["a"], {"night": [[1]]}).rendered("png")
     assert dict(matplotlib.rcParams) == before
     assert "matplotlib.pyplot" not in sys.modules or not matplotlib.pyplot.get_fignums()
+    log = logging.getLogger("matplotlib.font_manager")
+    level, filters = log.level, [*log.filters]
+    with matplotlib.rc_context(), warnings.catch_warnings():
+        first, second = style(), style()
+        for step in (first.__enter__, second.__enter__):
+            step()
+        for one in (first, second):  # as in two threads
+            one.__exit__(None, None, None)
+    assert (log.level, log.filters) == (level, filters)
