@@ -50,7 +50,7 @@ def draw(rows: Sequence[Mapping[str, Any]], path: Path) -> Path:
             axes.set(xscale="log", yscale="log", title=title, xlabel="frames of the map", ylabel=unit)
             axes.grid(color="0.92", linewidth=0.6)
             for axis in (axes.xaxis, axes.yaxis):
-                axis.set_major_formatter("{x:g}")
+                axis.set_major_formatter("{x:,.10g}")
                 axis.set_minor_locator(NullLocator())
         handles, labels = axes.get_legend_handles_labels()
         figure.legend(handles, labels, loc="outside lower center", ncols=len(labels))

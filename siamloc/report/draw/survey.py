@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 _PICTURES = 80
 _DOTS_PER_INCH = 110
 # Neither has a colour of a drive.
-_LOOP: dict[str, Any] = {"color": SOFT, "linewidth": 0.6}
+_LOOP: dict[str, Any] = {"color": SOFT, "linewidth": 0.6, "alpha": 0.35}
 _REFUSED: dict[str, Any] = {"color": INK, "linewidth": 0.9, "linestyle": (0, (4, 2))}
 _BEHIND = 12  # frames of the path that are drawn boldly behind the robot
 
@@ -100,7 +100,7 @@ def _driven(found: Survey) -> list[NDArray[np.uint8]]:
     margin = 0.05 * extent.max()
     axes.set(xlim=(xy[:, 0].min() - margin, xy[:, 0].max() + margin))
     axes.set(ylim=(xy[:, 1].min() - margin, xy[:, 1].max() + margin))
-    closed = LineCollection([], alpha=0.35, **_LOOP)
+    closed = LineCollection([], **_LOOP)
     axes.add_collection(closed)
     drive = found.graph.drive
     paths = [axes.plot([], [], linewidth=1.2, **_look(number))[0] for number in range(int(drive.max()) + 1)]
@@ -125,7 +125,7 @@ def _driven(found: Survey) -> list[NDArray[np.uint8]]:
 def _add_loops(axes: Axes, found: Survey) -> None:
     xy = found.frames.xy
     contradicted = np.array([reason.name == "CONTRADICTED" for reason in found.loops.reason.tolist()], dtype=bool)
-    for rows, options in ((found.loops.accepted, {**_LOOP, "alpha": 0.35}), (contradicted, _REFUSED)):
+    for rows, options in ((found.loops.accepted, _LOOP), (contradicted, _REFUSED)):
         ends = np.stack([xy[found.loops.first[rows]], xy[found.loops.second[rows]]], axis=1)
         axes.add_collection(LineCollection(list(ends), **options))
 
