@@ -83,7 +83,8 @@ def thin(known: VisualMap, *, settings: Budget = OF_FIELDS, **fields: Any) -> Th
     Of the two frames nearby whose descriptors are the most alike, the one that the last drives did not recognize is
     forgotten (the one contradicted more often), or else the one that the last drive found more changed, or confirmed
     less often, or the later one, and so on. Frames of one place under different lights, or before and after a change,
-    are less alike than consecutive frames, and so stay longer. Squares with too many frames lose theirs first.
+    are less alike than consecutive frames, and so stay longer. Frames of squares that hold too many
+    are forgotten first.
 
     Args:
         known: the map.
