@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.ticker import MaxNLocator, MultipleLocator
 
+from foundation.ordering import by_numbers
 from siamloc.errors import ConfigError, DataError, hint
 from siamloc.report.draw.look import (
     DASHES,
@@ -42,6 +44,7 @@ _DISTURBANCES_ACROSS = 4
 _NOISE_TICKS = (0, 0.1, 0.4, 1)  # of the largest variance: evenly spaced on a square-root axis
 _LOG_FROM = 8  # ratio of the largest to the smallest setting from which the axis is logarithmic
 _LINES_ACROSS = 3  # legend entries per row
+_LETTERS_ACROSS = 80  # in a row of names, or of a legend
 
 
 @style()
@@ -75,7 +78,7 @@ def compact_curves(measures: Mapping[str, Any]) -> Picture:
     took.set(title="time of a search", ylabel="[µs a query]", ylim=(0, None))
     for axes in (errors, shape, took):
         axes.set_xlabel("nodes")
-        axes.xaxis.set_major_locator(MaxNLocator(6, integer=True))
+        axes.xaxis.set_major_locator(MaxNLocator(6, integer=True, steps=[1, 2, 5, 10]))
     shared_legend(figure, len(ways))
     return figure
 
@@ -220,14 +223,19 @@ def swept_curves(
     elif against not in settings:
         raise ConfigError(f"{against!r} does not differ: {hint(against, settings)}")
     numeric = against in numbers
-    values: list[Any] = sorted({row[against] if numeric else _shown(row[against]) for row in usable})
+    shown = {row[against] if numeric else _shown(row[against]) for row in usable}
+    values: list[Any] = sorted(shown, key=None if numeric else _by_numbers)
     places = {_shown(value): value if numeric else number for number, value in enumerate(values)}
     others = [name for name in settings if name != against and (numeric or not _follows(usable, name, against))]
     lines: dict[str, list[tuple[Any, float]]] = {}
-    for row in sorted(usable, key=lambda row: [_shown(row[name]) for name in others]):
+    for row in sorted(usable, key=lambda row: [_by_numbers(_shown(row[name])) for name in others]):
         label = ", ".join(f"{name}={_shown(row[name])}" for name in others)
         lines.setdefault(label, []).append((places[_shown(row[against])], row[by]))
-    figure, (axes,) = panels(1, 6.4, 4.0 + 0.2 * (len(lines) // _LINES_ACROSS))
+    across = int(np.clip(_LETTERS_ACROSS // (max(map(len, lines)) + 6), 1, _LINES_ACROSS))
+    longest = max(map(len, places))
+    turned = not numeric and (longest + 2) * len(places) > _LETTERS_ACROSS
+    size = max(6.4, 0.24 * len(places) + 1) if turned else 6.4, 4.0 + 0.055 * longest * turned
+    figure, (axes,) = panels(1, size[0], size[1] + 0.2 * (len(lines) // across))
     for i, (label, points) in enumerate(lines.items()):
         look = {**series_look(i), **({} if numeric else {"linestyle": "none", "markersize": 5})}
         axes.plot(*zip(*sorted(points), strict=True), label=label, **look)
@@ -239,10 +247,11 @@ def swept_curves(
         axes.xaxis.set_major_formatter("{x:g}")
         axes.set_xticks([], minor=True)
     if not numeric or len(values) <= 12:
-        axes.set_xticks(list(places.values()), [_shown(value) for value in values])
+        words: dict[str, Any] = {"rotation": 45, "ha": "right", "rotation_mode": "anchor"} if turned else {}
+        axes.set_xticks(list(places.values()), [_shown(value) for value in values], **words)
     measure = f"{by} [{unit}]" if unit else by
     axes.set(xlabel=against, ylabel=f"{measure} ({'higher' if highest else 'lower'} is better)")
-    shared_legend(figure, _LINES_ACROSS)
+    shared_legend(figure, across)
     return figure
 
 
@@ -250,6 +259,10 @@ def _follows(rows: Sequence[Mapping[str, Any]], name: str, other: str) -> bool:
     """Whether a setting has only one value for each value of another one."""
     pairs = {(_shown(row[other]), _shown(row[name])) for row in rows}
     return len(pairs) == len({of for of, _ in pairs})
+
+
+def _by_numbers(shown: str) -> list[Any]:
+    return by_numbers(Path(shown))
 
 
 def _shown(value: Any) -> str:

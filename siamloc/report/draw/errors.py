@@ -39,14 +39,15 @@ _WIDEST, _LINE = 64, 0.17  # characters of a line of the legend below all panels
 
 _ALL = "all queries"
 _HOLLOW = {"markerfacecolor": "none", "markeredgewidth": 1.8}
-# The marks of a row of mean errors, which may coincide: label, path of the error in a group of measures, and look.
+# The marks of a row of mean errors, whose sizes keep each visible where they coincide: label, path of the error in a
+# group of measures, and look.
 _MEANS: tuple[tuple[str, tuple[str, ...], dict[str, Any]], ...] = (
-    ("floor", ("floor",), {"color": SOFT, "marker": "|", "markersize": 11, "markeredgewidth": 2.5}),
-    ("whole map", ("absolute", "error"), {"color": SERIES[0], "marker": "s", "markersize": 12, **_HOLLOW}),
-    ("perfect nodes", ("perfect_coarse", "error"), {"color": SERIES[4], "marker": "D"}),
-    ("right node", ("given_right", "error"), {"color": SERIES[3], "marker": "^"}),
-    ("wrong node", ("given_wrong", "error"), {"color": SERIES[5], "marker": "v"}),
-    ("hierarchical", ("error",), {"color": INK, "marker": "o", "markersize": 8, **_HOLLOW}),
+    ("floor", ("floor",), {"color": SOFT, "marker": "|", "markersize": 22, "markeredgewidth": 2.5}),
+    ("whole map", ("absolute", "error"), {"color": SERIES[0], "marker": "s", "markersize": 16, **_HOLLOW}),
+    ("perfect nodes", ("perfect_coarse", "error"), {"color": SERIES[4], "marker": "D", "markersize": 8.5}),
+    ("right node", ("given_right", "error"), {"color": SERIES[3], "marker": "^", "markersize": 7}),
+    ("wrong node", ("given_wrong", "error"), {"color": SERIES[5], "marker": "v", "markersize": 4}),
+    ("hierarchical", ("error",), {"color": INK, "marker": "o", "markersize": 13, **_HOLLOW}),
 )
 
 # A curve: its label, the errors, and how it looks.
@@ -172,7 +173,7 @@ def node_errors(measures: Mapping[str, Any]) -> Picture:
     for i, (label, _, look) in enumerate(_MEANS):
         points = [(row[i], place) for place, row in enumerate(values) if row[i] is not None]
         if points:
-            look = {"markersize": 5, "markeredgewidth": 0, "zorder": 3, **look}
+            look = {"markeredgewidth": 0, "zorder": 3, **look}
             axes.plot(*zip(*points, strict=True), label=label, linestyle="none", **look)
     scale_errors(axes.xaxis, known, f"mean error [{measures['unit']}]", lowest=0)
     axes.set_yticks(range(len(groups)), list(groups))

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
+from matplotlib.colors import to_rgb
 
 from siamloc.errors import ConfigError, DataError
 from siamloc.report.draw.curves import compact_curves, pair_curves, robustness_curves, swept_curves
@@ -86,6 +88,20 @@ def test_the_errors_of_a_hierarchy(full: Path) -> None:
     assert "wrong node" not in text_of(node_errors(found)), "what no query has is not in the legend"
 
 
+def test_errors_of_a_hierarchy_that_coincide_are_all_visible() -> None:
+    one = {"mean": 0.3}
+    within = {key: {"error": one} for key in ("absolute", "perfect_coarse", "given_right", "given_wrong")}
+    figure = node_errors({"unit": "m", "lighting": {}, "overall": {**within, "floor": one, "error": one}})
+    (axes,) = figure.axes
+    colours = {line.get_label(): to_rgb(line.get_color()) for line in axes.lines[1:]}
+    figure.legends[0].remove()
+    picture = cv2.imdecode(np.frombuffer(figure.rendered("png", dpi=150), np.uint8), cv2.IMREAD_COLOR)[:, :, ::-1]
+    for label, colour in colours.items():
+        shown = np.abs(picture - 255 * np.array(colour)).max(axis=2) < 8
+        assert shown.sum() > 12, label
+    assert len(colours) == 6
+
+
 def test_each_way_of_a_compact_map_has_its_own_floor() -> None:
     curves = [
         {"way": way, "nodes": nodes, "floor": 1 / nodes, "silhouette": 0, "descriptor_silhouette": 0, "search_ms": 1}
@@ -97,7 +113,7 @@ def test_each_way_of_a_compact_map_has_its_own_floor() -> None:
     floors = [line for line in figure.axes[0].lines if "floor" in str(line.get_label())]
     assert len({line.get_color() for line in floors}) == len({line.get_label() for line in floors}) == 2
     for axes in figure.axes:
-        assert all(tick == round(tick) for tick in axes.get_xticks())
+        assert {5, 10, 15, 20} <= set(axes.get_xticks())
 
 
 def test_robustness_curves_hold_every_level(full: Path) -> None:
@@ -161,6 +177,19 @@ def test_names_are_points_without_lines_and_what_follows_from_them_is_left_out()
     assert figure.axes[0].get_ylabel() == "error [m] (lower is better)"
     rows += [{**row, "distance": "euclidean"} for row in rows]
     assert set(lines_of(swept_curves(rows, ["descriptor", "distance"], "error"))) > {"distance=euclidean"}
+
+
+def test_many_long_names_are_turned_and_in_the_order_of_their_numbers():
+    rows = [{"run": f"a-network-with-margin-{i}", "k": f"{i % 2 + 9} of them", "error": i} for i in range(30)]
+    figure = swept_curves(rows, ["run", "k"], "error")
+    (axes,), names = figure.axes, [row["run"] for row in rows]
+    figure.draw_without_rendering()
+    assert [label.get_text() for label in axes.get_xticklabels()] == names
+    assert {label.get_rotation() for label in axes.get_xticklabels()} == {45}
+    assert all(figure.bbox.x0 <= label.get_window_extent().x0 for label in axes.get_xticklabels())
+    assert axes.get_window_extent().height > 200
+    figure = swept_curves([{**row, "run": f"{row['k']}, {row['run']}", "k": 0} for row in rows[:4]], ["run"], "error")
+    assert [label.get_text()[:3] for label in figure.axes[0].get_xticklabels()] == ["9 o", "9 o", "10 ", "10 "]
 
 
 def test_a_long_logarithmic_axis_has_plain_numbers():
