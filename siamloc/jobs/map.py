@@ -169,10 +169,11 @@ class MapFrames(RunJob):
             # Removed first and written last: an interruption leaves no nodes next to a map that they do not fit.
             (folder / "layer.npz").unlink(missing_ok=True)
         known.save(path)
-        save(staleness_picture(*updates), picture := path.with_name("staleness.png"))
         if built is not None and known.digest != before:
             built.save(folder)
+        picture = path.with_name("staleness.png")
         self.here.record_written([path, picture, *(files_in(folder) if built is not None else [])])
+        save(staleness_picture(*updates), picture)
         say(f"picture: {picture}")
         if not swept():
             refined = Refinement.saved(path.with_name("refinement.json")) if self.build.name == "none" else None

@@ -446,7 +446,9 @@ def test_the_command_maintains_the_saved_map_and_its_nodes(drives, tmp_path, cap
     done("map", *common, *counts, "update.sequences=[changed]", "update.radius=30")
     assert "the map is up to date" in capsys.readouterr().out, "the corridor is 24 m long"
     assert len(VisualMap.load(saved)) == before
-    done("map", *common, *counts, "update.sequences=[changed]")
+    with patch("siamloc.report.draw.staleness.staleness_picture", side_effect=KeyboardInterrupt):
+        assert main(["map", *common, *counts, "update.sequences=[changed]"]) == 130
+    assert layer.exists(), "map and nodes are saved before the picture is drawn"
     assert " joined the map, " in capsys.readouterr().out
     known = VisualMap.load(saved)
     assert len(known) > before
