@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -40,8 +40,8 @@ def read_calibration(path: str | Path, camera: str | Sequence[str] | None = None
     The form of the file is recognized: a camera chain of Kalibr (YAML), what OpenCV's `FileStorage` wrote (YAML, XML or
     JSON) with a camera matrix, distortion coefficients, and `xi` for `cv2.omnidir`, ROS's camera info (YAML, or the
     `camera_info.json` of a recording, with its topics), CamOdoCal's YAML (model_type MEI or KANNALA_BRANDT, as VINS has
-    it), or `calib_results.txt` of OCamCalib. Of OpenCV's files, those
-    of the fisheye model must say so by `fisheye_model: 1`, or by the `distortion_model` fisheye or equidistant.
+    it), or `calib_results.txt` of OCamCalib. Of OpenCV's files, those of the fisheye model must say so by the key
+    `fisheye_model` with the value 1, or by the `distortion_model` fisheye or equidistant.
 
     Args:
         path: the file.
@@ -71,8 +71,8 @@ def read_calibration(path: str | Path, camera: str | Sequence[str] | None = None
             raise ConfigError(f"{file} is of one camera: leave out camera={camera}")
         kind, values = (_camodocal if "model_type" in content else _opencv)(file, content)
         return kind.of({**values, **where})
-    if camera is None and len(chain) > 1:
-        raise ConfigError(f"{file} is of several cameras: give camera=NAME, one of {', '.join(chain)}")
+    if not camera and len(chain) > 1:
+        raise _several(file, chain)
     names = [_name_in(file, chain, one) for one in ([camera] if isinstance(camera, str) else camera or chain)]
     if len(names) > 2:
         raise ConfigError(f"one camera or two of {file} make a camera, got {len(names)}: choose of {', '.join(chain)}")
@@ -103,12 +103,22 @@ Made = tuple[type[CentralCamera], dict[str, Any]]
 
 
 def _name_in(file: Path, chain: Mapping[str, Any], camera: str) -> str:
-    """Return the name of a camera in a file by this name, or by the topic of its images."""
-    above = camera.removesuffix("/compressed").rpartition("/")
-    for name, values in chain.items():
-        if camera in (name, values.get("rostopic")) or ("/" in name and above[:2] == name.rpartition("/")[:2]):
-            return name
-    raise ConfigError(f"{file} has no camera {camera!r}: {hint(camera, chain)}")
+    """Return the name of a camera in a file by this name, by the topic of its images, or by its only neighbour."""
+    if camera in chain:
+        return camera
+    topic = camera.removesuffix("/compressed")
+    found = [name for name in chain if str(chain[name].get("rostopic")).removesuffix("/compressed") == topic]
+    above = topic.rpartition("/")[:2]
+    found = found or [name for name in chain if "/" in name and name.rpartition("/")[:2] == above]
+    if len(found) > 1:
+        raise _several(file, found, f", and {camera} may be of any")
+    if not found:
+        raise ConfigError(f"{file} has no camera {camera!r}: {hint(camera, chain)}")
+    return found[0]
+
+
+def _several(file: Path, names: Iterable[str], doubt: str = "") -> ConfigError:
+    return ConfigError(f"{file} is of several cameras{doubt}: give camera=NAME, one of {', '.join(names)}")
 
 
 def _kalibr(file: Path, values: Mapping[str, Any], name: str) -> Made:
@@ -164,9 +174,9 @@ def _opencv(file: Path, values: Mapping[str, Any], name: str = "the camera") -> 
     fisheye = model.lower() in ("fisheye", "equidistant") or bool(values.get("fisheye_model"))
     if xi is None and not fisheye and not model and len(bent) == 4:
         raise DataError(
-            f"{name} of {file} has 4 distortion coefficients, and the file does not say of which model: add the line "
-            "'fisheye_model: 1' if it was calibrated by cv2.fisheye, or its xi for cv2.omnidir; pictures of an "
-            "ordinary camera are not unwrapped, set data.circular=false"
+            f"{name} of {file} has 4 distortion coefficients, and the file does not say of which model: add the key "
+            "fisheye_model with the value 1 if it was calibrated by cv2.fisheye, or its xi for cv2.omnidir; pictures "
+            "of an ordinary camera are not unwrapped, set data.circular=false"
         )
     if (xi is None and not fisheye) or len(bent) != 4:
         what = f"the distortion model {model}" if model else "no model"

@@ -204,6 +204,22 @@ def test_the_camera_info_of_a_recording(tmp_path):
         read_calibration(one, "/front/image_raw")
 
 
+def test_a_topic_gives_the_camera_that_has_it_or_is_alone_next_to_it(tmp_path):
+    own = {"width": 640, "height": 480, "distortion_model": "equidistant", "d": BENT.tolist()}
+    cameras = {side: {**own, "k": [fx, 0, 320, 0, fx, 240, 0, 0, 1]} for side, fx in (("left", 200), ("right", 300))}
+    file = written(tmp_path / "a.json", json.dumps({f"/cams/{side}_info": one for side, one in cameras.items()}))
+    assert read_calibration(file, "/cams/right_info").fx == 300
+    several = r"of several cameras, and /cams/right_image may be of any: give camera=NAME, one of /cams/left_info, "
+    with pytest.raises(ConfigError, match=several):
+        read_calibration(file, "/cams/right_image")
+    with pytest.raises(ConfigError, match="of several cameras: give camera=NAME"):
+        read_calibration(file, [])
+    cameras["left"]["rostopic"], cameras["right"]["rostopic"] = "/cams/a", "/cams/b/compressed"
+    file = written(tmp_path / "b.json", json.dumps({f"/cams/{side}_info": one for side, one in cameras.items()}))
+    for topic in ("/cams/b", "/cams/b/compressed"):
+        assert read_calibration(file, topic).fx == 300
+
+
 def test_a_file_of_ocamcalib(tmp_path):
     camera = read_calibration(written(tmp_path / "calib_results.txt", OCAM))
     assert (camera.image_size, camera.cx, camera.cy) == ((1944, 2592), 1293.9, 968.4)
@@ -255,7 +271,7 @@ def test_the_command_line_names_the_file_and_a_run_keeps_the_camera(tmp_path):
     [
         (KALIBR, "cam9", ConfigError, "has no camera 'cam9': .*valid: cam0, cam1"),
         (KALIBR, None, ConfigError, "is of several cameras: give camera=NAME, one of cam0, cam1"),
-        (ROS.replace("distortion_model: equidistant", ""), None, DataError, "add the line 'fisheye_model: 1'"),
+        (ROS.replace("distortion_model: equidistant", ""), None, DataError, "add the key fisheye_model with the value"),
         (KALIBR, "cam3", DataError, "cam3 of .* is of the model eucm with none distortion: Kalibr's omni"),
         (KALIBR, ["cam0", "cam1", "cam2"], ConfigError, "one camera or two"),
         (KALIBR, ["cam1", "cam2"], DataError, "cam2 of .* has no T_cn_cnm1"),
