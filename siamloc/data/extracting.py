@@ -269,10 +269,10 @@ def _write_images(
     for number, (time, image, ending) in enumerate(messages):
         if strict and (late or same or damaged):
             break
+        if number % settings.every:
+            continue
         if isinstance(image, UnreadableImageError):
             damaged.append(str(image))
-            continue
-        if number % settings.every:
             continue
         if time in found:
             same.append(f"{time / 1e9:.3f} s")

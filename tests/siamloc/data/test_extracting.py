@@ -381,6 +381,8 @@ def test_a_damaged_image_does_not_end_an_extraction(tmp_path, caplog, content):
         assert f"1 of 4 images of {topic} in {bag.path} cannot be used, the first: the image at" in caplog.text
         with pytest.raises(DataError, match="on_error=skip leaves them out"):
             siamloc.data.extract(bag.path, tmp_path / "strict", images=topic, poses="none", on_error="raise")
+    strict = siamloc.data.extract(bag.path, tmp_path / "third", images="/raw", poses="none", on_error="raise", every=3)
+    np.testing.assert_allclose(strict.time - START / 1e9, [0, 3])
 
 
 @pytest.mark.parametrize("rate", [None, 1.0])
