@@ -136,9 +136,7 @@ class Pictures:
         files, self.taken = images_of(path, times)
         kind, taken = "pictures", self.taken
         if not np.isfinite(taken).all():
-            kind = (
-                "pictures without times (give times=FILE, or they count as a second apart; small numbers are counters)"
-            )
+            kind = "pictures without times (give times=FILE, or they count as a second apart)"
             taken = np.arange(len(files), dtype=np.float64)
         self._files = sorted(zip(taken.tolist(), files, strict=True))
         self.topics = {"pictures": (kind, len(files))}
@@ -304,10 +302,8 @@ def _write_images(
     leave_out(damaged, count, f"images of {topic} in {recording.path} cannot be used", settings.on_error)
     if not found:
         raise DataError(f"{recording.path}: {topic} holds no images")
-    if isinstance(recording, Film) and recording.short:
-        if strict:
-            raise DataError(f"{recording.short} (on_error=skip takes what is there)")
-        logger.warning("%s", recording.short)
+    if isinstance(recording, Film):
+        recording.check_whole(settings.on_error)
     what = f"images of {recording.path} were recorded after later ones, which a rate leaves out"
     leave_out(late, number + 1, what, settings.on_error)
     stamped = isinstance(recording, Bag) and settings.clock == "stamp"

@@ -13,22 +13,20 @@ from numpy.typing import NDArray
 
 from siamloc.data.bags import Clock
 from siamloc.data.image_files import UnreadableImageError
-from siamloc.errors import DataError
+from siamloc.errors import DataError, Policy, logger
 
 _MOST = 3000  # pictures in a row that cannot be decoded, after which a video has ended: OpenCV does not say which it is
 _EARLY = 0.5, 0.01  # s, and share of the length, by which a whole video may end before what it announces
+_COUNTED = (".avi", ".mp4", ".mov")  # files that hold the number of their pictures: OpenCV estimates that of others
 _FFMPEG_LEVEL, _FFMPEG_SILENT = "OPENCV_FFMPEG_LOGLEVEL", "-8"
 
 
 class Film:
-    """A video that is open inside a `with` block, with the methods of a `Bag`.
-
-    Attributes:
-        short: after the last picture, a sentence if the video ends well before the length that it announces, else "".
-    """
+    """A video that is open inside a `with` block, with the methods of a `Bag`."""
 
     def __init__(self, path: Path) -> None:
-        self.path, self.short = path, ""
+        self.path = path
+        self._given, self._damaged, self._last = 0, 0, 0.0  # pictures, and the time of the last one in s
         self.topics: dict[str, tuple[str, int]] = {}
 
     def __enter__(self) -> Film:
@@ -51,8 +49,7 @@ class Film:
 
         A picture that cannot be decoded comes as the error that says so.
         """
-        number = given = lost = 0
-        last = 0.0
+        number = lost = 0
         while lost < _MOST:
             there, picture = self._film.read()
             number += 1
@@ -61,18 +58,38 @@ class Film:
                 continue
             for one in range(number - 1 - lost, number - 1):
                 damaged = UnreadableImageError(f"{self.path}#{one} cannot be decoded: the video is damaged there")
+                self._damaged += 1
                 yield round(one / self._rate * 1e9), damaged, ""
             lost = 0
-            given += 1
+            self._given += 1
             time = self._film.get(cv2.CAP_PROP_POS_MSEC) / 1e3
             seconds = time if time > 0 else (number - 1) / self._rate  # some formats know no times of pictures
-            last = max(last, seconds)
+            self._last = max(self._last, seconds)
             yield round(seconds * 1e9), np.ascontiguousarray(picture[:, :, ::-1]), ".jpg"
-        early = self.seconds - last - max(last / max(given - 1, 1), 1 / self._rate)  # a picture is shown for a while
-        if early > _EARLY[0] + _EARLY[1] * self.seconds:
-            self.short = (
-                f"{self.path} ends {early:.1f} s early, after {given} of the {self.topics['video'][1]} pictures that "
-                "it announces: its end is missing or damaged, unless it was trimmed without being encoded again"
+
+    def check_whole(self, on_error: Policy) -> None:
+        """Warn, after the last picture, of pictures that the video announces and has not given.
+
+        Raises:
+            DataError: with on_error=raise, the video ends well before the length that it announces.
+        """
+        announced, given = self.topics["video"][1], self._given
+        shown = max(self._last / max(given - 1, 1), 1 / self._rate)  # s
+        early, allowed = self.seconds - self._last - shown, _EARLY[0] + _EARLY[1] * self.seconds
+        missing = announced - given - self._damaged
+        trimmed = "unless it was trimmed without being encoded again"
+        if early > allowed:
+            short = (
+                f"{self.path} ends {early:.1f} s early, after {given} of the {announced} pictures that it announces: "
+                f"its end is missing or damaged, {trimmed}"
+            )
+            if on_error == "raise":
+                raise DataError(f"{short} (on_error=skip takes what is there)")
+            logger.warning("%s", short)
+        elif missing > (0 if self.path.suffix.lower() in _COUNTED else allowed * self._rate):
+            logger.warning(
+                "%s lacks %d of the %d pictures that it announces: they are damaged, %s",
+                *(self.path, missing, announced, trimmed),
             )
 
 

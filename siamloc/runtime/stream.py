@@ -9,7 +9,7 @@ from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass
 from os.path import abspath
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import cv2
 import numpy as np
@@ -22,7 +22,7 @@ from siamloc.data.frames import VIDEOS
 from siamloc.data.image_files import UnreadableImageError, image_files
 from siamloc.data.moves import moves
 from siamloc.data.names import NamedPose, parse_name
-from siamloc.errors import ConfigError, DataError, logger
+from siamloc.errors import ConfigError, DataError, Policy
 from siamloc.maps.motion import WrongUnitError
 from siamloc.runtime.localizer import Localizer
 from siamloc.runtime.location import Location
@@ -87,7 +87,7 @@ class Located:
 def locate_all(
     localizer: Localizer,
     images: str | Path | Sequence[str | Path],
-    on_error: Literal["skip", "raise"] = "skip",
+    on_error: Policy = "skip",
     track: bool = False,
     seen: Callable[[NDArray[np.uint8]], None] | None = None,
     odometry: str | Path | None = None,
@@ -97,7 +97,8 @@ def locate_all(
     Args:
         localizer: locates them.
         images: image files, folders of them, video files, and cameras of this machine, such as "camera:0"; or one.
-        on_error: "skip" reports an image that cannot be read and continues; "raise" stops there.
+        on_error: "skip" reports an image that cannot be read and continues; "raise" stops there, and at the end of a
+            video whose end is missing.
         track: follow the robot from image to image, see `Localizer.tracker`; each folder, video and camera is a drive.
         seen: called with each panorama (3, H, W), uint8, RGB, before it is located.
         odometry: how the robot moved from image to image, for `track`: a manifest, or any CSV table with the columns
@@ -110,9 +111,10 @@ def locate_all(
 
     Raises:
         ConfigError: no images given, a bundle that cannot follow a robot, or odometry without `track`.
-        DataError: a file that does not exist, a folder without images, a video or a camera that gives no image, a
-            camera that stops, or odometry that cannot be used, is of other images, or is in another unit than the map,
-            which the first images that are recognized along a way show.
+        DataError: a file that does not exist, a folder without images, a video that cannot be read, holds no
+            images, or, with on_error="raise", lacks its end, a camera that gives no image or stops, or odometry that
+            cannot be used, is of other images, or is in another unit than the map, which the first images that are
+            recognized along a way show.
     """
     if odometry is not None and not track:
         raise ConfigError(f"odometry={odometry} says how the robot is followed: set track=true (in Python track=True)")
@@ -125,7 +127,7 @@ def locate_all(
             "image of drive.mp4 is drive.mp4#0"
         )
     tracker, drive, last = None, "", UNKNOWN
-    for name, image, pose in pictures(images):
+    for name, image, pose in pictures(images, on_error):
         before, drive = drive, str(image.parent) if isinstance(image, Path) else name.rpartition("#")[0]
         if track and drive != before:
             tracker, last = localizer.tracker(), UNKNOWN
@@ -144,7 +146,7 @@ def locate_all(
 
 
 def pictures(
-    images: str | Path | Sequence[str | Path],
+    images: str | Path | Sequence[str | Path], on_error: Policy = "skip"
 ) -> Iterator[tuple[str, Path | NDArray[np.uint8] | UnreadableImageError, NamedPose | None]]:
     """Yield for each image its name, the image (a file, or pixels in RGB), and the pose in its name.
 
@@ -157,7 +159,7 @@ def pictures(
     """
     for name, files in named(images):
         if files is None:
-            yield from (_live if name.startswith(CAMERA) else _filmed)(name)
+            yield from _live(name) if name.startswith(CAMERA) else _filmed(name, on_error)
         else:
             yield from ((str(path), path, parse_name(path.name)) for path in files)
 
@@ -190,7 +192,7 @@ def _files(name: str | Path) -> list[Path] | None:
     return None if path.suffix.lower() in VIDEOS else [path]
 
 
-def _filmed(name: str) -> Iterator[tuple[str, NDArray[np.uint8] | UnreadableImageError, None]]:
+def _filmed(name: str, on_error: Policy) -> Iterator[tuple[str, NDArray[np.uint8] | UnreadableImageError, None]]:
     """Yield the pictures of a video, and an error in place of each that cannot be decoded."""
     number = -1
     with Film(Path(name)) as film:
@@ -198,8 +200,7 @@ def _filmed(name: str) -> Iterator[tuple[str, NDArray[np.uint8] | UnreadableImag
             yield f"{name}#{number}", picture, None
     if number < 0:
         raise DataError(f"{name} holds no images")
-    if film.short:
-        logger.warning("%s", film.short)
+    film.check_whole(on_error)
 
 
 def _live(name: str) -> Iterator[tuple[str, NDArray[np.uint8], None]]:

@@ -220,10 +220,10 @@ def test_after_an_image_that_cannot_be_read_the_last_location_stays(world, playe
 def test_an_empty_video_ends_in_a_sentence(world, tmp_path):
     (tmp_path / "a.mp4").write_bytes(b"")
     with served(world, tmp_path / "a.mp4") as page:
-        with pytest.raises(DataError, match=r"a\.mp4 gives no image"):
+        with pytest.raises(DataError, match=r"a\.mp4 cannot be read as a video"):
             page.join(30)
         state = state_of(page)
-        assert (state["status"], "gives no image" in state["text"]) == ("fault", True)
+        assert (state["status"], "cannot be read" in state["text"]) == ("fault", True)
 
 
 def test_a_port_in_use_and_an_unknown_address_are_one_sentence(world, played):

@@ -228,7 +228,7 @@ def test_images_are_followed_by_a_table_of_odometry(bundle, tmp_path, monkeypatc
     ):
         next(locate_all(localizer, tmp_path / "film.avi", track=True, odometry=wheels))
     wheels.write_text("image,odom_x,odom_y,odom_theta\nfilm.avi#1,0,0,0\n")
-    with pytest.raises(DataError, match="gives no image"):
+    with pytest.raises(DataError, match="cannot be read as a video"):
         next(locate_all(localizer, tmp_path / "film.avi", track=True, odometry=wheels))
     wheels.write_text("image,odom_x\ndrive/0.png,0\n")
     with pytest.raises(DataError, match=r"has no row with all of odom_x, odom_y and odom_theta"):
