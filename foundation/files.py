@@ -84,8 +84,9 @@ def scratch_folder(path: str | Path) -> Iterator[Path]:
 def atomic_folder(path: str | Path, check: Callable[[Path], object] | None = None) -> Iterator[Path]:
     """Yield an empty temporary folder next to `path` that becomes `path` when the block ends without an error.
 
-    An older folder is replaced as a whole. After an error nothing is left behind and the older folder stays as it was.
-    A kill in the instant between the two leaves the older folder beside `path`, see `older_folder`.
+    An older folder is replaced as a whole. After an error nothing is left behind, and the older folder stays as it was
+    unless somebody else has written `path` meanwhile. A kill in the instant between the two leaves the older folder
+    beside `path`, see `older_folder`.
 
     Args:
         path: the folder.
@@ -112,7 +113,10 @@ def atomic_folder(path: str | Path, check: Callable[[Path], object] | None = Non
             fresh.replace(path)
         except BaseException:
             if older.exists():
-                older.replace(path)
+                with suppress(OSError):
+                    older.replace(path)
+                if path.exists():  # put there by somebody else meanwhile, who would have replaced it
+                    shutil.rmtree(older, ignore_errors=True)
             raise
         if older.exists():
             older.replace(fresh)  # which is removed

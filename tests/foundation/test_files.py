@@ -241,6 +241,21 @@ def test_a_folder_stays_if_the_check_of_the_older_one_fails(tmp_path):
     assert [str(item.relative_to(tmp_path)) for item in tmp_path.rglob("*")] == ["folder", "folder/first"]
 
 
+def test_an_older_folder_goes_if_somebody_else_has_replaced_it_before_an_error(tmp_path):
+    path = tmp_path / "folder"
+
+    def check(older):
+        path.mkdir()
+        (path / "other").touch()
+        raise ZeroDivisionError
+
+    path.mkdir()
+    (path / "old").touch()
+    with pytest.raises(ZeroDivisionError), atomic_folder(path, check) as fresh:
+        (fresh / "new").touch()
+    assert [str(item.relative_to(tmp_path)) for item in tmp_path.rglob("*")] == ["folder", "folder/other"]
+
+
 def test_a_folder_does_not_replace_a_file(tmp_path):
     (tmp_path / "taken").write_text("mine")
     with pytest.raises(StorageError, match="a file stands where a folder is needed"), atomic_folder(tmp_path / "taken"):
