@@ -27,6 +27,7 @@ from siamloc.data import (
     find_camera,
     read,
 )
+from siamloc.data.extracting import writes_camera
 from siamloc.data.image_files import size_of
 from siamloc.data.manifest import manifest_of
 from siamloc.data.photo_sphere import stated
@@ -125,8 +126,10 @@ def walk(
         >>> siamloc.runtime.Localizer(made.bundle.path).locate("photo.jpg")  # doctest: +SKIP
     """
     folder = Path(out).expanduser()
-    given = Preprocessing.checked(PRETRAINED_SIZE, settings.unwrap)
+    if not writes_camera(folder / "frames", settings.unwrap):
+        Preprocessing.checked(PRETRAINED_SIZE, settings.unwrap)  # before the long work
     frames = extract(file, folder / "frames", settings=settings.recording)
+    given = Preprocessing.checked(PRETRAINED_SIZE, settings.unwrap)
     wheels = "with" if np.isfinite(frames.odometry).any() else "without"
     say(f"recording: {len(frames)} pictures of {file} (recording.rate=), {wheels} odometry (recording.odometry=)")
     camera = replace(given, camera=find_camera(frames.path.tolist(), given.camera))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from foundation.calls import OF_FIELDS, takes, typed
-from foundation.files import read_json, write_bytes, write_json, write_picture, write_text
+from foundation.files import read_json, real_path, write_bytes, write_json, write_picture, write_text
 from foundation.settings import Count, Positive, Settings, Text
 from siamloc.data.bags import KINDS, Bag, Clock, proposed
 from siamloc.data.films import Film
@@ -219,6 +219,12 @@ def extract(file: str | Path, out: str | Path, *, settings: Extraction = OF_FIEL
         frames = placed(frames, f"images of {path} have no pose", settings.on_error)
     write_text(folder / MANIFEST, manifest_of(frames, folder))
     return read("manifest", manifest=folder / MANIFEST)
+
+
+def writes_camera(folder: Path, unwrap: Mapping[str, Any]) -> bool:
+    """Whether a camera (`PanoramaLibrary`'s `unwrap`) names the calibration that `extract` has yet to write there."""
+    file = Path(unwrap.get("file") or "")
+    return file.name == CALIBRATION and not file.exists() and real_path(file) == real_path(folder / CALIBRATION)
 
 
 def _opened(path: Path, times: str | Path | None = None) -> AbstractContextManager[Bag | Film | Pictures]:

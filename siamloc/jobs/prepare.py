@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 
 from analytic import Descriptor
-from foundation.files import real_path, write_picture
+from foundation.files import write_picture
 from foundation.settings import as_words
 from siamloc.data import AutoRing, PanoramaLibrary, check, contents, extract, find_mounting, summary
-from siamloc.data.extracting import CALIBRATION, MANIFEST, Contents, Extraction
+from siamloc.data.extracting import MANIFEST, Contents, Extraction, writes_camera
 from siamloc.data.image_files import read_image
 from siamloc.data.ring import draw_ring
 from siamloc.jobs.job import Given, Say, quiet
@@ -81,8 +81,7 @@ class Prepare(DataJob):
     @property
     def has_camera(self) -> bool:
         """Whether the camera is known before the job runs: extracting the recording may write its calibration."""
-        file, out = self.unwrap.get("file"), self.recording.out
-        return not file or not out or Path(file).exists() or real_path(Path(file)) != real_path(out / CALIBRATION)
+        return self.recording.out is None or not writes_camera(self.recording.out, self.unwrap)
 
     def run(self, say: Say = quiet) -> PanoramaLibrary | Contents:
         """Read, decode and check the data; return the panoramas, or the contents of a recording."""

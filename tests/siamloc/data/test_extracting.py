@@ -448,6 +448,9 @@ def test_the_calibration_of_a_recording_is_read_after_it_was_written(bags, tmp_p
     assert main(["prepare", str(bags["mcap"]), *words, "unwrap=calibrated", "unwrap.file=new/camera_info.json"]) != 0
     assert "has the distortion model plumb_bob" in capsys.readouterr().err
     assert len(siamloc.data.read("manifest", manifest="new/frames.csv")) == 5
+    camera = ["unwrap=calibrated", "unwrap.file=robot/frames/camera_info.json"]
+    assert main(["walk", str(bags["mcap"]), "out=robot", *camera]) != 0
+    assert "has the distortion model plumb_bob" in capsys.readouterr().err
 
 
 def test_a_video_goes_on_after_a_picture_that_is_damaged_and_says_if_its_end_is_missing(tmp_path, caplog):
