@@ -36,6 +36,7 @@ Word = Annotated[
 #: Lowest ceiling over the camera and highest ceiling, and farthest wall from 0, in metres. Farther away, single
 #: precision no longer tells a surface from what is right before it.
 LOWEST, HIGHEST, FARTHEST = HEIGHT + 0.3, 200.0, 1000.0
+THRESHOLD = 0.1  # m
 Keys = dict[str, Any]
 List = Annotated[list[Any], Rule("a list", lambda value: True)]
 Surface: Any = Literal[tuple(SURFACES)]
@@ -251,8 +252,9 @@ class _Parser:
         sides = a.name, b.name
         opening = Opening(given.kind, along, level, at, width, low, top, sides, given.hinge, into)
         self.check_within(opening, span, min(a.height, b.height), what)
-        if opening.passable and not (low == 0 and top >= LOWEST):
-            ends = f"must begin at the floor and be at least {LOWEST:g} m high, as the camera is at {HEIGHT:g} m"
+        if opening.passable and not (low <= THRESHOLD and top >= LOWEST):
+            floor = f"must begin at the floor, or at most {THRESHOLD:g} m above it,"
+            ends = f"{floor} and be at least {LOWEST:g} m high, as the camera is at {HEIGHT:g} m"
             raise self.error(f"{what} {ends}, got {low:g} to {top:g}; kind: pane is no way for a robot")
         return opening
 
@@ -340,7 +342,7 @@ class _Loader(yaml.SafeLoader):
     def construct_mapping(self, node: Any, deep: bool = False) -> dict[Any, Any]:
         """Construct a mapping; a key must not appear twice."""
         seen: set[str] = set()
-        for key, _ in node.value:
+        for key in (key for key, _ in node.value if isinstance(key, yaml.ScalarNode)):
             if str(key.value) in seen:
                 message = f"the key {key.value!r} appears twice"
                 raise yaml.constructor.ConstructorError(None, None, message, key.start_mark)

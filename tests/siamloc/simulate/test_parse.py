@@ -88,6 +88,7 @@ def test_a_file_is_read(tmp_path: Path) -> None:
         ("name: two", "name: two\nheight: 2800", r"room 'hall' must be .* to 200 m high, .* height 2800: lengths"),
         ("at: 2.5}", "at: 2.5, height: 1.0}", r"the door between 'hall' and 'office' must begin .* got 0 to 1;"),
         ("at: 2.5}", "at: 2.5, bottom: 0.5}", r"the door between 'hall' and 'office' must begin .* got 0.5 to 2.1;"),
+        ("at: 2.5}", "at: 2.5, bottom: 0.11}", r"at the floor, or at most 0.1 m above it, .* got 0.11 to 2.1;"),
         ("code: CR-A", "kode: CR-A", r"two\.yaml: room 'hall': unknown key kode: did you mean 'code'"),
         ("y: [2, 6]", "y: [2.5, 6]", r"two\.yaml: rooms 'hall' and 'office' share no wall"),
         ("rooms:", "rooms: [", r"is not YAML"),
@@ -95,6 +96,7 @@ def test_a_file_is_read(tmp_path: Path) -> None:
         ("name: two", "name: 2023-99-01\nnorth: 2023-99-01", r"is not YAML"),
         ("code: CR-A", "code: CR A", r"two\.yaml: room 'hall': code must be a word .*, got 'CR A'"),
         ("  office:", "  big office:", r"two\.yaml: room 'big office': without a 'code' of its own, its name must be"),
+        ("floor: linoleum", "[a]: 1\n    [a]: 2", r"two\.yaml, line 7, is not YAML: found unhashable key$"),
         ("floor: linoleum", "windows: []", r"two\.yaml, line 8, is not YAML: the key 'windows' appears twice$"),
         ("{wall: south, at: 3.0, width: 1.5}", "south", r"a window of room 'hall' must be a mapping .*, got 'south'"),
         ("- {kind: desk, against: west, at: 4.5}", "kind: desk", r"two\.yaml: room 'office': items must be a list"),
@@ -109,6 +111,10 @@ def test_mistakes_name_the_room(tmp_path: Path, old: str, new: str, message: str
     assert old in PLAN
     with pytest.raises(DataError, match=message):
         load(tmp_path, PLAN.replace(old, new, 1))
+
+
+def test_a_door_may_have_a_threshold(tmp_path: Path) -> None:
+    assert load(tmp_path, PLAN.replace("at: 2.5}", "at: 2.5, bottom: 0.02}")).openings[0].bottom == 0.02
 
 
 def test_unknown_buildings_and_files(tmp_path: Path) -> None:
