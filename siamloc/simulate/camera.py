@@ -315,7 +315,7 @@ def expose(brightness: Array, colour: Array, time: Array, offset: float) -> Expo
         share = 1 - np.exp(-min(max(time[row] - time[row - 1], 0.0), 5.0) / _LAG)
         gain[row] = gain[row - 1] + share * (wanted[row] - gain[row - 1])
     gain = np.exp(gain)
-    colour = np.maximum(colour, 1e-6)  # without any light, pictures are black
+    colour = np.maximum(colour, 1e-6)  # without any light, pictures are dark noise
     return Exposure(gain, (colour / colour.mean()) ** -0.7, np.clip(0.03 * gain / 0.5, 0.004, 0.06))
 
 

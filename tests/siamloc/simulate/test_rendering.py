@@ -111,11 +111,14 @@ def test_exposure_follows_slowly(cloudy: Scene) -> None:
     assert ((exposure.seconds >= 0.004) & (exposure.seconds <= 0.06)).all()
 
 
-def test_a_camera_in_the_dark_takes_black_pictures() -> None:
+def test_a_camera_in_the_dark_takes_pictures_of_its_noise() -> None:
     exposure = expose(np.zeros((2, 5)), np.zeros(3), np.arange(2.0), 0.0)
     np.testing.assert_array_equal(exposure.balance, 1)
-    dark = np.zeros((8, 16, 3), dtype=np.float32)
-    assert develop(dark, exposure.gain[0], exposure.balance, False, np.random.default_rng(0), 1.0).max() < 64
+    dark = np.zeros((64, 256, 3), dtype=np.float32)
+    picture = develop(dark, exposure.gain[0], exposure.balance, False, np.random.default_rng(0), 1.0)
+    assert 5 < picture.mean() < 20
+    assert 10 < picture.std() < 20
+    assert picture.max() < 80
 
 
 def test_the_sun_goes_from_east_to_west_and_highest_at_noon() -> None:
