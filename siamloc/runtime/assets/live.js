@@ -53,25 +53,29 @@ function drawMap() {
   });
   const way = drawn("g", plan);
   for (let age = 0; age < AGES; age++) drawn("path", way, { class: "way", opacity: 0.12 + 0.88 * ((age + 1) / AGES) ** 2 });
-  drawRooms(drawn("g", plan, { class: "names" }));
+  drawRooms(drawn("g", plan, { class: "names" }), width);
   drawScale(drawn("g", plan, { class: "scale" }), height);
   layers = { way, truth: drawn("g", plan), robot: drawn("g", plan) };
 }
 
 /** Write each room's name at the map frame nearest to the middle of the room's frames where it covers no other name. */
-function drawRooms(parent) {
+function drawRooms(parent, width) {
   const rows = map.rooms.map(() => []), taken = [];
   map.room.forEach((room, row) => rows[room].push(row));
   const named = rows.map((inside, room) => [map.rooms[room], inside]).filter(([name]) => name);
   for (const [name, inside] of named.sort(([, a], [, b]) => b.length - a.length)) { // those with many frames come first
     const mean = (values) => inside.reduce((sum, row) => sum + values[row], 0) / inside.length;
     const middle = [mean(map.x), mean(map.y)], off = (row) => Math.hypot(map.x[row] - middle[0], map.y[row] - middle[1]);
-    const half = 3.6 * name.length + 3;
-    const at = inside.sort((a, b) => off(a) - off(b)).map((row) => place(map.x[row], map.y[row])).find(([x, y]) =>
+    const text = drawn("text", parent);
+    text.textContent = name;
+    const half = text.getComputedTextLength() / 2 + 3, inPlan = ([x, y]) => [Math.max(half, Math.min(x, width - half)), y];
+    const places = inside.sort((a, b) => off(a) - off(b)).map((row) => inPlan(place(map.x[row], map.y[row])));
+    const at = places.find(([x, y]) =>
       taken.every(([tx, ty, th]) => Math.abs(tx - x) >= th + half || Math.abs(ty - y) >= 14));
-    if (!at) continue;
+    if (!at) { text.remove(); continue; }
     taken.push([...at, half]);
-    drawn("text", parent, { x: at[0], y: at[1] - 7 }).textContent = name;
+    text.setAttribute("x", at[0]);
+    text.setAttribute("y", at[1] - 7);
   }
 }
 

@@ -296,8 +296,8 @@ with_browser = pytest.mark.skipif(CHROMIUM is None or DRIVER is None, reason="th
 @pytest.mark.parametrize("width", [600, 1400])
 def test_the_plan_names_every_room_and_draws_in_pixels(world, tmp_path, width):
     monday = siamloc.data.example().frames.select(sequence="monday")
-    rooms = [f"room {row}" for row in range(len(monday))]
-    frames = siamloc.data.FrameTable(path=monday.path, x=[0, 2] * 6, y=np.repeat(range(6), 2), room=rooms)
+    rooms = [f"a room with a long name {row}" for row in range(len(monday))]
+    frames = siamloc.data.FrameTable(path=monday.path, x=[0, 20] * 6, y=np.repeat(range(6), 2), room=rooms)
     exported(tmp_path / "bundle", siamloc.data.PanoramaLibrary(frames, image_size=(32, 64)), frames)
     with (
         runtime.Live(runtime.Localizer(tmp_path / "bundle"), world[0] / "drive", port=0, fps=0) as page,
@@ -305,12 +305,16 @@ def test_the_plan_names_every_room_and_draws_in_pixels(world, tmp_path, width):
     ):
         browser.go(page.url)
         browser.wait("document.querySelector('#plan .body')")
-        names, dot, text, robot = browser.run(
+        names, inside, dot, text, robot = browser.run(
             "const box = (kind) => document.querySelector(`#plan ${kind}`).getBBox();"
-            "const names = [...document.querySelectorAll('#plan .names text')].map((text) => text.textContent);"
-            "return [names, box('.dot').width, box('.scale text').height, box('.body').width]"
+            "const names = [...document.querySelectorAll('#plan .names text')];"
+            "const { width } = document.getElementById('plan').getBoundingClientRect();"
+            "const inside = ({ x, width: long }) => x >= 0 && x + long <= width;"
+            "return [names.map((text) => text.textContent), names.every((text) => inside(text.getBBox())),"
+            "  box('.dot').width, box('.scale text').height, box('.body').width]"
         )
         assert sorted(names) == sorted(rooms)
+        assert inside
         assert (dot, robot) == (6, 13)
         assert 10 < text < 20
         assert browser.complaints() == []
