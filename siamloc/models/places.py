@@ -81,7 +81,9 @@ class PlaceModule(NetworkModule):
         mine = origins, descriptors.detach()
         if self._trainer is not None and self.trainer.world_size > 1:
             descriptors, origins = self._of_all(descriptors, origins)
-        loss = checked_loss(self.loss(descriptors, origins), self.loss, descriptors)
+        # With all stages but the last frozen, a network may learn displacements alone.
+        fixed = orientation is not None and not descriptors.requires_grad
+        loss = checked_loss(self.loss(descriptors, origins), self.loss, None if fixed else descriptors)
         seen, total = descriptors.detach(), loss
         apart = torch.linalg.vector_norm(seen - seen.mean(dim=0), dim=1)
         figures = {"loss": loss.detach(), "spread": apart.mean()}

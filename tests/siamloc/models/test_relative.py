@@ -295,6 +295,18 @@ def test_networks_without_orientation_parts_are_refused(options):
         build(**wanted, relative=True)
 
 
+def test_displacements_alone_are_learned_if_the_descriptors_are_frozen(tmp_path):
+    """As the guide does with the shipped network: its head has no weights, and all stages of its branch are frozen."""
+    images = siamloc.data.example()
+    network = build("panoresnet", "magnitudes", images.image_shape[1:], circular=True, relative=True)
+    pairs, frozen = {"places": 4, "images": 2, "epoch_batches": 1}, {"name": "adamw", "frozen_stages": 4}
+    before = {name: value.clone() for name, value in network.state_dict().items()}
+    more = {"pairs": pairs, "optimizer": frozen, "epochs": 1, "run": tmp_path / "run"}
+    siamloc.training.fit(network, images, images.frames, **more)
+    changed = {name.partition(".")[0] for name, value in network.state_dict().items() if not value.equal(before[name])}
+    assert changed == {"orientation", "relative"}
+
+
 def test_headings_in_rad_and_positions_in_metres_are_needed(tmp_path):
     images = siamloc.data.example()
     network = build("panoresnet", "magnitudes", images.image_shape[1:], circular=True, relative=True)
