@@ -85,7 +85,7 @@ class Effect(ABC):
     name: ClassVar[str]
     RANGES: ClassVar[Mapping[str, Range]] = {}
     OPTIONS: ClassVar[Mapping[str, Any]] = {}
-    _finite = False  # whether `render` returned finite numbers before
+    _numbers = False  # whether `render` returned no NaN before
 
     def __init__(self, **params: Any) -> None:
         if not hasattr(self, "name"):
@@ -304,16 +304,16 @@ class Effect(ABC):
     def rendered(self, batch: Tensor, values: Mapping[str, Tensor]) -> Tensor:
         """Return what `render`, which may be the user's own, makes of a batch, after checking its shape and numbers.
 
-        On a GPU only the first batch is searched for NaN and infinity, since each search waits for the device.
+        On a GPU only the first batch is searched for NaN, since each search waits for the device.
         """
         made = self.render(batch, values)
         if not isinstance(made, Tensor) or made.shape != batch.shape:
             got = tuple(made.shape) if isinstance(made, Tensor) else type(made).__name__
             raise AugmentError(f"`render` of {self.name} must return a tensor {tuple(batch.shape)}, got {got}")
-        if made.device.type == "cpu" or not self._finite:
-            self._finite = bool(made.sum(dtype=torch.float32).isfinite())
-            if not self._finite:
-                raise AugmentError(f"`render` of {self.name} must return finite numbers, got NaN or infinity")
+        if made.device.type == "cpu" or not self._numbers:
+            self._numbers = not bool(made.amin().isnan())
+            if not self._numbers:
+                raise AugmentError(f"`render` of {self.name} must return numbers, got NaN")
         return made
 
     def tensors(self, params: Mapping[str, Tensor], height: int, width: int) -> dict[str, Tensor]:
