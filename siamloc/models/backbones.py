@@ -207,12 +207,10 @@ def _factory(name: str) -> Callable[[], Any]:
     is_class = isinstance(found, type) and issubclass(found, nn.Module)
     is_function = isinstance(found, FunctionType) and found.__module__.partition(".")[0] not in sys.stdlib_module_names
     if not (is_class or is_function):
-        todo = f"import the module {module} first (on the command line give model/branch={name})"
+        wrong = f"import the module {module} first (on the command line give model/branch={name})"
         if module in sys.modules:
-            todo = f"the module {module} has no such function, or class of torch modules"
-        raise ConfigError(
-            f"the branch {name} is a function or class {function!r} of your own, without arguments: {todo}"
-        )
+            wrong = f"but the module {module} has no function or torch module {function!r}"
+        raise ConfigError(f"the branch {name} names a function or class of your own that takes no arguments, {wrong}")
     return cast("Callable[[], Any]", found)
 
 
