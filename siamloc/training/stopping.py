@@ -39,7 +39,7 @@ class StepCheckpoints(Checkpoint):
 
     Attributes:
         asked: whether the training shall stop at the end of the step.
-        begun: whether there are steps to finish, and not only workers that start.
+        begun: whether there are steps to finish, and not only workers that start and read the first batch.
     """
 
     def __init__(self, path: Path, every: int | None, guard: FiniteGuard) -> None:
@@ -51,10 +51,13 @@ class StepCheckpoints(Checkpoint):
 
     def on_train_start(self, trainer: Trainer, pl_module: LightningModule) -> None:
         """Restore the sums of the epoch that a checkpoint within the epoch holds."""
-        self.begun = True
         self._step = trainer.global_step
         if self._sums and isinstance(pl_module, NetworkModule):
             pl_module.load_epoch_sums({name: value.to(pl_module.device) for name, value in self._sums.items()})
+
+    def on_train_batch_start(self, *_: Any) -> None:
+        """Note that a step begins, which a signal lets finish."""
+        self.begun = True
 
     def on_train_batch_end(self, trainer: Trainer, pl_module: LightningModule, *_: Any) -> None:
         """Write the checkpoint if it is due.

@@ -6,6 +6,7 @@ import multiprocessing
 import os
 import signal
 import sys
+import time
 from types import SimpleNamespace
 
 import pytest
@@ -119,8 +120,18 @@ def test_a_signal_ends_the_step_and_the_training_goes_on_there(train, tmp_path, 
 
 
 def test_sigterm_before_the_first_step_ends_the_training_at_once(train, monkeypatch):
-    """As while workers start, which may hang."""
-    monkeypatch.setattr(PairDataModule, "train_dataloader", lambda _: os.kill(os.getpid(), signal.SIGTERM))
+    """As while workers start, which may hang before they give the first batch."""
+
+    class Hanging:
+        def __len__(self):
+            return STEPS
+
+        def __iter__(self):
+            os.kill(os.getpid(), signal.SIGTERM)
+            time.sleep(1)
+            return iter(())
+
+    monkeypatch.setattr(PairDataModule, "train_dataloader", lambda _: Hanging())
     before = signal.getsignal(signal.SIGTERM)
     with pytest.raises(KeyboardInterrupt, match="stopped after 0 of 3 epochs"):
         train("cut", "pairs")
