@@ -16,7 +16,7 @@ from torch import Tensor
 
 from foundation.files import content_key
 from siamloc.data.places import PlaceSettings
-from siamloc.errors import ConfigError
+from siamloc.errors import ConfigError, in_one_line
 from siamloc.lightning import Callback, LayerSync, LightningModule, Trainer
 from siamloc.models.module import NetworkModule
 from siamloc.models.network import Network
@@ -117,8 +117,7 @@ def _made(options: Mapping[str, Any], own: Mapping[str, Any]) -> Trainer:
     try:
         return Trainer(**{**options, **own})
     except Exception as error:  # Lightning and the device backends may raise anything
-        reason = " ".join(str(error).split()) or type(error).__name__
-        sentence = f"the trainer cannot be set up with these trainer keys: {reason}"
+        sentence = f"the trainer cannot be set up with these trainer keys: {in_one_line(error)}"
         if (wanted := options["accelerator"]) in ("gpu", "cuda") and not torch.cuda.is_available():
             sentence = f"trainer.accelerator={wanted} needs a GPU, and torch finds none here: use auto or cpu"
         raise ConfigError(sentence) from error
