@@ -153,6 +153,26 @@ def test_a_network_whose_descriptors_depend_on_more_than_the_image_is_refused(ch
             as_descriptor(module, "cpu").describe(images)
 
 
+@pytest.mark.parametrize(
+    ("layers", "message"),
+    [
+        (
+            [nn.Conv2d(3, 8, 3), nn.BatchNorm2d(8, track_running_stats=False), nn.ReLU()],
+            "other images are in its batch",
+        ),
+        (
+            [nn.Flatten(0), nn.Unflatten(0, (1, 3, -1, 1))],
+            r"one image but not three at once \(DataError: .*got shape \(1",
+        ),
+    ],
+)
+def test_noise_tells_whether_a_network_takes_images_alone(layers, message):
+    torch.manual_seed(0)
+    module = nn.Sequential(*layers, nn.AdaptiveAvgPool2d(2), nn.Flatten())
+    with pytest.raises(DataError, match=message):
+        as_descriptor(module, "cpu").describe(torch.rand(1, 3, 16, 32))
+
+
 def test_the_rounding_of_other_kernels_is_no_dependence_on_the_batch():
     class Rounded(Own):
         def forward(self, panorama):
