@@ -134,7 +134,8 @@ class NetworkModule(LightningModule):
         loss: dict[str, Any] = {"class": name_of(self.loss), **getattr(self.loss, "settings", {})}
         if margin_of(self.loss) is not None:
             loss["margin"] = margin_of(self.loss)
-        model = self.network.settings if isinstance(self.network, Network) else {"class": name_of(self.network)}
+        network = getattr(self.network, "_orig_mod", self.network)  # inside a network that was compiled
+        model = network.settings if isinstance(network, Network) else {"class": name_of(self.network)}
         rooms = {"rooms": list(self.loss.rooms)} if isinstance(self.loss, CrossEntropyLoss) else {}
         return {"model": model, "loss": loss, **rooms, "optimizer": self.optimizer.plain()}
 

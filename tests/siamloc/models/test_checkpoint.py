@@ -145,6 +145,12 @@ def test_weights_that_do_not_fit_the_network_are_refused(trained, tmp_path, chan
         load(altered(path, tmp_path / "a.ckpt", siamloc=changed))
 
 
+@pytest.mark.filterwarnings("ignore:.*script_method")  # in torch itself
+def test_a_compiled_network_is_recorded_as_it_was_built(trained):
+    network = trained[0].network
+    assert SiameseModule(torch.compile(network)).content()["model"] == network.settings
+
+
 def test_a_given_network_of_another_class_is_named(trained):
     with pytest.raises(FormatError, match=r"of another architecture than Linear: missing: 2 of 2"):
         load(trained[1], network=torch.nn.Linear(3, 4))
