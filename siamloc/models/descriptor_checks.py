@@ -44,11 +44,9 @@ def check_repeatable(describes: Callable[[Tensor], tuple[Tensor, ...]], image: T
         image: (1, 3, H, W), in [0, 1].
 
     Raises:
-        DataError: descriptors that differ by more than rounding, or a network that takes several images but not one.
+        DataError: descriptors that differ by more than rounding, or a network that takes one image but not three, or not one.
     """
-    several = torch.cat(
-        [image, image / 4, torch.zeros_like(image)]
-    )  # of other contrast, which a batch's norm would tell
+    several = torch.cat([image, image / 4, torch.zeros_like(image)])  # of other contrast, as statistics would tell
 
     def of_the_image(images: Tensor) -> Tensor:
         return checked_descriptors(describes(images)[0], len(images))[0].float()
