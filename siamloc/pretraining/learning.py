@@ -24,7 +24,7 @@ from siamloc.runs import Run
 from siamloc.simulate.mesh import embree
 from siamloc.training.checks import check_loss, check_network
 from siamloc.training.fitting import augmentation_of, learn, process_rank
-from siamloc.training.run_folder import check_folder
+from siamloc.training.run_folder import check_folder, check_script
 from siamloc.training.settings import Monitor, Training
 
 
@@ -79,6 +79,7 @@ def pretrain(
         >>> from siamloc.pretraining import RECIPE, pretrain
         >>> pretrain(RECIPE.build(), run="runs/pretrained", epochs=10)  # doctest: +SKIP
     """
+    check_script()
     embree()
     run = run if isinstance(run, Run) else Run(run)  # type: ignore[arg-type]
     views = views if isinstance(views, ViewSettings) else ViewSettings.of(views or {})

@@ -50,6 +50,7 @@ from siamloc.training.place_batches import PlaceDataModule, rooms_of, validation
 from siamloc.training.run_folder import (
     check_folder,
     check_same_training,
+    check_script,
     monitor_before,
     note_frames,
     open_run,
@@ -133,6 +134,7 @@ def fit(
         >>> fit(network, images, frames, run=run, epochs=3, batch_size=4, resume=True).curves()["epoch"]
         array([0., 1., 2.])
     """
+    check_script()
     run = run if isinstance(run, Run) else Run(run)  # type: ignore[arg-type]
     if process_rank() == 0:
         check_folder(run, resume, overwrite)

@@ -47,6 +47,19 @@ EPOCH_SUMS = "epoch_sums"
 """Key in a checkpoint within an epoch: the sums of each process since the epoch began."""
 
 
+def check_script() -> None:
+    """Refuse to train in a process that only imports the script of the process that started it.
+
+    Raises:
+        ConfigError: this is such a process.
+    """
+    if getattr(multiprocessing.current_process(), "_inheriting", False):  # as multiprocessing itself asks
+        raise ConfigError(
+            "a process that was started runs the whole script again, as the start method spawn does: put what the "
+            'script does under `if __name__ == "__main__":`'
+        )
+
+
 def check_folder(run: Run, resume: bool, overwrite: bool) -> None:
     """Refuse a folder with a run, unless it is to be resumed or overwritten, and a folder with other files.
 
@@ -56,13 +69,8 @@ def check_folder(run: Run, resume: bool, overwrite: bool) -> None:
         overwrite: the run is to be replaced.
 
     Raises:
-        ConfigError: the folder cannot be used in this way, or a process of a training imports its script.
+        ConfigError: the folder cannot be used in this way.
     """
-    if getattr(multiprocessing.current_process(), "_inheriting", False):  # as multiprocessing itself asks
-        raise ConfigError(
-            "a process that the training started runs the whole script again, as the start method spawn does: put what "
-            'the script does under `if __name__ == "__main__":`, or set workers=0'
-        )
     if resume and overwrite:
         raise ConfigError("resume=true continues a run, overwrite=true removes it: choose one")
     if resume:
@@ -116,7 +124,9 @@ def check_same_training(run: Run, now: Mapping[str, Any], epochs: int) -> None:
     differing = [differing_frames(before["frames"][role], now["frames"][role], name) for role, name in _ROLES.items()]
     other_data = next(filter(None, differing), None)
     free = _FREE if other_data else (*_FREE, "protocol.train", "protocol.validation")
-    for section in _LEARNED:
+    # A record from before the arguments of `build` were kept for a module that was handed in holds a class alone.
+    unknown = before["model"].keys() == {"class"} and "head" in now["model"]
+    for section in (one for one in _LEARNED if one != "model" or not unknown):
         old, new = (dict(leaves({section: used.get(section)})) for used in (before, now))
         for key in sorted({*old, *new}):
             if old.get(key) != new.get(key) and not key.startswith(free):

@@ -192,6 +192,21 @@ def test_the_same_frames_may_be_named_in_another_way(train, day):
         train(run.folder, frames=day.every(2), epochs=3, resume=True, protocol=other)
 
 
+def test_a_record_that_holds_only_the_class_of_a_handed_in_network_is_resumed(train):
+    """As written before the arguments of `build` were recorded for modules that are handed in."""
+
+    def network():
+        return build(nn.Conv2d(3, 8, 8, 8), "gem", SIZE)
+
+    run = train(network=network())
+    record = read_json(run.record)
+    record["settings"]["model"] = {"class": "Network"}
+    write_json(run.record, record)
+    resumed = train(network=network(), epochs=2, resume=True)
+    assert len(curve(resumed)) == 2
+    assert resumed.settings["model"]["class"] == "Conv2d"
+
+
 def test_other_frames_are_not_resumed_and_fewer_epochs_neither(train, day):
     train(epochs=2)
     with pytest.raises(ConfigError, match="with other data: there were 12 training frames, and now there are 6; give"):
