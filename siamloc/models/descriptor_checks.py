@@ -44,7 +44,7 @@ def check_repeatable(describes: Callable[[Tensor], tuple[Tensor, ...]], image: T
         image: (1, 3, H, W), in [0, 1].
 
     Raises:
-        DataError: descriptors that differ by more than rounding, or a network that takes one image but not three, or not one.
+        DataError: descriptors that differ by more than rounding, or a network that takes either one image or several.
     """
     several = torch.cat([image, image / 4, torch.zeros_like(image)])  # of other contrast, as statistics would tell
 
