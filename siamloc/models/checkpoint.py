@@ -27,7 +27,7 @@ from siamloc.models.weights import (
 )
 from siamloc.runs import Run
 
-_BUILT = ("head", "image_size", "outputs", "circular", "normalize", "canonical", "relative", "colours")
+_BUILT = ("head", "outputs", "circular", "normalize", "canonical", "relative", "colours")
 """Arguments of `build` that change what a network computes with its weights."""
 
 
@@ -182,14 +182,16 @@ def _another_architecture(path: Path, network: nn.Module) -> str:
 def _check_built_alike(path: Path, model: Mapping[str, Any], here: Mapping[str, Any]) -> None:
     """Raise FormatError if two networks with the same weights were built with other arguments, which they hold apart.
 
-    The branches may differ: a network by its name may also be handed in as a module.
+    The branches may differ: a network by its name may also be handed in as a module. So may the image sizes, if the
+    weights fit.
     """
-    for key in _BUILT:
-        there = model.get(key, False)
-        if there != here.get(key, False):
+    there, here = ({"colours": False, **settings} for settings in (model, here))
+    for key in (key for key in _BUILT if key in there and key in here):
+        if there[key] != here[key]:
             raise FormatError(
-                f"the network of {path} was built with {key}={there!r}, and the given one with "
-                f"{key}={here.get(key, False)!r}: build it with the same arguments"
+                f"the network of {path} was built with {key}={there[key]!r}, and the given one with "
+                f"{key}={here[key]!r}: build it with the same arguments, or another one from its weights by "
+                "siamloc.models.build(..., weights=...)"
             )
 
 

@@ -283,6 +283,8 @@ def test_a_module_that_is_handed_in_is_saved_with_the_arguments_of_its_network(t
     torch.testing.assert_close(described(network), described(again), rtol=1e-2, atol=1e-2)
     with pytest.raises(FormatError, match="was built with circular=True, and the given one with circular=False: build"):
         load(path, network=build(own(), "gem", SIZE, normalize="image"))
+    wider = load(path, network=build(own(), "gem", (32, 256), circular=True, normalize="image"))
+    assert wider.image_size == (32, 256)
     with pytest.raises(ConfigError, match=r"a module of your own, Sequential \+ gem at 32 x 128, which no command"):
         load(path)
 
