@@ -17,11 +17,11 @@ from siamloc.cli.help import job_of
 from siamloc.cli.overrides import flags_first, key_of, meant, only_of_others, quoted, together
 from siamloc.cli.words import values_of
 from siamloc.errors import ConfigError, DataError, SiamlocError, check_known, hint
-from siamloc.jobs.job import Given, Job, import_own
+from siamloc.jobs.job import Given, Job, at, import_own
 from siamloc.jobs.options import choices, config_folder, groups, is_fused, option, options
 from siamloc.jobs.sweep import Sweep
 from siamloc.models.registry import is_backbone
-from siamloc.runs import runs_in
+from siamloc.runs import Run, runs_in
 
 OF_SWEEPS = ("map", "evaluate")
 """Commands that do their work for each run if the folder of a sweep is given."""
@@ -36,6 +36,8 @@ _HYDRA = (
 )
 _OF_A_READER = re.compile(r"(?<![\w./])(form|order|axes|offset|times|clock|on_error)=(?=[A-Za-z])")
 """Arguments that the messages of readers name, and which are keys of a group here."""
+_BRANCH = ("model/branch", "model.branch.name")
+"""Keys that name a branch."""
 _NAME = "siamloc"
 """Name of the configuration of a command, which `_register` composes."""
 _print = partial(print, flush=True)
@@ -217,15 +219,18 @@ def _for_each_run(
     A branch of one's own is imported for all runs of a sweep, of which each keeps its own branch.
 
     Raises:
-        SiamlocError: what was wrong with the first run that failed.
+        SiamlocError: what was wrong with the first run that failed; or no run has the branch.
     """
     found = runs_in(config.run) if command in OF_SWEEPS and str(config.run or "").strip() else []
     if not found:
         work(config, given)
-    own = [word for word in given if found and re.fullmatch(r"model/branch=[^,:]+:[^,:]+", word)]
-    for word in own:
-        import_own(*word.replace("'", "").split("=", 1))
-    words = [word for word in given if word not in own]
+    words = given
+    own = str(OmegaConf.select(config, "model.branch.name", default=""))
+    if found and ":" in own and (named := [word for word in given if key_of(word) in _BRANCH]):
+        if own not in map(_branch_of, found):
+            raise ConfigError(f"{named[0]}: no run in {config.run} has this branch: leave it out, each keeps its own")
+        import_own(key_of(named[0]), own)
+        words = [word for word in given if word not in named]
     failed: dict[str, SiamlocError] = {}
     for number, run in enumerate(found, 1):
         print(f"run {number} of {len(found)}: {run.folder}", flush=True)
@@ -239,6 +244,13 @@ def _for_each_run(
     if failed:
         folder, first = next(iter(failed.items()))
         raise ConfigError(f"{len(failed)} of {len(found)} runs failed, the first is {folder}: {first}") from first
+
+
+def _branch_of(run: Run) -> object:
+    try:
+        return at(run.settings, "model.branch")
+    except SiamlocError:  # for which the work for the run fails
+        return None
 
 
 def _sweep(command: str, words: list[str]) -> list[str]:

@@ -221,12 +221,17 @@ def test_joblib_trains_the_jobs_of_a_sweep_side_by_side(here, data):
     assert sorted(path.name for path in here.iterdir()) == ["runs"]
 
 
-def test_a_sweep_over_a_branch_of_ones_own_and_another_is_mapped_at_once(data, here, monkeypatch):
+def test_a_sweep_over_a_branch_of_ones_own_and_another_is_mapped_at_once(data, here, monkeypatch, capsys):
     code = "from torch import nn\ndef factory():\n    return nn.Conv2d(3, 4, 5, stride=4)\n"
     (here / "swept_branches.py").write_text(code, encoding="utf-8")
     monkeypatch.syspath_prepend(here)
     given = [word for word in train(data, here / "sweep") if not word.startswith(("seed=", "model"))]
     done(*given, "model/branch=swept_branches:factory,simple1", "model/head=gem")
-    monkeypatch.delitem(sys.modules, "swept_branches")
-    done("map", f"run={here / 'sweep'}", "model/branch=swept_branches:factory")
-    assert [run.map.is_file() for run in runs_in(here / "sweep")] == [True, True]
+    for key, name in (("model/branch", "%s"), ("model/branch", '"%s"'), ("model.branch.name", "%s")):
+        monkeypatch.delitem(sys.modules, "swept_branches")
+        done("map", f"run={here / 'sweep'}", f"{key}={name % 'swept_branches:factory'}")
+        assert [run.map.is_file() for run in runs_in(here / "sweep")] == [True, True]
+        for run in runs_in(here / "sweep"):
+            run.map.unlink()
+    given = "map", f"run={here / 'sweep'}", "model/branch=swept_branches:other"
+    assert "has this branch: leave it out" in refused(capsys, *given)
