@@ -5,7 +5,7 @@ that drifts, and without. Its panoramas are rendered every 0.07 m, about five pe
 times. `siamloc.walk` turns the video into a bundle; its localizer then gets every third picture of a night drive.
 Errors are mean distances in m: of the surveyed key frames from the true path, and of the located pictures, both after
 the rigid motion that fits the survey to the true path best; without odometry also after the best scale. Minutes are
-those of a processor, of one thread, so that other work on the machine does not count. With `--carried`, a row of an
+those of a processor, of one thread, so that other work on the machine does not count. With `--carried`, a row of a
 360-degree camera that somebody carries is added: it sways by 3 degrees (standard deviation, to the side and ahead),
 about once in a second, in the walk and at night, and no sensor says how.
 

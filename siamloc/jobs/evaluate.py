@@ -104,8 +104,6 @@ class Evaluate(RunJob):
 
     def run(self, say: Say = quiet) -> Result:
         """Measure the task and write its results."""
-        from siamloc.report.draw import save_all
-
         run = self.here
         shared = run.evaluation(self.name) if self.out is None else Path(self.out)
         if self.out is None:
@@ -125,6 +123,8 @@ class Evaluate(RunJob):
         say(result.table())
         say(f"results: {folder / 'results.json'}, one row each in {folder / next(iter(result.tables))}.csv")
         if self.task.plots:  # last: a picture that cannot be drawn must not cost the measures
+            from siamloc.report.draw import save_all
+
             try:
                 for path in save_all(folder, result.layer, occupancy):
                     say(f"picture: {path}")

@@ -77,7 +77,8 @@ def load(run_or_checkpoint: str | Path | Run, *, which: str = "best", network: n
         network.settings = dict(model)  # type: ignore[assignment]
     if isinstance(network, Network) and model is not None and "head" in model:
         _check_built_alike(path, model, network.settings)
-        network.settings |= {key: model[key] for key in ("elevations",) if key in model}
+        if "elevations" in model:
+            network.settings["elevations"] = model["elevations"]
     load_whole(network, state, _another_architecture(path, network))
     if content is not None:
         about = content[CONTENT_KEY]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -224,11 +223,11 @@ def swept_curves(
         raise ConfigError(f"{against!r} does not differ: {hint(against, settings)}")
     numeric = against in numbers
     shown = {row[against] if numeric else _shown(row[against]) for row in usable}
-    values: list[Any] = sorted(shown, key=None if numeric else _by_numbers)
+    values: list[Any] = sorted(shown, key=None if numeric else by_numbers)
     places = {_shown(value): value if numeric else number for number, value in enumerate(values)}
     others = [name for name in settings if name != against and (numeric or not _follows(usable, name, against))]
     lines: dict[str, list[tuple[Any, float]]] = {}
-    for row in sorted(usable, key=lambda row: [_by_numbers(_shown(row[name])) for name in others]):
+    for row in sorted(usable, key=lambda row: [by_numbers(_shown(row[name])) for name in others]):
         label = ", ".join(f"{name}={_shown(row[name])}" for name in others)
         lines.setdefault(label, []).append((places[_shown(row[against])], row[by]))
     across = int(np.clip(_LETTERS_ACROSS // (max(map(len, lines)) + 6), 1, _LINES_ACROSS))
@@ -259,10 +258,6 @@ def _follows(rows: Sequence[Mapping[str, Any]], name: str, other: str) -> bool:
     """Whether a setting has only one value for each value of another one."""
     pairs = {(_shown(row[other]), _shown(row[name])) for row in rows}
     return len(pairs) == len({of for of, _ in pairs})
-
-
-def _by_numbers(shown: str) -> list[Any]:
-    return by_numbers(Path(shown))
 
 
 def _shown(value: Any) -> str:
