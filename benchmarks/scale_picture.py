@@ -32,7 +32,7 @@ def draw(rows: Sequence[Mapping[str, Any]], path: Path) -> Path:
         path: path of the PNG.
     """
     from matplotlib.figure import Figure
-    from matplotlib.ticker import NullLocator
+    from matplotlib.ticker import EngFormatter, NullLocator
 
     with style():
         figure = Figure(figsize=(10.2, 3.7))
@@ -49,8 +49,9 @@ def draw(rows: Sequence[Mapping[str, Any]], path: Path) -> Path:
                 axes.set_ylim(_LEAST, 3 * max(row["memory_mb"] for row in rows))
             axes.set(xscale="log", yscale="log", title=title, xlabel="frames of the map", ylabel=unit)
             axes.grid(color="0.92", linewidth=0.6)
+            axes.xaxis.set_major_formatter(EngFormatter(sep=""))
+            axes.yaxis.set_major_formatter("{x:,.10g}")
             for axis in (axes.xaxis, axes.yaxis):
-                axis.set_major_formatter("{x:,.10g}")
                 axis.set_minor_locator(NullLocator())
         handles, labels = axes.get_legend_handles_labels()
         figure.legend(handles, labels, loc="outside lower center", ncols=len(labels))
