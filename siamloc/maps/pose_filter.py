@@ -5,7 +5,7 @@ as from its wheels, it has moved by that (an extended Kalman filter in x, y and 
 velocity up to a random acceleration (a Kalman filter in x and y). Each pose from `siamloc.maps.refine` is weighted by
 its information and by the probability that it is not a stray one. Several hypotheses, called stories, are kept at once
 [Reid 1979]: every pose starts a new one, which is dropped if it stays near a better one, and takes over if it explains
-the following poses better.
+the following poses better. Later than the first recognized pose, a new story needs a robot that is carried away.
 
 Motions may be wrong, such as those of a stuck encoder: a robot whose motions are known is also tracked without them, by
 other stories, which answer once they explain the poses far better, until the motions explain them as well. Poses of one
@@ -71,6 +71,14 @@ class _Story:
         return wrapped(self.mean[2:]) if self.covariance[2, 2] < _SURE else np.full(1, np.nan)
 
 
+@dataclass(frozen=True)
+class _Stories:
+    """Stories, best first, and the evidence that the robot is anywhere: that no pose but stray ones was told so far."""
+
+    best: tuple[_Story, ...] = ()
+    anywhere: float = 0.0
+
+
 class PoseFilter:
     """Track a robot from the refined poses of its queries.
 
@@ -103,8 +111,8 @@ class PoseFilter:
 
     def reset(self) -> None:
         """Forget all queries: the robot may be anywhere."""
-        self._stories: list[_Story] = []  # that follow the motions, where these are known
-        self._alone: list[_Story] = []  # that do without, from the first known motion
+        self._stories = _Stories()  # that follow the motions, where these are known
+        self._alone = _Stories()  # that do without, from the first known motion
         self._explained: deque[tuple[float, float]] = deque(maxlen=_JUDGED)  # share of both in the last poses
         self._contradicted = False
         self._moved_on = math.inf  # steps and rad since the last recognized pose
@@ -140,17 +148,17 @@ class PoseFilter:
         self._unit.step(move, pose.xy[0] if recognized else None, float(pose.theta[0]))
         self._moved_on += math.inf if move is None else math.hypot(*move[:2]) / self.length + abs(move[2]) + _STANDING
         noise = None if move is None else self._noise(move) if covariance is None else _checked(covariance)
-        if move is not None or self._alone:
+        if move is not None or self._alone.best:
             self._alone = self._followed(self._alone, pose if told else None)
         self._stories = self._followed(self._stories, pose if told else None, move, noise, min(self._moved_on, 1.0))
         if told:  # the next pose tells little more if the robot stays here
             self._moved_on = 0.0 if recognized else (1 - float(pose.agreement[0])) * min(self._moved_on, 1.0)
-        if not self._stories:
+        if not self._stories.best:
             return pose
         if recognized and move is not None:
-            self._explained.append((self._stories[0].share, self._alone[0].share))
+            self._explained.append((self._stories.best[0].share, self._alone.best[0].share))
             self._contradicted = self._contradicts()
-        story = self._alone[0] if self._contradicted else self._stories[0]
+        story = (self._alone if self._contradicted else self._stories).best[0]
         return replace(
             pose,
             xy=story.mean[None, :2],
@@ -186,35 +194,36 @@ class PoseFilter:
 
     def _followed(
         self,
-        stories: list[_Story],
+        before: _Stories,
         pose: RefinedPoses | None,
         move: NDArray[np.float64] | None = None,
         noise: NDArray[np.float64] | None = None,
         new: float = 1.0,
-    ) -> list[_Story]:
-        """Return the stories, best first, after a motion with a covariance, and a pose; None where unknown.
+    ) -> _Stories:
+        """Return the stories after a motion with a covariance, and a pose; None where unknown.
 
         `new` is the weight of the pose, 0 to 1: how far the robot moved since the last recognized pose, in usual steps.
         """
         if move is None or noise is None:
-            stories = [self._moved(story) for story in stories]
+            stories = [self._moved(story) for story in before.best]
         else:
-            stories = [_driven(_with_heading(story), move, noise) for story in stories]
+            stories = [_driven(_with_heading(story), move, noise) for story in before.best]
             self._last = move
         if pose is None:
-            return self._kept(stories, None) if stories else []
+            return self._kept(stories, None, before.anywhere) if stories else before
         spread, seen = np.linalg.inv(pose.information[0]), pose.xy[0]
-        best = max((story.evidence for story in stories), default=0.0)
         begun = _Story(np.concatenate([seen, np.zeros(2)]), _blocks(spread, self.length**2 * np.eye(2)), 0, 1, pose)
         if move is not None:
             begun = _with_heading(begun)
             if np.isfinite(pose.theta[0]):
                 spread, seen = begun.covariance, begun.mean
-        agreement = float(pose.agreement[0])
-        fresh = best + math.log(self.kidnapping * max(agreement, _NEVER) * _ANYWHERE[len(seen)])
+        agreement, stray = float(pose.agreement[0]), math.log(_ANYWHERE[len(seen)])
+        carried = max((story.evidence + math.log(self.kidnapping) for story in stories), default=-math.inf)
+        fresh = max(carried, before.anywhere) + math.log(max(agreement, _NEVER)) + stray
         begun = replace(begun, evidence=fresh)
         stories = [*(_told(story, pose, seen, spread, new) for story in stories), begun]
-        return self._kept(stories, begun if agreement >= _RECOGNIZED else None)
+        anywhere = before.anywhere + math.log(max(1 - agreement, _NEVER)) + stray
+        return self._kept(stories, begun if agreement >= _RECOGNIZED else None, anywhere)
 
     def _contradicts(self) -> bool:
         """Return whether the last recognized poses contradict the motions.
@@ -249,7 +258,7 @@ class PoseFilter:
         turn = (_WHEELS * motion[2]) ** 2 + _SWERVE**2 * (steps + _STANDING)
         return np.diag([place, place, turn])
 
-    def _kept(self, stories: list[_Story], begun: _Story | None) -> list[_Story]:
+    def _kept(self, stories: list[_Story], begun: _Story | None, anywhere: float) -> _Stories:
         """Return the stories that explain the poses best, best first, each place once, the best with evidence 0.
 
         A story that has just begun at a recognized pose is among them: a later pose must be able to confirm it, even if
@@ -262,7 +271,7 @@ class PoseFilter:
                 kept.append(story)
         best, last = kept[0].evidence, kept[_STORIES - 1 :]
         kept[_STORIES - 1 :] = [story for story in last if story is begun] or last[:1]
-        return [replace(story, evidence=story.evidence - best) for story in kept]
+        return _Stories(tuple(replace(story, evidence=story.evidence - best) for story in kept), anywhere - best)
 
 
 def _told(

@@ -178,6 +178,19 @@ def test_with_odometry_a_robot_that_was_carried_away_is_found_within_three_pictu
         assert turned_away(found, away)[202:].max() < 15
 
 
+@pytest.mark.parametrize("known", [False, True])
+@pytest.mark.parametrize("agreement", [0.03, 0.2, 0.4])
+def test_a_picture_of_nothing_at_the_start_does_not_hide_where_the_robot_is(agreement, known):
+    xy = drive(5)
+    poses = told(xy)
+    poses.xy[0] += [3.0, 13.0]
+    poses.agreement[0] = agreement
+    motion = moves(np.column_stack([xy, np.zeros(5)])) if known else None
+    found = PoseFilter(STEP).run(poses, ["a"] * len(xy), motion)
+    assert errors(found, xy)[1:].max() < 0.25
+    assert found.agreement[1] > 0.9, "the first recognized picture is believed at once"
+
+
 def test_stray_poses_before_do_not_hide_where_a_robot_was_carried():
     """Each stray pose is somewhere else, and all are as unlikely: they must not keep the right one out."""
     poses = around()[:120]
