@@ -8,7 +8,7 @@ from datetime import date, timedelta
 from fnmatch import fnmatchcase
 from os.path import abspath
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -112,6 +112,30 @@ class FrameTable:
     unit: str = "m"
     source: Mapping[str, Any] = field(default_factory=dict)
 
+    if TYPE_CHECKING:  # a column is made of anything like an array
+
+        def __init__(
+            self,
+            path: ArrayLike,
+            x: ArrayLike | None = None,
+            y: ArrayLike | None = None,
+            theta: ArrayLike | None = None,
+            room: ArrayLike | None = None,
+            sequence: ArrayLike | None = None,
+            lighting: ArrayLike | None = None,
+            time: ArrayLike | None = None,
+            building: ArrayLike | None = None,
+            odom_x: ArrayLike | None = None,
+            odom_y: ArrayLike | None = None,
+            odom_theta: ArrayLike | None = None,
+            deviation: ArrayLike | None = None,
+            theta_deviation: ArrayLike | None = None,
+            roll: ArrayLike | None = None,
+            pitch: ArrayLike | None = None,
+            unit: str = "m",
+            source: Mapping[str, Any] = ...,
+        ) -> None: ...
+
     def __post_init__(self) -> None:
         paths = _as_column("path", self.path)
         if paths.ndim != 1:
@@ -138,6 +162,10 @@ class FrameTable:
             np.array_equal(a, b, equal_nan=a.dtype.kind == "f")
             for a, b in zip(self.columns().values(), other.columns().values(), strict=True)
         )
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state)
+        self.__post_init__()  # copies of read-only arrays are writable
 
     __hash__ = None  # type: ignore[assignment]
 
@@ -285,7 +313,7 @@ class FrameTable:
         return f"FrameTable({self.describe()})"
 
     @classmethod
-    def from_rows(cls, rows: Sequence[Mapping[str, Any]]) -> FrameTable:
+    def from_rows(cls, rows: Iterable[Mapping[str, Any]]) -> FrameTable:
         """Build a table from a dictionary for each frame, such as {"path": "1.jpg", "x": 0.5}.
 
         The keys are names of columns; missing keys become NaN or the empty string.
@@ -293,6 +321,7 @@ class FrameTable:
         Raises:
             DataError: a key that names no column.
         """
+        rows = list(rows)
         _check_names(dict.fromkeys(key for row in rows for key in row))
         return cls(**{name: [row.get(name, _UNKNOWN[name]) for row in rows] for name in COLUMNS})  # type: ignore[arg-type]
 

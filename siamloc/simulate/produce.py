@@ -19,7 +19,7 @@ from typing import Annotated, Any
 import cv2
 import numpy as np
 
-from foundation.calls import takes
+from foundation.calls import OF_FIELDS, takes
 from foundation.files import content_key, csv_text, read_json, storage_errors, write_json, write_picture, write_text
 from foundation.settings import Count, Natural, Rule, Seed, Settings, Text, Thousand
 from foundation.threads import processors
@@ -178,7 +178,7 @@ class Summary:
 
 
 @takes(SimulateConfig)
-def simulate(*, settings: SimulateConfig) -> Summary:
+def simulate(*, settings: SimulateConfig = OF_FIELDS, **fields: Any) -> Summary:
     """Render a data set, or resume an interrupted one.
 
     With several workers, processes are spawned: call this under `if __name__ == "__main__":` in a script.

@@ -9,10 +9,11 @@ import pytest
 
 ROOT = Path(__file__).parents[2]
 CALLS = """
-from siamloc.data import example
+from siamloc.data import FrameTable, example
 from siamloc.models import TripletLoss, build
 from siamloc.evaluation import localization
 from siamloc.maps import build as mapped
+from siamloc.simulate import simulate
 from siamloc.training import Training, fit
 
 images = example()
@@ -23,6 +24,10 @@ TripletLoss(near=0.3, miner="semihard")
 fit(None, images, images.frames, run="r", epochs=3)  # wrong: arg-type
 known = mapped("hog", images, images.frames)
 localization(known, images, images.frames, refine="relative", radii=(0.5,), seed=1)
+simulate(building="mini", runs=("cloudy1",), out="data", camera="panorama")
+FrameTable(path=["1.jpg", "2.jpg"], x=[0, 1], room=["A", "A"]).x.mean()
+FrameTable.from_rows({"path": name} for name in "ab").with_columns(room=["A", "B"])
+FrameTable(["1.jpg"], rooms=["A"])  # wrong: call-arg
 TripletLoss(nearer=0.3)  # wrong: call-arg
 TripletLoss(near="0.3")  # wrong: arg-type
 """

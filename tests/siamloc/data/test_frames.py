@@ -1,6 +1,8 @@
 from __future__ import annotations
 
+import copy
 import math
+import pickle
 from datetime import datetime
 
 import numpy as np
@@ -109,7 +111,7 @@ def test_a_frame_without_an_image_file_is_refused(missing):
 def test_equality_counts_nan_as_equal_and_rows_make_the_table_again():
     assert table() == table()
     assert table() not in (table().with_columns(x=np.arange(6)), table(3 * 4), "table")
-    assert FrameTable.from_rows(list(table())) == table()
+    assert FrameTable.from_rows(iter(table())) == table()
     row = next(iter(table()))
     assert row["path"] == "0.jpg"
     assert row["building"] == "one"
@@ -200,6 +202,13 @@ def test_frames_are_known_by_sequence_and_absolute_path_and_rooms_by_building(tm
     monkeypatch.chdir(tmp_path)
     assert FrameTable(path=["a/../b.jpg"], sequence=["one"]).identities() == [("one", str(tmp_path / "b.jpg"))]
     assert table().place.tolist() == ["one/a", "one/b", "one/", "a", "b", ""]
+
+
+def test_copies_are_read_only_too():
+    for copied in (copy.deepcopy(table()), pickle.loads(pickle.dumps(table()))):
+        assert copied == table()
+        with pytest.raises(ValueError, match="read-only"):
+            copied.x[0] = 1
 
 
 def test_image_files_are_in_the_order_of_their_numbers_and_then_of_their_names(tmp_path):
