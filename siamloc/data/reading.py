@@ -73,8 +73,8 @@ def read(kind: str, *, unit: str = "m", name: str = "", **where: Any) -> FrameTa
         **where: arguments of that reader, such as root=FOLDER.
 
     Returns:
-        The frames. `source` records the arguments of this call, with absolute paths: `read(**frames.source)` reads the
-        same frames again.
+        The frames. Paths are absolute, in `path` and in `source`, which records the arguments of this call and the
+        defaults of the others: `read(**frames.source)` reads the same frames again.
 
     Raises:
         ConfigError: an unknown or missing kind or keyword; the message lists the valid ones.
@@ -96,8 +96,10 @@ def read(kind: str, *, unit: str = "m", name: str = "", **where: Any) -> FrameTa
         if parameter.default is parameter.empty and where.get(key) is None:
             raise ConfigError(f"data of kind {kind!r} need {key}=...; valid: {', '.join(parameters)}")
     checked(where.get("on_error", "skip"), Policy, "on_error")  # readers of one's own may not say what it can be
-    given = _fitted(kind, where)
-    paths = {key: value.absolute() for key, value in given.items() if isinstance(value, Path)}
+    usual = {key: one.default for key, one in parameters.items() if one.default is not one.empty}
+    given = _fitted(kind, {**usual, **{key: value for key, value in where.items() if value is not None}})
+    given = {key: value.absolute() if isinstance(value, Path) else value for key, value in given.items()}
+    paths = {key: value for key, value in given.items() if isinstance(value, Path)}
     for key, path in paths.items():
         if path.resolve().parts[1:2] in _VIRTUAL:
             raise ConfigError(f"data.{key}={path} lies in a view of the running system, not in a folder of data")
@@ -105,7 +107,7 @@ def read(kind: str, *, unit: str = "m", name: str = "", **where: Any) -> FrameTa
     frames = READERS[kind](**given)
     if not isinstance(frames, FrameTable):
         raise ConfigError(f"the reader of data of kind {kind!r} must return a FrameTable, got {type(frames).__name__}")
-    return replace(frames, unit=unit, source={"kind": kind, "name": named, **plain({**given, **paths})})
+    return replace(frames, unit=unit, source={"kind": kind, "name": named, **plain(given)})
 
 
 def _fitted(kind: str, where: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:

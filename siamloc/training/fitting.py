@@ -22,6 +22,7 @@ from foundation.locks import alone
 from siamloc.data.frames import FrameTable
 from siamloc.data.library import PanoramaLibrary
 from siamloc.data.places import PlaceSettings
+from siamloc.data.protocol import Protocol
 from siamloc.lightning import Trainer
 from siamloc.memory import kept_memory
 from siamloc.models.checkpoint import check_architecture, load
@@ -157,7 +158,7 @@ def fit(
     check_weights(module)
     about = {
         "data": {**train.source, "unit": train.unit, **images.settings()},
-        "protocol": dict(protocol) if protocol is not None else _protocol(train, validated),
+        "protocol": Protocol.of(_protocol(train, validated) if protocol is None else protocol).plain(),
         "augment": augmented,
         "frames": {
             "train": note_frames(images, train),

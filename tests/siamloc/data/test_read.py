@@ -58,12 +58,12 @@ def test_the_source_reads_the_same_frames_from_anywhere(kind, tmp_path, monkeypa
     (tmp_path / "robot.csv").write_text(f"image,x\ntrain/kitchen/{name},1\n")
     where = {"manifest": "robot.csv"} if kind == "manifest" else {"root": Path()}
     monkeypatch.chdir(tmp_path)
-    frames = siamloc.data.read(kind, unit="px", on_error="skip", **where)
-    assert frames.unit == "px"
+    frames = siamloc.data.read(kind, unit="px", **where)
+    assert (frames.unit, frames.source["on_error"]) == ("px", "skip")
     assert json.loads(json.dumps(frames.source)) == frames.source
     monkeypatch.chdir("/")
     again = siamloc.data.read(**frames.source)
-    assert [Path(path).name for path in again.path.tolist()] == [Path(path).name for path in frames.path.tolist()]
+    assert again == frames
     assert again.source == frames.source
     settings = DataSettings.of({**frames.source, "unit": "px", "image_size": [4, 8], "circular": False})
     assert settings.read() == again
