@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import torch
 
 import augment
 from foundation.calls import typed
@@ -29,6 +30,7 @@ from siamloc.training.settings import Monitor, Training
 
 
 @typed
+@torch.inference_mode(mode=False)
 def pretrain(
     network: Network,
     *,

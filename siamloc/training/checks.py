@@ -226,8 +226,10 @@ def check_weights(module: nn.Module) -> None:
         module: the module that holds both.
 
     Raises:
-        ConfigError: no weights, or only frozen ones.
+        ConfigError: no weights, only frozen ones, or some that nothing can be learned from.
     """
+    if any(weight.is_inference() for weight in module.parameters()):
+        raise ConfigError("weights made under torch.inference_mode() cannot be trained: make the network outside of it")
     learns = [weight.requires_grad for weight in module.parameters()]
     if not any(learns):
         found = "have no weights" if not learns else f"have only frozen ones, {len(learns)} with requires_grad=False"

@@ -453,6 +453,14 @@ def test_mistakes_are_found_before_the_folder_is_touched(train, tmp_path, wrong,
     assert listing(tmp_path) == before
 
 
+def test_training_learns_under_inference_mode_but_not_weights_made_there(train):
+    network = build("simple1", "fc500_500_5", SIZE)
+    with torch.inference_mode():
+        assert len(curve(train(network=network))) == 1
+        with pytest.raises(ConfigError, match=r"made under torch.inference_mode\(\) cannot be trained"):
+            train("other")  # makes its network here
+
+
 def test_validation_frames_must_not_be_trained_on(train, frames):
     with pytest.raises(ConfigError, match="12 validation frames are training frames too"):
         train(validation=frames)
