@@ -193,15 +193,21 @@ def misfit(values: Mapping[str, Any], kinds: Mapping[str, Any], prefix: str = ""
 
 
 def merged(values: Mapping[str, Any], others: Mapping[str, Any]) -> dict[str, Any]:
-    """Return nested values with other values merged over them; paths become texts."""
+    """Return nested values with other values merged over them; paths, alone and in lists, become texts."""
     result = dict(values)
     for key, value in others.items():
         if isinstance(value, Mapping):
             before = result.get(key)
             result[key] = merged(before if isinstance(before, Mapping) else {}, value)
         else:
-            result[key] = str(value) if isinstance(value, Path) else value
+            result[key] = _without_paths(value)
     return result
+
+
+def _without_paths(value: Any) -> Any:
+    if isinstance(value, list | tuple):
+        return [_without_paths(item) for item in value]
+    return str(value) if isinstance(value, Path) else value
 
 
 def leaves(values: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:

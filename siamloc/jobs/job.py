@@ -91,6 +91,9 @@ class Job(Settings):
         Raises:
             ConfigError: an unknown key, a missing key without a default, or a value of the wrong type or out of range.
         """
+        for name, key in _KEY.items():
+            if name in values and key in cls.key_names():
+                raise ConfigError(f"unknown configuration key {name!r}: did you mean {key!r}?")
         check_known(values, [*cls.key_names(), *(["experiment"] if cls.SHARED else [])], "")
         whole = cls.completed(with_options(cls, values), given or given_by(cls, values))
         if missing := sorted(key for key, value in leaves(whole) if isinstance(value, str) and value == "???"):

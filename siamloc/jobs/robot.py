@@ -8,6 +8,7 @@ import time
 from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
+from statistics import mean, median
 from typing import TYPE_CHECKING, Annotated, Literal
 
 from foundation.files import real_path
@@ -182,9 +183,8 @@ class Localize(Robot):
         where = "" if target is None else f": {target}"
         conclude(f"{count - faults} of {count} images located{', then interrupted' if stopped else ''}{where}")
         if off:
-            middle = sorted(off)[len(off) // 2]
             conclude(
-                f"from the poses in their names: mean {sum(off) / len(off):.2f} {localizer.unit}, median {middle:.2f} "
+                f"from the poses in their names: mean {mean(off):.2f} {localizer.unit}, median {median(off):.2f} "
                 f"{localizer.unit}, largest {max(off):.2f} {localizer.unit}"
             )
         if stopped:
