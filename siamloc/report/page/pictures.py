@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from siamloc.data.decoding import Preprocessing
 from siamloc.data.image_files import UnreadableImageError, read_image
-from siamloc.errors import ConfigError, SiamlocError
+from siamloc.errors import ConfigError, SiamlocError, logger
 from siamloc.progress import track
 
 Picture = NDArray[np.uint8]
@@ -97,6 +97,11 @@ class Decoder:
             self.place[path] = -1 if tile is None else len(tiles)
             if tile is not None:
                 tiles.append(tile)
+        if missing := [path for path in self.place if path in self.missing]:
+            first = missing[0], self.missing[missing[0]]
+            logger.warning(
+                "%d of %d pictures could not be read, the first: %s (%s)", len(missing), len(self.place), *first
+            )
         starts = range(0, len(tiles), TILES_PER_SHEET)
         self._sheets = [_encoded_sheet(tiles[i : i + TILES_PER_SHEET], quality) for i in starts]
 

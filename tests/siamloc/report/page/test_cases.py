@@ -38,7 +38,7 @@ def figures_in_outline(monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setattr(module, "inline", outline)
 
 
-def test_images_that_are_gone_leave_placeholders_and_a_count(tmp_path: Path) -> None:
+def test_images_that_are_gone_leave_placeholders_and_a_count(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     run = pages.write_run(tmp_path / "run", tmp_path)
     queries = columns_of(run)
     gone = queries["path"][[3, 8, int(np.argmax(queries["error"]))]]
@@ -50,6 +50,7 @@ def test_images_that_are_gone_leave_placeholders_and_a_count(tmp_path: Path) -> 
         np.flatnonzero(np.isin(queries["path"], gone))
     )
     assert f"{len(set(gone))} pictures of " in notes(page)
+    assert f"{len(set(gone))} of 97 pictures could not be read, the first: " in caplog.text
     assert "the file does not exist" in notes(page)
     assert page.all("div", class_="missing")[0].attributes["title"] in gone
 
