@@ -116,6 +116,7 @@ def walk(
             the map is in metres; without, its scale may be off by a tenth or more.
         out: the folder for everything, which is then a run: `siamloc report`, `live` and `localize` take it as run=.
         say: receives the lines.
+        settings: all fields of `WalkSettings` together, instead of one keyword each.
 
     Raises:
         ConfigError: a left_out with which too few key frames are left out.

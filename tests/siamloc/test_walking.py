@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import inspect
+import re
+
 import cv2
 import numpy as np
 import pytest
@@ -25,6 +28,11 @@ def mini(tmp_path_factory):
     both = siamloc.data.read("cold", root=out / "mini")
     both = both.take(np.argsort(both.time, kind="stable"))
     return both.select(sequence="*cloudy1"), both.select(sequence="*night1")
+
+
+def test_the_help_describes_every_keyword():
+    described = re.findall(r"^    (\w+): ", siamloc.walk.__doc__ or "", flags=re.MULTILINE)
+    assert set(inspect.signature(siamloc.walk).parameters) <= set(described)
 
 
 def equirectangular(path):
