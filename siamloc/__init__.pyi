@@ -4,6 +4,7 @@ from . import (
     maps as maps,
     models as models,
     pretraining as pretraining,
+    progress as progress,
     report as report,
     runtime as runtime,
     simulate as simulate,

@@ -1,15 +1,39 @@
-"""Progress of long work: a bar on a terminal, plain lines elsewhere."""
+"""Progress of long work: a bar on a terminal, plain lines elsewhere, and nothing where it is `hidden`."""
 
 from __future__ import annotations
 
 import sys
 import time
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import nullcontext
+from contextlib import contextmanager, nullcontext
+from contextvars import ContextVar
 from typing import Any, TypeVar
 
 Item = TypeVar("Item")
 _PAUSE = 10.0  # seconds between plain lines when standard error is not a terminal
+_shown = ContextVar("shown", default=True)
+
+
+@contextmanager
+def hidden() -> Iterator[None]:
+    """Hide the progress of all work in a block, or in a function that this decorates; notes and warnings stay.
+
+    Example:
+        >>> import siamloc
+        >>> images = siamloc.data.example()
+        >>> with siamloc.progress.hidden():
+        ...     known = siamloc.maps.build("hog", images, images.frames)
+    """
+    before = _shown.set(False)
+    try:
+        yield
+    finally:
+        _shown.reset(before)
+
+
+def shown() -> bool:
+    """Whether progress is shown here, and not `hidden`."""
+    return _shown.get()
 
 
 def track(items: Iterable[Item], total: int, what: str, size: Callable[[Item], int] | None = None) -> Iterator[Item]:
@@ -21,6 +45,9 @@ def track(items: Iterable[Item], total: int, what: str, size: Callable[[Item], i
         what: the work in words, such as "decoding images".
         size: how many of the total an item counts for, such as `len` for batches; 1 if None.
     """
+    if not shown():
+        yield from items
+        return
     bar = _bar(what, total) if sys.stderr.isatty() else None
     start = last = time.monotonic()
     done, rate = 0, 0.0

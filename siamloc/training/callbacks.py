@@ -28,6 +28,7 @@ from siamloc.lightning import (
 )
 from siamloc.models.describing import margin_of
 from siamloc.models.places import PlaceModule
+from siamloc.progress import shown
 from siamloc.runs import Run, higher_is_better
 from siamloc.training.loggers import files_logged
 from siamloc.training.pace import Pace
@@ -197,7 +198,8 @@ class Curves(Checkpoint):
         """Record the files of the loggers, and print a summary, unless the training was interrupted."""
         self._record_logged(trainer)
         early = self._stale() and len(self._rows) < (trainer.max_epochs or 0)
-        if not trainer.is_global_zero or not (early or trainer.current_epoch >= (trainer.max_epochs or 0)):
+        ended = early or trainer.current_epoch >= (trainer.max_epochs or 0)
+        if not (trainer.is_global_zero and ended and shown()):
             return
         parts = [f"trained in {(time.monotonic() - self._start[0]) / 60:.1f} min"]
         if early:
@@ -246,6 +248,8 @@ class Curves(Checkpoint):
         return int(self._rows[-1]["epoch"]) - best[1] >= self._patience
 
     def _say(self, trainer: Trainer, values: dict[str, float]) -> None:
+        if not shown():
+            return
         start, first = self._start
         done, total = trainer.current_epoch + 1, trainer.max_epochs or 0
         left = (time.monotonic() - start) / (done - first) * (total - done)

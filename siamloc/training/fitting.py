@@ -32,6 +32,7 @@ from siamloc.models.module import NetworkModule
 from siamloc.models.network import Network
 from siamloc.models.places import BatchLoss, PlaceModule
 from siamloc.models.siamese import Loss, SiameseModule
+from siamloc.progress import shown
 from siamloc.runs import Run
 from siamloc.training.adapting import Adapting
 from siamloc.training.batches import BatchAugmentation, EpochDataModule
@@ -245,7 +246,8 @@ def learn(
             said = f"training {name} on {what}, epochs: {epochs}, into {run.folder}"
             if resume and progress(run) == (epochs, 0):
                 said = f"{run.folder} was trained for all its epochs already ({epochs}): nothing is left to train"
-            print(said, file=sys.stderr)
+            if shown():
+                print(said, file=sys.stderr)
         log_settings(lightning.loggers, plain(used))
         start = last if resume and last.is_file() else None
         with computing(module, settings, trainer):

@@ -20,6 +20,7 @@ from siamloc.errors import ConfigError, in_one_line
 from siamloc.lightning import Callback, LayerSync, LightningModule, Trainer
 from siamloc.models.module import NetworkModule
 from siamloc.models.network import Network
+from siamloc.progress import shown
 from siamloc.runs import Run
 from siamloc.training.batch_norm import OneBatch
 from siamloc.training.callbacks import AtomicCheckpoints, Curves, MovingAverage, checkpoint_callbacks
@@ -79,7 +80,7 @@ def run_trainer(run: Run, settings: Training, further: Mapping[str, Any] | None,
     taken = sorted(set(options) & set(own))
     if taken:
         raise ConfigError(f"trainer.{taken[0]} is set by siamloc itself: leave it out")
-    options.setdefault("enable_progress_bar", sys.stderr.isatty())
+    options.setdefault("enable_progress_bar", shown() and sys.stderr.isatty())
     return _made(options, own)
 
 

@@ -1,6 +1,7 @@
 import io
 import sys
 
+import siamloc
 from siamloc import progress
 from siamloc.progress import track
 
@@ -17,6 +18,17 @@ def test_plain_lines_where_nobody_watches(monkeypatch):
     assert last.startswith("counting: 3 of 3 in ")
     assert list(track([], 0, "waiting")) == []
     assert screen.getvalue().splitlines()[-1].startswith("waiting: 0 of 0")
+
+
+def test_nothing_is_shown_where_progress_is_hidden(capsys):
+    with progress.hidden():
+        assert list(track("abc", 3, "counting")) == ["a", "b", "c"]
+        images = siamloc.data.example()
+        known = siamloc.maps.build("hog", images, images.frames)
+        siamloc.evaluation.localization(known, images, images.frames, protocol="same_run")
+    assert capsys.readouterr().err == ""
+    list(track("abc", 3, "counting"))
+    assert "counting: 3 of 3" in capsys.readouterr().err
 
 
 def test_a_bar_where_a_person_watches(monkeypatch):

@@ -22,6 +22,7 @@ from foundation.files import read_json, write_json
 from siamloc.data import FrameTable, PanoramaLibrary, Protocol, read
 from siamloc.errors import ConfigError, DataError, FormatError
 from siamloc.models import SoftContrastiveLoss, as_descriptor, build, load
+from siamloc.progress import hidden
 from siamloc.runs import Run
 from siamloc.training import PairSettings, Training, fit
 from siamloc.training.checks import monitored
@@ -459,6 +460,12 @@ def test_training_learns_under_inference_mode_but_not_weights_made_there(train):
         assert len(curve(train(network=network))) == 1
         with pytest.raises(ConfigError, match=r"made under torch.inference_mode\(\) cannot be trained"):
             train("other")  # makes its network here
+
+
+def test_a_training_says_nothing_where_progress_is_hidden(train, capsys):
+    with hidden():
+        train()
+    assert capsys.readouterr().err == ""
 
 
 def test_validation_frames_must_not_be_trained_on(train, frames):
