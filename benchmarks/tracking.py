@@ -1,12 +1,12 @@
 """Track a robot with and without its odometry, on drives in which one picture in four shows nothing of the building.
 
-The map is a cloudy drive with a frame every 0.6 m. A robot drives through it in each light, with pictures at least
-0.3 m apart; one in four of them, drawn by chance, is black or comes from another building. The refined poses of the
-pictures are tracked (`siamloc.maps.PoseFilter`), with simulated odometry and without. Errors are distances in m from the
-true position after each picture, the bad ones included. Then the robot is carried away: after every 8 m of its drive it
-goes on 15 m of way or more from there, which the wheels do not notice. `noticed` is the number of pictures of the
-building, bad ones not counted, until the tracked position is within 1 m of the true one, or until the robot is carried
-on. All is drawn three times.
+The map is a cloudy drive with a frame every 0.6 m. A robot drives through it in each light, with pictures at least 0.3
+m apart; one in four of them, drawn by chance, is black or comes from another building. The refined poses of the
+pictures are tracked (`siamloc.maps.PoseFilter`), with simulated odometry and without. Errors are distances in m from
+the true position after each picture, the bad ones included. Then the robot is carried away: after every 8 m of its
+drive it goes on 15 m of way or more from there, which the wheels do not notice. `noticed` is the number of pictures of
+the building, bad ones not counted, until the tracked position is within 1 m of the true one, or until the robot is
+carried on. All is drawn three times.
 
 Targets: with odometry, 95 % of the errors lie within half of the limit without it; carried away, the robot knows within
 three pictures in 95 % of the cases.

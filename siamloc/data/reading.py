@@ -73,8 +73,8 @@ def read(kind: str, *, unit: str = "m", name: str = "", **where: Any) -> FrameTa
         **where: arguments of that reader, such as root=FOLDER.
 
     Returns:
-        The frames. Paths are absolute, in `path` and in `source`, which records the arguments of this call and the
-        defaults of the others: `read(**frames.source)` reads the same frames again.
+        The frames. Paths are absolute, in `path` and in `source`, which records the arguments of this call:
+        `read(**frames.source)` reads the same frames again.
 
     Raises:
         ConfigError: an unknown or missing kind or keyword; the message lists the valid ones.
@@ -96,8 +96,7 @@ def read(kind: str, *, unit: str = "m", name: str = "", **where: Any) -> FrameTa
         if parameter.default is parameter.empty and where.get(key) is None:
             raise ConfigError(f"data of kind {kind!r} need {key}=...; valid: {', '.join(parameters)}")
     checked(where.get("on_error", "skip"), Policy, "on_error")  # readers of one's own may not say what it can be
-    usual = {key: one.default for key, one in parameters.items() if one.default is not one.empty}
-    given = _fitted(kind, {**usual, **{key: value for key, value in where.items() if value is not None}})
+    given = _fitted(kind, where)
     given = {key: value.absolute() if isinstance(value, Path) else value for key, value in given.items()}
     paths = {key: value for key, value in given.items() if isinstance(value, Path)}
     for key, path in paths.items():

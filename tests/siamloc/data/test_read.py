@@ -58,8 +58,8 @@ def test_the_source_reads_the_same_frames_from_anywhere(kind, tmp_path, monkeypa
     (tmp_path / "robot.csv").write_text(f"image,x\ntrain/kitchen/{name},1\n")
     where = {"manifest": "robot.csv"} if kind == "manifest" else {"root": Path()}
     monkeypatch.chdir(tmp_path)
-    frames = siamloc.data.read(kind, unit="px", **where)
-    assert (frames.unit, frames.source["on_error"]) == ("px", "skip")
+    frames = siamloc.data.read(kind, unit="px", on_error="skip", **where)
+    assert frames.unit == "px"
     assert json.loads(json.dumps(frames.source)) == frames.source
     monkeypatch.chdir("/")
     again = siamloc.data.read(**frames.source)

@@ -85,7 +85,7 @@ def test_a_run_holds_its_settings_and_what_was_written(train, frames, day, flat,
     settings = run.settings
     options = {"epochs": 2, "batch_size": 8, "pairs": PairSettings(label="room")}
     assert Training.of(settings["training"]) == Training(monitor="error", **options)  # what "auto" came to
-    assert (settings["data"]["manifest"], settings["data"]["on_error"]) == (str(flat), "skip")
+    assert settings["data"]["manifest"] == str(flat)
     assert settings["data"]["image_size"] == list(SIZE)
     roles = {"train": {"sequences": ["cloudy1"]}, "validation": {"sequences": ["night1"]}}
     assert settings["protocol"] == Protocol.of(roles).plain()
