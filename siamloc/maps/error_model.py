@@ -42,10 +42,13 @@ def ratio_score(found: Retrieval, map_xy: NDArray[np.float64], radius: float) ->
 def pose_score(poses: RefinedPoses) -> NDArray[np.float64]:
     """Return the logarithm of the uncertainty of refined poses (n,): the standard deviation over the agreement.
 
+    How exact the map is does not count: errors are learned, and expected, in the map.
+
     If nothing could be compared, the score is larger than any other. Because of the logarithm, a few such poses do not
     dominate the mean of a group.
     """
-    spread = np.sqrt(np.trace(poses.covariance(), axis1=1, axis2=2)) / np.maximum(poses.agreement, _AGREEMENT)
+    in_map = replace(poses, map_variance=None).covariance()
+    spread = np.sqrt(np.trace(in_map, axis1=1, axis2=2)) / np.maximum(poses.agreement, _AGREEMENT)
     return np.log(np.where(np.isnan(spread), _UNTOLD, np.clip(spread, 1 / _UNTOLD, _UNTOLD)))
 
 
@@ -76,7 +79,7 @@ class ErrorModel(Learned):
     """
 
     FORMAT = "siamloc-error-model"
-    VERSION = 7
+    VERSION = 8
     NOUN = "error model"
 
     score: Literal["ratio", "pose"]

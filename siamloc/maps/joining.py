@@ -31,11 +31,14 @@ class RefinedPoses(Rows):
         xy: (n, 2), in the unit of the positions; the map frame's own position if nothing could be compared.
         theta: (n,) in rad, in (-pi, pi]; NaN if nothing could be compared.
         information: (n, 2, 2) inverse of the scale matrix of x and y in a t-distribution with 4 degrees of freedom;
-            zeros if nothing could be compared. It contains the deviations of the map's frames, where they are known.
+            zeros if nothing could be compared. It says how certain the pose is in the map, not how exact the map is.
         agreement: (n,) share of the answers that agree on the pose, from 0 to 1.
         frame: (n,) the map frame whose answer has the largest weight.
         match: (n,) logarithm of the odds that a map frame was taken near the query, the largest of all compared frames;
             minus infinity if nothing could be compared.
+        map_variance: (n,) variance of x, and of y, of the compared map frames, in squared units of the positions: how
+            exact a surveyed map is there, which is the same for all queries of a place; 0 where it is not known. None
+            for 0 everywhere.
 
     Poses from `interpolate_poses` have no information, their agreement is the share of map frames used, and their match
     is NaN.
@@ -47,35 +50,38 @@ class RefinedPoses(Rows):
     agreement: NDArray[np.float64]
     frame: NDArray[np.int64]
     match: NDArray[np.float64]
+    map_variance: NDArray[np.float64] | None = None
 
     def squared(self, xy: ArrayLike) -> NDArray[np.float64]:
-        """Return squared distances (n,) from true positions (n, 2), weighted by the information; NaN if it is zero."""
-        apart = np.asarray(xy, dtype=np.float64) - self.xy
-        told = self.information.any(axis=(1, 2))
-        return np.where(told, np.einsum("ni,nij,nj->n", apart, self.information, apart), np.nan)
+        """Return squared distances (n,) from positions (n, 2) in the map, weighted by the information; NaN if zero."""
+        return self._weighed(xy, self.information)
 
     @typed
     def inside(self, xy: ArrayLike, share: Probability = 0.9) -> NDArray[np.float64]:
         """Return which true positions (n, 2) lie in the ellipse with the probability `share` (n,): 1, 0 or NaN.
 
+        The ellipses contain the variance of the map. Positions from the same survey as the map share its errors, so
+        that more of them lie inside.
+
         Args:
             xy: (n, 2).
             share: between 0 and 1; the ellipse with the probability 1 would be the whole plane.
         """
-        squared = self.squared(xy)
+        scale = self.covariance() * (FREEDOM - 2) / FREEDOM
+        squared = self._weighed(xy, np.linalg.inv(scale).astype(np.float64))
         return np.where(np.isnan(squared), np.nan, squared <= _limit(share))
 
     @typed
     def widening(self, xy: ArrayLike, share: Probability = 0.9) -> float:
-        """Learn how much wider the ellipses must be, from true positions (n, 2) of a drive used for nothing else.
+        """Learn how much wider the information's ellipses must be, from positions of a drive used for nothing else.
 
         Args:
-            xy: (n, 2).
+            xy: (n, 2) positions in the map: true ones, or for a surveyed map those of the same survey.
             share: between 0 and 1, as for `inside`.
 
         Returns:
-            The factor on squared distances, for `widened`, with which `share` of the true positions lie in the
-            ellipses.
+            The factor on squared distances, for `widened`, with which `share` of the positions lie in the ellipses
+            without the variance of the map.
 
         Raises:
             DataError: fewer than 10 positions.
@@ -88,14 +94,24 @@ class RefinedPoses(Rows):
 
     @typed
     def widened(self, factor: Positive) -> RefinedPoses:
-        """Return the poses with ellipses enlarged by a factor on squared distances."""
+        """Return the poses with ellipses enlarged by a factor on squared distances; the map's variance stays."""
         return replace(self, information=self.information / factor)
 
     def covariance(self) -> NDArray[np.float64]:
-        """Return the covariances of x and y (n, 2, 2), in squared units of the positions; NaN without information."""
+        """Return the covariances of x and y (n, 2, 2), in squared units of the positions; NaN without information.
+
+        They are the sums of what the information and the variance of the map say.
+        """
         told = np.asarray(self.information.any(axis=(1, 2)))[:, None, None]
         held = np.where(told, self.information, np.eye(2))
-        return np.where(told, np.linalg.inv(held) * FREEDOM / (FREEDOM - 2), np.nan)
+        of_map = 0.0 if self.map_variance is None else self.map_variance[:, None, None] * np.eye(2)
+        return np.where(told, np.linalg.inv(held) * FREEDOM / (FREEDOM - 2) + of_map, np.nan)
+
+    def _weighed(self, xy: ArrayLike, information: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return squared distances (n,) from positions (n, 2), weighted by information (n, 2, 2); NaN if unknown."""
+        apart = np.asarray(xy, dtype=np.float64) - self.xy
+        told = self.information.any(axis=(1, 2))
+        return np.where(told, np.einsum("ni,nij,nj->n", apart, information, apart), np.nan)
 
 
 def joined(known: VisualMap, compared: Compared) -> RefinedPoses:
@@ -119,13 +135,15 @@ def joined(known: VisualMap, compared: Compared) -> RefinedPoses:
     heading = np.arctan2((weight_of_turn * np.sin(turned)).sum(axis=1), (weight_of_turn * np.cos(turned)).sum(axis=1))
     nothing = np.logical_not(usable.any(axis=1) & weight.any(axis=1))
     robot = most_likely - known.mounting.offset(heading)
+    variance = np.nan_to_num(known.frames.deviation[rows]) ** 2
     return RefinedPoses(
         np.where(nothing[:, None], known.frames.xy[rows[:, 0]], robot),
         np.where(nothing, np.nan, heading),
-        _together((weight[..., None, None] * about).sum(axis=1), share, np.nan_to_num(known.frames.deviation[rows])),
+        _together((weight[..., None, None] * about).sum(axis=1), share),
         share.mean(axis=1),
         rows[np.arange(n), share.argmax(axis=1)],
         odds.max(axis=1),
+        (share * variance).sum(axis=1) / np.maximum(share.sum(axis=1), _NOTHING),
     )
 
 
@@ -179,21 +197,17 @@ def _most_likely(
     return points[best] + middle[:, 0], weight[best], share[best]
 
 
-def _together(
-    information: NDArray[np.float64], share: NDArray[np.float64], deviation: NDArray[np.float64]
-) -> NDArray[np.float64]:
+def _together(information: NDArray[np.float64], share: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the information of poses (n, 2, 2) whose answers have correlated errors.
 
     Args:
         information: sum of that of the answers (n, 2, 2).
         share: of the answers (n, k), see `_most_likely`.
-        deviation: standard deviations of the positions of their map frames (n, k), which neighbours have in common.
     """
     told = (np.linalg.det(information) > _NOTHING)[:, None, None]
     answers = np.maximum(share.sum(axis=1), 1)
     spread = np.linalg.inv(np.where(told, information, np.eye(2))) * (1 + _CORRELATION * (answers - 1))[:, None, None]
-    of_map = (share * deviation**2).sum(axis=1) / np.maximum(share.sum(axis=1), _NOTHING) * (FREEDOM - 2) / FREEDOM
-    return np.where(told, np.linalg.inv(spread + (_LEAST**2 + of_map)[:, None, None] * np.eye(2)), 0.0)
+    return np.where(told, np.linalg.inv(spread + _LEAST**2 * np.eye(2)), 0.0)
 
 
 def _limit(share: float) -> float:

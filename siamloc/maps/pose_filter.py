@@ -123,9 +123,10 @@ class PoseFilter:
     ) -> RefinedPoses:
         """Update the filter with the pose of one query and return the filtered pose.
 
-        A pose that is NaN or has no information (see `RefinedPoses`) only lets the robot move on. The map frame is that
-        of the last pose that is not considered stray; so is the heading, unless the motion is known. Motions are not
-        used once most of the last recognized poses agree with each other, but not with the motions, until they do.
+        A pose that is NaN or has no information (see `RefinedPoses`) only lets the robot move on. The map frame and the
+        variance of the map, which no number of poses lessens, are those of the last pose that is not considered stray;
+        so is the heading, unless the motion is known. Motions are not used once most of the last recognized poses agree
+        with each other, but not with the motions, until they do.
 
         Args:
             pose: the pose of the query.
@@ -166,6 +167,7 @@ class PoseFilter:
             theta=story.theta,
             agreement=pose.agreement * story.share,
             frame=story.trusted.frame,
+            map_variance=story.trusted.map_variance,
         )
 
     def run(self, poses: RefinedPoses, sequence: ArrayLike, motion: ArrayLike | None = None) -> RefinedPoses:

@@ -44,7 +44,7 @@ class Refinement(Learned):
     """
 
     FORMAT = "siamloc-refinement"
-    VERSION = 3
+    VERSION = 4
     NOUN = "refinement of poses"
 
     method: Literal["interpolate", "relative"]

@@ -32,10 +32,10 @@ _WAITING = 200  # largest number of pictures in memory
 class Collector:
     """Keeps panoramas with their poses in a folder: `<folder>/<start of the drive>/<time and pose>.png`.
 
-    A picture is kept if its position is certain: its standard deviation, or else its expected error, is at most 0.25,
-    and it is recognized there. It is taken at least 0.1 or 20 degrees away from the one before. A picture that only the
-    tracker of a robot locates waits in memory until a later picture is recognized where the tracker has the robot; it
-    is dropped if the tracker was wrong, or if the drive ends before.
+    A picture is kept if its position in the map is certain: its standard deviation, or else its expected error, is at
+    most 0.25, however exact the map is, and it is recognized there. It is taken at least 0.1 or 20 degrees away from
+    the one before. A picture that only the tracker of a robot locates waits in memory until a later picture is
+    recognized where the tracker has the robot; it is dropped if the tracker was wrong, or if the drive ends before.
 
     Args:
         folder: the folder, with a folder for each drive.
@@ -62,10 +62,18 @@ class Collector:
             self._last: NamedPose | None = None
             self._waiting.clear()
 
-    def take(self, panorama: NDArray[np.uint8], location: Location, tracked: bool) -> Path | None:
+    def take(
+        self, panorama: NDArray[np.uint8], location: Location, tracked: bool, map_variance: float = 0.0
+    ) -> Path | None:
         """Keep a panorama (3, H, W), uint8, RGB, if it was located well; return its file, None if it has none yet.
 
         A disk that is full or cannot be written to is a warning: the robot drives on.
+
+        Args:
+            panorama: the panorama.
+            location: where it was taken.
+            tracked: whether the location is that of a tracked robot.
+            map_variance: the part of the location's variances that is the map's, as in `RefinedPoses`.
         """
         pose = NamedPose(time.time(), location.x, location.y, location.theta if self.headings else 0.0)
         if not all(map(math.isfinite, pose)):
@@ -75,7 +83,7 @@ class Collector:
             if math.hypot(pose.x - before.x, pose.y - before.y) > _ELSEWHERE:
                 self._waiting.clear()  # the tracker was wrong
             recognized = _recognized(location, tracked)
-            if not _certain(location) or not (recognized or (tracked and panorama.std() > _BLANK)):
+            if not _certain(location, map_variance) or not (recognized or (tracked and panorama.std() > _BLANK)):
                 return None
             if self._last is not None:
                 turned = abs(math.remainder(pose.theta - self._last.theta, 2 * math.pi))
@@ -103,12 +111,12 @@ class Collector:
         return path
 
 
-def _certain(location: Location) -> bool:
-    """Whether the position of a picture is certain."""
+def _certain(location: Location, map_variance: float) -> bool:
+    """Whether the position of a picture in the map is certain."""
     if location.covariance is None:
         return location.error_m <= _CERTAIN  # NaN is not
     (xx, _), (_, yy) = location.covariance
-    return math.sqrt((xx + yy) / 2) <= _CERTAIN
+    return (xx + yy) / 2 - map_variance <= _CERTAIN**2
 
 
 def _recognized(location: Location, tracked: bool) -> bool:

@@ -307,7 +307,8 @@ class Localizer:
             agreement=math.nan if pose is None else float(pose.agreement[0]),
         )
         if self._collector is not None:
-            self._collector.take(panorama, location, tracker is not None)
+            of_map = 0.0 if pose is None or pose.map_variance is None else float(pose.map_variance[0])
+            self._collector.take(panorama, location, tracker is not None, of_map)
         return location
 
     @typed

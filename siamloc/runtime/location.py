@@ -41,14 +41,16 @@ class Location:
         room: room of the map frame that looks most like the image, or ""; if a coarse layer is searched first, room of
             the nearest map frame; with a `SequenceFilter`, room of the map frame where the robot is tracked.
         error_m: expected error of x and y in their unit, metres by default; NaN if the bundle holds no error model, or
-            if the image shows nothing of what the map shows.
+            if the image shows nothing of what the map shows. In a surveyed map it is the distance to where the map has
+            this place, which may itself be off.
         lost: whether the expected error is above the threshold that the error model was learned with, or the image
             shows nothing of what the map shows, such as one of another building or from another camera; None without a
             threshold.
         candidates: the map frames that resemble the image most, nearest first.
         ms: total time for preparing, describing, searching and all estimates, in milliseconds.
-        covariance: covariance ((xx, xy), (xy, yy)) of x and y, in their squared unit; None if unknown. If `lost` is
-            true, it is meaningless: it is the covariance of a pose in the map.
+        covariance: covariance ((xx, xy), (xy, yy)) of x and y, in their squared unit; None if unknown. That of a
+            refined pose contains the deviations of a surveyed map, which `error_m` does not. If `lost` is true, it is
+            meaningless: it is the covariance of a pose in the map.
         agreement: share of the examined map frames that agree on a refined pose, from 0 to 1; NaN if the pose is not
             refined.
     """

@@ -82,6 +82,8 @@ def test_the_expected_error_of_a_pose_grows_with_its_deviation_beyond_all_of_the
     found, xy = Retrieval(np.zeros((n, 1), dtype=int), np.ones((n, 1))), [[0.0, 0.0]]
     np.testing.assert_allclose(model.predict(found, xy, poses), [0.05, 0.2, 0.4, 4.0, 10.0])
     assert replace(model, lost_above=1.0).judged(found, xy, poses)[1].tolist() == [False] * 3 + [True] * 2
+    surveyed = replace(poses, map_variance=np.full(n, 1.0))  # does not count: errors are those in the map
+    np.testing.assert_array_equal(model.predict(found, xy, surveyed), model.predict(found, xy, poses))
 
 
 @pytest.mark.parametrize("n", [30, 400])
@@ -185,8 +187,8 @@ def test_what_is_foreign_is_not_learned_from_a_few() -> None:
     ("values", "message"),
     [
         ({"format": "other"}, "this is not a siamloc error model"),
-        ({**MODEL.as_dict(), "version": 8}, "format version 8, this siamloc reads version 7: update siamloc"),
-        ({**MODEL.as_dict(), "version": 6}, "format version 6, this siamloc reads version 7: make it again"),
+        ({**MODEL.as_dict(), "version": 9}, "format version 9, this siamloc reads version 8: update siamloc"),
+        ({**MODEL.as_dict(), "version": 7}, "format version 7, this siamloc reads version 8: make it again"),
         ({**MODEL.as_dict(), "foreign_weight": -1}, "not a whole error model"),
         ({**MODEL.as_dict(), "knots": [0.5]}, "not a whole error model"),
         ({**MODEL.as_dict(), "errors": [3, 2, 1]}, "not a whole error model"),

@@ -58,6 +58,19 @@ def test_a_single_wrong_pose_is_passed_over(agreement):
     assert np.linalg.det(found.information[30]) < np.linalg.det(found.information[29]), "it is less sure there"
 
 
+def test_no_number_of_poses_lessens_the_variance_of_the_map():
+    xy, names = drive(), ["a"] * 60
+    poses = told(xy)
+    surveyed = replace(poses, map_variance=np.linspace(0.01, 0.04, 60))
+    poses.xy[30] = surveyed.xy[30] = 9.0  # a stray pose says nothing about where the robot is on the map
+    plain, found = (PoseFilter(STEP).run(one, names) for one in (poses, surveyed))
+    np.testing.assert_array_equal(found.xy, plain.xy)
+    added = found.covariance() - plain.covariance()
+    expected = surveyed.map_variance.copy()
+    expected[30] = expected[29]
+    np.testing.assert_allclose(added, expected[:, None, None] * np.eye(2), atol=1e-12)
+
+
 @pytest.mark.parametrize(("strange", "value"), [("xy", np.nan), ("information", np.nan), ("information", 0)])
 def test_a_pose_that_is_no_number_or_tells_nothing_moves_the_robot_on(strange, value):
     xy = drive()

@@ -204,6 +204,23 @@ def test_what_is_known_of_the_maps_own_deviations_is_contained():
         np.testing.assert_allclose(added, more * np.eye(2), rtol=0.02, atol=1e-9)  # shares differ a little
 
 
+def test_ellipses_that_queries_of_the_same_survey_teach_do_not_shrink_the_maps_own_deviations():
+    rng = np.random.default_rng(0)
+    count, map_deviation = 2000, 0.25
+    information = np.tile(np.eye(2) / 0.05**2, (count, 1, 1))
+    zeros = np.zeros(count)
+    poses = RefinedPoses(
+        np.zeros((count, 2)), zeros, information, zeros, zeros.astype(np.int64), zeros, zeros + map_deviation**2
+    )
+    surveyed = 0.02 * rng.standard_t(4, (count, 2))  # the map's own error is the same in the queries' positions
+    factor = poses.widening(surveyed)
+    assert factor == pytest.approx((0.02 / 0.05) ** 2, rel=0.2)
+    wide = poses.widened(factor)
+    true = surveyed + rng.normal(0, map_deviation, (count, 2))
+    np.testing.assert_allclose(wide.covariance()[0], np.cov(true.T), atol=0.1 * map_deviation**2)
+    assert wide.inside(true).mean() == pytest.approx(0.9, abs=0.06)
+
+
 def test_a_query_alone_has_the_answer_that_it_has_among_others():
     rng = np.random.default_rng(0)
     at, factor = rng.normal(0, 0.5, (60, 4, 2)), rng.normal(0, 4, (60, 4, 2, 2))

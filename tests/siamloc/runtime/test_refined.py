@@ -108,6 +108,15 @@ def test_a_map_that_is_not_put_in_order_by_comparison_is_refined_by_it(network, 
     np.testing.assert_allclose([[found.x, found.y]], expected.xy, atol=1e-3)
 
 
+def test_the_robot_says_how_exact_a_surveyed_map_is_wherever_it_is_tracked(network, known, tmp_path):
+    surveyed = replace(known, frames=known.frames.with_columns(deviation=np.full(len(known), 0.5)))
+    localizer = Localizer(bundled(tmp_path / "bundle", network, surveyed, method="relative", widening=1e-6))
+    tracker = localizer.tracker(step=0.3)
+    for picture in PICTURES[:3]:
+        for found in (localizer.locate(picture), localizer.locate(picture, tracker)):
+            np.testing.assert_allclose(found.covariance, 0.5**2 * np.eye(2), atol=0.02)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("method", ["relative", "interpolate"])
 def test_the_robot_refines_as_the_evaluation_does(known, seen, bundle, between, method):

@@ -68,8 +68,8 @@ def kept_by(collector, pictures, frames):
 def test_only_pictures_that_were_located_well_are_kept(tmp_path):
     collector, picture = Collector(tmp_path, most=3), np.zeros((3, 4, 8), np.uint8)
 
-    def kept(tracked=False, **more):
-        return collector.take(picture, located(**more), tracked) is not None
+    def kept(tracked=False, map_variance=0.0, **more):
+        return collector.take(picture, located(**more), tracked, map_variance) is not None
 
     sure, unsure = ((0.01, 0.0), (0.0, 0.01)), ((0.1, 0.0), (0.0, 0.1))
     assert not kept(error_m=math.nan)
@@ -83,7 +83,7 @@ def test_only_pictures_that_were_located_well_are_kept(tmp_path):
     assert not kept(x=0.05), "almost the same place"
     assert kept(x=0.05, theta=0.5)
     assert kept(x=1, covariance=sure, agreement=0.9, tracked=True)
-    assert kept(x=2, lost=None, covariance=sure, agreement=0.9)
+    assert kept(x=2, lost=None, covariance=unsure, map_variance=0.09, agreement=0.9), "sure of where it is in the map"
     (found,) = collected(tmp_path)
     np.testing.assert_allclose(found.x, [0.05, 1, 2], err_msg="the oldest picture is gone")
     np.testing.assert_allclose(found.theta, [0.5, 0, 0])
