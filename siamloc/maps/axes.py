@@ -14,15 +14,33 @@ from siamloc.maps.visual_map import VisualMap
 
 _SOME, _FEW, _MOST = 10, 0.25, 0.6  # frames, and shares of them that agree: with other axes, at most and at least
 _MOTIONS = 300  # that are tried
-_SURE, _HALF = 0.5, 0.5  # shares that agree: of the map frames, where a frame is located; of such frames
+_SURE = 0.5  # share of the map frames that agree where a frame is located
+_HALF = 0.5  # share of such frames: of the drive, and of those that agree with other axes, at most
 _OFF = 0.25  # metres that positions by comparison may be off, as those that comparisons are judged by
 _UNIT = 50.0  # ratio of distances from which on they are in another unit, such as millimetres
+
+
+class WrongAxesError(DataError):
+    """The positions of a drive are not where a map locates its frames.
+
+    Attributes:
+        finding: how they differ; the message of the error also says what to do with them in a table.
+    """
+
+    def __init__(self, finding: str) -> None:
+        super().__init__(
+            f"{finding}. Leave x, y and theta out, so that the drive is located in the map, or give them as odom_x, "
+            "odom_y and odom_theta. If the drive shows a place that the map lacks, and that only looks like one of its "
+            "own, give its frames another name in the column building"
+        )
+        self.finding = finding
 
 
 def check_axes(known: VisualMap, drive: VisualMap, alike: Retrieval, located: NDArray[np.int64], radius: float) -> None:
     """Refuse a drive whose positions have axes or a unit of their own.
 
-    Where the map compares images, axes that differ by little are refused, too.
+    Where the map compares images, axes that differ by little are refused, too, and positions that bend, as those of
+    odometry that drifts.
 
     Args:
         known: a map whose frames all have positions.
@@ -32,7 +50,8 @@ def check_axes(known: VisualMap, drive: VisualMap, alike: Retrieval, located: ND
         radius: distance within which positions agree.
 
     Raises:
-        DataError: the positions are not where the frames are located, and one motion puts them right.
+        WrongAxesError: the positions are not where the frames are located, and one motion puts them right; or
+            comparisons locate most frames, and hardly any where its position is.
     """
     there = known.frames.take(located)
     _check_motion(drive.frames, there.building, there.xy, radius, _FEW)
@@ -41,8 +60,15 @@ def check_axes(known: VisualMap, drive: VisualMap, alike: Retrieval, located: ND
         return
     poses = refine(known, described, alike, compares)
     sure = np.flatnonzero(poses.agreement >= _SURE)
-    building = known.frames.building[poses.frame[sure]]
-    _check_motion(drive.frames.take(sure), building, poses.xy[sure], _OFF, _HALF)
+    compared, building = drive.frames.take(sure), known.frames.building[poses.frame[sure]]
+    _check_motion(compared, building, poses.xy[sure], _OFF, _HALF)
+    off = np.linalg.norm(compared.xy - poses.xy[sure], axis=1)[compared.building == building]
+    agreeing = int((off <= _OFF).sum())
+    if len(off) >= max(_SOME, _HALF * len(drive)) and agreeing <= _FEW * len(off):
+        raise WrongAxesError(
+            f"the drive's positions are not where its images show it: {agreeing} of {len(off)} frames are within "
+            f"{_OFF:g} {drive.unit} of where comparisons with the map locate them, as if odometry had drifted"
+        )
 
 
 def _check_motion(
@@ -85,10 +111,7 @@ def _check_motion(
             moved_by = np.median(np.abs(motion / abs(motion) * (given - middle) + there - given))
             degrees = abs(np.degrees(np.angle(motion)))
             unit = f" by {moved_by:.2f} {drive.unit} and {degrees:.0f} degrees"
-        raise DataError(
+        raise WrongAxesError(
             f"the drive's positions have other axes than the map's: one motion{exchanged}{unit} brings "
-            f"{near[best].sum()} of {len(given)} frames to where the map locates them. Leave x, y and theta out, so "
-            "that the drive is located in the map, or give them as odom_x, odom_y and odom_theta. If the drive shows a "
-            "place that the map lacks, and that only looks like one of its own, give its frames another name in the "
-            "column building"
+            f"{near[best].sum()} of {len(given)} frames to where the map locates them"
         )

@@ -135,6 +135,18 @@ def test_axes_that_differ_by_less_than_the_radius_are_refused_where_images_are_c
             updated_with(shift, turn)
 
 
+def test_positions_that_bend_away_from_where_images_are_compared_are_refused(poses):
+    known, drive = maps(TrueComparison(poses, 1.0, 0.05), poses)
+    x, y, theta = poses[60:].T
+    turned = 0.04 * np.arange(60)
+    at = 1.5 * np.exp(1j * turned) * (x + 1j * y)
+    frames = drive.frames.with_columns(x=at.real, y=at.imag, theta=theta + turned, sequence=["tuesday"] * 60)
+    with pytest.raises(DataError, match=r"where its images show it: \d of \d+ frames are within 0\.25 m .* as odom_x"):
+        updated(known, replace(drive, frames=frames))
+    elsewhere = frames.with_columns(building=["annex"] * 60)
+    assert updated(known, replace(drive, frames=elsewhere)).added.any()
+
+
 def test_comparisons_in_metres_say_nothing_about_a_map_in_pixels(poses):
     known, drive = maps(Moved(poses, 80, 90), poses)
     x, y, theta = poses[60:].T
