@@ -320,6 +320,9 @@ class VisualMap:
     def merge(self, other: VisualMap) -> VisualMap:
         """Return the map of the frames of this map, followed by the frames of another map.
 
+        The positions of both have to be in the same axes, which is not checked: `siamloc.maps.survey` of the drives of
+        both finds such positions, and `siamloc.maps.update` refuses a drive in other axes.
+
         Raises:
             ConfigError: the other map was described differently.
             DataError: a frame that both maps hold, positions in another unit, or a map with headings and one without.
