@@ -40,6 +40,7 @@ from siamloc.report import write_report
 from siamloc.report.draw.survey import save_survey
 from siamloc.runs import Run
 from siamloc.runtime import Bundle
+from siamloc.runtime.exportable import check_counted
 
 _NETWORK = "pretrained"
 _LOOKED_AT, _SWAYS = 40, 1.0  # pictures, and the tilt in degrees from which on each is levelled
@@ -101,6 +102,7 @@ def walk(
     out: str | Path,
     *,
     say: Callable[[str], None] = print,
+    overwrite: bool = False,
     settings: WalkSettings = OF_FIELDS,
     **fields: Any,
 ) -> Walked:
@@ -116,10 +118,12 @@ def walk(
             the map is in metres; without, its scale may be off by a tenth or more.
         out: the folder for everything, which is then a run: `siamloc report`, `live` and `localize` take it as run=.
         say: receives the lines.
+        overwrite: replace a bundle in the folder even if robots updated its map.
         settings: all fields of `WalkSettings` together, instead of one keyword each.
 
     Raises:
-        ConfigError: a left_out with which too few key frames are left out.
+        ConfigError: a bundle in the folder whose map robots updated, or a left_out with which too few key frames are
+            left out.
         DataError: no pictures, no camera that is sure, or too short a way.
 
     Example:
@@ -127,6 +131,8 @@ def walk(
         >>> siamloc.runtime.Localizer(made.bundle.path).locate("photo.jpg")  # doctest: +SKIP
     """
     folder = Path(out).expanduser()
+    if not overwrite:
+        check_counted(Run(folder).bundle, None)
     if not writes_camera(folder / "frames", settings.unwrap):
         Preprocessing.checked(PRETRAINED_SIZE, settings.unwrap)  # before the long work
     frames = extract(file, folder / "frames", settings=settings.recording)
@@ -201,6 +207,7 @@ def walk(
         refinement=errors.refinement,
         images=images,
         thumbnails=True,
+        overwrite=overwrite,
     )
     say(bundle.summary())
     report = write_report(folder, folder / "report.html")

@@ -43,6 +43,7 @@ class Export(RunJob):
         task.refine=relative    poses finer than the map without any evaluation; task.neighbours=3. Without a drive
                                 with positions nothing is learned, and their covariances are too small
         thumbnails=true         small images of the map frames, which `siamloc live` shows
+        overwrite=true          replace a bundle even if robots updated its map
 
     Example:
         $ siamloc export run=runs/vgg16
@@ -54,6 +55,7 @@ class Export(RunJob):
     bundle: Folder | None = None
     precision: Literal["float32", "float16", "int8", "auto"] = "float32"
     thumbnails: bool = False
+    overwrite: bool = False
 
     def run(self, say: Say = quiet) -> Any:
         """Write the bundle for the robot."""
@@ -81,7 +83,7 @@ class Export(RunJob):
                 images, opened = self.open_roles(*roles, known=known)
                 further |= {"images": images, "thumbnails": self.thumbnails, **opened}
         folder = Path(self.bundle) if self.bundle is not None else run.bundle
-        bundle = runtime.export(described, known, folder, precision=precision, **further)
+        bundle = runtime.export(described, known, folder, precision=precision, overwrite=self.overwrite, **further)
         if folder == run.bundle:
             run.record_written(files_in(folder))
         if compared := runtime.precision_table(bundle):

@@ -32,6 +32,7 @@ class Walk(WalkSettings, Job):
         left_out=3                      every third key frame is left out of the map, to learn and measure errors
         lost_above=1.0                  expected error in metres above which the robot counts as lost
         out=walk                        the folder
+        overwrite=true                  replace a bundle in it even if robots updated its map
 
     Example:
         $ siamloc walk monday.mp4 out=robot
@@ -44,8 +45,9 @@ class Walk(WalkSettings, Job):
     file: Path
     unwrap: Mapping[str, Any]
     out: Folder = "walk"
+    overwrite: bool = False
 
     def run(self, say: Say = quiet) -> Walked:
         """Make the map, the bundle and the report."""
-        settings = {key: value for key, value in self.plain().items() if key not in ("file", "out")}
-        return walk(self.file, self.out, say=say, settings=WalkSettings.of(settings))
+        settings = {key: value for key, value in self.plain().items() if key not in ("file", "out", "overwrite")}
+        return walk(self.file, self.out, say=say, overwrite=self.overwrite, settings=WalkSettings.of(settings))

@@ -9,9 +9,10 @@ from analytic import Descriptor, Fused
 from foundation.files import plain
 from siamloc.data.decoding import Preprocessing
 from siamloc.data.frames import FrameTable, check_units
-from siamloc.errors import ConfigError
+from siamloc.errors import ConfigError, FormatError
 from siamloc.maps import Built, CoarseLayer, HierarchicalSearch, LayerSearch, VisualMap
 from siamloc.maps.heading import is_analytic
+from siamloc.maps.history import UPKEEP
 from siamloc.runtime import bundle as files
 
 if TYPE_CHECKING:
@@ -31,6 +32,24 @@ def check_replaceable(path: Path) -> None:
         raise ConfigError(
             f"{path} holds other files, such as {(others or sorted(names))[0]}, and a bundle replaces all of it: "
             "move them elsewhere, or name another folder"
+        )
+
+
+def check_counted(path: Path, known: VisualMap | None) -> None:
+    """Check that a new map counts all drives that updated the map of the bundle in this path, if there is any.
+
+    Raises:
+        ConfigError: what these drives changed would be lost.
+    """
+    try:
+        held = VisualMap.load(path / files.MAP)
+    except FormatError:
+        return
+    drives, counted = (one.made.get(UPKEEP, {}).get("drives", []) if one is not None else [] for one in (held, known))
+    if lost := [drive for drive in drives if drive not in counted]:
+        raise ConfigError(
+            f"drives updated the map in {path}, {len(lost)} of which the new one lacks, the last is {lost[-1]}: name "
+            "another folder, or replace it with overwrite=true and update the new one by what robots collected"
         )
 
 

@@ -28,6 +28,7 @@ from siamloc.maps.packing import PRECISIONS, Precision
 from siamloc.runtime import bundle as files
 from siamloc.runtime.bundle import Bundle
 from siamloc.runtime.exportable import (
+    check_counted,
     check_given,
     check_learned,
     check_replaceable,
@@ -72,6 +73,7 @@ def export(
     precision: Precision | Literal["auto"] = "float32",
     validation: FrameTable | None = None,
     figures: Mapping[str, Any] | None = None,
+    overwrite: bool = False,
 ) -> Bundle:
     """Write a network or analytic descriptor and its map as a bundle for the robot, whose `Localizer` needs no torch.
 
@@ -100,20 +102,24 @@ def export(
             that loses at most 2 % of the localization error on `validation`, see `siamloc.runtime.precision`.
         validation: frames with positions, for "auto".
         figures: results of the evaluation, plain values that `Bundle.about` returns; for reference only.
+        overwrite: replace an older bundle even if drives updated its map that `known` does not count.
 
     Returns:
         The opened bundle; its `parity` gives how far its network is from the original, before any loss of precision.
 
     Raises:
-        ConfigError: the folder holds files other than a bundle's, the map was made by another descriptor, something was
-            learned on or built over another map, poses are to be refined by a network that does not compare, the camera
-            is of a class that is not imported, required images are not given, or the descriptor cannot be exported.
+        ConfigError: the folder holds files other than a bundle's, or a bundle whose map further drives updated, the map
+            was made by another descriptor, something was learned on or built over another map, poses are to be refined
+            by a network that does not compare, the camera is of a class that is not imported, required images are not
+            given, or the descriptor cannot be exported.
         DataError: validation frames for "auto" whose positions are in another unit than the map's.
         SiamlocError: the bundle differs from the original.
         StorageError: the disk is full or cannot be written to.
     """
     folder = Path(folder).absolute()
     check_replaceable(folder)
+    if not overwrite:
+        check_counted(folder, known)
     held = {} if known is None else known.identity
     alone = list(parts_of(held).values()) or [held]
     analytic = [one for one in alone if is_analytic(one)]  # networks may wrap around or not

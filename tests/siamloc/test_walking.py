@@ -11,7 +11,7 @@ import pytest
 
 import siamloc
 from siamloc.data import PanoramaView
-from siamloc.errors import DataError
+from siamloc.errors import ConfigError, DataError
 from tests.bags import Written, jpeg
 
 START = 1_700_000_000
@@ -128,3 +128,11 @@ def test_faults_of_the_pictures_are_said_first(mini, tmp_path):
 
 
 pytestmark = pytest.mark.slow
+
+
+def test_a_bundle_that_robots_updated_is_not_replaced_unasked(tmp_path):
+    frames = siamloc.data.FrameTable(path=["a.png", "b.png"])
+    known = siamloc.maps.VisualMap(np.eye(2), frames, made={"upkeep": {"drives": ["monday"]}})
+    known.save(tmp_path / "bundle" / "map.npz")
+    with pytest.raises(ConfigError, match=r"1 of which .* the last is monday: .* with overwrite=true"):
+        siamloc.walk(tmp_path / "nowhere", tmp_path)
