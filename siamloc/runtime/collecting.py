@@ -20,7 +20,7 @@ from siamloc.errors import DataError, StorageError, say_once
 from siamloc.runtime.location import Location
 
 MOST = 2000
-"""Number of pictures in a folder, by default."""
+"""Number of pictures that a collector leaves in a folder, by default."""
 _CERTAIN = 0.25  # largest standard deviation of a position, in the unit of the map
 _AGREEMENT = 0.5  # least agreement on a pose about which nothing else is known
 _APART, _TURNED = 0.1, math.radians(20)  # by how much pictures differ, in the unit of the map and in rad
@@ -39,7 +39,8 @@ class Collector:
 
     Args:
         folder: the folder, with a folder for each drive.
-        most: number of pictures in the folder; the oldest are removed for others.
+        most: number of pictures in the folder, of those there at the start and its own; the oldest are removed for
+            others.
         headings: whether the map gives headings; without, they are 0 in the names of the files.
 
     Raises:
@@ -58,6 +59,7 @@ class Collector:
         """Begin another drive."""
         with self._lock:
             self.drive = self.folder / f"{time.strftime('drive-%Y%m%d-%H%M%S')}-{secrets.token_hex(4)}"
+            self._since = time.time() - time.monotonic()  # so that times rise within a drive, whatever sets the clock
             self._before: NamedPose | None = None
             self._last: NamedPose | None = None
             self._waiting.clear()
@@ -75,10 +77,11 @@ class Collector:
             tracked: whether the location is that of a tracked robot.
             map_variance: the part of the location's variances that is the map's, as in `RefinedPoses`.
         """
-        pose = NamedPose(time.time(), location.x, location.y, location.theta if self.headings else 0.0)
-        if not all(map(math.isfinite, pose)):
+        place = location.x, location.y, location.theta if self.headings else 0.0
+        if not all(map(math.isfinite, place)):
             return None
         with self._lock:
+            pose = NamedPose(self._since + time.monotonic(), *place)
             before, self._before = self._before or pose, pose
             if math.hypot(pose.x - before.x, pose.y - before.y) > _ELSEWHERE:
                 self._waiting.clear()  # the tracker was wrong

@@ -67,7 +67,8 @@ class Localizer:
         top: how many candidates a location lists.
         collect: folder in which panoramas that were located well are kept with their poses, for
             `siamloc.runtime.update`; none are kept if None.
-        most: number of pictures in that folder; the oldest are removed for others.
+        most: number of pictures in that folder, of those there at the start and of this robot's; the oldest are removed
+            for others.
         hierarchical: whether to search the coarse layer first; if None, only if the bundle has one.
         threads: number of onnxruntime threads; onnxruntime chooses if None.
         providers: onnxruntime's execution providers in order of preference, such as ("CUDAExecutionProvider",
