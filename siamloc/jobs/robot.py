@@ -144,7 +144,7 @@ class Localize(Robot):
             for found in updates:
                 say(f"{found.drive.sequence[0]}: {found.summary()}")
             if not updates:
-                say(f"update: all drives in {self.collect} were counted before")
+                say(f"update: all readable pictures in {self.collect} were counted before")
         return count
 
     def _located(self, say: Say) -> int:

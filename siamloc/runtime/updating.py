@@ -17,6 +17,8 @@ from siamloc.data.frames import FrameTable
 from siamloc.data.image_files import UnreadableImageError, read_image
 from siamloc.errors import DataError, SiamlocError, logger
 from siamloc.maps import Built, CoarseLayer, VisualMap
+from siamloc.maps.axes import WrongAxesError
+from siamloc.maps.checked_arrays import check_placed
 from siamloc.maps.history import UPKEEP
 from siamloc.maps.maintenance import Maintenance, Update, updated
 from siamloc.maps.thinning import nearest
@@ -37,7 +39,8 @@ def update(bundle: str | Path, folder: str | Path, *, settings: Maintenance = OF
     The map follows as by `siamloc.maps.update`, and so do its coarse layer and its thumbnails; the expected errors and
     the refinement stay as they were learned. The old bundle is replaced only once the new one is complete and was
     opened. Pictures that the map counted before are left out; those that came since count as another drive. A frame
-    that joins gets the room of the nearest map frame.
+    that joins gets the room of the nearest map frame, and a path from the folder on. A drive that cannot update the map
+    is left out with a warning.
 
     Args:
         bundle: folder of the bundle.
@@ -50,7 +53,8 @@ def update(bundle: str | Path, folder: str | Path, *, settings: Maintenance = OF
     Raises:
         FormatError: not a bundle, or an altered one.
         ConfigError: a bundle without a map, or with other files in its folder, or a setting out of range.
-        DataError: no collected pictures, pictures of another size, or a map frame without a position.
+        DataError: no collected pictures, a map frame without a position, or only drives that cannot update the map,
+            with pictures of another size or poses in other axes.
         StorageError: the disk is full or cannot be written to.
         SiamlocError: the bundle was replaced meanwhile.
 
@@ -60,24 +64,34 @@ def update(bundle: str | Path, folder: str | Path, *, settings: Maintenance = OF
     localizer = Localizer(bundle)
     check_replaceable(Path(bundle))
     known, held = localizer.map, localizer.bundle
+    check_placed(known.frames, "an update")
     layer: CoarseLayer | None = held.load(files.LAYER)
     built = None
     if layer is not None:  # the robot has no mapper: frames join the node of the nearest map frame
         made = {key: value for key, value in layer.made.items() if key not in ("ids", "frames")}
         built = Built(replace(layer, made=made), np.zeros(1), known.digest)
     parts = _Parts(localizer)
-    updates = []
+    updates, faults = list[Update](), list[str]()
     for whole in collected(folder):
         drive = _uncounted(whole, known.made.get(UPKEEP, {}).get("drives", []))
-        drive, panoramas = _read(drive, held.image_size)
-        if not len(drive):
+        try:
+            drive, panoramas = _read(drive, held.image_size)
+            if not len(drive):
+                continue
+            described = [localizer.describe(panoramas[at : at + _AT_ONCE]) for at in range(0, len(panoramas), _AT_ONCE)]
+            seen = known.like(_placed_in(known, drive), Description.concatenate(described))
+            found = updated(known, seen, built=built, settings=settings)
+        except DataError as error:
+            why = error.finding if isinstance(error, WrongAxesError) else error
+            faults.append(f"{Path(whole.path[0]).parent} cannot update the map: {why}. Move it out of {folder}")
             continue
-        described = [localizer.describe(panoramas[at : at + _AT_ONCE]) for at in range(0, len(panoramas), _AT_ONCE)]
-        drive = _in_rooms(known, drive)
-        found = updated(known, known.like(drive, Description.concatenate(described)), built=built, settings=settings)
         parts.follow(found, panoramas[found.added])
         known, built = found.known, found.built
         updates.append(found)
+    if faults and not updates:
+        raise DataError("; ".join(faults))
+    for fault in faults:
+        logger.warning("%s; left out", fault)
     if updates:
         parts.write(Path(bundle), known, built)
     return updates
@@ -164,8 +178,12 @@ def _read(drive: FrameTable, size: tuple[int, int]) -> tuple[FrameTable, NDArray
     return drive.take(np.array(rows, dtype=np.int64)), np.concatenate(found).transpose(0, 3, 1, 2)
 
 
-def _in_rooms(known: VisualMap, drive: FrameTable) -> FrameTable:
-    """Return a drive with rooms and building of the nearest map frames, and with headings if the map has any."""
+def _placed_in(known: VisualMap, drive: FrameTable) -> FrameTable:
+    """Return a drive as frames of a map, with paths from the folder of all drives on.
+
+    It has rooms and building of the nearest map frames, and headings if the map has any.
+    """
+    paths = ["/".join(Path(path).parts[-2:]) for path in drive.path.tolist()]
     near = known.frames.take(nearest(known.frames, drive))
     theta = drive.theta if known.orientation is not None else np.full(len(drive), np.nan)
-    return replace(drive.with_columns(room=near.room, building=near.building, theta=theta), unit=known.frames.unit)
+    return replace(drive.with_columns(path=paths, room=near.room, building=near.building, theta=theta), unit=known.unit)

@@ -65,6 +65,10 @@ def kept_by(collector, pictures, frames):
     return collected(collector.folder)[-1]
 
 
+def _from(folder, paths):
+    return [Path(path).relative_to(folder).as_posix() for path in paths]
+
+
 def test_only_pictures_that_were_located_well_are_kept(tmp_path):
     collector, picture = Collector(tmp_path, most=3), np.zeros((3, 4, 8), np.uint8)
 
@@ -108,6 +112,19 @@ def test_pictures_that_the_tracker_alone_locates_wait_until_a_recognized_one_con
     assert take(7, lost=False, agreement=0.9) == [0, 0.2, 0.6, 7], "the tracker was wrong at 0.8"
     assert take(8.1, lost=False, agreement=math.nan, candidates=(near,)) == [0, 0.2, 0.6, 7]
     assert take(8.3, lost=None, agreement=math.nan, candidates=(far,)) == [0, 0.2, 0.6, 7, 8.1, 8.3]
+
+
+def test_times_rise_within_a_drive_though_the_clock_is_set_back(bundle, tmp_path):
+    collector = Collector(tmp_path / "seen")
+    pictures, frames = drive(1)
+    early, late = (slice(None, 12), slice(12, None))
+    kept_by(collector, painted(pictures[early]), frames.take(early))
+    assert len(update(bundle, collector.folder)) == 1
+    with patch("time.time", return_value=0.0):
+        whole = kept_by(collector, painted(pictures[late]), frames.take(late))
+    np.testing.assert_allclose(whole.x, frames.x, atol=1e-6)
+    (second,) = update(bundle, collector.folder)
+    assert len(second.drive) == len(frames) - 12
 
 
 def test_a_disk_that_refuses_pictures_ends_no_drive(bundle, tmp_path, caplog):
@@ -207,7 +224,7 @@ def test_pictures_that_cannot_be_read_are_left_out(bundle, tmp_path, caplog):
     (tmp_path / "seen" / "none").mkdir()
     (tmp_path / "seen" / "none" / Path(whole.path[4]).name).touch()
     (found,) = update(bundle, tmp_path / "seen")
-    assert found.drive.path.tolist() == np.delete(whole.path, 3).tolist()
+    assert found.drive.path.tolist() == _from(tmp_path / "seen", np.delete(whole.path, 3))
     assert f"1 of {len(whole)} pictures cannot be read, the first: {whole.path[3]}" in caplog.text
     assert "1 of 1 pictures cannot be read" in caplog.text
 
@@ -220,9 +237,48 @@ def test_pictures_taken_after_an_update_count_too(bundle, tmp_path):
     (first,) = update(bundle, collector.folder, growth=None)
     whole = kept_by(collector, painted(pictures[late]), frames.take(late))
     (second,) = update(bundle, collector.folder, growth=None)
-    assert [*first.drive.path, *second.drive.path] == whole.path.tolist()
+    assert [*first.drive.path, *second.drive.path] == _from(collector.folder, whole.path)
     assert len(Localizer(bundle).map) > len(first.known)
     assert update(bundle, collector.folder) == []
+
+
+def test_a_drive_that_cannot_update_the_map_keeps_no_other_from_it(bundle, tmp_path, caplog):
+    seen, small = tmp_path / "seen", np.zeros((3, 4, 8), np.uint8)
+    good, others = Collector(seen), [Collector(seen), Collector(seen)]
+    kept_by(others[0], drive(1)[0], drive(1)[1].with_columns(x=drive(1)[1].x + 100))
+    others[1].take(small, located(), tracked=False)
+    kept_by(good, painted(drive(1)[0]), drive(1)[1])
+    (found,) = update(bundle, seen)
+    assert str(found.drive.sequence[0]).startswith(good.drive.name)
+    assert caplog.text.count(f"Move it out of {seen}; left out") == 2
+    assert f"{others[0].drive} cannot update the map: the drive's positions have other axes" in caplog.text
+    assert "odom_x" not in caplog.text, "its poses are in the names of its files"
+    assert f"{others[1].drive} cannot update the map: " in caplog.text
+    before = (bundle / "map.npz").read_bytes()
+    with pytest.raises(DataError, match=r"drive-.* cannot update the map: .*; .*drive-.* cannot update the map: "):
+        update(bundle, seen)
+    assert (bundle / "map.npz").read_bytes() == before
+
+
+def test_frames_that_joined_name_no_folder_of_the_robot(bundle, tmp_path):
+    kept_by(Collector(tmp_path / "seen"), painted(drive(1)[0]), drive(1)[1])
+    update(bundle, tmp_path / "seen")
+    known = Localizer(bundle).map
+    assert all(path.startswith("drive-") for path in known.frames.path[known.history.joined])
+    (tmp_path / "seen").rename(tmp_path / "moved")
+    assert update(bundle, tmp_path / "moved") == []
+
+
+def test_an_export_keeps_what_drives_taught_a_bundle(bundle, images, tmp_path):
+    kept_by(Collector(tmp_path / "seen"), painted(drive(1)[0]), drive(1)[1])
+    (found,) = update(bundle, tmp_path / "seen")
+    known = replace(mapped(HOG), frames=images.frames)
+    with pytest.raises(ConfigError, match=r"drives updated .*, 1 of which .* drive-\d+.*: .* overwrite=true"):
+        export(HOG, known, bundle)
+    assert len(Localizer(bundle).map) == len(found.known)
+    export(HOG, replace(found.known, describes=None), bundle)
+    export(HOG, known, bundle, overwrite=True)
+    assert len(Localizer(bundle).map) == len(known)
 
 
 def test_each_drive_has_a_folder(bundle, tmp_path):
