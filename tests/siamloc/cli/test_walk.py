@@ -12,13 +12,23 @@ from tests.siamloc.cli.commands import done, refused
 def test_the_words_of_the_command_are_the_settings_of_the_call(monkeypatch, capsys):
     given = {}
 
-    def walk(file, out, *, say, settings):
-        given.update(file=file, out=out, settings=settings)
+    def walk(file, out, *, say, overwrite, settings):
+        given.update(file=file, out=out, overwrite=overwrite, settings=settings)
         say("key frames: 7")
 
     monkeypatch.setattr("siamloc.jobs.walk.walk", walk)
-    done("walk", "monday.mp4", "out=robot", "spacing=0.5", "recording.rate=2", "unwrap=polar", "unwrap.inner=9")
+    done(
+        "walk",
+        "monday.mp4",
+        "out=robot",
+        "spacing=0.5",
+        "recording.rate=2",
+        "unwrap=polar",
+        "unwrap.inner=9",
+        "overwrite=true",
+    )
     assert (given["file"].name, given["out"], given["settings"].spacing) == ("monday.mp4", "robot", 0.5)
+    assert given["overwrite"]
     assert (given["settings"].recording.rate, given["settings"].recording.poses) == (2, "none")
     assert (given["settings"].unwrap["kind"], given["settings"].unwrap["inner"]) == ("polar", 9)
     assert capsys.readouterr().out == "key frames: 7\n"
