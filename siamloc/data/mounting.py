@@ -42,8 +42,10 @@ _FITS = 0.5  # largest part of the moves that may remain unexplained
 _STATED = 5.0  # largest deviation of a yaw that is stated, in degrees
 _PARTS = (5, 8)  # fewest and most parts of the drive, each of which is left out once to learn the deviations
 _SURE = 3  # deviations from which on the camera's offset counts
+_BIASED = 0.05  # part of a move by which all comparisons along a drive may be off alike
 _RIMS = (25.0, -50.0)  # elevations in degrees taken for the outer and inner rim of a mirror, where nobody knows them
 _HARDLY_TURNS = "the drive hardly turns: whether panoramas are mirrored, and the camera's offset, are unknown"
+_NO_OFFSET = "the drive turns too little, or in too few places: the camera's offset is unknown"
 _UNPOSED = "whether panoramas are mirrored, and the camera's offset, are unknown without poses"
 _EXCHANGED = (
     "the camera moves in the images as if the poses were those of the map as seen from the robot: exchange the two "
@@ -127,7 +129,8 @@ class MountingEstimate:
         mirrored: whether columns run counter-clockwise; None if unknown.
         offset: where the camera is ahead and to the left of the robot's centre, in the unit of the positions; NaN if
             unknown.
-        offset_deviation: standard deviation of each, in that unit.
+        offset_deviation: standard deviation of each, in that unit: how far parts of the drive disagree, and what moves
+            that all comparisons see too long, or to one side, would pass for; NaN if unknown.
         pairs: number of pairs of images compared.
         reasons: a sentence for what is unknown.
     """
@@ -159,8 +162,7 @@ class MountingEstimate:
         if not self.yaw_deviation <= CERTAIN:
             return Mounting(mirrored=bool(self.mirrored))
         yaw = self.yaw if abs(self.yaw) > max(STRAIGHT, 2 * self.yaw_deviation) else 0.0
-        apart = np.hypot(*self.offset) > max(NEAR, _SURE * max(self.offset_deviation))
-        ahead, left = self.offset if apart else (0.0, 0.0)
+        ahead, left = self.offset if np.hypot(*self.offset) > NEAR else (0.0, 0.0)
         return Mounting(round(yaw, 2), bool(self.mirrored), round(ahead, 3), round(left, 3))
 
     def summary(self, unit: str = "m") -> str:
@@ -273,9 +275,14 @@ def estimate(
     part = rank * min(_PARTS[1], rank.max() + 1) // (rank.max() + 1)
     whole, off, left_over = _with_deviations(moved, seen, weight, turns, part)
     turns = turns and np.degrees(off[0]) < _STATED  # along one arc, any move may come from an offset
-    (_, *offset), (_, *offset_off) = (whole.tolist(), off.tolist()) if turns else [[np.nan] * 3] * 2
-    if not np.hypot(*offset) > _SURE * max(offset_off):  # what looks like an offset may be wrong comparisons
+    offset = offset_off = np.full(2, np.nan)
+    if turns:
+        offset, offset_off = whole[1:], np.hypot(off[1:], _offset_bias(moved, weight))
+    sure = (offset**2).sum() > _SURE * np.hypot(*(offset * offset_off))  # by the deviation in its own direction
+    if not sure:  # what looks like an offset may be wrong comparisons
         whole, off, left_over = _with_deviations(moved, seen, weight, False, part)
+        if not _SURE * max(offset_off) < NEAR:  # an offset that matters is not excluded either
+            offset = offset_off = np.full(2, np.nan)
     camera = moved.copy()  # the moves of the camera, whose offset from the robot's centre is known by now
     camera[:, :2] += Mounting(ahead=whole[1], left=whole[2]).offset(moved[:, 2]) - whole[1:]
     unsure = float(np.degrees(np.hypot(off[0], _disagreement(camera, seen, weight, second > first) / 2)))
@@ -284,8 +291,10 @@ def estimate(
         check = "does not follow from the poses: check them, and the headings, or give frames that are closer together"
         reason = f"how the camera moves in the images {check if posed else 'is not ahead, in one direction'}"
         return MountingEstimate(mirrored=None if mixed else mirrored, pairs=len(first), reasons=(reason,))
-    reasons = () if mirrored is not None else (_HARDLY_TURNS if posed else _UNPOSED,)
-    yaw, (x, y), (x_off, y_off) = float(np.degrees(whole[0])), offset, offset_off
+    reasons = (_NO_OFFSET,) if np.isnan(offset[0]) else ()
+    if mirrored is None:
+        reasons = (_HARDLY_TURNS if posed else _UNPOSED,)
+    yaw, (x, y), (x_off, y_off) = float(np.degrees(whole[0])), offset.tolist(), offset_off.tolist()
     return MountingEstimate(yaw, unsure, mirrored, (x, y), (x_off, y_off), len(first), reasons)
 
 
@@ -348,6 +357,16 @@ def _with_deviations(
     apart = np.array([_solved(moved[rows], seen[rows], weight[rows], turns)[0] for rows in rest]) - whole
     apart[:, 0] = wrapped(apart[:, 0])
     return whole, np.sqrt((len(rest) - 1) / len(rest) * (apart**2).sum(axis=0)), left_over
+
+
+def _offset_bias(moved: Array, weight: Array) -> float:
+    """Return by how much the camera's offset would be off if comparisons erred by `_BIASED` of each move.
+
+    In a corridor, say, all parts of a drive err alike, so that leaving out one of them does not show it. Turns of the
+    robot move a camera off its centre; the less of the moves are turns, the more an error passes for an offset.
+    """
+    length, lever = np.hypot(moved[:, 0], moved[:, 1]), 2 * np.abs(np.sin(moved[:, 2] / 2))
+    return float(_BIASED * (weight * lever) @ length / (weight @ lever**2))
 
 
 def _solved(moved: Array, seen: Array, weight: Array, turns: bool) -> tuple[Array, float]:

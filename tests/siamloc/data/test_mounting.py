@@ -63,6 +63,12 @@ def arc(n: int) -> FrameTable:
     return FrameTable(path=[f"{row}.png" for row in range(n)], x=x, y=y, theta=theta)
 
 
+def off_the_centre(frames: FrameTable, ahead: float = 0, left: float = 0) -> FrameTable:
+    """Return the poses of a camera that is mounted there."""
+    x, y = (frames.xy + Mounting(ahead=ahead, left=left).offset(frames.theta)).T
+    return frames.with_columns(x=x, y=y)
+
+
 def moves_of(frames: FrameTable, queries, known):
     """Return the moves (n, 3) between frames, of which the orientation parts hold the numbers."""
     return relative(np.column_stack([frames.xy, frames.theta]), *(one[:, 0, 0].astype(int) for one in (known, queries)))
@@ -75,8 +81,8 @@ def answers(pose, deviation=0.1, match=1):
 
 def estimated(frames: FrameTable, mounting: Mounting, noise: float = 0.03, says=None, posed=True) -> MountingEstimate:
     """Estimate the mounting from comparisons by a camera that is mounted so; parts hold the numbers of the frames."""
-    x, y = (frames.xy + mounting.offset(frames.theta)).T
-    camera = frames.with_columns(x=x, y=y, theta=frames.theta + np.radians(mounting.yaw))
+    centred = off_the_centre(frames, mounting.ahead, mounting.left)
+    camera = centred.with_columns(theta=frames.theta + np.radians(mounting.yaw))
     rng = np.random.default_rng(0)
 
     def compares(queries, known):
@@ -214,6 +220,41 @@ def test_one_arc_and_few_frames_tell_the_yaw_but_no_offset(count):
     assert abs(found.yaw - 30) < 15, "the offset turns the moves of the camera by up to half of the arc"
     assert np.isnan(found.offset).all()
     assert abs(estimated(arc(count), Mounting(30)).yaw - 30) < 3
+
+
+def weave(n: int = 80) -> FrameTable:
+    """A drive that turns by 30 degrees in all, to and fro, as along a corridor, with steps of 0.3 m."""
+    theta = np.radians(15) * np.sin(np.linspace(0, 8 * np.pi, n))
+    x, y = 0.3 * np.cumsum(np.cos(theta)), 0.3 * np.cumsum(np.sin(theta))
+    return FrameTable(path=[f"{row}.png" for row in range(n)], x=x, y=y, theta=theta)
+
+
+@pytest.mark.parametrize("ahead", [0, -0.3])
+def test_an_offset_that_comparisons_along_a_corridor_pass_for_is_unknown(ahead):
+    """All moves are seen 5 % of their length to the side of the turn, as if the camera were 0.24 m further ahead."""
+
+    def says(queries, known):
+        pose = moves_of(off_the_centre(weave(), ahead), queries, known)
+        pose[:, 1] += 0.05 * np.hypot(pose[:, 0], pose[:, 1]) * np.sign(pose[:, 2])
+        return answers(pose, 0.02)
+
+    found = estimated(weave(), Mounting(), says=says)
+    assert found.mounting == Mounting()
+    assert np.isnan(found.offset).all()
+    assert np.isnan(found.offset_deviation).all()
+    assert "the camera's offset is unknown" in found.summary()
+
+
+def test_an_offset_is_known_from_its_own_direction_however_unsure_the_other_one_is():
+    rng = np.random.default_rng(0)
+
+    def says(queries, known):
+        ahead, left = (moves_of(off_the_centre(drive(), 0.5, left), queries, known) for left in (0, 1))
+        return answers(ahead + rng.normal(0, 1, (len(ahead), 1)) * (left - ahead), 0.02)
+
+    found = estimated(drive(), Mounting(), says=says)
+    assert found.offset_deviation[1] > 0.1 > found.offset_deviation[0]
+    assert found.mounting.ahead == pytest.approx(0.4, abs=0.15)
 
 
 def test_the_rows_of_a_ring_come_to_the_elevations_of_a_usual_mirror():
