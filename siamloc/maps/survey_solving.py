@@ -13,7 +13,8 @@ from siamloc.maps.loops import Loops, Reason, judged_again
 from siamloc.maps.pose_graph import Array, Edges, PoseGraph, Solution, solve
 from siamloc.maps.survey_steps import BEFORE
 
-_DOUBTED = 0.1  # weight of comparisons below which an anchor is doubted
+_DOUBTED = 0.1  # weight of comparisons below which they contradict the solution: 6 deviations
+_TORN = 0.75  # metres by which the solution contradicts a step, from which on a drive is torn there
 _ENOUGH = 1e-3  # m or rad to which a graph is solved to judge its loops
 _ROUGHLY = 1e6  # degrees of freedom with which no measurement is weighted down
 
@@ -62,7 +63,7 @@ def solution_notes(
     if not loops.accepted.any():
         found = "contradict all other measurements" if (loops.reason == Reason.CONTRADICTED).any() else "were not found"
         notes.append(f"loops {found}: drift is not undone; a drive that visits places again has loops")
-    anchored, torn = len(graph.fixed) > 1, _torn(graph, solution.weight)
+    anchored, torn = len(graph.fixed) > 1, _torn(graph, solution)
     if anchored and (doubted := _doubted_anchors(whole, solution)).size:
         notes.append(
             f"{doubted.size} of {len(graph.fixed)} anchors contradict the images around them, the first is "
@@ -71,11 +72,12 @@ def solution_notes(
     elif torn.size:
         name, before = frames.sequence[torn[0]], int((graph.drive[: torn[0]] == graph.drive[torn[0]]).sum())
         where = f"drive {name or '(unnamed)'} is torn before its frame {before}"
+        places = f", the first of {torn.size} places" if torn.size > 1 else ""
         notes.append(
             f"the anchors contradict the images: {where}: check the poses of the anchors, in metres and rad"
             if anchored
-            else f"loops contradict the images: {where} ({frames.path[torn[0]]}): if something moved beside the robot "
-            "there, leave these frames out, or give odometry"
+            else f"loops contradict the images: {where} ({frames.path[torn[0]]}){places}: places may look the same, "
+            "which odometry tells apart, or something moved beside the robot there: then leave these frames out"
         )
     return notes
 
@@ -87,19 +89,24 @@ def _doubted_anchors(graph: PoseGraph, solution: Solution) -> NDArray[np.int64]:
     return graph.fixed[votes[graph.fixed] > 0]
 
 
-def _torn(graph: PoseGraph, weight: Array) -> NDArray[np.int64]:
-    """Return the frames before which a drive is torn: the solution weighs down all steps across, by their weights.
+def _torn(graph: PoseGraph, solution: Solution) -> NDArray[np.int64]:
+    """Return the frames before which a drive is torn: the solution contradicts all steps across, by their weights.
 
-    Odometry across holds it together all the same, but for anchors. Where images are unlike, so that only the step to
-    the next frame is known, a drive may be torn.
+    It is also torn where the solution is far from the step to the next frame, though other steps across, over a tear
+    beside it, may agree. Odometry across holds a drive together all the same, but for anchors. Where images are unlike,
+    so that only the step to the next frame is known, it may be a little wrong.
     """
     steps = graph.pictures
+    weight = solution.weight[: len(steps)]
     across, count = np.full(len(graph), np.nan), np.zeros(len(graph), dtype=int)
     for later in range(1, max(BEFORE) + 1):
         there = steps.first + later <= steps.second
-        np.fmax.at(across, (steps.first + later)[there], weight[: len(steps)][there])
+        np.fmax.at(across, (steps.first + later)[there], weight[there])
         np.add.at(count, (steps.first + later)[there], 1)
     torn = across < _DOUBTED
     if len(graph.fixed) < 2:
-        torn &= (count > 1) & ~np.isin(np.arange(len(graph)), graph.wheels.second)
+        off = relative(solution.poses, steps.first, steps.second)[:, :2] * solution.scale - steps.pose[:, :2]
+        far = (steps.second == steps.first + 1) & (weight < _DOUBTED) & (np.hypot(off[:, 0], off[:, 1]) > _TORN)
+        torn = torn & (count > 1) | np.isin(np.arange(len(graph)), steps.second[far])
+        torn &= ~np.isin(np.arange(len(graph)), graph.wheels.second)
     return np.flatnonzero(torn)

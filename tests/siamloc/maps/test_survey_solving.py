@@ -17,13 +17,14 @@ from siamloc.maps.survey_steps import BEFORE
 ROUND, AGAIN = 50, 10  # frames of a circle of 3 m, and of its second round
 
 
-def notes(turns_less=0.0, wrong_at=None, unlike=False, wheels=False) -> list[str]:
+def notes(turns_less=0.0, wrong_at=None, unlike=False, alone=False, wheels=False) -> list[str]:
     """The notes of a robot that drives in a circle, whose loops are right.
 
     Args:
         turns_less: share by which the turns of its steps are seen too small.
-        wrong_at: a frame before which the robot is seen to drive a metre that it does not drive.
-        unlike: whether images are unlike there: only the step to the next one is known.
+        wrong_at: a frame before which the robot is seen to drive 1.2 m that it does not drive.
+        unlike: whether images are unlike there: only the step to the next one is known, and doubted.
+        alone: whether only that step is known there, for certain.
         wheels: whether it has odometry, which is right.
     """
     t = 2 * np.pi * np.arange(ROUND + AGAIN) / ROUND
@@ -31,14 +32,15 @@ def notes(turns_less=0.0, wrong_at=None, unlike=False, wheels=False) -> list[str
     first = np.concatenate([np.arange(len(t) - back) for back in BEFORE])
     second = np.concatenate([np.arange(back, len(t)) for back in BEFORE])
     across = np.zeros(len(first), dtype=bool) if wrong_at is None else (first < wrong_at) & (second >= wrong_at)
-    kept = (second == first + 1) | ~(across & unlike)
+    kept = (second == first + 1) | ~(across & (unlike or alone))
     first, second, across = first[kept], second[kept], across[kept]
     information = np.diag([1 / 0.03**2, 1 / 0.03**2, 1 / 0.015**2])
-    steps = Edges(first, second, relative(true, first, second), np.tile(information, (len(first), 1, 1)))
+    known = np.where(across & unlike, 0.01, 1)[:, None, None] * information
+    steps = Edges(first, second, relative(true, first, second), known)
     next_one = second == first + 1
     rolled = replace(steps, pose=steps.pose.copy()).take(next_one if wheels else slice(0, 0))
     steps.pose[:, 2] *= 1 - turns_less
-    steps.pose[across, 0] += 1.0
+    steps.pose[across, 0] += 1.2
     again, before = (part.ravel() for part in np.mgrid[ROUND : ROUND + AGAIN, 0:AGAIN])
     loops = Loops(
         before,
@@ -61,7 +63,12 @@ def test_a_drive_that_loops_tear_is_named():
     assert not notes()
     assert "loops contradict the images: drive monday is torn before its frame" in notes(turns_less=0.1)[0]
     (said,) = notes(wrong_at=30)
-    assert "torn before its frame 30 (30.jpg): if something moved beside the robot there, leave these" in said
+    assert "torn before its frame 30 (30.jpg): places may look the same" in said
+
+
+def test_a_drive_that_one_certain_step_holds_together_is_torn_where_loops_contradict_it():
+    (said,) = notes(wrong_at=30, alone=True)
+    assert "torn before its frame 30 (30.jpg): places may look the same" in said
 
 
 @pytest.mark.parametrize("given", ["wheels", "unlike"])
