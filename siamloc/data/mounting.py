@@ -33,7 +33,7 @@ NEAR = 0.2
 """Offset of the camera that is left as it is, in the unit of the positions: comparisons are biased by up to 0.15 m in a
 house whose walls are always on one side."""
 CERTAIN = 2.0
-"""Largest deviation of a yaw that a map makes up for, in degrees."""
+"""Largest deviation of a yaw, in degrees, with which a camera is known to look straight ahead."""
 _FEWEST = 12  # pairs, of those that turn as well
 _TURNS = np.radians(15)  # a pair turns from here on
 _TURNED = np.radians(2)  # least mean turn that the images and the headings have in common, in either direction
@@ -41,7 +41,7 @@ _AGREE = 0.7  # share of these turns that must tell the same direction of column
 _FITS = 0.5  # largest part of the moves that may remain unexplained
 _STATED = 5.0  # largest deviation of a yaw that is stated, in degrees
 _PARTS = (5, 8)  # fewest and most parts of the drive, each of which is left out once to learn the deviations
-_SURE = 3  # deviations from which on the camera's offset counts
+_SURE = 3  # deviations from which on the camera's offset counts, and a yaw that is not certain
 _BIASED = 0.05  # part of a move by which all comparisons along a drive may be off alike
 _RIMS = (25.0, -50.0)  # elevations in degrees taken for the outer and inner rim of a mirror, where nobody knows them
 _HARDLY_TURNS = "the drive hardly turns: whether panoramas are mirrored, and the camera's offset, are unknown"
@@ -159,9 +159,8 @@ class MountingEstimate:
     @property
     def mounting(self) -> Mounting:
         """The mounting to correct for: nothing of what is unknown or uncertain, and no yaw too small to matter."""
-        if not self.yaw_deviation <= CERTAIN:
-            return Mounting(mirrored=bool(self.mirrored))
-        yaw = self.yaw if abs(self.yaw) > max(STRAIGHT, 2 * self.yaw_deviation) else 0.0
+        least = max(STRAIGHT, (2 if self.yaw_deviation <= CERTAIN else _SURE) * self.yaw_deviation)
+        yaw = self.yaw if abs(self.yaw) > least else 0.0  # NaN is not
         ahead, left = self.offset if np.hypot(*self.offset) > NEAR else (0.0, 0.0)
         return Mounting(round(yaw, 2), bool(self.mirrored), round(ahead, 3), round(left, 3))
 

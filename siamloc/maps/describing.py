@@ -26,7 +26,8 @@ if TYPE_CHECKING:
 
     from siamloc.data.library import PanoramaLibrary
 
-_UNPOSED_YAW = 5.0  # degrees that are left as they are without poses: a straight camera's yaw is off by up to 3 then
+UNPOSED_YAW = 5.0
+"""Degrees of yaw that are left as they are without poses: a straight camera's yaw is off by up to 3 then."""
 
 
 @typed
@@ -128,7 +129,7 @@ def build(
         assert found.orientation is not None
         posed = bool(readable.has_position.any())
         estimated = estimate(readable, found.orientation, by.compare, posed)  # type: ignore[attr-defined]
-        mounting = estimated.mounting if posed or abs(estimated.yaw) > _UNPOSED_YAW else Mounting()
+        mounting = estimated.mounting if posed or abs(estimated.yaw) > UNPOSED_YAW else Mounting()
         if mounting != Mounting():
             logger.warning("the camera is not mounted straight, which the map makes up for: %s", estimated.summary())
             if replace(mounting, ahead=0.0, left=0.0) != Mounting():  # an offset leaves the panoramas as they are

@@ -28,6 +28,7 @@ _STILL, _ROLLED = 2e-3, np.radians(0.05)  # deviation of odometry however short 
 _SURE = 0.05  # metres: a displacement that comparisons see for certain
 _UNITS = 0.4, 2.5  # ratio of the ways by odometry and by comparison; outside, the units differ
 _JUMP, _FROZEN = 1.0, 5  # metres beyond three times the compared way; frames
+_SLIPS, _SLIP_WAY = 0.5, 2.0  # share of the usual way by odometry, for so many metres by comparison
 _WAY = 0.3  # metres over which units and signs are judged
 _TURNED = np.radians(3)  # a turn that comparisons see for certain
 _ENOUGH = 10  # steps from which units and signs are judged
@@ -109,9 +110,9 @@ def odometry_steps(
 ) -> Array:
     """Return the poses (n - 1, 3) of each frame but the first as seen from the frame before it, by odometry.
 
-    They are NaN between drives, where odometry is unknown, and where it cannot be true: after a reset, and while it is
-    frozen, as comparisons (n - 1, 3) show that are certain (n - 1,). `notes` gets a sentence about each such part. The
-    times (n,) of the frames, in s, only serve to say how late odometry is.
+    They are NaN between drives, where odometry is unknown, and where it cannot be true: after a reset, while it is
+    frozen, and where wheels slip for metres, as comparisons (n - 1, 3) show that are certain (n - 1,). `notes` gets a
+    sentence about each such part. The times (n,) of the frames, in s, only serve to say how late odometry is.
 
     Raises:
         DataError: odometry in another unit, in degrees, of turns with the wrong sign or other directions, or late.
@@ -136,11 +137,16 @@ def odometry_steps(
         frozen = _runs(mine & (way < 0.1 * compared) & (compared > _SURE), _FROZEN)
         unmoved = (drive[1:] == number) & (way < _STILL) & (np.abs(steps[:, 2]) < _ROLLED)
         frozen = _touched(unmoved | frozen, frozen)  # with the steps that images do not see for certain, and the next
-        for bad, text in ((reset, "jumps"), (frozen, "stands still while the images move")):
+        slips = _slipping(way, compared, mine & ~reset & ~frozen & (compared > _SURE))
+        for bad, text in (
+            (reset, "jumps"),
+            (frozen, "stands still while the images move"),
+            (slips, "moves much less than the images, as wheels do that slip,"),
+        ):
             if bad.any():
                 frame = int(np.flatnonzero(bad)[0]) + 1 - int(np.flatnonzero(drive == number)[0])
                 notes.append(f"{said} {text} at {int(bad.sum())} steps, first before frame {frame}: left out there")
-        steps[reset | frozen] = np.nan
+        steps[reset | frozen | slips] = np.nan
     return steps
 
 
@@ -255,6 +261,27 @@ def from_own_start(odometry: Array, drive: NDArray[np.int64]) -> Array:
     for number in range(int(drive.max()) + 1):
         rows = np.flatnonzero((drive == number) & np.isfinite(odometry).all(axis=1))
         found[rows] = relative(odometry, np.full(len(rows), rows[0] if len(rows) else 0), rows)
+    return found
+
+
+def _slipping(way: Array, compared: Array, judged: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Mark the steps (n,) of ways of `_SLIP_WAY` metres on which odometry moves much less than elsewhere.
+
+    Where its units are right, odometry is about as long as comparisons. These may be too short for long, but hardly too
+    long: a drive in which they are usually short is judged as if they were right.
+
+    Args:
+        way: lengths of the steps by odometry.
+        compared: their lengths by comparison.
+        judged: the steps of a drive whose lengths are worth comparing.
+    """
+    rows, found = np.flatnonzero(judged), np.zeros(len(way), dtype=bool)
+    ratio, along = way[rows] / compared[rows], np.cumsum(compared[rows])
+    ends = np.maximum(np.searchsorted(along, along + _SLIP_WAY), np.arange(len(rows)) + _FROZEN)
+    usual = min(float(np.median(ratio)), 1.0) if len(rows) else 1.0
+    for begin, end in enumerate(ends[ends < len(rows)].tolist()):
+        if np.median(ratio[begin:end]) < _SLIPS * usual:
+            found[rows[begin] : rows[end - 1] + 1] = True
     return found
 
 

@@ -19,10 +19,11 @@ from foundation.calls import typed
 from foundation.settings import Count, Positive, Settings
 from siamloc.data.checks import wrong_odometry
 from siamloc.data.frames import FrameTable
+from siamloc.data.mounting import estimate
 from siamloc.data.moves import relative, way_along, wrapped
 from siamloc.errors import DataError
 from siamloc.maps.comparing import Compares, scaled
-from siamloc.maps.describing import build
+from siamloc.maps.describing import UNPOSED_YAW, build
 from siamloc.maps.floor import (
     DEVIATION,
     Floor,
@@ -267,7 +268,15 @@ def of_descriptions(
         )
     parts = described.turning().orientation
     assert parts is not None
-    compared = comparing(compare, scaled(parts), progress)
+    parts = scaled(parts)
+    if anchors is None and not np.isfinite(frames.odometry).any():
+        left = estimate(described.frames, parts, compare, posed=False)  # of the corrected panoramas
+        if not abs(left.yaw) < UNPOSED_YAW:  # NaN is not
+            notes.append(
+                f"the robot's front was not found in the panoramas ({left.summary()}), so headings may be wrong by any "
+                "constant angle: give odometry, or say where the front is, as by unwrap.forward"
+            )
+    compared = comparing(compare, parts, progress)
     steps, seen, certain = compared_steps(compared, drive)
     moved = odometry_steps(frames.odometry, seen, certain, drive, names, notes, frames.time)
     known = certain | np.isfinite(moved).all(axis=1)

@@ -354,6 +354,11 @@ def test_a_few_images_next_to_each_other_do_not_pass_for_a_drive():
     assert found.reasons
 
 
+def test_a_yaw_counts_if_it_is_many_deviations_off_even_if_they_are_large():
+    assert MountingEstimate(-110.3, 2.1, None, pairs=400).mounting == Mounting(-110.3)
+    assert MountingEstimate(9.0, 3.2, None, pairs=400).mounting == Mounting()
+
+
 def test_mirrored_panoramas_are_flipped_even_if_the_yaw_is_unknown():
     assert MountingEstimate(mirrored=True, pairs=20).mounting == Mounting(mirrored=True)
     assert MountingEstimate(pairs=20).mounting == Mounting()

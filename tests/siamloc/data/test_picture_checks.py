@@ -186,8 +186,8 @@ def test_a_mounting_is_named_only_if_it_matters():
     assert said.endswith(
         "; if they are not, the poses are (y and headings with the wrong sign, as with z down), and so is the map"
     )
-    unsure = mounted(MountingEstimate(-30.0, 4.0, False, (0.0, 0.0), (0.01, 0.01), 100))
-    assert unsure == "the camera's mounting: it looks 30.0 +- 4.0 degrees right of the heading", "no map corrects it"
+    unsure = mounted(MountingEstimate(-10.0, 4.0, False, (0.0, 0.0), (0.01, 0.01), 100))
+    assert unsure == "the camera's mounting: it looks 10.0 +- 4.0 degrees right of the heading", "no map corrects it"
     assert mounted(MountingEstimate(reasons=("no poses",))) is None
     for mirrored in (None, True):  # which a map makes up for only if the rest fits
         said = mounted(MountingEstimate(mirrored=mirrored, pairs=50, reasons=("check them",)))

@@ -270,6 +270,25 @@ def test_parts_of_the_odometry_that_cannot_be_true_are_left_out(surveyed):
     assert found.report()["notes"] == list(found.notes)
 
 
+def test_odometry_of_wheels_that_slip_for_metres_is_left_out_there(surveyed):
+    poses = eights()
+    steps = relative(drifting(poses), np.arange(89), np.arange(1, 90))
+    steps[40:55, :2] *= 0.4
+    found, true, _ = surveyed({"monday": poses}, odometry=chained(np.concatenate([np.zeros((1, 3)), steps])))
+    assert "moves much less than the images, as wheels do that slip, at " in found.notes[0]
+    left_out = np.setdiff1d(np.arange(89), found.graph.wheels.first)
+    assert np.isin(np.arange(42, 53), left_out).all()
+    assert len(left_out) < 20
+    assert off(found, true) < 0.1
+
+
+def test_a_front_that_is_not_found_without_odometry_is_noted(surveyed):
+    ahead, sideways = eights(), eights()
+    sideways[::2, 2] += np.pi / 2  # the robot drives now ahead and now to its right
+    assert not surveyed({"monday": ahead}, odometry=False)[0].notes
+    assert "the robot's front was not found" in surveyed({"monday": sideways}, odometry=False)[0].notes[0]
+
+
 def test_frozen_odometry_is_left_out_with_steps_that_images_do_not_see_and_the_step_after(surveyed, monkeypatch):
     poses = eights()
     wheels = drifting(poses)
