@@ -21,6 +21,7 @@ from siamloc.data import (
     Extraction,
     HyperbolicMirror,
     PanoramaLibrary,
+    PanoramaView,
     PolarRing,
     Preprocessing,
     extract,
@@ -44,6 +45,8 @@ from siamloc.runtime.exportable import check_counted
 
 _NETWORK = "pretrained"
 _LOOKED_AT, _SWAYS = 40, 1.0  # pictures, and the tilt in degrees from which on each is levelled
+_RIM = 1.0  # degrees by which the inner rim of a ring may differ from what the guide says
+_POSITIONS, _SCALE = 0.4, 0.25  # typical deviation in metres, and that of the scale, above which a map is of little use
 _FEWEST = 60  # key frames: a third of them teaches the error model
 
 
@@ -147,6 +150,13 @@ def walk(
     ring = camera.camera
     if isinstance(ring, DualFisheyeCamera) and ring == (usual := DualFisheyeCamera(second=ring.second)):
         say(f"lenses: each is taken to see {usual.front.fov:g} degrees (unwrap.front.fov=, unwrap.back.fov=)")
+    if isinstance(given.camera, AutoRing) and isinstance(ring, HyperbolicMirror):
+        low, usual_low = np.degrees(ring.lowest_elevation), PanoramaView().bottom
+        if abs(low - usual_low) > _RIM:
+            say(
+                f"rims: the inner rim is taken for {low:.0f} degrees of elevation, since no mirror that is built shows "
+                f"{usual_low:g} in such a ring: a calibrated camera is more exact (unwrap=calibrated)"
+            )
     if wheels == "without" and isinstance(given.camera, AutoRing) and isinstance(ring, HyperbolicMirror | PolarRing):
         mirrored = "mirrored" if ring.mirrored else "not mirrored"
         say(f"direction: the robot is taken to drive ahead, and the picture to be {mirrored} (unwrap.mirrored=)")
@@ -176,6 +186,13 @@ def walk(
     found = maps.survey(_NETWORK, images, chosen, settings=settings.survey)
     for line in (*(f"note: {note}" for note in found.notes), f"survey: {found.summary()}"):
         say(line)
+    typical = float(np.median(found.frames.deviation))
+    if typical > _POSITIONS or found.scale_deviation > _SCALE:
+        say(
+            f"note: the survey is not exact, its positions only within {typical:.2f} m and its scale within "
+            f"{found.scale_deviation:.0%}: give odometry (recording.odometry=) or the height of a camera of "
+            "known elevations (survey.height=), or record a way that visits places again"
+        )
     save_survey(found, folder, settings.plain())
     part = np.full(len(chosen), "map", dtype="U10")
     part[settings.left_out - 1 :: 2 * settings.left_out] = "validation"
@@ -196,6 +213,11 @@ def walk(
     off = cast(dict[str, Any], errors.parts["absolute_refined"])["overall"]["error"]["mean"]
     left_out = f"of those left out (left_out={settings.left_out}) {len(errors)}"
     say(f"map: {len(known)} key frames; {left_out} are located {off:.2f} m from where the survey has them, on average")
+    if off > 2 * (settings.spacing + typical):
+        say(
+            "note: the key frames that were left out look like others elsewhere: the robot will take places that look "
+            "the same for each other, or the survey is wrong (see the plan): do not rely on it without looking"
+        )
     run = Run(folder)
     errors.save(run.evaluation(_NETWORK))
     known.save(run.evaluation(_NETWORK) / "map.npz")

@@ -8,7 +8,7 @@ from typing import Annotated, ClassVar
 
 import numpy as np
 
-from foundation.settings import Positive, Rule, Settings
+from foundation.settings import NotNegative, Positive, Rule, Settings
 from siamloc.data.central import Angle, CentralCamera, ImageSize, LensCamera, inverse, rises_to
 from siamloc.data.panorama import Array, PanoramaView, PolarRing
 from siamloc.data.presets import AutoRing, ColdRing
@@ -329,10 +329,12 @@ class HyperbolicMirror(Settings):
         mirrored: False for images that were flipped left to right after they were taken.
         presumed: whether the eccentricity is presumed, as by `siamloc.data.ring.likely_mirror`: a height of the camera
             above the floor then says nothing about lengths.
+        inner: radius in pixels around the principal point within which the image shows the camera itself, or no mirror:
+            directions that would appear there are not seen.
 
     Raises:
-        ConfigError: an eccentricity that is not above 1, a focal parameter or focal length that is not positive, or a
-            panorama that looks higher than the mirror shows.
+        ConfigError: an eccentricity that is not above 1, a focal parameter or focal length that is not positive, a
+            negative radius, or a panorama that looks higher than the mirror shows.
     """
 
     WHERE: ClassVar[str] = "unwrap"
@@ -346,6 +348,7 @@ class HyperbolicMirror(Settings):
     forward: float = 0.0
     mirrored: bool = True
     presumed: bool = False
+    inner: NotNegative = 0.0
 
     @property
     def camera_depth(self) -> float:
@@ -357,23 +360,28 @@ class HyperbolicMirror(Settings):
         """Elevation in rad that the mirror's rim would reach if the mirror were infinite: asin(1 / e)."""
         return float(np.arcsin(1 / self.eccentricity))
 
+    @property
+    def lowest_elevation(self) -> float:
+        """Elevation in rad that appears on the inner rim."""
+        return float(np.arcsin(self._unified.back_project(np.array([self.cx + self.inner, self.cy]))[2]))
+
     def project(self, directions: Array, image_size: ImageSize | None = None) -> Array:
         """Return the pixels (..., 2), column and row, at which directions (..., 3) of the robot's frame appear.
 
-        Directions need not have unit length; those above `highest_elevation` give NaN.
+        Directions need not have unit length; those above `highest_elevation` or within the inner rim give NaN.
         """
         seen = np.asarray(directions, dtype=np.float64)
         pixels = self._unified.project(seen)
-        pixels[self._beyond(seen)] = np.nan
+        pixels[self._beyond(seen) | self._within(pixels)] = np.nan
         return pixels
 
     def back_project(self, pixels: Array, image_size: ImageSize | None = None) -> Array:
         """Return the unit directions (..., 3) in the robot's frame that pixels (..., 2) look at.
 
-        Pixels beyond the mirror's asymptote give NaN.
+        Pixels beyond the mirror's asymptote or within the inner rim give NaN.
         """
         found = self._unified.back_project(pixels)
-        found[self._beyond(found)] = np.nan
+        found[self._beyond(found) | self._within(np.asarray(pixels))] = np.nan
         return found
 
     def sampling(self, view: PanoramaView, image_size: tuple[int, int]) -> tuple[Array, Array]:
@@ -406,6 +414,10 @@ class HyperbolicMirror(Settings):
     def _beyond(self, directions: Array) -> Array:
         """Return which directions (..., 3) no ray from the camera reaches, even by an infinite mirror."""
         return np.asarray(self.eccentricity * directions[..., 2] >= np.linalg.norm(directions, axis=-1))
+
+    def _within(self, pixels: Array) -> Array:
+        """Return which pixels (..., 2) lie within the inner rim."""
+        return np.asarray(np.hypot(pixels[..., 0] - self.cx, pixels[..., 1] - self.cy) < self.inner)
 
 
 CAMERAS: dict[str, type[PolarRing] | type[HyperbolicMirror] | type[CentralCamera] | None] = {

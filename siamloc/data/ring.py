@@ -243,8 +243,9 @@ def likely_mirror(ring: PolarRing) -> HyperbolicMirror | PolarRing:
     """Return the hyperbolic mirror that shows in a ring what a panorama shows by default, 30 to -45 degrees.
 
     The mirror's rim is at 30 degrees, and its eccentricity puts -45 degrees on the inner rim, within the limits of
-    mirrors that are built. The true elevations of the rims stay unknown; but the evenly spaced rows of a `PolarRing`
-    fit no mirror at all, and show images moving in wrong directions. A ring with its inside up stays a ring.
+    mirrors that are built: beyond them, the inner rim is higher or lower (`lowest_elevation`). The true elevations of
+    the rims stay unknown; but the evenly spaced rows of a `PolarRing` fit no mirror at all, and show images moving in
+    wrong directions. Nothing is seen within the inner rim. A ring with its inside up stays a ring.
     """
     if ring.centre is None or ring.inner is None or ring.outer is None or ring.inside_up:
         return ring
@@ -253,7 +254,7 @@ def likely_mirror(ring: PolarRing) -> HyperbolicMirror | PolarRing:
     xi = float(np.clip(sines / (np.cos(bottom) - share * np.cos(top)), *_XI))  # radius ~ cos(up) / (xi - sin(up))
     eccentricity = (1 + np.sqrt(1 - xi**2)) / xi
     focal = ring.outer * (xi - np.sin(top)) / np.cos(top) / np.sqrt(1 - xi**2)
-    found = HyperbolicMirror(focal, focal, *ring.centre, eccentricity, presumed=True)
+    found = HyperbolicMirror(focal, focal, *ring.centre, eccentricity, presumed=True, inner=ring.inner)
     return replace(found, forward=ring.forward, mirrored=ring.mirrored)
 
 

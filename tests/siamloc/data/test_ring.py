@@ -10,10 +10,12 @@ from siamloc.data import (
     FrameTable,
     HyperbolicMirror,
     PanoramaLibrary,
+    PanoramaView,
     PolarRing,
     find_camera,
     find_centres,
     find_ring,
+    seen,
     unwrap,
 )
 from siamloc.data.rims import inner_rim
@@ -197,6 +199,17 @@ def test_the_likely_mirror_of_a_ring_that_shows_just_the_panorama_is_the_true_on
     found = likely_mirror(PolarRing(centre=(319.5, 239.5), inner=inner, outer=outer, forward=40))
     np.testing.assert_allclose([found.eccentricity, found.fx, found.fy], [eccentricity, 340, 340], rtol=1e-6)
     assert found.forward == 40
+    assert np.degrees(found.lowest_elevation) == pytest.approx(-45)
+
+
+def test_what_lies_within_the_inner_rim_of_the_likely_mirror_is_not_seen():
+    found, view = likely_mirror(PolarRing(centre=(319.5, 239.5), inner=60, outer=210)), PanoramaView(64, 256)
+    low = np.degrees(found.lowest_elevation)
+    assert low == pytest.approx(-36.7, abs=0.1)  # a mirror that shows more is not built
+    rows = np.degrees(view.row_elevation())
+    np.testing.assert_array_equal(seen(found, view, (480, 640)).all(axis=1), rows > low)
+    within = found.back_project(np.array([[319.5, 239.5 + 59], [319.5, 239.5 + 61]]))
+    np.testing.assert_array_equal(np.isfinite(within).all(axis=1), [False, True])
 
 
 def test_a_ring_with_its_inside_up_or_a_tiny_hole_still_has_a_camera():
