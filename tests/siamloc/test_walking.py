@@ -11,6 +11,7 @@ import pytest
 
 import siamloc
 from siamloc.data import PanoramaView
+from siamloc.data.ring import likely_mirror
 from siamloc.errors import ConfigError, DataError
 from tests.bags import Written, jpeg
 
@@ -78,14 +79,17 @@ def test_a_bag_of_equirectangular_pictures_with_odometry_becomes_a_robot(mini, t
     assert (tmp_path / "robot" / "report.html").is_file()
 
 
-def test_a_folder_of_panoramas_without_odometry_becomes_a_robot(mini, tmp_path):
+def test_a_folder_of_panoramas_without_odometry_becomes_a_robot(mini, tmp_path, monkeypatch):
     day, _ = mini
+    monkeypatch.setattr("siamloc.walking._POSITIONS", 0.001)
     pictures, said = pictures_of(day, tmp_path / "monday"), []
     height = siamloc.maps.SurveySettings(height=0.95)  # of the simulated camera
     made = siamloc.walk(pictures, tmp_path / "robot", say=said.append, spacing=0.25, survey=height)
     assert "without odometry" in said[0]
     assert said[1].startswith("camera: unwrap=none (unwrap=), for pictures of ")
     assert made.survey.fixed_by == "height"
+    (doubted,) = (line for line in said if line.startswith("note: "))
+    assert doubted.startswith("note: the survey is not exact, its positions only within 0.")
     wanted = day.xy[np.rint(2 * (made.survey.frames.time - START)).astype(int)]
     spread, expected = (np.sqrt(one.var(axis=0).sum()) for one in (made.survey.frames.xy, wanted))
     assert spread / expected == pytest.approx(1, abs=0.06)
@@ -109,6 +113,15 @@ def test_a_ring_does_not_show_its_direction(mini, tmp_path, monkeypatch):
     with pytest.raises(DataError, match="key frames"):
         siamloc.walk(pictures, tmp_path / "robot", say=said.append)
     assert said[2] == "direction: the robot is taken to drive ahead, and the picture to be mirrored (unwrap.mirrored=)"
+
+
+def test_the_elevation_of_an_inner_rim_is_said_if_it_is_not_that_of_a_panorama(mini, tmp_path, monkeypatch):
+    pictures, said = pictures_of(mini[0].take(range(3)), tmp_path / "monday"), []
+    ring = likely_mirror(siamloc.data.PolarRing(centre=(255.5, 63.5), inner=10, outer=60))
+    monkeypatch.setattr("siamloc.walking.find_camera", lambda *_: ring)
+    with pytest.raises(DataError, match="key frames"):
+        siamloc.walk(pictures, tmp_path / "robot", say=said.append)
+    assert said[2].startswith("rims: the inner rim is taken for -")
 
 
 def test_faults_of_the_pictures_are_said_first(mini, tmp_path):
