@@ -247,7 +247,7 @@ def test_a_camera_whose_pictures_have_an_unknown_size_is_not_known_to_see_the_fl
 
 
 def test_no_height_gives_metres_below_a_mirror_that_is_presumed_in_a_ring(tmp_path):
-    frames, mirror = grey_frames(tmp_path), likely_mirror(PolarRing(centre=(15.5, 15.5), inner=4, outer=15))
+    frames, mirror = grey_frames(tmp_path), likely_mirror(PolarRing(centre=(15.5, 15.5), inner=3, outer=15))
     presumed, known = (
         PanoramaLibrary(frames, tmp_path / "cache", image_size=(64, 256), unwrap=camera)
         for camera in (mirror, replace(mirror, presumed=False))
