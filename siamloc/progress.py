@@ -16,7 +16,7 @@ _shown = ContextVar("shown", default=True)
 
 @contextmanager
 def hidden() -> Iterator[None]:
-    """Hide the progress of all work in a block, or in a function that this decorates; notes and warnings stay.
+    """Hide the progress of all work of this thread in a block, or in a function that this decorates; notes stay.
 
     Example:
         >>> import siamloc

@@ -159,8 +159,8 @@ class MountingEstimate:
     @property
     def mounting(self) -> Mounting:
         """The mounting to correct for: nothing of what is unknown or uncertain, and no yaw too small to matter."""
-        least = max(STRAIGHT, (2 if self.yaw_deviation <= CERTAIN else _SURE) * self.yaw_deviation)
-        yaw = self.yaw if abs(self.yaw) > least else 0.0  # NaN is not
+        least = max((2 if self.yaw_deviation <= CERTAIN else _SURE) * self.yaw_deviation, STRAIGHT)
+        yaw = self.yaw if abs(self.yaw) > least else 0.0  # nor if either is NaN
         ahead, left = self.offset if np.hypot(*self.offset) > NEAR else (0.0, 0.0)
         return Mounting(round(yaw, 2), bool(self.mirrored), round(ahead, 3), round(left, 3))
 

@@ -106,6 +106,7 @@ def read(kind: str, *, unit: str = "m", name: str = "", **where: Any) -> FrameTa
     frames = READERS[kind](**given)
     if not isinstance(frames, FrameTable):
         raise ConfigError(f"the reader of data of kind {kind!r} must return a FrameTable, got {type(frames).__name__}")
+    frames = frames.with_columns(path=[str(Path(path).absolute()) for path in frames.path])
     return replace(frames, unit=unit, source={"kind": kind, "name": named, **plain(given)})
 
 

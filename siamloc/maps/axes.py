@@ -62,7 +62,8 @@ def check_axes(known: VisualMap, drive: VisualMap, alike: Retrieval, located: ND
     sure = np.flatnonzero(poses.agreement >= _SURE)
     compared, building = drive.frames.take(sure), known.frames.building[poses.frame[sure]]
     _check_motion(compared, building, poses.xy[sure], _OFF, _HALF)
-    off = np.linalg.norm(compared.xy - poses.xy[sure], axis=1)[compared.building == building]
+    off = np.linalg.norm(compared.xy - poses.xy[sure], axis=1)
+    off = (off / np.fmax(1, 2 * compared.deviation / _OFF))[compared.building == building]  # 1 where it is unknown
     agreeing = int((off <= _OFF).sum())
     if len(off) >= max(_SOME, _HALF * len(drive)) and agreeing <= _FEW * len(off):
         raise WrongAxesError(

@@ -222,6 +222,7 @@ def update(
         if (spread < 0).any():
             raise DataError(f"a deviation is 0 or more, or NaN where it is unknown, got {np.nanmin(spread):g}")
         sure = sure & (spread <= settings.certain)
+        drive = drive.with_columns(deviation=spread)
     new = np.array([key not in held for key in keys], dtype=bool)
     if not new.any():
         raise DataError(f"all {len(drive)} frames of the drive are in the map already: update it by another drive")

@@ -224,8 +224,9 @@ class PoseFilter:
         fresh = max(carried, before.anywhere) + math.log(max(agreement, _NEVER)) + stray
         begun = replace(begun, evidence=fresh)
         stories = [*(_told(story, pose, seen, spread, new) for story in stories), begun]
-        anywhere = before.anywhere + math.log(max(1 - agreement, _NEVER)) + stray
-        return self._kept(stories, begun if agreement >= _RECOGNIZED else None, anywhere)
+        recognized = agreement >= _RECOGNIZED
+        anywhere = before.anywhere + stray + (math.log(max(1 - agreement, _NEVER)) if recognized else 0.0)
+        return self._kept(stories, begun if recognized else None, anywhere)
 
     def _contradicts(self) -> bool:
         """Return whether the last recognized poses contradict the motions.

@@ -276,12 +276,14 @@ def _slipping(way: Array, compared: Array, judged: NDArray[np.bool_]) -> NDArray
         judged: the steps of a drive whose lengths are worth comparing.
     """
     rows, found = np.flatnonzero(judged), np.zeros(len(way), dtype=bool)
-    ratio, along = way[rows] / compared[rows], np.cumsum(compared[rows])
-    ends = np.maximum(np.searchsorted(along, along + _SLIP_WAY), np.arange(len(rows)) + _FROZEN)
-    usual = min(float(np.median(ratio)), 1.0) if len(rows) else 1.0
-    for begin, end in enumerate(ends[ends < len(rows)].tolist()):
-        if np.median(ratio[begin:end]) < _SLIPS * usual:
-            found[rows[begin] : rows[end - 1] + 1] = True
+    if not len(rows):
+        return found
+    way, compared = way[rows], compared[rows]
+    usual, along = min(float(np.median(way / compared)), 1.0), np.concatenate([[0.0], np.cumsum(compared)])
+    ends = np.maximum(np.searchsorted(along, along[:-1] + _SLIP_WAY), np.arange(len(rows)) + _FROZEN)
+    for begin, end in enumerate(ends[ends <= len(rows)].tolist()):
+        if way[begin:end].sum() < _SLIPS * usual * compared[begin:end].sum():
+            found[rows[begin:end]] = True
     return found
 
 

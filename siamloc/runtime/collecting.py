@@ -21,6 +21,8 @@ from siamloc.runtime.location import Location
 
 MOST = 2000
 """Number of pictures that a collector leaves in a folder, by default."""
+SINCE = "@"
+"""What parts the name of a drive from the time of its newest picture, where a map counts a collected drive."""
 _CERTAIN = 0.25  # largest standard deviation of a position, in the unit of the map
 _AGREEMENT = 0.5  # least agreement on a pose about which nothing else is known
 _APART, _TURNED = 0.1, math.radians(20)  # by how much pictures differ, in the unit of the map and in rad

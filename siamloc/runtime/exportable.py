@@ -14,6 +14,7 @@ from siamloc.maps import Built, CoarseLayer, HierarchicalSearch, LayerSearch, Vi
 from siamloc.maps.heading import is_analytic
 from siamloc.maps.history import UPKEEP
 from siamloc.runtime import bundle as files
+from siamloc.runtime.collecting import SINCE
 
 if TYPE_CHECKING:
     from siamloc.data.library import PanoramaLibrary
@@ -36,7 +37,7 @@ def check_replaceable(path: Path) -> None:
 
 
 def check_counted(path: Path, known: VisualMap | None) -> None:
-    """Check that a new map counts all drives that updated the map of the bundle in this path, if there is any.
+    """Check that a new map counts all drives by which robots updated the map of the bundle in this path, if any.
 
     Raises:
         ConfigError: what these drives changed would be lost.
@@ -46,10 +47,12 @@ def check_counted(path: Path, known: VisualMap | None) -> None:
     except FormatError:
         return
     drives, counted = (one.made.get(UPKEEP, {}).get("drives", []) if one is not None else [] for one in (held, known))
-    if lost := [drive for drive in drives if drive not in counted]:
+    # Drives of other updates are in the user's hands, who may make the map from them anew.
+    if lost := [drive for drive in drives if SINCE in drive and drive not in counted]:
         raise ConfigError(
-            f"drives updated the map in {path}, {len(lost)} of which the new one lacks, the last is {lost[-1]}: name "
-            "another folder, or replace it with overwrite=true and update the new one by what robots collected"
+            f"robots updated the map in {path} by drives that the new one lacks, {len(lost)} of them, the last is "
+            f"{lost[-1]}: name another folder, or replace it with overwrite=true and update the new one by what robots "
+            "collected"
         )
 
 

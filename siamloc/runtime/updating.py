@@ -23,7 +23,7 @@ from siamloc.maps.history import UPKEEP
 from siamloc.maps.maintenance import Maintenance, Update, updated
 from siamloc.maps.thinning import nearest
 from siamloc.runtime import bundle as files
-from siamloc.runtime.collecting import collected
+from siamloc.runtime.collecting import SINCE, collected
 from siamloc.runtime.describing import coarse_map
 from siamloc.runtime.exportable import check_replaceable
 from siamloc.runtime.localizer import Localizer
@@ -71,12 +71,13 @@ def update(bundle: str | Path, folder: str | Path, *, settings: Maintenance = OF
         made = {key: value for key, value in layer.made.items() if key not in ("ids", "frames")}
         built = Built(replace(layer, made=made), np.zeros(1), known.digest)
     parts = _Parts(localizer)
-    updates, faults = list[Update](), list[str]()
+    updates, faults, fits = list[Update](), list[str](), False
     for whole in collected(folder):
         drive = _uncounted(whole, known.made.get(UPKEEP, {}).get("drives", []))
         try:
             drive, panoramas = _read(drive, held.image_size)
-            if not len(drive):
+            if not len(drive):  # counted before
+                fits = True
                 continue
             described = [localizer.describe(panoramas[at : at + _AT_ONCE]) for at in range(0, len(panoramas), _AT_ONCE)]
             seen = known.like(_placed_in(known, drive), Description.concatenate(described))
@@ -88,7 +89,7 @@ def update(bundle: str | Path, folder: str | Path, *, settings: Maintenance = OF
         parts.follow(found, panoramas[found.added])
         known, built = found.known, found.built
         updates.append(found)
-    if faults and not updates:
+    if faults and not (fits or updates):
         raise DataError("; ".join(faults))
     for fault in faults:
         logger.warning("%s; left out", fault)
@@ -152,9 +153,9 @@ def _uncounted(drive: FrameTable, counted: list[str]) -> FrameTable:
     A robot that drives on between two updates adds to the folder of its drive.
     """
     name = str(drive.sequence[0])
-    parts = (one.rpartition("@") for one in counted)
+    parts = (one.rpartition(SINCE) for one in counted)
     drive = drive.take(drive.time > max((float(newest) for one, _, newest in parts if one == name), default=-np.inf))
-    return drive.with_columns(sequence=[f"{name}@{drive.time.max(initial=0):.6f}"] * len(drive))
+    return drive.with_columns(sequence=[f"{name}{SINCE}{drive.time.max(initial=0):.6f}"] * len(drive))
 
 
 def _read(drive: FrameTable, size: tuple[int, int]) -> tuple[FrameTable, NDArray[np.uint8]]:
@@ -169,7 +170,7 @@ def _read(drive: FrameTable, size: tuple[int, int]) -> tuple[FrameTable, NDArray
         if picture.shape[:2] != size:
             raise DataError(
                 f"{path} is {picture.shape[0]} x {picture.shape[1]} px, and the bundle's panoramas {size[0]} x "
-                f"{size[1]}: give a folder that this bundle collected"
+                f"{size[1]}: another bundle collected it"
             )
         rows.append(row)
         found.append(picture[None, ..., ::-1])

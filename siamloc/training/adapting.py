@@ -31,6 +31,7 @@ from siamloc.models.checkpoint import load
 from siamloc.models.describing import as_descriptor, learned
 from siamloc.models.network_stages import comparing_weights
 from siamloc.models.weights import read_checkpoint
+from siamloc.progress import shown
 from siamloc.runs import Run
 from siamloc.training.batches import BatchAugmentation
 from siamloc.training.callbacks import AtomicCheckpoints
@@ -175,11 +176,12 @@ class Adapting:
             if best == 0
             else f"{errors[best]:.2f} steps with {100 * best:.0f} % of the change of the weights, which is kept"
         )
-        print(
-            f"check on the drive: frames held out are found {errors[0]:.2f} steps off on average before the training; "
-            f"{result}\ncheckpoint: {run.checkpoint()}",
-            file=sys.stderr,
-        )
+        if shown():
+            print(
+                f"check on the drive: frames held out are found {errors[0]:.2f} steps off on average before the "
+                f"training; {result}\ncheckpoint: {run.checkpoint()}",
+                file=sys.stderr,
+            )
 
     def _check(
         self, images: PanoramaLibrary, change: BatchAugmentation | None

@@ -228,7 +228,7 @@ def check_weights(module: nn.Module) -> None:
     Raises:
         ConfigError: no weights, only frozen ones, or some that nothing can be learned from.
     """
-    if any(weight.is_inference() for weight in module.parameters()):
+    if any(weight.is_inference() for weight in (*module.parameters(), *module.buffers())):
         raise ConfigError("weights made under torch.inference_mode() cannot be trained: make the network outside of it")
     learns = [weight.requires_grad for weight in module.parameters()]
     if not any(learns):

@@ -160,7 +160,7 @@ def fit(
     check_weights(module)
     about = {
         "data": {**train.source, "unit": train.unit, **images.settings()},
-        "protocol": Protocol.of(_protocol(train, validated) if protocol is None else protocol).plain(),
+        "protocol": Protocol.of(_protocol(train, validated)).plain() if protocol is None else dict(protocol),
         "augment": augmented,
         "frames": {
             "train": note_frames(images, train),

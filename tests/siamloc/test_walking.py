@@ -145,7 +145,7 @@ pytestmark = pytest.mark.slow
 
 def test_a_bundle_that_robots_updated_is_not_replaced_unasked(tmp_path):
     frames = siamloc.data.FrameTable(path=["a.png", "b.png"])
-    known = siamloc.maps.VisualMap(np.eye(2), frames, made={"upkeep": {"drives": ["monday"]}})
+    known = siamloc.maps.VisualMap(np.eye(2), frames, made={"upkeep": {"drives": ["monday", "drive-1@2.5"]}})
     known.save(tmp_path / "bundle" / "map.npz")
-    with pytest.raises(ConfigError, match=r"1 of which .* the last is monday: .* with overwrite=true"):
+    with pytest.raises(ConfigError, match=r"lacks, 1 of them, the last is drive-1@2.5: .* with overwrite=true"):
         siamloc.walk(tmp_path / "nowhere", tmp_path)

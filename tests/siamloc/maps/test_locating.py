@@ -143,6 +143,8 @@ def test_positions_that_bend_away_from_where_images_are_compared_are_refused(pos
     frames = drive.frames.with_columns(x=at.real, y=at.imag, theta=theta + turned, sequence=["tuesday"] * 60)
     with pytest.raises(DataError, match=r"where its images show it: \d of \d+ frames are within 0\.25 m .* as odom_x"):
         updated(known, replace(drive, frames=frames))
+    unsure = frames.with_columns(deviation=np.abs(at - (x + 1j * y)))
+    assert updated(known, replace(drive, frames=unsure)).known, "positions that are as uncertain as they are wrong"
     elsewhere = frames.with_columns(building=["annex"] * 60)
     assert updated(known, replace(drive, frames=elsewhere)).added.any()
 

@@ -193,15 +193,16 @@ def test_with_odometry_a_robot_that_was_carried_away_is_found_within_three_pictu
 
 @pytest.mark.parametrize("known", [False, True])
 @pytest.mark.parametrize("agreement", [0.03, 0.2, 0.4])
-def test_a_picture_of_nothing_at_the_start_does_not_hide_where_the_robot_is(agreement, known):
-    xy = drive(5)
+@pytest.mark.parametrize("count", [1, 15])
+def test_pictures_of_nothing_at_the_start_do_not_hide_where_the_robot_is(count, agreement, known):
+    xy = drive(count + 4)
     poses = told(xy)
-    poses.xy[0] += [3.0, 13.0]
-    poses.agreement[0] = agreement
-    motion = moves(np.column_stack([xy, np.zeros(5)])) if known else None
+    poses.xy[:count] += np.random.default_rng(0).uniform(5, 20, (count, 2))
+    poses.agreement[:count] = agreement
+    motion = moves(np.column_stack([xy, np.zeros(len(xy))])) if known else None
     found = PoseFilter(STEP).run(poses, ["a"] * len(xy), motion)
-    assert errors(found, xy)[1:].max() < 0.25
-    assert found.agreement[1] > 0.9, "the first recognized picture is believed at once"
+    assert errors(found, xy)[count:].max() < 0.25
+    assert found.agreement[count] > 0.9, "the first recognized picture is believed at once"
 
 
 def test_stray_poses_before_do_not_hide_where_a_robot_was_carried():

@@ -18,6 +18,7 @@ from siamloc.data.moves import chained, composed, relative, wrapped
 from siamloc.errors import ConfigError, DataError
 from siamloc.maps import LiveSurvey, SurveySettings, VisualMap, survey
 from siamloc.maps.floor import FloorScale
+from siamloc.maps.survey_steps import _slipping
 
 
 class Panoramas(PanoramaLibrary):
@@ -280,6 +281,17 @@ def test_odometry_of_wheels_that_slip_for_metres_is_left_out_there(surveyed):
     assert np.isin(np.arange(42, 53), left_out).all()
     assert len(left_out) < 20
     assert off(found, true) < 0.1
+
+
+def test_wheels_slip_where_they_and_images_are_metres_apart():
+    last, judged = np.arange(60) >= 45, np.ones(60, dtype=bool)
+    judged[50:55] = False  # dark
+    compared = np.full(60, 0.3)
+    found = _slipping(np.where(last, 0.3, 1.0) * compared, compared, judged)
+    assert not found[:42].any()
+    assert found[45:].tolist() == judged[45:].tolist()
+    turning = np.where(last, 0.08, 0.3)  # a camera off the centre of a robot that turns on the spot
+    assert not _slipping(np.where(last, 0.0, turning), turning, judged).any()
 
 
 def test_a_front_that_is_not_found_without_odometry_is_noted(surveyed):

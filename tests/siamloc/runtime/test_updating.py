@@ -255,6 +255,8 @@ def test_a_drive_that_cannot_update_the_map_keeps_no_other_from_it(bundle, tmp_p
     assert "odom_x" not in caplog.text, "its poses are in the names of its files"
     assert f"{others[1].drive} cannot update the map: " in caplog.text
     before = (bundle / "map.npz").read_bytes()
+    assert update(bundle, seen) == [], "a drive that fits was counted before"
+    good.drive.rename(tmp_path / "elsewhere")
     with pytest.raises(DataError, match=r"drive-.* cannot update the map: .*; .*drive-.* cannot update the map: "):
         update(bundle, seen)
     assert (bundle / "map.npz").read_bytes() == before
@@ -273,7 +275,7 @@ def test_an_export_keeps_what_drives_taught_a_bundle(bundle, images, tmp_path):
     kept_by(Collector(tmp_path / "seen"), painted(drive(1)[0]), drive(1)[1])
     (found,) = update(bundle, tmp_path / "seen")
     known = replace(mapped(HOG), frames=images.frames)
-    with pytest.raises(ConfigError, match=r"drives updated .*, 1 of which .* drive-\d+.*: .* overwrite=true"):
+    with pytest.raises(ConfigError, match=r"robots updated .*, 1 of them, .* drive-\d+.*: .* overwrite=true"):
         export(HOG, known, bundle)
     assert len(Localizer(bundle).map) == len(found.known)
     export(HOG, replace(found.known, describes=None), bundle)
