@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import torch
 
 import augment
 from foundation.calls import typed
@@ -30,7 +29,6 @@ from siamloc.training.settings import Monitor, Training
 
 
 @typed
-@torch.inference_mode(mode=False)
 def pretrain(
     network: Network,
     *,

@@ -192,9 +192,13 @@ def check_network(network: nn.Module, image: NDArray[np.uint8], circular: bool, 
         The number of learned values in a descriptor.
 
     Raises:
-        ConfigError: a circular network for images that do not wrap around, or descriptors that are not of unit length.
+        ConfigError: a circular network for images that do not wrap around, descriptors that are not of unit length, or
+            inference mode, now or when the network was made.
         DataError: a network that does not take the images, or gives one image different descriptors.
     """
+    held = (*network.parameters(), *network.buffers())
+    if torch.is_inference_mode_enabled() or any(map(torch.is_inference, held)):
+        raise ConfigError("no network learns under torch.inference_mode(): make it and train it outside of that mode")
     if getattr(network, "settings", {}).get("circular") and not circular:
         raise ConfigError(
             "the network wraps around the azimuth (model.circular=true, from Python build(circular=True)), and the "
@@ -226,10 +230,8 @@ def check_weights(module: nn.Module) -> None:
         module: the module that holds both.
 
     Raises:
-        ConfigError: no weights, only frozen ones, or some that nothing can be learned from.
+        ConfigError: no weights, or only frozen ones.
     """
-    if any(weight.is_inference() for weight in (*module.parameters(), *module.buffers())):
-        raise ConfigError("weights made under torch.inference_mode() cannot be trained: make the network outside of it")
     learns = [weight.requires_grad for weight in module.parameters()]
     if not any(learns):
         found = "have no weights" if not learns else f"have only frozen ones, {len(learns)} with requires_grad=False"

@@ -66,7 +66,6 @@ from siamloc.training.worst_queries import WorstQueries
 
 @takes(Training)
 @on_host()
-@torch.inference_mode(mode=False)
 def fit(
     network: nn.Module,
     images: PanoramaLibrary,

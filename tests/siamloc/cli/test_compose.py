@@ -193,7 +193,7 @@ def test_an_experiment_may_set_keys_of_other_commands(command):
 
 
 def test_the_tab_key_offers_the_keys_of_the_command():
-    assert candidates("siamloc export o") == []
+    assert candidates("siamloc export o") == ["overwrite="]
     assert candidates("siamloc evaluate o") == ["out=", "overwrite="]
     assert candidates("siamloc map exp") == ["experiment="]
     assert candidates("siamloc map mo") == ["model.", "model/", "mounting."]

@@ -454,12 +454,14 @@ def test_mistakes_are_found_before_the_folder_is_touched(train, tmp_path, wrong,
     assert listing(tmp_path) == before
 
 
-def test_training_learns_under_inference_mode_but_not_weights_made_there(train):
+def test_nothing_is_trained_or_made_for_training_under_inference_mode(train):
     network = build("simple1", "fc500_500_5", SIZE)
     with torch.inference_mode():
-        assert len(curve(train(network=network))) == 1
-        with pytest.raises(ConfigError, match=r"made under torch.inference_mode\(\) cannot be trained"):
-            train("other")  # makes its network here
+        made_there = build("simple1", "fc500_500_5", SIZE)
+        with pytest.raises(ConfigError, match=r"under torch.inference_mode\(\): make it and train it outside"):
+            train(network=network)
+    with pytest.raises(ConfigError, match=r"under torch.inference_mode\(\): make it and train it outside"):
+        train(network=made_there)
 
 
 def test_a_training_says_nothing_where_progress_is_hidden(train, capsys):
