@@ -186,11 +186,10 @@ def walk(
     found = maps.survey(_NETWORK, images, chosen, settings=settings.survey)
     for line in (*(f"note: {note}" for note in found.notes), f"survey: {found.summary()}"):
         say(line)
-    typical = float(np.median(found.frames.deviation))
-    if typical > _POSITIONS or found.scale_deviation > _SCALE:
+    if found.typical_deviation > _POSITIONS or found.scale_deviation > _SCALE:
         say(
-            f"note: the survey is not exact, its positions only within {typical:.2f} m and its scale within "
-            f"{found.scale_deviation:.0%}: give odometry (recording.odometry=) or the height of a camera of "
+            f"note: the survey is not exact, its positions only within {found.typical_deviation:.2f} m and its scale "
+            f"within {found.scale_deviation:.0%}: give odometry (recording.odometry=) or the height of a camera of "
             "known elevations (survey.height=), or record a way that visits places again"
         )
     save_survey(found, folder, settings.plain())
@@ -213,7 +212,7 @@ def walk(
     off = cast(dict[str, Any], errors.parts["absolute_refined"])["overall"]["error"]["mean"]
     left_out = f"of those left out (left_out={settings.left_out}) {len(errors)}"
     say(f"map: {len(known)} key frames; {left_out} are located {off:.2f} m from where the survey has them, on average")
-    if off > 2 * (settings.spacing + typical):
+    if off > 2 * (settings.spacing + found.typical_deviation):
         say(
             "note: the key frames that were left out look like others elsewhere: the robot will take places that look "
             "the same for each other, or the survey is wrong (see the plan): do not rely on it without looking"

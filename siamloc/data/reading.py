@@ -97,8 +97,7 @@ def read(kind: str, *, unit: str = "m", name: str = "", **where: Any) -> FrameTa
             raise ConfigError(f"data of kind {kind!r} need {key}=...; valid: {', '.join(parameters)}")
     checked(where.get("on_error", "skip"), Policy, "on_error")  # readers of one's own may not say what it can be
     given = _fitted(kind, where)
-    given = {key: value.absolute() if isinstance(value, Path) else value for key, value in given.items()}
-    paths = {key: value for key, value in given.items() if isinstance(value, Path)}
+    paths = {key: value.absolute() for key, value in given.items() if isinstance(value, Path)}
     for key, path in paths.items():
         if path.resolve().parts[1:2] in _VIRTUAL:
             raise ConfigError(f"data.{key}={path} lies in a view of the running system, not in a folder of data")
@@ -107,7 +106,7 @@ def read(kind: str, *, unit: str = "m", name: str = "", **where: Any) -> FrameTa
     if not isinstance(frames, FrameTable):
         raise ConfigError(f"the reader of data of kind {kind!r} must return a FrameTable, got {type(frames).__name__}")
     frames = frames.with_columns(path=[str(Path(path).absolute()) for path in frames.path])
-    return replace(frames, unit=unit, source={"kind": kind, "name": named, **plain(given)})
+    return replace(frames, unit=unit, source={"kind": kind, "name": named, **plain({**given, **paths})})
 
 
 def _fitted(kind: str, where: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:

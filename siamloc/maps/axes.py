@@ -63,11 +63,10 @@ def check_axes(known: VisualMap, drive: VisualMap, alike: Retrieval, located: ND
     compared, building = drive.frames.take(sure), known.frames.building[poses.frame[sure]]
     _check_motion(compared, building, poses.xy[sure], _OFF, _HALF)
     off = np.linalg.norm(compared.xy - poses.xy[sure], axis=1)
-    off = (off / np.fmax(1, 2 * compared.deviation / _OFF))[compared.building == building]  # 1 where it is unknown
-    agreeing = int((off <= _OFF).sum())
-    if len(off) >= max(_SOME, _HALF * len(drive)) and agreeing <= _FEW * len(off):
+    agree = (off <= np.fmax(_OFF, 2 * compared.deviation))[compared.building == building]  # NaN is unknown
+    if len(agree) >= max(_SOME, _HALF * len(drive)) and agree.sum() <= _FEW * len(agree):
         raise WrongAxesError(
-            f"the drive's positions are not where its images show it: {agreeing} of {len(off)} frames are within "
+            f"the drive's positions are not where its images show it: {agree.sum()} of {len(agree)} frames are within "
             f"{_OFF:g} {drive.unit} of where comparisons with the map locate them, as if odometry had drifted"
         )
 

@@ -89,6 +89,13 @@ def _doubted_anchors(graph: PoseGraph, solution: Solution) -> NDArray[np.int64]:
     return graph.fixed[votes[graph.fixed] > 0]
 
 
+def residual_of_steps(graph: PoseGraph, solution: Solution) -> Array:
+    """Return by how many metres a solution contradicts each step that was compared (n,)."""
+    steps = graph.pictures
+    off = relative(solution.poses, steps.first, steps.second)[:, :2] * solution.scale - steps.pose[:, :2]
+    return np.hypot(off[:, 0], off[:, 1])
+
+
 def _torn(graph: PoseGraph, solution: Solution) -> NDArray[np.int64]:
     """Return the frames before which a drive is torn: the solution contradicts all steps across, by their weights.
 
@@ -105,8 +112,7 @@ def _torn(graph: PoseGraph, solution: Solution) -> NDArray[np.int64]:
         np.add.at(count, (steps.first + later)[there], 1)
     torn = across < _DOUBTED
     if len(graph.fixed) < 2:
-        off = relative(solution.poses, steps.first, steps.second)[:, :2] * solution.scale - steps.pose[:, :2]
-        far = (steps.second == steps.first + 1) & (weight < _DOUBTED) & (np.hypot(off[:, 0], off[:, 1]) > _TORN)
+        far = (steps.second == steps.first + 1) & (weight < _DOUBTED) & (residual_of_steps(graph, solution) > _TORN)
         torn = torn & (count > 1) | np.isin(np.arange(len(graph)), steps.second[far])
         torn &= ~np.isin(np.arange(len(graph)), graph.wheels.second)
     return np.flatnonzero(torn)

@@ -20,7 +20,7 @@ from foundation.settings import Count, Positive, Settings
 from siamloc.data.checks import wrong_odometry
 from siamloc.data.frames import FrameTable
 from siamloc.data.mounting import estimate
-from siamloc.data.moves import relative, way_along, wrapped
+from siamloc.data.moves import way_along, wrapped
 from siamloc.errors import DataError
 from siamloc.maps.comparing import Compares, scaled
 from siamloc.maps.describing import UNPOSED_YAW, build
@@ -37,7 +37,7 @@ from siamloc.maps.floor import (
 from siamloc.maps.loops import Loops, agreed, checked_pairs, far_apart, loops_of, most_alike
 from siamloc.maps.pose_graph import SCALE, Array, Edges, PoseGraph, Solution, covariances, of_shape
 from siamloc.maps.survey_checks import check_drives, check_lengths, comparing_descriptor
-from siamloc.maps.survey_solving import solution_notes, solved
+from siamloc.maps.survey_solving import residual_of_steps, solution_notes, solved
 from siamloc.maps.survey_start import anchored, brought_together, check_anchors, of_drives
 from siamloc.maps.survey_steps import (
     compared_steps,
@@ -113,16 +113,20 @@ class Survey:
     def __repr__(self) -> str:
         return f"Survey({self.summary()})"
 
+    @property
+    def typical_deviation(self) -> float:
+        """Median of the standard deviations of the positions, in metres."""
+        return float(np.median(self.frames.deviation))
+
     def summary(self) -> str:
         """Say in a line how many frames were surveyed, by how many loops, and what fixes their scale."""
         way = sum(float(way_along(self.frames.xy[rows])[-1]) for rows in self.frames.rows_by("sequence").values())
         counts = self.loops.counts()
         refused = sum(counts.values()) - counts["accepted"]
         within = f" within {self.scale_deviation:.1%}" if self.scale_deviation else ""
-        typical = np.median(self.frames.deviation)
         return (
             f"{len(self.frames)} frames along {way:.1f} m; loops: {counts['accepted']} used, {refused} refused; the "
-            f"scale follows from the {self.fixed_by}{within}, typical deviation {typical:.2f} m"
+            f"scale follows from the {self.fixed_by}{within}, typical deviation {self.typical_deviation:.2f} m"
         )
 
     def report(self) -> dict[str, Any]:
@@ -131,9 +135,7 @@ class Survey:
         Drives without odometry are not in `odometry`.
         """
         steps, wheels = self.graph.pictures, self.graph.wheels
-        found = relative(self.solution.poses, steps.first, steps.second)
-        off = found[:, :2] * self.solution.scale - steps.pose[:, :2]
-        residual, deviation = np.hypot(off[:, 0], off[:, 1]), self.frames.deviation
+        residual, deviation = residual_of_steps(self.graph, self.solution), self.frames.deviation
         drives = [name or "(unnamed)" for name in self.frames.rows_by("sequence")]
         known = np.unique(self.graph.drive[wheels.first]).tolist()
         odometry = {
@@ -148,7 +150,7 @@ class Survey:
             "loops": self.loops.counts(),
             "steps": len(steps),
             "residual_of_steps": {"median": float(np.median(residual)), "p95": float(np.quantile(residual, 0.95))},
-            "deviation": {"median": float(np.median(deviation)), "largest": float(deviation.max())},
+            "deviation": {"median": self.typical_deviation, "largest": float(deviation.max())},
             "length_of_comparisons": self.solution.scale,
             "height": None if self.floor is None else self.floor.height,
             "odometry": odometry,
