@@ -62,7 +62,7 @@ def report(results: Sequence[Reproduction], missing: Mapping[str, str] | None = 
         f"# Reproduced: {len(results)} tables and figures on {data_named(first.data)['title']}",
         "",
         _ABOUT,
-        f"Scale `{first.scale}`; measured in {minutes:.0f} minutes on {machines}; {made}; "
+        f"Scale `{first.scale}`; measured in {minutes:.0f} minutes on {machines}; written by {made}; "
         f"{datetime.datetime.now(datetime.timezone.utc):%d %B %Y}.",
         "",
         f"Of {counted.total() + contradicted} claims the documents' own numbers contradict {contradicted}. Of the "
