@@ -57,7 +57,7 @@ class Maintenance(Budget):
     usual: Share | None = 0.95
     contradicted: Count = 3
     window: Count = 5
-    forget: Count | None = 3
+    forget: Count | None = 10
     extend: bool = True
     certain: Positive = 0.25
     growth: Positive | None = 1.5

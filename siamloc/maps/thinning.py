@@ -1,4 +1,4 @@
-"""`thin`: keep a map within a budget, by forgetting one of two frames nearby that look alike, again and again."""
+"""`thin`: keep a map within a budget, by forgetting the frames that the others replace best."""
 
 from __future__ import annotations
 
@@ -20,7 +20,10 @@ from siamloc.maps.matching import learned_distances
 from siamloc.maps.search import slices
 from siamloc.maps.visual_map import VisualMap
 
-_REACH = 1.5  # units: frames of one square metre are at most this far apart
+_MOST_ALIKE = (
+    64  # frames among which a picture is located; when all are forgotten, those that are left are compared again
+)
+_DIGITS = 6  # of how far pictures move, in the unit of the positions: rounding errors decide nothing
 _PAIRS_AT_ONCE = 1 << 20
 _AT_ONCE = 64  # frames whose descriptors are compared with all others
 
@@ -80,11 +83,12 @@ class Thinned:
 def thin(known: VisualMap, *, settings: Budget = OF_FIELDS, **fields: Any) -> Thinned:
     """Forget frames of a map until it is within a budget; one frame of each building stays in any case.
 
-    Of the two frames nearby whose descriptors are the most alike, the one that the last drives did not recognize is
-    forgotten (the one contradicted more often), or else the one that the last drive found more changed, or confirmed
-    less often, or the later one, and so on. Frames of one place under different lights, or before and after a change,
-    are less alike than consecutive frames, and so stay longer. Frames of squares that hold too many
-    are forgotten first.
+    A picture like that of a forgotten frame is then located at the most similar frame that stays. The frame whose
+    loss moves such pictures the least goes first: one of two frames that stand close together and look alike, while
+    frames without which a place would be taken for another stay, such as those of one place under different lights,
+    or before and after a change. Of frames that are equal in this, the one contradicted more often goes, or else the
+    one that the last drive found more changed, or confirmed less often, or the later one. Frames of squares that hold
+    too many are forgotten first.
 
     Args:
         known: the map.
@@ -95,7 +99,7 @@ def thin(known: VisualMap, *, settings: Budget = OF_FIELDS, **fields: Any) -> Th
         DataError: a frame without a position.
 
     Example:
-        >>> frames = FrameTable(path=["a.png", "b.png", "c.png"], x=[0.1, 0.2, 0.3], y=[0, 0, 0])
+        >>> frames = FrameTable(path=["a.png", "b.png", "c.png"], x=[0.1, 0.2, 0.9], y=[0, 0, 0])
         >>> found = thin(VisualMap([[0.0], [0.1], [5.0]], frames), per_square_metre=2)
         >>> [reason.name for reason in found.reason]
         ['KEPT', 'REDUNDANT', 'KEPT']
@@ -103,41 +107,88 @@ def thin(known: VisualMap, *, settings: Budget = OF_FIELDS, **fields: Any) -> Th
         Thinned(2 of 3 frames are left; forgotten: 1 redundant)
     """
     check_placed(known.frames, "thinning")
-    reason = np.full(len(known), Reason.KEPT, dtype=object)
-    most, per_cell = settings.most(known) or len(known), settings.per_square_metre or len(known)
-    _, building = np.unique(known.frames.building, return_inverse=True)
-    squares = np.column_stack([building, np.floor(known.frames.xy)])
-    _, cell, in_cell = np.unique(squares, axis=0, return_inverse=True, return_counts=True)
-    cell, left = cell.reshape(-1), len(known)
-
-    confirmed, contradicted = known.history.confirmed, known.history.contradicted
-    change = np.nan_to_num(known.history.change)  # frames that no drive has passed show the place as it is
-
-    reach, widest = _REACH, float(np.ptp(known.frames.xy, axis=0).sum()) + _REACH
-    while (crowded := (in_cell > per_cell).any()) or left > most:
-        kept = np.flatnonzero(reason == Reason.KEPT)
-        for pair in kept[_alike(known.take(kept), min(reach, widest))].tolist():
-            if (reason[pair] == Reason.KEPT).all():
-                row = max(pair, key=lambda row: (contradicted[row], change[row], -confirmed[row], row))
-                if in_cell[cell[row]] > per_cell if crowded else left > most:
-                    reason[row], left = Reason.UNRECOGNIZED if contradicted[row] else Reason.REDUNDANT, left - 1
-                    in_cell[cell[row]] -= 1
-        if reach > widest:
+    most, per_square = settings.most(known) or len(known), settings.per_square_metre or len(known)
+    squares = np.column_stack([_numbered(known.frames.building), np.floor(known.frames.xy)])
+    _, square, in_square = np.unique(squares, axis=0, return_inverse=True, return_counts=True)
+    square, history = square.reshape(-1), known.history
+    stays = np.ones(len(known), dtype=bool)
+    # The order in which frames go whose loss is equal; frames that no drive has passed show the place as it is.
+    change = np.nan_to_num(history.change)
+    going = np.lexsort([-np.arange(len(known)), history.confirmed, -change, -history.contradicted])
+    while True:
+        rows = going[stays[going]]
+        witnesses, before = _Witnesses.of(known.take(rows)), len(rows)
+        while (crowded := (in_square > per_square)[square[rows]] & stays[rows]).any() or stays.sum() > most:
+            if (row := witnesses.cheapest(crowded if crowded.any() else stays[rows])) is None:
+                break
+            witnesses.forget(row)
+            stays[rows[row]] = False
+            in_square[square[rows[row]]] -= 1
+        else:
+            break
+        if stays.sum() == before:
             break  # one frame in each building
-        reach *= 1 if crowded else 2
-    kept = reason == Reason.KEPT
-    return Thinned(known if kept.all() else known.take(kept), reason)
+    reason = np.full(len(known), Reason.KEPT, dtype=object)
+    reason[~stays] = np.where(history.contradicted[~stays] > 0, Reason.UNRECOGNIZED, Reason.REDUNDANT)
+    return Thinned(known if stays.all() else known.take(stays), reason)
 
 
-def _alike(known: VisualMap, reach: float) -> NDArray[np.int64]:
-    """Return the pairs of map frames (p, 2) at most `reach` apart, those with the most similar descriptors first."""
-    pairs, apart = list[NDArray[np.int64]](), list[NDArray[np.float64]]()
-    for rows, others, unlike in compared_nearby(known, reach, np.less):
-        apart.append(unlike)
-        pairs.append(np.column_stack([rows, others]))
-    if not pairs:
-        return np.empty((0, 2), dtype=np.int64)
-    return np.concatenate(pairs)[np.argsort(np.concatenate(apart), kind="stable")]
+class _Witnesses:
+    """Pictures like the frames of a map, and where they are located as frames of it are forgotten.
+
+    Attributes:
+        alike: (n, k + 2) the frames that look most like each picture, its own frame first; n where there are no more.
+        off: (n, k + 2) how far these frames are from the picture's own in m; infinite where there are no more.
+    """
+
+    def __init__(self, alike: NDArray[np.int64], off: NDArray[np.float64]) -> None:
+        self.alike, self.off = alike, off
+        self._stays = np.ones(len(alike) + 1, dtype=bool)
+        self._pictures, self._first = np.arange(len(alike)), np.zeros(len(alike), dtype=np.int64)
+        self._second = self._first + 1
+
+    @classmethod
+    def of(cls, known: VisualMap) -> _Witnesses:
+        """Compare all frames of a map with each other."""
+        n, building = len(known), _numbered(known.frames.building)
+        k = min(n, _MOST_ALIKE)
+        alike, off = np.full((n, k + 2), n), np.full((n, k + 2), np.inf)
+        for part in slices(n, _AT_ONCE):
+            own = np.arange(n)[part]
+            unlike = np.where(building[own, None] == building, learned_distances(known, known.turning(own)), np.inf)
+            unlike[np.arange(len(own)), own] = -np.inf
+            order = np.argsort(unlike, axis=1, kind="stable")[:, :k]
+            same = building[order] == building[own, None]
+            alike[part, :k] = np.where(same, order, n)
+            apart = np.linalg.norm(known.frames.xy[order] - known.frames.xy[own, None], axis=2)
+            off[part, :k] = np.where(same, apart, np.inf)
+        return cls(alike, off)
+
+    def cheapest(self, some: NDArray[np.bool_]) -> int | None:
+        """Return the first of some frames (n,) whose loss moves the pictures least; None if some would be nowhere."""
+        at, after = self.off[self._pictures, self._first], self.off[self._pictures, self._second]
+        located = self.alike[self._pictures, self._first]
+        moved = np.bincount(located, after - at, len(located)).round(_DIGITS)
+        moved[~some] = np.inf
+        row = int(moved.argmin())
+        return row if np.isfinite(moved[row]) else None
+
+    def forget(self, row: int) -> None:
+        """Forget a frame."""
+        self._stays[row] = False
+        self._first = self._next(self._first)
+        self._second = self._next(np.maximum(self._second, self._first + 1))
+
+    def _next(self, column: NDArray[np.int64]) -> NDArray[np.int64]:
+        """Return the first columns from some on (n,) of frames that stay."""
+        while (gone := ~self._stays[self.alike[self._pictures, column]]).any():
+            column = column + gone
+        return column
+
+
+def _numbered(building: NDArray[np.str_]) -> NDArray[np.int64]:
+    """Return the number of the building of each frame (n,)."""
+    return np.unique(building, return_inverse=True)[1]
 
 
 def nearest(known: FrameTable, drive: FrameTable) -> NDArray[np.int64]:
