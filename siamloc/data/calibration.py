@@ -11,11 +11,10 @@ import cv2
 import numpy as np
 
 from foundation.calls import typed
-from foundation.errors import not_yaml
 from foundation.settings import shortened
 from siamloc.data.cameras import DoubleSphereCamera, DualFisheyeCamera, FisheyeCamera, OCamCamera, UnifiedCamera
 from siamloc.data.central import CentralCamera
-from siamloc.data.frames import read_file
+from siamloc.data.frames import parsed_yaml, read_file
 from siamloc.data.panorama import Array
 from siamloc.errors import ConfigError, DataError, hint
 
@@ -226,12 +225,7 @@ def _ocam(file: Path, text: str) -> Made:
 
 
 def _yaml(file: Path, text: str) -> dict[str, Any]:
-    import yaml
-
-    try:
-        found = yaml.safe_load(text)
-    except (yaml.YAMLError, ValueError, RecursionError) as error:
-        raise DataError(not_yaml(file, error)) from error
+    found = parsed_yaml(text, file)
     if not isinstance(found, dict):
         raise DataError(f"{file} is not a calibration file: {_READ}")
     return {str(name): one.get("data", one) if isinstance(one, dict) else one for name, one in found.items()}

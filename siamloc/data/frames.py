@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from foundation.calls import typed
 from foundation.columns import chosen_rows
+from foundation.errors import not_yaml
 from foundation.files import read_text
 from foundation.settings import Count, Natural, Positive, shortened
 from siamloc.errors import ConfigError, DataError, hint, leave_out
@@ -379,6 +380,24 @@ def read_file(path: Path, what: str = "the file", most: int = 64_000_000) -> str
         return read_text(path, most).removeprefix("\ufeff")
     except (OSError, ValueError) as error:
         raise DataError(f"{what} {path} cannot be read: {getattr(error, 'strerror', None) or error}") from error
+
+
+def parsed_yaml(text: str, file: object) -> Any:
+    """Return the values of a YAML file.
+
+    Args:
+        text: its text.
+        file: what an error calls it.
+
+    Raises:
+        DataError: the text is no YAML.
+    """
+    import yaml
+
+    try:
+        return yaml.safe_load(text)
+    except (yaml.YAMLError, ValueError, RecursionError) as error:
+        raise DataError(not_yaml(file, error)) from error
 
 
 def advice(names: Iterable[str]) -> str:

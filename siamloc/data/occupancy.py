@@ -14,8 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from foundation.calls import typed
-from foundation.errors import not_yaml
-from siamloc.data.frames import read_file
+from siamloc.data.frames import parsed_yaml, read_file
 from siamloc.data.image_files import UnreadableImageError, read_image
 from siamloc.data.moves import composed, inverse
 from siamloc.errors import DataError
@@ -119,14 +118,8 @@ def read_occupancy(path: str | Path) -> OccupancyMap:
         >>> read_occupancy("map.yaml").occupancy.tolist()
         [[1.0, nan, 0.0]]
     """
-    import yaml
-
     file = Path(path).expanduser()
-    text = read_file(file, "the map")
-    try:
-        about = yaml.safe_load(text)
-    except (ValueError, RecursionError, yaml.YAMLError) as error:
-        raise DataError(not_yaml(f"the map {file}", error)) from error
+    about = parsed_yaml(read_file(file, "the map"), f"the map {file}")
     missing = [key for key in _NEEDED if key not in about] if isinstance(about, Mapping) else list(_NEEDED)
     if missing:
         raise DataError(f"{file} is not the YAML file of a map server: {', '.join(missing)} missing")
