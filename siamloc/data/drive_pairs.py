@@ -6,8 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from siamloc.data.frames import FrameTable
-
-Array = NDArray[np.float64]
+from siamloc.data.trajectory import Array
 
 _REACHES = (0.0, 0.4, 0.8, 1.6)  # moves to the first frame that is this far along the drive, in the unit of x and y
 _GAPS = (1, 2, 4)  # moves to the frame that is this many later in the drive, without poses

@@ -23,9 +23,8 @@ from siamloc.data.frames import FrameTable
 from siamloc.data.library import PanoramaLibrary
 from siamloc.data.moves import inverse, relative, wrapped
 from siamloc.data.panorama import PanoramaView, PolarRing
+from siamloc.data.trajectory import Array
 from siamloc.errors import ConfigError
-
-Array = NDArray[np.float64]
 
 STRAIGHT = 2.0
 """Degrees of yaw that are left as they are: they cost next to nothing, and an estimate may be off by as much."""
@@ -324,7 +323,7 @@ def resized(batch: NDArray[np.uint8], size: tuple[int, int]) -> NDArray[np.uint8
 
 
 def _agreeing(turned: Array, seen: Array) -> float:
-    """Return the share of turns in the images that agree with those of the headings; NaN if there are hardly any."""
+    """Return the share of the turns in the images that agree with the turns of the headings; NaN if hardly any turn."""
     common = np.abs(wrapped(seen + turned)) - np.abs(wrapped(seen - turned))  # 2 min(|seen|, |turned|), or minus that
     whole = float(np.abs(common).mean())
     return np.nan if whole / 2 < _TURNED else float((1 + common.mean() / whole) / 2)

@@ -7,7 +7,6 @@ moves through the picture with what stays where it is.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,9 +18,7 @@ from siamloc.data.levelling import tilt_of
 from siamloc.data.library import PanoramaLibrary
 from siamloc.data.mounting import CERTAIN, Mounting, MountingEstimate, find_mounting, orientation_parts
 from siamloc.data.moves import wrapped
-from siamloc.data.panorama import column_azimuth
-
-Array = NDArray[Any]
+from siamloc.data.panorama import Array, column_azimuth
 
 _BANDS = 8  # rows of a panorama in which turns are measured
 _EVEN = 2.0  # deviation of grey values below which a column shows nothing

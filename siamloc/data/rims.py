@@ -2,15 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
+from siamloc.data.panorama import Array
 from siamloc.errors import DataError
-
-Array = NDArray[Any]
 
 _SECTORS = 90
 _COARSE = 8  # pixels of a picture's side that become one for the first guess
@@ -82,7 +78,7 @@ def _profiles(image: Array, centre: Array, radii: Array, sectors: int) -> Array:
     return found.reshape(sectors, fine, -1).mean(axis=1)
 
 
-def _edges(variance: Array, radii: Array, outwards: bool) -> tuple[Array, Array]:
+def _edges(variance: Array, radii: Array) -> tuple[Array, Array]:
     """Return the radius at which each profile steps from much to little change (sectors,), NaN without such a step, and
     by which factor the change falls there."""
     found, falls = np.full(len(variance), np.nan), np.ones(len(variance))
@@ -91,8 +87,6 @@ def _edges(variance: Array, radii: Array, outwards: bool) -> tuple[Array, Array]
         if known.sum() < 12:
             continue
         r, v = radii[known], profile[known]
-        if not outwards:
-            r, v = r[::-1], v[::-1]
         log = np.log(v + 0.01)
         count = np.arange(1, len(log))
         before, after = log.cumsum()[:-1] / count, log[::-1].cumsum()[::-1][1:] / count[::-1]
@@ -118,12 +112,11 @@ def _edges(variance: Array, radii: Array, outwards: bool) -> tuple[Array, Array]
 
 def outer_rim(moving: Array, centre: Array, radius: float) -> tuple[Array, float, float, float]:
     """Return centre and radius of the outer rim, the deviation of its points, and the share of directions with one."""
-    points = np.empty((0, 2))
     for reach in (0.25, 0.12, 0.06, 0.06):
         half = max(reach * radius, 10.0)
         radii = np.arange(radius - half, radius + half, 0.5)
         radii = radii[radii > 1]
-        edges, falls = _edges(_profiles(moving**2, centre, radii, _SECTORS), radii, outwards=True)
+        edges, falls = _edges(_profiles(moving**2, centre, radii, _SECTORS), radii)
         sure = np.isfinite(edges) & (falls > _CONTRAST)
         points = centre + edges[sure, None] * _ways(_SECTORS)[sure]
         if len(points) < 0.25 * _SECTORS:
@@ -205,7 +198,7 @@ def inner_rim(moving: Array, centre: Array, outer: float) -> float:
 
 
 def shifts(pictures: Array, centre: Array, outer: float) -> Array:
-    """Return how far the rim's centre, and its radius, in each picture is from those given (n, 3)."""
+    """Return by how many columns, rows and pixels of radius the rim of each picture is off the given one (n, 3)."""
     radii = np.arange(outer - 1.5 * _REACH, outer + 1.5 * _REACH, 0.5)
     steps = np.stack(np.meshgrid(*[np.arange(-_REACH, _REACH + 1, 2.0)] * 2), axis=-1).reshape(-1, 2)
     at = (outer + steps @ np.ascontiguousarray(_ways(_SECTORS).T) - radii[0]) / 0.5

@@ -16,22 +16,19 @@ from typing import Any
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from foundation.calls import typed
 from foundation.files import read_json, write_json
 from siamloc.data.cameras import DualFisheyeCamera, EquirectangularCamera, HyperbolicMirror, twice_as_wide, two_views
 from siamloc.data.decoding import Preprocessing
 from siamloc.data.image_files import UnreadableImageError, read_image, size_of, spread
-from siamloc.data.panorama import OmnidirectionalCamera, PanoramaView, PolarRing, unwrap
+from siamloc.data.panorama import Array, OmnidirectionalCamera, PanoramaView, PolarRing, unwrap
 from siamloc.data.photo_sphere import is_equirectangular, stated
 from siamloc.data.presets import AutoRing
 from siamloc.data.rims import changes, guess, inner_rim, moved, outer_rim, shifts
 from siamloc.data.store import store_key
 from siamloc.data.two_lenses import two_circles
 from siamloc.errors import ConfigError, DataError, logger
-
-Array = NDArray[Any]
 
 LEAST = 4
 """Fewest pictures of a drive that show what moves."""
@@ -101,8 +98,10 @@ def find_ring(images: Array | Sequence[Any]) -> RingFit:
     chosen = spread(images, _MOST)
     size = _grey(chosen[0]).shape
     scale = min(1.0, _SIDE / max(size))
-    pictures = np.stack([_small(_grey(one, size), scale) for one in chosen])
-    y, x = np.mgrid[0 : pictures.shape[1], 0 : pictures.shape[2]]
+    rows, columns = (round(side * scale) for side in size)
+    shrunk = (cv2.resize(_grey(one, size), (columns, rows), interpolation=cv2.INTER_AREA) for one in chosen)
+    pictures = np.stack(list(shrunk))
+    y, x = np.mgrid[0:rows, 0:columns]
     corners = abs(2 * x / x.max() - 1) + abs(2 * y / y.max() - 1) > 1.7
     moving = changes(pictures, corners)
     centre, outer, deviation, around = outer_rim(moving, *guess(moving))
@@ -317,10 +316,3 @@ def _grey(image: str | Path | Array, size: tuple[int, ...] | None = None) -> Arr
     if size is not None and grey.shape != size:
         raise DataError(f"the pictures of a drive have one size, got {size[::-1]} and {grey.shape[::-1]} px")
     return grey
-
-
-def _small(picture: Array, scale: float) -> Array:
-    if scale == 1:
-        return picture
-    size = (round(picture.shape[1] * scale), round(picture.shape[0] * scale))
-    return cv2.resize(picture, size, interpolation=cv2.INTER_AREA)
