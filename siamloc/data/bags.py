@@ -71,8 +71,6 @@ class Bag:
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        self.topics: dict[str, tuple[str, int]] = {}
-        self.seconds = 0.0
 
     def __enter__(self) -> Bag:
         try:
@@ -87,7 +85,8 @@ class Bag:
             self._reader = AnyReader(paths or [self.path], default_typestore=get_typestore(Stores.ROS2_HUMBLE))
             self._reader.open()
             self.topics = {name: (str(one.msgtype), one.msgcount) for name, one in self._reader.topics.items()}
-            self.seconds = max(self._reader.duration, 0) / 1e9 if any(count for _, count in self.topics.values()) else 0
+            counted = any(count for _, count in self.topics.values())
+            self.seconds = max(self._reader.duration, 0) / 1e9 if counted else 0.0
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -136,21 +135,16 @@ class Bag:
         rows = [(time, *_pose(message)) for time, message in self._messages(source, (*ODOMETRY, *POSES), clock)]
         return _trajectory(rows, f"{self.path}, {source}")
 
-    def frames(self) -> tuple[Edge, ...]:
-        """Return the frames that the first messages of the topics of frames give, each with its parent."""
-        return tuple(self._first_transforms)
-
     def height(self, topic: str) -> dict[str, float]:
         """Return the height in m at which the camera of a topic is fixed above the robot's base, by the base's name.
 
         Empty if the first messages of the topics of frames do not say it.
         """
         _, first = next(self._messages(topic, IMAGES, "bag"), (0, None))
+        camera = first.header.frame_id.lstrip("/") if first else ""
         for base in _BASES:
             with suppress(DataError):
-                above = self._between(
-                    self._first_transforms, base, first.header.frame_id.lstrip("/") if first else ""
-                ).position[:, 2]
+                above = self._between(self.first_transforms, base, camera).position[:, 2]
                 if above.min() > 0 and np.ptp(above) < _FIXED:
                     return {base: float(above.mean())}
         return {}
@@ -159,10 +153,10 @@ class Bag:
         """Return the first calibration of each camera as plain values, by topic."""
         names = ("width", "height", "distortion_model", "d", "k", "r", "p", "D", "K", "R", "P")  # large ones of ROS 1
         firsts = {topic: next(self._messages(topic, CALIBRATION, "stamp"), None) for topic in self._named(CALIBRATION)}
-        found = {topic: first[1] for topic, first in firsts.items() if first is not None}
         return {
-            topic: {name.lower(): getattr(message, name) for name in names if hasattr(message, name)}
-            for topic, message in found.items()
+            topic: {name.lower(): getattr(first[1], name) for name in names if hasattr(first[1], name)}
+            for topic, first in firsts.items()
+            if first is not None
         }
 
     def _named(self, types: tuple[str, ...]) -> list[str]:
@@ -196,7 +190,8 @@ class Bag:
             )
 
     @cached_property
-    def _first_transforms(self) -> dict[Edge, list[Any]]:
+    def first_transforms(self) -> dict[Edge, list[Any]]:
+        """Times and poses of each frame in its parent, from the first messages of the topics of frames."""
         return self._transforms("stamp", _LOOKED_AT)
 
     def _transforms(self, clock: Clock, most: int | None = None) -> dict[Edge, list[Any]]:
@@ -309,7 +304,7 @@ def _edge(message: Any) -> Edge:
 
 
 def _ancestors(frame: str, above: Mapping[str, str]) -> list[str]:
-    """Return a frame and those above it, upwards, each once where they form a loop."""
+    """Return a frame, its parent, the parent of that, and so on; each frame once, if frames form a loop."""
     path = [frame]
     while path[-1] in above and above[path[-1]] not in path:
         path.append(above[path[-1]])
@@ -327,10 +322,8 @@ def _pose(message: Any) -> tuple[float, ...]:
 
 
 def _trajectory(rows: list[Any], source: str) -> Trajectory:
-    if not rows:
-        raise DataError(f"{source} holds no poses")
     times = np.array([row[0] for row in rows], dtype=np.int64)
-    values = np.array([row[1:] for row in rows], dtype=np.float64)
+    values = np.array([row[1:] for row in rows], dtype=np.float64).reshape(-1, 7)
     return Trajectory.of(times / 1e9, values[:, :3], values[:, 3:], source)
 
 

@@ -164,7 +164,7 @@ def contents(file: str | Path, times: str | Path | None = None) -> Contents:
         about = source.path, source.seconds, dict(source.topics)
         if not isinstance(source, Bag):
             return Contents(*about, proposal={"images": next(iter(source.topics))})
-        frames = source.frames()
+        frames = tuple(source.first_transforms)
         proposal = proposed(source.topics, frames)
         height = source.height(proposal["images"]) if frames and "images" in proposal else {}
         return Contents(*about, tuple(":".join(edge) for edge in frames), proposal, height)
@@ -213,8 +213,8 @@ def extract(file: str | Path, out: str | Path, *, settings: Extraction = OF_FIEL
         if isinstance(recording, Bag) and (cameras := recording.calibrations()):
             write_json(folder / CALIBRATION, cameras)
     name = settings.sequence or path.stem
-    labels = [[name] * len(files), [lighting_in(name)] * len(files)]
-    frames = FrameTable(path=np.array(files)).with_columns(sequence=labels[0], lighting=labels[1], **columns)
+    labels = {"sequence": [name] * len(files), "lighting": [lighting_in(name)] * len(files)}
+    frames = FrameTable(path=files).with_columns(**labels, **columns)
     if "x" in columns:
         frames = placed(frames, f"images of {path} have no pose", settings.on_error)
     write_text(folder / MANIFEST, manifest_of(frames, folder))

@@ -27,7 +27,6 @@ class Film:
     def __init__(self, path: Path) -> None:
         self.path = path
         self._given, self._damaged, self._last = 0, 0, 0.0  # pictures, and the time of the last one in s
-        self.topics: dict[str, tuple[str, int]] = {}
 
     def __enter__(self) -> Film:
         with quiet():

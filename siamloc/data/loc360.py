@@ -94,7 +94,7 @@ def _of_matrices(path: Path) -> dict[str, Array]:
         return {}
     try:
         matrices = {name: np.array(matrix, dtype=np.float64) for name, matrix in json.loads(path.read_text()).items()}
-        turned = {name: Rotation.from_matrix(matrix[:3, :3]).as_quat() for name, matrix in matrices.items()}
+        turns = {name: Rotation.from_matrix(one[:3, :3]).as_quat() for name, one in matrices.items()}
+        return {name: np.concatenate([one[:3, 3], turns[name]]) for name, one in matrices.items()}
     except (ValueError, AttributeError, IndexError) as error:
         raise DataError(f"{path} is not a table of names and matrices of 4 x 4 numbers ({error})") from error
-    return {name: np.concatenate([matrix[:3, 3], turned[name]]) for name, matrix in matrices.items()}

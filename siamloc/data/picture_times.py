@@ -82,7 +82,8 @@ def _check_alike(files: Sequence[Path], stamps: Array) -> None:
 def _dates(files: Sequence[Path]) -> tuple[Array, bool] | None:
     """Return the times by the dates in the names, in s since 1970, and whether their time zone is known.
 
-    None if they are not those of pictures. A zone is the same in all names, unlike a counter.
+    None if the dates do not say when each picture was taken, or some name has no date. A time zone is the same in all
+    names, unlike a counter.
     """
     found = [match for file in files if (match := _DATE.search(file.stem))]
     try:
@@ -149,9 +150,10 @@ def _of_camera(file: Path) -> tuple[float, bool] | None:
 
 
 def _of_each(times: Sequence[float], count: int) -> Array | None:
-    """Return times as an array; None if pictures lack them, or too many share one: then they are those of a drive.
+    """Return the times of `count` pictures as an array; None if a picture lacks its time, or too many share one time.
 
-    Pictures of one second, by a clock that counts seconds, are spread over it.
+    Times that most pictures share say when the drive was, not when each picture was taken. Pictures of one second, by a
+    clock that counts seconds, are spread over this second.
     """
     if len(times) != count or len(set(times)) < max(count / _A_SECOND, min(count, 2)):
         return None

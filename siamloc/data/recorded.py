@@ -80,9 +80,8 @@ def read_recorded(
     columns: dict[str, Array] = {"time": taken}
     for what, trajectory in given.items():
         timed = bool(np.isfinite(trajectory.time).all())
-        own = trajectory.own_axes(
-            axes or ("robot" if timed else "camera"), beside=what == "odometry" and len(given) > 1
-        )
+        usual: Axes = "robot" if timed else "camera"
+        own = trajectory.own_axes(axes or usual, beside=what == "odometry" and len(given) > 1)
         for doubt in doubts(trajectory, own):
             logger.warning("%s", doubt)
         found = joined(taken, trajectory, gap, own) if timed else _in_order(len(files), trajectory, own)

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from foundation.calls import typed
 from foundation.files import read_text
-from foundation.settings import NotNegative, Positive, shortened
+from foundation.settings import Positive, shortened
 from siamloc.errors import DataError, leave_out, logger, say_once
 
 Array = NDArray[np.float64]
@@ -34,7 +34,7 @@ AXES: dict[str, tuple[Array, Array]] = {
     "camera": (np.array([0, 0, 1.0]), np.array([0, -1.0, 0])),
 }
 OTHER_ORDERS = ([1, 2, 3, 0], [3, 0, 1, 2])
-"""The columns of quaternions (x, y, z, w), for those that were read in the wrong order."""
+"""Orders of columns that put quaternions (x, y, z, w) right again which were read in the wrong order."""
 _FACTORS = {"ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 _UNITS = ((1e17, 1e-9), (1e14, 1e-6), (1e11, 1e-3))  # from a number this large, times count ns, us and ms
 _A_DRIVE = 0.01  # of the time since 1970, half a year: no drive takes longer
@@ -47,6 +47,7 @@ _LEVEL = 0.98  # least length of the mean direction upwards of a robot that stay
 _TILTED = 0.9  # largest length of that mean for a robot that does not stay upright
 _WHOLE_TURN = 2 * np.pi + 0.01
 _EXACTLY = 1e-6  # rad
+_ROTATES = 0.01  # by which the product of a rotation matrix and its transpose may differ from the unit matrix
 _NO_GAP = 1e9  # s
 _COLUMNS = {"tum": 8, "kitti": 12, "euroc": 8, "planar": 4}
 _DATED = re.compile(r"(\d{4}-\d\d-\d\d)[ T](\d\d:\d\d:\d\d)(\.\d+)?Z?(?=[\s,]|$)")  # 2011-09-26 13:02:25.964
@@ -259,12 +260,7 @@ def _slerp(first: Array, second: Array, share: Array) -> Array:
 
 
 @typed
-def read_trajectory(
-    file: str | Path,
-    form: Form | None = None,
-    order: Order | None = None,
-    tolerance: NotNegative = 0.01,
-) -> Trajectory:
+def read_trajectory(file: str | Path, form: Form | None = None, order: Order | None = None) -> Trajectory:
     """Read a trajectory in TUM, KITTI, EuRoC or planar form.
 
     Args:
@@ -272,7 +268,6 @@ def read_trajectory(
         form: its form; if None, KITTI for lines of 12 or 16 numbers, planar for lines of 4, EuRoC for numbers between
             commas, and otherwise TUM.
         order: order of a quaternion, if it is another than that of the form.
-        tolerance: by which a matrix in KITTI form may differ from a rotation.
 
     Returns:
         The poses; times are in s, also of files that count ms, us or ns, and NaN in KITTI form.
@@ -307,8 +302,7 @@ def read_trajectory(
         return Trajectory.planar(seconds(numbers[:, 0], str(path)), numbers[:, 1:4], str(path))
     if form == "kitti":
         matrices, no_times = numbers.reshape(-1, 3, 4), np.full(len(numbers), np.nan)
-        quaternions = _of_matrices(matrices[:, :, :3], path, tolerance)
-        return Trajectory.of(no_times, matrices[:, :, 3], quaternions, str(path))
+        return Trajectory.of(no_times, matrices[:, :, 3], _of_matrices(matrices[:, :, :3], path), str(path))
     w_first = (order or {"tum": "xyzw", "euroc": "wxyz"}[form]) == "wxyz"
     quaternion = numbers[:, [5, 6, 7, 4]] if w_first else numbers[:, 4:8]
     return Trajectory.of(seconds(numbers[:, 0], str(path)), numbers[:, 1:4], quaternion, str(path))
@@ -400,12 +394,12 @@ def is_number(word: str) -> bool:
     return False
 
 
-def _of_matrices(matrices: Array, path: Path, tolerance: float) -> Array:
+def _of_matrices(matrices: Array, path: Path) -> Array:
     """Return the quaternions (n, 4) of rotation matrices (n, 3, 3)."""
     from scipy.spatial.transform import Rotation
 
     off = np.abs(matrices @ matrices.transpose(0, 2, 1) - np.eye(3)).max(axis=(1, 2))
-    wrong = ~(off <= tolerance) | ~(np.linalg.det(matrices) > 0)
+    wrong = ~(off <= _ROTATES) | ~(np.linalg.det(matrices) > 0)
     if wrong.any():
         raise DataError(f"{path}: the matrix of pose {wrong.argmax() + 1} is not a rotation: it is not in KITTI form")
     return np.asarray(Rotation.from_matrix(matrices).as_quat())

@@ -74,7 +74,7 @@ def _upright(quaternion: Array, axes: Axes) -> float:
 
 
 def _upwards(quaternion: Array, axes: Axes) -> tuple[int, float]:
-    """Return the axis of the world along which the frame's direction upwards lies most, and its mean share of that."""
+    """Return the axis of the world nearest to the frame's mean direction upwards, and its part along this axis."""
     mean = mean_up(quaternion, axes)
     vertical = int(np.abs(mean).argmax())
     return vertical, float(mean[vertical])
