@@ -15,7 +15,7 @@ from analytic import Descriptor
 from foundation.calls import typed
 from foundation.files import file_hash
 from siamloc.data.frames import FrameTable
-from siamloc.data.image_files import UnreadableImageError, read_image, size_of
+from siamloc.data.image_files import UnreadableImageError, read_image, size_of, spread
 from siamloc.data.library import PanoramaLibrary
 from siamloc.data.pairs import diameter
 from siamloc.data.panorama import OmnidirectionalCamera, PanoramaView, seen
@@ -250,9 +250,9 @@ def wrong_sizes(frames: FrameTable, images: PanoramaLibrary | None) -> Iterator[
     """Check the sizes of some images."""
     counts: Counter[tuple[int, int]] = Counter()
     shown: dict[tuple[int, int], str] = {}
-    for row in np.unique(np.linspace(0, len(frames) - 1, _PROBED).astype(int)) if len(frames) else []:
+    for path in spread(frames.path, _PROBED):
         with suppress(UnreadableImageError):
-            rows, columns = read_image(path := frames.path[row]).shape[:2]
+            rows, columns = read_image(path).shape[:2]
             counts[rows, columns] += 1
             shown[rows, columns] = path
     camera = next(iter(images.cameras.values())) if images is not None else None

@@ -7,7 +7,6 @@ from collections.abc import Sequence
 from contextlib import suppress
 from functools import cache
 from pathlib import Path
-from threading import Lock
 from typing import Any
 
 import cv2
@@ -16,11 +15,10 @@ from numpy.typing import NDArray
 
 from foundation.columns import spread_rows
 from foundation.ordering import by_numbers
-from siamloc.errors import logger
+from siamloc.errors import say_once
 
 _LARGEST = 16_384  # pixels per side of an image
 _LOOKED_AT = 16  # images of a folder
-_ONE_BY_ONE = Lock()  # a folder is looked at once, by one of the threads
 _HEADER = 200_000  # bytes in which a file says its size, after thumbnails
 
 
@@ -110,13 +108,8 @@ def bits_of(path: str | Path) -> int | None:
     return None if _deep(Path(path).read_bytes()) is None else _bits_in(Path(path).absolute().parent)
 
 
-def _bits_in(folder: Path) -> int:
-    with _ONE_BY_ONE:
-        return _bits_found(folder)
-
-
 @cache
-def _bits_found(folder: Path) -> int:
+def _bits_in(folder: Path) -> int:
     """Return how many bits the images of 16 bits in a folder use, so that all of them are brightened alike."""
     most = 0
     for file in spread(image_files(folder), _LOOKED_AT):
@@ -125,7 +118,7 @@ def _bits_found(folder: Path) -> int:
                 most = max(most, bits_used(image))
     most = most or 16
     if most < 16:
-        logger.warning("%s: its images use %d of 16 bits, and are brightened alike", folder, most)
+        say_once(f"{folder}: its images use {most} of 16 bits, and are brightened alike")  # by several threads at once
     return most
 
 

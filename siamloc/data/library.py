@@ -100,8 +100,7 @@ class PanoramaLibrary:
         places: dict[int, tuple[Store, int]] = {}
         for sequence, rows in frames.rows_by("sequence").items():
             paths = frames.path[rows].tolist()
-            tilted = self.preprocessing.camera is not None and np.isfinite(tilt[rows]).any()
-            tilts = tilt[rows] if tilted else None
+            tilts = tilt[rows] if self.preprocessing.camera is not None and np.isfinite(tilt[rows]).any() else None
             own = fitted(self.preprocessing, paths, self._cache)
             self.cameras[sequence] = own.camera
             store = open_store(paths, self._cache, own, tilts=tilts, on_error=on_error, workers=workers)

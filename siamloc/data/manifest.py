@@ -177,10 +177,9 @@ def _frame(file: Path, line: int, names: dict[str, int], cells: list[str]) -> di
 
 def manifest_of(frames: FrameTable, folder: Path) -> str:
     """Return frames as a manifest for a folder: image paths are relative to it, and empty columns left out."""
-    columns: dict[str, Any] = {"path": [os.path.relpath(path, folder) for path in frames.path.tolist()]}
+    columns: dict[str, Any] = {"image": [os.path.relpath(path, folder) for path in frames.path.tolist()]}
     for name in COLUMNS[1:]:
         values = getattr(frames, name)
         if (values != "").any() if values.dtype.kind == "U" else np.isfinite(values).any():
             columns[name] = values.tolist()
-    header = ["image", *list(columns)[1:]]
-    return csv_text([header, *zip(*columns.values(), strict=True)])
+    return csv_text([columns, *zip(*columns.values(), strict=True)])

@@ -14,9 +14,9 @@ from typing import NamedTuple
 LIGHTINGS = ("cloudy", "night", "sunny")
 BUILDINGS = ("freiburg", "ljubljana", "saarbruecken")
 
-_NUMBER = r"[-+]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][-+]?[0-9]+)?"
+NUMBER = r"[-+]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][-+]?[0-9]+)?"
 _NAME = re.compile(
-    rf"t(?P<time>{_NUMBER})(?:_x(?P<x>{_NUMBER})_y(?P<y>{_NUMBER})_a(?P<theta>{_NUMBER}))?\.(?:jpe?g|png)",
+    rf"t(?P<time>{NUMBER})(?:_x(?P<x>{NUMBER})_y(?P<y>{NUMBER})_a(?P<theta>{NUMBER}))?\.(?:jpe?g|png)",
     re.IGNORECASE,
 )
 _SEQUENCE = re.compile(

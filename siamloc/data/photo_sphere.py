@@ -7,7 +7,6 @@ https://developers.google.com/streetview/spherical-metadata.
 from __future__ import annotations
 
 import re
-from contextlib import suppress
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
@@ -16,6 +15,7 @@ import numpy as np
 
 from siamloc.data.cameras import EquirectangularCamera
 from siamloc.data.central import ImageSize
+from siamloc.data.names import NUMBER
 from siamloc.data.panorama import Array
 
 _HEADER = 1 << 18  # bytes in which a file says what it is, after a thumbnail
@@ -61,7 +61,7 @@ def stated(camera: Any, path: str | Path, size: ImageSize, *, levelled: bool = F
     """
     if not isinstance(camera, EquirectangularCamera) or not (said := _properties(path)):
         return camera
-    numbers = {name: number for name, text in said.items() if (number := _number(text)) is not None}
+    numbers = {name: float(text) for name, text in said.items() if re.fullmatch(NUMBER, text)}
     camera = _placed(camera, [numbers.get(name) for name in _PLACED], size)
     pitch, roll = numbers.get("PosePitchDegrees", 0.0), numbers.get("PoseRollDegrees", 0.0)
     if levelled or camera.elevation or camera.roll or abs(pitch) > 90 or abs(roll) > 180:
@@ -93,13 +93,6 @@ def _properties(path: str | Path) -> dict[str, str]:
     except (OSError, ValueError):
         return {}
     return {name.decode(): value.decode(errors="replace") for name, value in found}
-
-
-def _number(text: str) -> float | None:
-    with suppress(ValueError):
-        if np.isfinite(number := float(text)):
-            return number
-    return None
 
 
 def _alike(one: float, other: float) -> bool:

@@ -72,12 +72,9 @@ class Role(Settings):
 
     def select(self, frames: FrameTable) -> FrameTable:
         """Return the role's frames, in the order of the table."""
-        if self.sequences is not None:
-            frames = frames.select(sequence=self.sequences)
-        if self.lightings is not None:
-            frames = frames.select(lighting=self.lightings)
-        if self.rooms is not None:
-            frames = frames.select(room=self.rooms)
+        for column in ("sequence", "lighting", "room"):
+            if (labels := getattr(self, f"{column}s")) is not None:
+                frames = frames.select(**{column: labels})
         kept = frames
         if self.every is not None:
             kept = frames.every(self.every, self.offset)
