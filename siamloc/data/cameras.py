@@ -174,7 +174,10 @@ class UnifiedCamera(LensCamera):
         )
 
     def _undistorted(self, x: Array, y: Array) -> tuple[Array, Array]:
-        """Return the points that `_distorted` takes to these, by Newton's method from those without p1 and p2."""
+        """Return the undistorted points of distorted points: the inverse of `_distorted`, by Newton's method.
+
+        The method begins with the points that radial distortion alone, k1 and k2, would move there.
+        """
         if not any(self.distortion):
             return x, y
         k1, k2, p1, p2 = self.distortion

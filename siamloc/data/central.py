@@ -193,7 +193,10 @@ def rises_to(coefficients: Sequence[float]) -> float:
 
 
 def inverse(function: Callable[[Array], Array], values: Array, most: float) -> Array:
-    """Return the arguments from 0 to `most` at which a function has some values; NaN beyond where it stops rising."""
+    """Invert a function that rises from 0: return the arguments up to `most` at which it has the given values.
+
+    Values beyond the first maximum of the function give NaN.
+    """
     grid = np.linspace(0, most, 4096)
     made = function(grid)
     end = np.flatnonzero(np.append(np.diff(made), -1.0) <= 0)[0] + 1

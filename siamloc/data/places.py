@@ -169,7 +169,7 @@ class PlaceSampler:
         return np.concatenate([self._images(generator, centre) for centre in centres])
 
     def _centres(self, generator: np.random.Generator, count: int) -> NDArray[np.int64]:
-        """Draw the first frame of each place, in random order: some places anywhere, the rest near those."""
+        """Draw the first frame of each place, in random order: some places anywhere, the others near these places."""
         near = min(round(self.settings.near * count), count - 1)
         first = generator.choice(len(self.frames), count - near, replace=False)
         anchors = first[generator.integers(0, len(first), near)]
