@@ -257,8 +257,5 @@ class Saturate(Effect):
 
 def _look_up(table: NDArray[np.uint8], frame: Frame) -> None:
     """Look up every level of a frame in a table: (1, 256) for all channels, or (3, 256), one for each."""
-    if len(table) == 1:
-        cv2.LUT(flat(frame), table[0], dst=flat(frame))
-        return
-    for channel, levels in zip(frame, table, strict=True):
+    for channel, levels in zip(frame, np.broadcast_to(table, (3, 256)), strict=True):
         cv2.LUT(channel, levels, dst=channel)

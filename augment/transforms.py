@@ -94,7 +94,10 @@ class Augment(v2.Transform):
         if len(shapes) > 1:
             raise AugmentError(f"the images of one sample must have the same number and size, got {sorted(shapes)}")
         count, height, width = shapes.pop()
-        params = self.effect.draw(self._generator(), torch.empty(count, 3, height, width, device="meta"))
+        worker, call = get_worker_info(), self.calls
+        self.calls += 1
+        generator = seeded(self.seed, call, *([] if worker is None else [worker.seed]))
+        params = self.effect.draw(generator, torch.empty(count, 3, height, width, device="meta"))
         marks = [type(item).__name__ for item in flat_inputs if not _is_picture(item)]
         if marks and "heading" in params and params["heading"].any():
             raise AugmentError(f"a rotation cannot move {marks[0]}, which may lie across the seam: leave it out")
@@ -102,19 +105,13 @@ class Augment(v2.Transform):
 
     def transform(self, inpt: Any, params: Params) -> Any:
         """Apply parameters to one item of a sample."""
-        return self._augmented(inpt, params) if _is_picture(inpt) else inpt
-
-    def _augmented(self, picture: Any, params: Params) -> Any:
-        if not isinstance(picture, Tensor):
-            return functional.to_pil_image(self._augmented(functional.pil_to_tensor(picture), params))
-        batch = picture.as_subclass(Tensor).reshape(-1, *picture.shape[-3:])
-        out = self.effect.apply(batch.float() if batch.is_floating_point() else batch, params).to(picture.dtype)
-        return tv_tensors.wrap(out.reshape(picture.shape), like=picture)
-
-    def _generator(self) -> torch.Generator:
-        worker, call = get_worker_info(), self.calls
-        self.calls += 1
-        return seeded(self.seed, call, *([] if worker is None else [worker.seed]))
+        if not _is_picture(inpt):
+            return inpt
+        if not isinstance(inpt, Tensor):
+            return functional.to_pil_image(self.transform(functional.pil_to_tensor(inpt), params))
+        batch = inpt.as_subclass(Tensor).reshape(-1, *inpt.shape[-3:])
+        out = self.effect.apply(batch.float() if batch.is_floating_point() else batch, params).to(inpt.dtype)
+        return tv_tensors.wrap(out.reshape(inpt.shape), like=inpt)
 
 
 def _is_picture(item: Any) -> bool:
