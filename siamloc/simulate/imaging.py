@@ -72,9 +72,8 @@ class Imaging:
         image: Array = self.curve[(value * (len(self.curve) - 1)).astype(np.int32)]
         if self.quality is None:
             return image
-        _, packed = cv2.imencode(
-            ".jpg", cv2.cvtColor(image, cv2.COLOR_RGB2BGR), [cv2.IMWRITE_JPEG_QUALITY, self.quality]
-        )
+        written = cv2.cvtColor(image, cv2.COLOR_RGB2BGR)
+        packed = cv2.imencode(".jpg", written, [cv2.IMWRITE_JPEG_QUALITY, self.quality])[1]
         return cv2.cvtColor(np.asarray(cv2.imdecode(packed, cv2.IMREAD_COLOR)), cv2.COLOR_BGR2RGB)
 
 

@@ -30,6 +30,12 @@ def seeded(*keys: int | str) -> np.random.Generator:
     return np.random.default_rng(np.random.SeedSequence(words))
 
 
+def turning(degrees: float) -> Array:
+    """Return the matrix (2, 2) that turns points of the floor plan, as rows (n, 2) before it, counter-clockwise."""
+    cosine, sine = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
+    return np.array([[cosine, sine], [-sine, cosine]])
+
+
 #: Half the thickness of a wall between two rooms in metres: a room's inner faces lie this far inside its rectangle.
 HALF_WALL = 0.06
 #: Depth in metres of a window's reveal in an outer wall.
@@ -142,9 +148,7 @@ class Item:
     def footprint(self, margin: float = 0.0) -> Array:
         """Return the corners (4, 2) of the item's rectangle on the floor, counter-clockwise, enlarged by a margin."""
         corners = np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)]) * (np.array(self.size[:2]) / 2 + margin)
-        angle = np.radians(self.facing - 90)
-        cosine, sine = np.cos(angle), np.sin(angle)
-        return corners @ np.array([[cosine, sine], [-sine, cosine]]) + (self.x, self.y)
+        return corners @ turning(self.facing - 90) + (self.x, self.y)
 
     def edges(self) -> Array:
         """Return the edges (4, 2, 2) of the item's rectangle on the floor."""

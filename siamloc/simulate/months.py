@@ -38,17 +38,14 @@ _LAMPS = ("panel", "tube", "round")
 _CHAIRS = ("chair", "visitor_chair")
 _TABLES = ("desk", "table", "round_table", "conveyor", "workbench")
 #: Kinds that may take each other's place.
-_FAMILIES = tuple(
-    tuple(family.split())
-    for family in (
-        "shelf cabinet lockers wardrobe sideboard dresser pigeonholes",
-        "desk table printer_table",
-        "plant floor_lamp coat_rack bin carton vase",
-        "sofa armchair bench",
-        "lathe mill drill_press workbench",
-        "drum compressor pallet_load trolley",
-        "poster picture notice_board whiteboard television clock",
-    )
+_FAMILIES = (
+    "shelf cabinet lockers wardrobe sideboard dresser pigeonholes",
+    "desk table printer_table",
+    "plant floor_lamp coat_rack bin carton vase",
+    "sofa armchair bench",
+    "lathe mill drill_press workbench",
+    "drum compressor pallet_load trolley",
+    "poster picture notice_board whiteboard television clock",
 )
 _ANYWHERE = "shelf cabinet sideboard plant table carton"  # furniture that is added to any room
 _MIDDLE = "table carton"  # of these, what stands away from the walls
@@ -138,7 +135,7 @@ class _Month:
                 break
 
     def _exchange(self, item: Item) -> None:
-        family = next((kinds for kinds in _FAMILIES if item.kind in kinds), (item.kind,))
+        family = next((kinds for kinds in map(str.split, _FAMILIES) if item.kind in kinds), [item.kind])
         space = _Space(self.building, item, [one for one in self.items if one is not item])
         ahead = np.array([np.cos(np.radians(item.facing)), np.sin(np.radians(item.facing))])
         for _ in range(_TRIES):

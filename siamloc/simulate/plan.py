@@ -8,7 +8,7 @@ import numpy as np
 
 from siamloc.errors import DataError
 from siamloc.simulate.items import KINDS
-from siamloc.simulate.layout import HALF_WALL, SIDES, Array, Building, Interval, Item, Room
+from siamloc.simulate.layout import HALF_WALL, SIDES, Array, Building, Interval, Item, Room, turning
 
 
 def room_at(building: Building, points: Array) -> Array:
@@ -82,10 +82,8 @@ def blocked_points(building: Building, points: Array, items: Iterable[Item] | No
 
 def inside_item(item: Item, points: Array, margin: float = 0.0) -> Array:
     """Return True for points (n, 2) inside an item's footprint, enlarged by a margin."""
-    angle = np.radians(item.facing - 90)
-    cosine, sine = np.cos(angle), np.sin(angle)
-    local = (points - (item.x, item.y)) @ np.array([[cosine, -sine], [sine, cosine]])
-    return (np.abs(local) < np.array(item.size[:2]) / 2 + margin).all(axis=1)
+    local = (points - (item.x, item.y)) @ turning(90 - item.facing)
+    return np.asarray((np.abs(local) < np.array(item.size[:2]) / 2 + margin).all(axis=1))
 
 
 def _inside_box(points: Array, x: Interval, y: Interval) -> Array:

@@ -265,8 +265,7 @@ def build_scene(building: Building, run: Run, detail: Detail = FULL, light: Ligh
     transport = LightTransport(building, mesh, caster, detail)
     gloss, surfaces = None, Surfaces.of(mesh, atlas)
     if building.materials == "natural":
-        rng = building.rng("gloss")
-        gloss = Gloss.drawn(rng, building, index, mesh.texture, surfaces.normals)
+        gloss = Gloss.drawn(building.rng("gloss"), building, index, mesh.texture, surfaces.normals)
     scene = Scene(building, run, state, atlas, surfaces, caster, transport, tuple(lamps), gloss)
     return relit(scene, state.light if light is None else light)
 

@@ -79,9 +79,8 @@ def drive(building: Building, path: str, spacing: float, rng: Rng, start: float)
     heading = _headings(line) + np.radians(4) * _wander(rng, len(line), 1.5)
     steps = np.linalg.norm(np.diff(line, axis=0), axis=1)
     turns = np.abs(np.diff(heading))
-    time = np.concatenate([[0.0], np.cumsum(np.maximum(steps / SPEED, turns / TURN_RATE))])
-    travelled = np.concatenate([[0.0], np.cumsum(steps)])
-    turned = np.concatenate([[0.0], np.cumsum(turns)])
+    each = np.maximum(steps / SPEED, turns / TURN_RATE), steps, turns
+    time, travelled, turned = (np.concatenate([[0.0], np.cumsum(one)]) for one in each)
     keep = [0]
     for row in range(1, len(line)):
         if travelled[row] - travelled[keep[-1]] >= spacing or turned[row] - turned[keep[-1]] >= _MAX_TURN:
