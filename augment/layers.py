@@ -103,14 +103,11 @@ class Layer(Effect):
 
     def _blend(self, frame: Frame, layer: Tensor, left: int, width: int) -> None:
         blend = cv2.add if self.additive else cv2.multiply
-        start, done = left % width, 0
-        while done < layer.shape[2]:
-            count = min(width - start, layer.shape[2] - done)
-            for channel in range(3):
-                part = frame[channel, :, start : start + count]
-                values = layer[channel, :, done : done + count].contiguous().numpy()
-                part[...] = blend(part, values, dtype=cv2.CV_8U)
-            start, done = 0, done + count
+        before = width - left % width  # columns of the layer before the seam, if it reaches that far
+        for start, part in ((width - before, layer[..., :before]), (0, layer[..., before:])):
+            for channel, values in zip(frame[..., start : start + part.shape[2]], part, strict=True):
+                if values.numel():
+                    channel[...] = blend(channel, values.contiguous().numpy(), dtype=cv2.CV_8U)
 
 
 class Vignette(Layer):
