@@ -6,7 +6,7 @@ import _thread
 import signal
 import sys
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from types import FrameType
 from typing import Any
@@ -25,6 +25,23 @@ def stop_once(number: int, frame: FrameType | None) -> None:
 
 
 @contextmanager
+def handled(number: int, handler: Callable[..., None], *usual: Any) -> Iterator[bool]:
+    """Let a function handle a signal inside a `with` block, if one of the usual handlers would have handled it.
+
+    Yields whether the function handles the signal: outside of the main thread Python takes no handlers.
+    """
+    before = signal.getsignal(number)
+    if before not in usual or threading.current_thread() is not threading.main_thread():
+        yield False
+        return
+    signal.signal(number, handler)
+    try:
+        yield True
+    finally:
+        signal.signal(number, before)
+
+
+@contextmanager
 def sigterm_stops() -> Iterator[None]:
     """Stop the work inside at SIGTERM, as `systemctl stop` and `docker stop` send it, as at Ctrl-C.
 
@@ -33,19 +50,13 @@ def sigterm_stops() -> Iterator[None]:
     Raises:
         SystemExit: with 143, once the work has stopped by SIGTERM.
     """
-    free = signal.getsignal(signal.SIGTERM) is signal.SIG_DFL
-    if not free or threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    signal.signal(signal.SIGTERM, stop_once)
-    try:
-        yield
-    except KeyboardInterrupt:
-        if signal.getsignal(signal.SIGTERM) is signal.SIG_DFL:  # as `stop_once` left it
-            raise SystemExit(143) from None
-        raise
-    finally:
-        signal.signal(signal.SIGTERM, signal.SIG_DFL)
+    with handled(signal.SIGTERM, stop_once, signal.SIG_DFL) as heard:
+        try:
+            yield
+        except KeyboardInterrupt:
+            if heard and signal.getsignal(signal.SIGTERM) is signal.SIG_DFL:  # as `stop_once` left it
+                raise SystemExit(143) from None
+            raise
 
 
 def hear_again() -> None:

@@ -5,9 +5,8 @@ from __future__ import annotations
 import os
 import signal
 import sys
-import threading
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import AbstractContextManager, contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -15,13 +14,11 @@ import torch
 from torch import Tensor
 
 from siamloc.errors import ConfigError
-from siamloc.interrupts import stop_once
+from siamloc.interrupts import handled, stop_once
 from siamloc.lightning import Checkpoint, LightningModule, SIGTERMException, Trainer
 from siamloc.models.module import NetworkModule
 from siamloc.training.guard import FiniteGuard
 from siamloc.training.run_folder import EPOCH_SUMS
-
-_USUAL = (signal.default_int_handler, stop_once)
 
 
 class StepCheckpoints(Checkpoint):
@@ -68,7 +65,7 @@ class StepCheckpoints(Checkpoint):
         if trainer.global_step != self._step:  # otherwise gradients are still accumulating
             self._step = trainer.global_step
             self._due |= self._every is not None and self._step % self._every == 0
-        self._heed_sigterm(trainer)
+        self.on_validation_batch_end(trainer)
         loop = trainer.fit_loop.epoch_loop
         fetcher = trainer.fit_loop._data_fetcher
         assert fetcher is not None
@@ -86,11 +83,7 @@ class StepCheckpoints(Checkpoint):
             raise KeyboardInterrupt
 
     def on_validation_batch_end(self, trainer: Trainer, *_: Any) -> None:
-        """Take SIGTERM as a request to stop after the validation and the checkpoint of the epoch."""
-        self._heed_sigterm(trainer)
-
-    def _heed_sigterm(self, trainer: Trainer) -> None:
-        """Treat SIGTERM like Ctrl-C, before Lightning ends the training wherever it is."""
+        """Treat SIGTERM like Ctrl-C, before Lightning ends the training wherever it is: stop at the next checkpoint."""
         if trainer.received_sigterm and trainer.world_size == 1:
             trainer._signal_connector.received_sigterm = False
             self.asked = True
@@ -133,15 +126,9 @@ class StepCheckpoints(Checkpoint):
         self._sums = sums[trainer.global_rank]
 
 
-@contextmanager
-def first_interrupt_asks(checkpoints: StepCheckpoints) -> Iterator[None]:
+def first_interrupt_asks(checkpoints: StepCheckpoints) -> AbstractContextManager[Any]:
     """Stop the training after its step, with a checkpoint, at the first Ctrl-C, and at once at the second."""
-    before = signal.getsignal(signal.SIGINT)
-    if threading.current_thread() is not threading.main_thread() or before not in _USUAL:
-        yield
-        return
-
-    owner = os.getpid()
+    before, owner = signal.getsignal(signal.SIGINT), os.getpid()
 
     def ask(*_: object) -> None:
         if os.getpid() != owner:  # a worker, which gets the signal, too
@@ -151,30 +138,18 @@ def first_interrupt_asks(checkpoints: StepCheckpoints) -> Iterator[None]:
         with suppress(RuntimeError):  # the signal arrived during printing
             print("stopping at the next checkpoint; Ctrl-C again stops at once", file=sys.stderr, flush=True)
 
-    signal.signal(signal.SIGINT, ask)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGINT, before)
+    return handled(signal.SIGINT, ask, signal.default_int_handler, stop_once)
 
 
-@contextmanager
-def sigterm_ends_the_start(checkpoints: StepCheckpoints) -> Iterator[None]:
+def sigterm_ends_the_start(checkpoints: StepCheckpoints) -> AbstractContextManager[Any]:
     """Stop the training at once at a SIGTERM before its first step, which Lightning would wait for."""
-    before, owner = signal.getsignal(signal.SIGTERM), os.getpid()
-    if threading.current_thread() is not threading.main_thread() or before is not signal.SIG_DFL:
-        yield
-        return
+    owner = os.getpid()
 
     def end(*_: object) -> None:
         if not checkpoints.begun and os.getpid() == owner:
             raise KeyboardInterrupt
 
-    signal.signal(signal.SIGTERM, end)  # Lightning calls it after its own
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGTERM, before)
+    return handled(signal.SIGTERM, end, signal.SIG_DFL)  # Lightning calls it after its own
 
 
 @contextmanager
