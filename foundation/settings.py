@@ -23,7 +23,7 @@ import dataclasses
 import json
 import shlex
 import types
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from difflib import SequenceMatcher
 from functools import cache, partial
@@ -200,14 +200,18 @@ def merged(values: Mapping[str, Any], others: Mapping[str, Any]) -> dict[str, An
             before = result.get(key)
             result[key] = merged(before if isinstance(before, Mapping) else {}, value)
         else:
-            result[key] = _without_paths(value)
+            result[key] = value if isinstance(value, float) else plain(value)
     return result
 
 
-def _without_paths(value: Any) -> Any:
-    if isinstance(value, list | tuple):
-        return [_without_paths(item) for item in value]
-    return str(value) if isinstance(value, Path) else value
+def within(key: str, sections: Iterable[str]) -> bool:
+    """Return whether a dotted key is the name of a section, or of a part of one.
+
+    Example:
+        >>> within("model.branch.name", ["data", "model"]), within("models", ["model"])
+        (True, False)
+    """
+    return any(key == section or key.startswith(f"{section}.") for section in sections)
 
 
 def leaves(values: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:

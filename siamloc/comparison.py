@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from foundation.calls import typed
 from foundation.files import write_text
-from foundation.settings import leaves
+from foundation.settings import leaves, within
 from siamloc.errors import ConfigError
 from siamloc.tables import Column, Table
 
@@ -133,11 +133,7 @@ def flat(settings: Mapping[str, Any], without: Sequence[str] = (), prefix: str =
         {'seed': 1}
     """
     named = {name.removeprefix("training."): value for name, value in leaves(settings, prefix)}
-    return {
-        name: value
-        for name, value in named.items()
-        if not any(name == group or name.startswith(f"{group}.") for group in without)
-    }
+    return {name: value for name, value in named.items() if not within(name, without)}
 
 
 def differing(settings: Sequence[Mapping[str, Any]], keys: Iterable[str] | None = None) -> list[str]:

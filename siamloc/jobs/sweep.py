@@ -10,6 +10,8 @@ from contextvars import ContextVar
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
+from foundation.settings import within
+
 
 Choice = Callable[[str], bool]
 _MOST_LETTERS = 150  # in a folder name; file systems allow 255 bytes
@@ -98,19 +100,15 @@ def own_folder(folder: Path, titles: Mapping[str, str], wanted: Choice) -> Path:
 def of_map(key: str) -> bool:
     """Whether a map depends on a key of the command line."""
     key = key.replace("/", ".")
-    return _begins(key, _OF_MAPS) and not key.startswith(_OF_QUERIES)
+    return within(key, _OF_MAPS) and not key.startswith(_OF_QUERIES)
 
 
 def of_layer(key: str) -> bool:
     """Whether a coarse layer depends on a key of the command line."""
-    return of_map(key) or _begins(key, ("build", "seed"))
+    return of_map(key) or within(key, ("build", "seed"))
 
 
 def with_swept(name: str) -> str:
     """Return the name of results with the swept settings, such as "hog descriptor.bins=8"."""
     further = [f"{key}={value}" for key, value in swept().items() if key not in ("run", "descriptor", "distance")]
     return " ".join([name, *further])
-
-
-def _begins(key: str, sections: tuple[str, ...]) -> bool:
-    return any(key == section or key.startswith(f"{section}.") for section in sections)
