@@ -121,6 +121,14 @@ class Settings:
         """Return the settings as plain values, which `of` can read."""
         return {name: plain(getattr(self, name)) for name in fields_of(type(self))}
 
+    def narrowed(self, kind: type[Kind]) -> Kind:
+        """Return the settings of a base class: without the fields that only this class and its groups have."""
+        values = {name: getattr(self, name) for name in fields_of(kind)}
+        for name, part in fields_of(kind).items():
+            if isinstance(part, type) and issubclass(part, Settings):
+                values[name] = values[name].narrowed(part)
+        return kind(**values)
+
     @classmethod
     def _key(cls, name: str) -> str:
         return f"{cls.WHERE}.{name}" if cls.WHERE else name

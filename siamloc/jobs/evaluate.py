@@ -209,7 +209,7 @@ class Evaluate(RunJob):
             known, images, roles = self._known(say, "query")
             common |= {"baselines": self._baselines(say), "settings": task.robustness}
             return evaluation.robustness(known, images, roles["query"], **common)
-        settings = task.of_call(Localization)
+        settings = task.narrowed(Localization)
         learned = settings.error_model or settings.filter_tune
         learned |= settings.refine == "relative" and self.protocol.validation != Role()
         known, images, roles = self._known(say, "query", *(["validation"] if learned else []))
@@ -220,7 +220,7 @@ class Evaluate(RunJob):
         known, _, _ = self._known(say)
         built, folder = self._layer(say, known, self.label)
         name = f"{self.build.title} over {self.label}"
-        return replace(evaluation.mapping(known, built, name=name, settings=task.of_call(MapMeasures)), layer=folder)
+        return replace(evaluation.mapping(known, built, name=name, settings=task.narrowed(MapMeasures)), layer=folder)
 
     def _hierarchical(self, say: Say, task: HierarchicalTask) -> Result:
         known, images, roles = self._known(say, "query")
@@ -235,14 +235,14 @@ class Evaluate(RunJob):
                 "task.coarse.by=vote, or another task.coarse.descriptor"
             )
         built, _ = self._layer(say, ranking, label)
-        given = {**self._common, "coarse_map": coarse, "settings": task.of_call(Hierarchical)}
+        given = {**self._common, "coarse_map": coarse, "settings": task.narrowed(Hierarchical)}
         return evaluation.hierarchical(known, images, roles["query"], built, **given)
 
     def _compact(self, say: Say, task: CompactTask) -> Result:
         known, images, roles = self._known(say, "query")
         other, _ = self._other
         clusters = None if other is None else maps.build(self.make_descriptor(other), images, known.frames)
-        given = {**self._common, "seed": self.seed, "settings": task.of_call(Compact)}
+        given = {**self._common, "seed": self.seed, "settings": task.narrowed(Compact)}
         return evaluation.compact(known, images, roles["query"], clusters=clusters, **given)
 
     def _buildings(self, say: Say, task: BuildingsTask) -> Result:

@@ -158,7 +158,7 @@ class MapFrames(RunJob):
             raise ConfigError(f"update.sequences: {error}") from error
         images = self.data.library(drives, self.unwrap)
         drives = images.readable(drives)
-        settings = Maintenance.of({key: value for key, value in self.update.plain().items() if key != "sequences"})
+        settings = self.update.narrowed(Maintenance)
         before, updates = known.digest, []
         for name, rows in drives.rows_by("sequence").items():
             found = maps.update(known, images, drives.take(rows), built=built, settings=settings)

@@ -45,13 +45,6 @@ class Task(Settings):
         """
         return super().of(values) if cls is not Task else kind_of(values).of(values)  # type: ignore[misc, return-value]
 
-    def of_call(self, kind: type[Kind]) -> Kind:
-        """Return the settings that a call of `siamloc.evaluation` takes, without the other keys of the task."""
-        values, known = self.plain(), fields_of(kind)
-        if "coarse" in known:
-            values["coarse"] = {key: values["coarse"][key] for key in fields_of(CoarseRanking)}
-        return kind.of({key: value for key, value in values.items() if key in known})
-
 
 @dataclass(frozen=True)
 class LocalizationTask(Localization, Task):

@@ -68,8 +68,8 @@ class _Training(Learning, Job):
     def training(self) -> Training:
         """The settings of the training."""
         margin = self.loss.parameters if self.loss.name == "contrastive" else {}
-        own = {key: getattr(self, key) for key in defaults_of(Learning)}
-        return Training(**own, workers=self.loader.workers, augment_where=self.augment.where, **margin)
+        own = {**vars(self.narrowed(Learning)), **margin}
+        return Training(**own, workers=self.loader.workers, augment_where=self.augment.where)
 
     def make_loss(self) -> Any:
         """Make the loss over batches of places; None for the contrastive loss, whose margin is a setting.

@@ -49,5 +49,4 @@ class Walk(WalkSettings, Job):
 
     def run(self, say: Say = quiet) -> Walked:
         """Make the map, the bundle and the report."""
-        settings = {key: value for key, value in self.plain().items() if key not in ("file", "out", "overwrite")}
-        return walk(self.file, self.out, say=say, overwrite=self.overwrite, settings=WalkSettings.of(settings))
+        return walk(self.file, self.out, say=say, overwrite=self.overwrite, settings=self.narrowed(WalkSettings))

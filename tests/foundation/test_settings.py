@@ -128,6 +128,21 @@ class Both(Base):
     second: Count = 2
 
 
+def test_settings_are_narrowed_to_those_of_a_base_groups_too():
+    @dataclass(frozen=True)
+    class Outer(Settings):
+        part: Base = field(default_factory=Base)
+
+    @dataclass(frozen=True)
+    class Wider(Outer):
+        part: Both = field(default_factory=Both)
+        more: Count = 7
+
+    found = Wider(part=Both(first=5)).narrowed(Outer)
+    assert found == Outer(part=Base(first=5))
+    assert found.plain() == {"part": {"first": 5}}
+
+
 def test_the_docstring_of_a_function_tells_of_its_fields_those_of_a_base_first():
     def call(*, settings):
         pass
