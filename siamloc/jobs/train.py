@@ -57,8 +57,7 @@ class _Training(Learning, Job):
     def completed(cls, values: dict[str, Any], given: Given) -> dict[str, Any]:
         """Return values together with the settings of the run, if it is resumed."""
         values = super().completed(values, given)
-        if values.get("resume") is True and values.get("run", cls.folder) is not None:
-            values = {"run": cls.folder, **values}
+        if values["resume"] is True and values["run"] is not None:
             if isinstance(values["run"], str) and values["run"].strip() and not sweep_suffix():
                 Run(Path(values["run"])).check_resumable()
             return with_settings_of_the_run(values, given, cls.key_names(), resumed=True)
@@ -97,6 +96,13 @@ class _Training(Learning, Job):
     def resumes(self, folder: Path) -> bool:
         """Return whether to continue the run in a folder; in a sweep, runs that are not there yet start afresh."""
         return self.resume and not (sweep_suffix() and not Run(folder).record.is_file())
+
+    def common(self, data: str) -> dict[str, Any]:
+        """Return the arguments that the calls of both trainings have; `data` begins the name of the run's folder."""
+        folder = self.target(data)
+        own = {"trainer": self.trainer.plain(), "overwrite": self.overwrite, "settings": self.training}
+        made = {"loss": self.make_loss(), "augmentation": self.augment.policy}
+        return {"run": folder, "resume": self.resumes(folder), **made, **own}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -163,25 +169,12 @@ class Train(_Training, DataJob):
         from siamloc.training.trainer import check_trainer
 
         validated = self.protocol.validation.sequences is not None
-        loss, trainer = self.make_loss(), self.trainer.plain()
-        check_trainer(trainer)  # before any image is decoded
+        common = self.common(self.data.name or "data")
+        check_trainer(common["trainer"])  # before any image is decoded
         network = models.build(**self.model.arguments(), image_size=self.data.image_size, seed=self.seed)
         images, roles = self.open_roles("train", *(["validation"] if validated else []))
-        folder = self.target(self.data.name or "data")
-        run = training.fit(
-            network,
-            images,
-            roles["train"],
-            run=folder,
-            validation=roles.get("validation"),
-            loss=loss,
-            augmentation=self.augment.policy,
-            trainer=trainer,
-            protocol=self.protocol.plain(),
-            resume=self.resumes(folder),
-            overwrite=self.overwrite,
-            settings=self.training,
-        )
+        drives: dict[str, Any] = {"validation": roles.get("validation"), "protocol": self.protocol.plain()}
+        run = training.fit(network, images, roles["train"], **drives, **common)
         if process_rank() == 0:
             say(f"next: siamloc map {as_words({'run': str(run.folder), **self.model.branch.own})}")
         return run
@@ -231,18 +224,7 @@ class Pretrain(_Training):
         from siamloc.training.fitting import process_rank
 
         network = models.build(**self.model.arguments(), image_size=self.image_size, seed=self.seed)
-        folder = self.target("pretrained")
-        run = pretraining.pretrain(
-            network,
-            run=folder,
-            views=self.views,
-            loss=self.make_loss(),
-            augmentation=self.augment.policy,
-            trainer=self.trainer.plain(),
-            resume=self.resumes(folder),
-            overwrite=self.overwrite,
-            settings=self.training,
-        )
+        run = pretraining.pretrain(network, views=self.views, **self.common("pretrained"))
         if process_rank() == 0:
             say(f"next: siamloc train experiment=fine_tuning model.branch.weights={run.weights}")
         return run
