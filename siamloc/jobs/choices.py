@@ -314,9 +314,9 @@ class Model(Settings):
 
     def arguments(self) -> dict[str, Any]:
         """Return the arguments of `siamloc.models.build`."""
-        own = {key: getattr(self, key) for key in ("circular", "normalize", "canonical", "relative", "colours")}
-        branch = {"branch": self.branch.name, "weights": self.branch.weights}
-        return {**branch, "head": self.head.name, "outputs": self.head.outputs, **own}
+        branch, head = self.branch, self.head
+        named = {"branch": branch.name, "weights": branch.weights, "head": head.name, "outputs": head.outputs}
+        return {**vars(self), **named}
 
 
 @dataclass(frozen=True)

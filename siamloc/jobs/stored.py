@@ -11,10 +11,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from analytic import DESCRIPTORS
-from foundation.settings import fields_of
+from foundation.settings import defaults_of, fields_of
 from siamloc.data.protocol import Protocol
 from siamloc.errors import ConfigError, OldFormatError
-from siamloc.jobs.choices import OF_A_RUN, Build, DescriptorChoice, names_in, parameters_of
+from siamloc.jobs.choices import OF_A_RUN, Build, DescriptorChoice, Model, names_in, parameters_of
 from siamloc.jobs.job import Given, at
 from siamloc.jobs.options import is_fused, option
 from siamloc.jobs.sweep import of_map, own_folder
@@ -188,9 +188,8 @@ def _kept(
     if "branch" in model:
         head = {"name": model["head"], "outputs": model.get("outputs")}
         kept |= {"model.branch.name": model["branch"], "model.head": head}
-        keys = ("circular", "normalize", "canonical", "relative")
-        kept |= {f"model.{key}": model[key] for key in keys if key in model}
-        kept["model.colours"] = model.get("colours", False)
+        known = {"colours": False, **model}
+        kept |= {f"model.{key}": known[key] for key in defaults_of(Model) if key in known}
     if resumed and training:
         loss = {key: value for key, value in (record.get("loss") or {}).items() if key != "class"}
         kept |= {

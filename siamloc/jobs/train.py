@@ -208,7 +208,7 @@ class Pretrain(_Training):
     MORE: ClassVar[Mapping[str, Any]] = {
         "augment": {"where": "auto"},
         "trainer": RECIPE.trainer,
-        "model": {key: RECIPE.model[key] for key in ("circular", "normalize", "canonical", "relative", "colours")},
+        "model": {key: RECIPE.model[key] for key in defaults_of(Model)},
     }
 
     folder: Folder = "runs/pretrained"
