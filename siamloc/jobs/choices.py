@@ -58,8 +58,8 @@ class Choice(Settings):
 
     @property
     def title(self) -> str:
-        """The label if there is one, else the name."""
-        return self.label or self.name
+        """The label if there is one, else the name, or the names of fused descriptors, such as pretrained+hsv."""
+        return self.label or SIGN.join(names_in(self.plain()))
 
     def plain(self) -> dict[str, Any]:
         """Return the name and the parameters in one mapping, which `of` can read."""
@@ -84,11 +84,6 @@ class DescriptorChoice(Choice):
 
     WHERE = "descriptor"
     LABELLED = True
-
-    @property
-    def title(self) -> str:
-        """The label if there is one, else the name, or the names of fused descriptors, such as pretrained+hsv."""
-        return self.label or SIGN.join(names_in(self.plain()))
 
 
 @dataclass(frozen=True)
