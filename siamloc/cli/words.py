@@ -7,8 +7,9 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, get_args
 
+from foundation.errors import known
 from foundation.settings import fields_of
-from siamloc.errors import ConfigError, hint
+from siamloc.errors import ConfigError
 from siamloc.jobs.job import Job
 
 _ITEM = re.compile(r"""\s*('(?:[^'\\]|\\.)*'|"(?:[^"\\]|\\.)*"|[^,'"\[\]]*[^,'"\[\]\s])\s*(,|$)""")
@@ -22,16 +23,15 @@ def values_of(words: Sequence[str], kind: type[Job]) -> dict[str, Any]:
         ConfigError: a word that is not key=value, an unknown key, a key that is given twice, or a list that cannot be
             read.
     """
-    known, values = dict(zip(kind.key_names(), fields_of(kind).values(), strict=True)), dict[str, Any]()
+    kinds, values = dict(zip(kind.key_names(), fields_of(kind).values(), strict=True)), dict[str, Any]()
     for word in words:
         key, equals, text = word.lstrip("+").partition("=")
         if not equals:
             raise ConfigError(f"{word!r} is not of the form key=value, such as images=[photo.jpeg]")
-        if key not in known:
-            raise ConfigError(f"unknown key {key!r}: {hint(key, known)}")
+        known(key, kinds, "key")
         if key in values:
             raise ConfigError(f"{key} is given twice: leave one out")
-        texts = _text_only(known[key])
+        texts = _text_only(kinds[key])
         if text.startswith("[") and text.endswith("]"):
             values[key] = [_value(item, texts) for item in _items(word, text[1:-1])]
         else:

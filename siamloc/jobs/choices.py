@@ -10,8 +10,9 @@ from functools import partial
 from typing import Annotated, Any, ClassVar, Literal, TypeVar
 
 from analytic.descriptors.fused import SIGN, distinct
+from foundation.errors import known
 from foundation.settings import Count, Natural, NotNegative, Rule, Settings, Share, Text, Workers, checked, fields_of
-from siamloc.errors import ConfigError, check_known, hint
+from siamloc.errors import ConfigError, check_known
 from siamloc.models.registry import LOSSES, NORMALIZATIONS, Contrastive, Outputs, branch_spec, head_widths, is_backbone
 
 Kind = TypeVar("Kind", bound="Choice")
@@ -51,9 +52,7 @@ class Choice(Settings):
         name = checked(given.pop("name", None), Text, f"{cls.WHERE}.name")
         label = checked(given.pop("label", None), Text | None, f"{cls.WHERE}.label") if cls.LABELLED else None
         checks = _checks(cls.WHERE)
-        if name not in checks:
-            raise ConfigError(f"unknown {cls.WHERE} {name!r}: {hint(name, checks)}")
-        checks[name](given)
+        checks[known(name, checks, cls.WHERE)](given)
         return cls(name, given, label)
 
     @property
@@ -304,8 +303,8 @@ class Model(Settings):
         else:
             branch_spec(self.branch.name)
         head_widths(self.head.name, self.head.outputs)
-        if self.normalize is not None and self.normalize not in NORMALIZATIONS:
-            raise ConfigError(f"unknown normalization {self.normalize!r}: {hint(self.normalize, NORMALIZATIONS)}")
+        if self.normalize is not None:
+            known(self.normalize, NORMALIZATIONS, "normalization")
 
     def arguments(self) -> dict[str, Any]:
         """Return the arguments of `siamloc.models.build`."""

@@ -6,8 +6,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Annotated, Any, TypeVar
 
+from foundation.errors import known
 from foundation.settings import Rule, Settings, Text, checked, fields_of
-from siamloc.errors import ConfigError, hint
+from siamloc.errors import ConfigError
 from siamloc.evaluation.compact_maps import Compact
 from siamloc.evaluation.disturbed import Robustness
 from siamloc.evaluation.hierarchy import CoarseRanking, Hierarchical
@@ -157,8 +158,7 @@ def kind_of(values: Mapping[str, Any]) -> type[Task]:
     names = checked(values.get("names", LocalizationTask.names), tuple[str, ...], "task.names")
     singles = [name for name in TASKS if name != "localization"]
     for name in names:
-        if name not in singles:
-            raise ConfigError(f"unknown task {name!r}: {hint(str(name), singles)}")
+        known(name, singles, "task")
     if len(names) != 1 and set(names) != {"absolute", "room_retrieval"}:
         raise ConfigError(f"task.names must be one of {', '.join(singles)}, or [absolute, room_retrieval], got {names}")
     kind = LocalizationTask if len(names) > 1 else TASKS[names[0]]

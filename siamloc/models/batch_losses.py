@@ -10,7 +10,8 @@ import torch
 from torch import Tensor, nn
 
 from foundation.calls import takes
-from siamloc.errors import ConfigError, DataError, hint
+from foundation.errors import known
+from siamloc.errors import DataError
 from siamloc.models.origins import Origins, ScheduledLoss, check_batch
 from siamloc.models.registry import LOSSES, MetricCalibrated, SoftContrastive
 
@@ -195,8 +196,6 @@ def make_loss(name: str, **parameters: Any) -> nn.Module:
     Raises:
         ConfigError: an unknown name or parameter.
     """
-    if name not in LOSSES:
-        raise ConfigError(f"unknown loss {name!r}: {hint(name, LOSSES)}")
-    module, _, kind = LOSSES[name][1].partition(".")
+    module, _, kind = LOSSES[known(name, LOSSES, "loss")][1].partition(".")
     loss: nn.Module = getattr(import_module(f"siamloc.models.{module}"), kind)(settings=parameters)
     return loss

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal, get_args
 
+from foundation.errors import known
 from foundation.settings import Natural, NotNegative, Positive, Rule, Settings, Share, Size, Text, checked
 from siamloc.errors import ConfigError, hint
 
@@ -380,9 +381,7 @@ def head_widths(name: str, outputs: int | None = None) -> tuple[int, ...]:
     Raises:
         ConfigError: an unknown name, a number that is not positive, or outputs for a head with a fixed number.
     """
-    if name not in HEADS:
-        raise ConfigError(f"unknown head {name!r}: {hint(name, HEADS)}")
-    widths = HEADS[name].widths
+    widths = HEADS[known(name, HEADS, "head")].widths
     if outputs is None:
         return widths
     if len(widths) > 1:

@@ -8,9 +8,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from foundation.calls import typed
+from foundation.errors import known
 from siamloc.data.frames import FrameTable
 from siamloc.data.library import PanoramaLibrary
-from siamloc.errors import ConfigError, hint
+from siamloc.errors import ConfigError
 from siamloc.runs import Run
 
 if TYPE_CHECKING:
@@ -215,6 +216,4 @@ def recipe(name: str) -> Recipe:
         >>> network = recipe.build()  # doctest: +SKIP
         >>> recipe.fit(network, images, monday, run="runs/robot", validation=wednesday)  # doctest: +SKIP
     """
-    if name not in RECIPES:
-        raise ConfigError(f"unknown recipe {name!r}: {hint(name, RECIPES)}")
-    return RECIPES[name]
+    return RECIPES[known(name, RECIPES, "recipe")]
