@@ -27,7 +27,6 @@ class BranchSpec:
         summary: one line for the help.
     """
 
-    name: str
     kind: Literal["torchvision", "simple", "residual"] = "torchvision"
     widths: tuple[int, ...] = ()
     normalize: Normalization = "channels"
@@ -52,16 +51,13 @@ PRETRAINED_ELEVATIONS = (30.0, -45.0)
 """Elevations in degrees of the upper and the lower edge of these panoramas."""
 
 BRANCHES: dict[str, BranchSpec] = {
-    spec.name: spec
-    for spec in (
-        BranchSpec("simple1", "simple", (3, 8, 16), summary=_SIMPLE.format("3, 8, 16")),
-        BranchSpec("simple2", "simple", (3, 16, 32), summary=_SIMPLE.format("3, 16, 32")),
-        BranchSpec("alexnet"),
-        BranchSpec("densenet121"),
-        *(BranchSpec(f"vgg{depth}{suffix}") for suffix in ("", "_bn") for depth in (11, 13, 16, 19)),
-        BranchSpec("panoresnet", "residual", (32, 64, 128, 192), "image", summary=_OURS),
-        BranchSpec("panoresnet_wide", "residual", (48, 96, 192, 288), "image", summary=_OURS_WIDE),
-    )
+    "simple1": BranchSpec("simple", (3, 8, 16), summary=_SIMPLE.format("3, 8, 16")),
+    "simple2": BranchSpec("simple", (3, 16, 32), summary=_SIMPLE.format("3, 16, 32")),
+    "alexnet": BranchSpec(),
+    "densenet121": BranchSpec(),
+    **{f"vgg{depth}{suffix}": BranchSpec() for suffix in ("", "_bn") for depth in (11, 13, 16, 19)},
+    "panoresnet": BranchSpec("residual", (32, 64, 128, 192), "image", summary=_OURS),
+    "panoresnet_wide": BranchSpec("residual", (48, 96, 192, 288), "image", summary=_OURS_WIDE),
 }
 """The feature extractors of [T] table 5.1, `*_bn` with batch normalization after each convolution; and `panoresnet`,
 our own small residual network for training from random weights, and `panoresnet_wide` with wider layers."""
@@ -72,14 +68,12 @@ class HeadSpec:
     """How a head is made.
 
     Attributes:
-        name: name in configurations.
         widths: neurons of the layers; the last number is the length of a descriptor, which can be chosen if there is
             one layer.
         kind: name of the class in `siamloc.models.heads`.
         summary: one line for the help.
     """
 
-    name: str
     widths: tuple[int, ...]
     kind: str = "FullyConnected"
     summary: str = "Fully connected layers ([T] table 5.2)."
@@ -89,17 +83,14 @@ _LAYERS = ((500, 500, 5), (500, 100, 10), (1000, 1000, 10), (4096, 4096, 1000))
 _SOFTMAX = "The same layers, then a softmax: our reading of the softmax layer in [T] 5.3."
 
 HEADS: dict[str, HeadSpec] = {
-    spec.name: spec
-    for spec in (
-        *(HeadSpec(f"fc{a}_{b}_{c}", (a, b, c)) for a, b, c in _LAYERS),
-        *(HeadSpec(f"fc{a}_{b}_{c}_softmax", (a, b, c), "SoftmaxHead", _SOFTMAX) for a, b, c in _LAYERS),
-        HeadSpec("fc4096_4096", (4096, 4096), summary="Two layers, as in AlexNet before its class layer."),
-        HeadSpec("flat", (256,), "Flat", "One layer over all features: what is seen where, relative to the robot."),
-        HeadSpec("gem", (256,), "GeneralizedMean", "The generalized mean of each channel, then one layer."),
-        HeadSpec("bands", (256,), "Bands", "The generalized mean of each row of each channel, then one layer."),
-        HeadSpec("fourier", (256,), "Fourier", "Fourier magnitudes along the azimuth, then one layer."),
-        HeadSpec("magnitudes", (2048,), "Magnitudes", "Fourier magnitudes along the azimuth, without weights."),
-    )
+    **{f"fc{a}_{b}_{c}": HeadSpec((a, b, c)) for a, b, c in _LAYERS},
+    **{f"fc{a}_{b}_{c}_softmax": HeadSpec((a, b, c), "SoftmaxHead", _SOFTMAX) for a, b, c in _LAYERS},
+    "fc4096_4096": HeadSpec((4096, 4096), summary="Two layers, as in AlexNet before its class layer."),
+    "flat": HeadSpec((256,), "Flat", "One layer over all features: what is seen where, relative to the robot."),
+    "gem": HeadSpec((256,), "GeneralizedMean", "The generalized mean of each channel, then one layer."),
+    "bands": HeadSpec((256,), "Bands", "The generalized mean of each row of each channel, then one layer."),
+    "fourier": HeadSpec((256,), "Fourier", "Fourier magnitudes along the azimuth, then one layer."),
+    "magnitudes": HeadSpec((2048,), "Magnitudes", "Fourier magnitudes along the azimuth, without weights."),
 }
 """Three fully connected layers in versions 1 to 4 of [T] table 5.2, also with a softmax after the last; two layers as
 in AlexNet before its class layer, with the descriptor of 4096 numbers in [T] table 5.19; and heads with descriptors of

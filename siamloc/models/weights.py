@@ -344,7 +344,7 @@ def _published(branch: str, name: str) -> Weights:
     if branch.startswith("timm/"):
         file = timm_file(branch.removeprefix("timm/"), name)
         return replace(read_weights(file), origin=f"the published weights of {branch}")
-    ours = [spec.name for spec in BRANCHES.values() if spec.kind == "torchvision"]
+    ours = [name for name, spec in BRANCHES.items() if spec.kind == "torchvision"]
     if branch not in ours and not branch.startswith("torchvision/"):
         raise ConfigError(
             f"the branch {branch!r} has no weights called {name!r}: give none or a path "

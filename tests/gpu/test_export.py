@@ -24,7 +24,7 @@ SIZES = {"alexnet": (64, 64), "vgg16": (32, 64), "densenet4": (32, 64), "densene
 def _densenet(monkeypatch):
     """Writing all 58 dense layers of densenet121 takes ten seconds; they are alike."""
     monkeypatch.setitem(models._api.BUILTIN_MODELS, "densenet4", lambda **_: models.DenseNet(32, (1, 1, 1, 1), 64))
-    monkeypatch.setitem(BRANCHES, "densenet4", BranchSpec("densenet4"))
+    monkeypatch.setitem(BRANCHES, "densenet4", BranchSpec())
 
 
 @pytest.mark.usefixtures("_densenet")
