@@ -46,12 +46,9 @@ class Backbone(Branch):
     def __init__(
         self, name: str, network: nn.Module, image_size: tuple[int, int], circular: bool, normalize: str
     ) -> None:
-        nn.Module.__init__(self)
+        super().__init__(name, circular, normalize, features=nn.Sequential())
         if channels_of(normalize) != 3:
             raise ConfigError(f"the first layer of {name} has three channels: leave normalize={normalize} out")
-        self.name, self.circular, self.normalize = name, circular, normalize
-        self.register_buffer("mean", torch.empty(1, 3, 1, 1))
-        self.register_buffer("std", torch.empty(1, 3, 1, 1))
         self.normalize_with(*_card(name, network))
         network.eval()
         with _explained(name, image_size), torch.no_grad():

@@ -45,6 +45,7 @@ class Branch(nn.Module):
         name: a name in `BRANCHES`.
         circular: whether convolutions and pools wrap around the azimuth.
         normalize: a name in `NORMALIZATIONS`.
+        features: the layers; those of the name if None.
 
     Raises:
         ConfigError: an unknown name.
@@ -53,12 +54,12 @@ class Branch(nn.Module):
     mean: Tensor
     std: Tensor
 
-    def __init__(self, name: str, circular: bool = False, normalize: str = "channels") -> None:
+    def __init__(
+        self, name: str, circular: bool = False, normalize: str = "channels", features: nn.Sequential | None = None
+    ) -> None:
         super().__init__()
-        self.name = name
-        self.circular = circular
-        self.normalize = normalize
-        self.features: nn.Sequential = _features(name, circular, channels_of(normalize))
+        self.name, self.circular, self.normalize = name, circular, normalize
+        self.features = _features(name, circular, channels_of(normalize)) if features is None else features
         self.register_buffer("mean", torch.empty(1, 3, 1, 1))
         self.register_buffer("std", torch.empty(1, 3, 1, 1))
         self.normalize_with(IMAGENET_MEAN, IMAGENET_STD)
