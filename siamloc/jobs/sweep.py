@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import hashlib
 import re
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping
 from contextvars import ContextVar
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
-from foundation.settings import within
 
+from foundation.settings import within
 
 Choice = Callable[[str], bool]
 _MOST_LETTERS = 150  # in a folder name; file systems allow 255 bytes
@@ -44,23 +43,14 @@ class Sweep:
     words: Mapping[str, str] = field(default_factory=dict)
     number: int | None = None
 
-    @classmethod
-    @contextmanager
-    def running(cls, sweep: Sweep) -> Iterator[None]:
-        """Mark the jobs that run inside the `with` block as jobs of a sweep."""
-        token = _RUNNING.set(sweep)
-        try:
-            yield
-        finally:
-            _RUNNING.reset(token)
 
-
-_RUNNING: ContextVar[Sweep] = ContextVar("sweep", default=Sweep())  # noqa: B039 (it is frozen)
+RUNNING: ContextVar[Sweep] = ContextVar("sweep", default=Sweep())  # noqa: B039 (it is frozen)
+"""What distinguishes the running job, in the context of the job."""
 
 
 def swept() -> Mapping[str, Any]:
     """Return the settings of the running job that differ between the jobs of its sweep; none outside sweeps."""
-    return _RUNNING.get().values
+    return RUNNING.get().values
 
 
 def sweep_suffix(wanted: Choice | None = None) -> str:
@@ -69,7 +59,7 @@ def sweep_suffix(wanted: Choice | None = None) -> str:
     Args:
         wanted: which keys to name. If None, all, and a job that differs in none gets its number.
     """
-    sweep = _RUNNING.get()
+    sweep = RUNNING.get()
     chosen = [f"{key}-{word}" for key, word in sweep.words.items() if wanted is None or wanted(key)]
     text = "_".join(sorted(chosen))
     if wanted is None and not text and sweep.number is not None:
@@ -91,7 +81,7 @@ def own_folder(folder: Path, titles: Mapping[str, str], wanted: Choice) -> Path:
         titles: titles of the job's descriptor and build, by group.
         wanted: which swept keys change the contents of the folder.
     """
-    words = _RUNNING.get().words
+    words = RUNNING.get().words
     named = {"run", *(group for group, title in titles.items() if words.get(group) == title)}
     suffix = sweep_suffix(lambda key: key not in named and wanted(key))
     return folder / suffix if suffix else folder
