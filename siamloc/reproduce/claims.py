@@ -96,12 +96,13 @@ def claim(id: str) -> Claim:
     Raises:
         ConfigError: an unknown id.
     """
-    return named(_claims(), id, "claim")
+    return named({one.id: one for one in claims()}, id, "claim")
 
 
+@cache
 def claims() -> tuple[Claim, ...]:
     """Return all claims, in the order of the documents."""
-    return tuple(_claims().values())
+    return tuple(map(Claim.of, contents("claims")["claims"]))
 
 
 def spread_of(kind: str, one: Record) -> float:
@@ -241,8 +242,3 @@ def _equal(value: Any, wanted: Any) -> bool:
         bounds = _BOUNDS | {"not": lambda value, bound: not _equal(value, bound)}
         return all(bounds[name](value, bound) for name, bound in wanted.items())
     return value in wanted if isinstance(wanted, (list, tuple)) else value == wanted
-
-
-@cache
-def _claims() -> dict[str, Claim]:
-    return {one["id"]: Claim.of(one) for one in contents("claims")["claims"]}

@@ -133,6 +133,7 @@ class Published(Settings):
                 yield Record(column.measure, value, {**self.settings, **own, **column.at}, match[1] or "=")
 
 
+@cache
 def published(id: str) -> Published:
     """Return the published numbers with an id, such as "table_5_7" or "section_3_5_1".
 
@@ -143,7 +144,13 @@ def published(id: str) -> Published:
         >>> published("table_5_17").records()[0].settings["same_share"]
         0.8
     """
-    return named(_entries(), id, "published table")
+    entry = named({one["id"]: one for one in contents("published")["published"]}, id, "published table")
+    known, listed = contents("published")["settings"], [column["name"] for column in entry["columns"]]
+    rows = [row if isinstance(row, dict) else dict(zip(listed, row, strict=True)) for row in entry["rows"]]
+    further = dict.fromkeys(name for row in rows for name in row if name not in listed)  # settings of only a few rows
+    columns = [*entry["columns"], *({"name": name} for name in further)]
+    columns = [{**known.get(column["name"], {}), **column} for column in columns]
+    return Published.of({**entry, "columns": columns, "rows": rows})
 
 
 def measures() -> Mapping[str, Mapping[str, str]]:
@@ -209,20 +216,6 @@ def named(known: Mapping[str, Entry], id: str, what: str) -> Entry:
     if id not in known:
         raise ConfigError(f"there is no {what} {id!r}; {hint(id, known)}")
     return known[id]
-
-
-@cache
-def _entries() -> dict[str, Published]:
-    return {entry["id"]: _entry(entry) for entry in contents("published")["published"]}
-
-
-def _entry(entry: Mapping[str, Any]) -> Published:
-    known, listed = contents("published")["settings"], [column["name"] for column in entry["columns"]]
-    rows = [row if isinstance(row, dict) else dict(zip(listed, row, strict=True)) for row in entry["rows"]]
-    further = dict.fromkeys(name for row in rows for name in row if name not in listed)  # settings of only a few rows
-    columns = [*entry["columns"], *({"name": name} for name in further)]
-    columns = [{**known.get(column["name"], {}), **column} for column in columns]
-    return Published.of({**entry, "columns": columns, "rows": rows})
 
 
 def _setting(cell: Any, column: Column, factors: Mapping[str, float | None]) -> Any:

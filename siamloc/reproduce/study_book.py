@@ -167,10 +167,6 @@ class Study(Settings):
         places = {"", *data_named(data)["at"]}
         return [job for name in self.experiments for job in experiment(name).jobs(scale) if job.at in places]
 
-    def protocol(self, scale: str = "full") -> Mapping[str, str]:
-        """Return a description in words of the frames used as map and queries at a scale, by role."""
-        return experiment(self.experiments[0]).protocol_in_words(scale)
-
 
 @typed
 def study(id: str) -> Study:
@@ -185,7 +181,7 @@ def study(id: str) -> Study:
         >>> study("figure_3_19").id
         'figure_3_17'
     """
-    known, nothing = _studies(), without_measurement()
+    known, nothing = {one.id: one for one in studies()}, without_measurement()
     covering = {covered: one.id for one in known.values() for covered in one.covers}
     if id in nothing:
         raise ConfigError(f"there is nothing to measure for {id}: it {nothing[id]}")
@@ -201,18 +197,20 @@ def without_measurement() -> Mapping[str, str]:
     return dict(contents("study_book")["nothing"])
 
 
+@cache
 def studies() -> tuple[Study, ...]:
     """Return all studies, in the order of the documents."""
-    return tuple(_studies().values())
+    return tuple(map(Study.of, contents("study_book")["studies"]))
 
 
+@cache
 def experiment(id: str) -> Experiment:
     """Return an experiment by its id.
 
     Raises:
         ConfigError: an unknown id.
     """
-    return named(_experiments(), id, "experiment")
+    return Experiment.of(named({one["id"]: one for one in contents("study_book")["experiments"]}, id, "experiment"))
 
 
 def seconds_of(job: Job, scale: str) -> float:
@@ -307,13 +305,3 @@ def _resolved(value: Any, scale: str) -> Any:
     if isinstance(value, Mapping):
         return {key: _resolved(inner, scale) for key, inner in value.items()}
     return list(value) if isinstance(value, list | tuple) else value
-
-
-@cache
-def _experiments() -> dict[str, Experiment]:
-    return {one["id"]: Experiment.of(one) for one in contents("study_book")["experiments"]}
-
-
-@cache
-def _studies() -> dict[str, Study]:
-    return {one["id"]: Study.of(one) for one in contents("study_book")["studies"]}

@@ -119,7 +119,7 @@ def test_a_bound_has_no_difference_and_a_protocol_its_scale(smoke):
     assert rows["wisurf"].difference is None
     assert rows["hog"].difference < 0
     assert "frames 1.2 m apart" in found.table()
-    assert "40 cm" in found.study.protocol()["map"]
+    assert "40 cm" in experiment(found.study.experiments[0]).protocol_in_words("full")["map"]
 
 
 @pytest.mark.parametrize(
