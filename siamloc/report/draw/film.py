@@ -2,19 +2,33 @@
 
 from __future__ import annotations
 
-import io
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colors import to_rgb, to_rgba_array
 from numpy.typing import NDArray
 
 from foundation.files import atomic_path
 from siamloc.report.draw.look import INK
 
+PICTURES = 80
+"""Number of pictures of a film, at most."""
+DOTS_PER_INCH = 110
 _EACH, _LAST = 110, 4000  # milliseconds that each picture and the last one are shown
+
+
+def moments(last: int) -> list[int]:
+    """Return the moments from 1 to the last, evenly spread, of which a film has pictures."""
+    return [int(at) for at in np.unique(np.linspace(1, last, PICTURES).round())]
+
+
+def picture_of(canvas: FigureCanvasAgg) -> NDArray[np.uint8]:
+    """Draw a canvas, and return the picture (H, W, 3)."""
+    canvas.draw()
+    return np.asarray(canvas.buffer_rgba())[..., :3].copy()
 
 
 def write_film(pictures: Sequence[NDArray[np.uint8]], path: str | Path, colours: Sequence[str]) -> Path:
@@ -30,10 +44,9 @@ def write_film(pictures: Sequence[NDArray[np.uint8]], path: str | Path, colours:
     """
     path, indexed = Path(path), _indexed(pictures, colours)
     stays = [_EACH] * (len(indexed) - 1) + [_LAST]
-    buffer = io.BytesIO()
-    indexed[0].save(buffer, "GIF", save_all=True, append_images=indexed[1:], duration=stays, loop=0, disposal=1)
+    more: dict[str, Any] = {"append_images": indexed[1:], "duration": stays, "loop": 0, "disposal": 1}
     with atomic_path(path) as temporary:
-        temporary.write_bytes(buffer.getvalue())
+        indexed[0].save(temporary, "GIF", save_all=True, **more)
     return path
 
 

@@ -17,13 +17,11 @@ from analytic.mapper import replay
 from analytic.mapper.graph import edges
 from foundation.files import parsed_json
 from siamloc.errors import FormatError
-from siamloc.report.draw.film import write_film
+from siamloc.report.draw.film import DOTS_PER_INCH, moments, picture_of, write_film
 from siamloc.report.draw.look import INK, style
 from siamloc.report.draw.node_colours import NO_NODE, POOL, neighbouring, node_colours
 from siamloc.report.draw.nodes import NodePlan, add_graph, counted, dress, frame_colours, plan_size, points_per_unit
 
-PICTURES = 80
-_DOTS_PER_INCH = 110
 _SIZE = (7.6, (2.4, 5.4))
 _NODE_POINTS = 12
 _MOST_NUMBERED = 60
@@ -100,16 +98,11 @@ def animate(story: Story, path: str | Path) -> Path:
     return write_film(_drawn(story), path, [*POOL, NO_NODE, _NEWS])
 
 
-def moments(events: int) -> list[int]:
-    """Return the numbers of events after which pictures are drawn, including the first and the last."""
-    return sorted({round(float(k)) for k in np.linspace(1, events, PICTURES)})
-
-
 @style()
 def _drawn(story: Story) -> list[NDArray[np.uint8]]:
     """Return the pictures (H, W, 3): the map at some moments above the curves of its size up to then."""
     width, height = plan_size(story.plan.shown, *_SIZE)
-    figure = Figure(figsize=(width + 0.6, height + 1.6), dpi=_DOTS_PER_INCH)
+    figure = Figure(figsize=(width + 0.6, height + 1.6), dpi=DOTS_PER_INCH)
     canvas = FigureCanvasAgg(figure)
     axes, strip = figure.subplots(2, 1, height_ratios=[height, 0.85])
     (nodes,) = strip.plot([], [], color=INK, linewidth=1.5, drawstyle="steps-post")
@@ -139,8 +132,7 @@ def _drawn(story: Story) -> list[NDArray[np.uint8]]:
         if not pictures:
             canvas.draw()
             figure.set_layout_engine("none")  # the layout is fixed, so that nothing jumps
-        canvas.draw()
-        pictures.append(np.asarray(canvas.buffer_rgba())[..., :3].copy())
+        pictures.append(picture_of(canvas))
     return pictures
 
 

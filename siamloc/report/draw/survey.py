@@ -16,14 +16,12 @@ from numpy.typing import NDArray
 from foundation.files import write_json, write_text
 from siamloc.data.manifest import manifest_of
 from siamloc.data.moves import composed, relative
-from siamloc.report.draw.film import write_film
+from siamloc.report.draw.film import DOTS_PER_INCH, moments, picture_of, write_film
 from siamloc.report.draw.look import INK, SERIES, SOFT, Picture, legend_entries, panels, save, series_look, style
 
 if TYPE_CHECKING:
     from siamloc.maps import Survey
 
-_PICTURES = 80
-_DOTS_PER_INCH = 110
 # Neither has a colour of a drive.
 _LOOP: dict[str, Any] = {"color": SOFT, "linewidth": 0.6, "alpha": 0.35}
 _REFUSED: dict[str, Any] = {"color": INK, "linewidth": 0.9, "linestyle": (0, (4, 2))}
@@ -94,7 +92,7 @@ def _driven(found: Survey) -> list[NDArray[np.uint8]]:
     extent = np.ptp(xy, axis=0)
     width = 6.4
     height = float(np.clip(width * extent[1] / max(extent[0], 1e-9), 2.4, 6.4))
-    figure = Figure(figsize=(width, height + 0.8), dpi=_DOTS_PER_INCH)
+    figure = Figure(figsize=(width, height + 0.8), dpi=DOTS_PER_INCH)
     canvas, axes = FigureCanvasAgg(figure), figure.subplots()
     axes.set(xlabel="x [m]", ylabel="y [m]", aspect="equal")
     margin = 0.05 * extent.max()
@@ -107,7 +105,7 @@ def _driven(found: Survey) -> list[NDArray[np.uint8]]:
     (robot,) = axes.plot([], [], "o", color=INK, markersize=7)
     (tail,) = axes.plot([], [], color=INK, linewidth=2.2)
     pictures: list[NDArray[np.uint8]] = []
-    for last in np.unique(np.linspace(1, len(xy) - 1, _PICTURES).round().astype(np.int64)).tolist():
+    for last in moments(len(xy) - 1):
         here = loops.second <= last
         closed.set_segments(list(np.stack([xy[loops.first[here]], xy[loops.second[here]]], axis=1)))
         for number, line in enumerate(paths):
@@ -117,8 +115,7 @@ def _driven(found: Survey) -> list[NDArray[np.uint8]]:
         tail.set_data(*xy[behind].T)
         robot.set_data(*xy[[last]].T)
         axes.set_title(f"{last + 1} frames, {int(here.sum())} loops")
-        canvas.draw()
-        pictures.append(np.asarray(canvas.buffer_rgba())[..., :3].copy())
+        pictures.append(picture_of(canvas))
     return pictures
 
 

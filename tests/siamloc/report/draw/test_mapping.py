@@ -14,7 +14,7 @@ from siamloc import evaluation, maps
 from siamloc.data.frames import FrameTable
 from siamloc.errors import FormatError
 from siamloc.maps import VisualMap
-from siamloc.report.draw import growth, nodes, save_all
+from siamloc.report.draw import film, growth, nodes, save_all
 from siamloc.report.draw.look import INK
 from siamloc.report.draw.node_colours import POOL, ink, neighbouring, node_colours
 from siamloc.report.draw.nodes import NodePlan, node_plan, nodes_on_plan, spread_out
@@ -68,7 +68,7 @@ def plan(node: list[int], xy: np.ndarray | None = None, edges: tuple = (), closu
 @pytest.mark.parametrize("version", [1, 2])
 def test_all_pictures_of_an_incremental_map(runs: dict, version: int, monkeypatch: pytest.MonkeyPatch) -> None:
     target, layer = runs[version]
-    monkeypatch.setattr(growth, "PICTURES", 3)
+    monkeypatch.setattr(film, "PICTURES", 3)
     drawn = save_all(target, layer)
     assert [path.name for path in drawn] == ["nodes.png", "growth.gif"]
     assert {path.parent for path in drawn} == {target}
@@ -170,7 +170,7 @@ def test_a_corridor_is_drawn_along_its_line(axis: int) -> None:
 def test_the_animation_is_short_and_ends_with_the_map(
     runs: dict, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(growth, "PICTURES", 8)
+    monkeypatch.setattr(film, "PICTURES", 8)
     story = told(runs[2])
     path = growth.animate(story, tmp_path / "growth.gif")
     assert path.stat().st_size < 3e6 * 8 / 80
@@ -189,10 +189,10 @@ def test_the_animation_is_short_and_ends_with_the_map(
 
 def test_pictures_are_60_to_100_whatever_the_length() -> None:
     for events in (100, 633, 20_000):
-        taken = growth.moments(events)
+        taken = film.moments(events)
         assert 60 <= len(taken) <= 100
         assert (taken[0], taken[-1]) == (1, events)
-    assert growth.moments(3) == [1, 2, 3]
+    assert film.moments(3) == [1, 2, 3]
 
 
 def test_errors(runs: dict, tmp_path: Path) -> None:
