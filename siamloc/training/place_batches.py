@@ -13,6 +13,7 @@ from torch import Tensor
 from torch.utils.data import DataLoader, Dataset
 
 from foundation.calls import typed
+from foundation.columns import spread_rows
 from siamloc.data.frames import DEVIATIONS, FrameTable, concatenate
 from siamloc.data.library import PanoramaLibrary
 from siamloc.data.places import PlaceSampler, PlaceSettings, places_of
@@ -169,5 +170,4 @@ def origins_of(*tables: FrameTable, by: str = "position", rooms: Sequence[str] =
 
 def evenly(frames: FrameTable) -> FrameTable:
     """Return at most 500 frames of a table, evenly spaced."""
-    count = min(len(frames), _VALIDATED_WITH)
-    return frames.take(np.linspace(0, len(frames) - 1, count).round().astype(np.int64))
+    return frames.take(spread_rows(len(frames), _VALIDATED_WITH))

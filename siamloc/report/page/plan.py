@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from foundation.columns import spread_rows
 from siamloc.data.occupancy import OccupancyMap
 from siamloc.report.draw.floor_plan import along
 from siamloc.report.draw.look import series_1_2_5
@@ -137,7 +138,7 @@ def make_plan(evaluation: Evaluation, most: int, occupancy: OccupancyMap | None 
     rows = np.arange(total)
     if total > most:
         worst = np.argsort(-queries["error"], kind="stable")[:WORST]
-        even = np.linspace(0, total - 1, max(most - WORST, 1)).round().astype(np.int64)
+        even = spread_rows(total, max(most - WORST, 1))
         rows = np.unique(np.concatenate([worst, even]))
     shown = {name: column[rows] for name, column in queries.items()}
     tree = cKDTree(np.column_stack([known["x"], known["y"]]))
