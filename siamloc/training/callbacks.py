@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import math
 import sys
 import time
@@ -14,7 +12,7 @@ from typing import Any
 
 import torch
 
-from foundation.files import atomic_path, write_text
+from foundation.files import atomic_path, csv_text, write_text
 from siamloc.errors import StorageError
 from siamloc.lightning import (
     Callback,
@@ -168,19 +166,16 @@ class Curves(Checkpoint):
         """Note the start time and the first epoch, and record the files that the loggers opened."""
         self._start = (time.monotonic(), trainer.current_epoch)
         trainer.should_stop |= self._stale()
-        self._record_logged(trainer)
+        self.on_fit_end(trainer)
+
+    def on_fit_end(self, trainer: Trainer, *_: Any) -> None:
+        """Record the files of the loggers, pictures included."""
+        if trainer.is_global_zero:
+            self._run.record_written(files_logged(self._run) - self._logged_before)
 
     def on_exception(self, trainer: Trainer, *_: Any) -> None:
         """Record the files of the loggers if the training ends early."""
-        self._record_logged(trainer)
-
-    def on_fit_end(self, trainer: Trainer, *_: Any) -> None:
-        """Record the pictures of the loggers."""
-        self._record_logged(trainer)
-
-    def _record_logged(self, trainer: Trainer) -> None:
-        if trainer.is_global_zero:
-            self._run.record_written(files_logged(self._run) - self._logged_before)
+        self.on_fit_end(trainer)
 
     def on_train_epoch_end(self, trainer: Trainer, pl_module: LightningModule) -> None:
         """Write the figures of the epoch as a row of the file."""
@@ -196,7 +191,7 @@ class Curves(Checkpoint):
 
     def on_train_end(self, trainer: Trainer, *_: Any) -> None:
         """Record the files of the loggers, and print a summary, unless the training was interrupted."""
-        self._record_logged(trainer)
+        self.on_fit_end(trainer)
         early = self._stale() and len(self._rows) < (trainer.max_epochs or 0)
         ended = early or trainer.current_epoch >= (trainer.max_epochs or 0)
         if not (trainer.is_global_zero and ended and shown()):
@@ -286,12 +281,8 @@ class Curves(Checkpoint):
         say(text, file=sys.stderr)
 
     def _write(self) -> None:
-        names = sorted({name for row in self._rows for name in row} - {"epoch", "step"})
-        text = io.StringIO()
-        writer = csv.DictWriter(text, ["epoch", "step", *names], restval="", lineterminator="\n")
-        writer.writeheader()
-        writer.writerows(self._rows)
-        write_text(self._run.metrics, text.getvalue())
+        names = ["epoch", "step", *sorted({name for row in self._rows for name in row} - {"epoch", "step"})]
+        write_text(self._run.metrics, csv_text([names, *([row.get(name) for name in names] for row in self._rows)]))
 
 
 def _apart(figures: Mapping[str, float]) -> float:
