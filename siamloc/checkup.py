@@ -10,7 +10,7 @@ from importlib.util import find_spec
 import numpy as np
 from numpy.typing import NDArray
 
-from analytic import descriptor
+from analytic import Descriptor, descriptor
 from foundation.extras import EXTRAS, installing
 from foundation.threads import processors
 from siamloc.versions import PACKAGES, installed, versions
@@ -97,7 +97,13 @@ def doctor() -> Checkup:
     providers = _providers(problems)
     described = "the shipped network" if not missing["train"] else "hog"
     try:
-        got, expected = (_by_network(), _NETWORK) if not missing["train"] else (_by_hog(), _HOG)
+        by: Descriptor = descriptor("hog")
+        expected = _HOG
+        if not missing["train"]:
+            from siamloc.models import as_descriptor, pretrained
+
+            by, expected = as_descriptor(pretrained()), _NETWORK
+        got = by.describe(_picture()).position[0]
         apart = max(abs(float(got[index]) - value) for index, value in expected.items())
         if not apart <= _TOLERANCE:
             problems.append(
@@ -147,15 +153,3 @@ def _picture() -> NDArray[np.uint8]:
     one, two = np.sin(3 * azimuth) * np.cos(elevation), np.cos(5 * azimuth + 2 * elevation)
     three = np.sin(azimuth + 4 * elevation)
     return np.rint(127 + 60 * np.stack([one + two, two + three, three + one])).astype(np.uint8)[None]
-
-
-def _by_network() -> NDArray[np.float32]:
-    from siamloc.models import as_descriptor, pretrained
-
-    described: NDArray[np.float32] = as_descriptor(pretrained()).describe(_picture()).position[0]
-    return described
-
-
-def _by_hog() -> NDArray[np.float32]:
-    described: NDArray[np.float32] = descriptor("hog").describe(_picture()).position[0]
-    return described

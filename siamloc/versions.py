@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import platform
 from collections.abc import Iterable
+from contextlib import suppress
 from importlib import metadata
 
 from siamloc import __version__
@@ -31,10 +32,8 @@ def installed(package: str) -> dict[str, str]:
     """
     found = {}
     for distribution in PACKAGES[package]:
-        try:
+        with suppress(metadata.PackageNotFoundError):
             found[distribution] = metadata.version(distribution)
-        except metadata.PackageNotFoundError:
-            continue
     return found
 
 

@@ -52,7 +52,7 @@ def circular(module: nn.Module) -> nn.Module:
 
 
 def _wrapped(features: Tensor, kernel: int, stride: int, left: int, dilation: int = 1) -> Tensor:
-    """Pad features on both sides with columns from the other side; on the left as many as were padded there."""
+    """Pad features with columns from the other side: `left` on the left, and on the right those of the last window."""
     surplus = -features.shape[-1] % stride  # the last window starts before the end of the turn
     right = max(dilation * (kernel - 1) + 1 - stride - left + surplus, 0)
     parts = [features]

@@ -46,7 +46,9 @@ class NetworkDescriptor(BetweenColumns):
 
     def __init__(self, module: nn.Module) -> None:
         self.module = module
-        self._repeatable = not _of_ones_own(module)
+        network = network_of(module)
+        # A network that siamloc did not define may depend on more than the image.
+        self._repeatable = type(network) is Network and type(network.branch) is Branch
 
     def __repr__(self) -> str:
         return f"NetworkDescriptor({type(self.module).__name__})"
@@ -137,8 +139,7 @@ class NetworkDescriptor(BetweenColumns):
     @property
     def compares(self) -> bool:
         """Whether the network estimates where one image was taken relative to another: built with relative=True."""
-        network = orienting(self.module)
-        return network is not None and network.relative is not None
+        return comparing(self.module) is not None
 
     def compare(
         self, queries: NDArray[np.float32], known: NDArray[np.float32], chunk: int = CHUNK
@@ -286,12 +287,6 @@ def as_float(images: Tensor) -> Tensor:
     if not images.is_floating_point():
         raise DataError(f"images must be uint8 or floating point in [0, 1], got {images.dtype}")
     return images
-
-
-def _of_ones_own(module: nn.Module) -> bool:
-    """Whether a module computes anything that siamloc did not define, and so may depend on more than an image."""
-    network = network_of(module)
-    return type(network) is not Network or type(network.branch) is not Branch
 
 
 def _as_images(batch: Any) -> Tensor:

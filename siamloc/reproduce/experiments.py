@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import shutil
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from math import isfinite, prod
@@ -371,10 +371,8 @@ def _compared(own: VisualMap, job: Job) -> Iterator[tuple[VisualMap, dict[str, A
     Distances that are meaningless for so few numbers are left out.
     """
     for distance in job.options.get("distances") or [own.descriptor.default_distance]:
-        try:
+        with suppress(ConfigError):
             yield own.with_distance(distance), {**job.settings, "distance": distance}
-        except ConfigError:
-            continue
 
 
 def image_size(job: Job) -> tuple[int, int]:

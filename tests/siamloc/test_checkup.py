@@ -54,9 +54,9 @@ def test_a_robot_describes_by_hog_and_is_told_what_lacks(without, capsys):
 
 def test_a_wrong_description_is_a_problem_and_the_exit_status(without, monkeypatch, capsys):
     without("torch")
-    right = checkup._by_hog()
-    for wrong in (lambda: right + 0.01, lambda: np.full_like(right, np.nan)):
-        monkeypatch.setattr(checkup, "_by_hog", wrong)
+    right = checkup._HOG
+    for wrong in (0.01, np.nan):
+        monkeypatch.setattr(checkup, "_HOG", {index: value + wrong for index, value in right.items()})
         assert main(["doctor"]) == 2
         shown = capsys.readouterr()
         assert "hog describes a picture otherwise than it should" in shown.out
