@@ -20,8 +20,7 @@ class BranchSpec:
     """How a branch is made.
 
     Attributes:
-        name: name in configurations; for a torchvision network its name there.
-        kind: "torchvision", "simple" or "residual".
+        kind: "torchvision", whose name there is the key in `BRANCHES`; "simple" or "residual".
         widths: outputs of the convolutions of a simple branch, and of the stages of a residual one.
         normalize: default normalization of images, see `siamloc.models.build`.
         summary: one line for the help.
