@@ -96,6 +96,11 @@ class Solution:
     weight: Array
     cost: float
 
+    @property
+    def unknowns(self) -> Array:
+        """The unknowns of the graph, one after the other (3 n + 1 + 2 d,): scales by their logarithms."""
+        return np.concatenate([self.poses.ravel(), [np.log(self.scale)], np.log(self.wheel_scale), self.gyro_bias])
+
 
 def solve(
     graph: PoseGraph, start: Array | Solution, freedom: float = FREEDOM, enough: float = SMALL, rounds: int = 60
@@ -119,26 +124,27 @@ def solve(
         >>> solve(graph, np.array([[0.0, 0, 0], [0, 0, 0], [2.2, 0, 0]])).poses.round(3).tolist()
         [[0.0, 0.0, 0.0], [1.1, 0.0, 0.0], [2.2, 0.0, 0.0]]
     """
-    state, damping = (_State.at(start), 1e-9) if isinstance(start, Solution) else (_State.of(graph, start), 1e-4)
-    system, held = _System(graph, state, freedom), state.poses[graph.held]
+    drives = int(graph.drive.max()) + 1
+    begin = start.unknowns if isinstance(start, Solution) else np.append(start, np.zeros(1 + 2 * drives))
+    system, damping = _System(graph, begin, freedom), 1e-9 if isinstance(start, Solution) else 1e-4
+    held = system.poses[graph.held]
     for _ in range(rounds):
         step = system.step(damping)
-        moved = state.moved(step)
-        tried = _System(graph, moved, freedom)
+        tried = _System(graph, system.unknowns + step, freedom)
         if tried.cost <= system.cost:
-            state, system, damping = moved, tried, max(damping / 10, 1e-9)
+            system, damping = tried, max(damping / 10, 1e-9)
             if np.abs(step[: 3 * len(graph)]).max() < enough:
                 break
         elif (damping := damping * 10) > 1e6:
             break
-    state.poses[graph.held] = held
-    scales = float(np.exp(state.scale)), np.exp(state.wheel_scale), state.gyro_bias
-    return Solution(state.poses, *scales, system.weight, system.cost)
+    system.poses[graph.held] = held
+    scales = float(np.exp(system.scale)), np.exp(system.wheel_scale), system.gyro_bias
+    return Solution(system.poses, *scales, system.weight, system.cost)
 
 
 def covariances(graph: PoseGraph, found: Solution) -> Array:
     """Return the covariances (n, 3, 3) of the poses, given the fixed ones, in squared units and rad."""
-    factors, n = _factors(_System(graph, _State.at(found)).normal(0.0)), len(graph)
+    factors, n = _factors(_System(graph, found.unknowns).normal(0.0)), len(graph)
     made = np.empty((n, 3, 3))
     for part in slices(n, _AT_ONCE // factors.shape[0]):
         rows = np.arange(n)[part]
@@ -169,7 +175,7 @@ def of_shape(covariance: Array, graph: PoseGraph, found: Solution) -> tuple[Arra
     common[:, :2, 3] = apart
     fitted = common * [[1], [1], [0]]  # the best motion is that of the positions
     inverse = np.linalg.inv(np.einsum("nij,nik->jk", fitted, common))
-    factors = _factors(_System(graph, _State.at(found)).normal(0.0))
+    factors = _factors(_System(graph, found.unknowns).normal(0.0))
     known = np.zeros((factors.shape[0], 4))
     known[: 3 * n] = fitted.reshape(-1, 4)
     with_all = factors.solve(known)[: 3 * n].reshape(n, 3, 4) @ inverse.T
@@ -179,59 +185,33 @@ def of_shape(covariance: Array, graph: PoseGraph, found: Solution) -> tuple[Arra
     return whole, float(np.sqrt(of_common[3, 3]))
 
 
-@dataclass(frozen=True, eq=False)
-class _State:
-    poses: Array
-    scale: float  # logarithms
-    wheel_scale: Array
-    gyro_bias: Array
-
-    @classmethod
-    def of(cls, graph: PoseGraph, start: Array) -> _State:
-        drives = int(graph.drive.max()) + 1
-        return cls(np.array(start, dtype=np.float64), 0.0, np.zeros(drives), np.zeros(drives))
-
-    @classmethod
-    def at(cls, found: Solution) -> _State:
-        return cls(found.poses, float(np.log(found.scale)), np.log(found.wheel_scale), found.gyro_bias)
-
-    def moved(self, step: Array) -> _State:
-        poses, scale, wheels, bias = np.split(step, np.cumsum([self.poses.size, 1, len(self.wheel_scale)]))
-        return _State(
-            self.poses + poses.reshape(-1, 3),
-            self.scale + float(scale[0]),
-            self.wheel_scale + wheels,
-            self.gyro_bias + bias,
-        )
-
-
 class _System:
-    """The graph linearized at a state: its cost, and the normal equations of a step."""
+    """The graph linearized at some values of its unknowns: its cost, and the normal equations of a step."""
 
-    def __init__(self, graph: PoseGraph, state: _State, freedom: float = FREEDOM) -> None:
-        n, drives = len(graph), len(state.wheel_scale)
+    def __init__(self, graph: PoseGraph, unknowns: Array, freedom: float = FREEDOM) -> None:
+        n, drives = len(graph), int(graph.drive.max()) + 1
+        self.unknowns, self.poses, given = unknowns, unknowns[: 3 * n].reshape(n, 3), unknowns[3 * n :]
+        self.scale, self.wheel_scale, self.gyro_bias = given[0], given[1 : 1 + drives], given[1 + drives :]
         self._parts: list[tuple[sparse.csr_matrix, Array]] = []
-        self.cost, self._unknowns = 0.0, 3 * n + 1 + 2 * drives
-        pictures, wheels = graph.pictures, graph.wheels
+        self.cost, pictures, wheels = 0.0, graph.pictures, graph.wheels
         # Comparisons: exp(scale) times the displacement.
-        found, jacobians = _seen(state.poses, pictures, np.exp(np.full(len(pictures), state.scale)))
+        found, jacobians = _seen(self.poses, pictures, np.exp(np.full(len(pictures), self.scale)))
         own = np.zeros((len(pictures), 3, 1))
         own[:, :2, 0] = found[:, :2]
         columns = np.full((len(pictures), 1), 3 * n)
         self.weight = self._add(pictures, found, jacobians, own, columns, freedom, SHARED)
         # Odometry: its scale times the displacement, and a turn that grows with the distance.
         drive = graph.drive[wheels.second]
-        found, jacobians = _seen(state.poses, wheels, np.exp(state.wheel_scale[drive]))
+        found, jacobians = _seen(self.poses, wheels, np.exp(self.wheel_scale[drive]))
         own = np.zeros((len(wheels), 3, 2))
         own[:, :2, 0] = found[:, :2]
         own[:, 2, 1] = np.hypot(wheels.pose[:, 0], wheels.pose[:, 1])
-        found[:, 2] += state.gyro_bias[drive] * own[:, 2, 1]
+        found[:, 2] += self.gyro_bias[drive] * own[:, 2, 1]
         columns = 3 * n + 1 + drive[:, None] + np.array([0, drives])
         self._add(wheels, found, jacobians, own, columns, freedom, 1.0)
         # What is known before: fixed poses, and the sizes of scales and biases.
-        self._prior = np.full(self._unknowns, 1e-9)
+        self._prior = np.full(len(unknowns), 1e-9)
         self._prior[(3 * graph.held[:, None] + np.arange(3)).ravel()] = _FIXED
-        given = np.concatenate([[state.scale], state.wheel_scale, state.gyro_bias])
         deviations = np.concatenate([[graph.scale], np.full(drives, WHEEL_SCALE), np.full(drives, GYRO_BIAS)])
         self._prior[3 * n :] = 1 / deviations**2
         self._pull = np.concatenate([np.zeros(3 * n), given / deviations**2])
@@ -271,7 +251,7 @@ class _System:
         poses = [3 * one[:, None] + np.arange(3) for one in (edges.first, edges.second)]
         places = np.broadcast_to(np.concatenate([*poses, columns], axis=1)[:, None], values.shape)
         rows = np.broadcast_to(np.arange(3 * len(edges)).reshape(-1, 3, 1), values.shape)
-        shape = 3 * len(edges), self._unknowns
+        shape = 3 * len(edges), len(self.unknowns)
         matrix = sparse.csr_matrix((values.ravel(), (rows.ravel(), places.ravel())), shape=shape)
         self._parts.append((matrix, (white @ error[..., None])[..., 0].ravel()))
         return weight
