@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.ndimage import binary_opening, binary_propagation
 
 from siamloc.data.frames import ODOMETRY, FrameTable
 from siamloc.data.moves import chained, moves, relative, wrapped
@@ -134,9 +135,10 @@ def odometry_steps(
         times = np.full(len(rows), np.nan) if time is None else time[rows]
         _check_odometry(said, odometry[rows], seen[rows[:-1]], certain[rows[:-1]], times)
         reset = mine & (way > 3 * compared + _JUMP)
-        frozen = _runs(mine & (way < 0.1 * compared) & (compared > _SURE), _FROZEN)
+        frozen = binary_opening(mine & (way < 0.1 * compared) & (compared > _SURE), np.ones(_FROZEN))
         unmoved = (drive[1:] == number) & (way < _STILL) & (np.abs(steps[:, 2]) < _ROLLED)
-        frozen = _touched(unmoved | frozen, frozen)  # with the steps that images do not see for certain, and the next
+        frozen = binary_propagation(frozen, mask=unmoved | frozen)  # also over steps that images do not see for certain
+        frozen[1:] |= frozen[:-1]  # the next step makes up for them
         slips = _slipping(way, compared, mine & ~reset & ~frozen & (compared > _SURE))
         for bad, text in (
             (reset, "jumps"),
@@ -285,24 +287,3 @@ def _slipping(way: Array, compared: Array, judged: NDArray[np.bool_]) -> NDArray
         if way[begin:end].sum() < _SLIPS * usual * compared[begin:end].sum():
             found[rows[begin:end]] = True
     return found
-
-
-def _touched(flags: NDArray[np.bool_], some: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Mark the runs of flags (n,) that contain other flags (n,), each run with the row after it."""
-    found = np.zeros_like(flags)
-    for begin, end in _spans(flags):
-        found[begin : end + 1] |= some[begin:end].any()
-    return found
-
-
-def _runs(flags: NDArray[np.bool_], least: int) -> NDArray[np.bool_]:
-    """Mark the runs of at least `least` flags (n,)."""
-    found = np.zeros_like(flags)
-    for begin, end in _spans(flags):
-        found[begin:end] = end - begin >= least
-    return found
-
-
-def _spans(flags: NDArray[np.bool_]) -> NDArray[np.int64]:
-    """Return where runs of flags (n,) begin, and where they have ended (r, 2)."""
-    return np.flatnonzero(np.diff(np.concatenate([[False], flags, [False]]).astype(np.int8))).reshape(-1, 2)
