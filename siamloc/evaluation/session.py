@@ -22,7 +22,6 @@ from siamloc.errors import ConfigError, DataError
 from siamloc.evaluation.result import Result
 from siamloc.maps import RefinedPoses, Refinement, Retrieval, VisualMap, frame_distances, headings, match
 from siamloc.maps.describing import descriptor_from
-from siamloc.maps.packing import shares_values
 from siamloc.stopwatch import Stopwatch
 
 Baselines = Mapping[str, Descriptor] | Sequence[str | Descriptor] | str | Descriptor
@@ -319,14 +318,10 @@ def cost(known: VisualMap, clock: Stopwatch) -> dict[str, Any]:
         bytes: bytes of a map frame, including its orientation part.
         map_frames: number of frames searched.
     """
-    turning = known.orientation
-    kept: list[NDArray[Any]] = [known.descriptors]
-    if turning is not None and not shares_values(turning, known.descriptors):
-        kept.append(turning)
     return {
         **{f"{step}_ms": clock.ms(step) for step in ("describe", "search", "heading")},
         "numbers": known.width,
-        "bytes": sum(array.nbytes for array in kept) // len(known),
+        "bytes": known.bytes // len(known),
         "map_frames": len(known),
     }
 
