@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from enum import Enum
 
@@ -78,12 +77,7 @@ class Reason(Enum):
     FEW = "it contradicts the map, but with fewer frames in its node than smallest_node"
 
 
-GONE = (Reason.FORGOTTEN, Reason.UNRECOGNIZED, Reason.REDUNDANT)
+GONE = np.array([Reason.FORGOTTEN, Reason.UNRECOGNIZED, Reason.REDUNDANT])
 """Reasons for which a frame leaves a map."""
-JOINED = (Reason.ADDED, Reason.NEW_PLACE)
+JOINED = np.array([Reason.ADDED, Reason.NEW_PLACE])
 """Reasons for which a frame joins a map."""
-
-
-def among(reason: NDArray[np.object_], wanted: Sequence[Reason]) -> NDArray[np.bool_]:
-    """Return which reasons (n,) are among some (n,)."""
-    return np.array([one in wanted for one in reason.tolist()], dtype=bool)

@@ -22,7 +22,7 @@ from siamloc.maps.describing import build
 from siamloc.maps.evidence import Judged, enough_of, judged, map_reasons, repeated, usual_distance
 from siamloc.maps.following import followed, left_by, nodes_of, numbers_of
 from siamloc.maps.grouping import Built
-from siamloc.maps.history import GONE, JOINED, UPKEEP, History, Reason, among
+from siamloc.maps.history import GONE, JOINED, UPKEEP, History, Reason
 from siamloc.maps.matching import match
 from siamloc.maps.thinning import Budget, thin
 from siamloc.maps.visual_map import VisualMap
@@ -102,12 +102,12 @@ class Update:
     @property
     def added(self) -> NDArray[np.bool_]:
         """Which frames of the drive joined the map (n,)."""
-        return among(self.reason, JOINED)
+        return np.isin(self.reason, JOINED)
 
     @property
     def forgotten(self) -> NDArray[np.bool_]:
         """Which frames of the map before left it (m,)."""
-        return among(self.map_reason, GONE)
+        return np.isin(self.map_reason, GONE)
 
     def summary(self) -> str:
         """Return one line about the evidence, and about the frames that joined the map and left it."""
@@ -275,13 +275,13 @@ def updated(
     if built is not None:
         node = nodes_of(built.layer, known.frames, drive.frames)
     if built is not None and built.mapper is not None:
-        leaving = np.flatnonzero(among(map_reason, GONE))
+        leaving = np.flatnonzero(np.isin(map_reason, GONE))
         mapper, left = left_by(built, leaving)
         map_reason[np.setdiff1d(leaving, left)] = Reason.NEEDED
-        joined = among(reason, JOINED)
+        joined = np.isin(reason, JOINED)
         size = np.bincount(node[joined], minlength=len(built.layer))
         reason[joined & (size[node] < mapper.parameters.smallest_node)] = Reason.FEW
-    kept, rows = np.flatnonzero(~among(map_reason, GONE)), np.flatnonzero(among(reason, JOINED))
+    kept, rows = np.flatnonzero(~np.isin(map_reason, GONE)), np.flatnonzero(np.isin(reason, JOINED))
     if mapper is not None:
         rows = rows[np.argsort(node[rows], kind="stable")]  # as the mapper counts them
     after = before if len(kept) == len(before) else before.take(kept)
@@ -340,7 +340,7 @@ def _joining(
     reason[contradicts] = Reason.ALONE
     reason[outdated & (contradicts | stretches)] = Reason.ADDED
     reason[~known_place] = Reason.NEW_PLACE if settings.extend and mapper is None else Reason.BEYOND
-    if not stretches and (rows := np.flatnonzero(among(reason, JOINED))).size:
+    if not stretches and (rows := np.flatnonzero(np.isin(reason, JOINED))).size:
         assert usual is not None
         reason[rows[repeated(drive.take(rows), settings.radius, _REPEATS * usual)]] = Reason.REPEATED
     return reason, contradicts
@@ -382,7 +382,7 @@ def _thin(
     """Set the reasons of the frames of map and drive that a budget leaves no room for."""
     limits = [settings.frames, None if settings.growth is None else int(settings.growth * frames)]
     most = min((limit for limit in limits if limit is not None), default=None)
-    kept, rows = np.flatnonzero(~among(map_reason, GONE)), np.flatnonzero(among(reason, JOINED))
+    kept, rows = np.flatnonzero(~np.isin(map_reason, GONE)), np.flatnonzero(np.isin(reason, JOINED))
     whole = before.take(kept)
     whole = whole.merge(drive.take(rows)) if len(rows) else whole
     found = thin(whole, frames=most, per_square_metre=settings.per_square_metre, megabytes=settings.megabytes).reason
