@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from analytic.mapper.graph import edges
 from foundation.arrays import read_headed, write_arrays
 from foundation.calls import typed
 from siamloc.errors import DataError, FormatError
@@ -167,8 +168,8 @@ def naming(known: VisualMap, layer: CoarseLayer) -> RoomClassifier | None:
     return rooms.of(layer.names.tolist())
 
 
-def numbered(places: NDArray[np.str_], names: Sequence[str]) -> NDArray[np.int64]:
-    """Return the number of each place (n,) among the names of nodes, UNASSIGNED for those that are none."""
+def numbered(places: NDArray[Any], names: Sequence[Any]) -> NDArray[np.int64]:
+    """Return the number of each place (n,) among the names of nodes; UNASSIGNED for a place that is no node."""
     number = {name: node for node, name in enumerate(names)}
     return np.array([number.get(place, UNASSIGNED) for place in places.tolist()], dtype=np.int64)
 
@@ -180,9 +181,5 @@ def connections(labels: NDArray[np.int64], sequence: NDArray[np.str_]) -> NDArra
         labels: (n,) node of each frame in capture order, negative for frames in no node, which are skipped.
         sequence: (n,) name of each frame's sequence; moves between sequences do not count.
     """
-    pairs: set[tuple[int, int]] = set()
-    for name in dict.fromkeys(sequence.tolist()):
-        passed = labels[(sequence == name) & (labels >= 0)]
-        steps = np.sort(np.stack([passed[:-1], passed[1:]], axis=1), axis=1)
-        pairs.update((int(a), int(b)) for a, b in steps[steps[:, 0] != steps[:, 1]])
+    pairs = {pair for name in np.unique(sequence) for pair in edges(labels[sequence == name])}
     return np.array(sorted(pairs), dtype=np.int64).reshape(-1, 2)

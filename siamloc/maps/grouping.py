@@ -19,7 +19,7 @@ from foundation.files import read_json, storage_errors, write_json, write_text
 from foundation.locks import LOCK, locked
 from foundation.settings import Count, Natural, Positive, Probability, Seed, Settings
 from siamloc.errors import ConfigError, DataError, FormatError
-from siamloc.maps.coarse import CoarseLayer, naming
+from siamloc.maps.coarse import CoarseLayer, naming, numbered
 from siamloc.maps.visual_map import VisualMap
 from siamloc.progress import track
 
@@ -305,8 +305,5 @@ def _grown(known: VisualMap, settings: Incremental, made: dict[str, Any], progre
         raise DataError(
             f"the mapper made no node of {len(known)} frames: give it more frames, or lower build.first_node"
         )
-    numbered = np.full(len(labels), -1, dtype=np.int64)
-    for number, node in enumerate(ids):
-        numbered[labels == node] = number
-    layer = CoarseLayer.of_labels(known, numbered, made={**made, "ids": ids})
+    layer = CoarseLayer.of_labels(known, numbered(labels, ids), made={**made, "ids": ids})
     return Built(layer, seconds, known.digest, tuple(reasons), mapper)
