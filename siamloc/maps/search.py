@@ -17,7 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from analytic.distances import DISTANCES
+from analytic.distances import DISTANCES, unit_vectors
 from foundation.calls import typed
 from foundation.columns import Rows
 from foundation.errors import known
@@ -29,7 +29,6 @@ _BYTES_PER_PAIR = 80  # if everything ties: score, mask, two indices, distance, 
 _REFERENCES_PER_BLOCK = 4096  # compared at once
 _VALUES_PER_BLOCK = 2**18  # 2 MiB of float64, prepared at once
 _VALUES_PER_SLICE = 2**15  # 256 KiB of float64, which fits into a second-level cache
-_SAMPLE = 4096  # references whose mean is the centre
 _ROUNDOFF = float(np.finfo(np.float32).eps)
 _SMALLEST = float(np.finfo(np.float32).tiny)
 _LARGEST = 1e15  # of a scaled query; beyond, float32 products overflow
@@ -191,11 +190,9 @@ class VectorIndex:
         largest = 1.0 if angular else self._largest
         # A power of two, so that scaling is exact.
         self._scale = float(np.exp2(-np.ceil(np.log2(largest)))) if largest > 1e-290 else 1.0
+        rows = max(1, _VALUES_PER_BLOCK // self._references.shape[1])
         # Any centre gives the right result, so a sample of a large map is enough.
-        step, rows = -(-m // _SAMPLE), max(1, _VALUES_PER_BLOCK // self._references.shape[1])
-        sample = (self._references[part.start : part.stop : step] for part in slices(m, step * rows))
-        sums = [self._embed(vectors, is_query=False).sum(axis=0) for vectors in sample]
-        self._centre = np.sum(sums, axis=0) / -(-m // step)
+        self._centre = self._embed(self._references[:: -(-m // rows)], is_query=False).mean(axis=0)
         self._product = np.empty((m, len(self._centre) + 1), dtype=np.float32)
         squares = np.empty(m)
         for part in slices(m, rows):
@@ -214,18 +211,11 @@ class VectorIndex:
         values = vectors.astype(np.float64)
         if self.distance not in ("cosine", "correlation"):
             return values
-        if self.distance == "correlation":
-            mean = values.mean(axis=1, keepdims=True)
-            rounding = 1e-12 * np.abs(values).max(axis=1, keepdims=True)
-            values = values - mean
-            values[np.abs(values).max(axis=1) <= rounding[:, 0]] = 0
         # Dividing by the largest value first keeps the squares inside the range of float64.
-        largest = np.maximum(values.max(axis=1), -values.min(axis=1))[:, None]
+        largest = np.abs(values).max(axis=1, keepdims=True)
         unit = np.zeros((len(values), values.shape[1] + 2))
-        np.divide(values, largest, out=unit[:, :-2], where=largest > 0)
-        norm = np.linalg.norm(unit, axis=1, keepdims=True)
-        np.divide(unit, norm, out=unit, where=norm > 0)
-        unit[norm[:, 0] == 0, -1 if is_query else -2] = 1
+        unit[:, :-2] = unit_vectors(values / np.where(largest > 0, largest, 1), self.distance == "correlation")
+        unit[~unit.any(axis=1), -1 if is_query else -2] = 1
         return unit
 
 
@@ -273,16 +263,6 @@ def check_excluded(excluded: ArrayLike, shape: tuple[int, ...], k: int) -> NDArr
     return mask
 
 
-def _largest(values: NDArray) -> float:
-    """Return the largest absolute value of an array (n, D), in blocks of rows; NaN if it contains a NaN."""
-    largest = 0.0
-    for part in slices(len(values), _VALUES_PER_BLOCK // max(1, values.shape[1])):
-        block = values[part]
-        if block.size:
-            largest = float(np.maximum(np.maximum(largest, block.max()), -block.min()))  # these propagate NaN
-    return largest
-
-
 def checked(array: ArrayLike, what: str) -> tuple[NDArray, float]:
     """Return descriptors (n, D) and their largest absolute value.
 
@@ -296,7 +276,7 @@ def checked(array: ArrayLike, what: str) -> tuple[NDArray, float]:
         values = values.astype(np.float64)
     if values.ndim != 2:
         raise DataError(f"a search needs {what} descriptors of shape (n, D), got shape {values.shape}")
-    largest = _largest(values)
+    largest = float(np.maximum(values.max(initial=0), -values.min(initial=0)))  # NaN if there is one
     if not np.isfinite(largest):
         bad = int((~np.isfinite(values)).any(axis=1).sum())
         raise DataError(
