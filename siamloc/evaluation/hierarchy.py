@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Annotated, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from analytic import Description
 from foundation.calls import OF_FIELDS, takes
 from foundation.columns import Rows
-from foundation.settings import Count, Natural, Rule, Settings
+from foundation.settings import Count, Natural, Settings, fields_of
 from siamloc.data.frames import FrameTable
 from siamloc.data.library import PanoramaLibrary
 from siamloc.data.protocol import Protocol
@@ -25,29 +25,10 @@ from siamloc.evaluation.result import Result
 from siamloc.evaluation.session import Counts, Radii, Session, cost
 from siamloc.maps import Built, Retrieval, VisualMap, headings, match
 from siamloc.maps.coarse import UNASSIGNED, CoarseLayer, numbered
-from siamloc.maps.hierarchy import HierarchicalRetrieval, HierarchicalSearch, LayerSearch, Ranking
+from siamloc.maps.hierarchy import CoarseRanking, HierarchicalRetrieval, HierarchicalSearch, LayerSearch
 from siamloc.maps.ranking import NodeRanking, rank_by_position
 from siamloc.results import Columns
 from siamloc.stopwatch import Stopwatch
-
-
-@dataclass(frozen=True)
-class CoarseRanking(Settings):
-    """How the nodes are ranked for a query.
-
-    Attributes:
-        by: the distance to the nodes' "representatives", the "vote" of the nearest map frames, or, if nodes are rooms,
-            the "classifier" of a network that was trained to name rooms.
-        neighbours: number of map frames that vote.
-        ratio: candidates whose representative is more than `ratio` times as far as the nearest one are not searched, at
-            least 1; None searches all candidates.
-    """
-
-    WHERE = "task.coarse"
-
-    by: Ranking = "representatives"
-    neighbours: Count = 10
-    ratio: Annotated[float, Rule("a number from 1", lambda value: value >= 1)] | None = None
 
 
 @dataclass(frozen=True)
@@ -74,8 +55,8 @@ class Hierarchical(Settings):
     @property
     def search(self) -> LayerSearch:
         """How a coarse layer is searched."""
-        coarse = self.coarse
-        return LayerSearch(coarse.by, self.candidates, coarse.neighbours, coarse.ratio, self.along)
+        ranking = {key: getattr(self.coarse, key) for key in fields_of(CoarseRanking)}  # a task has further keys
+        return LayerSearch(**ranking, candidates=self.candidates, along=self.along)
 
 
 @takes(Hierarchical)

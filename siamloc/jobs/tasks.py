@@ -11,9 +11,10 @@ from foundation.settings import Rule, Settings, Text, checked, fields_of
 from siamloc.errors import ConfigError
 from siamloc.evaluation.compact_maps import Compact
 from siamloc.evaluation.disturbed import Robustness
-from siamloc.evaluation.hierarchy import CoarseRanking, Hierarchical
+from siamloc.evaluation.hierarchy import Hierarchical
 from siamloc.evaluation.layers import MapMeasures
 from siamloc.evaluation.localize import Localization
+from siamloc.maps.hierarchy import CoarseRanking
 
 Kind = TypeVar("Kind", bound=Settings)
 Maps = Annotated[

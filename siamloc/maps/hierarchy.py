@@ -56,25 +56,38 @@ class HierarchicalRetrieval(Rows):
 
 
 @dataclass(frozen=True)
-class LayerSearch(Settings):
+class CoarseRanking(Settings):
+    """How the nodes are ranked for a query.
+
+    Attributes:
+        by: the distance to the nodes' "representatives", the "vote" of the nearest map frames, or, if nodes are rooms,
+            the "classifier" of a network that was trained to name rooms.
+        neighbours: number of map frames that vote.
+        ratio: candidates whose representative is more than `ratio` times as far as the nearest one are not searched, at
+            least 1: most queries are then searched in one node, queries between two nodes in both. None searches all
+            candidates.
+    """
+
+    WHERE = "task.coarse"
+
+    by: Ranking = "representatives"
+    neighbours: Count = 10
+    ratio: Annotated[float, Rule("a number from 1", lambda value: value >= 1)] | None = None
+
+
+@dataclass(frozen=True)
+class LayerSearch(CoarseRanking):
     """How a coarse layer is searched before the frames; see `HierarchicalSearch`.
 
     Attributes:
-        by: how nodes are ranked; see `Ranking`.
         candidates: number of nodes searched for each query; all of them if there are fewer.
-        neighbours: number of map frames that vote.
-        ratio: candidates whose representative is more than `ratio` times as far as the nearest one are not searched:
-            most queries are then searched in one node, queries between two nodes in both; None searches all.
         along: number of frames before and after the nearest one, in its drive, that are searched as well if they lie
             in another node: for queries at the border of a node. The frames of each drive must then be in order.
     """
 
     WHERE = "search"
 
-    by: Ranking = "representatives"
     candidates: Count = 3
-    neighbours: Count = 10
-    ratio: Annotated[float, Rule("a number from 1", lambda value: value >= 1)] | None = None
     along: Natural = 0
 
 
