@@ -137,7 +137,8 @@ def costs(bundle: Bundle, image: Path, repeats: int, former: dict[str, Any] | No
     if former is not None:
         return {**former, **starts(bundle, image, rounds)[1]}
     localizer, pixels = Localizer(bundle.path, threads=1), np.load(image)
-    session, inside = localizer._describer._session, list[float]()
+    network, inside = localizer._network, list[float]()
+    session = network.session if network is not None else None
 
     class Timed:
         def run(self, *arguments: Any) -> Any:
@@ -146,8 +147,8 @@ def costs(bundle: Bundle, image: Path, repeats: int, former: dict[str, Any] | No
             inside.append(time.perf_counter() - begin)
             return found
 
-    if session is not None:
-        localizer._describer._session = Timed()
+    if network is not None:
+        network.session = Timed()
     measured, whole, runs = [], list[float](), list[float]()
     for _ in range(rounds):
         measured.append(starts(bundle, image, 1))

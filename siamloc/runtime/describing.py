@@ -1,4 +1,4 @@
-"""`Describer`: describes images on the robot, with onnxruntime or with numpy and OpenCV."""
+"""Describe images on the robot as the map's were described, with onnxruntime or with numpy and OpenCV."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analytic import AnalyticError, Description, Descriptor, Fused, ImageDescriptor
-from siamloc.errors import ConfigError, DataError, FormatError, hint
+from siamloc.errors import ConfigError, FormatError, hint
 from siamloc.maps import VisualMap
 from siamloc.maps.heading import descriptor_of
 from siamloc.runtime.bundle import COARSE, MODEL, RELATIVE, Bundle
@@ -30,8 +30,10 @@ _SMALLEST = bytes.fromhex(
 )
 
 
-class Describer:
-    """Describes panoramas as the descriptor of a bundle did; thread-safe.
+def with_own_descriptor(
+    bundle: Bundle, known: VisualMap, threads: int | None, providers: Sequence[str] | None
+) -> tuple[VisualMap, _Network | None]:
+    """Return the map of a bundle with the descriptor that made it, and the bundle's network, if it has one.
 
     Args:
         bundle: the bundle.
@@ -39,53 +41,26 @@ class Describer:
         threads: number of onnxruntime threads; onnxruntime chooses if None.
         providers: onnxruntime's execution providers in order of preference; None as for `session_of`.
 
-    Attributes:
-        providers: the execution providers in use, in order; empty if numpy and OpenCV describe the images.
-        known: the map, with the descriptor that made it; onnxruntime computes the network.
-        network: the network, which also compares orientation parts; None if there is none.
-
     Raises:
         ConfigError: a provider that this onnxruntime lacks.
         FormatError: a network that onnxruntime cannot run, or an analytic descriptor that did not make the map.
     """
-
-    def __init__(self, bundle: Bundle, known: VisualMap, threads: int | None, providers: Sequence[str] | None) -> None:
-        session, relative = (
-            session_of(bundle.path / name, threads, providers) if name in bundle.files else None
-            for name in (MODEL, RELATIVE)
-        )
-        self.providers = () if session is None else tuple(session.get_providers())
-        self._size = bundle.image_size
-        own = known.orientation if known.heading is None else None  # else the parts are the heading's
-        self.network = None if session is None else _Network(session, relative, known)
-        by: Descriptor
-        if self.network is not None and known.identity.get("name") != Fused.name:
-            by = self.network
-        else:
-            by = analytic_descriptor(known.identity, bundle, known.width, own, self.network)
-        self.known, self._turning = replace(known, describes=by), None
-        if known.heading is not None and not known.heading_by_network:
-            self._turning = analytic_descriptor(known.heading, bundle, orientation=known.orientation)
-
-    def describe(self, panoramas: NDArray[np.uint8]) -> Description:
-        """Describe panoramas (B, 3, H, W), uint8, RGB, of a camera that looks ahead, with their orientation parts.
-
-        Raises:
-            DataError: another shape or type.
-        """
-        rows, columns = self._size
-        if panoramas.dtype != np.uint8 or panoramas.ndim != 4 or panoramas.shape[1:] != (3, rows, columns):
-            raise DataError(
-                f"panoramas have shape (B, 3, {rows}, {columns}) and dtype uint8, got {panoramas.shape} "
-                f"{panoramas.dtype}"
-            )
-        found = self.known.descriptor.describe(panoramas)
-        turning = found if self._turning is None else self._turning.describe(panoramas)
-        return Description(found.position, turning.orientation)
+    session, relative = (
+        session_of(bundle.path / name, threads, providers) if name in bundle.files else None
+        for name in (MODEL, RELATIVE)
+    )
+    own = known.orientation if known.heading is None else None  # else the parts are the heading's
+    network = None if session is None else _Network(session, relative, known)
+    by: Descriptor | None = network
+    if by is None or known.identity.get("name") == Fused.name:
+        by = analytic_descriptor(known.identity, bundle, known.width, own, network)
+    if known.heading is not None and not known.heading_by_network:
+        analytic_descriptor(known.heading, bundle, orientation=known.orientation)  # refuses another than the map's
+    return replace(known, describes=by), network
 
 
 class _Network(Descriptor):
-    """The network of a bundle, which is its descriptor or a part of it."""
+    """The network of a bundle, which is its descriptor or a part of it; thread-safe."""
 
     name = "network"
 

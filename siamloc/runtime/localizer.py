@@ -40,7 +40,7 @@ from siamloc.maps.sequence_filter import spacing_of
 from siamloc.memory import returned_memory
 from siamloc.runtime.bundle import ERRORS, LAYER, MAP, REFINEMENT, Bundle
 from siamloc.runtime.collecting import MOST, Collector
-from siamloc.runtime.describing import Describer, coarse_map
+from siamloc.runtime.describing import coarse_map, with_own_descriptor
 from siamloc.runtime.location import Candidate, Location
 
 Tracker = PoseFilter | SequenceFilter
@@ -106,15 +106,14 @@ class Localizer:
         known: VisualMap | None = self.bundle.load(MAP)
         if known is None:
             raise ConfigError(f"{bundle_path} holds no map: run `siamloc map`, then `siamloc export` again")
-        known.check_describer(self.bundle.identity)
+        known.check_descriptor(self.bundle.identity)
         self.bundle.thumbnail(0)  # read with the map, which an update replaces
-        self._describer = Describer(self.bundle, known, threads, providers)
-        self.map = self._describer.known
+        self.map, self._network = with_own_descriptor(self.bundle, known, threads, providers)
         self._search = self._layered(hierarchical)
         self._errors: ErrorModel | None = self.bundle.load(ERRORS)
         self._refinement: Refinement | None = self.bundle.load(REFINEMENT)
         self._placed = self.map.placed() if self.map.frames.has_position.any() else None
-        network = self._describer.network
+        network = self._network
         self._compare = network.compare if network is not None and network.compares else None
         relative = self._refinement is not None and self._refinement.method == "relative"
         if relative and self._compare is None:
@@ -148,7 +147,7 @@ class Localizer:
     @property
     def providers(self) -> tuple[str, ...]:
         """The execution providers of onnxruntime in use, in order; empty if numpy and OpenCV describe the images."""
-        return self._describer.providers
+        return () if self._network is None else tuple(self._network.session.get_providers())
 
     @property
     def unit(self) -> str:
@@ -319,7 +318,13 @@ class Localizer:
         Raises:
             DataError: another shape or type.
         """
-        return self._describer.describe(self.map.mounting.straight(panoramas))
+        rows, columns = self.bundle.image_size
+        if panoramas.dtype != np.uint8 or panoramas.ndim != 4 or panoramas.shape[1:] != (3, rows, columns):
+            raise DataError(
+                f"panoramas have shape (B, 3, {rows}, {columns}) and dtype uint8, got {panoramas.shape} "
+                f"{panoramas.dtype}"
+            )
+        return self.map.describe(panoramas)
 
     def _layered(self, wanted: bool | None) -> HierarchicalSearch | None:
         """Return the search through the coarse layer; None if there is none, or if it is not to be used."""

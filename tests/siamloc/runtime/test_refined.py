@@ -250,14 +250,14 @@ def test_images_are_followed_by_a_table_of_odometry(bundle, tmp_path, monkeypatc
 
 def test_a_picture_without_contrast_ends_no_drive(bundle):
     localizer = Localizer(bundle)
-    session, black = localizer._describer.network.session, np.zeros_like(PICTURES[0])
+    session, black = localizer._network.session, np.zeros_like(PICTURES[0])
 
     class OnThisMachine:  # whether it happens depends on how onnxruntime adds up
         def run(self, names, given):
             position, parts = session.run(names, given)
             return position, np.full_like(parts, np.nan) if not given["panorama"].any() else parts
 
-    localizer._describer.network.session = OnThisMachine()
+    localizer._network.session = OnThisMachine()
     tracker = localizer.tracker(step=0.3)
     found = [localizer.locate(one, tracker) for one in (*PICTURES[:3], black, *PICTURES[3:])]
     assert np.isfinite([[one.x, one.y, one.theta] for one in found]).all()
