@@ -69,7 +69,7 @@ class Export(RunJob):
             further["preprocessing"] = self.preprocessing
         else:
             if self.preprocessing.level and "images" in known.identity:  # the robot would not level its pictures
-                known.check_describer({**known.identity, "images": self.preprocessing.parameters()})
+                known.check_descriptor({**known.identity, "images": self.preprocessing.parameters()})
             evaluation = run.evaluation(label)
             further["errors"] = ErrorModel.saved(evaluation / "error_model.json", known)
             further["refinement"] = self._refinement(evaluation / "refinement.json", known)

@@ -327,7 +327,7 @@ class VisualMap:
             ConfigError: the other map was described differently.
             DataError: a frame that both maps hold, positions in another unit, or a map with headings and one without.
         """
-        self.check_describer(other.identity)
+        self.check_descriptor(other.identity)
         if other.width != self.width:
             raise DataError(f"descriptors of {other.width} numbers do not fit a map of {self.width}")
         if both := set(self.frames.identities()) & set(other.frames.identities()):
@@ -482,25 +482,22 @@ class VisualMap:
             camera, other = ((one or {}).get("camera") for one in (self.identity["images"], preprocessing))
             if exchangeable(camera, other):
                 preprocessing = {**preprocessing, "camera": camera}
-            self.check_describer({**self.identity, "images": preprocessing})
+            self.check_descriptor({**self.identity, "images": preprocessing})
 
     def check_descriptor(self, identity: Mapping[str, Any] | None) -> None:
-        """Check that this is the identity of the map's descriptor, or None, that is, unknown.
+        """Check that queries were described as the frames of the map were, as far as both identities say how.
+
+        Args:
+            identity: identity of the descriptor of the queries, None if unknown; with the key "images", how these
+                became panoramas is compared, too.
 
         Raises:
-            ConfigError: as `check_describer`, which also compares how images became panoramas.
+            ConfigError: another descriptor, or other panoramas; the message lists the keys that differ, with both
+                values.
         """
-        if identity is not None:
-            images = {key: value for key, value in self.identity.items() if key == "images"}
-            self.check_describer({**identity, **images})
-
-    def check_describer(self, identity: Mapping[str, Any]) -> None:
-        """Check that queries were described by the descriptor that described the map.
-
-        Raises:
-            ConfigError: another descriptor; the message lists the keys that differ, with both values.
-        """
-        if self.identity and (listed := differences(self.identity, plain(dict(identity)))):
+        if not self.identity or identity is None:
+            return
+        if listed := differences(self.identity, plain({"images": self.identity.get("images", {}), **identity})):
             raise ConfigError(
                 f"the map was described differently from the queries: {listed}. "
                 "Describe the queries with the map's model, or build the map again"

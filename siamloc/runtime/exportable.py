@@ -84,7 +84,7 @@ def described_alike(
         )
     parameters = plain(held if preprocessing is None else preprocessing.parameters())
     if known is not None:
-        known.check_describer({**identity, "images": parameters} if held is not None else identity)
+        known.check_descriptor({**identity, "images": parameters} if held is not None else identity)
     return identity, parameters
 
 

@@ -63,7 +63,7 @@ def test_headings_count_neither_for_the_digest_nor_for_the_describer() -> None:
     known = map_with_headings([0.5, -2.0], analytic.descriptor("hog"))
     bare = replace(known, orientation=None, heading=None)
     assert known.digest == bare.digest
-    known.check_describer(THUMBNAIL.identity)
+    known.check_descriptor(THUMBNAIL.identity)
     others = [
         replace(bare, descriptors=bare.descriptors + 1),
         replace(bare, frames=replace(bare.frames, x=bare.frames.x + 1)),

@@ -130,11 +130,11 @@ def test_maps_that_cannot_be(
     assert message in str(raised.value)
 
 
-def test_check_describer_names_what_differs() -> None:
+def test_check_descriptor_names_what_differs() -> None:
     visual_map = make_map()
-    visual_map.check_describer({"width": 3, "branch": {"weights": None, "name": "vgg16"}, "name": "network"})
+    visual_map.check_descriptor({"width": 3, "branch": {"weights": None, "name": "vgg16"}, "name": "network"})
     with pytest.raises(ConfigError) as raised:
-        visual_map.check_describer({"name": "network", "branch": {"name": "alexnet", "weights": None}, "hash": "ab"})
+        visual_map.check_descriptor({"name": "network", "branch": {"name": "alexnet", "weights": None}, "hash": "ab"})
     message = str(raised.value)
     assert "branch.name is 'vgg16' in the map, 'alexnet' here" in message
     assert "width is 3 in the map, absent here" in message
