@@ -194,6 +194,7 @@ class ImageDescriptor(Descriptor, Settings):
     ERROR = AnalyticError
     colour: ClassVar[bool] = False  # whether the descriptor uses colours, not only luma
     oriented: ClassVar[bool] = True  # whether descriptions have an orientation part
+    divides: ClassVar[tuple[tuple[str, str], ...]] = ()  # parameters that divide the "height" or "width" of an image
 
     circular: bool = True
     homomorphic: bool = False
@@ -261,9 +262,17 @@ class ImageDescriptor(Descriptor, Settings):
     def _key(cls, name: str) -> str:
         return f"{cls.name}.{name}"
 
-    @abstractmethod
     def _check_size(self, height: int, width: int) -> None:
         """Raise AnalyticError, suggesting sizes that would fit, for images that the parameters do not fit."""
+        for key, side in self.divides:
+            pixels, value = height if side == "height" else width, getattr(self, key)
+            if pixels % value:
+                raise AnalyticError(
+                    f"{self.name}'s {key}={value} does not divide the {side} of {pixels} pixels: use "
+                    f"{key}={divisors_near(pixels, value)}, or resize the image"
+                )
+        if (window := getattr(self, "window", 0)) > width:
+            raise AnalyticError(f"{self.name}'s window={window} is wider than {width} columns: use at most {width}")
 
     @abstractmethod
     def _describe(self, image: NDArray[np.float32]) -> tuple[NDArray[Any], NDArray[Any] | None]:
@@ -311,39 +320,6 @@ class AlignedDescriptor(ImageDescriptor):
     def _compared(self, queries: Description, references: Description, turns: Turns, name: str) -> Floats:
         """Return the named distance (n, m) of each pair at its turn; override it to compare differently."""
         return aligned_distances(name, queries, references, turns)
-
-
-def check_cells(made: Any, height: int, width: int, rows: str = "rows") -> None:
-    """Raise AnalyticError unless the horizontal bands and the windows of a descriptor fit an image.
-
-    Args:
-        made: descriptor with a number of bands, `step` and `window`.
-        height: height of the image in pixels.
-        width: width of the image in pixels.
-        rows: name of the parameter with the number of bands.
-    """
-    check_divides(made, rows, height, "height")
-    check_divides(made, "step", width, "width")
-    if made.window > width:
-        raise AnalyticError(f"{made.name}'s window={made.window} is wider than {width} columns: use at most {width}")
-
-
-def check_divides(made: Any, key: str, pixels: int, side: str) -> None:
-    """Raise AnalyticError unless a parameter of a descriptor divides the height or the width of an image.
-
-    Args:
-        made: the descriptor.
-        key: name of the parameter, such as "rows".
-        pixels: the height or the width of the image.
-        side: "height" or "width", for the message.
-    """
-    value = getattr(made, key)
-    if pixels % value:
-        near = divisors_near(pixels, value)
-        raise AnalyticError(
-            f"{made.name}'s {key}={value} does not divide the {side} of {pixels} pixels: use {key}={near}, or resize "
-            "the image"
-        )
 
 
 def divisors_near(number: int, wanted: int) -> str:

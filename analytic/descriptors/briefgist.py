@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from analytic.alignment import Turns
 from analytic.description import Description
-from analytic.descriptors.base import AlignedDescriptor, Cells, Several, check_divides
+from analytic.descriptors.base import AlignedDescriptor, Cells, Several
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -53,6 +53,7 @@ class BriefGist(AlignedDescriptor):
     name = "briefgist"
     default_distance = "manhattan"
     whole = True
+    divides = (("rows", "height"), ("columns", "width"))
 
     rows: Cells = 64
     columns: Several = 16
@@ -60,10 +61,6 @@ class BriefGist(AlignedDescriptor):
     def sizes(self, height: int, width: int) -> tuple[tuple[int, ...], tuple[int, ...]]:
         """Return the shapes (rows * columns,) of the position part and (columns, rows) of the orientation part."""
         return (self.rows * self.columns,), (self.columns, self.rows)
-
-    def _check_size(self, height: int, width: int) -> None:
-        check_divides(self, "rows", height, "height")
-        check_divides(self, "columns", width, "width")
 
     def _describe(self, image: NDArray[np.float32]) -> tuple[NDArray[Any], NDArray[Any]]:
         height, width = image.shape

@@ -14,7 +14,7 @@ from analytic.alignment import best_turns, directly, euclidean, norm, whitened
 from analytic.alignment import heading as angle
 from analytic.arrays import Floats, Integers
 from analytic.description import Alignment, Description
-from analytic.descriptors.base import Cells, ImageDescriptor, check_divides
+from analytic.descriptors.base import Cells, ImageDescriptor
 from analytic.errors import AnalyticError
 
 _NOTHING = 1e-6
@@ -78,6 +78,7 @@ class FourierSignature(ImageDescriptor):
 
     name = "fs"
     default_distance = "correlation"
+    divides = (("rows", "height"), ("orientation_rows", "height"))
 
     rows: Cells = 8
     columns: Cells = 8
@@ -139,8 +140,7 @@ class FourierSignature(ImageDescriptor):
             )
 
     def _check_size(self, height: int, width: int) -> None:
-        for key in ("rows", "orientation_rows"):
-            check_divides(self, key, height, "height")
+        super()._check_size(height, width)
         most = (width + 1) // 2 if self.circular else width
         for key in ("columns", "orientation_columns"):
             if (value := getattr(self, key)) > most:

@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from analytic.descriptors.base import Cells, ImageDescriptor, check_cells
+from analytic.descriptors.base import Cells, ImageDescriptor
 from analytic.errors import AnalyticError
 
 LEVELS = 2
@@ -91,6 +91,7 @@ class Gist(ImageDescriptor):
 
     name = "gist"
     default_distance = "correlation"
+    divides = (("blocks", "height"), ("step", "width"))
 
     blocks: Cells = 32
     orientations: Cells = 256
@@ -109,9 +110,6 @@ class Gist(ImageDescriptor):
         super().__post_init__()
         if self.normalized and self.orientation_filters == 1:
             raise AnalyticError("gist needs 2 orientation_filters or more, got 1: use more, or normalized=False")
-
-    def _check_size(self, height: int, width: int) -> None:
-        check_cells(self, height, width, rows="blocks")
 
     def _describe(self, image: NDArray[np.float32]) -> tuple[NDArray[Any], NDArray[Any]]:
         height, width = image.shape

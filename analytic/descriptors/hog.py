@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from analytic.alignment import Turns, whitened_turns
 from analytic.arrays import Floats, Integers
 from analytic.description import Description
-from analytic.descriptors.base import Cells, ImageDescriptor, check_cells
+from analytic.descriptors.base import Cells, ImageDescriptor
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -67,6 +67,7 @@ class Hog(ImageDescriptor):
 
     name = "hog"
     default_distance = "correlation"
+    divides = (("rows", "height"), ("step", "width"))
 
     rows: Cells = 8
     bins: Cells = 32
@@ -78,9 +79,6 @@ class Hog(ImageDescriptor):
     def sizes(self, height: int, width: int) -> tuple[tuple[int, ...], tuple[int, ...]]:
         """Return the shapes (k5 b1,) of the position part and (k6, b2) of the orientation part, k6 = width / step."""
         return (self.rows * self.bins,), (width // self.step, self.orientation_bins)
-
-    def _check_size(self, height: int, width: int) -> None:
-        check_cells(self, height, width)
 
     def _describe(self, image: NDArray[np.float32]) -> tuple[NDArray[Any], NDArray[Any]]:
         height, width = image.shape

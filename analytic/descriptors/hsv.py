@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from analytic.alignment import Turns, whitened_turns
 from analytic.description import Description
-from analytic.descriptors.base import Cells, ImageDescriptor, check_cells
+from analytic.descriptors.base import Cells, ImageDescriptor
 from analytic.descriptors.hog import cell_sums, window_sums
 
 _TIE = 1e-4  # of a bin; an 8-bit value is exactly on an edge, or further from it than this
@@ -65,6 +65,7 @@ class Hsv(ImageDescriptor):
     name: ClassVar[str] = "hsv"
     default_distance: ClassVar[str] = "manhattan"
     colour: ClassVar[bool] = True
+    divides = (("rows", "height"), ("step", "width"))
 
     rows: Cells = 8
     hues: Cells = 24
@@ -80,9 +81,6 @@ class Hsv(ImageDescriptor):
 
     def _best_turns(self, queries: Description, references: Description, steps: int) -> Turns:
         return whitened_turns(queries, references, steps)
-
-    def _check_size(self, height: int, width: int) -> None:
-        check_cells(self, height, width)
 
     def _describe(self, image: NDArray[np.float32]) -> tuple[NDArray[Any], NDArray[Any]]:
         height, width = image.shape[1:]

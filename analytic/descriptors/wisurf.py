@@ -10,7 +10,7 @@ from typing import Any, ClassVar, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from analytic.descriptors.base import AlignedDescriptor, Cells, Several, check_divides
+from analytic.descriptors.base import AlignedDescriptor, Cells, Several
 from analytic.errors import AnalyticError
 
 CELLS = 4  # subregions along each side of a window
@@ -83,6 +83,7 @@ class WiSurf(AlignedDescriptor):
 
     name: ClassVar[str] = "wisurf"
     default_distance: ClassVar[str] = "manhattan"
+    divides = (("windows", "width"),)
 
     rows: Cells = 4
     windows: Several = 512
@@ -98,7 +99,7 @@ class WiSurf(AlignedDescriptor):
                 f"wisurf's rows={self.rows} bands of {CELLS} subregions each do not fit an image of {height} pixel "
                 f"rows: use other rows, or resize it to a multiple of {CELLS * self.rows} rows"
             )
-        check_divides(self, "windows", width, "width")
+        super()._check_size(height, width)
         side = height // self.rows
         if side > width:
             raise AnalyticError(f"wisurf's windows of {side} x {side} are wider than {width} columns: use more rows")
