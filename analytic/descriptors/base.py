@@ -81,6 +81,8 @@ class Descriptor(ABC):
 
     def pairwise(self, queries: Description, references: Description, distance: str | None = None) -> Floats:
         """Return the distances (n, m) between position descriptors, with the default distance or a named one."""
+        if (queries.orientation is None) != (references.orientation is None):  # which does not matter here
+            queries, references = (Description(one.position, None, one.identity) for one in (queries, references))
         self.check(queries, references)
         name = distance or self.default_distance
         measure = distance_named(name)

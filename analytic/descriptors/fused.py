@@ -11,7 +11,6 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from analytic.arrays import Floats
 from analytic.description import Alignment, Description
 from analytic.descriptors.base import Descriptor, description_of
 from analytic.distances import unit_vectors
@@ -159,12 +158,6 @@ class Fused(Descriptor):
         """
         part = self.oriented_by
         return super().align(queries, references) if part is None else part.align(queries, references)
-
-    def pairwise(self, queries: Description, references: Description, distance: str | None = None) -> Floats:
-        """Return the distances (n, m) between the position parts of queries and references."""
-        if (queries.orientation is None) != (references.orientation is None):
-            queries, references = (Description(one.position, None, one.identity) for one in (queries, references))
-        return super().pairwise(queries, references, distance)
 
     def _numbers(self, given: Any, what: str, least: float) -> dict[str, Any]:
         """Return a number for each part, in their order, after checking them."""

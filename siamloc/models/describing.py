@@ -165,14 +165,6 @@ class NetworkDescriptor(BetweenColumns):
             pose, information, match, _ = _fetched([torch.cat(one) for one in zip(*parts, strict=True)])
         return pose.double().numpy(), information.double().numpy(), match.double().numpy()
 
-    def pairwise(
-        self, queries: Description, references: Description, distance: str | None = None
-    ) -> NDArray[np.float64]:
-        """Return the distances (n, m) between the position parts of queries and references."""
-        if (queries.orientation is None) != (references.orientation is None):
-            queries, references = (Description(one.position, None, one.identity) for one in (queries, references))
-        return super().pairwise(queries, references, distance)
-
 
 @typed
 def as_descriptor(network: nn.Module | Descriptor, device: str | torch.device | None = "auto") -> Descriptor:
