@@ -20,7 +20,8 @@ from siamloc.errors import ConfigError, DataError
 from siamloc.evaluation.columns import confusions, query_columns, right_share
 from siamloc.evaluation.result import Result
 from siamloc.evaluation.session import Session, as_protocol, cost
-from siamloc.maps import CoarseLayer, VisualMap, match
+from siamloc.maps import CoarseLayer, Retrieval, VectorIndex, VisualMap, match
+from siamloc.maps.checked_arrays import check_means
 from siamloc.results import Columns, by_label
 from siamloc.stopwatch import Stopwatch
 
@@ -61,11 +62,8 @@ def buildings(
     """
     candidates = by_building([known] if isinstance(known, VisualMap) else known)
     first = next(iter(candidates.values()))
-    if first.aligned and layers is not None:
-        raise ConfigError(
-            f"descriptors of {first.descriptor.name} are compared after turning, so their means are meaningless: leave "
-            "the layers out, or use another descriptor"
-        )
+    if layers is not None:
+        check_means(first, "leave the layers out, or use another descriptor")
     session = Session(first, images, queries, protocol="same_run", name=name)
     session.protocol = as_protocol(protocol)
     session.refuse_exclusion("the choice of a building")

@@ -24,6 +24,7 @@ from siamloc.evaluation.metrics import error_floor, localization_error, summariz
 from siamloc.evaluation.result import Result
 from siamloc.evaluation.session import Counts, Session, cost, several
 from siamloc.maps import HierarchicalSearch, LayerSearch, NodeRanking, Retrieval, VectorIndex, VisualMap, group, match
+from siamloc.maps.checked_arrays import check_means
 from siamloc.maps.coarse import CoarseLayer
 from siamloc.progress import track
 from siamloc.results import Columns, rows_by_label
@@ -145,12 +146,8 @@ def compact(
 def _check(settings: Compact, known: VisualMap, clusters: VisualMap) -> None:
     if max(settings.nodes) > len(known):
         raise ConfigError(f"task.nodes asks for {max(settings.nodes)} nodes, and the map has {len(known)} frames")
-    for one in (known, clusters):
-        if one.aligned and set(settings.ways) != {"sample"}:
-            raise ConfigError(
-                f"descriptors of {one.descriptor.name} are compared after turning, so their means are "
-                "meaningless: use task.ways=[sample], or another descriptor"
-            )
+    for one in (known, clusters) if set(settings.ways) != {"sample"} else ():
+        check_means(one, "use task.ways=[sample], or another descriptor")
 
 
 def _errors(lighting: str, answers: Columns, rows: NDArray[np.int64]) -> dict[str, Any]:

@@ -75,6 +75,17 @@ def check_placed(frames: FrameTable, what: str) -> None:
         )
 
 
+def check_means(known: Any, remedy: str) -> None:
+    """Refuse a map whose descriptors are turned before they are compared, where something needs their means.
+
+    Raises:
+        ConfigError: descriptors that are turned first; the message ends with the remedy.
+    """
+    if known.aligned:
+        name = known.descriptor.name
+        raise ConfigError(f"descriptors of {name} are compared after turning, so their means are meaningless: {remedy}")
+
+
 def check_distance(name: str, width: int) -> None:
     """Refuse an unknown distance, or a distance by which all descriptors of this width are alike."""
     least = {"cosine": 2, "correlation": 3}.get(known(name, DISTANCES, "distance"), 1)

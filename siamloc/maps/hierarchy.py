@@ -17,6 +17,7 @@ from foundation.calls import takes, typed
 from foundation.columns import Rows
 from foundation.settings import Count, Natural, Rule, Settings
 from siamloc.errors import ConfigError, DataError
+from siamloc.maps.checked_arrays import check_means
 from siamloc.maps.coarse import UNASSIGNED, CoarseLayer
 from siamloc.maps.matching import match
 from siamloc.maps.ranking import NodeRanking, rank_by_classifier, rank_by_representatives, rank_by_vote
@@ -142,11 +143,8 @@ class HierarchicalSearch:
                 "to name, all of them (loss=cross_entropy): build the nodes again over the map with such a network, or "
                 "rank them by representatives or vote"
             )
-        if by == "representatives" and self.coarse.aligned:
-            raise ConfigError(
-                f"descriptors of {self.coarse.descriptor.name} are compared after turning, so their means are "
-                "meaningless: rank nodes by vote, or by another descriptor"
-            )
+        if by == "representatives":
+            check_means(self.coarse, "rank nodes by vote, or by another descriptor")
         if settings.ratio is not None and by != "representatives":
             raise ConfigError("a ratio compares distances of representatives: leave it out, or rank by representatives")
         self._settings = settings
