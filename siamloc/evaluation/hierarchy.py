@@ -101,10 +101,8 @@ def hierarchical(
     """
     session = Session(known, images, queries, protocol=protocol, name=name)
     session.refuse_exclusion("hierarchical localization")
-    if isinstance(layer, Built):
-        layer.check_map(known if coarse_map is None else coarse_map)
-        layer = layer.layer
     search = HierarchicalSearch(known, layer, coarse=coarse_map, settings=settings.search)
+    layer = search.layer
     placed, scored = known.frames.has_position, session.queries.has_position
     if text := session.lacking(placed, "map frames have no position"):
         raise DataError(f"{text}: build the layer over a map whose frames all have one (known.placed())")

@@ -19,6 +19,7 @@ from foundation.settings import Count, Natural, Rule, Settings
 from siamloc.errors import ConfigError, DataError
 from siamloc.maps.checked_arrays import check_means
 from siamloc.maps.coarse import UNASSIGNED, CoarseLayer
+from siamloc.maps.grouping import Built
 from siamloc.maps.matching import match
 from siamloc.maps.ranking import NodeRanking, rank_by_classifier, rank_by_representatives, rank_by_vote
 from siamloc.maps.search import Retrieval, VectorIndex, slices
@@ -100,7 +101,7 @@ class HierarchicalSearch:
 
     Args:
         known: a map of m frames.
-        layer: nodes over the same m frames, built over `coarse`.
+        layer: nodes over the same m frames, built over `coarse`, also as `siamloc.maps.group` returns them.
         coarse: a map of the same frames with another descriptor, which ranks the nodes; `known` if None.
         settings: how the nodes are ranked and searched.
 
@@ -126,8 +127,11 @@ class HierarchicalSearch:
 
     @takes(LayerSearch)
     def __init__(
-        self, known: VisualMap, layer: CoarseLayer, *, coarse: VisualMap | None = None, settings: LayerSearch
+        self, known: VisualMap, layer: CoarseLayer | Built, *, coarse: VisualMap | None = None, settings: LayerSearch
     ) -> None:
+        if isinstance(layer, Built):
+            layer.check_map(known if coarse is None else coarse)
+            layer = layer.layer
         by, along = settings.by, settings.along
         self.known, self.layer, self.coarse = known, layer, known if coarse is None else coarse
         if len(layer.labels) != len(known):

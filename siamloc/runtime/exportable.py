@@ -127,11 +127,7 @@ def checked_layer(
         raise ConfigError("a coarse layer needs the map that it was built over: give the map")
     if coarse is not None and not is_analytic(coarse.identity):
         raise ConfigError("on the robot, nodes are ranked by the map itself or by an analytic descriptor")
-    if isinstance(layer, Built):
-        layer.check_map(known if coarse is None else coarse)
-        layer = layer.layer
-    HierarchicalSearch(known, layer, coarse=coarse, settings=search)
-    return layer
+    return HierarchicalSearch(known, layer, coarse=coarse, settings=search).layer
 
 
 def check_given(
