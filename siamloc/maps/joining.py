@@ -122,7 +122,7 @@ def joined(known: VisualMap, compared: Compared) -> RefinedPoses:
     building = known.frames.building[rows]
     usable = np.asarray(np.isfinite(theta) & np.isfinite(xy).all(axis=2) & (building == building[:, :1]))
     theta, xy = np.where(usable, theta, 0.0), np.where(usable[..., None], xy, 0.0)
-    axes = _turns(theta)
+    axes = turns(theta)
     spread = np.linalg.inv(information)
     about = np.linalg.inv(axes @ spread[..., :2, :2] @ axes.swapaxes(-1, -2))
     odds = np.where(usable, match, -np.inf)
@@ -215,7 +215,7 @@ def _limit(share: float) -> float:
     return FREEDOM * float((1 - share) ** (-2 / FREEDOM) - 1)
 
 
-def _turns(theta: NDArray[np.float64]) -> NDArray[np.float64]:
+def turns(theta: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the matrices (..., 2, 2) that turn the axes of robots with these headings into those of the building."""
     cosine, sine = np.cos(theta), np.sin(theta)
     return np.stack([np.stack([cosine, -sine], axis=-1), np.stack([sine, cosine], axis=-1)], axis=-2)

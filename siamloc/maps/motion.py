@@ -28,8 +28,8 @@ class WrongUnitError(DataError):
     """Motions in another unit than that of the positions of the map, or that turn the other way."""
 
 
-class UnitOfMotion:
-    """Judge once a drive whether its motions are in the unit of the map, by the places where its images are recognized.
+class MotionCheck:
+    """Check once a drive that its motions have the unit and the turns of the map, by the places that are recognized.
 
     The way between two places as seen by the images, and as told by the motions, differ by one factor and one turn for
     most pairs of places if the unit is wrong. They do not if wheels slip, nor if the robot stands, is carried or lost.

@@ -26,8 +26,8 @@ from foundation.calls import typed
 from foundation.settings import Positive, Probability
 from siamloc.data.moves import wrapped
 from siamloc.errors import DataError
-from siamloc.maps.joining import FREEDOM, RefinedPoses
-from siamloc.maps.motion import UnitOfMotion, motion_or_none, motions_of
+from siamloc.maps.joining import FREEDOM, RefinedPoses, turns
+from siamloc.maps.motion import MotionCheck, motion_or_none, motions_of
 
 _STORIES = 5
 _STRAY = 0.15  # density of poses that are wrong, per square unit of the positions
@@ -106,7 +106,7 @@ class PoseFilter:
     @typed
     def __init__(self, step: Positive, kidnapping: Probability = 1e-3) -> None:
         self.length, self.kidnapping = float(step), float(kidnapping)
-        self._unit = UnitOfMotion(self.length)
+        self._check = MotionCheck(self.length)
         self.reset()
 
     def reset(self) -> None:
@@ -116,7 +116,7 @@ class PoseFilter:
         self._explained: deque[tuple[float, float]] = deque(maxlen=_JUDGED)  # share of both in the last poses
         self._contradicted = False
         self._moved_on = math.inf  # steps and rad since the last recognized pose
-        self._unit.reset()
+        self._check.reset()
 
     def step(
         self, pose: RefinedPoses, motion: ArrayLike | None = None, covariance: ArrayLike | None = None
@@ -146,7 +146,7 @@ class PoseFilter:
         about, move = pose.information[0], motion_or_none(motion)
         told = bool(about.any() and np.isfinite(about).all() and np.isfinite(pose.xy).all())
         recognized = bool(told and pose.agreement[0] >= _RECOGNIZED)
-        self._unit.step(move, pose.xy[0] if recognized else None, float(pose.theta[0]))
+        self._check.step(move, pose.xy[0] if recognized else None, float(pose.theta[0]))
         self._moved_on += math.inf if move is None else math.hypot(*move[:2]) / self.length + abs(move[2]) + _STANDING
         noise = None if move is None else self._noise(move) if covariance is None else _checked(covariance)
         if move is not None or self._alone.best:
@@ -241,7 +241,7 @@ class PoseFilter:
 
     def _moved(self, story: _Story) -> _Story:
         if len(story.mean) == 3:
-            step = _turned(story.mean[2]) @ self._last[:2]
+            step = turns(story.mean[2]) @ self._last[:2]
             unsure = (_ACCELERATION * self.length) ** 2 * np.eye(2)
             story = replace(
                 story,
@@ -305,7 +305,7 @@ def _told(
 
 def _driven(story: _Story, motion: NDArray[np.float64], noise: NDArray[np.float64]) -> _Story:
     """Return a story of position and heading after a known motion (3,) with a covariance (3, 3)."""
-    axes = _blocks(_turned(story.mean[2]), np.eye(1))
+    axes = _blocks(turns(story.mean[2]), np.eye(1))
     shift = axes @ motion
     moves = np.eye(3)
     moves[:2, 2] = -shift[1], shift[0]
@@ -330,11 +330,6 @@ def _blocks(first: NDArray[np.float64], second: NDArray[np.float64]) -> NDArray[
     """Return the matrix with two matrices on its diagonal."""
     apart = np.zeros((len(first), len(second)))
     return np.block([[first, apart], [apart.T, second]])
-
-
-def _turned(angle: float) -> NDArray[np.float64]:
-    cos, sin = math.cos(angle), math.sin(angle)
-    return np.array([[cos, -sin], [sin, cos]])
 
 
 def _checked(covariance: ArrayLike) -> NDArray[np.float64]:

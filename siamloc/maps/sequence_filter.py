@@ -25,7 +25,8 @@ from siamloc.data.frames import FrameTable
 from siamloc.errors import ConfigError, DataError
 from siamloc.maps.checked_arrays import check_placed
 from siamloc.maps.matching import frame_distances
-from siamloc.maps.motion import UnitOfMotion, motion_or_none, motions_of
+from siamloc.maps.motion import MotionCheck, motion_or_none, motions_of
+from siamloc.maps.search import VectorIndex
 from siamloc.maps.thinning import near
 from siamloc.maps.visual_map import VisualMap
 
@@ -75,13 +76,13 @@ class SequenceFilter:
     @typed
     def __init__(self, motion: MotionModel, temperature: Positive, kidnapping: Probability = 1e-3) -> None:
         self.motion, self.temperature, self.kidnapping = motion, float(temperature), float(kidnapping)
-        self._unit = UnitOfMotion(motion.step)
+        self._check = MotionCheck(motion.step)
         self.reset()
 
     def reset(self) -> None:
         """Forget all queries: the robot may be anywhere."""
         self.belief = np.full(len(self.motion), 1 / len(self.motion))
-        self._unit.reset()
+        self._check.reset()
 
     def step(self, distances: ArrayLike, motion: ArrayLike | None = None) -> NDArray[np.float64]:
         """Update the belief with one query and return it (m,).
@@ -103,7 +104,7 @@ class SequenceFilter:
                 f"not compared, got shape {apart.shape}"
             )
         move = motion_or_none(motion)
-        self._unit.step(move, self.motion.xy[apart.argmin()])
+        self._check.step(move, self.motion.xy[apart.argmin()])
         length = None if move is None else float(np.hypot(*move[:2]))
         expected = (1 - self.kidnapping) * self.motion.predict(self.belief, length) + self.kidnapping / len(apart)
         # The most likely frame has likelihood 1, so the sum cannot vanish.

@@ -10,7 +10,7 @@ import pytest
 from siamloc.data.moves import moves
 from siamloc.errors import ConfigError, DataError
 from siamloc.maps import PoseFilter, RefinedPoses
-from siamloc.maps.motion import UnitOfMotion
+from siamloc.maps.motion import MotionCheck
 from siamloc.simulate.odometry import odometry
 
 STEP, SD = 0.2, 0.05
@@ -237,7 +237,7 @@ def test_a_robot_that_was_carried_with_its_camera_running_is_found_again(count):
 )
 @pytest.mark.parametrize(("strays", "agree"), [(0.25, 0.5), (0.5, 1.0)], ids=["other buildings", "mistaken places"])
 def test_motions_that_the_pictures_contradict_are_not_used(factors, strays, agree, monkeypatch):
-    monkeypatch.setattr(UnitOfMotion, "step", lambda *_: None)  # it refuses another unit, but only later
+    monkeypatch.setattr(MotionCheck, "step", lambda *_: None)  # it refuses another unit, but only later
     poses, wrong = around(), np.random.default_rng(0).random(400) < strays
     given = seen(poses, 0, wrong)
     given.agreement[wrong] *= agree
