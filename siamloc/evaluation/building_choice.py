@@ -9,9 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-import analytic
 from analytic import Description
-from analytic.clustering.checks import row_slices
 from foundation.calls import typed
 from siamloc.data.frames import FrameTable
 from siamloc.data.library import PanoramaLibrary
@@ -72,19 +70,20 @@ def buildings(
         Session(candidates[building], images, wanted.take(wanted.building == building), protocol=protocol)
     _check_one_distance(candidates)
     chosen = {} if layers is None else _layers_of(candidates, layers)
-    vectors = [one.representatives for one in chosen.values()] or [one.learned for one in candidates.values()]
+    nodes = [VectorIndex(one.representatives, first.distance) for one in chosen.values()]
+    searched: Sequence[VisualMap | VectorIndex] = nodes or list(candidates.values())
     names = [one.names for one in chosen.values()] or [one.frames.path for one in candidates.values()]
     apart, rows, clock = [], [], Stopwatch()
     for part in session.parts_of(first, wanted, f"the queries, {session.name}", clock):
         with clock.of("search", len(part)):
-            found = [_nearest(one, own, part) for one, own in zip(candidates.values(), vectors, strict=True)]
-        apart.append(np.stack([near for near, _ in found], axis=1))
-        rows.append(np.stack([row for _, row in found], axis=1))
+            found = [_nearest(one, part) for one in searched]
+        apart.append(np.concatenate([near.distances for near in found], axis=1))
+        rows.append(np.concatenate([near.indices for near in found], axis=1))
     result = evaluate_buildings(wanted, list(candidates), np.concatenate(apart), np.concatenate(rows), names)
     result.parts["buildings"] |= {
         "maps": {
             building: {"frames": len(one), "representatives": len(own)}
-            for (building, one), own in zip(candidates.items(), vectors, strict=True)
+            for (building, one), own in zip(candidates.items(), searched, strict=True)
         },
         "distance": first.distance,
         "build": next(iter(chosen.values())).made.get("name", "layer") if chosen else "none",
@@ -173,18 +172,12 @@ def _known_buildings(session: Session, labels: list[str]) -> FrameTable:
     return queries.take(has)
 
 
-def _nearest(
-    one: VisualMap, vectors: NDArray[np.float32], queries: Description
-) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    if one.descriptor.aligned:
-        found = match(one, queries, 1)
-        return found.distances[:, 0], found.indices[:, 0]
-    between = analytic.distance(one.distance)
-    apart, rows = np.empty(len(queries)), np.empty(len(queries), dtype=np.int64)
-    for block in row_slices(len(queries), len(vectors)):
-        distances = between(queries.position[block, : vectors.shape[1]], vectors)
-        apart[block], rows[block] = distances.min(axis=1), distances.argmin(axis=1)
-    return apart, rows
+def _nearest(known: VisualMap | VectorIndex, queries: Description) -> Retrieval:
+    """Return the nearest map frame or representative of each query, without colours."""
+    if isinstance(known, VisualMap) and known.aligned:
+        return match(known, queries)
+    index = known.learned_index if isinstance(known, VisualMap) else known
+    return index.search(queries.position[:, : index.width])
 
 
 def evaluate_buildings(

@@ -177,18 +177,19 @@ def _located(
     with clock.of("build", len(known)):
         asked: dict[str, Any] = {"grid": grid_of(nodes)} if way == "som" else {"nodes": nodes}
         labels = group(clusters, way, seed=seed, progress=False, **asked).layer.labels
-    layer = None if known.aligned else CoarseLayer.of_labels(known, labels)
+    layer = CoarseLayer.of_labels(known, labels)
     if way == "sample":  # the kept frames represent themselves
         standing = known.take(analytic.clustering.sample_rows(len(known), nodes))
         positions, numbers = standing.frames.xy, nodes * known.width
         nearest = _nearest(lambda: match(standing, described, 1), clock, len(described))
     else:
-        assert layer is not None  # only sampling goes with descriptors that are turned first
         positions, numbers = layer.positions, layer.representatives.size
         index = VectorIndex(layer.representatives, known.distance)
         nearest = _nearest(lambda: index.search(described.position[:, : index.width], 1), clock, len(described))
     with clock.of("descend", len(described)):
-        frame = _inside(known, layer, labels, described, nearest)
+        ranking = NodeRanking(nearest[:, None], np.full(len(nearest), len(layer)))
+        inside = HierarchicalSearch(known, layer, settings=LayerSearch(by="vote"))  # of given nodes: none is ranked
+        frame = inside.search(described, ranking, 1).found.indices[:, 0]
     error = localization_error(positions[nearest], queries.xy)
     answers: Columns = {
         "way": np.full(len(queries), way),
@@ -239,19 +240,3 @@ def grid_of(nodes: int) -> tuple[int, int]:
     rows = max(1, math.isqrt(nodes))
     columns = max(1, round(nodes / rows))
     return max(rows, columns), min(rows, columns)
-
-
-def _inside(
-    known: VisualMap,
-    layer: CoarseLayer | None,
-    labels: NDArray[np.int64],
-    described: Description,
-    nearest: NDArray[np.int64],
-) -> NDArray[np.int64]:
-    """Return the most similar map frame inside the nearest node of each query (n,)."""
-    if layer is None:  # no means, since descriptors are turned first
-        barred = labels[None, :] != nearest[:, None]
-        return match(known, described, 1, excluded=barred).indices[:, 0]
-    ranking = NodeRanking(nearest[:, None], np.full(len(nearest), len(layer)))
-    search = HierarchicalSearch(known, layer, settings=LayerSearch(candidates=1))
-    return search.search(described, ranking, 1).found.indices[:, 0]

@@ -19,7 +19,7 @@ from siamloc.errors import ConfigError
 from siamloc.evaluation.disturbed_tables import Answer, answers, concatenated, curves, measures
 from siamloc.evaluation.result import Result
 from siamloc.evaluation.session import Baselines, Session, cost
-from siamloc.maps import Retrieval, VisualMap, headings, match
+from siamloc.maps import Retrieval, VectorIndex, VisualMap, headings, match
 from siamloc.progress import track
 from siamloc.stopwatch import Stopwatch
 
@@ -325,5 +325,4 @@ def _geometrically_nearest(
     """Return the map frame (n,) that is nearest to each query in position; None if a position is unknown."""
     if not known.has_position.all() or not queries.has_position.all():
         return None
-    apart = np.hypot(*(known.xy[None] - queries.xy[:, None]).transpose(2, 0, 1))
-    return (apart if excluded is None else np.where(excluded, np.inf, apart)).argmin(axis=1)
+    return VectorIndex(known.xy).search(queries.xy, excluded=excluded).indices[:, 0]

@@ -331,9 +331,8 @@ def temperature_of_map(known: VisualMap) -> float:
     chosen = np.unique(np.linspace(0, len(known) - 1, min(len(known), _SAMPLE)).astype(np.int64))
     own = chosen[:, None] == np.arange(len(known))
     apart = frame_distances(known, known.description.take(chosen), excluded=own)
-    away = np.hypot(*(known.frames.xy[chosen, None] - known.frames.xy[None]).transpose(2, 0, 1))
-    away[own] = np.inf
-    return learn_temperature(apart, away.argmin(axis=1))
+    nearest = VectorIndex(known.frames.xy).search(known.frames.xy[chosen], excluded=own)
+    return learn_temperature(apart, nearest.indices[:, 0])
 
 
 @typed
