@@ -23,7 +23,7 @@ from siamloc.maps.joining import RefinedPoses
 from siamloc.maps.motion import motions
 from siamloc.maps.pose_filter import PoseFilter
 from siamloc.maps.refinement import Refinement, check_compares
-from siamloc.maps.sequence_filter import MotionModel, SequenceFilter, temperature_of_map, tune_filter
+from siamloc.maps.sequence_filter import MotionModel, SequenceFilter, steps_of, temperature_of_map, tune_filter
 from siamloc.maps.visual_map import VisualMap
 from siamloc.results import FURTHER, Columns
 from siamloc.stopwatch import Stopwatch
@@ -383,9 +383,7 @@ def _by_wheels(queries: FrameTable) -> dict[str, int]:
 
 def _interval(frames: FrameTable) -> float | None:
     """Return the median time between consecutive frames of a sequence; None if there are no times."""
-    seconds = np.concatenate(
-        [np.empty(0), *(np.diff(frames.time[rows]) for rows in frames.rows_by("sequence").values())]
-    )
+    _, seconds = steps_of(frames)
     seconds = seconds[np.isfinite(seconds) & (seconds > 0)]
     return float(np.median(seconds)) if len(seconds) else None
 

@@ -210,7 +210,7 @@ class MotionModel:
         check_placed(frames, "a model of motion")
         spacing = spacing_of(frames)
         if step is None:
-            length, seconds = _steps(frames)
+            length, seconds = steps_of(frames)
             timed = (seconds > 0) & np.isfinite(seconds)
             step = spacing
             if interval is not None and (length[timed] > 0).any():
@@ -253,11 +253,11 @@ class MotionModel:
 
 def spacing_of(frames: FrameTable) -> float:
     """Return the median distance between consecutive frames of a sequence, without standstill; 0 if nothing moved."""
-    length, _ = _steps(frames)
+    length, _ = steps_of(frames)
     return float(np.median(length[length > 0])) if (length > 0).any() else 0.0
 
 
-def _steps(frames: FrameTable) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def steps_of(frames: FrameTable) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return the distances and the times between consecutive frames of each sequence."""
     length, seconds = [np.empty(0)], [np.empty(0)]
     for rows in frames.rows_by("sequence").values():
