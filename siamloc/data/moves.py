@@ -74,7 +74,7 @@ def relative(poses: NDArray[np.float64], first: NDArray[np.int64], second: NDArr
 
 
 def composed(pose: NDArray[np.float64], move: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the poses (n, 3) after a move (n, 3) from each pose (n, 3)."""
+    """Return the poses (n, 3) after a move (n, 3) from each pose (n, 3), or all from the same pose (1, 3)."""
     cosine, sine = np.cos(pose[:, 2]), np.sin(pose[:, 2])
     x, y = cosine * move[:, 0] - sine * move[:, 1], sine * move[:, 0] + cosine * move[:, 1]
     return np.column_stack([pose[:, 0] + x, pose[:, 1] + y, pose[:, 2] + move[:, 2]])

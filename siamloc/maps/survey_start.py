@@ -64,7 +64,7 @@ def brought_together(
         if places == 1:
             notes.append(f"drive {names[number]} meets the others at a single place: check that it does")
         rows = drive == number
-        start[rows] = composed(np.tile(origin, (int(rows.sum()), 1)), start[rows])
+        start[rows] = composed(origin[None], start[rows])
         placed.add(number)
         waiting.remove(number)
     return start
@@ -86,7 +86,7 @@ def _most_agreed(start: Array, known: NDArray[np.int64], own: NDArray[np.int64],
     origins = composed(wanted, inverse(mine))
     agreeing = np.empty((len(some), len(some)), dtype=bool)
     for row, origin in enumerate(origins):
-        moved = composed(np.tile(origin, (len(some), 1)), mine)
+        moved = composed(origin[None], mine)
         near = np.hypot(*(moved - wanted)[:, :2].T) < _NEAR
         agreeing[row] = near & (np.abs(wrapped(moved[:, 2] - wanted[:, 2])) < _ALIKE)
     best = int(agreeing.sum(axis=1).argmax())
@@ -161,7 +161,7 @@ def anchored(
         some = mine[np.unique(np.linspace(0, len(mine) - 1, _COMPARED).astype(np.int64))]
         _check_poses(frames.sequence[frame[0]], start[frame], fixed[some] - frame[0], true[some])
         origin = composed(true[mine[:1]], inverse(start[fixed[mine[:1]]]))
-        start[frame] = composed(np.tile(origin, (len(frame), 1)), start[frame])
+        start[frame] = composed(origin, start[frame])
         off = true[mine] - start[fixed[mine]]
         off[:, 2] = np.unwrap(wrapped(off[:, 2]))
         start[frame] += np.column_stack([np.interp(frame, fixed[mine], one) for one in off.T])

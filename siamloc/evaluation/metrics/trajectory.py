@@ -37,7 +37,7 @@ def aligned_trajectory(estimated: ArrayLike, true: ArrayLike, *, scale: bool = F
         raise DataError("the estimated positions are all the same, so no motion brings them closest to the true ones")
     cross = one.T @ other
     angle = np.arctan2(cross[0, 1] - cross[1, 0], cross[0, 0] + cross[1, 1])
-    moved = composed(np.tile([0.0, 0.0, angle], (len(one), 1)), np.column_stack([one, given[:, 2]]))
+    moved = composed(np.array([[0.0, 0.0, angle]]), np.column_stack([one, given[:, 2]]))
     moved[:, :2] *= (moved[:, :2] * other).sum() / size if scale else 1.0
     return np.column_stack([moved[:, :2] + goal, wrapped(moved[:, 2])])
 
