@@ -20,14 +20,14 @@ def a_survey(folder: Path = Path()) -> Survey:
         path=[str(folder / f"{row}.png") for row in range(n)],
         **{"x": 4 * np.cos(angle), "y": 2 * np.sin(angle), "theta": angle + np.pi / 2},
         deviation=np.full(n, 0.1), theta_deviation=np.full(n, 0.02), sequence=["monday"] * 6 + ["tuesday"] * 6,
+        odom_x=np.arange(n), odom_y=np.zeros(n), odom_theta=np.zeros(n),
     )  # fmt: skip
     reason = np.array([Reason.ACCEPTED, Reason.ACCEPTED, Reason.CONTRADICTED, Reason.ALONE], dtype=object)
     pose, sure = np.zeros((4, 3)), np.tile(np.eye(3), (4, 1, 1))
     loops = Loops(np.array([0, 1, 2, 3]), np.array([6, 7, 11, 9]), pose, sure, np.ones(4), reason, np.ones(4))
     steps = Edges(np.arange(5), np.arange(1, 6), np.zeros((5, 3)), np.tile(np.eye(3), (5, 1, 1)))
-    odometry = np.column_stack([np.arange(n), np.zeros((n, 2))])
     drive = np.repeat([0, 1], 6)
     solution = Solution(np.zeros((n, 3)), 1.0, np.ones(2), np.zeros(2), np.ones(7), 0.0)
     wheels = steps.take(slice(0, 3))  # of monday
     graph = PoseGraph(steps, wheels, drive, np.empty(0, np.int64))
-    return Survey(frames, np.tile(np.eye(3), (n, 1, 1)), 0.01, loops, graph, odometry, solution, "odometry")
+    return Survey(frames, np.tile(np.eye(3), (n, 1, 1)), 0.01, loops, graph, solution, "odometry")

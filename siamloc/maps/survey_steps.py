@@ -257,15 +257,6 @@ def start_of(odometry_steps: Array, seen: Array, drive: NDArray[np.int64]) -> Ar
     return poses
 
 
-def from_own_start(odometry: Array, drive: NDArray[np.int64]) -> Array:
-    """Return odometry (n, 3) as seen from the first known pose of each drive."""
-    found = np.full(odometry.shape, np.nan)
-    for number in range(int(drive.max()) + 1):
-        rows = np.flatnonzero((drive == number) & np.isfinite(odometry).all(axis=1))
-        found[rows] = relative(odometry, np.full(len(rows), rows[0] if len(rows) else 0), rows)
-    return found
-
-
 def _slipping(way: Array, compared: Array, judged: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """Mark the steps (n,) of ways of `_SLIP_WAY` metres on which odometry moves much less than elsewhere.
 

@@ -42,7 +42,6 @@ from siamloc.maps.survey_start import anchored, brought_together, check_anchors,
 from siamloc.maps.survey_steps import (
     compared_steps,
     comparing,
-    from_own_start,
     odometry_of,
     odometry_steps,
     start_of,
@@ -85,13 +84,12 @@ class Survey:
     """Surveyed frames (n) and what they follow from.
 
     Attributes:
-        frames: the frames with the surveyed x, y and theta, their deviations, and the odometry that was given.
+        frames: the frames with the surveyed x, y and theta, their deviations, and the odometry that was given, if any.
         covariance: (n, 3, 3) covariance of x, y and theta given the poses of the anchors; without them after the best
             rigid motion and scale.
         scale_deviation: standard deviation of the scale, as a share; 0 if anchors fix it.
         loops: all loops that were considered, with the reason why each is used or not; rows count in `frames`.
         graph: what was measured, without loops: compared frames that follow each other, and odometry if it is used.
-        odometry: (n, 3) the odometry that was given, each drive from its own first frame; NaN where there is none.
         solution: scales, gyro biases and weights.
         fixed_by: "anchors", "odometry", "height" (of the camera) or "pictures": what fixes the scale. Only anchors fix
             position and direction of the whole; without them the first frame lies at 0 and looks along x.
@@ -104,7 +102,6 @@ class Survey:
     scale_deviation: float
     loops: Loops
     graph: PoseGraph
-    odometry: Array
     solution: Solution
     fixed_by: str
     notes: tuple[str, ...] = ()
@@ -350,7 +347,6 @@ def concluded(
         scale_deviation,
         loops,
         graph,
-        from_own_start(frames.odometry, graph.drive),
         solution,
         by,
         tuple(notes),

@@ -47,7 +47,7 @@ def survey_picture(found: Survey) -> Picture:
 
     Each drive has a colour. Loops that are used are thin and grey; those that contradict the rest are dashed in black.
     """
-    wheels = np.isfinite(found.odometry).all(axis=1).any()
+    wheels = np.isfinite(found.frames.odometry).all(axis=1).any()
     drives = list(found.frames.rows_by("sequence").items())
     xy = found.frames.xy
     shown = np.concatenate([xy, *([_turned(found, rows) for _, rows in drives] if wheels else [])])
@@ -129,12 +129,12 @@ def _add_loops(axes: Axes, found: Survey) -> None:
 
 def _turned(found: Survey, rows: NDArray[np.int64]) -> NDArray[np.float64]:
     """Return positions by odometry (k, 2), moved and turned so that they begin as the surveyed drive does."""
-    known = rows[np.isfinite(found.odometry[rows]).all(axis=1)]
+    known = rows[np.isfinite(found.frames.odometry[rows]).all(axis=1)]
     if not len(known):
         return np.empty((0, 2))
     first = np.full(len(known), known[0])
     begin = np.column_stack([found.frames.xy, found.frames.theta])[first]
-    return composed(begin, relative(found.odometry, first, known))[:, :2]
+    return composed(begin, relative(found.frames.odometry, first, known))[:, :2]
 
 
 def _look(number: int) -> dict[str, Any]:

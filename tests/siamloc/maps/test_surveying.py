@@ -155,7 +155,8 @@ def test_odometry_that_drifts_more_is_believed_less(surveyed):
 def test_loops_undo_the_drift_of_odometry(surveyed):
     poses = eights()
     found, true, _ = surveyed({"monday": poses}, scale=0.9)
-    before = off(replace(found, frames=found.frames.with_columns(x=found.odometry[:, 0], y=found.odometry[:, 1])), true)
+    frames = found.frames
+    before = off(replace(found, frames=frames.with_columns(x=frames.odom_x, y=frames.odom_y)), true)
     assert before > 0.2
     assert off(found, true) < 0.06  # 2 % of the 3 m from the middle, which only anchors would tell
     assert off(found, true, scaled=True) < 0.03
@@ -178,7 +179,7 @@ def test_images_alone_give_the_shape(surveyed):
     found, true, _ = surveyed({"monday": poses}, odometry=False, noise=0.03)
     assert off(found, true) < 0.1
     assert found.fixed_by == "pictures"
-    assert np.isnan(found.odometry).all()
+    assert np.isnan(found.frames.odometry).all()
 
 
 def test_anchors_fix_position_direction_and_scale(surveyed):
