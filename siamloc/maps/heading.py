@@ -40,17 +40,6 @@ def halved(by: Descriptor, orientation: NDArray[Any]) -> NDArray[np.float16]:
     return packed("values", orientation, "float16")["values"]
 
 
-def heading_descriptor(identity: Mapping[str, Any]) -> Descriptor:
-    """Return the descriptor with this identity, which compares orientation parts; an analytic one runs without torch.
-
-    Raises:
-        AnalyticError: a descriptor or a parameter that this version does not know.
-    """
-    if identity.get("name") == NetworkHeading.name:
-        return NetworkHeading(bool(identity.get("circular", True)))
-    return descriptor_of(identity)
-
-
 def is_analytic(identity: Mapping[str, Any]) -> bool:
     """Whether an identity belongs to an analytic descriptor, or several fused, which can be made from it alone."""
     if identity.get("name") == Fused.name:
@@ -66,18 +55,18 @@ def parts_of(identity: Mapping[str, Any]) -> dict[str, Mapping[str, Any]]:
 
 
 def descriptor_of(identity: Mapping[str, Any], network: Descriptor | None = None) -> Descriptor:
-    """Return the analytic descriptor with this identity, that is, with these name and parameters.
+    """Return the descriptor with this identity, that is, with these name and parameters; none of them needs torch.
 
     Args:
-        identity: the identity of an analytic descriptor, or of a fused one.
-        network: the part of a fused descriptor that is a network; None if there is none.
+        identity: the identity of an analytic descriptor, of a fused one, or of what compares a network's headings.
+        network: the network among the parts of a fused descriptor; None if there is none.
 
     Raises:
         AnalyticError: a descriptor or a parameter that this version does not know.
     """
     alone = {key: value for key, value in identity.items() if key != "images"}  # how images became panoramas
-    if alone.get("name") == NetworkHeading.name and network is not None:
-        return network
+    if alone.get("name") == NetworkHeading.name:
+        return NetworkHeading(bool(alone.get("circular", True))) if network is None else network
     if alone.get("name") != Fused.name:
         return descriptor(**{"name": "", **alone})
     parts = {name: descriptor_of(one, network) for name, one in parts_of(alone).items()}

@@ -29,7 +29,6 @@ from siamloc.maps.heading import (
     described,
     descriptor_of,
     halved,
-    heading_descriptor,
     is_analytic,
     parts_of,
 )
@@ -157,7 +156,7 @@ class VisualMap:
         Raises:
             AnalyticError: a descriptor or a parameter that this version does not know.
         """
-        return self.descriptor if self.heading is None else heading_descriptor(self.heading)
+        return self.descriptor if self.heading is None else descriptor_of(self.heading)
 
     @property
     def heading_descriptor(self) -> Descriptor | None:
