@@ -257,12 +257,9 @@ class VisualMap:
             DataError: rows that do not exist, or none.
         """
         key = chosen_rows(rows, len(self))
-        descriptors, orientation = self.descriptors[key], self.orientation
-        if orientation is not None:
-            shared = shares_values(orientation, self.descriptors)
-            orientation = descriptors.reshape(-1, *orientation.shape[1:]) if shared else orientation[key]
+        orientation = None if self.orientation is None else self.orientation[key]
         frames, history = self.frames.take(key), self.history.take(key)
-        return replace(self, descriptors=descriptors, frames=frames, orientation=orientation, history=history)
+        return replace(self, descriptors=self.descriptors[key], frames=frames, orientation=orientation, history=history)
 
     def without(self, frames: FrameTable | ArrayLike) -> VisualMap:
         """Return the map without some frames, given as a table, such as `known.frames.select(...)`, by row or by mask.
@@ -341,9 +338,8 @@ class VisualMap:
                 f"the cameras of the maps are mounted differently, {self.mounting} and {other.mounting}: make the "
                 "other map with mounting=known.mounting"
             )
-        parts = None
-        if self.orientation is not None and other.orientation is not None:
-            parts = np.concatenate([self.orientation, other.orientation])
+        oriented = [one.orientation for one in (self, other) if one.orientation is not None]
+        parts = np.concatenate(oriented) if oriented else None
         descriptors = np.concatenate([self.descriptors, other.descriptors])
         frames = concatenate([self.frames, other.frames])
         made = {**self.made, "sequences": list(frames.rows_by("sequence")), "frames": len(frames)}
