@@ -73,7 +73,7 @@ class _Story:
 
 @dataclass(frozen=True)
 class _Stories:
-    """Stories, best first, and the evidence that the robot is anywhere: that no pose but stray ones was told so far."""
+    """Stories, best first, and the evidence that the robot is anywhere: that all poses so far were stray ones."""
 
     best: tuple[_Story, ...] = ()
     anywhere: float = 0.0

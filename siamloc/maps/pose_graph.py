@@ -2,7 +2,7 @@
 
 The unknowns are the poses of all frames, the scale of the compared displacements, and for each drive the scale and the
 gyro bias of its odometry. Errors of comparisons follow a t-distribution, so that a wrong one is weighted down; the
-minimum is found by Levenberg and Marquardt's method with weights that are computed anew in every round.
+minimum is found by Levenberg and Marquardt's method with weights that are computed again in every round.
 """
 
 from __future__ import annotations
