@@ -115,13 +115,8 @@ def usual_distance(known: VisualMap, radius: float, share: float) -> float | Non
     Returns:
         The distance between descriptors.
     """
-    nearest = np.full(len(known), np.inf)
-    drive = known.frames.sequence
-
-    def of_one_drive(rows: NDArray[np.int64], others: NDArray[np.int64]) -> NDArray[np.bool_]:
-        return np.asarray((rows != others) & (drive[rows] == drive[others]))
-
-    for rows, _, apart in compared_nearby(known, radius, of_one_drive):
+    nearest, drive = np.full(len(known), np.inf), known.frames.sequence
+    for rows, _, apart in compared_nearby(known, radius, lambda a, b: (a != b) & (drive[a] == drive[b])):
         np.minimum.at(nearest, rows, apart)
     nearest = nearest[np.isfinite(nearest)]
     return None if len(nearest) < _FEWEST else float(np.quantile(nearest, share))
@@ -138,16 +133,12 @@ def enough_of(evidence: NDArray[np.bool_], least: int, window: int) -> NDArray[n
 
 def repeated(drive: VisualMap, radius: float, usual: float) -> NDArray[np.bool_]:
     """Return which frames of a drive (n,) show almost the same as an earlier frame that is no repetition itself."""
-    alike: list[set[int]] = [set() for _ in range(len(drive))]
-    for rows, others, apart in compared_nearby(drive, radius, np.greater):
+    found = np.zeros(len(drive), dtype=bool)
+    for rows, others, apart in compared_nearby(drive, radius, np.greater):  # the frames in order
         close = apart <= usual
-        for one, other in zip(rows[close].tolist(), others[close].tolist(), strict=True):
-            alike[one].add(other)
-    new: set[int] = set()
-    for number, shown in enumerate(alike):
-        if not shown & new:
-            new.add(number)
-    return np.array([row not in new for row in range(len(drive))], dtype=bool)
+        for row, earlier in zip(rows[close].tolist(), others[close].tolist(), strict=True):
+            found[row] |= not found[earlier]
+    return found
 
 
 def map_reasons(known: VisualMap, found: Judged, lightings: Iterable[str]) -> NDArray[np.object_]:
