@@ -1,4 +1,5 @@
 from dataclasses import replace
+from functools import cache
 
 import cv2
 import numpy as np
@@ -23,6 +24,7 @@ def seen(directions):
     return np.repeat(grey[..., None], 3, axis=-1)
 
 
+@cache
 def picture(roll, pitch, rows=1024):
     """What an equirectangular camera shows of the building from a robot that is tilted by degrees."""
     azimuth = np.pi - (np.arange(2 * rows) + 0.5) * np.pi / rows
