@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import hashlib
 import os
+import pickle
 import shlex
 import subprocess
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
+from unittest import mock
 
 import cv2
 import numpy as np
@@ -22,8 +25,11 @@ from siamloc.errors import ConfigError, DataError
 from siamloc.runtime.wheels import read_odometry
 from siamloc.simulate import Run, Summary, load_building, produce, simulate
 from siamloc.simulate.buildings import building_folder
+from siamloc.simulate.camera import Exposure
+from siamloc.simulate.layout import Building
 from siamloc.simulate.preview import floor_plan
 from siamloc.simulate.produce import STANDARD_RUNS
+from siamloc.simulate.scene import Scene
 
 SMALL = {"building": "mini", "runs": ["cloudy1"], "frames": 6, "camera": "panorama", "workers": 1}
 
@@ -35,6 +41,25 @@ def small(**changes: Any) -> Summary:
 def hashes(folder: Path) -> dict[str, str]:
     files = sorted(path for path in folder.rglob("*") if path.is_file())
     return {path.relative_to(folder).as_posix(): hashlib.sha256(path.read_bytes()).hexdigest() for path in files}
+
+
+@pytest.fixture(autouse=True, scope="module")
+def scenes_built_once() -> Iterator[None]:
+    """Build and meter the scene of a run through one building once: pictures leave it as it is."""
+    build, meter, scenes, exposures = produce.build_scene, produce.meter, {}, {}
+
+    def scene_of(building: Building, run: Run) -> Scene:
+        key = pickle.dumps((building, run))
+        if key not in scenes:
+            scenes[key] = build(building, run)
+            exposures[id(scenes[key])] = meter(scenes[key], scenes[key].state.track)
+        return scenes[key]
+
+    def exposure_of(scene: Scene, _: object) -> Exposure:
+        return exposures[id(scene)]
+
+    with mock.patch.object(produce, "build_scene", scene_of), mock.patch.object(produce, "meter", exposure_of):
+        yield
 
 
 @pytest.fixture(scope="module")
