@@ -8,7 +8,7 @@ import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from contextvars import copy_context
-from functools import partial
+from functools import cache, partial
 from typing import Any
 
 from omegaconf import DictConfig, OmegaConf
@@ -147,7 +147,8 @@ def _made(kind: type[Job], config: DictConfig, words: list[str]) -> Job:
         ConfigError: an unknown key, a key without a value, or a value of the wrong type or out of range.
     """
     keys = [key_of(word) for word in words if not word.startswith("-")]
-    chosen = [key for key in keys if kind.GROUPS and key in groups()]
+    known = groups() if kind.GROUPS else []
+    chosen = [key for key in keys if key in known]
     values: Any = OmegaConf.to_container(config, resolve=True)
     check_known(values, {key for one in together(kind) for key in one.key_names()}, "")
     own = {key: value for key, value in values.items() if key in kind.key_names()}
@@ -167,20 +168,17 @@ def _register(kind: type[Job], words: list[str]) -> None:
     from hydra.core.config_store import ConfigStore
 
     store = ConfigStore.instance()
-    for key in [key for key in store.repo if key != "hydra" and not key.startswith("_")]:
-        del store.repo[key]  # the configuration of another job, whose keys may have the names of groups
     jobs = together(kind)
     chosen = {group: name for one in jobs for group, name in one.GROUPS.items()}
+    # Nothing of another job, whose keys may have the names of groups.
+    own = {key: node for key, node in store.repo.items() if key == "hydra" or key.startswith("_")}
+    store.repo = {**own, **(_options() if chosen else {})}
     values: dict[str, Any] = {}
     for one in jobs:
         values = merged(values, one.defaults())
     last = [{"experiment": None}] if kind.SHARED else []
     defaults = [*({group: name} for group, name in chosen.items()), "_self_", *last]
     store.store(_NAME, OmegaConf.create({"defaults": defaults, **values}))
-    for group, inside in options().items() if chosen else ():
-        for name, entry in inside.items():
-            package = "_global_" if group == "experiment" else None
-            store.store(name, OmegaConf.create(entry.node()), group=group, package=package)
     for group, is_made in (("descriptor", is_fused), ("model/branch", is_backbone)):
         chosen_names = (name for word in words if key_of(word) == group for name in word.partition("=")[2].split(","))
         for name in (name.strip("'\" ") for name in chosen_names):
@@ -188,6 +186,21 @@ def _register(kind: type[Job], words: list[str]) -> None:
                 folder, _, leaf = f"{group}/{name}".rpartition("/")
                 node = OmegaConf.create(option(group, name).node())
                 store.store(leaf, node, group=folder, package=group.replace("/", "."))
+
+
+@cache
+def _options() -> dict[str, Any]:
+    """Return the options of all groups from the registries, as Hydra's store holds them; made once in a process."""
+    from hydra.core.config_store import ConfigStore
+
+    store = ConfigStore.instance()
+    before, store.repo = store.repo, {}
+    for group, inside in options().items():
+        for name, entry in inside.items():
+            package = "_global_" if group == "experiment" else None
+            store.store(name, entry.node(), group=group, package=package)
+    made, store.repo = store.repo, before
+    return made
 
 
 def _path(kind: type[Job]) -> str | None:

@@ -197,7 +197,8 @@ def config_folder() -> Path:
 
 def groups() -> list[str]:
     """Return the names of all groups, such as "data" and "model/branch"."""
-    folders = {path.parent.relative_to(config_folder()).as_posix() for path in config_folder().rglob("*/*.yaml")}
+    folder = config_folder()
+    folders = {path.parent.relative_to(folder).as_posix() for path in folder.rglob("*/*.yaml")}
     return sorted({*folders, *(group for group in options() if not group.startswith("settings"))} - {"building"})
 
 
