@@ -106,6 +106,7 @@ def test_what_was_not_measured_may_be_left_out(smoke, root, tmp_path, capsys, mo
     assert "| table_4_2 | not measured: not all of it" in (page / "report.md").read_text()
 
 
+@pytest.mark.slow
 def test_a_table_of_the_mapper_shows_the_share_of_frames_in_no_node(smoke):
     rows = [line for line in smoke("table_4_2").table().splitlines() if line.startswith("|") and "unassigned" in line]
     assert len(rows) == 6, "two descriptors, three drives"
