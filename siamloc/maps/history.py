@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from enum import Enum
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +14,7 @@ from foundation.columns import Rows
 
 UPKEEP = "upkeep"
 """Key of `VisualMap.made` under which a map keeps what its next update needs."""
+_ALIKE = 0.1  # relative difference of usual distances up to which that of one map holds for both
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,3 +84,22 @@ GONE = np.array([Reason.FORGOTTEN, Reason.UNRECOGNIZED, Reason.REDUNDANT])
 """Reasons for which a frame leaves a map."""
 JOINED = np.array([Reason.ADDED, Reason.NEW_PLACE])
 """Reasons for which a frame joins a map."""
+
+
+def upkeep_of(made: Mapping[str, Any], frames: int) -> dict[str, Any]:
+    """Return what a map of some frames keeps for its updates, by its `VisualMap.made`.
+
+    "before" is the number of frames before the first update, "frames" the same with those of new places, "drives" the
+    drives that were counted, and "usual" the usual distance of neighbours, by the settings under "learned".
+    """
+    new = {"before": frames, "frames": frames, "drives": [], "usual": None, "learned": None}
+    return new | made.get(UPKEEP, {})
+
+
+def merged_upkeep(first: dict[str, Any], second: dict[str, Any]) -> dict[str, Any]:
+    """Return what the map of the frames of two maps keeps; it learns its usual distance if those of the two differ."""
+    drives = [*dict.fromkeys([*first["drives"], *second["drives"]])]
+    numbers = {key: first[key] + second[key] for key in ("before", "frames")}
+    usual, other = (one["usual"] or 0.0 for one in (first, second))
+    alike = first["learned"] == second["learned"] and abs(usual - other) <= _ALIKE * usual
+    return first | numbers | {"drives": drives} | ({} if alike else {"usual": None, "learned": None})

@@ -22,7 +22,7 @@ from siamloc.maps.describing import build
 from siamloc.maps.evidence import Judged, enough_of, judged, map_reasons, repeated, usual_distance
 from siamloc.maps.following import followed, left_by, nodes_of, numbers_of
 from siamloc.maps.grouping import Built
-from siamloc.maps.history import GONE, JOINED, UPKEEP, History, Reason
+from siamloc.maps.history import GONE, JOINED, UPKEEP, History, Reason, upkeep_of
 from siamloc.maps.matching import match
 from siamloc.maps.thinning import Budget, thin
 from siamloc.maps.visual_map import VisualMap
@@ -296,15 +296,12 @@ def updated(
 
 
 def _upkeep(known: VisualMap, settings: Maintenance) -> dict[str, Any]:
-    """Return what a map keeps for its updates: numbers of frames, the usual distance, and the drives that were counted.
-
-    The numbers are that of the frames before the first update, and the same with those of new places.
-    """
-    upkeep = {"before": len(known), "frames": len(known), "drives": [], "usual": None, "learned": None}
-    upkeep |= known.made.get(UPKEEP, {})
-    how = [settings.usual, settings.radius]
+    """Return what a map keeps for its updates, with the usual distance by these settings."""
+    upkeep, how = upkeep_of(known.made, len(known)), [settings.usual, settings.radius]
     if upkeep["learned"] != how:  # learned once: frames that join are unlike their neighbours by choice
-        distance = None if settings.usual is None else usual_distance(known, settings.radius, settings.usual)
+        joined = known.history.joined
+        own = known if joined.all() else known.take(~joined)
+        distance = None if settings.usual is None else usual_distance(own, settings.radius, settings.usual)
         upkeep |= {"usual": distance, "learned": how}
     return upkeep
 

@@ -32,7 +32,7 @@ from siamloc.maps.heading import (
     is_analytic,
     parts_of,
 )
-from siamloc.maps.history import History
+from siamloc.maps.history import UPKEEP, History, merged_upkeep, upkeep_of
 from siamloc.maps.identities import differences, exchangeable
 from siamloc.maps.map_file import read_map, write_map
 from siamloc.maps.packing import Precision, shares_values
@@ -309,7 +309,8 @@ class VisualMap:
         parts = description.orientation if self.orientation is not None else None
         if parts is not None and self.heading is not None:
             parts = halved(self.heading_by, parts)
-        own: dict[str, Any] = {"frames": frames, "orientation": parts, "history": None}
+        made = {key: value for key, value in self.made.items() if key != UPKEEP}
+        own: dict[str, Any] = {"frames": frames, "orientation": parts, "history": None, "made": made}
         return replace(self, descriptors=description.position, **own)
 
     @typed
@@ -343,6 +344,8 @@ class VisualMap:
         descriptors = np.concatenate([self.descriptors, other.descriptors])
         frames = concatenate([self.frames, other.frames])
         made = {**self.made, "sequences": list(frames.rows_by("sequence")), "frames": len(frames)}
+        if UPKEEP in {*self.made, *other.made}:
+            made[UPKEEP] = merged_upkeep(*(upkeep_of(one.made, len(one)) for one in (self, other)))
         history = History.concatenate([self.history, other.history])
         return replace(self, descriptors=descriptors, frames=frames, orientation=parts, made=made, history=history)
 

@@ -173,6 +173,24 @@ def test_a_map_stays_within_its_growth(known, drives):
     assert not found.before.history.contradicted[118:].any(), "the drive recognized the last two"
 
 
+def test_a_merged_map_keeps_what_both_maps_need_for_their_updates(known, drives):
+    annex = drives[2]["new"].with_columns(building=["annex"] * FRAMES)
+    annex = build("hog", drives[1], annex, progress=False)
+    after = update(known, drives[1], drives[2]["same"], progress=False).known
+    kept = {"before": 240, "frames": 240, "drives": ["same"], "usual": None, "learned": None}
+    for whole in (after.merge(annex), annex.merge(after), after.add(annex.frames, annex.description)):
+        assert whole.made["upkeep"] == kept
+    found = update(after.merge(annex), drives[1], drives[2]["changed"], progress=False)
+    assert found.added.any()
+    assert not found.forgotten.any(), "both maps together have room"
+    assert found.known.made["upkeep"]["usual"] > 0
+    alike = {"before": 9, "frames": 10, "drives": ["same", "later"], "usual": 1.05 * after.made["upkeep"]["usual"]}
+    other = replace(annex, made={**annex.made, "upkeep": {**after.made["upkeep"], **alike}})
+    both = after.merge(other).made["upkeep"]
+    assert both == after.made["upkeep"] | {"before": 129, "frames": 130, "drives": ["same", "later"]}
+    assert "upkeep" not in known.merge(annex).made
+
+
 def test_new_places_join_the_map_unless_it_is_not_extended(known, drives):
     part = known.take(np.arange(CHANGED.start - 20))
     found = update(part, drives[1], drives[2]["changed"], progress=False, **COUNTS, extend=False)
