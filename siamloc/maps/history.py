@@ -90,7 +90,8 @@ def upkeep_of(made: Mapping[str, Any], frames: int) -> dict[str, Any]:
     """Return what a map of some frames keeps for its updates, by its `VisualMap.made`.
 
     "before" is the number of frames before the first update, "frames" the same with those of new places, "drives" the
-    drives that were counted, and "usual" the usual distance of neighbours, by the settings under "learned".
+    drives that were counted, each after its building, if it has one, and "usual" the usual distance of neighbours, by
+    the settings under "learned".
     """
     new = {"before": frames, "frames": frames, "drives": [], "usual": None, "learned": None}
     return new | made.get(UPKEEP, {})

@@ -351,7 +351,8 @@ def _told(
     A drive that the map counted before is not counted again.
     """
     reason = map_reasons(known, found, drive.frames.lighting.tolist())
-    drives = [name for name in drive.frames.rows_by("sequence") if name]
+    by_building = zip(drive.frames.building.tolist(), drive.frames.sequence.tolist(), strict=True)
+    drives = [f"{building}/{name}" if building else name for building, name in dict.fromkeys(by_building) if name]
     if drives and set(drives) <= set(upkeep["drives"]):
         logger.warning("the map counted drive %s before: give each drive a name of its own", ", ".join(drives))
         return known, reason

@@ -153,7 +153,7 @@ def _uncounted(drive: FrameTable, counted: list[str]) -> FrameTable:
     A robot that drives on between two updates adds to the folder of its drive.
     """
     name = str(drive.sequence[0])
-    parts = (one.rpartition(SINCE) for one in counted)
+    parts = (one.rpartition("/")[2].rpartition(SINCE) for one in counted)  # of any building
     drive = drive.take(drive.time > max((float(newest) for one, _, newest in parts if one == name), default=-np.inf))
     return drive.with_columns(sequence=[f"{name}{SINCE}{drive.time.max(initial=0):.6f}"] * len(drive))
 

@@ -101,6 +101,14 @@ def test_a_drive_is_counted_once(known, drives, caplog):
     again = update(found.known, drives[1], drives[2]["same"], progress=False, **COUNTS)
     assert again.known.history.confirmed.max() == 1
     assert "the map counted drive same before" in caplog.text
+    annex = drives[2]["same"].with_columns(building=["annex"] * FRAMES)
+    moved = known.frames.with_columns(building=["annex"] * FRAMES)
+    caplog.clear()
+    other = update(replace(found.known, frames=moved), drives[1], annex, progress=False, **COUNTS).known
+    assert not caplog.messages
+    assert other.history.confirmed.max() == 2
+    update(other, drives[1], annex, progress=False, **COUNTS)
+    assert "the map counted drive annex/same before" in caplog.text
 
 
 def test_drives_are_counted_one_by_one(known, drives):
