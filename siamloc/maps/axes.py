@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from siamloc.data.frames import FrameTable
 from siamloc.errors import DataError
 from siamloc.maps.comparing import comparison_of
+from siamloc.maps.matching import match
 from siamloc.maps.refinement import refine
 from siamloc.maps.search import Retrieval
 from siamloc.maps.visual_map import VisualMap
@@ -56,8 +57,11 @@ def check_axes(known: VisualMap, drive: VisualMap, alike: Retrieval, located: ND
     there = known.frames.take(located)
     _check_motion(drive.frames, there.building, there.xy, radius, _FEW)
     compares, described, placed = comparison_of(known), drive.turning(), np.isfinite(known.frames.theta)
-    if compares is None or described.orientation is None or not placed.all():
+    if compares is None or described.orientation is None or not placed.any():
         return
+    if not placed.all():
+        known = known.take(placed)
+        alike = match(known, described, alike.indices.shape[1])
     poses = refine(known, described, alike, compares)
     sure = np.flatnonzero(poses.agreement >= _SURE)
     compared, building = drive.frames.take(sure), known.frames.building[poses.frame[sure]]

@@ -82,7 +82,7 @@ def judged(known: VisualMap, drive: VisualMap, radius: float) -> Judged:
 def _misplaced(
     known: VisualMap, drive: VisualMap, alike: NDArray[np.float64], votes: NDArray[np.int64]
 ) -> NDArray[np.bool_]:
-    """Return for which frames of a drive (n,) most comparisons with map frames give a wrong pose.
+    """Return for which frames of a drive (n,) most comparisons with map frames that have headings give a wrong pose.
 
     Args:
         known: the map (m frames).
@@ -91,12 +91,13 @@ def _misplaced(
         votes: (m,) of each map frame, to which the right comparisons are added and from which the wrong ones are taken.
     """
     compares, parts, frames = comparison_of(known), drive.turning().orientation, drive.frames
-    oriented = np.isfinite(frames.theta).all() and np.isfinite(known.frames.theta).all()
-    if compares is None or parts is None or not oriented:
+    oriented = np.isfinite(frames.theta)[:, None] & np.isfinite(known.frames.theta)
+    if compares is None or parts is None or not oriented.any():
         return np.zeros(len(drive), dtype=bool)
-    rows = np.argsort(alike, axis=1)[:, :_COMPARED]
+    near = np.where(oriented, alike, np.inf)
+    rows = np.argsort(near, axis=1)[:, :_COMPARED]
     found = compare_with(known, parts, rows, compares)
-    usable = np.isfinite(np.take_along_axis(alike, rows, axis=1)) & (found.match >= ODDS)
+    usable = np.isfinite(np.take_along_axis(near, rows, axis=1)) & (found.match >= ODDS)
     own = np.repeat(np.arange(len(drive)), rows.shape[1]) + len(known)
     poses = np.column_stack([np.r_[known.frames.xy, frames.xy], np.r_[known.frames.theta, frames.theta]])
     right = agree(relative(poses, rows.ravel(), own), found.pose.reshape(-1, 3)).reshape(rows.shape)

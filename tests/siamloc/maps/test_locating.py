@@ -107,6 +107,8 @@ def test_frames_that_the_map_takes_for_elsewhere_join_it_and_those_that_misled_a
     drive = replace(drive, frames=drive.frames.with_columns(x=x, y=y, theta=theta, sequence=["tuesday"] * 60))
     found = judged(known, drive, radius=1.0)
     assert np.flatnonzero(found.misplaced).tolist() == list(range(20, 30))
+    some = replace(known, frames=known.frames.with_columns(theta=np.where(np.arange(60) % 20, poses[:60, 2], np.nan)))
+    assert np.flatnonzero(judged(some, drive, radius=1.0).misplaced).tolist() == list(range(20, 30))
     assert 0 < (~found.recognized & found.passed).sum() < 30
     after = updated(known, drive)
     assert set(np.flatnonzero(after.added)) <= set(range(20, 30))
@@ -141,8 +143,10 @@ def test_positions_that_bend_away_from_where_images_are_compared_are_refused(pos
     turned = 0.04 * np.arange(60)
     at = 1.5 * np.exp(1j * turned) * (x + 1j * y)
     frames = drive.frames.with_columns(x=at.real, y=at.imag, theta=theta + turned, sequence=["tuesday"] * 60)
-    with pytest.raises(DataError, match=r"where its images show it: \d of \d+ frames are within 0\.25 m .* as odom_x"):
-        updated(known, replace(drive, frames=frames))
+    headings = np.where(np.arange(60) % 3, known.frames.theta, np.nan)
+    for seen in (known, replace(known, frames=known.frames.with_columns(theta=headings))):
+        with pytest.raises(DataError, match=r"its images show it: \d of \d+ frames are within 0\.25 m .* as odom_x"):
+            updated(seen, replace(drive, frames=frames))
     unsure = frames.with_columns(deviation=np.abs(at - (x + 1j * y)))
     assert updated(known, replace(drive, frames=unsure)).known, "positions that are as uncertain as they are wrong"
     elsewhere = frames.with_columns(building=["annex"] * 60)
