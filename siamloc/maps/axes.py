@@ -18,7 +18,11 @@ _MOTIONS = 300  # that are tried
 _SURE = 0.5  # share of the map frames that agree where a frame is located
 _HALF = 0.5  # share of such frames: of the drive, and of those that agree with other axes, at most
 _OFF = 0.25  # metres that positions by comparison may be off, as those that comparisons are judged by
-_UNIT = 50.0  # ratio of distances from which on they are in another unit, such as millimetres
+_UNIT, _UNIT_OF_FEW = 1.5, 10.0  # ratio of distances from which on they are in another unit: feet, centimetres
+_FEWEST, _CLOSE = 5, 0.1  # frames; share of the variance of their places that may be left if they are few
+
+Points = NDArray[np.complex128]
+Distances = NDArray[np.float64] | np.float64
 
 
 class WrongAxesError(DataError):
@@ -90,32 +94,63 @@ def _check_motion(
     same = drive.building == building
     given, found = ((one[:, 0] + 1j * one[:, 1])[same] for one in (drive.xy, xy))
     agreeing = int((np.abs(found - given) <= radius).sum())
-    if len(given) < _SOME or agreeing > few * len(given):
+    if len(given) < _FEWEST or agreeing > few * len(given):
         return
-    first, second = np.random.default_rng(0).integers(len(given), size=(2, _MOTIONS))
-    moved = found[second] - found[first]
+    best_motion = _motion if len(given) >= _SOME else _motion_of_few
     for axes, exchanged in ((given, ""), (given.conj(), ", with x and y exchanged or one of them reversed,")):
-        wanted = axes[second] - axes[first]
-        rigid = (np.abs(wanted) > 4 * radius) & (np.abs(np.abs(moved) - np.abs(wanted)) < radius)
-        some = rigid | ((np.abs(moved) > 4 * radius) & (np.abs(wanted) > _UNIT * np.abs(moved)))
-        turn, start = (moved[some] / wanted[some])[:, None], first[some]
-        turn /= np.where(rigid[some, None], np.abs(turn), 1)
-        at = turn * (axes - axes[start, None]) + found[start, None]
-        near = np.abs(at - found) <= radius
-        moved_away = rigid[some, None] | (np.abs(found - found[start, None]) > radius)  # any unit keeps what stays
-        agree = (near & moved_away).sum(axis=1)
-        if not agree.size or agree.max() < max(_MOST * len(given), 2 * agreeing):
+        near, agree, scaled = best_motion(axes, found, radius)
+        if agree < max(_MOST * len(given), 2 * agreeing):
             continue
-        best = agree.argmax()
-        middle, there = axes[near[best]].mean(), found[near[best]].mean()
-        offset, other = axes[near[best]] - middle, found[near[best]] - there
-        motion = np.vdot(offset, other) / np.vdot(offset, offset)  # that of two frames may be off by the radius
-        unit = "" if rigid[some][best] else f" and a factor of {abs(motion):.1g}, as between units,"
+        middle, there = axes[near].mean(), found[near].mean()
+        motion = _fitted(axes[near], found[near])  # that of two frames may be off by the radius
+        unit = f" and a factor of {abs(motion):.1g}, as between units," if scaled else ""
         if not (exchanged or unit):
             moved_by = np.median(np.abs(motion / abs(motion) * (given - middle) + there - given))
             degrees = abs(np.degrees(np.angle(motion)))
             unit = f" by {moved_by:.2f} {drive.unit} and {degrees:.0f} degrees"
         raise WrongAxesError(
             f"the drive's positions have other axes than the map's: one motion{exchanged}{unit} brings "
-            f"{near[best].sum()} of {len(given)} frames to where the map locates them"
+            f"{near.sum()} of {len(given)} frames to where the map locates them"
         )
+
+
+def _motion(axes: Points, found: Points, radius: float) -> tuple[NDArray[np.bool_], int, bool]:
+    """Find the motion, perhaps with a factor, that brings most positions (n,) to where their frames are located (n,).
+
+    Returns:
+        Which positions it brings there (n,), how many of them any factor would not, and whether it has a factor.
+    """
+    first, second = np.random.default_rng(0).integers(len(axes), size=(2, _MOTIONS))
+    moved, wanted = found[second] - found[first], axes[second] - axes[first]
+    rigid = (np.abs(wanted) > 4 * radius) & (np.abs(np.abs(moved) - np.abs(wanted)) < radius)
+    some = rigid | ((np.abs(moved) > 4 * radius) & _other_unit(np.abs(moved), np.abs(wanted), _UNIT))
+    if not some.any():
+        return some, 0, False
+    turn, start, rigid = (moved[some] / wanted[some])[:, None], first[some, None], rigid[some, None]
+    turn /= np.where(rigid, np.abs(turn), 1)
+    near = np.abs(turn * (axes - axes[start]) + found[start] - found) <= radius
+    agree = (near & (rigid | (np.abs(found - found[start]) > radius))).sum(axis=1)  # any factor keeps what stays
+    best = agree.argmax()
+    return near[best], int(agree[best]), not rigid[best, 0]
+
+
+def _motion_of_few(axes: Points, found: Points, radius: float) -> tuple[NDArray[np.bool_], int, bool]:
+    """Find the motion of fewer positions, as `_motion`: only one with a large factor that fits closely is certain."""
+    offset, there = axes - axes.mean(), found - found.mean()
+    turn = _fitted(axes, found)
+    left, all_of = (float(np.square(np.abs(one)).sum()) for one in (turn * offset - there, there))
+    certain = left < _CLOSE * all_of and np.abs(there).max() > radius / 2
+    certain &= bool(_other_unit(np.abs(turn), np.float64(1), _UNIT_OF_FEW))
+    near = np.abs(turn * offset - there) <= radius
+    return near, int(near.sum()) if certain else 0, True
+
+
+def _other_unit(moved: Distances, wanted: Distances, factor: float) -> NDArray[np.bool_]:
+    """Return where the ratio of two distances is larger than a factor, either way, and finite."""
+    return np.asarray((wanted > 0) & ((wanted > factor * moved) | (moved > factor * wanted)))
+
+
+def _fitted(axes: Points, found: Points) -> complex:
+    """Return the turn and factor that bring positions (n,) closest to others (n,), about the means of both."""
+    offset, there = axes - axes.mean(), found - found.mean()
+    return complex(np.vdot(offset, there) / max(np.vdot(offset, offset).real, 1e-12))

@@ -250,6 +250,8 @@ def test_positions_with_other_axes_than_the_map_are_refused(known, drives):
         (lambda x, y: (x, -y), "one motion, with x and y exchanged or one of them reversed, brings 40 of 40"),
         (lambda x, y: (3 - y, 7 + x), r"one motion by \d\.\d\d m and 90 degrees brings 40 of 40"),
         (lambda x, y: (1000 * x, 1000 * y), r"one motion and a factor of 0\.001, as between units, brings 40 of 40"),
+        (lambda x, y: (3.28 * y, 3.28 * x), r"reversed, and a factor of 0\.3, as between units, brings 40 of 40"),
+        (lambda x, y: (x / 1000 + 9, y / 1000), r"a factor of 1e\+03, as between units, brings 40 of 40"),
     ],
 )
 def test_positions_that_are_turned_exchanged_reversed_or_in_another_unit_are_refused(made, says):
@@ -260,6 +262,24 @@ def test_positions_that_are_turned_exchanged_reversed_or_in_another_unit_are_ref
     moved = dict(zip("xy", made(x, y), strict=True))
     with pytest.raises(DataError, match=says):
         updated(known, VisualMap(descriptors, FrameTable(path=[f"drive/{n}.png" for n in range(40)], **moved)))
+
+
+@pytest.mark.parametrize("every", [1, 8, 25])
+def test_short_drives_in_another_unit_are_refused_and_true_ones_never(every):
+    x = 0.3 * np.arange(60)
+    y = np.sin(x)
+    rng, descriptors = np.random.default_rng(0), np.column_stack([x, y]).astype(np.float32)
+    known = VisualMap(descriptors, FrameTable(path=[f"{n}.png" for n in range(60)], x=x, y=y)).take(slice(0, 60, every))
+    for first in range(0, 60, 3):
+        for count, noise in ((5, 0.0), (9, 0.3), (30, 1.0), (30, 30.0)):  # at last, frames are located anywhere
+            rows = np.arange(first, min(first + count, 60))
+            frames = FrameTable(path=[f"drive/{n}.png" for n in rows], x=x[rows], y=y[rows])
+            seen = descriptors[rows] + rng.normal(0, noise, (len(rows), 2)).astype(np.float32)
+            updated(known, VisualMap(seen, frames))
+    short = FrameTable(path=[f"drive/{n}.png" for n in range(9)], x=100 * x[:9], y=100 * y[:9])
+    if every == 1:
+        with pytest.raises(DataError, match=r"a factor of 0\.01, as between units, brings 9 of 9 frames"):
+            updated(known, VisualMap(descriptors[:9], short))
 
 
 def test_headings_in_degrees_are_refused_where_they_would_be_compared(known, drives, monkeypatch):
