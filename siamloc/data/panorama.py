@@ -267,6 +267,12 @@ def _step(columns: Array, rows: Array) -> float:
     return float(np.median(steps)) if len(steps) else 1.0
 
 
+def shows_nothing(panoramas: NDArray[np.uint8]) -> NDArray[np.bool_]:
+    """Return which panoramas (n, 3, H, W), uint8, show hardly more than one colour (n,), as a covered camera does."""
+    return np.asarray(panoramas.std(axis=(2, 3), dtype=np.float32).max(axis=1) <= _BLANK)
+
+
+_BLANK = 5.0  # standard deviation of each channel
 _FINEST = 4  # points in a pixel of the panorama, along each of its sides
 _LEAST = 0.02  # share of the panorama that a camera must see
 _CLEAR = 0.99  # weight of the pixels that show something, among those between which a point lies

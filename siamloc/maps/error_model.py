@@ -19,7 +19,7 @@ _GROUP = 25  # validation queries behind each value of the model, at least
 _FEWEST = 10
 # Chosen on drives through two buildings; benchmarks/foreign.py measures them on others.
 _KEPT = 0.99  # share of the correct answers that are not foreign
-_STRANGE = 0.78  # `Retrieval.strangeness` of images that show nothing of the map, at least
+STRANGE = 0.78  # `Retrieval.strangeness` of images that show nothing of the map, at least
 _BETWEEN = 0.55  # position of the threshold between the strangest of these, 0, and the median of elsewhere, 1
 _AGREEMENT, _UNTOLD = 0.02, 1e6  # smallest agreement used, and the deviation of a pose about which nothing is known
 
@@ -250,7 +250,7 @@ class ErrorModel(Learned):
             )
         if compared or elsewhere is None:
             model = replace(self, foreign_weight=None)
-            return replace(model, foreign_above=max(_STRANGE, model._strangest(right, map_xy)))
+            return replace(model, foreign_above=max(STRANGE, model._strangest(right, map_xy)))
         model = replace(self, foreign_weight=1 / (float(np.median(elsewhere.distances[:, 0])) or 1.0))
         strangest = model._strangest(right, map_xy)
         usual = float(np.median(model._strangeness(elsewhere, map_xy)))

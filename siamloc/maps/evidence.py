@@ -10,9 +10,10 @@ from numpy.typing import NDArray
 
 from siamloc.data.moves import relative
 from siamloc.maps.comparing import ODDS, agree, compare_with, comparison_of
+from siamloc.maps.error_model import STRANGE
 from siamloc.maps.history import Reason
 from siamloc.maps.matching import learned_distances
-from siamloc.maps.search import slices
+from siamloc.maps.search import Retrieval, slices
 from siamloc.maps.thinning import compared_nearby
 from siamloc.maps.visual_map import VisualMap
 
@@ -103,6 +104,21 @@ def _misplaced(
     right = agree(relative(poses, rows.ravel(), own), found.pose.reshape(-1, 3)).reshape(rows.shape)
     np.add.at(votes, rows[usable], np.where(right, 1, -1)[usable])
     return np.asarray((usable & ~right).sum(axis=1) > (usable & right).sum(axis=1))
+
+
+def strange(known: VisualMap, drive: VisualMap, alike: Retrieval) -> NDArray[np.bool_]:
+    """Return which frames of a drive (n,) show nothing that is on the map, as those of another building.
+
+    Their strangeness is that of images from elsewhere, and no comparison with the map frames that resemble them most
+    (n, k) is more likely right than wrong. None if the map's descriptor does not compare.
+    """
+    compares, parts, found = comparison_of(known), drive.turning().orientation, np.zeros(len(drive), dtype=bool)
+    if compares is not None and parts is not None and alike.strangeness is not None:
+        found |= alike.strangeness > STRANGE
+        rows = np.flatnonzero(found)
+        for part in (rows[one] for one in slices(len(rows), _AT_ONCE)):
+            found[part] = (compare_with(known, parts[part], alike.indices[part], compares).match < 0).all(axis=1)
+    return found
 
 
 def usual_distance(known: VisualMap, radius: float, share: float) -> float | None:

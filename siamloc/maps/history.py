@@ -76,6 +76,7 @@ class Reason(Enum):
     ALONE = "it contradicts the map, but too few frames around it do"
     REPEATED = "a frame that joins the map shows almost the same"
     UNSURE = "its position is unknown or too uncertain"
+    BLANK = "its picture shows nothing"
     HELD = "it is in the map already"
     FEW = "it contradicts the map, but with fewer frames in its node than smallest_node"
 

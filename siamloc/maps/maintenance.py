@@ -14,12 +14,13 @@ from foundation.calls import OF_FIELDS, takes
 from foundation.settings import Count, Positive, Share
 from siamloc.data.checks import wrong_headings
 from siamloc.data.frames import FrameTable, check_units
+from siamloc.data.panorama import shows_nothing
 from siamloc.errors import ConfigError, DataError, logger
 from siamloc.maps.axes import check_axes
 from siamloc.maps.checked_arrays import check_placed
 from siamloc.maps.comparing import comparison_of
 from siamloc.maps.describing import build
-from siamloc.maps.evidence import Judged, enough_of, judged, map_reasons, repeated, usual_distance
+from siamloc.maps.evidence import Judged, enough_of, judged, map_reasons, repeated, strange, usual_distance
 from siamloc.maps.following import followed, left_by, nodes_of, numbers_of
 from siamloc.maps.grouping import Built
 from siamloc.maps.history import GONE, JOINED, UPKEEP, History, Reason, upkeep_of
@@ -32,6 +33,7 @@ if TYPE_CHECKING:
 
 _REPEATS = 0.6  # share of the usual distance up to which two frames that would join show almost the same
 _COMPARED = 3  # map frames that locate each frame
+_MOST = 0.9  # share of the frames in known places that may contradict a map without a warning
 
 
 @dataclass(frozen=True)
@@ -171,8 +173,9 @@ def update(
     Raises:
         ConfigError: a setting out of range, or an image size or descriptor other than the map's.
         DataError: no frames, frames of several drives or given twice, a map frame without a position, no frame of the
-            drive with a certain one, positions in two units or with other axes than the map's, headings in degrees or
-            clockwise that the map would compare, nodes over another map, or an incremental map without its mapper.
+            drive with a certain one, pictures that show nothing, or mostly nothing that is on the map, positions in two
+            units or with other axes than the map's, headings in degrees or clockwise that the map would compare, nodes
+            over another map, or an incremental map without its mapper.
         AnalyticError: a mapper that is read-only.
 
     Example:
@@ -240,11 +243,16 @@ def update(
         )
     used = sure & new
     part = describe(drive.take(used)) if seen is None else seen.take(used)
-    found = updated(known, part, built=built, settings=settings)
-    kept = set(found.drive.identities())
+    kept = set(part.frames.identities())
     readable = np.array([key in kept for key in keys]) | ~used
     reason = np.full(len(drive), Reason.UNSURE, dtype=object)
     reason[sure] = Reason.HELD
+    blank = np.concatenate([shows_nothing(panoramas) for panoramas in images.batches(part.frames)])
+    if blank.all():
+        raise DataError(f"none of the {len(blank)} pictures shows anything: look whether the camera is covered")
+    reason[np.flatnonzero(used & readable)[blank]] = Reason.BLANK
+    found = updated(known, part.take(~blank), built=built, settings=settings)
+    used &= reason != Reason.BLANK
     reason, now = reason[readable], used[readable]
     contradicted, known_place = np.zeros((2, len(now)), dtype=bool)
     reason[now], contradicted[now], known_place[now] = found.reason, found.contradicted, found.known_place
@@ -322,14 +330,28 @@ def _joining(
         row_of[numbers_of(built.layer)] = np.arange(len(known))
         frames = (drive.description.take(slice(row, row + 1)) for row in range(len(drive)))
         located = row_of[[mapper.locate(frame).frame for frame in frames]]
-    check_axes(known, drive, alike, located, settings.radius)
     known_place = found.away <= settings.radius
+    near, foreign = int(known_place.sum()), int((known_place & strange(known, drive, alike)).sum())
+    if near >= settings.window and foreign > near / 2:
+        raise DataError(
+            f"{foreign} of {near} pictures taken in known places show nothing that is on the map: the camera may be "
+            "covered, turned over or another one, or the drive is of another building"
+        )
+    check_axes(known, drive, alike, located, settings.radius)
     off = np.linalg.norm(known.frames.xy[located] - drive.frames.xy, axis=1)
     contradicts = (off > settings.radius) | (known.frames.building[located] != drive.frames.building)
     contradicts |= found.misplaced
     if usual is not None:
         contradicts |= found.unlike > usual
     contradicts &= known_place
+    if near >= settings.window and contradicts.sum() > _MOST * near:
+        logger.warning(
+            "%d of %d frames of drive %s taken in known places contradict the map: the light may be another one, but "
+            "look whether its camera is that of the map, uncovered and upright, and whether its positions are right",
+            contradicts.sum(),
+            near,
+            drive.frames.sequence[0],
+        )
     outdated = np.zeros(len(drive), dtype=bool)
     outdated[known_place] = enough_of(contradicts[known_place], settings.contradicted, settings.window)
     stretches = usual is None or mapper is not None

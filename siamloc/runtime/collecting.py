@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from foundation.files import scratch_folder, storage_errors, write_picture
 from siamloc.data.frames import FrameTable
 from siamloc.data.names import NamedPose, format_name, parse_name
+from siamloc.data.panorama import shows_nothing
 from siamloc.errors import DataError, StorageError, say_once
 from siamloc.runtime.location import Location
 
@@ -27,7 +28,6 @@ _CERTAIN = 0.25  # largest standard deviation of a position, in the unit of the 
 _AGREEMENT = 0.5  # least agreement on a pose about which nothing else is known
 _APART, _TURNED = 0.1, math.radians(20)  # by how much pictures differ, in the unit of the map and in rad
 _ELSEWHERE = 1.0  # farther than that apart are two places, in the unit of the map
-_BLANK = 5.0  # standard deviation of the pixels of a picture that shows nothing
 _WAITING = 200  # largest number of pictures in memory
 
 
@@ -88,7 +88,9 @@ class Collector:
             if math.hypot(pose.x - before.x, pose.y - before.y) > _ELSEWHERE:
                 self._waiting.clear()  # the tracker was wrong
             recognized = _recognized(location, tracked)
-            if not _certain(location, map_variance) or not (recognized or (tracked and panorama.std() > _BLANK)):
+            if not _certain(location, map_variance) or not (
+                recognized or (tracked and not shows_nothing(panorama[None])[0])
+            ):
                 return None
             if self._last is not None:
                 turned = abs(math.remainder(pose.theta - self._last.theta, 2 * math.pi))

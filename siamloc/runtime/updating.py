@@ -15,6 +15,7 @@ from foundation.calls import OF_FIELDS, takes
 from foundation.files import atomic_folder, file_hash, read_json, write_json
 from siamloc.data.frames import FrameTable
 from siamloc.data.image_files import UnreadableImageError, read_image
+from siamloc.data.panorama import shows_nothing
 from siamloc.errors import DataError, SiamlocError, logger
 from siamloc.maps import Built, CoarseLayer, VisualMap
 from siamloc.maps.axes import WrongAxesError
@@ -159,7 +160,7 @@ def _uncounted(drive: FrameTable, counted: list[str]) -> FrameTable:
 
 
 def _read(drive: FrameTable, size: tuple[int, int]) -> tuple[FrameTable, NDArray[np.uint8]]:
-    """Return the readable pictures of a drive, and their panoramas (n, 3, H, W), uint8, RGB."""
+    """Return the readable pictures of a drive that show anything, and their panoramas (n, 3, H, W), uint8, RGB."""
     rows, found, faults = list[int](), [np.empty((0, *size, 3), np.uint8)], list[str]()
     for row, path in enumerate(drive.path.tolist()):
         try:
@@ -172,10 +173,13 @@ def _read(drive: FrameTable, size: tuple[int, int]) -> tuple[FrameTable, NDArray
                 f"{path} is {picture.shape[0]} x {picture.shape[1]} px, and the bundle's panoramas {size[0]} x "
                 f"{size[1]}: another bundle collected it"
             )
+        if shows_nothing(picture.transpose(2, 0, 1)[None])[0]:
+            faults.append(f"{path}: it shows nothing")
+            continue
         rows.append(row)
         found.append(picture[None, ..., ::-1])
     if faults:
-        logger.warning("%d of %d pictures cannot be read, the first: %s; left out", len(faults), len(drive), faults[0])
+        logger.warning("%d of %d pictures cannot be used, the first: %s; left out", len(faults), len(drive), faults[0])
     return drive.take(np.array(rows, dtype=np.int64)), np.concatenate(found).transpose(0, 3, 1, 2)
 
 

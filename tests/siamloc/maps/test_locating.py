@@ -153,6 +153,32 @@ def test_positions_that_bend_away_from_where_images_are_compared_are_refused(pos
     assert updated(known, replace(drive, frames=elsewhere)).added.any()
 
 
+class Covered(TrueComparison):
+    """Finds that the frames from a number on show nothing of any other frame."""
+
+    def __init__(self, poses, first):
+        super().__init__(poses, 1.0, 0.01)
+        self.first = first
+
+    def compare(self, queries, known):
+        pose, information, odds = super().compare(queries, known)
+        rows = np.rint(queries[:, 0, 0] / queries[:, 1, 0]).astype(int) - 2
+        return pose, information, np.where(rows >= self.first, -12.0, odds)
+
+
+def test_a_drive_that_mostly_shows_nothing_of_the_map_is_refused(poses):
+    x, y, theta = poses[60:].T
+    for first, strange in ((85, True), (95, False)):
+        known, drive = maps(Covered(poses, first), poses, x=x, y=y, theta=theta)
+        if strange:
+            with pytest.raises(DataError, match="35 of 60 pictures taken in known places show nothing that is on the"):
+                updated(known, drive)
+            frames = drive.frames.with_columns(building=["annex"] * 60)
+            assert updated(known, replace(drive, frames=frames)).added.any(), "a new place shows nothing of the map"
+        else:
+            assert updated(known, drive).known
+
+
 def test_comparisons_in_metres_say_nothing_about_a_map_in_pixels(poses):
     known, drive = maps(Moved(poses, 80, 90), poses)
     x, y, theta = poses[60:].T

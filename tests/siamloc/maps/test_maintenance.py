@@ -169,6 +169,30 @@ def test_a_light_of_which_nothing_is_recognized_says_nothing_about_the_map(known
     assert "CONTRADICTED" in named(update(known, drives[1], night, progress=False).map_reason)
 
 
+def test_a_drive_that_contradicts_a_map_that_cannot_compare_is_a_warning(known, drives, caplog):
+    update(known, drives[1], drives[2]["changed"], progress=False)
+    assert not caplog.messages
+    update(known, drives[1], drives[2]["new"], progress=False)
+    assert "frames of drive new taken in known places contradict the map: the light may be another one" in caplog.text
+
+
+def test_pictures_that_show_nothing_never_join(known, drives, tmp_path):
+    drive = drives[2]["changed"]
+    cv2.imwrite(str(tmp_path / "covered.png"), np.full((ROWS, COLUMNS, 3), (10, 90, 200), np.uint8))
+    path = drive.path.tolist()
+    for row in range(30, 60):
+        path[row] = str(tmp_path / f"{row}.png")
+        (tmp_path / f"{row}.png").write_bytes((tmp_path / "covered.png").read_bytes())
+    drive = drive.with_columns(path=path)
+    images = PanoramaLibrary(drive, image_size=(ROWS, COLUMNS))
+    found = update(known, images, drive, progress=False, growth=None)
+    assert np.flatnonzero(found.reason == Reason.BLANK).tolist() == list(range(30, 60))
+    assert found.added[60:80].any()
+    assert len(found.drive) == FRAMES
+    with pytest.raises(DataError, match="none of the 30 pictures shows anything: look whether the camera is covered"):
+        update(known, images, drive.take(np.arange(30, 60)), progress=False)
+
+
 def test_a_map_stays_within_its_growth(known, drives):
     found = update(known, drives[1], drives[2]["new"], progress=False, growth=1.2)
     assert len(found.known) == int(1.2 * FRAMES)

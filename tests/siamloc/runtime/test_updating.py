@@ -221,12 +221,13 @@ def test_the_bundle_that_a_killed_update_left_is_named(bundle):
 def test_pictures_that_cannot_be_read_are_left_out(bundle, tmp_path, caplog):
     whole = kept_by(Collector(tmp_path / "seen"), painted(drive(1)[0]), drive(1)[1])
     Path(whole.path[3]).write_bytes(Path(whole.path[3]).read_bytes()[:100])
+    cv2.imwrite(whole.path[6], np.zeros_like(cv2.imread(whole.path[6])))
     (tmp_path / "seen" / "none").mkdir()
     (tmp_path / "seen" / "none" / Path(whole.path[4]).name).touch()
     (found,) = update(bundle, tmp_path / "seen")
-    assert found.drive.path.tolist() == _from(tmp_path / "seen", np.delete(whole.path, 3))
-    assert f"1 of {len(whole)} pictures cannot be read, the first: {whole.path[3]}" in caplog.text
-    assert "1 of 1 pictures cannot be read" in caplog.text
+    assert found.drive.path.tolist() == _from(tmp_path / "seen", np.delete(whole.path, [3, 6]))
+    assert f"2 of {len(whole)} pictures cannot be used, the first: {whole.path[3]}" in caplog.text
+    assert "1 of 1 pictures cannot be used" in caplog.text
 
 
 def test_pictures_taken_after_an_update_count_too(bundle, tmp_path):
