@@ -258,17 +258,22 @@ def time_offset(seen: Array, time: Array, theta: Array, signs: Sequence[int] = (
 
     0 if the offset is unknown or too small to matter. `seen` are the turns in the images (n - 1,), NaN where unknown;
     they are tried with each of the `signs`, since mirrored images turn the other way. A drive that turns left and right
-    in equal times may fit either sign, so both are tried at each offset.
+    in equal times may fit either sign, so both are tried at each offset. Headings are NaN where unknown, as those of
+    odometry that begins late: turns count whose headings are known at all offsets, so that all are judged alike.
     """
-    if not (np.isfinite(time).all() and np.isfinite(theta).all() and (np.diff(time) > 0).all()):
+    known = np.isfinite(theta)
+    if not (np.isfinite(time).all() and (np.diff(time) > 0).all() and known.any()):
         return 0.0
-    step, heading = float(np.median(np.diff(time))), np.unwrap(theta)
+    step, headed, heading = float(np.median(np.diff(time))), time[known], np.unwrap(theta[known])
     reach = max(_LATEST, 3 * step)
-    rows = np.isfinite(seen) & (time[:-1] - reach >= time[0]) & (time[1:] + reach <= time[-1])
-    if rows.sum() < _FEWEST or np.abs(np.diff(heading))[rows].sum() < _FEWEST * _TURNS:
+    far = np.diff(headed) > reach / 2  # headings that are nearer to each other are interpolated
+    begins, ends = headed[np.append(True, far)], headed[np.append(far, True)]
+    within = np.searchsorted(begins, time[:-1] - reach, "right") - 1 == np.searchsorted(ends, time[1:] + reach)
+    rows, by_headings = np.isfinite(seen) & within, np.diff(np.interp(time, headed, heading))
+    if rows.sum() < _FEWEST or np.abs(by_headings)[rows].sum() < _FEWEST * _TURNS:
         return 0.0
     offsets = np.linspace(-reach, reach, _OFFSETS)
-    turned = np.array([np.diff(np.interp(time + offset, time, heading))[rows] for offset in offsets])
+    turned = np.array([np.diff(np.interp(time + offset, headed, heading))[rows] for offset in offsets])
     by_sign = [np.abs(wrapped(sign * seen[rows] - turned)).clip(0, _STRAY).mean(axis=1) for sign in signs]
     off = np.min(by_sign, axis=0)
     best = int(off.argmin())

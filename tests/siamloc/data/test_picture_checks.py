@@ -134,6 +134,18 @@ def test_an_offset_of_times_is_found_at_any_rate_or_not_told(rate):
     assert time_offset(seen, time, 0 * time) == 0, "a drive that never turns"
 
 
+@pytest.mark.parametrize("unknown", [(34, 40), (0, 5), (18, 21), (18, 18.5)])
+def test_an_offset_of_times_is_found_by_the_headings_that_are_known(unknown):
+    """Odometry stops early, begins late, or has a gap."""
+    time = np.arange(0, 40, 0.2)
+    for late in (0.4, -0.4, 0.0):
+        theta = 1.2 * np.sin(0.7 * (time - late)) + 0.5 * np.sin(1.7 * (time - late))
+        theta[(time >= unknown[0]) & (time <= unknown[1])] = np.nan
+        seen = np.diff(1.2 * np.sin(0.7 * time) + 0.5 * np.sin(1.7 * time))
+        assert time_offset(seen, time, theta) == pytest.approx(late, abs=0.01)
+    assert time_offset(seen, time, np.where(time < 3, theta, np.nan)) == 0, "too few are known"
+
+
 class TrueTurns:
     """Stands for a network: each image's grey value is its row in the drive, whose headings are known."""
 
