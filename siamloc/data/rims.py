@@ -15,6 +15,7 @@ _CONTRAST = 1.6  # how many times more the scene has to change than what is next
 _RIM = 0.4  # share of the directions in which a rim has to be found
 _RISE = 0.3  # least mean rise of the logarithm of the variance at the inner rim
 _EDGED = 0.3  # share of the directions in which a part of the robot may end at the same radius
+_LEAST = 0.07  # share of the outer radius; the holes of mirrors are larger
 _SECOND = 2 / 3  # largest rise at another radius, as a share of that at the inner rim
 _ROUNDING = 1 / 12  # variance of a grey level that is rounded
 _REACH = 8.0  # pixels by which a picture's centre may be off that of the drive
@@ -194,7 +195,10 @@ def inner_rim(moving: Array, centre: Array, outer: float) -> float:
     shares = excess[sure, near] / plateau[sure, None].clip(1e-6)
     inwards, outwards = np.minimum.accumulate(shares[:, ::-1], axis=1)[:, ::-1], np.maximum.accumulate(shares, axis=1)
     edges = [np.interp(0.5, one.clip(0, 1), radii[near]) for one in (*inwards, *outwards)]
-    return float(np.median(edges))
+    radius = float(np.median(edges))
+    if radius < _LEAST * outer:
+        raise DataError("no inner rim that is sure: the scene reaches into the middle of the circle, as by a lens")
+    return radius
 
 
 def shifts(pictures: Array, centre: Array, outer: float) -> Array:

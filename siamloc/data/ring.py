@@ -27,7 +27,7 @@ from siamloc.data.photo_sphere import is_equirectangular, stated
 from siamloc.data.presets import AutoRing
 from siamloc.data.rims import changes, guess, inner_rim, moved, outer_rim, shifts
 from siamloc.data.store import store_key
-from siamloc.data.two_lenses import two_circles
+from siamloc.data.two_lenses import rearranged, two_circles
 from siamloc.errors import ConfigError, DataError, logger
 
 LEAST = 4
@@ -38,7 +38,7 @@ _SHAKES = 0.3  # pixels; centres that move more are lined up first
 _NEAR = 15.0  # pixels from a given ring within which a drive's own ring replaces it
 _INK = (0, 140, 255)  # BGR, as files are read
 _BORDER = 12  # pixels next to a drawn panorama
-_VERSION = 2  # of how a ring is found
+_VERSION = 3  # of how a ring is found
 _UNKNOWN = AutoRing()
 _XI = 0.85, 0.99  # the unified model's parameter of mirrors that are built, 2 e / (e^2 + 1)
 _OFF = 1.5  # pixels by which a picture's own radius may differ
@@ -173,14 +173,18 @@ def _of_drive(given: AutoRing, paths: Sequence[str]) -> AutoRing:
     """Return the ring that the pictures of a drive show, or the given one."""
     folder = Path(paths[0]).parent
     known = given.centre is not None and given.inner is not None and given.outer is not None
+    pictures = _readable(paths)
     try:
-        found = find_ring(_readable(paths))
+        found = find_ring(pictures)
     except DataError as error:
         if not known:
-            raise DataError(
-                f"unwrap=auto finds no ring in {folder}: {error}; if the camera is another one, name it, such as "
-                f"unwrap=equirectangular{two_views(*size_of(paths[0]) or (1, 0))}"
-            ) from error
+            remedies = [rearranged(picture) for picture in pictures]
+            remedy = max(remedies, key=remedies.count, default=None) or (
+                "if the camera is another one, name it: unwrap=fisheye unwrap.fov=180 unwrap.elevation=90 "
+                "unwrap.roll=180 for a lens that looks up, for whole 360-degree pictures unwrap=equirectangular"
+                f"{two_views(*size_of(paths[0]) or (1, 0))}"
+            )
+            raise DataError(f"unwrap=auto finds no ring in {folder}: {error}; {remedy}") from error
         logger.info("%s: the given ring stays (%s)", folder, error)
         return given
     ring = found.ring
@@ -193,12 +197,12 @@ def _of_drive(given: AutoRing, paths: Sequence[str]) -> AutoRing:
 
 @typed
 def find_camera(images: Sequence[str], given: OmnidirectionalCamera | None = _UNKNOWN) -> OmnidirectionalCamera | None:
-    """Find the camera of a drive by its pictures: their shape, or the ring of a mirror or of a lens that looks up.
+    """Find the camera of a drive by its pictures: their shape, or the ring of a mirror.
 
     Pictures that say so in their metadata are equirectangular. Of others, those about twice as wide as high, 1.8 to
     2.2 times, are of two lenses side by side if the corners of both halves are dark in most of them, and else whole
     equirectangular ones, unless they show a ring and are not exactly twice as wide. Wider ones are panoramas. All
-    others show a ring.
+    others show a ring: a lens that looks up has to be named, since its pictures do not stand still in their middle.
 
     Args:
         images: files of the drive's pictures; those that cannot be read are left out.

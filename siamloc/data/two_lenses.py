@@ -6,7 +6,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from siamloc.data.cameras import DualFisheyeCamera, EquirectangularCamera
+from siamloc.data.cameras import DualFisheyeCamera, EquirectangularCamera, twice_as_wide
 from siamloc.data.panorama import Array, OmnidirectionalCamera
 
 _DARK, _AROUND = 24, 1.05  # grey value of what a lens does not show, and radii from its centre on
@@ -25,6 +25,22 @@ def two_circles(picture: Array) -> bool:
     ends = np.abs(np.linspace(-1, 1, len(grey))) > 0.5
     around, inside = grey[outside], np.median(grey[ends][~outside[ends]])
     return bool(np.median(around) < _DARK < inside and np.percentile(around, 95) < _FLARE * inside)
+
+
+def rearranged(picture: Array) -> str | None:
+    """Return how a picture (rows, columns, 3) of another shape gets two lenses side by side; None if it shows none."""
+    rows, columns = picture.shape[:2]
+    if twice_as_wide(columns, rows) and two_circles(picture.swapaxes(0, 1)):
+        return (
+            "the pictures show two lenses one above the other: put them side by side for unwrap=dual_fisheye, as "
+            "`ffmpeg -i IN -lavfi '[0:v]crop=iw:ih/2:0:0[a];[0:v]crop=iw:ih/2:0:ih/2[b];[a][b]hstack' OUT` does"
+        )
+    if rows < columns < 2 * rows and two_circles(picture):
+        return (
+            "the pictures show two lenses side by side between borders: cut those off for unwrap=dual_fisheye, as "
+            "`ffmpeg -i IN -vf crop=iw:iw/2 OUT` does"
+        )
+    return None
 
 
 def wrong_lenses(picture: Array, camera: OmnidirectionalCamera) -> str | None:

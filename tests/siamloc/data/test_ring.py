@@ -75,6 +75,13 @@ def test_the_inner_rim_is_where_the_scene_begins_and_not_where_it_changes_most()
     assert abs(inner_rim(moving, np.array([110.0, 110.0]), 100.0) - 30) < 1.5
 
 
+def test_a_lens_that_looks_up_is_no_mirror_with_a_tiny_hole():
+    """The ceiling above the camera changes less than what is around it."""
+    radius = np.hypot(*(np.mgrid[0:220, 0:220] - 110))
+    with pytest.raises(DataError, match=r"no inner rim .*: the scene reaches into the middle"):
+        inner_rim(np.where(radius < 5, 2.0, 10.0), np.array([110.0, 110.0]), 100.0)
+
+
 def test_files_and_colours_and_large_pictures_give_the_same_ring(tmp_path):
     pictures, centres = drive(8)
     large = [cv2.cvtColor(cv2.resize(one, None, fx=3, fy=3), cv2.COLOR_GRAY2BGR) for one in pictures]
@@ -239,6 +246,22 @@ def test_two_bright_circles_side_by_side_are_two_lenses(radius, columns, tmp_pat
             cv2.circle(picture, (middle, 29), radius, (90, 120, 200), -1)
     lenses = radius < 40  # larger circles reach into the corners
     assert find_camera(written(tmp_path, pictures)) == (DualFisheyeCamera() if lenses else WHOLE)
+
+
+@pytest.mark.parametrize(
+    ("size", "middles", "words"),
+    [
+        ((120, 60), [(30, 30), (30, 90)], r"one above the other: .*hstack' OUT` does$"),
+        ((68, 120), [(30, 34), (90, 34)], r"side by side between borders: .* -vf crop=iw:iw/2 OUT` does$"),
+        ((68, 120), [(60, 34)], r"name it: unwrap=fisheye .* for a lens that looks up, .* unwrap=equirectangular$"),
+    ],
+)
+def test_two_lenses_in_another_shape_are_refused_with_what_to_do(size, middles, words, tmp_path):
+    picture = np.full((*size, 3), 5, np.uint8)
+    for middle in middles:
+        cv2.circle(picture, middle, 29, (90, 120, 200), -1)
+    with pytest.raises(DataError, match=words):
+        find_camera(written(tmp_path, picture[None].repeat(4, axis=0)))
 
 
 def test_pictures_without_a_camera_are_refused_in_a_sentence(tmp_path):
