@@ -22,7 +22,7 @@ from siamloc.data.image_files import UnreadableImageError, decode_image
 from siamloc.data.manifest import manifest_of
 from siamloc.data.names import lighting_in
 from siamloc.data.reading import read
-from siamloc.data.recorded import COLUMNS_OF, check_taken, images_of, joined
+from siamloc.data.recorded import COLUMNS_OF, check_clocks, check_taken, images_of, joined
 from siamloc.data.trajectory import Array, Axes, Form, Order, Trajectory, read_trajectory
 from siamloc.data.trajectory_checks import doubts
 from siamloc.errors import ConfigError, DataError, Policy, leave_out, logger
@@ -203,6 +203,10 @@ def extract(file: str | Path, out: str | Path, *, settings: Extraction = OF_FIEL
         about = _identity(path, sources["images"])
         if (folder / _KEPT).is_file() and read_json(folder / _KEPT) != about:
             raise DataError(f"{folder} holds the images of another recording, as {_KEPT} says: give another folder")
+        if not isinstance(recording, Bag) and recording.seconds > 0:  # before all pictures are decoded
+            taken = recording.taken if isinstance(recording, Pictures) else np.array([0.0, recording.seconds])
+            for one in filter(None, given.values()):
+                check_clocks(taken + settings.offset, one)
         files, times = _write_images(recording, folder, sources["images"], settings, given["poses"])
         write_json(folder / _KEPT, about)
         times = times + settings.offset

@@ -102,6 +102,12 @@ def joined(taken: Array, trajectory: Trajectory, gap: float, axes: Axes = "robot
         DataError: the images have no times, none was taken during the trajectory, or its frame does not stay upright.
     """
     check_taken(taken)
+    check_clocks(taken, trajectory)
+    return trajectory.at(taken, gap).tilted(axes, trajectory)
+
+
+def check_clocks(taken: Array, trajectory: Trajectory) -> None:
+    """Refuse a trajectory during which no image was taken, by the times of the first and the last one."""
     if taken.max() < trajectory.time[0] or taken.min() > trajectory.time[-1]:
         spans = float(np.ptp(taken)), float(np.ptp(trajectory.time))
         remedy = (
@@ -115,7 +121,6 @@ def joined(taken: Array, trajectory: Trajectory, gap: float, axes: Axes = "robot
             f"the images were taken between {taken.min():.3f} and {taken.max():.3f} s, and {trajectory.source} has "
             f"poses between {trajectory.time[0]:.3f} and {trajectory.time[-1]:.3f} s: {remedy}"
         )
-    return trajectory.at(taken, gap).tilted(axes, trajectory)
 
 
 def check_taken(taken: Array) -> None:

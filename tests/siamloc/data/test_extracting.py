@@ -422,6 +422,16 @@ def film(path, times=1):
 
 
 @pytest.mark.parametrize("ending", [".mp4", ".avi"])
+def test_odometry_of_another_clock_is_refused_before_a_video_is_decoded(tmp_path, ending):
+    path, wheels = film(tmp_path / f"walk{ending}", 3), tmp_path / "wheels.txt"
+    wheels.write_text("".join(f"{START / 1e9 + k} {0.1 * k} 0 0 0 0 0 1\n" for k in range(9)))
+    with pytest.raises(DataError, match=r"taken between 0\.000 and 1\.500 s, .*: these are two clocks"):
+        siamloc.data.extract(path, tmp_path / "out", odometry=str(wheels))
+    assert not list((tmp_path / "out").glob("*.jpg"))
+    assert len(siamloc.data.extract(path, tmp_path / "out", odometry=str(wheels), offset=START / 1e9)) == 15
+
+
+@pytest.mark.parametrize("ending", [".mp4", ".avi"])
 def test_a_video_with_a_trajectory(tmp_path, ending):
     """The video begins 2 s after the trajectory."""
     path = film(tmp_path / f"walk{ending}")
