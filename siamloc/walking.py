@@ -146,8 +146,14 @@ def walk(
     size = size_of(frames.path[0])
     shape = f" (unwrap=), for pictures of {size[1]} x {size[0]} px" if size else " (unwrap=)"
     placed = size is not None and stated(camera.camera, frames.path[0], size) != camera.camera
-    say(f"camera: {camera.words()}{shape}{', each placed and levelled by what it says of itself' * placed}")
-    ring = camera.camera
+    ring, seen = camera.camera, ", each placed and levelled by what it says of itself" * placed
+    if ring is None:
+        top, bottom = (f"{edge:g}" for edge in (camera.view.top, camera.view.bottom))
+        seen = (
+            f", assumed to be panoramas of {top} to {bottom} degrees of elevation: parts of whole 360-degree pictures "
+            f"are unwrap=equirectangular unwrap.highest={top} unwrap.lowest={bottom}, with the degrees that they show"
+        )
+    say(f"camera: {camera.words()}{shape}{seen}")
     if isinstance(ring, DualFisheyeCamera) and ring == (usual := DualFisheyeCamera(second=ring.second)):
         say(f"lenses: each is taken to see {usual.front.fov:g} degrees (unwrap.front.fov=, unwrap.back.fov=)")
     if isinstance(given.camera, AutoRing) and isinstance(ring, HyperbolicMirror):

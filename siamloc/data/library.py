@@ -55,6 +55,7 @@ class PanoramaLibrary:
         circular: whether the columns wrap around.
         preprocessing: reads an image and makes a panorama of it, with image size and camera.
         cameras: the camera of each drive, by sequence: of an `AutoRing`, the ring that its pictures show.
+        simulated: whether siamloc simulated all images, so that panoramas show the elevations that they should.
 
     Raises:
         ConfigError: a size, camera, number of workers or policy that makes no sense, or an `unwrap` that does not fit
@@ -92,7 +93,7 @@ class PanoramaLibrary:
         self.circular = circular
         self._on_error = on_error
         self._cache = Path(cache or os.environ.get("SIAMLOC_CACHE") or CACHE).expanduser().absolute()
-        _check_simulated(frames, self.preprocessing)
+        self.simulated = _all_simulated(frames, self.preprocessing)
         _warn_of_equirectangular(frames, self.preprocessing, circular)
         tilt = frames.tilt
         self.cameras: dict[str, OmnidirectionalCamera | None] = {}
@@ -218,11 +219,17 @@ class PanoramaLibrary:
         return np.array([self._row_of[key] for key in keys], dtype=np.int64)
 
 
-def _check_simulated(frames: FrameTable, preprocessing: Preprocessing) -> None:
-    """Raise ConfigError if `camera.json` next to images asks for other unwrapping, FormatError if it is no mapping."""
-    kind = preprocessing.unwrap_settings()["kind"]
+def _all_simulated(frames: FrameTable, preprocessing: Preprocessing) -> bool:
+    """Return whether `siamloc simulate` made all images, as `camera.json` next to them says.
+
+    Raises:
+        ConfigError: it asks for other unwrapping.
+        FormatError: it is no mapping.
+    """
+    kind, simulated = preprocessing.unwrap_settings()["kind"], True
     for folder in sorted({Path(path).absolute().parents[1] for path in frames.path.tolist()}):
         if not (folder / "camera.json").is_file():
+            simulated = False
             continue
         about = read_json(folder / "camera.json")
         if not isinstance(about, dict) or not isinstance(images := about.get("images"), str | None):
@@ -237,6 +244,8 @@ def _check_simulated(frames: FrameTable, preprocessing: Preprocessing) -> None:
                 f"{folder} holds simulated images of kind {images}, which unwrap={kind} does not fit: "
                 f"use unwrap={fitting[-1]}" + (", or simulate with camera=panorama" if images != "panorama" else "")
             )
+        simulated &= fitting is not None
+    return simulated
 
 
 def _warn_of_equirectangular(frames: FrameTable, preprocessing: Preprocessing, circular: bool) -> None:

@@ -80,7 +80,7 @@ def shows_floor(images: PanoramaLibrary, height: float | None) -> bool:
     own = np.tan(view.row_elevation()) < _BELOW
     rings = any(isinstance(camera, PolarRing) for camera in images.cameras.values())
     shown = not rings and min(_rows(view)[1].sum(), own.sum()) >= _FEWEST and seen_by_all(images)[own].mean() >= _SHOWN
-    if height is not None and not (shown and elevations_known(images)):
+    if height is not None and (not shown or _presumed(images)):
         raise ConfigError(
             "survey.height needs panoramas that show the floor at known elevations: a ring of two radii does not say "
             "what it sees, so give the camera's calibration (unwrap=calibrated), and let it and the panoramas see "
@@ -90,9 +90,16 @@ def shows_floor(images: PanoramaLibrary, height: float | None) -> bool:
 
 
 def elevations_known(images: PanoramaLibrary) -> bool:
-    """Return whether no camera is a mirror that is presumed in a ring, so that a height of the camera gives metres."""
-    cameras = images.cameras.values()
-    return not any(isinstance(camera, HyperbolicMirror) and camera.presumed for camera in cameras)
+    """Return whether it is known which elevations panoramas show, so that lengths on the floor give metres.
+
+    Those of pictures that are only resized are assumed, unless siamloc simulated them.
+    """
+    return not _presumed(images) and (images.simulated or None not in images.cameras.values())
+
+
+def _presumed(images: PanoramaLibrary) -> bool:
+    """Return whether a camera is a mirror that is presumed in a ring."""
+    return any(isinstance(camera, HyperbolicMirror) and camera.presumed for camera in images.cameras.values())
 
 
 def seen_by_all(images: PanoramaLibrary) -> NDArray[np.bool_]:

@@ -368,7 +368,7 @@ def _told_by_floor(
     if told is None and height is not None:
         notes.append(
             "the height of the camera is not used: the floor shows too little, frames are too far apart, or the height "
-            "in metres is another one"
+            f"in metres is another one{'' if known else ', or the panoramas show other elevations than assumed'}"
         )
     elif told is not None and known and height is None and (anchors is None or len(anchors) < 2):
         notes.append(

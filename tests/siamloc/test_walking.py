@@ -87,6 +87,8 @@ def test_a_folder_of_panoramas_without_odometry_becomes_a_robot(mini, tmp_path, 
     made = siamloc.walk(pictures, tmp_path / "robot", say=said.append, spacing=0.25, survey=height)
     assert "without odometry" in said[0]
     assert said[1].startswith("camera: unwrap=none (unwrap=), for pictures of ")
+    assert ", assumed to be panoramas of 30 to -45 degrees of elevation: " in said[1]
+    assert "unwrap=equirectangular unwrap.highest=30 unwrap.lowest=-45" in said[1]
     assert made.survey.fixed_by == "height"
     (doubted,) = (line for line in said if line.startswith("note: "))
     assert doubted.startswith("note: the survey is not exact, its positions only within 0.")

@@ -8,6 +8,7 @@ import cv2
 import numpy as np
 import pytest
 
+import siamloc
 from siamloc.data import (
     EquirectangularCamera,
     FisheyeCamera,
@@ -20,7 +21,7 @@ from siamloc.data.moves import relative
 from siamloc.data.ring import likely_mirror
 from siamloc.errors import ConfigError
 from siamloc.maps import SurveySettings, survey
-from siamloc.maps.floor import Floor, floor_scale, lengthening, shows_floor
+from siamloc.maps.floor import Floor, elevations_known, floor_scale, lengthening, shows_floor
 from siamloc.maps.pose_graph import Edges
 from siamloc.maps.surveying import _told_by_floor
 
@@ -256,6 +257,22 @@ def test_no_height_gives_metres_below_a_mirror_that_is_presumed_in_a_ring(tmp_pa
     assert shows_floor(presumed, None)
     with pytest.raises(ConfigError, match=r"survey\.height needs .* a ring of two radii does not say what it sees"):
         shows_floor(presumed, 1.0)
+
+
+def test_elevations_of_panoramas_are_assumed_unless_siamloc_simulated_them(tmp_path):
+    siamloc.simulate.simulate(out=tmp_path, building="mini", camera="panorama", runs=["cloudy1"], frames=2)
+    simulated = siamloc.data.read("cold", root=tmp_path / "mini")
+    (tmp_path / "copied").mkdir()
+    (tmp_path / "copied" / "1.jpeg").hardlink_to(simulated.path[0])
+    copied = FrameTable(path=[tmp_path / "copied" / "1.jpeg"])
+    for frames, camera, known in (
+        (simulated, None, True),
+        (copied, None, False),
+        (copied, EquirectangularCamera(highest=30, lowest=-45), True),
+    ):
+        images = PanoramaLibrary(frames, tmp_path / "cache", image_size=(64, 256), unwrap=camera)
+        assert elevations_known(images) == known
+        assert shows_floor(images, 1.0), "a height that the user gives is used"
 
 
 @pytest.mark.parametrize("known", [True, False])
