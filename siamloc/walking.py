@@ -181,9 +181,10 @@ def walk(
     chosen = maps.key_frames(_NETWORK, images, frames, spacing=settings.spacing)
     say(f"key frames: {len(chosen)} of {len(images)}, each {settings.spacing:g} m or more from the last (spacing=)")
     if len(chosen) < _FEWEST:
+        longer = np.ceil(10 * _FEWEST / len(chosen)) / 10  # key frames are farther apart than `spacing`
         raise DataError(
-            f"{file} has {len(chosen)} key frames, and a map needs {_FEWEST}: record a way of "
-            f"{_FEWEST * settings.spacing:.0f} m or more, or take a smaller spacing than {settings.spacing:g}"
+            f"{file} has {len(chosen)} key frames, and a map needs {_FEWEST}: record {longer:.1f} times this way or "
+            f"more, or take a smaller spacing than {settings.spacing:g}"
         )
     if 2 * settings.left_out > len(chosen):
         raise ConfigError(
