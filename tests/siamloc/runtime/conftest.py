@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from analytic import Descriptor
+from analytic import DESCRIPTORS, Descriptor
 from foundation.files import file_hash, read_json, write_json
 from siamloc.data.frames import FrameTable
 from siamloc.maps import VisualMap
@@ -38,12 +38,13 @@ def batch(pictures: np.ndarray) -> np.ndarray:
 
 
 def mapped(by: Descriptor, heading: Descriptor | None = None) -> VisualMap:
-    """Return the map of the first drive, with headings by a second descriptor or, if it finds them, by a network."""
+    """Return the map of the first drive, with headings by a second descriptor or, if it finds them, by its own."""
     pictures, frames = drive(0)
     seen, parts = described(by, heading, batch(pictures)), {}
     if seen.orientation is not None:
-        heading = heading or NetworkHeading(by.tells_heading)
-        parts = {"orientation": halved(heading, seen.orientation), "heading": heading.identity}
+        parts = {"orientation": halved(heading or by, seen.orientation)}
+        if heading is not None or by.name not in DESCRIPTORS:
+            parts["heading"] = (heading or NetworkHeading(by.tells_heading)).identity
     return VisualMap(seen.position, frames, {**by.identity, "images": IMAGES}, **parts, describes=by)
 
 
