@@ -14,7 +14,7 @@ from foundation.calls import typed
 from foundation.files import check_version, file_hash, older_folder, read_json
 from foundation.settings import Count, Size, misfit
 from siamloc.data.decoding import Preprocessing, is_known
-from siamloc.errors import ConfigError, FormatError
+from siamloc.errors import ConfigError, FormatError, SiamlocError
 from siamloc.maps import CoarseLayer, ErrorModel, Refinement, VisualMap
 from siamloc.maps.heading import is_analytic
 from siamloc.maps.packing import Precision
@@ -59,6 +59,7 @@ _KEYS: dict[str, Any] = {
 }
 """The kind of value of each key of a description."""
 _LONGEST = 64_000_000  # bytes of a description
+_TRIES = 5  # to read a bundle that is replaced meanwhile
 _OPTIONAL = ("heading", "refinement", "search", "errors", "precisions", "unit", "pictures")
 
 
@@ -216,6 +217,39 @@ class Bundle:
     @cached_property
     def _thumbnails(self) -> Any:
         return self.load(THUMBNAILS)
+
+
+def read_whole(path: str | Path, read: Callable[[], object]) -> None:
+    """Read the parts of a bundle, again if an update replaced it meanwhile, so that they are all of one bundle.
+
+    Args:
+        path: folder of the bundle.
+        read: reads them.
+
+    Raises:
+        FormatError: the bundle was replaced each time.
+        SiamlocError: as `read`, if the bundle stayed.
+    """
+    for _ in range(_TRIES):
+        before = _written(path)
+        try:
+            read()
+        except (SiamlocError, OSError):
+            if _written(path) == before:
+                raise
+        else:
+            if _written(path) == before:
+                return
+    raise FormatError(f"{path} was replaced {_TRIES} times while it was opened: open it when no update runs")
+
+
+def _written(path: str | Path) -> tuple[int, int] | None:
+    """Return which file describes a bundle, and when it was written; None without one."""
+    try:
+        about = (Path(path) / DESCRIPTION).stat()
+    except OSError:
+        return None
+    return about.st_ino, about.st_mtime_ns
 
 
 def _holds(file: Path) -> bool:

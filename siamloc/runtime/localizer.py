@@ -6,6 +6,7 @@ import math
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -38,7 +39,7 @@ from siamloc.maps import (
 )
 from siamloc.maps.sequence_filter import spacing_of
 from siamloc.memory import returned_memory
-from siamloc.runtime.bundle import ERRORS, LAYER, MAP, REFINEMENT, Bundle
+from siamloc.runtime.bundle import ERRORS, LAYER, MAP, REFINEMENT, Bundle, read_whole
 from siamloc.runtime.collecting import MOST, Collector
 from siamloc.runtime.describing import coarse_map, with_own_descriptor
 from siamloc.runtime.location import Candidate, Location
@@ -77,7 +78,7 @@ class Localizer:
         camera: another camera than the bundle's, as `PanoramaLibrary` takes it; its panoramas show the same view.
 
     Raises:
-        FormatError: not a bundle, an altered one, or one of another version.
+        FormatError: not a bundle, an altered one, one of another version, or one that is replaced again and again.
         ConfigError: a bundle without a map, or without the requested coarse layer, or that refines poses by comparison
             in a map that is not in metres, top, threads or most below 1, a provider that this onnxruntime lacks, a
             bundle that cannot say which images were located well, or a folder for them in the bundle.
@@ -97,21 +98,8 @@ class Localizer:
         collect: str | Path | None = None,
         most: Count = MOST,
     ) -> None:
-        self._top, self.bundle = top, Bundle.open(bundle_path)
-        if camera is not None:
-            own = self.bundle.preprocessing
-            edges = own.view.top, own.view.bottom
-            other = Preprocessing.checked(self.bundle.image_size, camera, edges, own.level)
-            self.bundle = replace(self.bundle, preprocessing=other)
-        known: VisualMap | None = self.bundle.load(MAP)
-        if known is None:
-            raise ConfigError(f"{bundle_path} holds no map: run `siamloc map`, then `siamloc export` again")
-        known.check_descriptor(self.bundle.identity)
-        self.bundle.thumbnail(0)  # read with the map, which an update replaces
-        self.map, self._network = with_own_descriptor(self.bundle, known, threads, providers)
-        self._search = self._layered(hierarchical)
-        self._errors: ErrorModel | None = self.bundle.load(ERRORS)
-        self._refinement: Refinement | None = self.bundle.load(REFINEMENT)
+        self._top = top
+        read_whole(bundle_path, partial(self._read, bundle_path, camera, threads, providers, hierarchical))
         self._placed = self.map.placed() if self.map.frames.has_position.any() else None
         network = self._network
         self._compare = network.compare if network is not None and network.compares else None
@@ -325,6 +313,31 @@ class Localizer:
                 f"{panoramas.dtype}"
             )
         return self.map.describe(panoramas)
+
+    def _read(
+        self,
+        path: str | Path,
+        camera: OmnidirectionalCamera | Mapping[str, Any] | None,
+        threads: int | None,
+        providers: Sequence[str] | None,
+        hierarchical: bool | None,
+    ) -> None:
+        """Read all parts of the bundle; the arguments are those of the constructor."""
+        self.bundle = Bundle.open(path)
+        if camera is not None:
+            own = self.bundle.preprocessing
+            edges = own.view.top, own.view.bottom
+            other = Preprocessing.checked(self.bundle.image_size, camera, edges, own.level)
+            self.bundle = replace(self.bundle, preprocessing=other)
+        known: VisualMap | None = self.bundle.load(MAP)
+        if known is None:
+            raise ConfigError(f"{path} holds no map: run `siamloc map`, then `siamloc export` again")
+        known.check_descriptor(self.bundle.identity)
+        self.bundle.thumbnail(0)  # read with the map, which an update replaces
+        self.map, self._network = with_own_descriptor(self.bundle, known, threads, providers)
+        self._search = self._layered(hierarchical)
+        self._errors: ErrorModel | None = self.bundle.load(ERRORS)
+        self._refinement: Refinement | None = self.bundle.load(REFINEMENT)
 
     def _layered(self, wanted: bool | None) -> HierarchicalSearch | None:
         """Return the search through the coarse layer; None if there is none, or if it is not to be used."""

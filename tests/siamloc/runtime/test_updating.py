@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import pkgutil
+import shutil
 from dataclasses import replace
 from pathlib import Path
 from unittest.mock import patch
@@ -19,6 +20,7 @@ from siamloc.jobs.robot import Localize
 from siamloc.maps import ErrorModel, LayerSearch, group
 from siamloc.runtime import Bundle, Candidate, Localizer, Location, export, locate_all, update
 from siamloc.runtime.collecting import Collector, _pictures, collected
+from siamloc.runtime.describing import coarse_map
 from tests.siamloc.runtime.conftest import SIZE, altered, batch, drive, mapped, printed_without_torch
 
 HOG = analytic.descriptor("hog", rows=4)
@@ -210,6 +212,35 @@ def test_a_bundle_that_was_replaced_meanwhile_stays(bundle, tmp_path, called, gi
         update(bundle, tmp_path / "seen")
     assert Bundle.open(bundle).about["figures"] == {"mean": 0.1}
     assert [path.name for path in bundle.parent.iterdir() if path.suffix in (".old", ".tmp")] == []
+
+
+@pytest.mark.parametrize("during", ["siamloc.runtime.bundle.file_hash", "siamloc.runtime.localizer.coarse_map"])
+def test_a_localizer_that_is_opened_during_an_update_is_of_one_bundle(bundle, tmp_path, during):
+    kept_by(Collector(tmp_path / "seen"), painted(drive(1)[0]), drive(1)[1])
+    newer = shutil.copytree(bundle, tmp_path / "newer")
+    (found,) = update(newer, tmp_path / "seen", growth=None)
+    as_before = pkgutil.resolve_name(during)
+
+    def replacing(given):
+        if newer.exists():
+            bundle.rename(tmp_path / "older")
+            newer.rename(bundle)
+        return as_before(given)
+
+    with patch(during, replacing):
+        opened = Localizer(bundle)
+    assert len(opened.map) == len(found.known) > len(found.before)
+    assert opened.bundle.thumbnail(len(opened.map) - 1) is not None
+    assert opened.bundle.about == Bundle.open(bundle).about
+
+
+def test_a_bundle_that_is_replaced_again_and_again_is_not_opened(bundle):
+    def replacing(given):
+        altered(bundle, figures={"mean": 0.1})
+        return coarse_map(given)
+
+    with patch("siamloc.runtime.localizer.coarse_map", replacing), pytest.raises(FormatError, match="replaced 5 times"):
+        Localizer(bundle)
 
 
 def test_the_bundle_that_a_killed_update_left_is_named(bundle):
