@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from analytic import Descriptor, Fused
-from foundation.files import plain
+from foundation.files import older_folder, plain
 from siamloc.data.decoding import Preprocessing
 from siamloc.data.frames import FrameTable, check_units
 from siamloc.errors import ConfigError, FormatError
@@ -39,20 +39,24 @@ def check_replaceable(path: Path) -> None:
 def check_counted(path: Path, known: VisualMap | None) -> None:
     """Check that a new map counts all drives by which robots updated the map of the bundle in this path, if any.
 
+    A bundle that a killed update left beside this path counts as well.
+
     Raises:
         ConfigError: what these drives changed would be lost.
     """
+    older = None if path.exists() else older_folder(path)
     try:
-        held = VisualMap.load(path / files.MAP)
+        held = VisualMap.load((older or path) / files.MAP)
     except FormatError:
         return
     drives, counted = (one.made.get(UPKEEP, {}).get("drives", []) if one is not None else [] for one in (held, known))
     # Drives of other updates are in the user's hands, who may make the map from them anew.
     if lost := [drive for drive in drives if SINCE in drive and drive not in counted]:
+        back = "" if older is None else f"rename that folder to {path.name}, "
         raise ConfigError(
-            f"robots updated the map in {path} by drives that the new one lacks, {len(lost)} of them, the last is "
-            f"{lost[-1]}: name another folder, or replace it with overwrite=true and update the new one by what robots "
-            "collected"
+            f"robots updated the map in {older or path} by drives that the new one lacks, {len(lost)} of them, the "
+            f"last is {lost[-1]}: {back}name another folder, or replace it with overwrite=true and update the new one "
+            "by what robots collected"
         )
 
 

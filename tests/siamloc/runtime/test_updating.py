@@ -311,6 +311,10 @@ def test_an_export_keeps_what_drives_taught_a_bundle(bundle, images, tmp_path):
         export(HOG, known, bundle)
     assert len(Localizer(bundle).map) == len(found.known)
     export(HOG, replace(found.known, describes=None), bundle)
+    left = bundle.rename(bundle.with_name(".bundle.0123abcd-7-0.old"))  # by a killed update
+    with pytest.raises(ConfigError, match=r"robots updated the map in .*-7-0\.old .*: rename that folder to bundle, "):
+        export(HOG, known, bundle)
+    left.rename(bundle)
     export(HOG, known, bundle, overwrite=True)
     assert len(Localizer(bundle).map) == len(known)
 
