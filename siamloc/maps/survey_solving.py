@@ -63,7 +63,7 @@ def solution_notes(
     if not loops.accepted.any():
         found = "contradict all other measurements" if (loops.reason == Reason.CONTRADICTED).any() else "were not found"
         notes.append(f"loops {found}: drift is not undone; a drive that visits places again has loops")
-    anchored, torn = len(graph.fixed) > 1, _torn(graph, solution)
+    anchored, torn = len(graph.fixed) > 1, torn_before(graph, solution)
     if anchored and (doubted := _doubted_anchors(whole, solution)).size:
         notes.append(
             f"{doubted.size} of {len(graph.fixed)} anchors contradict the images around them, the first is "
@@ -96,7 +96,7 @@ def residual_of_steps(graph: PoseGraph, solution: Solution) -> Array:
     return np.hypot(off[:, 0], off[:, 1])
 
 
-def _torn(graph: PoseGraph, solution: Solution) -> NDArray[np.int64]:
+def torn_before(graph: PoseGraph, solution: Solution) -> NDArray[np.int64]:
     """Return the frames before which a drive is torn: the solution contradicts all steps across, by their weights.
 
     It is also torn where the solution is far from the step to the next frame, though other steps across, over a tear

@@ -37,7 +37,7 @@ from siamloc.maps.floor import (
 from siamloc.maps.loops import Loops, agreed, checked_pairs, far_apart, loops_of, most_alike
 from siamloc.maps.pose_graph import SCALE, Array, Edges, PoseGraph, Solution, covariances, of_shape
 from siamloc.maps.survey_checks import check_drives, check_lengths, comparing_descriptor
-from siamloc.maps.survey_solving import residual_of_steps, solution_notes, solved
+from siamloc.maps.survey_solving import residual_of_steps, solution_notes, solved, torn_before
 from siamloc.maps.survey_start import anchored, brought_together, check_anchors, of_drives
 from siamloc.maps.survey_steps import (
     compared_steps,
@@ -112,8 +112,18 @@ class Survey:
 
     @property
     def typical_deviation(self) -> float:
-        """Median of the standard deviations of the positions, in metres."""
+        """Median of the standard deviations of the positions, in metres; of no worth if `torn` is above 0."""
         return float(np.median(self.frames.deviation))
+
+    @property
+    def torn(self) -> int:
+        """Number of places where the survey is torn, because loops or anchors contradict the images."""
+        return len(torn_before(self.graph, self.solution))
+
+    @property
+    def doubt(self) -> str:
+        """What follows the figures of a torn survey, "; do not rely on it: torn in 2 places"; "" of a whole one."""
+        return f"; do not rely on it: torn in {self.torn} place{'s' * (self.torn > 1)}" if self.torn else ""
 
     def summary(self) -> str:
         """Say in a line how many frames were surveyed, by how many loops, and what fixes their scale."""
@@ -124,10 +134,11 @@ class Survey:
         return (
             f"{len(self.frames)} frames along {way:.1f} m; loops: {counts['accepted']} used, {refused} refused; the "
             f"scale follows from the {self.fixed_by}{within}, typical deviation {self.typical_deviation:.2f} m"
+            f"{self.doubt}"
         )
 
     def report(self) -> dict[str, Any]:
-        """Return figures as plain values: frames, loops by reason, scales, biases, residuals and notes.
+        """Return figures as plain values: frames, loops by reason, scales, biases, residuals, summary and notes.
 
         Drives without odometry are not in `odometry`.
         """
@@ -151,6 +162,8 @@ class Survey:
             "length_of_comparisons": self.solution.scale,
             "height": None if self.floor is None else self.floor.height,
             "odometry": odometry,
+            "torn": self.torn,
+            "summary": self.summary(),
             "notes": list(self.notes),
         }
 

@@ -63,7 +63,7 @@ def survey_picture(found: Survey) -> Picture:
         axes.plot(*xy[rows].T, linewidth=1.6, label=name or "drive", **_look(number))
         axes.plot(*xy[rows[0]], "o", color=_look(number)["color"], markersize=6, markeredgecolor="white")
     counts = found.loops.counts()
-    axes.set_title(f"surveyed: {counts['accepted']} loops used")
+    axes.set_title(f"surveyed: {counts['accepted']} loops used{found.doubt}".replace("; ", "\n"))
     for one in drawn:
         one.set(xlabel="x [m]", ylabel="y [m]", aspect="equal")
     handles, labels = legend_entries(axes)

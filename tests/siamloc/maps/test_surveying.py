@@ -171,7 +171,9 @@ def test_loops_undo_the_drift_of_odometry(surveyed):
     assert found.frames.x[0] == found.frames.y[0] == 0
     assert found.report()["loops"]["accepted"] == found.loops.accepted.sum() > 50
     assert found.notes == ()
+    assert found.torn == 0
     assert "along" in found.summary()
+    assert found.summary().endswith(" m"), "no doubt"
 
 
 def test_images_alone_give_the_shape(surveyed):
@@ -373,12 +375,16 @@ def test_an_anchor_that_contradicts_the_images_is_noted(surveyed):
 
     found, _, _ = surveyed({"monday": poses}, anchors=anchors([5, 40, 80], np.array([0, 3.0, 0])))
     assert "1 of 3 anchors contradict the images around them, the first is monday/40.png" in found.notes[-1]
+    assert found.torn == 0
     assert not surveyed({"monday": poses}, anchors=anchors([5, 40, 80]))[0].notes
     wheels = drifting(poses)
     wheels[1:] += [0.9, 0, 0]  # a first step that contradicts the images
     assert not surveyed({"monday": poses}, odometry=wheels, anchors=anchors([0]))[0].notes  # one anchor cannot
     found, _, _ = surveyed({"monday": poses}, anchors=anchors([5, 80], np.array([0, 90.0])))
     assert "the anchors contradict the images: drive monday is torn before its frame" in found.notes[-1]
+    doubt = f"; do not rely on it: torn in {found.torn} place"
+    assert doubt in found.summary(), "figures of a torn survey are not said without it"
+    assert doubt in found.report()["summary"]
     with pytest.raises(DataError, match=r"anchor .*5\.png is given twice"):
         surveyed({"monday": poses}, anchors=anchors([5, 5]))
 

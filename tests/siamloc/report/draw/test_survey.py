@@ -36,6 +36,13 @@ def test_the_picture_shows_odometry_paths_and_loops(found):
     assert labels == ["monday", "tuesday", "loop", "loop refused as contradicting"]
 
 
+def test_the_plan_of_a_torn_survey_says_so(found, monkeypatch):
+    monkeypatch.setattr("siamloc.maps.surveying.torn_before", lambda *_: [3])
+    surveyed = survey_picture(found).axes[-1]
+    title = surveyed.get_title(loc="left") + surveyed.get_title()
+    assert title == "surveyed: 2 loops used\ndo not rely on it: torn in 1 place"
+
+
 def test_loops_look_like_no_drive_and_every_drive_is_named(found):
     loops = a_survey()
     names = [f"_{row}" for row in range(12)]
