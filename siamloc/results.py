@@ -63,6 +63,11 @@ def finest(columns: Columns) -> tuple[Columns, str | None]:
     return columns, None
 
 
+def truth(columns: Mapping[str, Any]) -> str:
+    """Return what the poses in a table of queries are: "surveyed", if they have standard deviations, or "true"."""
+    return "surveyed" if "deviation" in columns else "true"
+
+
 def write_results(
     folder: str | Path, results: Mapping[str, Any], tables: Mapping[str, Mapping[str, NDArray]] | None = None
 ) -> Path:

@@ -12,7 +12,7 @@ from typing import Annotated, Any, cast
 import numpy as np
 
 from foundation.calls import OF_FIELDS, takes
-from foundation.files import write_text
+from foundation.files import read_json, write_json, write_text
 from foundation.settings import Positive, Rule, Settings, Text
 from siamloc import evaluation, maps, runtime
 from siamloc.data import (
@@ -133,7 +133,8 @@ def walk(
         >>> made = siamloc.walk("monday.mp4", "robot", recording={"odometry": "wheels.txt"})  # doctest: +SKIP
         >>> siamloc.runtime.Localizer(made.bundle.path).locate("photo.jpg")  # doctest: +SKIP
     """
-    folder = Path(out).expanduser()
+    folder, lines = Path(out).expanduser(), list[str]()
+    say = partial(_say, say, lines)
     if not overwrite:
         check_counted(Run(folder).bundle, None)
     if not writes_camera(folder / "frames", settings.unwrap):
@@ -198,6 +199,7 @@ def walk(
             f"note: the survey is not exact, its positions only within {found.typical_deviation:.2f} m and its scale "
             f"within {found.scale_deviation:.0%}: give odometry (recording.odometry=) or the height of a camera of "
             "known elevations (survey.height=), or record a way that visits places again"
+            f"{found.doubt}"
         )
     save_survey(found, folder, settings.plain())
     part = np.full(len(chosen), "map", dtype="U10")
@@ -218,7 +220,8 @@ def walk(
     )
     off = cast(dict[str, Any], errors.parts["absolute_refined"])["overall"]["error"]["mean"]
     left_out = f"of those left out (left_out={settings.left_out}) {len(errors)}"
-    say(f"map: {len(known)} key frames; {left_out} are located {off:.2f} m from where the survey has them, on average")
+    apart = f"{off:.2f} m from where the survey has them, on average{found.doubt}"
+    say(f"map: {len(known)} key frames; {left_out} are located {apart}")
     if off > 2 * (settings.spacing + found.typical_deviation):
         say(
             "note: the key frames that were left out look like others elsewhere: the robot will take places that look "
@@ -238,7 +241,14 @@ def walk(
         overwrite=overwrite,
     )
     say(bundle.summary())
+    write_json(folder / "survey.json", {**read_json(folder / "survey.json"), "walk": lines})
     report = write_report(folder, folder / "report.html")
     say(f"report: {report}, with the plan in {folder / 'survey.png'}")
     say(f"next: {shlex.join(['siamloc', 'live', f'run={folder}', 'images=[camera:0]'])}")
     return Walked(found, known, errors, bundle, report)
+
+
+def _say(say: Callable[[str], None], lines: list[str], line: str) -> None:
+    """Say a line, and keep it for the report."""
+    lines.append(line)
+    say(line)

@@ -241,6 +241,7 @@ def _columns(known: FrameTable, frames: FrameTable, found: Retrieval, excluded: 
         "x": frames.x,
         "y": frames.y,
         "theta": frames.theta,
+        **({"deviation": frames.deviation} if np.isfinite(frames.deviation).any() else {}),
         **match_columns(known, frames, match),
         "error": error,
         "floor": floor,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import html
 import inspect
 import re
 
@@ -76,7 +77,9 @@ def test_a_bag_of_equirectangular_pictures_with_odometry_becomes_a_robot(mini, t
         np.tile([day.x[0], day.y[0], day.theta[0]], (len(asked), 1)), np.array([[one.x, one.y, 0] for one in asked])
     )
     assert np.median(np.hypot(*(found[:, :2] - night.xy).T)) < 0.3  # a key frame is 0.3 m from the next
-    assert (tmp_path / "robot" / "report.html").is_file()
+    page = (tmp_path / "robot" / "report.html").read_text(encoding="utf-8")
+    assert "coloured dots the surveyed positions of queries" in page
+    assert all(html.escape(line.removeprefix("note: ")) in page for line in said[:-3]), "each decision is on the page"
 
 
 def test_a_folder_of_panoramas_without_odometry_becomes_a_robot(mini, tmp_path, monkeypatch):

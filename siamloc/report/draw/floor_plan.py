@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from siamloc.data.occupancy import OccupancyMap
 from siamloc.report.draw.look import PALE, PAPER, SOFT, TEXT, Picture, legend_entries, lighting_colours, panels, style
-from siamloc.results import rows_by_label
+from siamloc.results import rows_by_label, truth
 
 Table = Mapping[str, NDArray]
 
@@ -115,7 +115,7 @@ def _on_plan(
     bar = figure.colorbar(shade, ax=plans, extend=extend, shrink=0.85, pad=0.015, aspect=30)
     bar.set_label(f"error [{unit}]")
     bar.outline.set_visible(False)  # type: ignore[operator]
-    figure.legend(handles=_legend(), loc="outside lower center", ncols=3)
+    figure.legend(handles=_legend(truth(columns)), loc="outside lower center", ncols=3)
     return figure
 
 
@@ -135,7 +135,7 @@ def _along_line(columns: Table, map_columns: Table, groups: Mapping[str, NDArray
     order = np.argsort(columns[axis], kind="stable")
     lower.plot(columns[axis][order], columns["floor"][order], "--", color=SOFT, linewidth=0.9, label="floor", zorder=4)
     upper.set_ylabel(f"estimated {axis} [{unit}]")
-    lower.set(xlabel=f"true {axis} [{unit}]", ylabel=f"error [{unit}]")
+    lower.set(xlabel=f"{truth(columns)} {axis} [{unit}]", ylabel=f"error [{unit}]")
     lower.set_ylim(bottom=0)
     figure.legend(*legend_entries(upper, lower), loc="outside upper center", ncols=3 if len(groups) == 1 else 2)
     return figure
@@ -151,10 +151,10 @@ def _name_rooms(axes: Axes, map_columns: Table) -> None:
         axes.text(x, y, label, fontsize=6.5, color=TEXT, ha="center", va="center", path_effects=halo, zorder=5)
 
 
-def _legend() -> Sequence[Line2D]:
+def _legend(truth: str) -> Sequence[Line2D]:
     point: dict[str, Any] = {"marker": "o", "linestyle": "none", "markeredgewidth": 0, "markersize": 4}
     return [
         Line2D([], [], color=PALE, label="map frame", **point),
-        Line2D([], [], color=_LARGE, label="query, true position", **point),
+        Line2D([], [], color=_LARGE, label=f"query, {truth} position", **point),
         Line2D([], [], color=_LARGE, linewidth=0.8, label="to the estimated position"),
     ]

@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 from foundation.files import real_path
 from foundation.ordering import by_numbers
 from siamloc.errors import ConfigError, DataError, FormatError
-from siamloc.results import FINEST, Columns, read_results, read_rows
+from siamloc.report.page.surveyed import Surveyed, read_survey
+from siamloc.results import FINEST, Columns, read_results, read_rows, truth
 from siamloc.runs import Run, run_with, runs_in
 from siamloc.summaries import methods_of, own_tables
 from siamloc.tables import Table
@@ -33,12 +34,19 @@ class Evaluation:
             "robustness", or another task.
         results: content of `results.json`.
         tables: columns of the existing tables among "queries", "map", "rooms", "frames" and "nodes".
+        of_survey: whether the run is of a survey.
     """
 
     name: str
     kind: str
     results: dict[str, Any]
     tables: dict[str, Columns]
+    of_survey: bool = False
+
+    @property
+    def truth(self) -> str:
+        """What the errors refer to: "surveyed" poses or "true" ones."""
+        return "surveyed" if self.of_survey else truth(self.tables.get("queries", {}))
 
     @property
     def queries(self) -> Columns | None:
@@ -123,12 +131,14 @@ class RunFiles:
         evaluations: at least one.
         curves: columns of `metrics.csv`; None if nothing was trained.
         settings: settings of the training; None if nothing was trained.
+        survey: what the run says of the survey of its frames; None if they were not surveyed in it.
     """
 
     title: str
     evaluations: tuple[Evaluation, ...]
     curves: dict[str, NDArray[np.float64]] | None
     settings: dict[str, Any] | None
+    survey: Surveyed | None = None
 
 
 def gather(folders: Sequence[str | Path]) -> list[RunFiles]:
@@ -159,15 +169,18 @@ def _gather(folder: Path, title: str) -> RunFiles:
     if not found:
         raise ConfigError(f"{folder} holds no evaluation: measure it first with `siamloc evaluate run={folder}`")
     folders = sorted((path.parent for path in found), key=lambda path: (path.name != "network", by_numbers(path)))
+    survey = read_survey(run.folder)
+    evaluations = [_evaluation(one, survey is not None) for one in folders]
     return RunFiles(
         title,
-        tuple(sorted(map(_evaluation, folders), key=lambda one: (*_KINDS, one.kind).index(one.kind))),
+        tuple(sorted(evaluations, key=lambda one: (*_KINDS, one.kind).index(one.kind))),
         run.curves() if run.metrics.is_file() else None,
         run.settings if run.record.is_file() else None,
+        survey,
     )
 
 
-def _evaluation(folder: Path) -> Evaluation:
+def _evaluation(folder: Path, of_survey: bool) -> Evaluation:
     results = read_results(folder)
     tables, measures = results.get("tables", {}), results.get("measures")
     if not isinstance(measures, dict) or not (any(measures.values()) or "located" in tables):
@@ -178,7 +191,7 @@ def _evaluation(folder: Path) -> Evaluation:
         match, frames = found["queries"]["match"], len(found["map"]["x"])
         if len(match) and not (match.min() >= 0 and match.max() < frames):
             raise FormatError(f"{folder / 'queries.csv'} names map frames that map.csv lacks: evaluate again")
-    return Evaluation(str(results.get("name") or folder.name), kind, results, found)
+    return Evaluation(str(results.get("name") or folder.name), kind, results, found, of_survey)
 
 
 def _kind(folder: Path, results: dict[str, Any]) -> str:

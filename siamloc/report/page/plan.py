@@ -39,6 +39,7 @@ class Plan:
         estimate: source of the estimates and errors in `queries`, see `siamloc.results.finest`; None for the nearest
             map frame by descriptor.
         occupancy: the map of the building to draw behind the plan, if there is one.
+        truth: what the positions of the queries are, "true" or "surveyed".
     """
 
     queries: Columns
@@ -49,6 +50,7 @@ class Plan:
     unit: str
     estimate: str | None = None
     occupancy: OccupancyMap | None = None
+    truth: str = "true"
 
     @property
     def along(self) -> str | None:
@@ -98,6 +100,7 @@ class Plan:
             "unit": self.unit,
             "digits": digits,
             "along": self.along,
+            "truth": self.truth,
             "around": None if self.occupancy is None else self.occupancy.around(xy).T.round(digits).tolist(),
             "classes": error_classes(queries["error"]),
             "lightings": lightings,
@@ -143,7 +146,7 @@ def make_plan(evaluation: Evaluation, most: int, occupancy: OccupancyMap | None 
     shown = {name: column[rows] for name, column in queries.items()}
     tree = cKDTree(np.column_stack([known["x"], known["y"]]))
     nearest = np.asarray(tree.query(np.column_stack([shown["x"], shown["y"]]))[1], dtype=np.int64)
-    return Plan(shown, known, rows, total, nearest, evaluation.unit, estimate, occupancy)
+    return Plan(shown, known, rows, total, nearest, evaluation.unit, estimate, occupancy, evaluation.truth)
 
 
 def spread(n: int) -> NDArray[np.int64]:

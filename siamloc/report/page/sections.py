@@ -33,7 +33,8 @@ def key_figures(evaluation: Evaluation) -> Markup | None:
     if absolute is not None:
         finest, estimate = evaluation.finest
         overall = (finest or absolute)["overall"]
-        tiles.append((f"{number(overall['error']['mean'], 2)} {unit}", f"mean error{_comma(estimate or '')}"))
+        where = " in the surveyed map" if evaluation.truth == "surveyed" else ""
+        tiles.append((f"{number(overall['error']['mean'], 2)} {unit}", f"mean error{where}{_comma(estimate or '')}"))
         tiles.append((f"{number(overall['floor']['mean'], 2)} {unit}", "floor: distance to the nearest map frame"))
         if (middle := middle_recall(overall)) is not None:
             tiles.append((percent(middle["recall"]), f"of the queries within {middle['radius']:g} {unit}"))
@@ -92,6 +93,10 @@ def summary(part: Part) -> Markup | None:
             "Bars show both, grey and orange, as parts of the mean."
             + (" The smallest mean of each lighting is bold." if len(methods) > 1 else ""),
         )
+        if evaluation.truth == "surveyed":
+            notes.insert(
+                0, "Errors are distances to surveyed positions, which are not exact: errors in the surveyed map."
+            )
     return section(
         "Summary",
         *by_lighting,
@@ -115,8 +120,8 @@ def floor_plan(part: Part) -> Markup | None:
     if plan.along is not None:
         line = tag(
             "p.caption",
-            f"All frames lie on a line along {plan.along}: the plan shows the estimated position above the true one, "
-            "and the map's frames on the diagonal, where both are equal.",
+            f"All frames lie on a line along {plan.along}: the plan shows the estimated position above the "
+            f"{evaluation.truth} one, and the map's frames on the diagonal, where both are equal.",
         )
     return fragment(
         "plan.html",
@@ -128,6 +133,7 @@ def floor_plan(part: Part) -> Markup | None:
         classes=join(*_class_boxes(error_classes(plan.queries["error"]))),
         line=line,
         led_to=_LED_TO[plan.estimate],
+        truth=evaluation.truth,
         notes=join(*(tag("p.note", note) for note in notes_on(plan, part.decoder))),
     )
 

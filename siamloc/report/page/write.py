@@ -66,6 +66,8 @@ def write_report(folders: str | Path | Sequence[str | Path], out: str | Path, pl
     title = ", ".join(run.title for run in runs)
     body = [_head(title, parts), comparison(parts)]
     for number, run in enumerate(runs):
+        if run.survey is not None:
+            body.append(tag("article.run", tag("h2", run.title) if len(runs) > 1 else None, run.survey.section()))
         body += [_evaluation(part, len(parts) == 1) for part in parts if part.run is run]
         body.append(tag("article.run", sections.training(run, number), sections.configuration(run)))
     data = [script_data("sheets", [decoder.plain() for decoder in decoders])]
@@ -98,7 +100,7 @@ def _head(title: str, parts: list[Part]) -> Markup:
         facts.append(f"descriptor {parts[0].evaluation.name}")
         if results.get("protocol"):
             facts.append(f"protocol {results['protocol'].replace('_', ' ')}")
-        figures = sections.key_figures(parts[0].evaluation)
+        figures = _figures(parts[0])
     else:
         facts.append(plural(len(parts), "evaluation"))
         figures = None
@@ -119,7 +121,7 @@ def _evaluation(part: Part, alone: bool) -> Markup:
     if not alone:
         protocol = f"protocol {evaluation.results['protocol']}" if "protocol" in evaluation.results else ""
         facts = " · ".join(filter(None, [_date(evaluation), protocol])).replace("_", " ")
-        head = join(tag("h2", part.title), tag("p.meta", facts), sections.key_figures(evaluation))
+        head = join(tag("h2", part.title), tag("p.meta", facts), _figures(part))
     made = {name: shown for name, draw in _SECTIONS.items() if (shown := draw(part)) is not None}
     places = {name: f"{part.anchor}-{name.replace(' ', '-')}" for name in made}
     links = [tag("a", name, href=f"#{place}") for name, place in places.items()]
@@ -132,6 +134,12 @@ def _evaluation(part: Part, alone: bool) -> Markup:
         id=part.anchor,
         data_evaluation=part.number,
     )
+
+
+def _figures(part: Part) -> Markup:
+    """Return the headline numbers of an evaluation, and what has to follow them."""
+    survey = part.run.survey
+    return join(sections.key_figures(part.evaluation), None if survey is None else survey.doubt)
 
 
 def _date(evaluation: Evaluation) -> str:

@@ -439,7 +439,7 @@
       context.stroke();
       context.font = "12px system-ui, sans-serif";
       context.textAlign = "center";
-      context.fillText(`true ${data.along} [${data.unit}]`, this.width / 2, this.height - 10);
+      context.fillText(`${data.truth} ${data.along} [${data.unit}]`, this.width / 2, this.height - 10);
       const ticks = (step) => {
         const first = Math.ceil(low / step);
         return Array.from({ length: Math.floor(high / step) - first + 1 }, (_, k) => Number(((first + k) * step).toPrecision(6)));

@@ -10,10 +10,14 @@ import cv2
 import numpy as np
 import pytest
 
+from foundation.files import write_json
 from siamloc.data import read_occupancy
-from siamloc.errors import DataError
+from siamloc.errors import DataError, FormatError
+from siamloc.maps import VisualMap
+from siamloc.report.draw.floor_plan import floor_plan
 from siamloc.report.page.write import write_report
-from siamloc.results import read_results
+from siamloc.results import read_results, read_rows
+from tests.siamloc.evaluation import scenes
 from tests.siamloc.report import pages
 from tests.siamloc.report.pages import columns_of, notes, rows_of
 
@@ -149,3 +153,43 @@ def test_the_building_lies_behind_the_plan(run: Path, tmp_path: Path) -> None:
     with pytest.raises(DataError, match="no position lies on the occupancy map"):
         write_report([run], tmp_path / "wrong.html", plan=pages.write_occupancy(tmp_path, low - 1e4))
     assert not (tmp_path / "wrong.html").exists()
+
+
+def test_the_page_of_a_surveyed_run_says_so(tmp_path: Path) -> None:
+    folder = pages.write_run(tmp_path / "walk", tmp_path)
+    about = {"notes": ["no loops"], "summary": "60 frames; do not rely on it: torn in 2 places", "torn": 2}
+    write_json(folder / "survey.json", about)
+    picture = pages.draw(str(folder / "survey.png"), 7)
+    page = pages.report(folder)
+    survey = page.one("section", class_="survey")
+    shown = survey.one("img").attributes["src"].removeprefix("data:image/png;base64,")
+    np.testing.assert_array_equal(pages.decoded(shown), picture)
+    assert [line.text for line in survey.all("p")] == ["no loops", about["summary"]]
+    assert "mean error in the surveyed map" in page.one("ul", class_="figures").text
+    assert "Do not rely on these figures: the survey is torn in 2 places." in page.one("header").text
+    assert "errors in the surveyed map" in page.one("section", class_="summary").text
+    assert "coloured dots the surveyed positions of queries" in page.one("section", class_="plan").text
+    assert pages.data_of(page, "data-0")["truth"] == "surveyed"
+    write_json(folder / "survey.json", {**about, "walk": ["camera: unwrap=none", "note: look"]})
+    lines = pages.report(folder).one("section", class_="survey").all("p")
+    assert [(line.text, line.attributes["class"]) for line in lines] == [
+        ("camera: unwrap=none", "caption"),
+        ("look", "note"),
+    ]
+    write_json(folder / "survey.json", {"notes": 1})
+    with pytest.raises(FormatError, match=r"survey.json was altered in notes: survey again"):
+        pages.report(folder)
+
+
+def test_poses_with_deviations_are_called_surveyed(tmp_path: Path) -> None:
+    known, queries = (scenes.frames(seed, 20) for seed in (1, 2))
+    queries = queries.with_columns(deviation=np.full(20, 0.1))
+    visual_map = VisualMap(scenes.describe(known, seed=1), known, {"name": "positions"})
+    folder = pages.write_evaluation(tmp_path / "evaluation" / "network", visual_map, queries)
+    columns = read_rows(folder)
+    assert columns["deviation"].tolist() == [0.1] * 20
+    page = pages.report(tmp_path)
+    assert "coloured dots the surveyed positions of queries" in page.one("section", class_="plan").text
+    assert not page.all("section", class_="survey")
+    legend = floor_plan(columns, read_rows(folder, "map")).legends[0]
+    assert "query, surveyed position" in [text.get_text() for text in legend.get_texts()]
