@@ -1,7 +1,9 @@
 """`siamloc` and `python -m siamloc`: the process around `siamloc.cli.main`."""
 
+import os
 import signal
 import sys
+from pathlib import Path
 from typing import NoReturn
 
 from siamloc.interrupts import hear_again, stop_once
@@ -9,6 +11,9 @@ from siamloc.interrupts import hear_again, stop_once
 
 def entry() -> NoReturn:
     """Run the command given by this process's arguments, and exit."""
+    for name in ("stdout", "stderr"):
+        if getattr(sys, name) is None:  # closed by the shell, as by >&-
+            setattr(sys, name, Path(os.devnull).open("w", encoding="utf-8"))  # noqa: SIM115 (until the end)
     if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
         signal.signal(signal.SIGINT, stop_once)
         hear_again()

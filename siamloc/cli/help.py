@@ -50,7 +50,7 @@ def overview() -> str:
         "usage: siamloc <command> [key=value ...]\n\n"
         f"{lines}\n\n"
         "siamloc <command> --help          the keys of a command, with an example\n"
-        "siamloc <command> --cfg job       the whole configuration (not for localize and live)\n"
+        "siamloc <command> --cfg job       the whole configuration (not for localize, live and doctor)\n"
         "siamloc completion bash|zsh|fish  complete commands, groups and keys with the tab key\n"
         "siamloc --version                 its version, and those that a report of a bug needs\n\n"
         "--debug shows the traceback of an error."
@@ -70,11 +70,8 @@ def command_help(command: str) -> str:
             listed.append(indent(fill(" ".join(keys), 106, break_on_hyphens=False), "    "))
     more = " (`--cfg job` shows their values)" if job.BY_HYDRA else ""
     body = indent(text.partition("\n\n")[2], "  ")
-    return (
-        f"siamloc {command}: {COMMANDS[command][1]}\n\n{body}\n\n"
-        f"example:\n  {example}\n\n"
-        f"all keys, by group{more}:\n" + "\n".join(listed)
-    )
+    all_keys = "\n".join([f"\n\nall keys, by group{more}:", *listed]) if listed else ""
+    return f"siamloc {command}: {COMMANDS[command][1]}\n\n{body}\n\nexample:\n  {example}{all_keys}"
 
 
 def keys_of(job: type[Job]) -> dict[str, tuple[dict[str, str], list[str]]]:
@@ -84,7 +81,7 @@ def keys_of(job: type[Job]) -> dict[str, tuple[dict[str, str], list[str]]]:
         For each group its options, with one line about each, and its keys.
     """
     if not job.BY_HYDRA:
-        return {"keys": ({}, job.key_names())}
+        return {"keys": ({}, job.key_names())} if job.key_names() else {}
     from siamloc.jobs.options import choices, option
 
     found: dict[str, tuple[dict[str, str], list[str]]] = {}

@@ -43,20 +43,27 @@ def only_of_others(key: str, kind: type[Job]) -> list[str]:
 
 def _check_words(words: list[str]) -> None:
     """Make sure that Hydra can read every word, and explain what is wrong with the first that it cannot."""
+    from argparse import ArgumentError
+
     from hydra._internal.utils import get_args_parser
     from hydra.core.override_parser.overrides_parser import OverridesParser
     from hydra.errors import HydraException
 
-    known, rest = get_args_parser().parse_known_args(words)  # whose overrides may hold -5, and what follows --
+    options = get_args_parser()
+    options.exit_on_error = False
+    try:
+        known, rest = options.parse_known_args(words)  # whose overrides may hold -5, and what follows --
+    except ArgumentError as error:
+        raise ConfigError(f"{error}: --help lists what can be given") from error
+    if known.multirun and known.cfg:
+        raise ConfigError("--cfg shows the configuration of one job: leave out -m, and give each key one value")
     unread = ["--", *rest, *known.overrides]
     if unknown := [word for word in words if word.startswith("-") and word in unread]:
         raise ConfigError(f"there is no option {unknown[0]}: give settings as key=value, which --help lists")
     if "--resolve" in words and not {"-c", "--cfg"} & set(words):
         raise ConfigError("--resolve shows a configuration with its references resolved: add --cfg job")
     parser = OverridesParser.create()
-    for before, word in zip(["", *words], words, strict=False):
-        if word.startswith("-") or before.startswith("-"):
-            continue
+    for word in [*known.overrides, *rest]:
         if word.startswith("~"):
             raise ConfigError(f"{word} removes a key that is needed: leave it out, or set another value")
         if "=" not in word or word.startswith("="):
@@ -118,10 +125,13 @@ def _whole(word: str) -> str:
 
 
 def _with_quotes(word: str) -> str:
-    """Quote a value with letters that Hydra's grammar lacks, such as umlauts, unless it has symbols of that grammar."""
+    """Quote values with letters that Hydra's grammar lacks, such as umlauts, unless they have symbols of that grammar.
+
+    A comma separates the values of a sweep.
+    """
     key, equals, value = word.partition("=")
-    plain = value.isascii() or not equals or word.startswith("-") or set(value) & set("'\"[](){},$\\")
-    return word if plain else f"{key}={quoted(value)}"
+    plain = not equals or word.startswith("-") or set(value) & set("'\"[](){}$\\")
+    return word if plain else f"{key}={','.join(one if one.isascii() else quoted(one) for one in value.split(','))}"
 
 
 def _as_meant(word: str, kind: type[Job]) -> str:

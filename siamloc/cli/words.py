@@ -25,6 +25,8 @@ def values_of(words: Sequence[str], kind: type[Job]) -> dict[str, Any]:
     """
     kinds, values = dict(zip(kind.key_names(), fields_of(kind).values(), strict=True)), dict[str, Any]()
     for word in words:
+        if not known:
+            raise ConfigError(f"leave {word!r} out: this command has no settings")
         key, equals, text = word.lstrip("+").partition("=")
         if not equals:
             raise ConfigError(f"{word!r} is not of the form key=value, such as images=[photo.jpeg]")

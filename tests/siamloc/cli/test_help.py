@@ -33,6 +33,33 @@ def test_each_command_helps_with_an_example_and_every_key(name, capsys):
         assert ("loss.margin" in shown, "build.omega" in shown) == (name == "train", name == "evaluate")
 
 
+@pytest.mark.parametrize(
+    ("line", "says"),
+    [
+        ("evaluate --help=1", "ignored explicit argument '1': --help lists"),
+        ("train --config-dir", "expected one argument: --help lists"),
+        ("train -m --cfg job seed=1,2", "--cfg shows the configuration of one job: leave out -m"),
+        ("evaluate -m run=(", "the value of 'run=(' cannot be read"),
+        ("doctor --cfg job", "leave '--cfg' out: this command has no settings"),
+    ],
+)
+def test_options_that_make_no_sense_are_answered_in_one_sentence(line, says, capsys):
+    assert says in refused(capsys, *line.split())
+
+
+def test_commands_whose_configuration_cannot_be_shown_are_named(capsys):
+    assert main(["--help"]) == 0
+    shown = capsys.readouterr().out
+    (line,) = (line for line in shown.splitlines() if "--cfg job" in line)
+    assert {name for name in COMMANDS if name in line} == {name for name in COMMANDS if not job_of(name).BY_HYDRA}
+
+
+def test_a_closed_output_is_no_error():
+    shell = [sys.executable, "-m", "siamloc", "--version"]
+    ended = subprocess.run(["sh", "-c", '"$@" >&-', "sh", *shell], stderr=subprocess.PIPE, text=True)
+    assert (ended.returncode, ended.stderr) == (0, "")
+
+
 def test_mistyped_commands_are_answered_with_the_nearest(capsys):
     assert "did you mean 'train'" in refused(capsys, "trian")
     assert "did you mean 'bash'" in refused(capsys, "completion", "bush")

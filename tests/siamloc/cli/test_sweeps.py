@@ -235,3 +235,8 @@ def test_a_sweep_over_a_branch_of_ones_own_and_another_is_mapped_at_once(data, h
             run.map.unlink()
     given = "map", f"run={here / 'sweep'}", "model/branch=swept_branches:other"
     assert "has this branch: leave it out" in refused(capsys, *given)
+
+
+def test_swept_folders_may_have_any_letters(tmp_path, capsys):
+    says = "there is no folder runs/hög: name that of a sweep"
+    assert says in refused(capsys, "compare", "-m", "runs=runs/hög,runs/a")
