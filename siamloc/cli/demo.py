@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from shlex import quote
 
-from foundation.settings import Seed, Text
+from foundation.settings import Seed, Text, as_words
 from siamloc.errors import ConfigError
 from siamloc.jobs.choices import Folder
 from siamloc.jobs.job import Job, Say, quiet
@@ -61,7 +61,8 @@ class Demo(Job):
         _step(say, "report", here)
         say(f"\nThe run is in {run.folder}, the building in {data / 'mini'} with images in preview; curves for")
         say(f"tensorboard --logdir {quote(str(run.tensorboard))}; {time.monotonic() - begin:.0f} s in all.")
-        say(f"To watch a drive at night: siamloc live run={run.folder} images=['{photograph.parent}']")
+        drive = as_words({"run": str(run.folder), "images": [str(photograph.parent)]})
+        say(f"To watch a drive at night: siamloc live {drive}")
 
 
 def _step(say: Say, command: str, words: list[str]) -> None:

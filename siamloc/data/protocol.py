@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from fnmatch import fnmatchcase
 from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from foundation.settings import Count, Natural, Positive, Rule, Settings
+from foundation.settings import Count, Natural, Positive, Rule, Settings, as_words
 from siamloc.data.frames import FrameTable, concatenate, in_capture_order
 from siamloc.errors import ConfigError, DataError
 
@@ -167,10 +168,10 @@ class Protocol(Settings):
         if role == "map" and selection.sequences is None:
             selection = replace(selection, sequences=self.train.sequences)
         if selection.sequences is None:
+            example = as_words({f"protocol.{role}.sequences": (self.without_role(table) or ["NAME"])[:1]})
             raise ConfigError(
                 f"protocol.{role}.sequences is not set; the data holds {table.describe()}. "
-                f"Set it, for instance protocol.{role}.sequences=[{table.sequence[0] if len(table) else 'NAME'}], "
-                "or ['*'] for all"
+                f"Set it, for instance {example}, or ['*'] for all"
             )
         try:
             frames = selection.select(table)
@@ -178,6 +179,12 @@ class Protocol(Settings):
             raise ConfigError(f"protocol.{role}: {error}") from error
         self._check_apart(role, frames, table)
         return frames
+
+    def without_role(self, table: FrameTable) -> list[str]:
+        """Return the sequences of a table that no role names, in the order of the table."""
+        patterns = [pattern for name in ROLES for pattern in getattr(self, name).sequences or ()]
+        names = dict.fromkeys(table.sequence.tolist())
+        return [name for name in names if not any(fnmatchcase(name, pattern) for pattern in patterns)]
 
     def roles(self, table: FrameTable, *names: str) -> dict[str, FrameTable]:
         """Return the frames of several roles by name; each has at least one.

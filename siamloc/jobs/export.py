@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, ClassVar, Literal
 
 import numpy as np
 
 from foundation.settings import as_words
+from siamloc.data import Protocol
+from siamloc.errors import SiamlocError
 from siamloc.evaluation.estimates import refinement
 from siamloc.evaluation.localize import Localization
 from siamloc.jobs.choices import Folder
 from siamloc.jobs.job import Say, quiet
+from siamloc.jobs.replacing import measured_otherwise
 from siamloc.jobs.run_job import RunJob, files_in
 from siamloc.jobs.stored import map_file
 from siamloc.jobs.tasks import HierarchicalTask, Task
@@ -92,8 +95,8 @@ class Export(RunJob):
         if known is not None:
             for line in self._further_steps(known, further["errors"], further["refinement"]):
                 say(line)
-            where = f"run={run.folder}" if folder == run.bundle else f"bundle={folder}"
-            say(f"next: siamloc localize {where} images=[photo.jpeg]")
+            where = {"run": str(run.folder)} if folder == run.bundle else {"bundle": str(folder)}
+            say(f"next: siamloc localize {as_words({**where, 'images': '[photo.jpeg]'})}")
         return bundle
 
     def _refinement(self, path: Path, known: VisualMap) -> Refinement | None:
@@ -116,14 +119,15 @@ class Export(RunJob):
         none = known.orientation is None and np.isfinite(known.frames.theta).any()
         if none and known.made.get("data", {}).get("circular", True):
             heading = "" if known.descriptor.tells_heading else " heading=hog"
-            lines.append(f"for a heading as well: siamloc map {named}{heading}, then export again")
+            frames = self.not_stored(self.protocol, "train", "validation", "query")  # which a map does not hand on
+            again = f"{named} {as_words(frames)}" if frames else named
+            lines.append(f"for a heading as well: siamloc map {again}{heading}, then export again")
         if not known.frames.has_position.any():
             return lines
         if errors is None:
             if (folder / "error_model.json").is_file():
                 lines.append("error_model.json left out, it was learned on another map")
-            step = f"siamloc evaluate {named} task.error_model=true"
-            step += "" if refinement is None else f" task.refine={refinement.method}"
+            step = self._evaluation(known, named, None if refinement is None else refinement.method)
             lines.append(f"for expected errors, by drives with positions: {step}, then export again")
         if refinement is None:
             if (folder / "refinement.json").is_file():
@@ -131,9 +135,31 @@ class Export(RunJob):
             if getattr(known.descriptor, "compares", False) and known.unit == "m":
                 again = "export again with task.refine=relative"
                 if errors is not None or not isinstance(self.task, Localization):  # is of poses that are not refined
-                    again = f"siamloc evaluate {named} task.error_model=true task.refine=relative, then export again"
+                    again = f"{self._evaluation(known, named, 'relative')}, then export again"
                 lines.append(f"for poses finer than the map: {again}")
         return lines
+
+    def _evaluation(self, known: VisualMap, named: str, refine: str | None) -> str:
+        """Return the command that learns the expected errors, by the query drives of the last evaluation.
+
+        If drives are missing, or the data cannot be read, it has names to be filled in.
+        """
+        protocol, more = self.protocol, {} if refine is None else {"task.refine": refine}
+        folder = self.here.evaluation(self.descriptor.title)
+        try:
+            if (folder / "results.json").is_file():
+                before = Protocol.of(read_results(folder).get("config", {}).get("protocol") or {})
+                protocol = replace(before, train=protocol.train, map=protocol.map)
+                if measured_otherwise(folder, protocol, self.data.plain(), only_map=False):
+                    more["overwrite"] = "true"
+            frames = self.data.read()
+            others = frames.take(frames.has_position & ~np.isin(frames.sequence, known.frames.sequence))
+            words = self.for_evaluation(protocol, others, "query", "validation")
+        except SiamlocError:
+            words = None
+        if words is None:
+            words = {f"protocol.{role}.sequences": "[NAME]" for role in ("validation", "query")}
+        return f"siamloc evaluate {named} {as_words({**words, 'task.error_model': True, **more})}"
 
 
 def _figures_in(path: Path) -> dict[str, Any] | None:

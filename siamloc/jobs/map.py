@@ -8,9 +8,8 @@ from pathlib import Path
 from typing import Any
 
 from analytic.mapper import IncrementalMapper
-from foundation.settings import as_words, defaults_of, leaves
+from foundation.settings import as_words, defaults_of
 from siamloc import maps
-from siamloc.data import Protocol
 from siamloc.errors import ConfigError
 from siamloc.jobs.choices import OF_A_RUN
 from siamloc.jobs.job import Given, Say, quiet
@@ -21,8 +20,6 @@ from siamloc.jobs.sweep import swept
 from siamloc.maps import Built, Refinement, VisualMap
 from siamloc.maps.maintenance import Maintenance
 from siamloc.runs import Run
-
-_OTHER_ROLES = ("train", "validation", "map")
 
 
 @dataclass(frozen=True)
@@ -121,7 +118,7 @@ class MapFrames(RunJob):
             folder = self.layer_folder(label)
             say(self.group(known, folder).summary(folder))
         if not swept():
-            protocol = self._for_evaluation()
+            protocol = self.for_evaluation(self.protocol, self.data.read(), "query")
             self._say_next(say, "export" if protocol is None else "evaluate", protocol or {})
         return known
 
@@ -188,27 +185,6 @@ class MapFrames(RunJob):
             further |= {"task": "hierarchical", "build": self.build.title}
         shown = {"run": str(self.here.folder), **self.model.branch.own, **more, **further}
         say(f"next: siamloc {command} {as_words(shown)}")
-
-    def _for_evaluation(self) -> dict[str, Any] | None:
-        """Return the settings of the protocol that an evaluation needs and the run does not store, with a query drive.
-
-        None if no drive is left for queries: each trains, validates or is in the map.
-        """
-        protocol, run = self.protocol, self.here
-        if protocol.query.sequences is None:
-            frames = self.data.read()
-            taken = [
-                protocol.frames(role, frames) for role in ("train", "validation") if getattr(protocol, role).sequences
-            ]
-            names = {name for part in (*taken, protocol.frames("map", frames)) for name in part.sequence.tolist()}
-            free = [name for name in frames.sequence.tolist() if name not in names]
-            if not free:
-                return None
-            protocol = replace(protocol, query=replace(protocol.query, sequences=(free[0],)))
-        stored = run.settings.get("protocol", {}) if run.record.is_file() else {}
-        found = dict(leaves(Protocol.of(stored).plain()))
-        needed = {key: value for key, value in leaves(protocol.plain()) if key.partition(".")[0] not in _OTHER_ROLES}
-        return {f"protocol.{key}": value for key, value in needed.items() if value != found[key]}
 
     def _changed(self) -> dict[str, Any]:
         """Return the parameters of the descriptor that differ from its option's, by their keys."""

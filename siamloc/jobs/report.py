@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, ClassVar
 
-from foundation.settings import Rule, Text
+from foundation.settings import Rule, Text, as_words
 from siamloc.comparison import files_named
 from siamloc.errors import ConfigError, DataError
 from siamloc.jobs.job import Job, Say, quiet
@@ -91,8 +91,8 @@ class Compare(Job):
         say(found.table())
         say(found.verdict())
         if not measured and files_named(folders, "results.json"):
-            named = folders if isinstance(folders, str) else f"[{','.join(folders)}]"
-            say(f"to compare the evaluations of these runs: siamloc compare runs={named} by=error")
+            words = as_words({"runs": folders, "by": "error"})
+            say(f"to compare the evaluations of these runs: siamloc compare {words}")
         name = "evaluations.csv" if measured else "trainings.csv"
         inside = Path(folders) / name if isinstance(folders, str) else None
         out = inside if self.out is None else Path(self.out)

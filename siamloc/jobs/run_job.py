@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Literal, TypeVar
@@ -12,7 +12,7 @@ import numpy as np
 
 from analytic import DESCRIPTORS, Descriptor, Fused, descriptor
 from analytic.descriptors.fused import SIGN, distinct
-from foundation.settings import Seed, as_words
+from foundation.settings import Seed, as_words, leaves
 from siamloc.data.decoding import Preprocessing
 from siamloc.data.frames import FrameTable, concatenate
 from siamloc.data.library import PanoramaLibrary
@@ -200,6 +200,25 @@ class RunJob(DataJob):
         network = models.load(trained, which="untrained" if chosen.name == "untrained" else self.checkpoint)
         self._check_architecture(network, trained, own=trained == self.here)
         return models.as_descriptor(network, self.device)
+
+    def for_evaluation(self, protocol: Protocol, frames: FrameTable, *roles: str) -> dict[str, Any] | None:
+        """Return the settings of a protocol that an evaluation needs and the run does not store.
+
+        Roles without frames get a drive that no other role has; None if too few drives are left.
+        """
+        for role in roles:
+            if getattr(protocol, role).sequences is None:
+                if not (free := protocol.without_role(frames)):
+                    return None
+                protocol = replace(protocol, **{role: replace(getattr(protocol, role), sequences=(free[0],))})
+        return self.not_stored(protocol, "train", "map")
+
+    def not_stored(self, protocol: Protocol, *without: str) -> dict[str, Any]:
+        """Return the settings of a protocol that the run does not store, by their keys, without those of some roles."""
+        stored = self.here.settings.get("protocol", {}) if self.here.record.is_file() else {}
+        found = dict(leaves(Protocol.of(stored).plain()))
+        needed = {key: value for key, value in leaves(protocol.plain()) if key.partition(".")[0] not in without}
+        return {f"protocol.{key}": value for key, value in needed.items() if value != found[key]}
 
     @property
     def learned_from(self) -> list[str]:

@@ -166,6 +166,24 @@ def test_the_command_after_a_map_works_as_printed(run, words, data, tmp_path, ca
     assert measures(tmp_path / "my map/evaluation/hog")["absolute"]["overall"]["queries"] == 48
 
 
+def test_the_commands_that_an_export_proposes_work_as_printed(data, tmp_path, capsys):
+    own = ["descriptor=thumbnail", f"run={tmp_path / 'my run'}"]
+    done("map", *data, *own, "protocol.map.sequences=[first]")
+    done("evaluate", *own, "protocol.query.sequences=[dark]", *QUICK)
+    errors = "for expected errors, by drives with positions: siamloc evaluate "
+    for says in ("for a heading as well: siamloc map ", errors):
+        capsys.readouterr()
+        done("export", *own)
+        (line,) = (line for line in capsys.readouterr().out.splitlines() if line.startswith(says))
+        name, words = says.split()[-1], shlex.split(line.removeprefix(says).removesuffix(", then export again"))
+        done(name, *words, *(QUICK if name == "evaluate" else []))
+    capsys.readouterr()
+    done("export", *own)
+    said = capsys.readouterr().out
+    assert "expected errors" not in said
+    assert "'images=[photo.jpeg]'" in said
+
+
 def test_commands_for_a_network_of_ones_own_name_it_as_printed(data, tmp_path, capsys, monkeypatch):
     code = "from torch import nn\n\n\ndef factory():\n    return nn.Conv2d(3, 8, 4, stride=4)\n"
     (tmp_path / "siamloc_own_branch.py").write_text(code)
