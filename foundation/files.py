@@ -215,6 +215,20 @@ def storage_errors(path: str | Path) -> Iterator[None]:
         raise StorageError(refusal.replace("{path}", str(path))) from error
 
 
+def check_writable(path: str | Path) -> None:
+    """Make sure, before long work, that a file can be written at `path`; nothing is created.
+
+    Raises:
+        StorageError: a file stands where a folder is needed, or the folder must not be written to.
+    """
+    with storage_errors(path):
+        folder = next(parent for parent in Path(path).absolute().parents if parent.exists())
+        if not folder.is_dir():
+            raise NotADirectoryError(errno.ENOTDIR, "not a folder")
+        if not os.access(folder, os.W_OK):
+            raise PermissionError(errno.EACCES, "not permitted")
+
+
 def write_json(path: str | Path, value: Any) -> None:
     """Write a value as indented JSON, atomically; numpy values become plain ones, NaN becomes null."""
     text = json.dumps(plain(value), indent=2, ensure_ascii=False, allow_nan=False)

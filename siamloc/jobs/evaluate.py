@@ -12,7 +12,7 @@ from urllib.parse import quote
 
 from analytic import Descriptor
 from analytic.descriptors.fused import SIGN
-from foundation.files import real_path
+from foundation.files import check_writable, real_path
 from foundation.settings import Text
 from siamloc import evaluation, maps
 from siamloc.data import FrameTable, PanoramaLibrary, Protocol, Role, read_occupancy
@@ -177,6 +177,7 @@ class Evaluate(RunJob):
 
     def _check_folder(self, folder: Path) -> None:
         """Refuse to replace results of other frames, or any results in the folder `out`, unless requested."""
+        check_writable(folder / "results.json")
         if self.overwrite or not (folder / "results.json").is_file():
             return
         if self.out is not None:

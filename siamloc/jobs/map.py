@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from analytic.mapper import IncrementalMapper
+from foundation.files import check_writable
 from foundation.settings import as_words, defaults_of
 from siamloc import maps
 from siamloc.errors import ConfigError
@@ -95,14 +96,14 @@ class MapFrames(RunJob):
         """Describe the map frames of the run, and group them into nodes if requested."""
         if self.update.sequences:
             return self._maintained(say)
-        run, label = self.here, self.descriptor.title
-        described, heading = self.make_descriptor(), self.make_heading(say)  # before any image is decoded
+        run, label, target = self.here, self.descriptor.title, map_places(self.here, self.titles)[0]
+        check_writable(target)  # as all that follows, before any image is decoded
+        described, heading = self.make_descriptor(), self.make_heading(say)
         images, roles = self.open_roles("map", *self.learned_from)
         made = {"role": self.protocol.map.plain()}
         given: dict[str, Any] = {"distance": self.distance, "mounting": self.mounting.known, "made": made}
         given |= {"heading": heading, "validation": roles.get("validation")}
         known = maps.build(described, images, roles["map"], **given)
-        target = map_places(run, self.titles)[0]
         known.save(target)
         run.record_written([target])
         bare = len(known) - int(known.frames.has_position.sum())

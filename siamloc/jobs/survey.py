@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, ClassVar
 
+from foundation.files import check_writable
 from foundation.settings import as_words
 from siamloc.data import read
 from siamloc.data.checks import wrong_pictures, wrong_sizes
@@ -57,6 +58,7 @@ class SurveyDrives(DataJob):
         from siamloc import models
         from siamloc.report.draw.survey import save_survey
 
+        check_writable(Path(self.out) / "survey.json")  # before an hour of comparisons
         network = models.pretrained() if self.network == "pretrained" else models.load(self.network)
         anchors = None if self.anchors is None else read("manifest", manifest=str(self.anchors))
         every = self.protocol.map.sequences is None

@@ -166,11 +166,14 @@ class Train(_Training, DataJob):
         """Train the network."""
         from siamloc import models, training
         from siamloc.training.fitting import process_rank
+        from siamloc.training.run_folder import check_folder
         from siamloc.training.trainer import check_trainer
 
         validated = self.protocol.validation.sequences is not None
         common = self.common(self.data.name or "data")
         check_trainer(common["trainer"])  # before any image is decoded
+        if process_rank() == 0:
+            check_folder(Run(common["run"]), common["resume"], self.overwrite)
         network = models.build(**self.model.arguments(), image_size=self.data.image_size, seed=self.seed)
         images, roles = self.open_roles("train", *(["validation"] if validated else []))
         drives: dict[str, Any] = {"validation": roles.get("validation"), "protocol": self.protocol.plain()}

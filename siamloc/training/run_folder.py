@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 
 from foundation.columns import spread_rows
-from foundation.files import content_key, is_temporary
+from foundation.files import check_writable, content_key, is_temporary
 from foundation.locks import LOCK
 from foundation.settings import leaves
 from siamloc.data.frames import FrameTable
@@ -70,6 +70,7 @@ def check_folder(run: Run, resume: bool, overwrite: bool) -> None:
 
     Raises:
         ConfigError: the folder cannot be used in this way.
+        StorageError: it cannot be written to, or made.
     """
     if resume and overwrite:
         raise ConfigError("resume=true continues a run, overwrite=true removes it: choose one")
@@ -91,6 +92,7 @@ def check_folder(run: Run, resume: bool, overwrite: bool) -> None:
             )
     elif run.folder.exists():
         raise ConfigError(f"{run.folder} is a file: choose a new or empty folder as run=")
+    check_writable(run.record)
     if foreign := run.foreign(names_written(validated=True)):
         raise ConfigError(
             f"{run.folder / foreign[0]} would be replaced, but siamloc did not write it into this run: move it away, "

@@ -15,6 +15,7 @@ from foundation.files import (
     atomic_files,
     atomic_folder,
     atomic_path,
+    check_writable,
     content_key,
     is_temporary,
     older_folder,
@@ -272,3 +273,11 @@ def test_a_file_needs_a_name(name):
 def test_links_in_a_circle_are_followed_nowhere(tmp_path):
     (tmp_path / "loop").symlink_to(tmp_path / "loop")
     assert real_path(tmp_path / "loop") == tmp_path / "loop"
+
+
+def test_what_cannot_be_written_is_known_before(tmp_path):
+    (tmp_path / "file").write_text("mine")
+    check_writable(tmp_path / "new/folders/map.npz")
+    assert [path.name for path in tmp_path.iterdir()] == ["file"], "nothing is created"
+    with pytest.raises(StorageError, match="a file stands where a folder is needed"):
+        check_writable(tmp_path / "file/folders/map.npz")

@@ -124,10 +124,19 @@ def test_a_table_that_changed_since_its_map_was_made(flat, words, tmp_path, caps
             "runs must be a list of one name or more, or a text that is not empty, or null, got []",
         ),
         (["demo", "run={file}", "data={data}"], "is a file: choose a new or empty folder as run="),
+        *[
+            ([*command.split(), "data.manifest={table}", "data.cache={data}"], "a file stands where a folder is needed")
+            for command in (
+                "map descriptor=hog run={file}/run protocol.map.sequences=[first]",
+                "evaluate descriptor=hog run={file}/run protocol.map.sequences=[first] protocol.query.sequences=[dark]",
+                "train run={file}/run protocol.train.sequences=[first]",
+                "survey out={file}/survey",
+            )
+        ],
     ],
 )
-def test_what_cannot_be_done_is_said_before_anything_is_written(given, says, tmp_path, capsys):
+def test_what_cannot_be_done_is_said_before_anything_is_written(given, says, flat, tmp_path, capsys):
     file, folder = tmp_path / "file", tmp_path / "data"
     file.write_text("mine")
-    assert says in refused(capsys, *(word.format(file=file, data=folder) for word in given))
+    assert says in refused(capsys, *(word.format(file=file, data=folder, table=flat) for word in given))
     assert not folder.exists()
