@@ -61,7 +61,7 @@ def read_manifest(manifest: str | Path, *, on_error: Policy = "skip") -> FrameTa
             if (other := drives.setdefault(name, one)) != one:
                 raise DataError(
                     f"sequence {name or '(unnamed)'!r} is in {other} and in {one}: give each drive a name of its "
-                    "own in the column 'sequence', or a pattern that fits the tables of the images only"
+                    "own in the column 'sequence', or give a pattern that fits only one of these tables"
                 )
     return tables[0] if len(tables) == 1 else concatenate(tables)
 
