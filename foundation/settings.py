@@ -208,8 +208,14 @@ def merged(values: Mapping[str, Any], others: Mapping[str, Any]) -> dict[str, An
             before = result.get(key)
             result[key] = merged(before if isinstance(before, Mapping) else {}, value)
         else:
-            result[key] = value if isinstance(value, float) else plain(value)
+            result[key] = _without_paths(value)
     return result
+
+
+def _without_paths(value: Any) -> Any:
+    if isinstance(value, list | tuple):
+        return [_without_paths(item) for item in value]
+    return str(value) if isinstance(value, Path) else value
 
 
 def within(key: str, sections: Iterable[str]) -> bool:

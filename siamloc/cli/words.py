@@ -25,7 +25,7 @@ def values_of(words: Sequence[str], kind: type[Job]) -> dict[str, Any]:
     """
     kinds, values = dict(zip(kind.key_names(), fields_of(kind).values(), strict=True)), dict[str, Any]()
     for word in words:
-        if not known:
+        if not kinds:
             raise ConfigError(f"leave {word!r} out: this command has no settings")
         key, equals, text = word.lstrip("+").partition("=")
         if not equals:

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from contextlib import suppress
 from functools import cache
 from pathlib import Path
+from threading import Lock
 from typing import Any
 
 import cv2
@@ -15,10 +16,11 @@ from numpy.typing import NDArray
 
 from foundation.columns import spread_rows
 from foundation.ordering import by_numbers
-from siamloc.errors import say_once
+from siamloc.errors import logger
 
 _LARGEST = 16_384  # pixels per side of an image
 _LOOKED_AT = 16  # images of a folder
+_ONE_BY_ONE = Lock()  # a folder is looked at once, by one of the threads
 _HEADER = 200_000  # bytes in which a file says its size, after thumbnails
 
 
@@ -108,8 +110,13 @@ def bits_of(path: str | Path) -> int | None:
     return None if _deep(Path(path).read_bytes()) is None else _bits_in(Path(path).absolute().parent)
 
 
-@cache
 def _bits_in(folder: Path) -> int:
+    with _ONE_BY_ONE:
+        return _bits_found(folder)
+
+
+@cache
+def _bits_found(folder: Path) -> int:
     """Return how many bits the images of 16 bits in a folder use, so that all of them are brightened alike."""
     most = 0
     for file in spread(image_files(folder), _LOOKED_AT):
@@ -118,7 +125,7 @@ def _bits_in(folder: Path) -> int:
                 most = max(most, bits_used(image))
     most = most or 16
     if most < 16:
-        say_once(f"{folder}: its images use {most} of 16 bits, and are brightened alike")  # by several threads at once
+        logger.warning("%s: its images use %d of 16 bits, and are brightened alike", folder, most)
     return most
 
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass, fields, replace
+from math import isfinite
 from pathlib import Path
 from typing import Any
 
@@ -61,7 +62,9 @@ def stated(camera: Any, path: str | Path, size: ImageSize, *, levelled: bool = F
     """
     if not isinstance(camera, EquirectangularCamera) or not (said := _properties(path)):
         return camera
-    numbers = {name: float(text) for name, text in said.items() if re.fullmatch(NUMBER, text)}
+    numbers = {
+        name: float(text) for name, text in said.items() if re.fullmatch(NUMBER, text.strip()) and isfinite(float(text))
+    }
     camera = _placed(camera, [numbers.get(name) for name in _PLACED], size)
     pitch, roll = numbers.get("PosePitchDegrees", 0.0), numbers.get("PoseRollDegrees", 0.0)
     if levelled or camera.elevation or camera.roll or abs(pitch) > 90 or abs(roll) > 180:

@@ -115,7 +115,7 @@ def by_building(known: Sequence[VisualMap]) -> dict[str, VisualMap]:
                 f"{unknown} of the {len(one)} map frames have no building: give the manifest a column `building`, or "
                 "lay the images out as COLD's, and make the map again"
             )
-        one.check_descriptor(known[0].identity)
+        one.check_descriptor({"images": {}, **known[0].identity})
         for building in sorted(set(one.frames.building.tolist())):
             if building in found:
                 raise ConfigError(f"two of the maps are of building {building!r}: give one of each")

@@ -66,7 +66,7 @@ class Reason(Enum):
     OTHER_LIGHT = "the drive did not recognize it, nor most frames that were taken in the same light or on its drive"
     FORGOTTEN = "several drives in a row passed it and did not recognize it"
     UNRECOGNIZED = "the budget is spent, and the last drives that passed it did not recognize it"
-    REDUNDANT = "the budget is spent, and another frame nearby shows almost the same"
+    REDUNDANT = "the budget is spent, and the other frames replace it best"
     NEEDED = "it would be forgotten, but its node of an incremental map needs it"
 
     ADDED = "it and frames around it contradict the map"

@@ -20,10 +20,9 @@ from siamloc.maps.matching import learned_distances
 from siamloc.maps.search import slices
 from siamloc.maps.visual_map import VisualMap
 
-_MOST_ALIKE = (
-    64  # frames among which a picture is located; when all are forgotten, those that are left are compared again
-)
-_DIGITS = 6  # of how far pictures move, in the unit of the positions: rounding errors decide nothing
+# Frames among which the picture of a forgotten frame is located; once all are gone, those that stay are compared again.
+_MOST_ALIKE = 64
+_DIGITS = 6  # of how far pictures move, in the unit of the positions: sums of equal distances are equal
 _PAIRS_AT_ONCE = 1 << 20
 _AT_ONCE = 64  # frames whose descriptors are compared with all others
 
@@ -86,9 +85,10 @@ def thin(known: VisualMap, *, settings: Budget = OF_FIELDS, **fields: Any) -> Th
     A picture like that of a forgotten frame is then located at the most similar frame that stays. The frame whose
     loss moves such pictures the least goes first: one of two frames that stand close together and look alike, while
     frames without which a place would be taken for another stay, such as those of one place under different lights,
-    or before and after a change. Of frames that are equal in this, the one contradicted more often goes, or else the
-    one that the last drive found more changed, or confirmed less often, or the later one. Frames of squares that hold
-    too many are forgotten first.
+    or before and after a change. Of frames whose loss is equal, as of pictures taken in one place, the one contradicted
+    more often goes, or else the one that the last drive found more changed, or confirmed less often, or the later one.
+    Frames of squares that hold too many are forgotten first. Where the budget is a small part of the map, the pictures
+    of frames forgotten early stop to count.
 
     Args:
         known: the map.
@@ -115,21 +115,20 @@ def thin(known: VisualMap, *, settings: Budget = OF_FIELDS, **fields: Any) -> Th
     # The order in which frames go whose loss is equal; frames that no drive has passed show the place as it is.
     change = np.nan_to_num(history.change)
     going = np.lexsort([-np.arange(len(known)), history.confirmed, -change, -history.contradicted])
-    while True:
+    while (in_square > per_square).any() or stays.sum() > most:
         rows = going[stays[going]]
-        witnesses, before = _Witnesses.of(known.take(rows)), len(rows)
+        witnesses = _Witnesses.of(known.take(rows))
         while (crowded := (in_square > per_square)[square[rows]] & stays[rows]).any() or stays.sum() > most:
             if (row := witnesses.cheapest(crowded if crowded.any() else stays[rows])) is None:
                 break
             witnesses.forget(row)
             stays[rows[row]] = False
             in_square[square[rows[row]]] -= 1
-        else:
-            break
-        if stays.sum() == before:
+        if stays.sum() == len(rows):
             break  # one frame in each building
     reason = np.full(len(known), Reason.KEPT, dtype=object)
-    reason[~stays] = np.where(history.contradicted[~stays] > 0, Reason.UNRECOGNIZED, Reason.REDUNDANT)
+    reason[~stays] = Reason.REDUNDANT
+    reason[~stays & (history.contradicted > 0)] = Reason.UNRECOGNIZED
     return Thinned(known if stays.all() else known.take(stays), reason)
 
 
@@ -138,7 +137,7 @@ class _Witnesses:
 
     Attributes:
         alike: (n, k + 2) the frames that look most like each picture, its own frame first; n where there are no more.
-        off: (n, k + 2) how far these frames are from the picture's own in m; infinite where there are no more.
+        off: (n, k + 2) how far these frames are from the picture's own; infinite where there are no more.
     """
 
     def __init__(self, alike: NDArray[np.int64], off: NDArray[np.float64]) -> None:
@@ -157,7 +156,9 @@ class _Witnesses:
             own = np.arange(n)[part]
             unlike = np.where(building[own, None] == building, learned_distances(known, known.turning(own)), np.inf)
             unlike[np.arange(len(own)), own] = -np.inf
-            order = np.argsort(unlike, axis=1, kind="stable")[:, :k]
+            order = np.sort(np.argpartition(unlike, k - 1, axis=1)[:, :k], axis=1)
+            nearest_first = np.argsort(np.take_along_axis(unlike, order, axis=1), axis=1, kind="stable")
+            order = np.take_along_axis(order, nearest_first, axis=1)
             same = building[order] == building[own, None]
             alike[part, :k] = np.where(same, order, n)
             apart = np.linalg.norm(known.frames.xy[order] - known.frames.xy[own, None], axis=2)

@@ -324,7 +324,7 @@ class VisualMap:
             ConfigError: the other map was described differently.
             DataError: a frame that both maps hold, positions in another unit, or a map with headings and one without.
         """
-        self.check_descriptor(other.identity)
+        self.check_descriptor({"images": {}, **other.identity})
         if other.width != self.width:
             raise DataError(f"descriptors of {other.width} numbers do not fit a map of {self.width}")
         if both := set(self.frames.identities()) & set(other.frames.identities()):

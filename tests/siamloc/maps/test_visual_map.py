@@ -143,6 +143,15 @@ def test_check_descriptor_names_what_differs() -> None:
     assert "Describe the queries with the map's model" in message
 
 
+def test_how_images_became_panoramas_is_compared_where_both_say_it_and_by_a_merge_always() -> None:
+    known = replace(make_map(), identity={**IDENTITY, "images": {"camera": "ring"}})
+    known.check_descriptor(IDENTITY)
+    with pytest.raises(ConfigError, match=r"images.camera is 'ring' in the map, 'fisheye' here"):
+        known.check_descriptor({**IDENTITY, "images": {"camera": "fisheye"}})
+    with pytest.raises(ConfigError, match=r"images.camera is 'ring' in the map, absent here"):
+        known.merge(make_map())
+
+
 def rewritten(source: Path, target: Path, **changes: object) -> Path:
     with np.load(source) as archive:
         arrays = {name: archive[name] for name in archive.files}
