@@ -28,7 +28,7 @@ from siamloc.data.library import PanoramaLibrary
 from siamloc.data.places import PlaceSettings
 from siamloc.errors import ConfigError, DataError
 from siamloc.models.checkpoint import load
-from siamloc.models.describing import as_descriptor, learned
+from siamloc.models.describing import as_descriptor, comparing, learned
 from siamloc.models.network_stages import comparing_weights
 from siamloc.models.weights import read_checkpoint
 from siamloc.progress import shown
@@ -80,13 +80,20 @@ class Adapting:
             settings: settings of the training.
 
         Raises:
-            ConfigError: validation frames.
+            ConfigError: validation frames, or a network whose part that compares images has learned nothing yet.
             DataError: several drives, too few frames, frames of one spot, or frames in no order.
         """
         if not isinstance(settings.pairs, PlaceSettings) or settings.pairs.by != "steps":
             return None
         if validation is not None:
             raise ConfigError("pairs.by=steps checks the result on the drive it learns from: leave the validation out")
+        part = comparing(network)
+        if part is not None and not part.first.bias.any():  # biases are 0 until they learn
+            raise ConfigError(
+                "the part of this network that compares images has learned nothing yet (it starts anew if images have "
+                "another width or are no full turn), and pairs.by=steps does not teach it: leave it out by "
+                "model.relative=false (from Python relative=False)"
+            )
         drives = sorted(set(frames.sequence.tolist()))
         if len(drives) > 1:
             raise DataError(
@@ -123,7 +130,8 @@ class Adapting:
     def comparison_kept(network: nn.Module) -> Iterator[None]:
         """Keep the part of a network that compares images as it is: it would need headings to learn.
 
-        Its own inputs are features of the frozen stages, so that it goes on to fit.
+        Its own inputs are features of the frozen stages, so that it still fits them; `begun` refuses one that has
+        learned nothing.
         """
         weights = [weight for weight in comparing_weights(network) if weight.requires_grad]
         for weight in weights:

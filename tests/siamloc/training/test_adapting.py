@@ -127,6 +127,7 @@ def test_a_run_continues_as_if_it_had_never_stopped(adapt):
 
 def test_the_comparison_stays_as_it_is_and_needs_no_headings(adapt):
     network = siamloc.models.build("simple1", "magnitudes", (16, 64), circular=True, relative=True)
+    torch.nn.init.ones_(network.relative.first.bias)  # as if it had learned
     before = {name: value.clone() for name, value in network.state_dict().items()}
     run = adapt(network, pairs={"epoch_batches": 4}, trainer={"precision": "32-true"})
     after = siamloc.models.load(run, which="last").state_dict()
@@ -135,6 +136,14 @@ def test_the_comparison_stays_as_it_is_and_needs_no_headings(adapt):
         assert torch.equal(after[name], value) == name.startswith(kept)
     assert all(weight.requires_grad for weight in network.parameters())
     assert siamloc.models.as_descriptor(siamloc.models.load(run)).compares
+
+
+def test_a_comparison_that_has_learned_nothing_is_refused(adapt, drives, tmp_path):
+    shipped = recipe("adapt")
+    for changes in ({"circular": False, "canonical": False}, {"image_size": (64, 512)}):
+        with pytest.raises(ConfigError, match=r"has learned nothing yet.*model.relative=false"):
+            adapt(shipped.build(**changes))
+    assert not (tmp_path / "run").exists()
 
 
 def test_drives_without_an_order_to_learn_from_are_refused(adapt, drives):
