@@ -2,7 +2,8 @@
 
 A robot drives at changing speed, and stops: numbers of frames do not measure how far two images are apart. So the drive
 is divided into steps by what the network sees before the training. A new step begins where a frame is less similar to
-the first frame of its step than half way from identical to the median of two frames of the drive.
+the first frame of its step than half way from identical to the median of two frames of the drive. Frames of a robot
+that stands still are left out first: a spot would otherwise count as often as it has frames.
 
 Whether the training helped is checked in stretches of the drive that it never learns from. The map is one frame of each
 stretch of the whole drive; the queries are frames of the stretches held out, augmented like the training images. An
@@ -39,6 +40,7 @@ from siamloc.training.settings import Training
 
 _FRAMES = 50  # at least
 _ALIKE = 0.98  # similarity above which two frames are of one step, however alike all frames of the drive are
+_STILL = 0.99  # similarity to the last frame that is kept above which the robot stands still: noise leaves 0.994
 _IN_ORDER = 0.65  # share of frames that resemble the next one: half of those in no order do, and most of a drive
 _STRETCH = 8  # steps
 _HELD_OUT = 4  # one stretch of this many
@@ -52,7 +54,8 @@ class Adapting:
     """A drive that a network learns from by its order, and the network's weights from before.
 
     Attributes:
-        drive: frames of the drive in order (n); x is the number of the step of each frame, y is 0.
+        drive: frames of the drive in order (n), without those of a robot that stands still; x is the number of the step
+            of each frame, y is 0.
         before: weights from before the training, by name.
     """
 
@@ -109,6 +112,8 @@ class Adapting:
         if resumed is not None and (resumed.checkpoints / "last.ckpt").is_file():
             network = load(resumed, which="untrained")
         described = _described(network, images, frames)
+        moved = np.diff(_parts(described, _STILL), prepend=-1) > 0
+        frames, described = frames.take(moved), described[moved]
         steps = steps_of(described)
         if steps[-1] + 1 < 2 * _STRETCH:
             raise DataError(
@@ -215,7 +220,11 @@ def steps_of(descriptors: NDArray[np.float32]) -> NDArray[np.int64]:
         >>> steps_of(np.column_stack([np.cos(angle), np.sin(angle)])).tolist()
         [0, 0, 0, 1, 1, 1, 2, 2, 2, 3]
     """
-    level = min((1 + _median_similarity(descriptors)) / 2, _ALIKE)
+    return _parts(descriptors, min((1 + _median_similarity(descriptors)) / 2, _ALIKE))
+
+
+def _parts(descriptors: NDArray[np.float32], level: float) -> NDArray[np.int64]:
+    """Number the parts of a drive: one begins where a frame is less similar than `level` to the first of the last."""
     steps, first = np.zeros(len(descriptors), np.int64), 0
     for row in range(1, len(descriptors)):
         leaves = descriptors[row] @ descriptors[first] < level

@@ -114,6 +114,14 @@ def test_the_check_asks_for_frames_that_are_not_learned_from(drives):
     np.testing.assert_array_equal(queries, drives.batch(drives.rows(asked)))
 
 
+def test_frames_of_a_robot_that_stands_still_change_nothing(drives):
+    frames, settings = drives.frames.select(sequence="drive"), Training(pairs={"by": "steps"})
+    parked = frames.take(np.sort(np.r_[np.arange(FRAMES), np.full(4 * FRAMES, 30)]))
+    moving, standing = (Adapting.begun(Cells(), drives, one, None, None, settings) for one in (frames, parked))
+    assert standing.drive.path.tolist() == moving.drive.path.tolist() == frames.path.tolist()
+    np.testing.assert_array_equal(standing.drive.x, moving.drive.x)
+
+
 def test_a_run_continues_as_if_it_had_never_stopped(adapt):
     whole, parts = (siamloc.models.build("simple1", "magnitudes", (16, 64), circular=True) for _ in range(2))
     options = {"optimizer": {**CHANGES["optimizer"], "schedule": "constant"}, "pairs": {"epoch_batches": 4}}
