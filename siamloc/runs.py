@@ -203,7 +203,7 @@ class Run:
             raise ConfigError(f"there is no run to resume in {self.folder}: leave out resume=true to start one")
 
     def load_record(self) -> dict[str, Any]:
-        """Read the record: `settings`, `written`, `versions`, `created`.
+        """Read the record: `settings`, `written`, `versions`, `created`, and after `pairs.by=steps` its `check`.
 
         Raises:
             ConfigError: the folder is not a run.
@@ -240,6 +240,11 @@ class Run:
             written = {*record["written"], *(self._inside(name) for name in names)}
             if written != set(record["written"]):
                 write_json(self.record, {**record, "written": sorted(written)})
+
+    def record_check(self, check: Mapping[str, Any]) -> None:
+        """Add the result of the check that chose the weights, as plain values, to the record; it is its `check`."""
+        with locked(self.folder / ".run.lock"):
+            write_json(self.record, {**self.load_record(), "check": plain(dict(check))})
 
     def clear(self) -> None:
         """Remove the files that siamloc wrote; the record and all other files stay.

@@ -8,7 +8,10 @@ that stands still are left out first: a spot would otherwise count as often as i
 Whether the training helped is checked in stretches of the drive that it never learns from. The map is one frame of each
 stretch of the whole drive; the queries are frames of the stretches held out, augmented like the training images. An
 error is the number of steps between a query and the map frame with the most similar descriptor. The weights from
-before, from after, or a mean of both are kept: those with the smallest mean error, and in doubt those from before.
+before, from after, or a mean of both are kept: those with the smallest mean error, if they are better than those from
+before beyond doubt: errors are compared query by query, and the mean gain of the frames asked is more than two standard
+errors. Queries that show the same frame count once, by their mean. The check asks for the learned part of descriptors;
+the colours that maps search by as well are not in it.
 """
 
 from __future__ import annotations
@@ -17,6 +20,7 @@ import sys
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import torch
@@ -46,6 +50,7 @@ _STRETCH = 8  # steps
 _HELD_OUT = 4  # one stretch of this many
 _SAMPLE = 1000  # frames at most from which the median similarity is computed
 _QUERIES = 256
+_DOUBT = 2.0  # standard errors of the mean gain
 _SHARES = (0.0, 0.5, 0.75, 1.0)  # of the weights from after the training
 
 
@@ -168,33 +173,56 @@ class Adapting:
             run: the run, with the weights from after the training in its last checkpoint.
             writes: whether this process writes the checkpoint and prints the result.
         """
-        after = _weights(load(run, which="last", network=network))
+        if writes:
+            _write_best(run, self.before)  # until the check is over, no command may take what is not checked
+        try:
+            check = self._checked(network, images, change, _weights(load(run, which="last", network=network)))
+        except KeyboardInterrupt as error:
+            network.load_state_dict(self.before)
+            text = f"stopped during the check, which has kept nothing: go on with resume=true, run={run.folder}"
+            print(text, file=sys.stderr, flush=True)
+            raise KeyboardInterrupt(text) from error
+        if not writes:
+            return
+        kept, errors = check["kept"], dict(zip(check["shares"], check["errors"], strict=True))
+        _write_best(run, _weights(network))
+        run.record_check(check)
+        best = min(errors, key=lambda share: errors[share])
+        result = (
+            f"{errors[kept]:.2f} with {100 * kept:.0f} % of the change of the weights, which is kept"
+            if kept
+            else f"{errors[best]:.2f} at best afterwards, which is no clear gain: the weights from before are kept"
+        )
+        if shown():
+            print(
+                f"check on the drive of {check['steps']} steps: {check['frames']} frames held out are found "
+                f"{errors[0]:.2f} steps off on average before the training; {result}\ncheckpoint: {run.checkpoint()}",
+                file=sys.stderr,
+            )
+
+    def _checked(
+        self, network: nn.Module, images: PanoramaLibrary, change: BatchAugmentation | None, after: Mapping[str, Tensor]
+    ) -> dict[str, Any]:
+        """Give the network the weights to keep; return the result of the check as plain values, with the share kept."""
         known, asked, queries = self._check(images, change)
         errors = {}
         for share in _SHARES:
             network.load_state_dict(_mean(self.before, after, share))
             described = learned(network, as_descriptor(network, None).describe(queries).position)
             similarity = described @ _described(network, images, known).T
-            errors[share] = float(np.abs(known.x[similarity.argmax(axis=1)] - asked.x).mean())
-        best = min(_SHARES, key=lambda share: errors[share])
-        network.load_state_dict(kept := _mean(self.before, after, best))
-        if not writes:
-            return
-        content = read_checkpoint(run.checkpoints / "last.ckpt")
-        content["state_dict"].update({f"network.{name}": value for name, value in kept.items()})
-        AtomicCheckpoints().save_checkpoint(content, run.checkpoints / "best.ckpt")
-        run.record_written(["checkpoints/best.ckpt"])
-        result = (
-            "the training does not help: the weights from before are kept"
-            if best == 0
-            else f"{errors[best]:.2f} steps with {100 * best:.0f} % of the change of the weights, which is kept"
-        )
-        if shown():
-            print(
-                f"check on the drive: frames held out are found {errors[0]:.2f} steps off on average before the "
-                f"training; {result}\ncheckpoint: {run.checkpoint()}",
-                file=sys.stderr,
-            )
+            errors[share] = np.abs(known.x[similarity.argmax(axis=1)] - asked.x)
+        means = {share: float(one.mean()) for share, one in errors.items()}
+        frame = np.unique(asked.path, return_inverse=True)[1]
+        better = [share for share in _SHARES if clearly_smaller(errors[share], errors[0], frame)]
+        kept = min(better, key=lambda share: means[share], default=0.0)
+        network.load_state_dict(_mean(self.before, after, kept))
+        return {
+            "steps": int(self.drive.x[-1]) + 1,
+            "frames": int(frame.max()) + 1,
+            "shares": list(means),
+            "errors": list(means.values()),
+            "kept": kept,
+        }
 
     def _check(
         self, images: PanoramaLibrary, change: BatchAugmentation | None
@@ -210,6 +238,24 @@ class Adapting:
         if change is not None:
             queries = change.effect.apply(queries, change.draw((0,), len(queries), tuple(queries.shape[1:])))
         return self.drive.take(known), frames, queries
+
+
+def clearly_smaller(errors: NDArray[np.float64], before: NDArray[np.float64], frame: NDArray[np.int64]) -> bool:
+    """Return whether errors (q) of queries are smaller than those before (q) by more than two standard errors.
+
+    Args:
+        errors: error of each query.
+        before: error of the same query before.
+        frame: number of the frame that each query shows, from 0; the queries of a frame count once, by their mean.
+
+    Example:
+        >>> clearly_smaller(np.array([1.0, 2.0, 0.0]), np.array([4.0, 6.0, 3.0]), np.arange(3))
+        True
+        >>> clearly_smaller(np.array([1.0, 2.0, 0.0]), np.array([4.0, 1.0, 0.0]), np.arange(3))
+        False
+    """
+    gain = np.bincount(frame, before - errors) / np.bincount(frame)
+    return len(gain) > 1 and bool(gain.mean() > _DOUBT * gain.std(ddof=1) / np.sqrt(len(gain)))
 
 
 def steps_of(descriptors: NDArray[np.float32]) -> NDArray[np.int64]:
@@ -243,6 +289,14 @@ def _described(network: nn.Module, images: PanoramaLibrary, frames: FrameTable) 
     """Return the learned part (n, D) of the descriptors of frames."""
     describe = as_descriptor(network, None).describe
     return learned(network, np.concatenate([describe(batch).position for batch in images.batches(frames)]))
+
+
+def _write_best(run: Run, weights: Mapping[str, Tensor]) -> None:
+    """Write weights of the network as the best checkpoint of a run, with all else as in its last."""
+    content = read_checkpoint(run.checkpoints / "last.ckpt")
+    content["state_dict"].update({f"network.{name}": value for name, value in weights.items()})
+    run.record_written(["checkpoints/best.ckpt"])
+    AtomicCheckpoints().save_checkpoint(content, run.checkpoints / "best.ckpt")
 
 
 def _weights(network: nn.Module) -> dict[str, Tensor]:

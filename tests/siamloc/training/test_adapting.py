@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from unittest.mock import Mock
+
 import cv2
 import numpy as np
 import pytest
@@ -11,7 +13,7 @@ import siamloc
 from siamloc.data import FrameTable, PanoramaLibrary
 from siamloc.errors import ConfigError, DataError
 from siamloc.training import Training, recipe
-from siamloc.training.adapting import Adapting, steps_of
+from siamloc.training.adapting import Adapting, clearly_smaller, steps_of
 
 FRAMES, CELLS = 96, (2, 8)
 CHANGES = {
@@ -83,6 +85,9 @@ def test_it_learns_what_the_order_shows_and_the_run_holds_what_is_kept(adapt, dr
     assert weight[0].min() > weight[1].max()
     np.testing.assert_array_equal(siamloc.models.load(run, network=Cells()).weight.detach(), network.weight.detach())
     assert "checkpoints/best.ckpt" in run.load_record()["written"]
+    check = run.load_record()["check"]
+    assert check["kept"] > 0
+    assert check["errors"][check["shares"].index(check["kept"])] < check["errors"][0]
     again = Cells()
     adapt(again, run="again")
     np.testing.assert_array_equal(again.weight.detach(), network.weight.detach())
@@ -99,6 +104,24 @@ def test_a_training_that_does_not_help_keeps_the_weights(adapt, capsys):
     assert (network.weight == 1).all()
     assert (siamloc.models.load(run, network=Cells()).weight == 1).all()
     assert (siamloc.models.load(run, which="last", network=Cells()).weight != 1).any()
+
+
+def test_a_gain_within_the_spread_of_the_queries_is_none():
+    noise, frame = np.random.default_rng(3), np.arange(256) % 32
+    before = noise.integers(0, 60, 256).astype(float)
+    assert not clearly_smaller(before - 0.2 + 5 * noise.normal(size=32)[frame], before, frame)
+    assert clearly_smaller(before - 5 + 5 * noise.normal(size=32)[frame], before, frame)
+    assert not clearly_smaller(before, before, frame)
+
+
+def test_an_interrupted_check_leaves_the_weights_from_before(adapt, tmp_path, monkeypatch, capsys):
+    with monkeypatch.context() as patch:
+        patch.setattr(Adapting, "_check", Mock(side_effect=KeyboardInterrupt))
+        with pytest.raises(KeyboardInterrupt, match="go on with resume=true"):
+            adapt(Cells())
+    assert "go on with resume=true" in capsys.readouterr().err
+    run = siamloc.runs.Run(tmp_path / "run")
+    assert (siamloc.models.load(run, network=Cells()).weight == 1).all()
 
 
 def test_the_check_asks_for_frames_that_are_not_learned_from(drives):
