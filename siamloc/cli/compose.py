@@ -172,7 +172,7 @@ def _register(kind: type[Job], words: list[str]) -> None:
     chosen = {group: name for one in jobs for group, name in one.GROUPS.items()}
     # Nothing of another job, whose keys may have the names of groups.
     own = {key: node for key, node in store.repo.items() if key == "hydra" or key.startswith("_")}
-    store.repo = {**own, **(_options() if chosen else {})}
+    store.repo = {**own, **(_branched(_options()) if chosen else {})}
     values: dict[str, Any] = {}
     for one in jobs:
         values = merged(values, one.defaults())
@@ -186,6 +186,11 @@ def _register(kind: type[Job], words: list[str]) -> None:
                 folder, _, leaf = f"{group}/{name}".rpartition("/")
                 node = OmegaConf.create(option(group, name).node())
                 store.store(leaf, node, group=folder, package=group.replace("/", "."))
+
+
+def _branched(options: dict[str, Any]) -> dict[str, Any]:
+    """Return nested options in dictionaries of their own, for a job adds some."""
+    return {key: _branched(value) if isinstance(value, dict) else value for key, value in options.items()}
 
 
 @cache

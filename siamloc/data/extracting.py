@@ -16,7 +16,7 @@ from foundation.calls import OF_FIELDS, takes, typed
 from foundation.files import read_json, real_path, write_bytes, write_json, write_picture, write_text
 from foundation.settings import Count, Positive, Settings, Text
 from siamloc.data.bags import KINDS, Bag, Clock, proposed
-from siamloc.data.films import Film
+from siamloc.data.films import COUNTED, Film
 from siamloc.data.frames import BAGS, VIDEOS, FrameTable, advice, placed
 from siamloc.data.image_files import UnreadableImageError, decode_image
 from siamloc.data.manifest import manifest_of
@@ -203,7 +203,8 @@ def extract(file: str | Path, out: str | Path, *, settings: Extraction = OF_FIEL
         about = _identity(path, sources["images"])
         if (folder / _KEPT).is_file() and read_json(folder / _KEPT) != about:
             raise DataError(f"{folder} holds the images of another recording, as {_KEPT} says: give another folder")
-        if not isinstance(recording, Bag) and recording.seconds > 0:  # before all pictures are decoded
+        counted = isinstance(recording, Pictures) or path.suffix.lower() in COUNTED  # whose length is known
+        if counted and not isinstance(recording, Bag) and recording.seconds > 0:  # before all pictures are decoded
             taken = recording.taken if isinstance(recording, Pictures) else np.array([0.0, recording.seconds])
             for one in filter(None, given.values()):
                 check_clocks(taken + settings.offset, one)

@@ -17,7 +17,7 @@ from siamloc.errors import DataError, Policy, logger
 
 _MOST = 3000  # pictures in a row that cannot be decoded, after which a video has ended: OpenCV does not say which it is
 _EARLY = 0.5, 0.01  # s, and share of the length, by which a whole video may end before what it announces
-_COUNTED = (".avi", ".mp4", ".mov")  # files that hold the number of their pictures: OpenCV estimates that of others
+COUNTED = (".avi", ".mp4", ".mov")  # files that hold the number of their pictures: OpenCV estimates that of others
 _FFMPEG_LEVEL, _FFMPEG_SILENT = "OPENCV_FFMPEG_LOGLEVEL", "-8"
 
 
@@ -85,7 +85,7 @@ class Film:
             if on_error == "raise":
                 raise DataError(f"{short} (on_error=skip takes what is there)")
             logger.warning("%s", short)
-        elif missing > (0 if self.path.suffix.lower() in _COUNTED else allowed * self._rate):
+        elif missing > (0 if self.path.suffix.lower() in COUNTED else allowed * self._rate):
             logger.warning(
                 "%s lacks %d of the %d pictures that it announces: they are damaged, %s",
                 *(self.path, missing, announced, trimmed),

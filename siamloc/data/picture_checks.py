@@ -266,7 +266,8 @@ def time_offset(seen: Array, time: Array, theta: Array, signs: Sequence[int] = (
         return 0.0
     step, headed, heading = float(np.median(np.diff(time))), time[known], np.unwrap(theta[known])
     reach = max(_LATEST, 3 * step)
-    far = np.diff(headed) > reach / 2  # headings that are nearer to each other are interpolated
+    gaps = np.diff(np.flatnonzero(known)) > 1
+    far = gaps & (np.diff(headed) > reach / 2)  # headings that are nearer to each other are interpolated
     begins, ends = headed[np.append(True, far)], headed[np.append(far, True)]
     within = np.searchsorted(begins, time[:-1] - reach, "right") - 1 == np.searchsorted(ends, time[1:] + reach)
     rows, by_headings = np.isfinite(seen) & within, np.diff(np.interp(time, headed, heading))

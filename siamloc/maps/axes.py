@@ -103,7 +103,7 @@ def _check_motion(
             continue
         middle, there = axes[near].mean(), found[near].mean()
         motion = _fitted(axes[near], found[near])  # that of two frames may be off by the radius
-        unit = f" and a factor of {abs(motion):.1g}, as between units," if scaled else ""
+        unit = f" and a factor of {float(f'{abs(motion):.1g}'):g}, as between units," if scaled else ""
         if not (exchanged or unit):
             moved_by = np.median(np.abs(motion / abs(motion) * (given - middle) + there - given))
             degrees = abs(np.degrees(np.angle(motion)))

@@ -335,7 +335,8 @@ def _joining(
     if near >= settings.window and foreign > near / 2:
         raise DataError(
             f"{foreign} of {near} pictures taken in known places show nothing that is on the map: the camera may be "
-            "covered, turned over or another one, or the drive is of another building"
+            "covered, turned over or another one, or the drive is of another building; if everything there is new, map "
+            "the drive by itself, and merge the maps"
         )
     check_axes(known, drive, alike, located, settings.radius)
     off = np.linalg.norm(known.frames.xy[located] - drive.frames.xy, axis=1)

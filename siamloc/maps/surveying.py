@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import cached_property, partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -115,7 +115,7 @@ class Survey:
         """Median of the standard deviations of the positions, in metres; of no worth if `torn` is above 0."""
         return float(np.median(self.frames.deviation))
 
-    @property
+    @cached_property
     def torn(self) -> int:
         """Number of places where the survey is torn, because loops or anchors contradict the images."""
         return len(torn_before(self.graph, self.solution))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -59,7 +60,7 @@ _KEYS: dict[str, Any] = {
 }
 """The kind of value of each key of a description."""
 _LONGEST = 64_000_000  # bytes of a description
-_TRIES = 5  # to read a bundle that is replaced meanwhile
+_TRIES, _PAUSE = 5, 0.02  # to read a bundle that is replaced meanwhile, and s between them
 _OPTIONAL = ("heading", "refinement", "search", "errors", "precisions", "unit", "pictures")
 
 
@@ -230,13 +231,14 @@ def read_whole(path: str | Path, read: Callable[[], object]) -> None:
         FormatError: the bundle was replaced each time.
         SiamlocError: as `read`, if the bundle stayed.
     """
-    for _ in range(_TRIES):
+    for left in reversed(range(_TRIES)):
         before = _written(path)
         try:
             read()
         except (SiamlocError, OSError):
-            if _written(path) == before:
+            if _written(path) == before and (before or not left):
                 raise
+            time.sleep(_PAUSE)  # between the two renames of an update nothing is there
         else:
             if _written(path) == before:
                 return

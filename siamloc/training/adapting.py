@@ -96,7 +96,8 @@ class Adapting:
         if validation is not None:
             raise ConfigError("pairs.by=steps checks the result on the drive it learns from: leave the validation out")
         part = comparing(network)
-        if part is not None and not part.first.bias.any():  # biases are 0 until they learn
+        bias = None if part is None else part.first.bias
+        if bias is not None and not bias.any():  # biases are 0 until they learn
             raise ConfigError(
                 "the part of this network that compares images has learned nothing yet (it starts anew if images have "
                 "another width or are no full turn), and pairs.by=steps does not teach it: leave it out by "

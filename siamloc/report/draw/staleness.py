@@ -44,8 +44,12 @@ def staleness_picture(*found: Update | VisualMap) -> Picture:
     updates: list[Any] = [one for one in found if hasattr(one, "before")]
     known: Any = updates[-1].before if updates else found[-1]
     frames, stale, changed = known.frames, staleness(known), _changed(updates)
-    buildings = frames.rows_by("building")
-    extent = np.max([np.ptp(frames.xy[rows], axis=0) for rows in buildings.values()], axis=0)
+    buildings, moved = frames.rows_by("building"), dict[str, list[Any]]()
+    for (building, _), *xy in changed.values():
+        buildings.setdefault(building, np.empty(0, dtype=np.int64))  # one that the map lacked
+        moved.setdefault(building, []).append(xy)
+    spans = [np.vstack([frames.xy[rows], *moved.get(building, [])]) for building, rows in buildings.items()]
+    extent = np.max([np.ptp(span, axis=0) for span in spans], axis=0)
     side = max(_LEAST, float(extent.max()) / _CELLS)
     width = 6.4
     height = float(np.clip(width * (extent[1] + side) / (extent[0] + side), 2.0, 7.0))

@@ -242,3 +242,12 @@ def test_turns_to_the_left_and_right_in_equal_times_are_not_those_of_other_times
     turned = np.diff(theta) + rng.normal(0, 0.03, 119)
     for seen in (turned, -turned):
         assert time_offset(seen, time, theta) == 0
+
+
+def test_dropped_pictures_do_not_hide_another_clock():
+    time = np.sort(np.random.default_rng(0).permutation(150)[:105]).astype(float)
+
+    def heading(at):
+        return 2.0 * np.sin(at / 4) + np.sin(at / 1.7)
+
+    assert time_offset(np.diff(heading(time)), time, heading(time - 1.5)) == pytest.approx(1.5, abs=0.2)

@@ -275,7 +275,7 @@ def test_positions_with_other_axes_than_the_map_are_refused(known, drives):
         (lambda x, y: (3 - y, 7 + x), r"one motion by \d\.\d\d m and 90 degrees brings 40 of 40"),
         (lambda x, y: (1000 * x, 1000 * y), r"one motion and a factor of 0\.001, as between units, brings 40 of 40"),
         (lambda x, y: (3.28 * y, 3.28 * x), r"reversed, and a factor of 0\.3, as between units, brings 40 of 40"),
-        (lambda x, y: (x / 1000 + 9, y / 1000), r"a factor of 1e\+03, as between units, brings 40 of 40"),
+        (lambda x, y: (x / 1000 + 9, y / 1000), r"a factor of 1000, as between units, brings 40 of 40"),
     ],
 )
 def test_positions_that_are_turned_exchanged_reversed_or_in_another_unit_are_refused(made, says):

@@ -81,6 +81,17 @@ def test_each_building_has_a_plan_of_its_own():
     assert len(figure.legends[0].get_texts()) == 2
 
 
+def test_a_building_that_the_map_lacked_has_a_plan_of_the_frames_that_joined():
+    drive = FrameTable(path=["a.png", "b.png"], x=[1.0, 2.0], y=[0.4, 0.4], building=["new", "new"])
+    reason, kept = np.full(2, Reason.NEW_PLACE, dtype=object), np.full(6, Reason.KEPT, dtype=object)
+    found = Update(KNOWN, None, KNOWN, kept, drive, reason, np.zeros(2, bool), np.zeros(2, bool), 5)
+    figure = staleness_picture(found)
+    assert len(figure.axes) == 3, "two plans and the scale"
+    (joined,) = (one for one in figure.axes[1].collections if one.get_label() == "joined the map")
+    assert joined.get_offsets().tolist() == [[1.0, 0.4], [2.0, 0.4]]
+    assert figure.rendered("svg")
+
+
 def test_a_map_that_no_drive_passed_has_no_squares():
     figure = staleness_picture(replace(KNOWN, history=None))
     assert not len(figure.axes[0].collections[0].get_paths())
