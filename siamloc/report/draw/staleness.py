@@ -17,6 +17,7 @@ if TYPE_CHECKING:
 _CELLS = 24  # squares along the longer side of the plan, at most
 _LEAST = 1.0  # side of a square, in the unit of the positions
 _MOST = 2.0  # change that has the darkest colour
+_AROUND = 1.6  # inches that title, labels and legend take of the height
 _LEFT, _JOINED = "left the map", "joined the map"
 _COLOURS = LinearSegmentedColormap.from_list("change", ["#eef2f5", "#f6d8a8", "#e08a1e", "#a33b00"])
 
@@ -52,7 +53,7 @@ def staleness_picture(*found: Update | VisualMap) -> Picture:
     extent = np.max([np.ptp(span, axis=0) for span in spans], axis=0)
     side = max(_LEAST, float(extent.max()) / _CELLS)
     width = 6.4
-    height = float(np.clip(width * (extent[1] + side) / (extent[0] + side), 2.0, 7.0))
+    height = float(np.clip(width * (extent[1] + side) / (extent[0] + side) + _AROUND, 3.2, 7.0))
     figure, drawn = panels(len(buildings), width, height, across=2)
     stays = np.array([key not in changed for key in frames.identities()], dtype=bool)
     against = known.history.contradicted > 0
@@ -77,7 +78,7 @@ def staleness_picture(*found: Update | VisualMap) -> Picture:
         axes.grid(False)
     bar = figure.colorbar(tiles, ax=drawn, shrink=0.8, pad=0.02, ticks=[0, 1, 2], extend="max")
     bar.ax.set_yticklabels(["0", "1, usual", "2"])
-    bar.set_label("change since the map frames were taken")
+    bar.set_label("change since the\nmap frames were taken")
     bar.outline.set_visible(False)  # type: ignore[operator]
     once = dict(zip(*reversed(legend_entries(*drawn)), strict=True))
     figure.legend(list(once.values()), list(once), loc="outside lower center", ncols=4)
