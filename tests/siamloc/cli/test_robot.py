@@ -142,7 +142,7 @@ def test_an_export_without_headings_and_errors_says_how_to_add_them(bare, flat, 
     said = capsys.readouterr().out
     assert "the robot gets: position\n" in said
     assert f"siamloc map run={bare} heading=hog" in said
-    assert f"siamloc evaluate run={bare} task.error_model=true" in said
+    assert f"siamloc evaluate run={bare} 'protocol.query.sequences=[\"second\"]' task.error_model=true" in said
     done("localize", f"run={bare}", f"images=[{flat.parent / 'second/0003.png'}]")
     row = table(bare / "locations.csv")[0]
     assert (row["theta"], row["error_m"], row["lost"]) == ("", "", "")
@@ -163,7 +163,7 @@ def test_an_error_model_is_left_out_for_another_map_and_kept_for_other_headings(
     done("export", f"run={run}")
     said = capsys.readouterr().out
     assert "error_model.json left out, it was learned on another map" in said
-    assert f"siamloc evaluate run={run} task.error_model=true" in said
+    assert f"siamloc evaluate run={run} 'protocol.query.sequences=[\"second\"]' task.error_model=true" in said
     assert "the robot gets: position\n" in said
     assert set(read_json(run / "bundle/bundle.json")["sha256"]) == {"model.onnx", "map.npz"}
 
