@@ -43,8 +43,7 @@ def follow(monkeypatch):
                     monkeypatch.setattr(module, new, vars(module)[new])
                 continue
             table = getattr(module, registry)
-            named = code if code.startswith('"') else f"**{{spec.name: spec for spec in [{code}]}}"  # a list of specs
-            for key, value in eval(f"{{{named}}}", vars(module)).items():
+            for key, value in eval(f"{{{code}}}", vars(module)).items():
                 monkeypatch.setitem(table, key, value)
         options.cache_clear()
 

@@ -8,7 +8,7 @@ import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from contextvars import copy_context
-from functools import cache, partial
+from functools import partial
 from typing import Any
 
 from omegaconf import DictConfig, OmegaConf
@@ -171,14 +171,16 @@ def _register(kind: type[Job], words: list[str]) -> None:
     jobs = together(kind)
     chosen = {group: name for one in jobs for group, name in one.GROUPS.items()}
     # Nothing of another job, whose keys may have the names of groups.
-    own = {key: node for key, node in store.repo.items() if key == "hydra" or key.startswith("_")}
-    store.repo = {**own, **(_branched(_options()) if chosen else {})}
+    store.repo = {key: node for key, node in store.repo.items() if key == "hydra" or key.startswith("_")}
     values: dict[str, Any] = {}
     for one in jobs:
         values = merged(values, one.defaults())
     last = [{"experiment": None}] if kind.SHARED else []
     defaults = [*({group: name} for group, name in chosen.items()), "_self_", *last]
     store.store(_NAME, OmegaConf.create({"defaults": defaults, **values}))
+    for group, inside in options().items() if chosen else ():
+        for name, entry in inside.items():
+            store.store(name, entry.node(), group=group, package="_global_" if group == "experiment" else None)
     for group, is_made in (("descriptor", is_fused), ("model/branch", is_backbone)):
         chosen_names = (name for word in words if key_of(word) == group for name in word.partition("=")[2].split(","))
         for name in (name.strip("'\" ") for name in chosen_names):
@@ -186,26 +188,6 @@ def _register(kind: type[Job], words: list[str]) -> None:
                 folder, _, leaf = f"{group}/{name}".rpartition("/")
                 node = OmegaConf.create(option(group, name).node())
                 store.store(leaf, node, group=folder, package=group.replace("/", "."))
-
-
-def _branched(options: dict[str, Any]) -> dict[str, Any]:
-    """Return nested options in dictionaries of their own, for a job adds some."""
-    return {key: _branched(value) if isinstance(value, dict) else value for key, value in options.items()}
-
-
-@cache
-def _options() -> dict[str, Any]:
-    """Return the options of all groups from the registries, as Hydra's store holds them; made once in a process."""
-    from hydra.core.config_store import ConfigStore
-
-    store = ConfigStore.instance()
-    before, store.repo = store.repo, {}
-    for group, inside in options().items():
-        for name, entry in inside.items():
-            package = "_global_" if group == "experiment" else None
-            store.store(name, entry.node(), group=group, package=package)
-    made, store.repo = store.repo, before
-    return made
 
 
 def _path(kind: type[Job]) -> str | None:

@@ -50,7 +50,7 @@ def test_the_command_writes_what_the_next_commands_read(tmp_path, monkeypatch, c
     assert figures["settings"]["survey"]["alike"] == 5
     assert list(figures["odometry"]) == ["monday"], "tuesday has none"
     lines = (out / "surveyed.csv").read_text().splitlines()
-    assert lines[0] == "image,x,y,theta,sequence,deviation,theta_deviation"
+    assert lines[0] == "image,x,y,theta,sequence,odom_x,odom_y,odom_theta,deviation,theta_deviation"
     assert lines[1].startswith("../data/monday/0.png,4.0,0.0,")
 
 
