@@ -7,7 +7,6 @@ import re
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from contextvars import copy_context
 from functools import partial
 from typing import Any
 
@@ -20,7 +19,7 @@ from siamloc.cli.words import values_of
 from siamloc.errors import ConfigError, DataError, SiamlocError, check_known, hint
 from siamloc.jobs.job import Given, Job, at, import_own
 from siamloc.jobs.options import choices, config_folder, groups, is_fused, option, options
-from siamloc.jobs.sweep import RUNNING, Sweep
+from siamloc.jobs.sweep import Sweep
 from siamloc.models.registry import is_backbone
 from siamloc.runs import Run, runs_in
 
@@ -64,10 +63,9 @@ def run(command: str, words: list[str]) -> None:
         if failed:  # an earlier job of the sweep
             return
         sys.argv = arguments  # used by the trainer to start further processes
-        context = copy_context()
-        context.run(RUNNING.set, _sweep_of_the_job())
+        sweep = _sweep_of_the_job()
         try:
-            context.run(_for_each_run, command, config, given, lambda one, words: _made(kind, one, words).run(_print))
+            sweep.run(_for_each_run, command, config, given, lambda one, words: _made(kind, one, words).run(_print))
         except Exception as error:
             if os.getpid() != process:  # of a launcher, whose list is a copy
                 raise

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import re
 from collections.abc import Callable, Mapping
-from contextvars import ContextVar
+from contextvars import ContextVar, copy_context
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -43,14 +43,20 @@ class Sweep:
     words: Mapping[str, str] = field(default_factory=dict)
     number: int | None = None
 
+    def run(self, call: Callable[..., Any], *arguments: Any) -> Any:
+        """Call a function, in which jobs are those of this sweep."""
+        context = copy_context()
+        context.run(_RUNNING.set, self)
+        return context.run(call, *arguments)
 
-RUNNING: ContextVar[Sweep] = ContextVar("sweep", default=Sweep())  # noqa: B039 (it is frozen)
+
+_RUNNING: ContextVar[Sweep] = ContextVar("sweep", default=Sweep())  # noqa: B039 (it is frozen)
 """What distinguishes the running job, in the context of the job."""
 
 
 def swept() -> Mapping[str, Any]:
     """Return the settings of the running job that differ between the jobs of its sweep; none outside sweeps."""
-    return RUNNING.get().values
+    return _RUNNING.get().values
 
 
 def sweep_suffix(wanted: Choice | None = None) -> str:
@@ -59,7 +65,7 @@ def sweep_suffix(wanted: Choice | None = None) -> str:
     Args:
         wanted: which keys to name. If None, all, and a job that differs in none gets its number.
     """
-    sweep = RUNNING.get()
+    sweep = _RUNNING.get()
     chosen = [f"{key}-{word}" for key, word in sweep.words.items() if wanted is None or wanted(key)]
     text = "_".join(sorted(chosen))
     if wanted is None and not text and sweep.number is not None:
@@ -81,7 +87,7 @@ def own_folder(folder: Path, titles: Mapping[str, str], wanted: Choice) -> Path:
         titles: titles of the job's descriptor and build, by group.
         wanted: which swept keys change the contents of the folder.
     """
-    words = RUNNING.get().words
+    words = _RUNNING.get().words
     named = {"run", *(group for group, title in titles.items() if words.get(group) == title)}
     suffix = sweep_suffix(lambda key: key not in named and wanted(key))
     return folder / suffix if suffix else folder
