@@ -40,7 +40,7 @@ class Surveyed:
         plan = tag("figure.picture", tag("img", src=source, alt="plan of the survey: path and loops"))
         lines = [
             tag("p.note" if line.startswith("note: ") else "p.caption", line.removeprefix("note: "))
-            for line in self.lines
+            for line in "\n".join(self.lines).splitlines()
         ]
         return section("Survey", plan, *lines, name="survey")
 
