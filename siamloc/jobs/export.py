@@ -154,7 +154,7 @@ class Export(RunJob):
                     more["overwrite"] = "true"
             frames = self.data.read()
             others = frames.take(frames.has_position & ~np.isin(frames.sequence, known.frames.sequence))
-            words = self.for_evaluation(protocol, others, "query", "validation")
+            words = self.for_evaluation(protocol, lambda: others, "query", "validation")
         except SiamlocError:
             words = None
         if words is None:

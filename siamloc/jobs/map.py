@@ -119,7 +119,7 @@ class MapFrames(RunJob):
             folder = self.layer_folder(label)
             say(self.group(known, folder).summary(folder))
         if not swept():
-            protocol = self.for_evaluation(self.protocol, self.data.read(), "query")
+            protocol = self.for_evaluation(self.protocol, self.data.read, "query")
             self._say_next(say, "export" if protocol is None else "evaluate", protocol or {})
         return known
 

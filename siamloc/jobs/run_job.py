@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -201,16 +201,17 @@ class RunJob(DataJob):
         self._check_architecture(network, trained, own=trained == self.here)
         return models.as_descriptor(network, self.device)
 
-    def for_evaluation(self, protocol: Protocol, frames: FrameTable, *roles: str) -> dict[str, Any] | None:
+    def for_evaluation(self, protocol: Protocol, read: Callable[[], FrameTable], *roles: str) -> dict[str, Any] | None:
         """Return the settings of a protocol that an evaluation needs and the run does not store.
 
-        Roles without frames get a drive that no other role has; None if too few drives are left.
+        Roles without frames get a drive of the frames to be read that no other role has; None if too few are left.
         """
-        for role in roles:
-            if getattr(protocol, role).sequences is None:
-                if not (free := protocol.without_role(frames)):
-                    return None
-                protocol = replace(protocol, **{role: replace(getattr(protocol, role), sequences=(free[0],))})
+        if missing := [role for role in roles if getattr(protocol, role).sequences is None]:
+            frames = read()
+        for role in missing:
+            if not (free := protocol.without_role(frames)):
+                return None
+            protocol = replace(protocol, **{role: replace(getattr(protocol, role), sequences=(free[0],))})
         return self.not_stored(protocol, "train", "map")
 
     def not_stored(self, protocol: Protocol, *without: str) -> dict[str, Any]:
