@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import struct
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from contextlib import suppress
 from functools import cache
 from pathlib import Path
@@ -21,6 +21,7 @@ from siamloc.errors import logger
 _LARGEST = 16_384  # pixels per side of an image
 _LOOKED_AT = 16  # images of a folder
 _ONE_BY_ONE = Lock()  # a folder is looked at once, by one of the threads
+_MAY_BE_DEEP = b"II*\0", b"MM\0*", b"P5", b"P6"  # a TIFF, or a PPM or PGM, begins with these
 _HEADER = 200_000  # bytes in which a file says its size, after thumbnails
 
 
@@ -92,8 +93,8 @@ def decode_image(data: bytes, folder: Path | None = None, bits: int | None = Non
 
 
 def _deep(data: bytes) -> NDArray[np.uint16] | None:
-    """Return the pixels (rows, columns, 3), BGR, of a PNG or TIFF of 16 bits; None for all other images."""
-    if not (data.startswith((b"II*\0", b"MM\0*")) or (data.startswith(b"\x89PNG") and data[24:25] == b"\x10")):
+    """Return the pixels (rows, columns, 3), BGR, of a PNG, TIFF or PPM of 16 bits; None for all other images."""
+    if not (data.startswith(_MAY_BE_DEEP) or (data.startswith(b"\x89PNG") and data[24:25] == b"\x10")):
         return None
     image = cv2.imdecode(np.frombuffer(data, dtype=np.uint8), cv2.IMREAD_COLOR | cv2.IMREAD_ANYDEPTH)
     return np.asarray(image, np.uint16) if image is not None and image.dtype == np.uint16 else None
@@ -108,6 +109,18 @@ def bits_used(image: NDArray[Any]) -> int:
 def bits_of(path: str | Path) -> int | None:
     """Return how many bits the images of 16 bits next to an image, itself among them, use; None if it has 8."""
     return None if _deep(Path(path).read_bytes()) is None else _bits_in(Path(path).absolute().parent)
+
+
+def bits_by_folder(paths: Iterable[str | Path]) -> dict[str, int]:
+    """Return what `bits_of` returns for the first image of each folder, where it is there and has 16 bits."""
+    first: dict[Path, str | Path] = {}
+    for path in paths:
+        first.setdefault(Path(path).absolute().parent, path)
+    found = {}
+    for folder, path in first.items():
+        with suppress(OSError, ValueError, cv2.error):
+            found[str(folder)] = bits_of(path)
+    return {folder: bits for folder, bits in found.items() if bits is not None}
 
 
 def _bits_in(folder: Path) -> int:

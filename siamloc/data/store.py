@@ -16,7 +16,7 @@ from foundation.files import atomic_folder, content_key, parsed_json, storage_er
 from foundation.locks import locked
 from foundation.threads import in_order, processors
 from siamloc.data.decoding import Preprocessing
-from siamloc.data.image_files import UnreadableImageError, size_of
+from siamloc.data.image_files import UnreadableImageError, bits_by_folder, size_of
 from siamloc.errors import ConfigError, DataError, leave_out, logger
 from siamloc.progress import track
 
@@ -29,8 +29,8 @@ class Store:
     """The panoramas of a list of images.
 
     Attributes:
-        folder: folder of the store. Its name is the store's key: a hash of the images' names, sizes and times and of
-            the preprocessing.
+        folder: folder of the store. Its name is the store's key: a hash of the images' names, sizes and times, of how
+            many of 16 bits they use, and of the preprocessing.
         panoramas: (N, 3, H, W), uint8, RGB, memory-mapped and read-only.
         kept: positions in the list of the images that the panoramas show (N,).
         rejected: images that could not be read, each as {"path": ..., "reason": ...}.
@@ -93,9 +93,10 @@ def open_store(
 
 
 def store_key(paths: Sequence[str], preprocessing: Preprocessing, tilts: NDArray[np.float64] | None = None) -> str:
-    """Return the name of a store: a hash of the images' names, sizes, times and tilts, and of the preprocessing."""
+    """Return the name of a store: a hash of the images' names, sizes, times, bits, tilts, and of the preprocessing."""
     files: list[list[Any]] = []
-    for path in (file for one in paths for file in preprocessing.files(one)):
+    listed = [file for one in paths for file in preprocessing.files(one)]
+    for path in listed:
         size_and_time: list[int | None] = [None, None]
         with suppress(OSError, ValueError):
             status = os.stat(path)  # noqa: PTH116 (tens of thousands of paths)
@@ -104,6 +105,8 @@ def store_key(paths: Sequence[str], preprocessing: Preprocessing, tilts: NDArray
     made_of: dict[str, Any] = {"version": VERSION, "preprocessing": preprocessing.parameters(), "files": files}
     if preprocessing.camera is not None:
         made_of |= {"sampling": _SAMPLING, "tilts": None if tilts is None else tilts.tolist()}
+    if deep := bits_by_folder(listed) if preprocessing.bits is None else {"": preprocessing.bits}:
+        made_of["bits"] = deep
     return content_key(made_of)
 
 

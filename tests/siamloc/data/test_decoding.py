@@ -70,18 +70,24 @@ def test_unreadable_files_say_why(tmp_path):
             read_image(other)
 
 
-@pytest.mark.parametrize("ending", ["png", "tif"])
+@pytest.mark.parametrize("ending", ["png", "tif", "ppm"])
 def test_images_that_use_twelve_of_sixteen_bits_are_brightened_alike(ending, tmp_path, caplog):
     shades = np.arange(48 * 64, dtype=np.uint16).reshape(48, 64) % 256
     for name, image in (("dark", shades), ("light", shades << 4), ("other", shades << 3)):
-        cv2.imwrite(str(tmp_path / f"{name}.{ending}"), image)
+        cv2.imwrite(str(tmp_path / f"{name}.{ending}"), cv2.merge([image] * 3))
     for name, shift in (("dark", 4), ("light", 0), ("other", 1)):
         found = read_image(tmp_path / f"{name}.{ending}")
         np.testing.assert_array_equal(found, np.repeat((shades >> shift)[..., None], 3, axis=2))
     (said,) = caplog.records
     assert "use 12 of 16 bits" in said.getMessage()
-    whole = cv2.imencode(f".{ending}", shades << 8)[1].tobytes()
+    whole = cv2.imencode(f".{ending}", cv2.merge([shades << 8] * 3))[1].tobytes()
     np.testing.assert_array_equal(decode_image(whole)[..., 0], shades)
+
+
+def test_a_ppm_of_ten_bits_is_read_as_bright_as_it_says(tmp_path):
+    shades = np.arange(48 * 64, dtype=">u2").reshape(48, 64) % 1024
+    (tmp_path / "ten.ppm").write_bytes(b"P5 64 48 1023\n" + shades.astype(">u2").tobytes())
+    np.testing.assert_array_equal(read_image(tmp_path / "ten.ppm")[..., 0], shades >> 2)
 
 
 def test_dark_images_of_sixteen_bits_use_as_many_as_their_sensor_has(tmp_path):

@@ -17,6 +17,7 @@ import numpy as np
 import pytest
 
 from siamloc.data.decoding import Preprocessing
+from siamloc.data.image_files import _bits_found
 from siamloc.data.panorama import PolarRing
 from siamloc.data.store import Store, open_store, store_key
 from siamloc.errors import DataError, StorageError
@@ -136,6 +137,18 @@ def test_the_key_of_a_list_of_files_stays_what_it_was(monkeypatch):
     ring = PolarRing(centre=(3.0, 4.0))
     assert store_key(["/nowhere/a.png"], Preprocessing.checked((128, 512))) == "5d2f937c80544ed2"
     assert store_key(["nowhere/a.png"], Preprocessing.checked((128, 512), ring)) == "d6f97a0a4d7dee41"
+
+
+def test_images_of_sixteen_bits_are_decoded_again_where_others_show_that_they_use_more(tmp_path):
+    def mean(some: list[str]) -> float:
+        _bits_found.cache_clear()  # as in another process
+        return float(open_store(some, tmp_path / "cache", Preprocessing.checked((4, 8))).panoramas[0].mean())
+
+    paths = [str(tmp_path / f"{name}.png") for name in ("dark", "light")]
+    cv2.imwrite(paths[0], np.full((*SIZE, 3), 1000, np.uint16))
+    assert mean(paths[:1]) == 1000 >> 2
+    cv2.imwrite(paths[1], np.full((*SIZE, 3), 4000, np.uint16))
+    assert mean(paths[:1]) == 1000 >> 4
 
 
 def cut(folder: Path) -> None:
