@@ -13,7 +13,10 @@ _ALIGNED = 0.9
 
 def doubts(trajectory: Trajectory, axes: Axes = "robot") -> list[str]:
     """Return a sentence for each doubt about a trajectory."""
-    found = (other_order(trajectory, axes), other_unit(trajectory), other_frame(trajectory, axes))
+    way = float(np.linalg.norm(np.diff(trajectory.position, axis=0), axis=1).sum())
+    span = float(np.ptp(trajectory.time)) if len(trajectory) > 1 else np.nan
+    unit = other_unit(trajectory.source, way, span)
+    found = (other_order(trajectory, axes), unit, other_frame(trajectory, axes))
     return [text for text in found if text is not None]
 
 
@@ -38,17 +41,15 @@ def other_order(trajectory: Trajectory, axes: Axes = "robot") -> str | None:
     return None
 
 
-def other_unit(trajectory: Trajectory) -> str | None:
-    """Look for times in ms, us or ns that begin near 0, and so are taken for seconds: the robot then hardly moves."""
-    way = float(np.linalg.norm(np.diff(trajectory.position, axis=0), axis=1).sum())
-    span = float(np.ptp(trajectory.time)) if len(trajectory) > 1 else np.nan
+def other_unit(source: str, way: float, span: float) -> str | None:
+    """Look for times in ms, us or ns that are taken for seconds: in a drive of `way` m the robot then hardly moves."""
     if way < 1 or not way < _SLOW * span:
         return None
     unit = next((unit for unit, factor in _UNITS.items() if _SLOW < way / span * factor < _FAST), None)
     if unit is None:
         return None
     return (
-        f"{trajectory.source}: with times in seconds, the robot drives {way:.0f} m in {span:.0f} s: if they count "
+        f"{source}: with times in seconds, the robot drives {way:.0f} m in {span:.0f} s: if they count "
         f"{unit}, divide them by {_UNITS[unit]:.0f}"
     )
 
