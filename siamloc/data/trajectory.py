@@ -13,7 +13,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 from datetime import datetime, timezone
 from pathlib import Path
-from typing import Literal
+from typing import Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -49,6 +49,8 @@ _WHOLE_TURN = 2 * np.pi + 0.01
 _EXACTLY = 1e-6  # rad
 _ROTATES = 0.01  # by which the product of a rotation matrix and its transpose may differ from the unit matrix
 _NO_GAP = 1e9  # s
+_HEADING = {"theta", "yaw", "heading"}  # words in the name of a column
+_OTHER_UNITS = {"mm", "cm", "km", "ft", "feet", "deg", "degree", "degrees"}
 _COLUMNS = {"tum": 8, "kitti": 12, "euroc": 8, "planar": 4}
 _DATED = re.compile(r"(\d{4}-\d\d-\d\d)[ T](\d\d:\d\d:\d\d)(\.\d+)?Z?(?=[\s,]|$)")  # 2011-09-26 13:02:25.964
 
@@ -267,7 +269,7 @@ def read_trajectory(file: str | Path, form: Form | None = None, order: Order | N
         file: the file; lines that begin with # are skipped, as is a first line of names.
         form: its form; if None, KITTI for lines of 12 or 16 numbers, planar for lines of 4, EuRoC for numbers between
             commas, and otherwise TUM.
-        order: order of a quaternion, if it is another than that of the form.
+        order: order of a quaternion, if it is another than that of the names of the columns, or else of the form.
 
     Returns:
         The poses; times are in s, also of files that count ms, us or ns, and NaN in KITTI form.
@@ -283,7 +285,7 @@ def read_trajectory(file: str | Path, form: Form | None = None, order: Order | N
         [[1.0, 0.0, 1.57]]
     """
     path = Path(file)
-    numbers, commas = read_numbers(path)
+    numbers, names, commas = read_numbers(path)
     if numbers.shape[1] == 16 and (numbers[:, 12:] == [0, 0, 0, 1]).all():
         numbers = numbers[:, :12]
     by_width: dict[int, Form] = {4: "planar", 12: "kitti"}
@@ -293,7 +295,14 @@ def read_trajectory(file: str | Path, form: Form | None = None, order: Order | N
             f"{path} has {numbers.shape[1]} numbers on a line, and a trajectory in {form} form has {_COLUMNS[form]}: "
             "give form=tum, kitti, euroc or planar (time, x, y, heading)"
         )
+    if other := next((name for name in names[1 : _COLUMNS[form]] if _OTHER_UNITS & _words(name)), None):
+        raise DataError(f"{path} has the column {other!r}: convert it to m or rad, and name it without the unit")
     if form == "planar":
+        if names and not _HEADING & _words(names[3]):
+            raise DataError(
+                f"{path} has the column {names[3]!r} where a trajectory in planar form has the heading: name it theta, "
+                "yaw or heading if it is one, in rad, or give quaternions"
+            )
         if np.abs(numbers[:, 3]).max() > _WHOLE_TURN:
             logger.warning(
                 "%s: the headings reach from %.1f to %.1f and are taken for rad: convert them if they are degrees",
@@ -303,6 +312,8 @@ def read_trajectory(file: str | Path, form: Form | None = None, order: Order | N
     if form == "kitti":
         matrices, no_times = numbers.reshape(-1, 3, 4), np.full(len(numbers), np.nan)
         return Trajectory.of(no_times, matrices[:, :, 3], _of_matrices(matrices[:, :, :3], path), str(path))
+    named = "".join(re.sub("[^a-z]", "", name)[-1:] for name in names[4:8])
+    order = order or next((one for one in get_args(Order) if one == named), None)
     w_first = (order or {"tum": "xyzw", "euroc": "wxyz"}[form]) == "wxyz"
     quaternion = numbers[:, [5, 6, 7, 4]] if w_first else numbers[:, 4:8]
     return Trajectory.of(seconds(numbers[:, 0], str(path)), numbers[:, 1:4], quaternion, str(path))
@@ -367,8 +378,11 @@ def _since_1970(dated: re.Match[str]) -> str:
     return f"{time.timestamp():.0f}{dated[3] or ''}"
 
 
-def read_numbers(path: Path) -> tuple[Array, bool]:
-    """Return the numbers of a file (n, columns), and whether commas separate them."""
+def read_numbers(path: Path) -> tuple[Array, list[str], bool]:
+    """Return the numbers of a file (n, columns), the names of the columns, and whether commas separate them.
+
+    There are no names, or one for each column.
+    """
     rows, names = text_rows(path), list[str]()
     if len(rows) > 1 and not is_number(rows[0][1][0]):  # a line of names
         names, rows = [word.lower() for word in rows[0][1]], rows[1:]
@@ -383,7 +397,12 @@ def read_numbers(path: Path) -> tuple[Array, bool]:
             )
     if "x" in names and names[1:3] != ["x", "y"]:
         raise DataError(f"{path} has the columns {', '.join(names)}: expected the time, x and y first")
-    return np.array([words for _, words in rows], dtype=np.float64), "," in read_text(path)
+    numbers = np.array([words for _, words in rows], dtype=np.float64)
+    return numbers, names if len(names) == width else [], "," in read_text(path)
+
+
+def _words(name: str) -> set[str]:
+    return set(re.findall("[a-z]+", name))
 
 
 def is_number(word: str) -> bool:

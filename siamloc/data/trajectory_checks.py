@@ -56,10 +56,10 @@ def other_unit(source: str, way: float, span: float) -> str | None:
 
 def other_frame(trajectory: Trajectory, axes: Axes = "robot") -> str | None:
     """Look for the axes of another frame, of whose direction ahead the robot makes upwards: it then rises or sinks."""
-    up, _ = _upwards(trajectory.quaternion, axes)
+    up, upright = _upwards(trajectory.quaternion, axes)
     size = np.ptp(trajectory.position, axis=0)
     height, wide = float(size[up]), float(np.delete(size, up).max())
-    if height < max(1.0, wide):
+    if abs(upright) < _ALIGNED or height < max(1.0, wide):
         return None
     other = next(name for name in AXES if name != axes)
     return (

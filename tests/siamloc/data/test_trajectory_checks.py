@@ -72,3 +72,10 @@ def test_nothing_is_said_about_a_single_pose():
 def test_a_robot_that_stands_still_is_not_doubted():
     still = Trajectory.planar(np.arange(50.0), np.zeros((50, 3)), "still.txt")
     assert doubts(still) == []
+
+
+def test_a_robot_that_does_not_stay_upright_is_not_taken_for_a_camera():
+    """It is refused, with the reason: here quaternions in the other order, by which the robot seems to rise."""
+    time = np.linspace(0, 20, 101)
+    right = Trajectory.planar(time, np.column_stack([time, time, time / 5]), "drive.txt")
+    assert doubts(Trajectory(time, right.position, right.quaternion[:, [3, 0, 1, 2]], "drive.txt")) == []
