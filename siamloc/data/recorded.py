@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Container, Sequence
 from contextlib import suppress
 from pathlib import Path
 
@@ -13,7 +13,7 @@ from siamloc.data.frames import BAGS, ODOMETRY, TILT, FrameTable, advice, in_cap
 from siamloc.data.image_files import image_files
 from siamloc.data.names import lighting_in
 from siamloc.data.picture_times import taken_at
-from siamloc.data.trajectory import Array, Axes, Form, Order, Trajectory, is_number, read_trajectory, seconds, text_rows
+from siamloc.data.trajectory import Array, Axes, Form, Order, Trajectory, headed, is_number, read_trajectory, seconds
 from siamloc.data.trajectory_checks import doubts
 from siamloc.errors import DataError, Policy, logger
 
@@ -49,10 +49,10 @@ def read_recorded(
         images: folder of the images.
         poses: the trajectory; see `siamloc.data.trajectory.read_trajectory`. Without it frames have no poses.
         times: list of the images' times: a time on each line, in the order of the names, or a time and a file name, in
-            either order, as `rgb.txt` of TUM and `data.csv` of EuRoC; a time may be a date with a time of day, in UTC.
-            Without it the time is the number at the end of an image's name, what its camera wrote into the file, or
-            the date and time in its name (`siamloc.data.picture_times.taken_at`), else that in `timestamps.txt` in or
-            beside the folder, as in the raw data of KITTI.
+            either order, as `rgb.txt` of TUM and `data.csv` of EuRoC; a time may be a date with a time of day, in UTC
+            where it has no time zone. Without the list, the time is the number at the end of an image's name, what its
+            camera wrote into the file, or the date and time in its name (`siamloc.data.picture_times.taken_at`), else
+            that in `timestamps.txt` in or beside the folder, as in the raw data of KITTI.
         odometry: the trajectory by the robot's wheels.
         form: form of the trajectories; found out if None.
         order: order of their quaternions, if it is another than that of the form.
@@ -167,21 +167,39 @@ def images_of(folder: Path, times: Path | None = None, span: float | None = None
         times = next((path for place in (folder, folder.parent) if (path := place / _TIMES).is_file()), None)
         if np.isfinite(taken).all() or times is None:
             return files, taken
-        if len(text_rows(times)) != len(files):
+        if len(headed(times)[1]) != len(files):
             logger.warning("%s is not used: it has no time for each of the %d images of %s", times, len(files), folder)
             return files, taken
-    rows = text_rows(times)
-    rows = rows[len(rows) > 1 and not any(map(is_number, rows[0][1])) :]  # without a line of names
-    rows = [(line, words[::-1] if [*map(is_number, words)] == [False, True] else words) for line, words in rows]
+    _, rows = headed(times)
     if len(rows[0][1]) == 1:
         if len(rows) != len(files):
             raise DataError(f"{times} holds {len(rows)} times for {len(files)} images in {folder}: expected one each")
-        return files, _times(times, rows, span)
-    there = {file.name: file for file in files}
-    listed = [(number, words) for number, words in rows if len(words) > 1 and Path(words[1]).name in there]
+        return files, _times(times, [words[0] for _, words in rows], span)
+    there, listed = {file.name: file for file in files}, dict[str, tuple[int, str]]()
+    for number, words in rows:
+        name, time = _named(words, there)
+        if name in listed:
+            raise DataError(
+                f"{times}, line {number}: image {name!r} is already in line {listed[name][0]}: remove one of the lines"
+            )
+        if name:
+            listed[name] = number, time
     if not listed:
-        raise DataError(f"{times} names no image of {folder}: expected a time and the name of an image on each line")
-    return [there[Path(words[1]).name] for _, words in listed], _times(times, listed, span)
+        line = shortened(" ".join(rows[0][1]))
+        raise DataError(
+            f"{times} names no image of {folder}: expected a time and the name of an image on each line, got {line!r}"
+        )
+    return [there[name] for name in listed], _times(times, [time for _, time in listed.values()], span)
+
+
+def _named(words: list[str], there: Container[str]) -> tuple[str, str]:
+    """Return the image and the time in a row, in either order, or two empty texts; a name may hold spaces."""
+    for start in (1, 0):
+        for end in range(start + 1, len(words) + start):
+            name, time = Path(" ".join(words[start:end])).name, words[0 if start else end]
+            if name in there and is_number(time):
+                return name, time
+    return "", ""
 
 
 def _deeper(folder: Path) -> str:
@@ -193,8 +211,8 @@ def _deeper(folder: Path) -> str:
     return ""
 
 
-def _times(path: Path, rows: Sequence[tuple[int, list[str]]], span: float | None) -> Array:
+def _times(path: Path, words: Sequence[str], span: float | None) -> Array:
     try:
-        return seconds(np.array([words[0] for _, words in rows], dtype=np.float64), str(path), span)
+        return seconds(np.array(words, dtype=np.float64), str(path), span)
     except ValueError as error:
         raise DataError(f"{path} is not a list of times: {error}") from error

@@ -7,11 +7,12 @@ maybe more columns. Planar: `time x y heading`, in rad.
 
 from __future__ import annotations
 
+import csv
 import re
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass
-from datetime import datetime, timezone
+from datetime import datetime
 from pathlib import Path
 from typing import Literal, get_args
 
@@ -52,7 +53,9 @@ _NO_GAP = 1e9  # s
 _HEADING = {"theta", "yaw", "heading"}  # words in the name of a column
 _OTHER_UNITS = {"mm", "cm", "km", "ft", "feet", "deg", "degree", "degrees"}
 _COLUMNS = {"tum": 8, "kitti": 12, "euroc": 8, "planar": 4}
-_DATED = re.compile(r"(\d{4}-\d\d-\d\d)[ T](\d\d:\d\d:\d\d)(\.\d+)?Z?(?=[\s,]|$)")  # 2011-09-26 13:02:25.964
+_DATED = re.compile(  # 2011-09-26 13:02:25.964, maybe with a time zone
+    r"(\d{4}-\d\d-\d\d)[ T](\d\d:\d\d:\d\d)(\.\d+)?(Z|[+-]\d\d:?\d\d)?(?=[\s,;\"]|$)"
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -356,7 +359,8 @@ def seconds(times: Array, source: str, span: float | None = None) -> Array:
 def text_rows(path: Path) -> list[tuple[int, list[str]]]:
     """Return the line number and the words of each line of a text file that is neither empty nor a comment.
 
-    A date with a time of day becomes a number of seconds since 1970, as in UTC.
+    Spaces, commas or semicolons separate words, which may be quoted. A date with a time of day becomes a
+    number of seconds since 1970, as in UTC where it has no time zone.
 
     Raises:
         DataError: the file cannot be read, or is empty.
@@ -364,17 +368,33 @@ def text_rows(path: Path) -> list[tuple[int, list[str]]]:
     try:
         text = read_text(path).removeprefix("\ufeff")
         lines = (_DATED.sub(_since_1970, text) if ":" in text else text).splitlines()
-    except (OSError, ValueError) as error:
+        rows = [(number, _split(line)) for number, line in enumerate(lines, 1)]
+    except (OSError, ValueError, csv.Error) as error:
         raise DataError(f"{path} cannot be read: {getattr(error, 'strerror', None) or error}") from error
-    rows = [(number, line.replace(",", " ").split()) for number, line in enumerate(lines, 1)]
     rows = [(number, words) for number, words in rows if words and not words[0].startswith("#")]
     if not rows:
         raise DataError(f"{path} is empty: expected a line for each entry")
     return rows
 
 
+def _split(line: str) -> list[str]:
+    mark = next((mark for mark in ";," if mark in line), " ")
+    if mark == " " and '"' not in line:
+        return line.split()  # fast
+    (words,) = csv.reader([line.replace("\t", " ").strip()], delimiter=mark, skipinitialspace=True)
+    return [word.strip() for word in words if word.strip()]
+
+
+def headed(path: Path) -> tuple[list[str], list[tuple[int, list[str]]]]:
+    """Return the names in the first line of a text file, if no word there begins as a number, and the other rows."""
+    rows = text_rows(path)
+    first, second = (any(word[0].isdigit() or is_number(word) for word in words) for _, words in (rows * 2)[:2])
+    return (rows[0][1], rows[1:]) if second > first else ([], rows)
+
+
 def _since_1970(dated: re.Match[str]) -> str:
-    time = datetime.fromisoformat(f"{dated[1]} {dated[2]}").replace(tzinfo=timezone.utc)
+    zone = datetime.strptime(dated[4] or "Z", "%z").tzinfo
+    time = datetime.fromisoformat(f"{dated[1]} {dated[2]}").replace(tzinfo=zone)
     return f"{time.timestamp():.0f}{dated[3] or ''}"
 
 
@@ -383,14 +403,13 @@ def read_numbers(path: Path) -> tuple[Array, list[str], bool]:
 
     There are no names, or one for each column.
     """
-    rows, names = text_rows(path), list[str]()
-    if len(rows) > 1 and not is_number(rows[0][1][0]):  # a line of names
-        names, rows = [word.lower() for word in rows[0][1]], rows[1:]
+    names, rows = headed(path)
+    names, lines = [name.lower() for name in names], read_text(path).splitlines()
     width = len(rows[0][1])
     expected = f"{width} numbers" if is_number(rows[0][1][0]) else "lines of numbers, 4, 8 or 12 for a trajectory"
     for number, words in rows:
         if len(words) != width or not all(map(is_number, words)):
-            line = shortened(" ".join(words))
+            line = shortened(lines[number - 1].strip())
             raise DataError(
                 f"{path}, line {number}: expected {expected}, got {line!r}: it is cut short, or no trajectory; "
                 "poses by the names of images are a manifest, a table with the columns image, x, y and theta"
@@ -398,7 +417,7 @@ def read_numbers(path: Path) -> tuple[Array, list[str], bool]:
     if "x" in names and names[1:3] != ["x", "y"]:
         raise DataError(f"{path} has the columns {', '.join(names)}: expected the time, x and y first")
     numbers = np.array([words for _, words in rows], dtype=np.float64)
-    return numbers, names if len(names) == width else [], "," in read_text(path)
+    return numbers, names if len(names) == width else [], "," in lines[rows[0][0] - 1]
 
 
 def _words(name: str) -> set[str]:

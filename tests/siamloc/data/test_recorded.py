@@ -109,6 +109,20 @@ def test_times_in_a_list(tmp_path, poses, written):
     np.testing.assert_allclose(frames.x, 0.5 * np.array(numbers))
 
 
+@pytest.mark.parametrize(
+    "line",
+    ["{time} {name}", "{name} {time}", '"{name}","{time}"', "{name};{time}", "{time},{name},9", "{time}\t{name}"],
+)
+@pytest.mark.parametrize("time", ["1372105380.25", "2013-06-24T22:23:00.25+02:00", "2013-06-24 15:23:00.25-0500"])
+def test_lists_with_spaces_in_names_and_time_zones(tmp_path, line, time):
+    folder = images(tmp_path / "monday", ["im 1.png", "im 12 b.png"])
+    rows = [line.format(name="im 12 b.png", time=time), line.format(name="im 1.png", time="1372105382.0")]
+    (tmp_path / "list.txt").write_text("\n".join(rows))
+    frames = read_recorded(folder, times=tmp_path / "list.txt")
+    assert [Path(path).name for path in frames.path.tolist()] == ["im 12 b.png", "im 1.png"]
+    np.testing.assert_allclose(frames.time, [1372105380.25, 1372105382])
+
+
 @pytest.mark.parametrize("separator", [" ", "T"])
 def test_dates_beside_the_images(tmp_path, poses, separator, caplog):
     """As in the raw data of KITTI: 2013-06-24 is the day of the start."""
@@ -155,7 +169,10 @@ def test_kitti_has_a_pose_for_each_image(tmp_path):
         ([], {}, "holds no images"),
         (["000000.png"], {"times": "0\n1\n"}, "holds 2 times for 1 images in .*: expected one each"),
         (["000000.png"], {"times": "0 a.png\n"}, "names no image of .*: expected a time and the name of an image"),
-        (["000000.png"], {"times": "now 000000.png\n"}, "is not a list of times"),
+        (["000000.png"], {"times": "now 000000.png\n"}, "on each line, got 'now 000000.png'"),
+        (["000000.png"], {"times": "now\n"}, "is not a list of times"),
+        (["0.png", "1.png"], {"times": "10:15:30\n10:15:31\n"}, "is not a list of times: .*'10:15:30'"),
+        (["a.png"], {"times": "0 a.png\n1 a.png\n"}, "line 2: image 'a.png' is already in line 1: remove one of the"),
     ],
 )
 def test_what_cannot_be_joined_is_one_sentence(tmp_path, poses, names, more, says):
