@@ -20,6 +20,7 @@ _DATE = re.compile(  # 20260512_101523, 20260512_101523123, 2026-05-12 at 10.15.
 )
 _COUNTER = 1e8, 1e4  # whole numbers below it, in smaller steps, count images and are no times
 _A_SECOND = 30  # pictures of one second, at most
+_QUARTER = 900  # s; time zones differ by whole quarters of an hour
 _NO_DRIVE = 1e9  # s, 30 years: times so far apart are in different units
 _PICTURE_TAGS, _TAKEN, _FRACTION, _ZONE = 0x8769, 0x9003, 0x9291, 0x9011  # of EXIF
 
@@ -82,8 +83,8 @@ def _check_alike(files: Sequence[Path], stamps: Array) -> None:
 def _dates(files: Sequence[Path]) -> tuple[Array, bool] | None:
     """Return the times by the dates in the names, in s since 1970, and whether their time zone is known.
 
-    None if the dates do not say when each picture was taken, or some name has no date. A time zone is the same in all
-    names, unlike a counter.
+    None if the dates do not say when each picture was taken, or some name has no date. Unlike counters, time
+    zones are whole quarters of an hour, and at most two in a drive.
     """
     found = [match for file in files if (match := _DATE.search(file.stem))]
     try:
@@ -93,10 +94,10 @@ def _dates(files: Sequence[Path]) -> tuple[Array, bool] | None:
     parts = [match[7] or "0" for match in found]
     if len(parts) < 2 or not (np.diff([float(part) for part in parts]) > 0).all():  # else it is a counter
         times = [time + float(f"0.{part}") for time, part in zip(times, parts, strict=True)]
-    zones = {match[8] for match in found}
-    if zoned := len(zones) == 1 and None not in zones:
-        ahead = datetime.strptime(zones.pop(), "%z").utcoffset() or timedelta()
-        times = [time - ahead.total_seconds() for time in times]
+    zones = [match[8] for match in found]
+    ahead = [(datetime.strptime(zone or "Z", "%z").utcoffset() or timedelta()).total_seconds() for zone in zones]
+    if zoned := None not in zones and len({*ahead}) <= 2 and not any(offset % _QUARTER for offset in ahead):
+        times = [time - offset for time, offset in zip(times, ahead, strict=True)]
     made = _of_each(times, len(files))
     return None if made is None else (made, zoned)
 
