@@ -76,7 +76,8 @@ def open_store(
     folder = Path(cache).expanduser().absolute() / store_key(paths, preprocessing, tilts)
     store = _load(folder, len(paths))
     if store is None:
-        with storage_errors(folder), ExitStack() as stack:
+        where = f"{folder} (SIAMLOC_CACHE=FOLDER, in Python cache=FOLDER, takes another folder)"
+        with storage_errors(where), ExitStack() as stack:
             folder.parent.mkdir(parents=True, exist_ok=True)
             lock = folder.with_name(f".{folder.name}.lock")
             if not stack.enter_context(locked(lock, wait=False)):

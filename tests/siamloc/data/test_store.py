@@ -255,6 +255,6 @@ def test_a_build_that_stops_half_way_leaves_no_remains(paths, tmp_path, monkeypa
 @pytest.mark.parametrize("inside", [".", "cache"])
 def test_a_cache_where_a_file_stands_is_an_error(paths, tmp_path, caplog, inside):
     (tmp_path / "cache").write_text("")
-    with pytest.raises(StorageError, match="a file stands where a folder is needed"):
+    with pytest.raises(StorageError, match=r"SIAMLOC_CACHE=FOLDER.* a file stands where a folder is needed"):
         build(paths, tmp_path / inside)
     assert "damaged" not in caplog.text
