@@ -32,7 +32,7 @@ FURTHER: dict[str, str] = {
 FINEST = ("tracked", "refined")
 """Estimates that represent a whole evaluation: the first of them that was made, if any was."""
 
-REMARKS = ("rooms", "positions")
+REMARKS = ("rooms", "positions", "buildings")
 """Keys of `skipped` in a result whose texts are remarks on what was measured, and no reasons why something was not."""
 
 DEPTH = 100

@@ -16,6 +16,7 @@ from foundation.calls import OF_FIELDS, takes
 from foundation.settings import Count, NotNegative, Settings
 from siamloc.evaluation.columns import room_names
 from siamloc.evaluation.result import Result
+from siamloc.evaluation.side_by_side import side_by_side
 from siamloc.maps import Built
 from siamloc.maps.coarse import CoarseLayer
 from siamloc.maps.visual_map import VisualMap
@@ -68,6 +69,7 @@ def mapping(
         1.0
     """
     built.check_map(known)
+    known, _, moved = side_by_side(known)
     layer, frames, seconds = built.layer, known.frames, built.seconds
     columns: Columns = {
         "frame": np.arange(len(known)),
@@ -100,6 +102,7 @@ def mapping(
             "layer": layer.made,
             "edges": layer.edges,
         },
+        skipped={"buildings": moved} if moved else {},
         settings={
             "task": settings.plain(),
             "data": data,
@@ -210,6 +213,7 @@ def silhouette(
 
 def _nodes(layer: CoarseLayer, columns: Columns) -> Columns:
     xy = np.column_stack([columns["x"], columns["y"]])
+    places = analytic.clustering.positions(xy, layer.labels)
     pure = analytic.measures.purity(layer.labels, columns["room"])
     rooms = dict(zip(pure.labels.tolist(), pure.room_of_node, strict=True))
     shares = dict(zip(pure.labels.tolist(), pure.nodes.tolist(), strict=True))
@@ -218,8 +222,8 @@ def _nodes(layer: CoarseLayer, columns: Columns) -> Columns:
         "node": np.arange(len(layer)),
         "name": layer.names,
         "frames": np.bincount(layer.labels[layer.labels >= 0], minlength=len(layer)),
-        "x": layer.positions[:, 0],
-        "y": layer.positions[:, 1],
+        "x": places[:, 0],
+        "y": places[:, 1],
         "room": np.array([rooms.get(node, "") for node in numbers], dtype=np.str_),
         "purity": np.array([shares.get(node, math.nan) for node in numbers]),
         "inertia": _inertias(xy, layer.labels),
