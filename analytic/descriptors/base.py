@@ -125,7 +125,8 @@ class Descriptor(ABC):
     def localize(self, queries: Description, references: Description, distance: str | None = None) -> Match:
         """Return the nearest reference by the position descriptor, and the heading relative to it ([T] 3.3).
 
-        Headings are in rad, counter-clockwise, in (-pi, pi]; they are NaN if the descriptions have no orientation part.
+        Headings are in rad, counter-clockwise, in (-pi, pi]; they are NaN if the descriptor tells none, or
+        the descriptions have no orientation part.
 
         Raises:
             AnalyticError: no references, or descriptions that cannot be compared.
@@ -135,7 +136,7 @@ class Descriptor(ABC):
         apart = self.pairwise(queries, references, distance)
         index = apart.argmin(axis=1)
         turned = np.full(len(queries), np.nan)
-        if queries.orientation is not None:
+        if self.tells_heading and queries.orientation is not None:
             turned = self.relative_heading(queries, references.take(index))
         return Match(index, apart[np.arange(len(queries)), index], turned)
 

@@ -242,6 +242,8 @@ class IncrementalMapper:
             )
         if count is not None and len(description) != count:
             raise AnalyticError(f"the mapper takes one image at a time, got a description of {len(description)}")
+        if not (self.parameters.orientation and getattr(self.descriptor, "circular", True)):
+            description = replace(description, orientation=None)
         for name, part in (("position", description.position), ("orientation", description.orientation)):
             # The fourth power of a larger value overflows.
             if part is not None and (
@@ -252,11 +254,9 @@ class IncrementalMapper:
                 raise AnalyticError(
                     f"the {name} part of a description of {shape[0]} images must hold as many rows of finite real "
                     f"numbers up to {LARGEST_VALUE:g}, and this one, of {part.dtype} in shape {part.shape}, does not: "
-                    "leave it out, or use another descriptor, such as hog"
+                    f"{'set orientation=false, or ' * (name == 'orientation')}use another descriptor, such as hog"
                 )
         kept = description.take(np.arange(len(description)))
-        if not (self.parameters.orientation and getattr(self.descriptor, "circular", True)):
-            kept = replace(kept, orientation=None)
         if self._state.recent:
             check_alike(self._state.recent[-1][1], kept)
         return kept

@@ -201,6 +201,9 @@ def test_an_ordinary_camera_has_no_heading(name):
     assert (np.diag(made.pairwise(found, found)) <= made.pairwise(found, found).min(axis=1) + 1e-6).all()
     with pytest.raises(AnalyticError, match="no relative heading"):
         made.relative_heading(found, found)
+    match = made.localize(found, found)
+    assert (match.index == made.pairwise(found, found).argmin(axis=1)).all()
+    assert np.isnan(match.heading).all()
 
 
 @pytest.mark.parametrize(

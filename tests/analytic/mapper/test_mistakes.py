@@ -25,9 +25,12 @@ def changed(**parts):
         (changed(position=np.ones(8)), r"numbers for each image, got shape \(8,\)"),
         (changed(orientation=np.ones((2, 12, 3))), "orientation part .* of 1 images .* as many rows"),
         (changed(position=np.ones((1, 5000))), r"1 to 4096 numbers .* shape \(1, 5000\)"),
-        (changed(position=np.full((1, 8), 1e39)), "position part .* up to 1e\\+38, .* leave it out"),
+        (changed(position=np.full((1, 8), 1e39)), "position part .* up to 1e\\+38, .* does not: use another"),
         (changed(position=np.full((1, 8), "a")), "position part .* real numbers .* <U1"),
-        (changed(orientation=np.ones((1, 12, 3), dtype=complex)), "orientation part .* real numbers .* complex128"),
+        (
+            changed(orientation=np.ones((1, 12, 3), dtype=complex)),
+            "orientation part .* real numbers .* complex128 .* set orientation=false",
+        ),
         (lambda: np.ones(8), "describe\\(\\) returns, got ndarray"),
     ],
 )
@@ -38,6 +41,12 @@ def test_a_bad_description_is_one_sentence_and_changes_nothing(frame, says):
         mapper.add(frame())
     assert len(mapper) == 1
     assert len(mapper.events) == 2
+
+
+def test_an_orientation_part_that_is_not_used_is_not_checked():
+    mapper = IncrementalMapper(WORLD, orientation=False)
+    mapper.add(replace(FRAMES[1], orientation=np.ones((1, 12, 3), dtype=complex)))
+    assert len(mapper) == 1
 
 
 @pytest.mark.parametrize(
