@@ -12,7 +12,7 @@ from foundation.files import check_writable
 from foundation.settings import as_words, defaults_of
 from siamloc import maps
 from siamloc.errors import ConfigError
-from siamloc.jobs.choices import OF_A_RUN
+from siamloc.jobs.choices import OF_A_RUN, Choice
 from siamloc.jobs.job import Given, Say, quiet
 from siamloc.jobs.options import choices, is_fused, option
 from siamloc.jobs.run_job import RunJob, files_in
@@ -180,16 +180,21 @@ class MapFrames(RunJob):
 
     def _say_next(self, say: Say, command: str, more: Mapping[str, Any]) -> None:
         """Say which command goes on with the map, with more settings."""
-        label = self.descriptor.title
-        further = {} if self.descriptor.name in OF_A_RUN else {"descriptor": label, **self._changed()}
+        further = {} if self.descriptor.name in OF_A_RUN else _words("descriptor", self.descriptor)
         if self.build.name != "none":
-            further |= {"task": "hierarchical", "build": self.build.title}
+            further |= {
+                "task": "hierarchical",
+                **_words("build", self.build),
+                **({"seed": self.seed} if self.seed else {}),
+            }
         shown = {"run": str(self.here.folder), **self.model.branch.own, **more, **further}
         say(f"next: siamloc {command} {as_words(shown)}")
 
-    def _changed(self) -> dict[str, Any]:
-        """Return the parameters of the descriptor that differ from its option's, by their keys."""
-        chosen, title = self.descriptor.parameters, self.descriptor.title
-        named = title in choices("descriptor") or is_fused(title)
-        usual = option("descriptor", title if named else self.descriptor.name).values
-        return {f"descriptor.{key}": value for key, value in chosen.items() if value != usual.get(key)}
+
+def _words(group: str, chosen: Choice) -> dict[str, Any]:
+    """Return the keys that choose an option again: its name, and the parameters that differ from the option's."""
+    title = chosen.title
+    named = title in choices(group) or is_fused(title)
+    word = {group: title} if named else {group: chosen.name, f"+{group}.label": title}
+    usual = option(group, title if named else chosen.name).values
+    return word | {f"{group}.{key}": value for key, value in chosen.parameters.items() if value != usual.get(key)}

@@ -17,8 +17,8 @@ from foundation.calls import typed
 from foundation.errors import known as known_name
 from foundation.files import read_json, storage_errors, write_json, write_text
 from foundation.locks import LOCK, locked
-from foundation.settings import Count, Natural, Positive, Probability, Seed, Settings
-from siamloc.errors import ConfigError, DataError, FormatError
+from foundation.settings import Count, Natural, Positive, Probability, Seed, Settings, as_words
+from siamloc.errors import ConfigError, DataError, FormatError, logger
 from siamloc.maps.coarse import CoarseLayer, naming, numbered
 from siamloc.maps.visual_map import VisualMap
 from siamloc.progress import track
@@ -266,10 +266,14 @@ def _built_before(folder: Path, known: VisualMap, made: dict[str, Any]) -> Built
         built = Built.load(folder)
     except FormatError:
         return None
-    same = all(built.layer.made.get(key) == value for key, value in made.items())
+    if built.map_digest != known.digest:
+        return None
+    if other := {key: has for key, value in made.items() if (has := built.layer.made.get(key)) != value}:
+        logger.warning("the nodes in %s were made with %s: others replace them", folder, as_words(other))
+        return None
     if made["name"] == "rooms" and built.layer.classifier is None:  # the map's network was missing then
-        same = same and naming(known, built.layer) is None
-    return built if same and built.map_digest == known.digest else None
+        return built if naming(known, built.layer) is None else None
+    return built
 
 
 def _clustered(known: VisualMap, settings: Settings, made: dict[str, Any], seed: int) -> CoarseLayer:

@@ -166,6 +166,17 @@ def test_the_command_after_a_map_works_as_printed(run, words, data, tmp_path, ca
     assert measures(tmp_path / "my map/evaluation/hog")["absolute"]["overall"]["queries"] == 48
 
 
+def test_the_command_after_a_map_keeps_its_nodes(words, tmp_path, capfd):
+    changed = ["build=spectral", "build.nodes=3", "seed=1", "+build.label=mine"]
+    done("map", *words, "descriptor=hog", f"run={tmp_path}", *changed)
+    follows = shlex.split(capfd.readouterr().out.splitlines()[-1].removeprefix("next: siamloc "))
+    layer = tmp_path / "layers/hog-mine/layer.npz"
+    before = layer.read_bytes()
+    done(*follows, "task.plots=false")
+    assert layer.read_bytes() == before
+    assert "replace" not in capfd.readouterr().err
+
+
 def test_the_commands_that_an_export_proposes_work_as_printed(data, tmp_path, capsys):
     own = ["descriptor=thumbnail", f"run={tmp_path / 'my run'}"]
     done("map", *data, *own, "protocol.map.sequences=[first]")

@@ -128,7 +128,7 @@ def test_the_thresholds_for_sparse_frames_are_those_of_the_incremental_mapper(dr
     assert "incremental_sparse" not in again.summary(), "no advice to take what was taken"
 
 
-def test_a_layer_that_was_built_before_is_read_and_another_is_built(driven, tmp_path):
+def test_a_layer_that_was_built_before_is_read_and_another_is_built(driven, tmp_path, caplog):
     built = group(driven, "incremental", folder=tmp_path / "layer", progress=False)
     names = ["events.jsonl", "graph.json", "layer.npz", "mapper.npz", "placing.json"]
     assert sorted(path.name for path in (tmp_path / "layer").iterdir()) == names
@@ -137,8 +137,10 @@ def test_a_layer_that_was_built_before_is_read_and_another_is_built(driven, tmp_
     assert again.reasons == built.reasons
     assert np.array_equal(again.layer.labels, built.layer.labels)
     assert np.array_equal(again.seconds, built.seconds)
+    assert not caplog.messages
     other = group(driven, "incremental", folder=tmp_path / "layer", progress=False, omega=1.0)
     assert other.layer.made["omega"] == 1.0
+    assert f"the nodes in {tmp_path / 'layer'} were made with omega=1.85: others replace them" in caplog.messages
 
 
 def test_a_layer_whose_explanation_is_cut_short_is_built_again(tmp_path):
