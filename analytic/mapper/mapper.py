@@ -32,8 +32,9 @@ class IncrementalMapper:
     """A topological map that grows while the robot drives.
 
     Args:
-        descriptor: the descriptor that makes the descriptions. If these have no orientation part, or it was made
-            with `circular=False`, images are compared by position alone.
+        descriptor: the descriptor that makes the descriptions, not one that is `aligned`, whose means are meaningless.
+            If these have no orientation part, or it was made with `circular=False`, images are compared by position
+            alone.
         version: 1 is [I] 4 and [T] 4.3; 2 the improved version of [T] 4.6.
         others: the thresholds of `analytic.mapper.Parameters`: omega=1.85, y=1.5, gamma=5, ...
 

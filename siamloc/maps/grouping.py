@@ -18,7 +18,8 @@ from foundation.errors import known as known_name
 from foundation.files import read_json, storage_errors, write_json, write_text
 from foundation.locks import LOCK, locked
 from foundation.settings import Count, Natural, Positive, Probability, Seed, Settings, as_words
-from siamloc.errors import ConfigError, DataError, FormatError, logger
+from siamloc.errors import DataError, FormatError, logger
+from siamloc.maps.checked_arrays import check_means
 from siamloc.maps.coarse import CoarseLayer, naming, numbered
 from siamloc.maps.visual_map import VisualMap
 from siamloc.progress import track
@@ -247,6 +248,8 @@ def group(
     made = {"name": name, **settings.plain(), **({} if isinstance(settings, Rooms | Incremental) else {"seed": seed})}
     if folder is not None and (found := _built_before(Path(folder), known, made)) is not None:
         return found
+    if not isinstance(settings, Rooms | Sample):
+        check_means(known, "use build=sample or rooms, or another descriptor")
     start = time.perf_counter()
     if isinstance(settings, Incremental):
         built = _grown(known, settings, made, progress)
@@ -279,12 +282,6 @@ def _built_before(folder: Path, known: VisualMap, made: dict[str, Any]) -> Built
 def _clustered(known: VisualMap, settings: Settings, made: dict[str, Any], seed: int) -> CoarseLayer:
     if isinstance(settings, Sample):
         return CoarseLayer.of_labels(known, clustering.sample(len(known), settings.nodes), made=made)
-    if known.aligned:
-        raise ConfigError(
-            f"build={made['name']} needs descriptors that a turn leaves as they are, and those of "
-            f"{known.descriptor.name} have to be aligned first: use build=incremental, sample or rooms, or another "
-            "descriptor"
-        )
     if isinstance(settings, SelfOrganizing):
         return CoarseLayer.of_labels(known, clustering.som(known.learned, settings.grid, seed=seed), made=made)
     parameters = settings.plain()

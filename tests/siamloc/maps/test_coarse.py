@@ -160,7 +160,8 @@ def test_ways_that_cannot_be_taken():
         (KNOWN, "sample", {"node": 3}, r"unknown key build\.node: did you mean 'nodes'"),
         (KNOWN, "spectral", {"nodes": 0}, r"build\.nodes must be a whole number from 1 to 10 million, got 0"),
         (KNOWN, "incremental", {"first_node": 5}, small),
-        (known, "som", {"grid": [2, 2]}, "those of briefgist have to be aligned first"),
+        (known, "som", {"grid": [2, 2]}, "briefgist are compared after turning, so .*: use build=sample or rooms"),
+        (known, "incremental", {}, "briefgist are compared after turning, so .*: use build=sample or rooms"),
     ):
         with pytest.raises(ConfigError, match=says):
             group(on, way, **parameters)
