@@ -24,6 +24,7 @@ _WIDTH = 8.0  # inches of the plan
 _HEIGHTS = (2.2, 7.0)
 _MOST_DOTS = 400
 _MOST_NUMBERED = 120
+_ENTRY, _LINE = 2.3, 0.17  # inches: width of an entry of the legend, height of a line
 _SMALL = 0.55  # size of a dot without a name
 
 
@@ -115,7 +116,9 @@ def nodes_on_plan(plan: NodePlan) -> Picture:
     """
     k = len(plan.places)
     line, frames, places = along(dict(zip("xy", plan.xy.T, strict=True))), plan.xy, plan.places
-    size, margin = plan_size(plan.shown), (0.9, 1.15)
+    handles, size = _legend(plan), plan_size(plan.shown)
+    across = min(len(handles) if len(handles) < 5 else 3, int((size[0] + 0.9) / _ENTRY))
+    margin = 0.9, 1.15 + _LINE * max(0, -(-len(handles) // across) - 2)
     if line is not None:
         axis = "xy".index(line)
         frames, places = np.column_stack([frames[:, axis], plan.node]), np.column_stack([places[:, axis], range(k)])
@@ -128,7 +131,6 @@ def nodes_on_plan(plan: NodePlan) -> Picture:
     axes.scatter(frames[~known, 0], frames[~known, 1], s=13, color=NO_NODE, zorder=2, **dots)
     shades = frame_colours(colours, plan.node[known])
     axes.scatter(frames[known, 0], frames[known, 1], s=20, c=shades, zorder=3, **dots)
-    handles = _legend(plan)
     if line is None:
         _add_arcs(axes, plan)
         names = list(map(str, range(k))) if k <= _MOST_NUMBERED else [""] * k
@@ -136,13 +138,13 @@ def nodes_on_plan(plan: NodePlan) -> Picture:
         dress(axes, plan)
     else:
         handles = handles[: 2 if known.all() else 3]
+        across = len(handles)
         add_graph(axes, places, plan.edges, colours, [""] * k, 11)
         rows = [*range(0, k, max(1, k // 20)), *([] if known.all() else [-1])]
         axes.set_yticks(rows, ["none" if row < 0 else str(row) for row in rows])
         axes.set(xlabel=f"{line} [{plan.unit}]", ylabel="node")
     axes.set_title(plan.title, loc="left", wrap=True)
-    columns = len(handles) if len(handles) < 5 else 3
-    figure.legend(handles=handles, loc="outside lower center", ncols=columns, columnspacing=1.6)
+    figure.legend(handles=handles, loc="outside lower center", ncols=across, columnspacing=1.6)
     return figure
 
 

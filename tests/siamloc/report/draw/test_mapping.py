@@ -157,6 +157,17 @@ def test_the_legend_counts_what_is_drawn() -> None:
         assert words in text
 
 
+@pytest.mark.parametrize("extent", [(2, 40), (40, 2)])
+def test_the_legend_fits_tall_and_wide_plans(extent: tuple[float, float]) -> None:
+    xy = np.random.default_rng(0).uniform(0, 1, (90, 2)) * extent
+    far = [(np.linalg.norm(xy - xy[i], axis=1).argmax(), i) for i in range(20)]
+    figure = nodes_on_plan(plan([0] * 60 + [-1] * 30, xy, closures=((3, 3), *far)))
+    figure.canvas.draw()
+    assert len(figure.legends[0].get_texts()) == 5
+    box = figure.legends[0].get_window_extent()
+    assert 0 < box.x0 < box.x1 < figure.bbox.width
+
+
 @pytest.mark.parametrize("axis", [0, 1])
 def test_a_corridor_is_drawn_along_its_line(axis: int) -> None:
     xy = np.zeros((12, 2))
