@@ -27,8 +27,8 @@ class Parameters(Settings):
         x_slope: decrease of x, eq. 4, with each node; see `x_start`.
         two_sided: eq. 4 and 11 as published, |distance - mean| <= x * std; False drops the lower side, so that a frame
             nearer to a node than its own frames also closes.
-        merge: "changed" checks for merging whenever the contents of a node change ([T] 4.5.2), "created" only for a
-            node that has just been created ([I] 4.6), "never" not at all.
+        merge: "changed" checks whether the node that a frame has joined or created merges with another ([T] 4.5.2),
+            "created" only a node that has just been created ([I] 4.6), "never" none.
         distance: distance between position descriptors at image level, eq. 5; None is the descriptor's own.
         orientation: whether the aligned orientation parts are compared too, where the descriptor has them.
         shrinkage: "ledoit_wolf", or a fixed share of the identity in (0, 1].
