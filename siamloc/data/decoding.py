@@ -19,7 +19,7 @@ from foundation.settings import Size, as_words, checked, leaves
 from siamloc.data.cameras import CAMERAS
 from siamloc.data.image_files import UnreadableImageError, read_image, spread
 from siamloc.data.levelling import SIZE, tilt_of
-from siamloc.data.panorama import OmnidirectionalCamera, PanoramaView, PolarRing, seen, unwrap
+from siamloc.data.panorama import OmnidirectionalCamera, PanoramaView, PolarRing, in_pixels, seen, unwrap
 from siamloc.data.photo_sphere import stated
 from siamloc.data.two_lenses import wrong_lenses
 from siamloc.errors import ConfigError, DataError, hint, say_once
@@ -35,7 +35,7 @@ class Preprocessing:
         view: size of the panorama, and its elevations after unwrapping.
         camera: the camera whose omnidirectional images are unwrapped; None to resize only.
         size: rows and columns of the pictures in whose pixels the camera's parameters count; others of the same shape
-            are scaled. None for any.
+            are scaled, and those of another shape refused. Without a camera, the latter are a warning. None for any.
         bits: how many of 16 bits deep images use; found out from the images of the folder if None.
         level: whether pictures without a known tilt are levelled by the edges that stand upright in them.
 
@@ -151,6 +151,25 @@ class Preprocessing:
         own = {key: one for key, one in leaves(given, "unwrap.") if one is not None and one != usual.get(key)}
         return as_words({"unwrap": kind, **own})
 
+    def sized_by(self, paths: Sequence[str | Path]) -> Preprocessing:
+        """Return the preprocessing with the size of the first of some pictures that can be read, if sizes matter.
+
+        They do to cameras of siamloc whose parameters count in pixels, and, for their shape, without a camera.
+        """
+        camera = self.camera
+        if self.size is not None or (camera is not None and ":" in _name(type(camera))):  # one's own is told each size
+            return self
+        for path in paths:
+            with suppress(UnreadableImageError, DataError):
+                rows, columns = dataclasses.replace(self, bits=16)._read(path).shape[:2]
+                break
+        else:
+            return self
+        with suppress(ConfigError):  # a calibrated camera refuses other sizes itself
+            if camera is None or in_pixels(camera, self.view, (rows, columns)):
+                return dataclasses.replace(self, size=(rows, columns))
+        return self
+
     def panorama(
         self, path: str | Path, tilt: NDArray[np.float64] | Sequence[float] | None = None
     ) -> NDArray[np.uint8]:
@@ -181,8 +200,9 @@ class Preprocessing:
         Raises:
             DataError: an image that cannot be read.
         """
+        sized = self.sized_by(paths)
         try:
-            return np.stack([self.panorama(path := one) for one in spread(paths, count)])
+            return np.stack([sized.panorama(path := one) for one in spread(paths, count)])
         except UnreadableImageError as error:
             raise DataError(f"{path} cannot be shown: {error}") from error
 
@@ -227,10 +247,10 @@ class Preprocessing:
     def _picture(
         self, image: NDArray[np.uint8], tilt: NDArray[np.float64] | Sequence[float] | None
     ) -> NDArray[np.uint8]:
+        image = self._scaled(image)
         if self.camera is None:
             size = (self.view.width, self.view.height)
             return np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), dtype=np.uint8)
-        image = self._scaled(image)
         if (fault := wrong_lenses(image, self.camera)) is not None:
             raise DataError(fault)
         if self.level and (tilt is None or not np.isfinite(tilt).all()):
@@ -260,8 +280,15 @@ class Preprocessing:
         if self.size is None or image.shape[:2] == self.size:
             return image
         (rows, columns), (height, width) = self.size, image.shape[:2]
+        alike = abs(width * rows / (height * columns) - 1) <= _ALIKE
+        if self.camera is None:
+            if not alike:
+                say_once(
+                    f"there are pictures of another shape than {columns} x {rows} px: they look different when resized"
+                )
+            return image
         sizes = f"{width} x {height} px, and the camera's parameters count in those of {columns} x {rows}"
-        if abs(width * rows / (height * columns) - 1) > _ALIKE:
+        if not alike:
             raise DataError(f"the picture has {sizes}: give pictures of that size")
         say_once(f"the pictures have {sizes}: they are scaled, which is right if they show the same")
         way = cv2.INTER_AREA if height > rows else cv2.INTER_LINEAR

@@ -123,7 +123,7 @@ def expand(
         raise DataError("there are no frames to expand: the table is empty")
     root = Path(source["root"]) if "root" in source else Path(source.get("manifest") or source["places"]).parent
     _check_apart(folder, root, kind, frames)
-    decode = Preprocessing.checked(image_size, unwrap)
+    decode = Preprocessing.checked(image_size, unwrap).sized_by(frames.path.tolist())
     turns = headings(len(frames), depth, seed, (decode.view.height, decode.view.width), circular)
     theta = turned_headings(frames.theta, turns)
     pictures = outputs(kind, frames, root, folder, theta)

@@ -22,7 +22,6 @@ _LARGEST = 16_384  # pixels per side of an image
 _LOOKED_AT = 16  # images of a folder
 _ONE_BY_ONE = Lock()  # a folder is looked at once, by one of the threads
 _MAY_BE_DEEP = b"II*\0", b"MM\0*", b"P5", b"P6"  # a TIFF, or a PPM or PGM, begins with these
-_HEADER = 200_000  # bytes in which a file says its size, after thumbnails
 
 
 class UnreadableImageError(Exception):
@@ -148,12 +147,11 @@ def spread(items: Sequence[Any] | NDArray[Any], most: int) -> list[Any]:
 
 
 def size_of(path: str | Path) -> tuple[int, int] | None:
-    """Return the rows and columns in the header of a PNG or JPEG file; None for others, or if it cannot be read."""
-    try:
-        with Path(path).open("rb") as file:
-            return _declared_size(file.read(_HEADER))
-    except (OSError, ValueError):
-        return None
+    """Return the rows and columns of an image as it is read, turned as its metadata say; None if it cannot be read."""
+    with suppress(UnreadableImageError):
+        rows, columns = read_image(path, bits=16).shape[:2]
+        return rows, columns
+    return None
 
 
 def _declared_size(data: bytes) -> tuple[int, int] | None:

@@ -55,6 +55,7 @@ class PanoramaLibrary:
         circular: whether the columns wrap around.
         preprocessing: reads an image and makes a panorama of it, with image size and camera.
         cameras: the camera of each drive, by sequence: of an `AutoRing`, the ring that its pictures show.
+        sizes: `Preprocessing.size` of each drive: that of the first picture, of an `AutoRing` of the drive's first.
         simulated: whether siamloc simulated all images, so that panoramas show the elevations that they should.
 
     Raises:
@@ -88,7 +89,8 @@ class PanoramaLibrary:
     ) -> None:
         if len(frames) == 0:
             raise DataError("there are no frames to decode: the table is empty")
-        self.preprocessing = Preprocessing.checked(image_size, unwrap, elevations, level)
+        made = Preprocessing.checked(image_size, unwrap, elevations, level)
+        self.preprocessing = made.sized_by(frames.path.tolist())
         self.image_size = (self.preprocessing.view.height, self.preprocessing.view.width)
         self.circular = circular
         self._on_error = on_error
@@ -97,13 +99,14 @@ class PanoramaLibrary:
         _warn_of_equirectangular(frames, self.preprocessing, circular)
         tilt = frames.tilt
         self.cameras: dict[str, OmnidirectionalCamera | None] = {}
+        self.sizes: dict[str, tuple[int, int] | None] = {}
         self.rejected: list[dict[str, str]] = []
         places: dict[int, tuple[Store, int]] = {}
         for sequence, rows in frames.rows_by("sequence").items():
             paths = frames.path[rows].tolist()
             tilts = tilt[rows] if self.preprocessing.camera is not None and np.isfinite(tilt[rows]).any() else None
             own = fitted(self.preprocessing, paths, self._cache)
-            self.cameras[sequence] = own.camera
+            self.cameras[sequence], self.sizes[sequence] = own.camera, own.size
             store = open_store(paths, self._cache, own, tilts=tilts, on_error=on_error, workers=workers)
             self.rejected += store.rejected
             places |= {row: (store, at) for at, row in enumerate(rows[store.kept].tolist())}
@@ -170,10 +173,10 @@ class PanoramaLibrary:
         """Return which pixels (H, W) of its panoramas the camera of a drive sees, by the drive's first picture.
 
         Returns:
-            None without a camera, or if the picture's size is unknown or does not fit the camera.
+            None without a camera, or if the picture cannot be read any more or does not fit the camera.
         """
         path = str(self.frames.path[self.frames.sequence == sequence][0])
-        camera, size = self.cameras[sequence], size_of(path)
+        camera, size = self.cameras[sequence], self.sizes[sequence] or size_of(path)
         if camera is not None and size is not None:
             with suppress(ConfigError):  # a picture of another shape
                 return seen(stated(camera, path, size), self.preprocessing.view, size)
@@ -251,8 +254,8 @@ def _all_simulated(frames: FrameTable, preprocessing: Preprocessing) -> bool:
 def _warn_of_equirectangular(frames: FrameTable, preprocessing: Preprocessing, circular: bool) -> None:
     """Warn if equirectangular pictures, ceiling and floor included, are squeezed into panoramas."""
     view = preprocessing.view
-    size = size_of(frames.path[0]) if circular and preprocessing.camera is None else None
-    if size is None:
+    size = preprocessing.size
+    if size is None or not circular or preprocessing.camera is not None:
         return
     shaped = twice_as_wide(*size) and size[0] >= 256 and view.width > 3 * view.height
     if shaped or is_equirectangular(frames.path[0]):

@@ -163,10 +163,11 @@ def fitted(preprocessing: Preprocessing, paths: Sequence[str], cache: Path) -> P
         return preprocessing
     kept = cache / f"{store_key(paths, preprocessing)}.ring{_VERSION}.json"
     if kept.is_file():
-        return replace(preprocessing, camera=type(given).of(read_json(kept)))
-    ring = _of_drive(given, paths)
-    write_json(kept, ring.plain())
-    return replace(preprocessing, camera=ring)
+        ring = type(given).of(read_json(kept))
+    else:
+        ring = _of_drive(given, paths)
+        write_json(kept, ring.plain())
+    return replace(preprocessing, camera=ring, size=None).sized_by(paths)
 
 
 def _of_drive(given: AutoRing, paths: Sequence[str]) -> AutoRing:

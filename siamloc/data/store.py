@@ -106,6 +106,7 @@ def store_key(paths: Sequence[str], preprocessing: Preprocessing, tilts: NDArray
     made_of: dict[str, Any] = {"version": VERSION, "preprocessing": preprocessing.parameters(), "files": files}
     if preprocessing.camera is not None:
         made_of |= {"sampling": _SAMPLING, "tilts": None if tilts is None else tilts.tolist()}
+        made_of |= {} if preprocessing.size is None else {"size": preprocessing.size}
     if deep := bits_by_folder(listed) if preprocessing.bits is None else {"": preprocessing.bits}:
         made_of["bits"] = deep
     return content_key(made_of)

@@ -149,14 +149,15 @@ def build(
     if turning is not None and orientation is not None:
         orientation = halved(turning, orientation)
     made = {**(made or {}), **({} if mounting in (None, Mounting()) else {"mounting": mounting.plain()})}
-    data = {**readable.source, **images.settings()}
-    camera = images.cameras[str(readable.sequence[0])]
+    drive = str(readable.sequence[0])
+    camera, size = images.cameras[drive], images.sizes[drive]
+    read = {"data": {**readable.source, **images.settings()}, "size": size, "frames": len(readable)}
     return VisualMap(
         found.position,
         readable,
         {**by.identity, "images": replace(images.preprocessing, camera=camera).parameters()},
         by.default_distance if distance is None else distance,
-        made={"data": data, "sequences": list(readable.rows_by("sequence")), "frames": len(readable), **made},
+        made={**read, "sequences": list(readable.rows_by("sequence")), **made},
         orientation=orientation,
         heading=None if turning is None or orientation is None else turning.identity,
         describes=by,

@@ -75,8 +75,8 @@ class Bundle:
             (where they come from, None without), `refinement` (how poses are made finer than the map, None if they are
             not), `search` (how a coarse layer is searched first, None without one), `precisions` (size, speed and
             accuracy in each precision, if one was chosen), `figures` (of its evaluation, None without), `pictures` (of
-            the map: `size` if the camera's parameters count in their pixels, and how many `bits` of 16 are in use; None
-            otherwise), `sha256` by file.
+            the map: `size` if the camera's parameters count in their pixels or there is none, and how many `bits` of 16
+            are in use; None otherwise), `sha256` by file.
         preprocessing: reads an image and makes a panorama of it, with image size and camera.
     """
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import shutil
 from collections.abc import Mapping, Sequence
-from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
 from os.path import commonprefix
 from pathlib import Path
@@ -17,7 +16,6 @@ from foundation.calls import typed
 from foundation.files import atomic_folder, file_hash, plain, read_json, write_json
 from siamloc.data.decoding import Preprocessing
 from siamloc.data.image_files import bits_of, size_of
-from siamloc.data.panorama import in_pixels
 from siamloc.data.reading import path_keys
 from siamloc.errors import ConfigError, SiamlocError
 from siamloc.maps import Built, CoarseLayer, LayerSearch, VisualMap, match
@@ -337,25 +335,17 @@ def _own_camera(
     size = next((size for frames in tables for path in frames.path[:1] if (size := size_of(path)) is not None), None)
     if size is None:
         raise ConfigError(
-            "the bundle holds a camera of your own for pictures of one size, and there is no PNG or JPEG of a frame to "
+            "the bundle holds a camera of your own for pictures of one size, and no frame's picture can be read to "
             "know it from: give images="
         )
     return SampledCamera.of(made.camera, made.view, size)
 
 
-def _pictures(
-    parameters: Mapping[str, Any], known: VisualMap | None, images: PanoramaLibrary | None
-) -> dict[str, Any] | None:
-    """Return what the robot's pictures must have in common with the map's; None if no frame's file is there."""
+def _pictures(parameters: Mapping[str, Any], known: VisualMap | None, images: PanoramaLibrary | None) -> dict[str, Any]:
+    """Return what the robot's pictures must have in common with the map's, as far as map or files say it."""
     tables = [one.frames for one in (known, images) if one is not None]
     path = next((path for frames in tables for path in frames.path[:1].tolist() if Path(path).is_file()), None)
-    if path is None:
-        return None
-    size, kind = size_of(path), (parameters["camera"] or {}).get("kind", ":")
-    counts = False
-    if size is not None and ":" not in kind:  # a camera of one's own knows the size of its pictures
-        made = Preprocessing.of(parameters)
-        assert made.camera is not None
-        with suppress(ConfigError):  # a calibrated camera refuses other sizes itself
-            counts = in_pixels(made.camera, made.view, size)
-    return {"size": size if counts else None, "bits": bits_of(path)}
+    size = None if known is None else known.made.get("size")
+    if path is not None and size is None and ":" not in (parameters["camera"] or {}).get("kind", ""):
+        size = Preprocessing.of(parameters).sized_by([path]).size
+    return {"size": size, "bits": None if path is None else bits_of(path)}

@@ -44,6 +44,22 @@ def open_library(frames: FrameTable, tmp_path: Path, **options) -> PanoramaLibra
     return PanoramaLibrary(frames, tmp_path / "cache", **{"image_size": SIZE, **options})
 
 
+def test_pictures_of_all_drives_are_scaled_to_the_size_of_the_first_in_whose_pixels_the_ring_counts(tmp_path, caplog):
+    small = cv2.GaussianBlur(np.random.default_rng(0).integers(0, 255, (96, 144, 3), np.uint8), (0, 0), 4)
+    pictures = [small, cv2.resize(small, (288, 192)), cv2.resize(small, (96, 144)), cv2.resize(small, (288, 192))]
+    paths = [tmp_path / f"{number}.bmp" for number in range(4)]
+    for path, one in zip(paths, pictures, strict=True):
+        cv2.imwrite(str(path), one)
+    drives = FrameTable(path=paths, sequence=["monday"] * 3 + ["tuesday"])
+    library = open_library(drives, tmp_path, unwrap=PolarRing(centre=(71.5, 47.5), inner=10, outer=40))
+    first, *others = library.batch([0, 1, 2]).astype(int)
+    assert max(np.abs(first - other).mean() for other in others) < 2
+    assert library.sizes == {"monday": (96, 144), "tuesday": (96, 144)}
+    assert "have 288 x 192 px, and the camera's parameters count in those of 144 x 96: they are scaled" in caplog.text
+    (rejected,) = library.rejected
+    assert rejected["reason"].startswith("the picture has 96 x 144 px, and the camera's parameters count in those of")
+
+
 def test_interleaved_drives_give_their_own_images(frames, tmp_path, monkeypatch):
     """The rows of a table whose drives alternate are not those of a table sorted by drive."""
     library = open_library(frames, tmp_path)

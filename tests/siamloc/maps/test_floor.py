@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import cv2
 import numpy as np
@@ -215,11 +216,11 @@ def test_the_floor_tells_how_far_apart_images_are_that_were_taken_nearby(drive, 
     assert np.median(np.linalg.det(longer.information)) > 100  # which was 1
 
 
-def grey_frames(folder, kind="png") -> FrameTable:
+def grey_frames(folder) -> FrameTable:
     """Write 12 grey pictures of 32 x 32 px, and return their frames."""
     for number in range(12):
-        cv2.imwrite(str(folder / f"{number}.{kind}"), np.full((32, 32, 3), number, np.uint8))
-    return FrameTable(path=[str(folder / f"{number}.{kind}") for number in range(12)])
+        cv2.imwrite(str(folder / f"{number}.png"), np.full((32, 32, 3), number, np.uint8))
+    return FrameTable(path=[str(folder / f"{number}.png") for number in range(12)])
 
 
 @pytest.mark.parametrize(
@@ -242,9 +243,11 @@ def test_a_height_needs_a_floor_at_known_elevations(tmp_path, options):
 
 
 def test_a_camera_whose_pictures_have_an_unknown_size_is_not_known_to_see_the_floor(tmp_path):
-    frames = grey_frames(tmp_path, "bmp")
+    frames = grey_frames(tmp_path)
     upward = FisheyeCamera(fov=200, elevation=90)
-    assert not shows_floor(PanoramaLibrary(frames, tmp_path / "cache", image_size=(64, 256), unwrap=upward), None)
+    images = PanoramaLibrary(frames, tmp_path / "cache", image_size=(64, 256), unwrap=upward)
+    Path(frames.path[0]).unlink()
+    assert not shows_floor(images, None)
 
 
 def test_no_height_gives_metres_below_a_mirror_that_is_presumed_in_a_ring(tmp_path):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import shutil
 import subprocess
 import sys
 from dataclasses import dataclass
@@ -11,6 +12,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from PIL import Image
 
 from siamloc.data import (
     DualFisheyeCamera,
@@ -197,7 +199,31 @@ def test_the_robot_gets_size_and_bits_of_the_pictures_of_the_map(tmp_path, caplo
     assert shown[0].max() <= 32
     whole = library(FrameTable(path=paths[:2], x=np.arange(2.0), y=np.zeros(2)), tmp_path, None)
     about = export("hog", build("hog", whole, whole.frames, progress=False), tmp_path / "other").about
-    assert about["pictures"] == {"size": None, "bits": 12}
+    assert about["pictures"] == {"size": [220, 300], "bits": 12}
+    Localizer(tmp_path / "other").locate(np.zeros((300, 300, 3), np.uint8))
+    assert "there are pictures of another shape than 300 x 220 px" in caplog.text
+
+
+def test_the_robot_knows_the_size_of_pictures_that_are_gone_or_were_stored_turned(tmp_path):
+    """Of TIFF files no header is read, and a picture has the size with which it is decoded."""
+    pictures = [np.repeat(picture[..., None], 3, axis=2) for picture in ring_pictures(4, (151.3, 108.6))[0]]
+    paths = [tmp_path / "monday" / f"{number}.tif" for number in range(4)]
+    paths[0].parent.mkdir()
+    turned = Image.Exif()
+    turned[0x112] = 6
+    for path, picture in zip(paths, pictures, strict=True):
+        Image.fromarray(picture).transpose(Image.Transpose.ROTATE_90).save(path, exif=turned)
+    ring = PolarRing(centre=(151.3, 108.6), inner=20, outer=95)
+    images = library(FrameTable(path=paths, x=np.arange(4.0), y=np.zeros(4)), tmp_path, ring)
+    sees = images.seen("")
+    assert sees is not None
+    assert sees.all()
+    known = build("hog", images, images.frames, progress=False)
+    shutil.rmtree(tmp_path / "monday")
+    export("hog", known, tmp_path / "bundle")
+    localizer = Localizer(tmp_path / "bundle")
+    assert localizer.locate(pictures[2]).x == 2.0
+    assert localizer.locate(cv2.resize(pictures[2], (600, 440))).x == 2.0
 
 
 def test_the_robot_gets_the_ring_that_the_drive_of_the_map_shows(tmp_path):
