@@ -395,6 +395,11 @@ class Localizer:
         pixels = None if isinstance(image, (str, Path)) else np.asarray(image)
         if pixels is not None and pixels.size == 0:
             raise DataError("the image is empty: the camera returned no data")
+        if pixels is not None and not isinstance(image, np.ndarray):  # of PIL, it may have to be turned
+            raise DataError(
+                f"an image is a file or an array of pixels, got {type(image).__name__}: give the file's path, or the "
+                "pixels of the upright image, numpy.asarray(image)"
+            )
         if pixels is not None and (pixels.ndim != 3 or pixels.shape[2] != 3 or pixels.dtype != np.uint8):
             raise DataError(f"an image has shape (rows, columns, 3) and dtype uint8, got {pixels.shape} {pixels.dtype}")
         make = self.bundle.preprocessing

@@ -12,6 +12,7 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
+from PIL import Image
 
 import analytic
 from foundation.files import file_hash, read_json
@@ -101,6 +102,8 @@ def test_an_empty_image_is_refused_in_one_sentence(bare):
     for image in (np.zeros((0, 0, 3), np.uint8), np.zeros((0, 640, 3), np.uint8), []):
         with pytest.raises(DataError, match="the image is empty: the camera returned no data"):
             Localizer(bare).locate(image)
+    with pytest.raises(DataError, match="a file or an array of pixels, got Image: give the file's path"):
+        Localizer(bare).locate(Image.fromarray(PICTURES[0]))
 
 
 def test_a_bundle_without_a_map_describes_alone(world, tmp_path):
