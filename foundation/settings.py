@@ -314,6 +314,8 @@ def _fit(value: Any, kind: Any) -> tuple[bool, Any]:
     if isinstance(origin, type) and origin not in (*_LISTS, dict, Mapping):
         return isinstance(value, origin), value  # an array, a function: its contents cannot be checked
     if type(value).__module__ == "numpy" and hasattr(value, "tolist"):
+        if value.ndim and kind in (str, Path):
+            return False, value  # without a list of all its pixels
         value = value.tolist()
     if origin is Literal:
         return isinstance(value, str | int) and not isinstance(value, bool) and value in parts, value

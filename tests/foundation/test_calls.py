@@ -89,3 +89,19 @@ def test_public_calls_refuse_nonsense():
     ]
     assert not wrong
     assert len(list(public_calls())) > 80
+
+
+def test_pixels_are_not_copied_to_a_list_to_see_that_they_are_no_name_of_a_file():
+    class Pixels(np.ndarray):
+        def tolist(self):
+            raise AssertionError("all pixels were copied")
+
+    Pixels.__module__ = "numpy"
+
+    @typed
+    def shape(image: str | Path | NDArray[np.uint8]) -> tuple[int, ...]:
+        return image.shape
+
+    assert shape(np.zeros((2, 3, 3), np.uint8).view(Pixels)) == (2, 3, 3)
+    with pytest.raises(ConfigError, match="image must be"):
+        shape(3)
