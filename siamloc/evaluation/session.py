@@ -138,7 +138,7 @@ class Session:
         validated = [] if validation is None else [_readable(images, validation, "validation frames")]
         self.baselines = _named(baselines, images.circular)
         self.skipped: dict[str, str] = {}
-        known.check_images(images.preprocessing.parameters())
+        known.check_images(images.preprocessing.parameters(), images.preprocessing.size)
         check_units(one for one in (known.frames, queries, *validated) if one.has_position.any())
         self.known, (self.queries, *validated), moved = side_by_side(known, queries, *validated)
         self.validation = validated[0] if validated else None

@@ -193,7 +193,7 @@ def describe(
         ConfigError: the map has no descriptor, or its panoramas were made in another way.
     """
     if isinstance(by, VisualMap):
-        by.check_images(images.preprocessing.parameters())
+        by.check_images(images.preprocessing.parameters(), images.preprocessing.size)
         heading, mounting = by.heading_descriptor, by.mounting
         by = by.descriptor
     timed = Stopwatch() if clock is None else clock

@@ -463,7 +463,7 @@ class VisualMap:
             )
         return self.frames.take(row < 0)
 
-    def check_images(self, preprocessing: Mapping[str, Any]) -> None:
+    def check_images(self, preprocessing: Mapping[str, Any], size: tuple[int, int] | None = None) -> None:
         """Check that panoramas of queries are made in the same way as panoramas of the map.
 
         Two cameras whose models know the elevation of each pixel give the same panoramas, and may differ. So may rings
@@ -471,13 +471,21 @@ class VisualMap:
 
         Args:
             preprocessing: `images.preprocessing.parameters()` of a library.
+            size: its `images.preprocessing.size`.
 
         Raises:
             ConfigError: the panoramas are made in another way; the message lists the keys that differ, with both
-                values.
+                values. Or the camera's parameters count in the pixels of pictures of another size than the map's.
         """
         if "images" in self.identity:
             camera, other = ((one or {}).get("camera") for one in (self.identity["images"], preprocessing))
+            had = self.made.get("size")
+            if camera and size and had and tuple(had) != size and plain(camera) == plain(other):
+                (rows, columns), (height, width) = had, size
+                raise ConfigError(
+                    f"the camera's parameters count in the map's pictures of {columns} x {rows} px, and these have "
+                    f"{width} x {height} px: give pictures of that size"
+                )
             if exchangeable(camera, other):
                 preprocessing = {**preprocessing, "camera": camera}
             self.check_descriptor({**self.identity, "images": preprocessing})

@@ -152,7 +152,7 @@ def check_given(
         what = "a bundle with pictures of the map" if thumbnails else f"precision={precision}"
         raise ConfigError(f"{what} needs the panoramas of the map's frames: give images=")
     if images is not None:
-        known.check_images(images.preprocessing.parameters())
+        known.check_images(images.preprocessing.parameters(), images.preprocessing.size)
     if precision != "auto":
         return
     if validation is None or not (validation.has_position.any() and known.frames.has_position.any()):

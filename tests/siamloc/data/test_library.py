@@ -11,6 +11,8 @@ import cv2
 import numpy as np
 import pytest
 
+import analytic
+import siamloc
 from siamloc.data import FrameTable, PanoramaLibrary, PolarRing
 from siamloc.errors import ConfigError, DataError, FormatError
 
@@ -58,6 +60,10 @@ def test_pictures_of_all_drives_are_scaled_to_the_size_of_the_first_in_whose_pix
     assert "have 288 x 192 px, and the camera's parameters count in those of 144 x 96: they are scaled" in caplog.text
     (rejected,) = library.rejected
     assert rejected["reason"].startswith("the picture has 96 x 144 px, and the camera's parameters count in those of")
+    known = siamloc.maps.build(analytic.descriptor("thumbnail", columns=16), library, library.frames, progress=False)
+    alone = open_library(drives.take([1]), tmp_path, unwrap=PolarRing(centre=(71.5, 47.5), inner=10, outer=40))
+    with pytest.raises(ConfigError, match="in the map's pictures of 144 x 96 px, and these have 288 x 192 px"):
+        known.check_images(alone.preprocessing.parameters(), alone.preprocessing.size)
 
 
 def test_interleaved_drives_give_their_own_images(frames, tmp_path, monkeypatch):
