@@ -61,7 +61,7 @@ class _Story:
     covariance: NDArray[np.float64]
     evidence: float
     share: float  # probability that the last pose is not a stray one
-    trusted: RefinedPoses  # the last pose not considered stray
+    trusted: RefinedPoses  # the last pose not considered stray, or that the position was mostly taken from
 
     @property
     def theta(self) -> NDArray[np.float64]:
@@ -124,9 +124,9 @@ class PoseFilter:
         """Update the filter with the pose of one query and return the filtered pose.
 
         A pose that is NaN or has no information (see `RefinedPoses`) only lets the robot move on. The map frame and the
-        variance of the map, which no number of poses lessens, are those of the last pose that is not considered stray;
-        so is the heading, unless the motion is known. Motions are not used once most of the last recognized poses agree
-        with each other, but not with the motions, until they do.
+        variance of the map, which no number of poses lessens, are those of the last pose that is not considered stray,
+        or that the position was mostly taken from; so is the heading, unless the motion is known. Motions are not used
+        once most of the last recognized poses agree with each other, but not with the motions, until they do.
 
         Args:
             pose: the pose of the query.
@@ -299,7 +299,8 @@ def _told(
     gain = story.covariance[:, :n] @ np.linalg.inv(story.covariance[:n, :n] + spread / weight)
     covariance = story.covariance - gain @ story.covariance[:n]
     evidence = story.evidence + math.log(agreement * height + _ANYWHERE[n])
-    trusted = pose if share > _TRUSTED else story.trusted
+    taken = share > _TRUSTED or np.trace(gain[:2]) > 1  # the position is more the pose's than the story's
+    trusted = pose if taken else story.trusted
     return _Story(story.mean + gain @ apart, (covariance + covariance.T) / 2, evidence, share, trusted)
 
 

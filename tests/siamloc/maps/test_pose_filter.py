@@ -265,6 +265,16 @@ def test_where_nothing_is_recognized_odometry_leads_on_with_growing_doubt():
     assert set(found.frame[40:].tolist()) == {39}
 
 
+def test_after_many_pictures_of_nothing_the_heading_is_that_of_the_position():
+    poses = around(61)
+    given = seen(poses, 0)
+    given.information[20:-1] = 0
+    given.xy[20:-1], given.theta[20:-1], given.theta[-1] = np.nan, np.nan, 2.5
+    found = PoseFilter(STEP).run(given, ["a"] * 61)
+    np.testing.assert_allclose(found.xy[-1], given.xy[-1], atol=0.05)
+    assert (found.theta[-1], found.frame[-1]) == (2.5, 60)
+
+
 def test_a_covariance_of_the_motion_says_how_much_it_counts():
     poses = around(60)
     given, move = seen(poses, 0), moves(poses)
