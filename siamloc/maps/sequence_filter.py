@@ -5,6 +5,9 @@ query is the softmax of the descriptor distances, exp(-d / temperature) ([T] 5.3
 robot's motion is learned from the map's own spacing (`MotionModel`), unless its wheels tell how far it moved; the
 temperature is learned from the map itself (`temperature_of_map`) or, together with the probability of kidnapping, on a
 validation sequence (`tune_filter`).
+
+Queries from one place make the same mistakes. If the motion is known, a query therefore counts by the share of a usual
+step, or of a radian, that the robot moved since the query before, unless it contradicts the motion.
 """
 
 from __future__ import annotations
@@ -32,6 +35,8 @@ from siamloc.maps.visual_map import VisualMap
 
 _REACH = 4.0  # standard deviations; the weight beyond is below 4e-4 and covered by kidnapping
 _FAST = 95  # percentile of the map's speeds, taken as the robot's largest speed
+_STANDING = 0.01  # weight of a query of a robot that did not move
+_AGREES = 0.5  # mean likelihood of a query where the robot has moved to, as a share of that where the query shows it
 _SAMPLE = 500  # map frames from which a temperature is learned
 
 
@@ -106,9 +111,15 @@ class SequenceFilter:
         move = motion_or_none(motion)
         self._check.step(move, self.motion.xy[apart.argmin()])
         length = None if move is None else float(np.hypot(*move[:2]))
-        expected = (1 - self.kidnapping) * self.motion.predict(self.belief, length) + self.kidnapping / len(apart)
-        # The most likely frame has likelihood 1, so the sum cannot vanish.
-        belief = expected * np.exp((apart.min() - apart) / self.temperature)
+        moved = self.motion.predict(self.belief, length)
+        # The most likely frame has likelihood 1, so the sums cannot vanish.
+        log_likelihood = (apart.min() - apart) / self.temperature
+        likelihood = np.exp(log_likelihood)
+        new = 1.0
+        if move is not None and moved @ likelihood > _AGREES * (likelihood @ likelihood) / likelihood.sum():
+            new = min(math.hypot(*move[:2]) / (self.motion.step or 1.0) + abs(float(move[2])) + _STANDING, 1.0)
+        kidnapping = new * self.kidnapping
+        belief = ((1 - kidnapping) * moved + kidnapping / len(apart)) * np.exp(new * log_likelihood)
         self.belief = belief / belief.sum()
         return self.belief
 

@@ -266,19 +266,22 @@ class Localizer:
             for row, (x, y), distance in zip(rows, frames.xy[rows].tolist(), apart, strict=True)
         )
         pose, error, lost = self._estimates(query, found)
-        known, row, covariance = self.map, candidates[0].row, None
+        known, row, covariance, of_map = self.map, candidates[0].row, None, 0.0
         if isinstance(tracker, SequenceFilter):
             assert self._placed is not None
             known, pose = self._placed, None
             row = int(tracker.step(frame_distances(known, query)[0], motion).argmax())
             found = Retrieval(np.array([[row]]), np.zeros((1, 1)))
-            variance = tracker.spread(row) ** 2 / 2
+            # A frame stands for all places up to half a spacing from it, in either direction.
+            of_map = tracker.motion.spacing**2 / 12
+            variance = tracker.spread(row) ** 2 / 2 + of_map
             covariance = ((variance, 0.0), (0.0, variance))
         elif pose is not None or (tracker is not None and motion is not None):
             pose = _NOWHERE if pose is None else pose
             pose = pose if tracker is None else tracker.step(pose, motion)
             (xx, xy), (_, yy) = pose.covariance()[0].tolist()
             covariance = None if math.isnan(xx) else ((xx, xy), (xy, yy))
+            of_map = 0.0 if pose.map_variance is None else float(pose.map_variance[0])
         xy, theta = (
             (known.frames.xy[row], headings(known, query, found)[:, 0]) if pose is None else (pose.xy[0], pose.theta)
         )
@@ -295,7 +298,6 @@ class Localizer:
             agreement=math.nan if pose is None else float(pose.agreement[0]),
         )
         if self._collector is not None:
-            of_map = 0.0 if pose is None or pose.map_variance is None else float(pose.map_variance[0])
             self._collector.take(panorama, location, tracker is not None, of_map)
         return location
 

@@ -133,6 +133,25 @@ def test_a_robot_that_stands_still_in_the_dark_is_still_there() -> None:
         assert track.frame[-1] == place
 
 
+def test_pictures_of_one_place_count_as_one() -> None:
+    motion, own = MotionModel.learn(corridor()), np.arange(60)
+    seen, usual = np.abs(own - own[:, None]) / 3, ahead(np.full(60, 0.5))
+    track = SequenceFilter(motion, 0.2).run(seen, ["a"] * 60, motion=usual)
+    order = np.r_[:20, [20] * 100]
+    standing = SequenceFilter(motion, 0.2).run(seen[order], ["a"] * 120, motion=ahead(0.5 * np.diff(order, prepend=-1)))
+    assert standing.spread[-1] > 0.3 * track.spread[20]
+    slow = SequenceFilter(motion, 0.2).run(seen.repeat(10, axis=0), ["a"] * 600, motion=usual.repeat(10, axis=0) / 10)
+    assert slow.spread[300] > 0.3 * track.spread[30]
+
+
+@pytest.mark.parametrize("place", [np.r_[5:20, [45] * 20], np.r_[5:40]], ids=["carried away", "stuck wheels"])
+def test_pictures_that_contradict_the_wheels_count_fully(place: np.ndarray) -> None:
+    seen, lengths = np.abs(np.arange(60) - place[:, None]) / 3, np.full(len(place), 0.5)
+    lengths[15:] = 0.0
+    track = SequenceFilter(MotionModel.learn(corridor()), 0.1).run(seen, ["a"] * len(place), motion=ahead(lengths))
+    assert np.abs(track.frame - place)[18:].max() <= 1
+
+
 def test_unknown_motion_is_as_none() -> None:
     motion, distances = MotionModel.learn(corridor()), ambiguous(np.r_[0:20], np.random.default_rng(1))
     plain = SequenceFilter(motion, 0.2).run(distances, ["a"] * 20, 1.0)

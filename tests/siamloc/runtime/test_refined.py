@@ -285,7 +285,8 @@ def test_poses_that_are_map_frames_are_followed_as_by_the_sequence_filter(known,
     robot = SequenceFilter(MotionModel.learn(known.frames, step=0.3), temperature_of_map(known))
     expected = robot.run(frame_distances(known, seen), np.full(len(PICTURES), "drive"))
     np.testing.assert_allclose([[one.x, one.y] for one in found], known.frames.xy[expected.frame])
-    np.testing.assert_allclose([one.covariance[0][0] for one in found], expected.spread**2 / 2, rtol=1e-3, atol=1e-6)
+    variance = expected.spread**2 / 2 + spacing_of(known.frames) ** 2 / 12
+    np.testing.assert_allclose([one.covariance[0][0] for one in found], variance, rtol=1e-3, atol=1e-6)
     tracker.reset()
     assert localizer.locate(PICTURES[0], tracker).x == found[0].x
 
