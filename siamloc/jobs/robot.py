@@ -91,7 +91,7 @@ class Localize(Robot):
     room; heading, expected error and verdict if the bundle supports them; covariance and agreement of refined
     poses; and the error if file names carry poses as COLD's do. Ctrl-C and SIGTERM keep the results so far.
 
-        images=[a.jpeg,folder]   files, folders, videos, or cameras such as camera:0
+        images=[a.jpeg,folder]   files, folders as they are at the start, videos, or cameras such as camera:0
         run=FOLDER               the run whose bundle is used
         bundle=FOLDER            another bundle
         top=3                    number of map frames to list
@@ -156,7 +156,7 @@ class Localize(Robot):
 
         located = locate_all(localizer, self.images, on_error=self.on_error, track=self.track, odometry=self.odometry)
         target = self.target
-        off, faults, first, count, stopped = list[float](), 0, "", 0, False
+        off, faults, lost, first, count, stopped = list[float](), 0, 0, "", 0, False
         head, line = ("", None) if self.format == "table" else LINES[f".{self.format}"]
         if head:
             say(head.rstrip("\n"))
@@ -167,7 +167,9 @@ class Localize(Robot):
                     count += 1
                     faults += one.location is None
                     first = first or one.fault
-                    if not math.isnan(one.off_by):
+                    if one.location is not None and one.location.lost:
+                        lost += 1  # nothing is claimed
+                    elif not math.isnan(one.off_by):
                         off.append(one.off_by)
             except KeyboardInterrupt:
                 stopped = True
@@ -181,11 +183,12 @@ class Localize(Robot):
             Run(self.folder).record_written([target])
         conclude = _note if line else say
         where = "" if target is None else f": {target}"
-        conclude(f"{count - faults} of {count} images located{', then interrupted' if stopped else ''}{where}")
+        but = f", {lost} of them lost" if lost else ""
+        conclude(f"{count - faults} of {count} images located{but}{', then interrupted' if stopped else ''}{where}")
         if off:
             conclude(
-                f"from the poses in their names: mean {mean(off):.2f} {localizer.unit}, median {median(off):.2f} "
-                f"{localizer.unit}, largest {max(off):.2f} {localizer.unit}"
+                f"from the poses in their names{', without the lost ones' if lost else ''}: mean {mean(off):.2f} "
+                f"{localizer.unit}, median {median(off):.2f} {localizer.unit}, largest {max(off):.2f} {localizer.unit}"
             )
         if stopped:
             raise KeyboardInterrupt("stopped by the user")
@@ -200,7 +203,7 @@ class Watch(Robot):
     path so far, the camera image next to the map image, the room, expected error and time. The page is read-only,
     and visible only from this machine unless host= says otherwise. Needs the extra `live`: `pip install '.[live]'`.
 
-        images=[drive.mp4]   files, folders, videos, or cameras such as camera:0
+        images=[drive.mp4]   files, folders as they are at the start, videos, or cameras such as camera:0
         bundle=FOLDER        the bundle; export it with thumbnails=true to see the map images
         run=FOLDER           or the run whose bundle is used
         track=true           follow the robot from image to image

@@ -108,7 +108,7 @@ class Live:
         self._state: dict[str, Any] = {"status": "waiting", "number": 0, "text": "waiting for the first image"}
         self._way: deque[tuple[int, list[Any]]] = deque(maxlen=_TRACK)
         self._panorama: NDArray[np.uint8] | None = None
-        self._left_out, self._why = 0, ""
+        self._left_out, self._lost, self._why = 0, 0, ""
         self._fault: Exception | None = None
         self._loop: asyncio.AbstractEventLoop | None = None
         self._up = threading.Event()
@@ -140,10 +140,11 @@ class Live:
 
     @property
     def summary(self) -> str:
-        """How many images were located so far, and why the first image that was left out could not be."""
+        """How many images were located so far and are lost, and why the first that was left out could not be."""
         if not self._left_out:
-            return f"{self.count} images, all located"
-        return f"{self._left_out} of {self.count} images could not be located, the first: {self._why}"
+            return f"{self.count} images, all located{f', {self._lost} of them lost' if self._lost else ''}"
+        lost = f"; {self._lost} of the others are lost" if self._lost else ""
+        return f"{self._left_out} of {self.count} images could not be located, the first: {self._why}{lost}"
 
     def join(self, seconds: float | None = None) -> bool:
         """Wait until the last image is located, and return whether it is; the page stays until `close`.
@@ -206,6 +207,7 @@ class Live:
                 candidate["image"] = Path(candidate["image"]).name
             state.update({key: value for key, value in told.items() if key != "image"})
             state.update(located=number, name=Path(one.image).name)
+            self._lost += bool(location.lost)
             if location.lost:  # nothing is claimed: the candidates are all that is known
                 state.update(dict.fromkeys(("x", "y", "theta", "room", "error_m", "off_by", "covariance")))
             state["picture"] = self._localizer.bundle.thumbnail(location.candidates[0].row) is not None

@@ -97,6 +97,7 @@ def locate_all(
     Args:
         localizer: locates them.
         images: image files, folders of them, video files, and cameras of this machine, such as "camera:0"; or one.
+            Folders are listed once: images that come later are not located.
         on_error: "skip" reports an image that cannot be read and continues; "raise" stops there, and at the end of a
             video whose end is missing.
         track: follow the robot from image to image, see `Localizer.tracker`; each folder, video and camera is a drive.

@@ -61,15 +61,22 @@ def test_the_robot_says_what_the_evaluation_says(finished, flat, tmp_path, capsy
     assert (", lost" in line) == (row["lost"] == "True")
 
 
-def test_lost_stands_in_the_line_and_the_table(run, flat, capsys):
+def test_lost_stands_in_the_line_and_the_table(run, flat, tmp_path, capsys):
     done("evaluate", f"run={run}", *MEASURED, "task.error_model=true", "task.lost_above=1e-6")
     done("export", f"run={run}")
     assert "the robot gets: position, heading (by hog), expected error (lost above 1e-06 m)" in capsys.readouterr().out
     done("localize", f"run={run}", f"images=[{flat.parent / 'second'}]")
-    lines = [line for line in capsys.readouterr().out.split("\n") if "nearest" in line]
-    rows = table(run / "locations.csv")
-    assert [", lost; nearest" in line for line in lines] == [row["lost"] == "True" for row in rows]
-    assert any(row["lost"] == "True" for row in rows)
+    out = capsys.readouterr().out
+    lines = [line for line in out.split("\n") if "nearest" in line]
+    lost = [row["lost"] == "True" for row in table(run / "locations.csv")]
+    assert [", lost; nearest" in line for line in lines] == lost
+    assert f"{len(lost)} of {len(lost)} images located, {sum(lost)} of them lost: " in out
+    assert any(lost)
+    shutil.copy(flat.parent / "second/0003.png", named := tmp_path / "t3.0_x0_y0_a0.png")
+    done("localize", f"run={run}", f"images=['{named}']")
+    told = capsys.readouterr().out
+    assert " m from the pose in its name" in told
+    assert "from the poses in their names" not in told, "a lost robot claims none"
     (run / "evaluation/network/results.json").write_text("[1]")
     assert "results.json is not a siamloc result file" in refused(capsys, "export", f"run={run}")
 
