@@ -20,7 +20,7 @@ from foundation.settings import Count, checked
 from siamloc.data.decoding import Preprocessing
 from siamloc.data.image_files import UnreadableImageError
 from siamloc.data.panorama import OmnidirectionalCamera
-from siamloc.errors import ConfigError, DataError, FormatError
+from siamloc.errors import ConfigError, DataError, FormatError, say_once
 from siamloc.maps import (
     ErrorModel,
     HierarchicalSearch,
@@ -186,7 +186,7 @@ class Localizer:
                 at that image (3,): distances ahead and to the left in the map's unit, and turn to the left in rad; NaN
                 if unknown.
             tilt: roll and pitch of the robot in rad (2,), which are taken out of the image of a camera; see
-                `siamloc.data.PanoramaView.tilted`.
+                `siamloc.data.PanoramaView.tilted`. A bundle without a camera model warns once, and leaves them in.
 
         Raises:
             ConfigError: a motion without a tracker.
@@ -394,6 +394,9 @@ class Localizer:
         angles = None if tilt is None else np.asarray(tilt, dtype=np.float64)
         if angles is not None and not (angles.shape == (2,) and np.isfinite(angles).all()):
             raise DataError(f"a tilt is roll and pitch in rad, two numbers, got {tilt!r}")
+        make = self.bundle.preprocessing
+        if make.camera is None and angles is not None and angles.any():
+            say_once(f"{self.bundle.path} knows no camera model: the tilt of the robot stays in its images")
         pixels = None if isinstance(image, (str, Path)) else np.asarray(image)
         if pixels is not None and pixels.size == 0:
             raise DataError("the image is empty: the camera returned no data")
@@ -404,7 +407,6 @@ class Localizer:
             )
         if pixels is not None and (pixels.ndim != 3 or pixels.shape[2] != 3 or pixels.dtype != np.uint8):
             raise DataError(f"an image has shape (rows, columns, 3) and dtype uint8, got {pixels.shape} {pixels.dtype}")
-        make = self.bundle.preprocessing
         try:
             return make.panorama(image, angles) if pixels is None else make.prepare(pixels, angles)
         except (UnreadableImageError, ConfigError) as error:  # damaged, or too small for the camera's ring

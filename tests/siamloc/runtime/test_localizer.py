@@ -198,6 +198,14 @@ def test_a_picture_that_does_not_fit_the_camera_does_not_end_the_drive(bundle, t
         localizer.locate(np.full((20, 20, 3), 90, np.uint8))
 
 
+def test_a_tilt_that_no_camera_model_takes_out_is_said_once(bundle, caplog):
+    for angles in ([0.0, 0.0], [0.1, 0.0], [0.1, 0.2]):
+        Localizer(bundle).locate(PICTURES[0], tilt=angles)
+    assert [one.getMessage() for one in caplog.records] == [
+        f"{bundle} knows no camera model: the tilt of the robot stays in its images"
+    ]
+
+
 def test_files_folders_and_videos_are_located_in_order(bundle, tmp_path):
     localizer = Localizer(bundle)
     photos = tmp_path / "photos"
