@@ -14,6 +14,7 @@ from siamloc.errors import DataError
 _WORDS = "the distance ahead, the distance to the left and the turn to the left in rad, NaN where unknown"
 _FEWEST, _KEPT, _FAR = 15, 30, 3.0  # places from which a unit is judged, at least and at most, and steps between two
 _ALIKE, _RIGHT = 0.9, 3.0  # share of the pairs of places that agree; factor that no drift explains
+_FARTHEST = 1e7  # distance that a motion cannot exceed
 _APART, _TURNS, _MOST = 5, 10, 0.7  # places between which turns are judged, the fewest such turns, their share
 _TURNED = np.radians([10, 120])  # turns that noise does not reverse, and that are not half a turn
 
@@ -146,16 +147,16 @@ def motion_or_none(motion: ArrayLike | None) -> NDArray[np.float64] | None:
     """Return a motion (3,) that a filter is given, as numbers; None if any of them is unknown.
 
     Raises:
-        DataError: not three numbers, or a turn that is not in rad.
+        DataError: not three numbers, larger ones than tables of odometry may hold, or a turn that is not in rad.
     """
     if motion is None:
         return None
-    said = f"a motion is {_WORDS}: three numbers, got {motion!r}"
+    said = f"a motion is {_WORDS}: three numbers up to 10 million, got {motion!r}"
     try:
         given = np.asarray(motion, dtype=np.float64)
     except (TypeError, ValueError) as error:
         raise DataError(said) from error
-    if given.shape != (3,) or np.isinf(given).any():
+    if given.shape != (3,) or (np.abs(given) > _FARTHEST).any():
         raise DataError(said)
     if abs(given[2]) > 2 * np.pi:
         raise DataError(f"the turn of a motion is in rad, at most one full turn, got {given[2]:g}")

@@ -337,6 +337,7 @@ def test_the_axes_do_not_matter(wheeled):
     [
         ([1.0, 2.0], None, "a motion is the distance ahead, the distance to the left and the turn .* three numbers"),
         ([1.0, np.inf, 0.0], None, "a motion is the distance ahead"),
+        ([1e155, 0.0, 0.0], None, "three numbers up to 10 million"),
         (["a", "b", "c"], None, "a motion is the distance ahead"),
         ([1.0, 0.0, 30.0], None, "the turn of a motion is in rad, at most one full turn, got 30"),
         ([1.0, 0.0, 0.0], np.eye(2), "the covariance of a motion is a symmetric matrix"),
