@@ -1,7 +1,8 @@
 """Writing files whole or not at all, and reading them back with clear errors.
 
 A file is written under a temporary name that contains the number of its process. When a process first writes into a
-folder, it removes the temporary files there that killed processes on this machine left.
+folder, it removes the temporary files there that killed processes on this machine left, and the folders that those
+replaced.
 """
 
 from __future__ import annotations
@@ -35,6 +36,7 @@ _NUMBERS = Path("/proc/self/ns/pid")  # containers may share a host's name, but 
 _SPACE = str(_NUMBERS.readlink()) if _NUMBERS.is_symlink() else ""
 _HOST = f"{zlib.crc32(f'{platform.node()}{_SPACE}'.encode()):08x}"  # may share a folder with other machines
 _TEMPORARY = re.compile(r"\..+\.(?P<host>[0-9a-f]{8})-(?P<process>\d+)-\d+\.tmp(?:\.[^.]+)?")
+_OLDER = re.compile(r"\.(?P<name>.+)\.(?P<host>[0-9a-f]{8})-(?P<process>\d+)-\d+\.old")
 _numbers, _clearing, _cleared = count(), threading.Lock(), set[Path]()
 
 
@@ -86,7 +88,7 @@ def atomic_folder(path: str | Path, check: Callable[[Path], object] | None = Non
 
     An older folder is replaced as a whole. After an error nothing is left behind, and the older folder stays as it was
     unless somebody else has written `path` meanwhile. A kill in the instant between the two leaves the older folder
-    beside `path`, see `older_folder`.
+    beside `path`, see `older_folder`, for as long as `path` does not exist.
 
     Args:
         path: the folder.
@@ -125,8 +127,8 @@ def atomic_folder(path: str | Path, check: Callable[[Path], object] | None = Non
 def older_folder(path: str | Path) -> Path | None:
     """Return the newest folder that kills left beside `path` while `atomic_folder` replaced it; None without any."""
     path = real_path(path)
-    name = re.compile(rf"\.{re.escape(path.name)}\.[0-9a-f]{{8}}-\d+-\d+\.old")
-    left = (entry for entry in path.parent.glob(".*.old") if name.fullmatch(entry.name))
+    older = ((entry, _OLDER.fullmatch(entry.name)) for entry in path.parent.glob(".*.old"))
+    left = (entry for entry, match in older if match is not None and match["name"] == path.name)
     return max(left, key=lambda entry: entry.stat().st_mtime, default=None)
 
 
@@ -166,16 +168,17 @@ def _temporary(path: Path) -> Path:
         if folder not in _cleared:
             _cleared.add(folder)
             for entry in folder.iterdir():
-                if _is_left(entry.name):
+                if _is_left(entry):
                     with suppress(OSError):  # somebody else's, or gone
                         shutil.rmtree(entry) if entry.is_dir() and not entry.is_symlink() else entry.unlink()
     return path.with_name(f".{path.name}.{_HOST}-{os.getpid()}-{next(_numbers)}.tmp{path.suffix}")
 
 
-def _is_left(name: str) -> bool:
-    """Return whether a name is that of a temporary file or folder whose process on this machine has ended."""
-    match = _TEMPORARY.fullmatch(name)
-    if match is None or match["host"] != _HOST:
+def _is_left(path: Path) -> bool:
+    """Return whether a path is temporary, or a folder that was replaced, and its process on this machine has ended."""
+    older = _OLDER.fullmatch(path.name)
+    match = older or _TEMPORARY.fullmatch(path.name)
+    if match is None or match["host"] != _HOST or (older and not path.with_name(older["name"]).exists()):
         return False
     if int(match["process"]) == os.getpid():  # an earlier process had the same number
         return True

@@ -228,6 +228,8 @@ def test_a_kill_while_a_folder_is_replaced_leaves_the_older_one_beside_it(tmp_pa
     with atomic_folder(path) as fresh:
         (fresh / "newer").touch()
     assert older.is_dir()
+    run(WRITES, tmp_path / "other")
+    assert not older.exists(), "another process does not need it, since there is a whole folder again"
 
 
 def test_a_folder_stays_if_the_check_of_the_older_one_fails(tmp_path):
