@@ -150,7 +150,7 @@ class Curves(Checkpoint):
         monitor: name of the logged figure that chooses the best epoch, such as "val/error"; None if nothing is
             validated.
         pace: speed of the training, for the printed lines.
-        patience: number of epochs without a better figure after which the training stops; never if None.
+        patience: number of validations without a better figure after which the training stops; never if None.
         checked: whether a check after the training chooses the weights, which then prints the checkpoint.
     """
 
@@ -160,6 +160,7 @@ class Curves(Checkpoint):
         self._run, self._monitor, self._pace, self._patience, self._checked = run, monitor, pace, patience, checked
         self._rows: list[dict[str, float]] = []
         self._start = (0.0, 0)
+        self._validated = False
         self._logged_before = files_logged(run)
 
     def on_train_start(self, trainer: Trainer, *_: Any) -> None:
@@ -177,11 +178,22 @@ class Curves(Checkpoint):
         """Record the files of the loggers if the training ends early."""
         self.on_fit_end(trainer)
 
+    def on_validation_end(self, *_: Any) -> None:
+        """Note that the figures of the validation are those of this epoch."""
+        self._validated = True
+
     def on_train_epoch_end(self, trainer: Trainer, pl_module: LightningModule) -> None:
-        """Write the figures of the epoch as a row of the file."""
-        if trainer.sanity_checking:
-            return
-        values = {key: float(value) for key, value in trainer.callback_metrics.items() if "/" in key}
+        """Write the figures of the epoch as a row of the file.
+
+        Raises:
+            StopIteration: the training ends within the epoch; Lightning then writes no checkpoint of the epoch.
+        """
+        if not trainer.fit_loop.epoch_loop._num_ready_batches_reached():
+            raise StopIteration
+        old = " " if self._validated else "val/"  # the trainer keeps the figures of earlier validations
+        figures = trainer.callback_metrics.items()
+        values = {key: float(value) for key, value in figures if "/" in key and not key.startswith(old)}
+        self._validated = False
         self._rows.append({"epoch": trainer.current_epoch, "step": trainer.global_step, **values})
         trainer.should_stop |= self._stale()
         if trainer.is_global_zero:
@@ -192,14 +204,15 @@ class Curves(Checkpoint):
     def on_train_end(self, trainer: Trainer, *_: Any) -> None:
         """Record the files of the loggers, and print a summary, unless the training was interrupted."""
         self.on_fit_end(trainer)
-        early = self._stale() and len(self._rows) < (trainer.max_epochs or 0)
-        ended = early or trainer.current_epoch >= (trainer.max_epochs or 0)
-        if not (trainer.is_global_zero and ended and shown()):
+        if not (trainer.is_global_zero and shown()):
             return
         parts = [f"trained in {(time.monotonic() - self._start[0]) / 60:.1f} min"]
-        if early:
-            epochs = f"epoch {len(self._rows)} of {trainer.max_epochs}"
-            parts.append(f"stopped early after {epochs}, none of the last {self._patience} was better")
+        if (done := len(self._rows)) < (trainer.max_epochs or 0):
+            reason = f"none of the last {self._patience} was better"
+            if not self._stale():
+                limit = "max_steps" if 0 <= trainer.max_steps <= trainer.global_step else "max_time or a callback"
+                reason = f"by the trainer's {limit}"
+            parts.append(f"stopped early after epoch {done} of {trainer.max_epochs}, {reason}")
         if (best := self._best()) is not None:
             parts.append(self._figures_of(best[1]))
         if math.isfinite(self._pace.images_per_second):
@@ -236,11 +249,11 @@ class Curves(Checkpoint):
         return f"best epoch {epoch + 1} by {self._monitor} {row[str(self._monitor)]:.4f}{listed}"
 
     def _stale(self) -> bool:
-        """Whether the last `patience` epochs brought no improvement."""
+        """Whether the last `patience` validations brought no improvement."""
         best = self._best()
         if self._patience is None or best is None:
             return False
-        return int(self._rows[-1]["epoch"]) - best[1] >= self._patience
+        return sum(self._monitor in row and row["epoch"] > best[1] for row in self._rows) >= self._patience
 
     def _say(self, trainer: Trainer, values: dict[str, float]) -> None:
         if not shown():

@@ -22,7 +22,7 @@ from siamloc.training.run_folder import EPOCH_SUMS
 
 
 class StepCheckpoints(Checkpoint):
-    """Write the last checkpoint every few steps, and when the training is asked to stop.
+    """Write the last checkpoint every few steps, and when the training ends within an epoch.
 
     A training that continues from there ends with the same weights, curves and chosen checkpoint as one that never
     stopped, bit for bit on a CPU, and on a GPU with the trainer's deterministic=True: batches, their augmentation and
@@ -42,12 +42,18 @@ class StepCheckpoints(Checkpoint):
     def __init__(self, path: Path, every: int | None, guard: FiniteGuard) -> None:
         self.asked = self.begun = False
         self._path, self._every, self._guard = path, every, guard
-        self._due = self._saving = False
-        self._step = 0
+        self._due = self._saving = self._limited = False
+        self._step, self._max_steps = 0, -1
         self._sums: dict[str, Tensor] = {}
 
+    def on_fit_start(self, trainer: Trainer, pl_module: LightningModule) -> None:
+        """Hide max_steps while the loops are restored: with it, Lightning would begin a finished epoch again."""
+        loop = trainer.fit_loop.epoch_loop
+        self._max_steps, loop.max_steps = loop.max_steps, -1
+
     def on_train_start(self, trainer: Trainer, pl_module: LightningModule) -> None:
-        """Restore the sums of the epoch that a checkpoint within the epoch holds."""
+        """Restore max_steps, and the sums of the epoch that a checkpoint within the epoch holds."""
+        trainer.fit_loop.epoch_loop.max_steps = self._max_steps
         self._step = trainer.global_step
         if self._sums and isinstance(pl_module, NetworkModule):
             pl_module.load_epoch_sums({name: value.to(pl_module.device) for name, value in self._sums.items()})
@@ -61,17 +67,22 @@ class StepCheckpoints(Checkpoint):
 
         Raises:
             KeyboardInterrupt: the training was asked to stop.
+            StopIteration: max_steps, max_time or a callback ends the training; Lightning then does not validate.
         """
         if trainer.global_step != self._step:  # otherwise gradients are still accumulating
             self._step = trainer.global_step
             self._due |= self._every is not None and self._step % self._every == 0
         self.on_validation_batch_end(trainer)
         loop = trainer.fit_loop.epoch_loop
+        if loop._num_ready_batches_reached():
+            return
+        if trainer.fit_loop.done:
+            self._limited, trainer.should_stop = True, False  # which would validate at once
         fetcher = trainer.fit_loop._data_fetcher
         assert fetcher is not None
         # The trainer cannot resume in the middle of these.
-        busy = loop._num_ready_batches_reached() or loop._should_accumulate() or loop._should_check_val_fx(fetcher)
-        if busy or not (self._due or self.asked):
+        busy = loop._should_accumulate() or (loop._should_check_val_fx(fetcher) and not self._limited)
+        if busy or not (self._due or self.asked or self._limited):
             return
         self._guard.settle(trainer, pl_module)
         self._saving = True
@@ -81,6 +92,8 @@ class StepCheckpoints(Checkpoint):
             self._saving = self._due = False
         if self.asked:
             raise KeyboardInterrupt
+        if self._limited:
+            raise StopIteration
 
     def on_validation_batch_end(self, trainer: Trainer, *_: Any) -> None:
         """Treat SIGTERM like Ctrl-C, before Lightning ends the training wherever it is: stop at the next checkpoint."""
@@ -95,6 +108,7 @@ class StepCheckpoints(Checkpoint):
             KeyboardInterrupt: the training was asked to stop.
         """
         self._due = False
+        trainer.should_stop |= self._limited
         if self.asked and trainer.current_epoch + 1 < (trainer.max_epochs or 0):
             raise KeyboardInterrupt
 

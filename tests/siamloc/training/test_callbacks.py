@@ -7,6 +7,7 @@ import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 
+import numpy as np
 import pytest
 import torch
 
@@ -68,6 +69,14 @@ def test_a_training_without_progress_stops_early_and_says_so(train, drives, capf
     assert len(fit(patience=2, resume=True).curves()["epoch"]) == 3
     assert len(fit(patience=4, resume=True).curves()["epoch"]) == 5
     assert "stopped early after epoch 5 of 9" in capfd.readouterr().err
+
+
+def test_epochs_without_validation_have_no_figures_of_it_and_do_not_count_for_patience(train, drives, capfd):
+    options = {"validation": drives[1], "epochs": 9, "patience": 1, "trainer": {"check_val_every_n_epoch": 2}}
+    run = train(Fixed(), pairs=ONE_BATCH, **options)
+    assert np.isfinite(run.curves()["val/error"]).tolist() == [False, True, False, True]
+    said = [line for line in capfd.readouterr().err.splitlines() if line.startswith("epoch ")]
+    assert ["val/error" in line for line in said] == [False, True, False, True]
 
 
 def test_a_run_that_was_moved_still_knows_its_best_epoch(train, drives, tmp_path):

@@ -71,9 +71,10 @@ def same(one, other):
 
 @pytest.fixture
 def train(images, drives, tmp_path):
-    def call(name, kind, *callbacks, gathered=1, **more):
+    def call(name, kind, *callbacks, gathered=1, limits=None, **more):
         options = {"validation": drives[1], "epochs": 3, **CASES[kind], **more}
         trainer = {"accelerator": "cpu", "callbacks": list(callbacks), "accumulate_grad_batches": gathered}
+        trainer |= limits or {}
         return siamloc.training.fit(Small(), images, drives[0], run=tmp_path / name, trainer=trainer, **options)
 
     return call
@@ -117,6 +118,34 @@ def test_a_signal_ends_the_step_and_the_training_goes_on_there(train, tmp_path, 
     with pytest.raises(ConfigError, match=REFUSED[epochs]):
         train("cut", kind, resume=True, epochs=epochs)
     same(whole, train("cut", kind, resume=True))
+
+
+class Limit(Callback):
+    """Ends the training after a step, as `max_time` does."""
+
+    def on_train_batch_end(self, trainer, *_):
+        trainer.should_stop |= trainer.global_step == STEPS // 2 + 1
+
+
+@pytest.mark.parametrize(
+    ("callbacks", "limits", "gathered", "kept", "says"),
+    [
+        ([Limit()], {}, 1, (0, 4), "epoch 0 of 3, by the trainer's max_time or a callback"),
+        ([Limit()], {}, 2, (1, 2), "epoch 1 of 3, by the trainer's max_time or a callback"),
+        ([], {"max_steps": STEPS + 2}, 1, (1, 2), "epoch 1 of 3, by the trainer's max_steps"),
+        ([], {"max_steps": 2 * STEPS}, 1, (2, 0), "epoch 2 of 3, by the trainer's max_steps"),
+    ],
+)
+def test_a_training_goes_on_where_a_limit_of_the_trainer_ended_it(
+    train, tmp_path, capfd, callbacks, limits, gathered, kept, says
+):
+    whole = train("whole", "pairs", gathered=gathered)
+    capfd.readouterr()
+    train("cut", "pairs", *callbacks, gathered=gathered, limits=limits)
+    assert f"stopped early after {says}" in capfd.readouterr().err
+    assert progress(siamloc.training.Run(tmp_path / "cut")) == kept
+    longer = {"max_steps": 10 * STEPS} if limits else {}
+    same(whole, train("cut", "pairs", gathered=gathered, limits=longer, resume=True))
 
 
 def test_sigterm_before_the_first_step_ends_the_training_at_once(train, monkeypatch):
