@@ -60,7 +60,7 @@ from siamloc.training.run_folder import (
 )
 from siamloc.training.settings import Training
 from siamloc.training.stopping import StepCheckpoints, first_interrupt_asks, interrupts_raised, sigterm_ends_the_start
-from siamloc.training.trainer import computing, on_gpu, precision_of, quiet, run_trainer, steps_of
+from siamloc.training.trainer import computing, on_gpu, quiet, recorded, run_trainer
 from siamloc.training.worst_queries import WorstQueries
 
 
@@ -229,7 +229,7 @@ def learn(
         used = {
             **about,
             **{"model": content["model"], "loss": content["loss"], "training": settings.plain()},
-            "trainer": {"precision": precision_of(trainer), **steps_of(lightning)},
+            "trainer": recorded(lightning, trainer),
         }
         if resume and first:
             check_same_training(run, plain(used), settings.epochs)

@@ -30,8 +30,9 @@ _FREE = (
     *("protocol.map", "protocol.query", "protocol.leave_one_out", "protocol.apart"),
     *("training.epochs", "training.workers", "training.augment_where", "training.compile"),
     *("training.checkpoint_every", "training.patience", "training.recall_radius", "views.processes"),
+    *("trainer.processes", "trainer.limit_train_batches", "trainer.max_steps"),  # unless a schedule depends on them
 )
-_LEARNED = ("data", "views", "protocol", "model", "loss", "training", "augment")
+_LEARNED = ("data", "views", "protocol", "model", "loss", "training", "augment", "trainer")
 _ROLES = {"train": "training", "validation": "validation"}
 _PICTURES = 8  # examined, spread over the frames
 _CELLS = (8, 4)  # columns and rows of their thumbnails
@@ -134,7 +135,7 @@ def check_same_training(run: Run, now: Mapping[str, Any], epochs: int) -> None:
             if old.get(key) != new.get(key) and not key.startswith(free):
                 raise ConfigError(
                     f"{run.folder} was trained with {key}={old.get(key)} and cannot be resumed with "
-                    f"{key}={new.get(key)}: leave it out, or train another run"
+                    f"{key}={new.get(key)}: leave it as it was, or train another run"
                 )
     if other_data:
         raise ConfigError(f"{run.folder} was trained with other data: {other_data}; give it, or train another run")
@@ -157,7 +158,7 @@ def monitor_before(run: Run, settings: Training) -> Monitor:
 def _check_same_steps(run: Run, before: Mapping[str, Any], now: Mapping[str, Any], what: str) -> None:
     """Make sure that an epoch has as many steps as before, since a schedule depends on their number."""
     old, new = (settings["trainer"] for settings in (before, now))
-    for key in sorted(old.keys() & new.keys() - {"precision"}):
+    for key in ("processes", "limit_train_batches", "max_steps"):
         if repr(old[key]) == repr(new[key]) or (  # 1 is one batch, 1.0 is all
             key == "processes" and "places" in now["training"]["pairs"]
         ):

@@ -63,7 +63,11 @@ def run_trainer(run: Run, settings: Training, further: Mapping[str, Any] | None,
     if settings.average is not None:
         callbacks.append(MovingAverage(decay=settings.average))
     if settings.clip is not None:
-        options.setdefault("gradient_clip_val", settings.clip)
+        if (other := options.get("gradient_clip_val")) is not None:
+            raise ConfigError(
+                f"clip={settings.clip:g} and trainer.gradient_clip_val={other} both limit the gradient: leave one out"
+            )
+        options["gradient_clip_val"] = settings.clip
     plugins = listed(options.pop("plugins", None))
     if "sync_batchnorm" not in options and not any(isinstance(one, LayerSync) for one in plugins):
         plugins.append(OneBatch(gpu=on_gpu(options)))
@@ -84,10 +88,12 @@ def run_trainer(run: Run, settings: Training, further: Mapping[str, Any] | None,
     return _made(options, own)
 
 
-def steps_of(trainer: Trainer) -> dict[str, Any]:
-    """Return the trainer's settings, besides the number of batches, that determine the steps per epoch."""
+def recorded(trainer: Trainer, further: Mapping[str, Any] | None) -> dict[str, Any]:
+    """Return the trainer's settings, besides the number of batches, that determine the steps and what they learn."""
     keys = "accumulate_grad_batches", "limit_train_batches", "max_steps"
-    return {"processes": trainer.world_size, **{key: getattr(trainer, key) for key in keys}}
+    clipping = {key: (further or {}).get(key) for key in ("gradient_clip_val", "gradient_clip_algorithm")}
+    steps = {key: getattr(trainer, key) for key in keys}
+    return {"precision": precision_of(further), "processes": trainer.world_size, **steps, **clipping}
 
 
 def check_trainer(further: Mapping[str, Any] | None) -> Trainer:
@@ -252,6 +258,8 @@ def quiet() -> Iterator[None]:
         "smaller than the logging interval",
         "is not empty",
         "before the epoch ended",
+        "is supported for historical reasons",  # the name bf16 for bf16-mixed
+        r"add the following callbacks: \['Timer'\]",  # resumed without the max_time it had
         "The .grad attribute of a Tensor that is not a leaf",  # torch's compiler reads it
     )
     with warnings.catch_warnings():

@@ -176,6 +176,9 @@ def trained(images, frames, tmp_path_factory):
         ({"augmentation": "thesis"}, "augment.name=none"),
         ({"protocol": {"kind": "same_run"}}, "protocol.kind=cross_run"),
         ({"network": build("simple2", "fc500_500_5", SIZE)}, "model.branch=simple1"),
+        ({"trainer": {"accelerator": "cpu", "precision": "bf16-mixed"}}, "trainer.precision=32-true"),
+        ({"trainer": {"accelerator": "cpu", "gradient_clip_val": 1e-9}}, "trainer.gradient_clip_val=None"),
+        ({"trainer": {"accelerator": "cpu", "accumulate_grad_batches": 3}}, "trainer.accumulate_grad_batches=1"),
     ],
 )
 def test_other_settings_are_not_resumed(train, trained, other, key):
@@ -258,7 +261,7 @@ def test_a_schedule_goes_on_with_the_steps_that_it_was_laid_out_for(train):
     train(epochs=2, resume=True)  # nothing is laid out
     options = {"epochs": 2, "optimizer": {"schedule": "one_cycle"}}
     run = train("laid out", **options)
-    for other in ({"limit_train_batches": 1}, {"accumulate_grad_batches": 2}, {"max_steps": 2}):
+    for other in ({"limit_train_batches": 1}, {"max_steps": 2}):
         key = next(iter(other))
         says = rf"the learning rate of .* for the steps of an epoch with trainer\.{key}=.* with trainer\.{key}="
         with pytest.raises(ConfigError, match=says):
@@ -432,6 +435,7 @@ def test_frames_without_a_room_are_left_out_of_pairs_where_others_have_one(train
         ({"pairs": {"same_room_share": 7}}, ConfigError, r"pairs\.same_room_share must be a number from 0 to 1"),
         ({"trainer": {"accelerator": "quantum"}}, ConfigError, "the trainer cannot be set up"),
         ({"trainer": {"precision": "bf"}}, ConfigError, "the trainer cannot be set up"),
+        ({"clip": 0.5, "trainer": {"gradient_clip_val": 5}}, ConfigError, r"clip=0\.5 and trainer\.gradient_clip_val"),
         ({"trainer": {"max_epochs": 2}}, ConfigError, r"trainer\.max_epochs is set by siamloc itself"),
         ({"augmentation": "thesys"}, Exception, "did you mean 'thesis'"),
         ({"network": build("simple1", "fc500_500_5", (32, 64))}, DataError, r"\(B, 3, 32, 64\), got \(1, 3, 32, 128"),
