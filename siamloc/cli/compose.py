@@ -56,11 +56,12 @@ def run(command: str, words: list[str]) -> None:
     import hydra
 
     _register(kind, words)
-    failed: list[Exception] = []
+    failed: list[tuple[Exception, Sweep]] = []
     process = os.getpid()
 
     def job(config: DictConfig) -> None:
         if failed:  # an earlier job of the sweep
+            failed.append(failed[0])
             return
         sys.argv = arguments  # used by the trainer to start further processes
         sweep = _sweep_of_the_job()
@@ -69,7 +70,7 @@ def run(command: str, words: list[str]) -> None:
         except Exception as error:
             if os.getpid() != process:  # of a launcher, whose list is a copy
                 raise
-            failed.append(error)  # Hydra would print a line before passing it on
+            failed.append((error, sweep))  # Hydra would print a line before passing it on
 
     before = {"HYDRA_FULL_ERROR": os.environ.get("HYDRA_FULL_ERROR", "0")}
     os.environ["HYDRA_FULL_ERROR"] = "1"  # pass errors through instead of printing them
@@ -83,7 +84,13 @@ def run(command: str, words: list[str]) -> None:
         sys.argv = arguments
         os.environ.update(before)
     if failed:
-        raise _explained(failed[0], given, kind)
+        first, sweep = failed[0]
+        problem = _explained(first, given, kind)
+        if sweep.words and isinstance(problem, SiamlocError):
+            where = " ".join(f"{key}={word}" for key, word in sweep.words.items())
+            said = f"{problem} (at {where}, which ended the sweep; jobs not run: {len(failed) - 1})"
+            raise type(problem)(said) from problem
+        raise problem
 
 
 def composed(command: str, words: list[str]) -> Job:

@@ -117,6 +117,7 @@ def test_a_sweep_ends_with_the_first_job_that_fails_in_one_sentence(here, words,
     assert len(lines) == 1
     assert lines[0].startswith("siamloc: ")
     assert "none.csv" in lines[0]
+    assert lines[0].endswith("(at data.manifest=none.csv, which ended the sweep; jobs not run: 1)")
 
 
 @pytest.mark.slow
