@@ -102,7 +102,7 @@ def compact(
     if clusters is not None and clusters.frames.identities() != known.frames.identities():
         raise DataError("the map whose descriptors are clustered must hold the map's frames in the same order")
     placed = known.frames.has_position
-    known, clusters = session.known.placed(), (known if clusters is None else clusters).take(placed)
+    known, clusters = known.placed(), (known if clusters is None else clusters).take(placed)
     scored = session.queries.take(session.queries.has_position)
     for has, what in ((placed, "map frames"), (session.queries.has_position, "queries")):
         session.leave_out(has, f"{what} have no position", f"compact, {what}", ": add x and y to the data")

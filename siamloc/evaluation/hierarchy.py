@@ -11,7 +11,6 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from analytic import Description
-from analytic.clustering import positions
 from foundation.calls import OF_FIELDS, takes
 from foundation.columns import Rows
 from foundation.settings import Count, Natural, Settings, fields_of
@@ -102,9 +101,8 @@ def hierarchical(
     """
     session = Session(known, images, queries, protocol=protocol, name=name)
     session.refuse_exclusion("hierarchical localization")
-    known = session.known
     search = HierarchicalSearch(known, layer, coarse=coarse_map, settings=settings.search)
-    layer = replace(search.layer, positions=positions(known.frames.xy, search.layer.labels))
+    layer = search.layer
     placed, scored = known.frames.has_position, session.queries.has_position
     if text := session.lacking(placed, "map frames have no position"):
         raise DataError(f"{text}: build the layer over a map whose frames all have one (known.placed())")

@@ -15,8 +15,8 @@ from analytic.measures.closures import ClosureScores
 from foundation.calls import OF_FIELDS, takes
 from foundation.settings import Count, NotNegative, Settings
 from siamloc.evaluation.columns import room_names
+from siamloc.evaluation.offsets import overlapping_buildings
 from siamloc.evaluation.result import Result
-from siamloc.evaluation.side_by_side import side_by_side
 from siamloc.maps import Built
 from siamloc.maps.coarse import CoarseLayer
 from siamloc.maps.visual_map import VisualMap
@@ -69,7 +69,6 @@ def mapping(
         1.0
     """
     built.check_map(known)
-    known, _, moved = side_by_side(known)
     layer, frames, seconds = built.layer, known.frames, built.seconds
     columns: Columns = {
         "frame": np.arange(len(known)),
@@ -102,7 +101,7 @@ def mapping(
             "layer": layer.made,
             "edges": layer.edges,
         },
-        skipped={"buildings": moved} if moved else {},
+        skipped={"buildings": text} if (text := overlapping_buildings(frames)) else {},
         settings={
             "task": settings.plain(),
             "data": data,
@@ -213,7 +212,6 @@ def silhouette(
 
 def _nodes(layer: CoarseLayer, columns: Columns) -> Columns:
     xy = np.column_stack([columns["x"], columns["y"]])
-    places = analytic.clustering.positions(xy, layer.labels)
     pure = analytic.measures.purity(layer.labels, columns["room"])
     rooms = dict(zip(pure.labels.tolist(), pure.room_of_node, strict=True))
     shares = dict(zip(pure.labels.tolist(), pure.nodes.tolist(), strict=True))
@@ -222,8 +220,8 @@ def _nodes(layer: CoarseLayer, columns: Columns) -> Columns:
         "node": np.arange(len(layer)),
         "name": layer.names,
         "frames": np.bincount(layer.labels[layer.labels >= 0], minlength=len(layer)),
-        "x": places[:, 0],
-        "y": places[:, 1],
+        "x": layer.positions[:, 0],
+        "y": layer.positions[:, 1],
         "room": np.array([rooms.get(node, "") for node in numbers], dtype=np.str_),
         "purity": np.array([shares.get(node, math.nan) for node in numbers]),
         "inertia": _inertias(xy, layer.labels),

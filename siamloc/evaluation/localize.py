@@ -134,7 +134,7 @@ def localization(
     session = Session(
         known, images, queries, validation=validation, protocol=protocol, baselines=baselines, name=name, seed=seed
     )
-    result = _measured(session, settings, session.name, session.known)
+    result = _measured(session, settings, session.name, known)
     # If no query can be scored, there is nothing to compare a baseline with.
     for label, other in session.baselines.items() if result.parts else ():
         alone = replace(settings, filter=False, filter_tune=False, refine="none", error_model=False)
@@ -184,10 +184,10 @@ def error_model(known: VisualMap, images: PanoramaLibrary, validation: FrameTabl
         >>> error_model(known, images, tuesday, lost_above=2.0).lost_above
         2.0
     """
-    settings = Localization.of({**options, "error_model": True})
-    session = Session(known.placed(), images, validation)
-    searched = search_validation(session, session.queries, settings, session.known)
-    return learned_errors(settings, session.known, searched, session.skipped)[0]
+    settings, placed = Localization.of({**options, "error_model": True}), known.placed()
+    session = Session(known, images, validation)
+    searched = search_validation(session, session.queries, settings, placed)
+    return learned_errors(settings, placed, searched, session.skipped)[0]
 
 
 def _measured(session: Session, settings: Localization, name: str, known: VisualMap, main: bool = True) -> Result:

@@ -1,8 +1,9 @@
-"""Drives whose positions and appearance disagree: an origin of their own, or odometry that drifts."""
+"""Positions without a common origin: of buildings that overlap, of drives beside what they look like, or that drift."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
+from itertools import combinations
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
@@ -49,6 +50,21 @@ def implausible_offsets(known: FrameTable, queries: FrameTable, matches: NDArray
                 f"{most:.2g} {queries.unit} aside, successive ones in the same direction: their positions seem to have "
                 "another origin than the map's, or to drift. The errors include this."
             )
+
+
+def overlapping_buildings(frames: FrameTable) -> str:
+    """Return a sentence about two buildings of a map that lie over each other; an empty text if none do."""
+    placed = frames.take(frames.has_position)
+    named = {name: placed.xy[rows] for name, rows in placed.rows_by("building").items() if name}
+    spans = {name: (xy.min(axis=0), xy.max(axis=0)) for name, xy in named.items()}
+    for (one, (low, high)), (other, (least, most)) in combinations(spans.items(), 2):
+        if (low <= most).all() and (least <= high).all():
+            return (
+                f"the positions of the buildings {one} and {other} overlap: unless they have a common origin, "
+                "distances between the two mean nothing, and floors, hits, true nodes and closures count them. Measure "
+                "each building by itself, or move one of them aside."
+            )
+    return ""
 
 
 def _windows(vectors: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

@@ -19,8 +19,8 @@ from siamloc.data.frames import FrameTable, check_units
 from siamloc.data.library import PanoramaLibrary
 from siamloc.data.protocol import Protocol
 from siamloc.errors import ConfigError, DataError
+from siamloc.evaluation.offsets import overlapping_buildings
 from siamloc.evaluation.result import Result
-from siamloc.evaluation.side_by_side import side_by_side
 from siamloc.maps import RefinedPoses, Refinement, Retrieval, VisualMap, frame_distances, headings, match
 from siamloc.maps.describing import descriptor_from
 from siamloc.stopwatch import Stopwatch
@@ -96,8 +96,6 @@ class Search:
 class Session:
     """A map, images, queries and a protocol, checked against each other once for all tasks.
 
-    The attributes `known`, `queries` and `validation` have their buildings side by side, if there are several.
-
     Args:
         known: the map; `known.descriptor` describes the queries.
         images: panoramas of the queries, and of the map's frames if they have to be described again.
@@ -131,19 +129,18 @@ class Session:
         name: str | None = None,
         seed: int = 0,
     ) -> None:
-        self.images, self.seed = images, seed
+        self.known, self.images, self.seed = known, images, seed
         self.protocol = as_protocol(protocol)
         self.name = name or known.descriptor.name
-        queries = _readable(images, queries, "queries")
-        validated = [] if validation is None else [_readable(images, validation, "validation frames")]
+        self.queries = _readable(images, queries, "queries")
+        self.validation = None if validation is None else _readable(images, validation, "validation frames")
         self.baselines = _named(baselines, images.circular)
         self.skipped: dict[str, str] = {}
         known.check_images(images.preprocessing.parameters(), images.preprocessing.size)
-        check_units(one for one in (known.frames, queries, *validated) if one.has_position.any())
-        self.known, (self.queries, *validated), moved = side_by_side(known, queries, *validated)
-        self.validation = validated[0] if validated else None
-        if moved:
-            self.skipped["buildings"] = moved
+        tables = known.frames, self.queries, self.validation
+        check_units(one for one in tables if one is not None and one.has_position.any())
+        if text := overlapping_buildings(known.frames):
+            self.skipped["buildings"] = text
         self._check_apart()
 
     def __repr__(self) -> str:

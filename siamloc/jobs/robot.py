@@ -167,9 +167,9 @@ class Localize(Robot):
                     count += 1
                     faults += one.location is None
                     first = first or one.fault
-                    if one.location is not None and one.location.lost:
-                        lost += 1  # nothing is claimed
-                    elif not math.isnan(one.off_by):
+                    unsure = one.location is not None and bool(one.location.lost)
+                    lost += unsure
+                    if not math.isnan(one.off_by) and (self.track or not unsure):  # else nothing is claimed
                         off.append(one.off_by)
             except KeyboardInterrupt:
                 stopped = True
@@ -183,12 +183,15 @@ class Localize(Robot):
             Run(self.folder).record_written([target])
         conclude = _note if line else say
         where = "" if target is None else f": {target}"
-        but = f", {lost} of them lost" if lost else ""
-        conclude(f"{count - faults} of {count} images located{but}{', then interrupted' if stopped else ''}{where}")
+        but = f", {lost} lost" if lost else ""
+        conclude(
+            f"{count - faults - lost} of {count} images located{but}{', then interrupted' if stopped else ''}{where}"
+        )
         if off:
+            of = ", without the lost ones" if lost and not self.track else ""
             conclude(
-                f"from the poses in their names{', without the lost ones' if lost else ''}: mean {mean(off):.2f} "
-                f"{localizer.unit}, median {median(off):.2f} {localizer.unit}, largest {max(off):.2f} {localizer.unit}"
+                f"from the poses in their names{of}: mean {mean(off):.2f} {localizer.unit}, median {median(off):.2f} "
+                f"{localizer.unit}, largest {max(off):.2f} {localizer.unit}"
             )
         if stopped:
             raise KeyboardInterrupt("stopped by the user")

@@ -271,8 +271,10 @@ def _built_before(folder: Path, known: VisualMap, made: dict[str, Any]) -> Built
         return None
     if built.map_digest != known.digest:
         return None
-    if other := {key: has for key, value in made.items() if (has := built.layer.made.get(key)) != value}:
-        logger.warning("the nodes in %s were made with %s: others replace them", folder, as_words(other))
+    had = built.layer.made
+    if other := {key: had.get(key) for key, value in made.items() if had.get(key) != value}:
+        said = {"name": had.get("name")} if "name" in other else other
+        logger.warning("the nodes in %s were made with %s: they are made again", folder, as_words(said))
         return None
     if made["name"] == "rooms" and built.layer.classifier is None:  # the map's network was missing then
         return built if naming(known, built.layer) is None else None

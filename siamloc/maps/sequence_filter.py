@@ -87,6 +87,7 @@ class SequenceFilter:
     def reset(self) -> None:
         """Forget all queries: the robot may be anywhere."""
         self.belief = np.full(len(self.motion), 1 / len(self.motion))
+        self._begun = False
         self._check.reset()
 
     def step(self, distances: ArrayLike, motion: ArrayLike | None = None) -> NDArray[np.float64]:
@@ -115,9 +116,10 @@ class SequenceFilter:
         # The most likely frame has likelihood 1, so the sums cannot vanish.
         log_likelihood = (apart.min() - apart) / self.temperature
         likelihood = np.exp(log_likelihood)
-        new = 1.0
-        if move is not None and moved @ likelihood > _AGREES * (likelihood @ likelihood) / likelihood.sum():
+        new, agrees = 1.0, moved @ likelihood > _AGREES * (likelihood @ likelihood) / likelihood.sum()
+        if self._begun and move is not None and agrees:
             new = min(math.hypot(*move[:2]) / (self.motion.step or 1.0) + abs(float(move[2])) + _STANDING, 1.0)
+        self._begun = True
         kidnapping = new * self.kidnapping
         belief = ((1 - kidnapping) * moved + kidnapping / len(apart)) * np.exp(new * log_likelihood)
         self.belief = belief / belief.sum()

@@ -142,7 +142,7 @@ class Live:
     def summary(self) -> str:
         """How many images were located so far and are lost, and why the first that was left out could not be."""
         if not self._left_out:
-            return f"{self.count} images, all located{f', {self._lost} of them lost' if self._lost else ''}"
+            return f"{self.count} images, {f'{self._lost} lost, the others located' if self._lost else 'all located'}"
         lost = f"; {self._lost} of the others are lost" if self._lost else ""
         return f"{self._left_out} of {self.count} images could not be located, the first: {self._why}{lost}"
 

@@ -70,7 +70,7 @@ def test_lost_stands_in_the_line_and_the_table(run, flat, tmp_path, capsys):
     lines = [line for line in out.split("\n") if "nearest" in line]
     lost = [row["lost"] == "True" for row in table(run / "locations.csv")]
     assert [", lost; nearest" in line for line in lines] == lost
-    assert f"{len(lost)} of {len(lost)} images located, {sum(lost)} of them lost: " in out
+    assert f"{len(lost) - sum(lost)} of {len(lost)} images located, {sum(lost)} lost: " in out
     assert any(lost)
     shutil.copy(flat.parent / "second/0003.png", named := tmp_path / "t3.0_x0_y0_a0.png")
     done("localize", f"run={run}", f"images=['{named}']")

@@ -140,7 +140,7 @@ def test_a_layer_that_was_built_before_is_read_and_another_is_built(driven, tmp_
     assert not caplog.messages
     other = group(driven, "incremental", folder=tmp_path / "layer", progress=False, omega=1.0)
     assert other.layer.made["omega"] == 1.0
-    assert f"the nodes in {tmp_path / 'layer'} were made with omega=1.85: others replace them" in caplog.messages
+    assert f"the nodes in {tmp_path / 'layer'} were made with omega=1.85: they are made again" in caplog.messages
 
 
 def test_a_layer_whose_explanation_is_cut_short_is_built_again(tmp_path):

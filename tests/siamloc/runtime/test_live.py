@@ -285,7 +285,7 @@ def test_a_lost_robot_is_nowhere(world, monkeypatch):
         assert page.join(30)
         state = state_of(page)
     assert state["lost"] is True
-    assert state["text"] == f"{state['number']} images, all located, {state['number']} of them lost"
+    assert state["text"] == f"{state['number']} images, {state['number']} lost, the others located"
     assert len(state["candidates"]) == 3
     assert {state[key] for key in ("x", "y", "theta", "room", "error_m", "off_by", "covariance")} == {None}
 
