@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import sys
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
@@ -24,6 +25,7 @@ from siamloc.data.photo_sphere import stated
 from siamloc.data.two_lenses import wrong_lenses
 from siamloc.errors import ConfigError, DataError, hint, say_once
 
+_SIZED = 5  # pictures whose sizes are looked at
 _ALIKE = 0.01  # by which the shapes of pictures may differ that are scaled
 
 
@@ -152,19 +154,20 @@ class Preprocessing:
         return as_words({"unwrap": kind, **own})
 
     def sized_by(self, paths: Sequence[str | Path]) -> Preprocessing:
-        """Return the preprocessing with the size of the first of some pictures that can be read, if sizes matter.
+        """Return the preprocessing with the size of most of a few pictures of a list, if sizes matter.
 
         They do to cameras of siamloc whose parameters count in pixels, and, for their shape, without a camera.
         """
         camera = self.camera
         if self.size is not None or (camera is not None and ":" in _name(type(camera))):  # one's own is told each size
             return self
-        for path in paths:
+        sizes = Counter[tuple[int, ...]]()
+        for path in spread(paths, _SIZED):
             with suppress(UnreadableImageError, DataError):
-                rows, columns = dataclasses.replace(self, bits=16)._read(path).shape[:2]
-                break
-        else:
+                sizes[dataclasses.replace(self, bits=16)._read(path).shape[:2]] += 1
+        if not sizes:
             return self
+        rows, columns = sizes.most_common(1)[0][0]
         with suppress(ConfigError):  # a calibrated camera refuses other sizes itself
             if camera is None or in_pixels(camera, self.view, (rows, columns)):
                 return dataclasses.replace(self, size=(rows, columns))

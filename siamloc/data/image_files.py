@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import struct
 from collections.abc import Iterable, Sequence
 from contextlib import suppress
@@ -16,10 +17,12 @@ from numpy.typing import NDArray
 
 from foundation.columns import spread_rows
 from foundation.ordering import by_numbers
-from siamloc.errors import logger
+from siamloc.errors import say_once
 
 _LARGEST = 16_384  # pixels per side of an image
-_LOOKED_AT = 16  # images of a folder
+_LOOKED_AT = 16  # images of a folder whose bits are counted
+_SPOT = 4  # images of a folder by which it has images of 16 bits
+_HEAD = 26  # bytes in which a PNG says how many bits it has
 _ONE_BY_ONE = Lock()  # a folder is looked at once, by one of the threads
 _MAY_BE_DEEP = b"II*\0", b"MM\0*", b"P5", b"P6"  # a TIFF, or a PPM or PGM, begins with these
 
@@ -77,7 +80,9 @@ def decode_image(data: bytes, folder: Path | None = None, bits: int | None = Non
     try:
         image = cv2.imdecode(np.frombuffer(data, dtype=np.uint8), cv2.IMREAD_COLOR)
         if (deep := _deep(data)) is not None:
-            bits = bits or (bits_used(deep) if folder is None else _bits_in(folder))
+            if bits is None and folder is not None and (bits := _bits_in(folder)) < 16:
+                say_once(f"{folder}: its images use {bits} of 16 bits, and are brightened alike")
+            bits = bits or bits_used(deep)
             image = np.minimum(deep >> (bits - 8), 255)
     except cv2.error as error:
         raise UnreadableImageError(f"the image cannot be decoded ({error.err})") from error
@@ -93,10 +98,14 @@ def decode_image(data: bytes, folder: Path | None = None, bits: int | None = Non
 
 def _deep(data: bytes) -> NDArray[np.uint16] | None:
     """Return the pixels (rows, columns, 3), BGR, of a PNG, TIFF or PPM of 16 bits; None for all other images."""
-    if not (data.startswith(_MAY_BE_DEEP) or (data.startswith(b"\x89PNG") and data[24:25] == b"\x10")):
+    if not _may_be_deep(data):
         return None
     image = cv2.imdecode(np.frombuffer(data, dtype=np.uint8), cv2.IMREAD_COLOR | cv2.IMREAD_ANYDEPTH)
     return np.asarray(image, np.uint16) if image is not None and image.dtype == np.uint16 else None
+
+
+def _may_be_deep(data: bytes) -> bool:
+    return data.startswith(_MAY_BE_DEEP) or (data.startswith(b"\x89PNG") and data[24:25] == b"\x10")
 
 
 def bits_used(image: NDArray[Any]) -> int:
@@ -107,19 +116,25 @@ def bits_used(image: NDArray[Any]) -> int:
 
 def bits_of(path: str | Path) -> int | None:
     """Return how many bits the images of 16 bits next to an image, itself among them, use; None if it has 8."""
-    return None if _deep(Path(path).read_bytes()) is None else _bits_in(Path(path).absolute().parent)
+    with Path(path).open("rb") as file:
+        head = file.read(_HEAD)
+        deep = _may_be_deep(head) and _deep(head + file.read()) is not None
+    return _bits_in(Path(path).absolute().parent) if deep else None
 
 
 def bits_by_folder(paths: Iterable[str | Path]) -> dict[str, int]:
-    """Return what `bits_of` returns for the first image of each folder, where it is there and has 16 bits."""
-    first: dict[Path, str | Path] = {}
+    """Return what `bits_of` returns for each folder in which one of a few images has 16 bits."""
+    folders: dict[str, list[str | Path]] = {}
     for path in paths:
-        first.setdefault(Path(path).absolute().parent, path)
-    found = {}
-    for folder, path in first.items():
-        with suppress(OSError, ValueError, cv2.error):
-            found[str(folder)] = bits_of(path)
-    return {folder: bits for folder, bits in found.items() if bits is not None}
+        folders.setdefault(os.path.dirname(path), []).append(path)  # noqa: PTH120 (tens of thousands of paths)
+    found = dict[str, int]()
+    for folder, inside in folders.items():
+        for path in spread(inside, _SPOT):
+            with suppress(OSError, ValueError, cv2.error):
+                if (bits := bits_of(path)) is not None:
+                    found[os.path.abspath(folder)] = bits  # noqa: PTH100
+                    break
+    return found
 
 
 def _bits_in(folder: Path) -> int:
@@ -135,10 +150,7 @@ def _bits_found(folder: Path) -> int:
         with suppress(OSError, cv2.error):
             if (image := _deep(file.read_bytes())) is not None:
                 most = max(most, bits_used(image))
-    most = most or 16
-    if most < 16:
-        logger.warning("%s: its images use %d of 16 bits, and are brightened alike", folder, most)
-    return most
+    return most or 16
 
 
 def spread(items: Sequence[Any] | NDArray[Any], most: int) -> list[Any]:

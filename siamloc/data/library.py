@@ -55,7 +55,7 @@ class PanoramaLibrary:
         circular: whether the columns wrap around.
         preprocessing: reads an image and makes a panorama of it, with image size and camera.
         cameras: the camera of each drive, by sequence: of an `AutoRing`, the ring that its pictures show.
-        sizes: `Preprocessing.size` of each drive: that of the first picture, of an `AutoRing` of the drive's first.
+        sizes: `Preprocessing.size` of each drive: that of most pictures, of an `AutoRing` of most of the drive's.
         simulated: whether siamloc simulated all images, so that panoramas show the elevations that they should.
 
     Raises:

@@ -178,6 +178,9 @@ def images_of(folder: Path, times: Path | None = None, span: float | None = None
     there, listed = {file.name: file for file in files}, dict[str, tuple[int, str]]()
     for number, words in rows:
         name, time = _named(words, there)
+        if name and not is_number(time):
+            line = shortened(" ".join(words))
+            raise DataError(f"{times}, line {number}: expected a time and the name of an image, got {line!r}")
         if name in listed:
             raise DataError(
                 f"{times}, line {number}: image {name!r} is already in line {listed[name][0]}: remove one of the lines"
@@ -193,12 +196,15 @@ def images_of(folder: Path, times: Path | None = None, span: float | None = None
 
 
 def _named(words: list[str], there: Container[str]) -> tuple[str, str]:
-    """Return the image and the time in a row, in either order, or two empty texts; a name may hold spaces."""
-    for start in (1, 0):
-        for end in range(start + 1, len(words) + start):
-            name, time = Path(" ".join(words[start:end])).name, words[0 if start else end]
-            if name in there and is_number(time):
-                return name, time
+    """Return the image in a row and the time before it, or after it at the end; else two empty texts.
+
+    A name may hold spaces.
+    """
+    last = len(words) - 1
+    for start, end in (*((1, end) for end in range(2, last + 2)), (0, last)):
+        name = Path(" ".join(words[start:end])).name
+        if name in there:
+            return name, words[0 if start else last]
     return "", ""
 
 

@@ -50,7 +50,7 @@ _WHOLE_TURN = 2 * np.pi + 0.01
 _EXACTLY = 1e-6  # rad
 _ROTATES = 0.01  # by which the product of a rotation matrix and its transpose may differ from the unit matrix
 _NO_GAP = 1e9  # s
-_HEADING = {"theta", "yaw", "heading"}  # words in the name of a column
+_HEADING = {"theta", "th", "yaw", "heading", "phi", "psi", "angle"}  # words in the name of a column
 _OTHER_UNITS = {"mm", "cm", "km", "ft", "feet", "deg", "degree", "degrees"}
 _COLUMNS = {"tum": 8, "kitti": 12, "euroc": 8, "planar": 4}
 _DATED = re.compile(  # 2011-09-26 13:02:25.964, maybe with a time zone
@@ -386,10 +386,15 @@ def _split(line: str) -> list[str]:
 
 
 def headed(path: Path) -> tuple[list[str], list[tuple[int, list[str]]]]:
-    """Return the names in the first line of a text file, if no word there begins as a number, and the other rows."""
+    """Return the names of the columns, in a line without numbers or in a comment before the first row, and the rows."""
     rows = text_rows(path)
-    first, second = (any(word[0].isdigit() or is_number(word) for word in words) for _, words in (rows * 2)[:2])
-    return (rows[0][1], rows[1:]) if second > first else ([], rows)
+    first, second = (words[0][0].isdigit() or any(map(is_number, words)) for _, words in (rows * 2)[:2])
+    if second > first:
+        return rows[0][1], rows[1:]
+    above = [line for line in read_text(path).splitlines()[: rows[0][0] - 1] if line.startswith("#")]
+    names = _split(above[-1].lstrip("#")) if above else []
+    named = len(names) == len(rows[0][1]) > 1 and any(word.endswith("x") for word in _words(names[1].lower()))
+    return names if named else [], rows
 
 
 def _since_1970(dated: re.Match[str]) -> str:

@@ -11,6 +11,8 @@ from siamloc.data.presets import AutoRing, ColdRing
 from siamloc.maps.heading import parts_of
 
 _RINGS = {kind.__name__ for kind in (PolarRing, AutoRing, ColdRing)}  # whose rows have no known elevations
+BY_DRIVE = AutoRing.__name__, ColdRing.__name__
+"""Cameras whose values are found in the pictures of each drive."""
 _FOUND = {"centre", "inner", "outer"}  # values of an `AutoRing` that may differ from drive to drive
 
 
@@ -35,5 +37,6 @@ def exchangeable(camera: Mapping[str, Any] | None, other: Mapping[str, Any] | No
         return False
     if camera.get("kind") not in _RINGS and other.get("kind") not in _RINGS:
         return True
-    found = camera.get("kind") in (AutoRing.__name__, ColdRing.__name__)
-    return found and all(camera.get(key) == other.get(key) for key in {*camera, *other} - _FOUND)
+    return camera.get("kind") in BY_DRIVE and all(
+        camera.get(key) == other.get(key) for key in {*camera, *other} - _FOUND
+    )

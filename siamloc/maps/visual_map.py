@@ -33,7 +33,7 @@ from siamloc.maps.heading import (
     parts_of,
 )
 from siamloc.maps.history import UPKEEP, History, merged_upkeep, upkeep_of
-from siamloc.maps.identities import differences, exchangeable
+from siamloc.maps.identities import BY_DRIVE, differences, exchangeable
 from siamloc.maps.map_file import read_map, write_map
 from siamloc.maps.packing import Precision, shares_values
 from siamloc.maps.search import Retrieval, VectorIndex
@@ -480,7 +480,8 @@ class VisualMap:
         if "images" in self.identity:
             camera, other = ((one or {}).get("camera") for one in (self.identity["images"], preprocessing))
             had = self.made.get("size")
-            if camera and size and had and tuple(had) != size and plain(camera) == plain(other):
+            fixed = camera and camera["kind"] not in BY_DRIVE and plain(camera) == plain(other)
+            if fixed and size and had and tuple(had) != size:
                 (rows, columns), (height, width) = had, size
                 raise ConfigError(
                     f"the camera's parameters count in the map's pictures of {columns} x {rows} px, and these have "

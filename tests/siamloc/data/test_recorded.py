@@ -169,7 +169,17 @@ def test_kitti_has_a_pose_for_each_image(tmp_path):
         ([], {}, "holds no images"),
         (["000000.png"], {"times": "0\n1\n"}, "holds 2 times for 1 images in .*: expected one each"),
         (["000000.png"], {"times": "0 a.png\n"}, "names no image of .*: expected a time and the name of an image"),
-        (["000000.png"], {"times": "now 000000.png\n"}, "on each line, got 'now 000000.png'"),
+        (
+            ["000000.png"],
+            {"times": "now 000000.png\n"},
+            "line 1: expected a time and the name of an image, got 'now 000000.png'",
+        ),
+        (
+            ["a.png", "b.png"],
+            {"times": "1 a.png\n12:30:01 b.png\n"},
+            "line 2: expected a time and the name of an image",
+        ),
+        (["a.png"], {"times": "name,seq,stamp\na.png,0,17.5\n"}, "names no image of .*: expected a time"),
         (["000000.png"], {"times": "now\n"}, "is not a list of times"),
         (["0.png", "1.png"], {"times": "10:15:30\n10:15:31\n"}, "is not a list of times: .*'10:15:30'"),
         (["a.png"], {"times": "0 a.png\n1 a.png\n"}, "line 2: image 'a.png' is already in line 1: remove one of the"),

@@ -207,6 +207,7 @@ BAD = {
     "has the columns time, theta, x, y: expected the time, x and y first": "time,theta,x,y\n0,1,2,3\n1,1,2,3\n",
     "has the column 'z' where a trajectory in planar form has the heading: name it theta": "time,x,y,z\n0,1,2,3\n",
     "has the column 'theta_deg': convert it to m or rad": "time,x,y,theta_deg\n0,1,2,3\n1,1,2,3\n",
+    "has the column 'yaw_deg': convert it to m or rad": "# a drive\n# time x y yaw_deg\n0 1 2 3\n1 1 2 3\n",
     "has the column 'x_mm': convert it to m or rad": "time x_mm y_mm yaw\n0 1 2 3\n1 1 2 3\n",
     "the matrix of pose 2 is not a rotation": "1 0 0 0 0 1 0 0 0 0 1 0\n1 0 0 0 0 2 0 0 0 0 1 0\n",
     "1 of 1 poses .* are not three finite numbers": "0 0 nan 0 0 0 0 1\n",
@@ -231,10 +232,11 @@ def test_poses_from_before_a_robot_knows_one_are_left_out(tmp_path, caplog):
     assert "2 of 4 poses" in caplog.text
 
 
+@pytest.mark.parametrize("mark", ["", "# "])
 @pytest.mark.parametrize("separator", [",", " "])
 @pytest.mark.parametrize(("names", "order"), [("qx qy qz qw", [0, 1, 2, 3]), ("q_w q_x q_y q_z", [3, 0, 1, 2])])
-def test_the_names_of_the_columns_say_the_order(tmp_path, names, order, separator):
-    head = separator.join(f"time x y z {names}".split()) + "\n"
+def test_the_names_of_the_columns_say_the_order(tmp_path, names, order, separator, mark):
+    head = mark + separator.join(f"time x y z {names}".split()) + "\n"
     columns = (TIME, XY, np.full(60, 0.3), turns().as_quat()[:, order])
     (tmp_path / "poses").write_text(lines(*columns, separator=separator, head=head))
     same_heading(read_trajectory(tmp_path / "poses").flat()[:, 2], HEADING)
