@@ -88,8 +88,9 @@ def run(command: str, words: list[str]) -> None:
         problem = _explained(first, given, kind)
         if sweep.words and isinstance(problem, SiamlocError):
             where = " ".join(f"{key}={word}" for key, word in sweep.words.items())
-            said = f"{problem} (at {where}, which ended the sweep; jobs not run: {len(failed) - 1})"
-            raise type(problem)(said) from problem
+            raise SiamlocError(
+                f"{problem} (at {where}, which ended the sweep; jobs not run: {len(failed) - 1})"
+            ) from problem
         raise problem
 
 

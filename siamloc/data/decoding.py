@@ -161,8 +161,11 @@ class Preprocessing:
         camera = self.camera
         if self.size is not None or (camera is not None and ":" in _name(type(camera))):  # one's own is told each size
             return self
-        sizes = Counter[tuple[int, ...]]()
-        for path in spread(paths, _SIZED):
+        sizes, left = Counter[tuple[int, ...]](), _SIZED
+        for path in (*spread(paths, _SIZED), *paths):
+            if left <= 0 and sizes:
+                break
+            left -= 1
             with suppress(UnreadableImageError, DataError):
                 sizes[dataclasses.replace(self, bits=16)._read(path).shape[:2]] += 1
         if not sizes:

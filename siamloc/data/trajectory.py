@@ -391,10 +391,11 @@ def headed(path: Path) -> tuple[list[str], list[tuple[int, list[str]]]]:
     first, second = (words[0][0].isdigit() or any(map(is_number, words)) for _, words in (rows * 2)[:2])
     if second > first:
         return rows[0][1], rows[1:]
-    above = [line for line in read_text(path).splitlines()[: rows[0][0] - 1] if line.startswith("#")]
-    names = _split(above[-1].lstrip("#")) if above else []
-    named = len(names) == len(rows[0][1]) > 1 and any(word.endswith("x") for word in _words(names[1].lower()))
-    return names if named else [], rows
+    above = [line for line in read_text(path).removeprefix("\ufeff").splitlines()[: rows[0][0] - 1] if line[:1] == "#"]
+    for names in reversed([_split(line.lstrip("#")) for line in above]):
+        if len(names) == len(rows[0][1]) > 1 and any(word.endswith("x") for word in _words(names[1].lower())):
+            return names, rows
+    return [], rows
 
 
 def _since_1970(dated: re.Match[str]) -> str:

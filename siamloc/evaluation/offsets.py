@@ -52,11 +52,12 @@ def implausible_offsets(known: FrameTable, queries: FrameTable, matches: NDArray
             )
 
 
-def overlapping_buildings(frames: FrameTable) -> str:
-    """Return a sentence about two buildings of a map that lie over each other; an empty text if none do."""
-    placed = frames.take(frames.has_position)
-    named = {name: placed.xy[rows] for name, rows in placed.rows_by("building").items() if name}
-    spans = {name: (xy.min(axis=0), xy.max(axis=0)) for name, xy in named.items()}
+def overlapping_buildings(*tables: FrameTable) -> str:
+    """Return a sentence about two buildings of a map, and its queries, that overlap; an empty text if none do."""
+    xy, building = (np.concatenate([getattr(one, key) for one in tables]) for key in ("xy", "building"))
+    placed = np.isfinite(xy).all(axis=1) & (building != "")
+    named = {name: xy[placed & (building == name)] for name in np.unique(building[placed]).tolist()}
+    spans = {name: (own.min(axis=0), own.max(axis=0)) for name, own in named.items()}
     for (one, (low, high)), (other, (least, most)) in combinations(spans.items(), 2):
         if (low <= most).all() and (least <= high).all():
             return (

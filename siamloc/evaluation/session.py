@@ -139,7 +139,7 @@ class Session:
         known.check_images(images.preprocessing.parameters(), images.preprocessing.size)
         tables = known.frames, self.queries, self.validation
         check_units(one for one in tables if one is not None and one.has_position.any())
-        if text := overlapping_buildings(known.frames):
+        if text := overlapping_buildings(known.frames, self.queries):
             self.skipped["buildings"] = text
         self._check_apart()
 

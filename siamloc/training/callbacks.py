@@ -183,13 +183,7 @@ class Curves(Checkpoint):
         self._validated = True
 
     def on_train_epoch_end(self, trainer: Trainer, pl_module: LightningModule) -> None:
-        """Write the figures of the epoch as a row of the file.
-
-        Raises:
-            StopIteration: the training ends within the epoch; Lightning then writes no checkpoint of the epoch.
-        """
-        if not trainer.fit_loop.epoch_loop._num_ready_batches_reached():
-            raise StopIteration
+        """Write the figures of the epoch as a row of the file."""
         old = " " if self._validated else "val/"  # the trainer keeps the figures of earlier validations
         figures = trainer.callback_metrics.items()
         values = {key: float(value) for key, value in figures if "/" in key and not key.startswith(old)}
@@ -223,7 +217,8 @@ class Curves(Checkpoint):
         self._tell(trainer, ", ".join(parts))
         board = any(isinstance(logger, TensorBoardLogger) for logger in trainer.loggers)
         curves = f"tensorboard --logdir {quote(str(self._run.tensorboard))}" if board else str(self._run.metrics)
-        self._tell(trainer, f"{kept}curves: {curves}")
+        if self._rows:
+            self._tell(trainer, f"{kept}curves: {curves}")
 
     def state_dict(self) -> dict[str, Any]:
         """Return the rows so far, for the checkpoint."""

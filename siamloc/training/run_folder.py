@@ -132,7 +132,8 @@ def check_same_training(run: Run, now: Mapping[str, Any], epochs: int) -> None:
     for section in (one for one in _LEARNED if one != "model" or not unknown):
         old, new = (dict(leaves({section: used.get(section)})) for used in (before, now))
         for key in sorted({*old, *new}):
-            if old.get(key) != new.get(key) and not key.startswith(free):
+            told = key in old or section != "trainer"  # older records hold less of the trainer
+            if told and old.get(key) != new.get(key) and not key.startswith(free):
                 raise ConfigError(
                     f"{run.folder} was trained with {key}={old.get(key)} and cannot be resumed with "
                     f"{key}={new.get(key)}: leave it as it was, or train another run"

@@ -15,7 +15,7 @@ from torch import Tensor
 
 from siamloc.errors import ConfigError
 from siamloc.interrupts import handled, stop_once
-from siamloc.lightning import Checkpoint, LightningModule, SIGTERMException, Trainer
+from siamloc.lightning import Callback, Checkpoint, LightningModule, SIGTERMException, Trainer
 from siamloc.models.module import NetworkModule
 from siamloc.training.guard import FiniteGuard
 from siamloc.training.run_folder import EPOCH_SUMS
@@ -42,18 +42,12 @@ class StepCheckpoints(Checkpoint):
     def __init__(self, path: Path, every: int | None, guard: FiniteGuard) -> None:
         self.asked = self.begun = False
         self._path, self._every, self._guard = path, every, guard
-        self._due = self._saving = self._limited = False
-        self._step, self._max_steps = 0, -1
+        self._due = self._saving = self.limited = False
+        self._step = 0
         self._sums: dict[str, Tensor] = {}
 
-    def on_fit_start(self, trainer: Trainer, pl_module: LightningModule) -> None:
-        """Hide max_steps while the loops are restored: with it, Lightning would begin a finished epoch again."""
-        loop = trainer.fit_loop.epoch_loop
-        self._max_steps, loop.max_steps = loop.max_steps, -1
-
     def on_train_start(self, trainer: Trainer, pl_module: LightningModule) -> None:
-        """Restore max_steps, and the sums of the epoch that a checkpoint within the epoch holds."""
-        trainer.fit_loop.epoch_loop.max_steps = self._max_steps
+        """Restore the sums of the epoch that a checkpoint within the epoch holds."""
         self._step = trainer.global_step
         if self._sums and isinstance(pl_module, NetworkModule):
             pl_module.load_epoch_sums({name: value.to(pl_module.device) for name, value in self._sums.items()})
@@ -77,12 +71,12 @@ class StepCheckpoints(Checkpoint):
         if loop._num_ready_batches_reached():
             return
         if trainer.fit_loop.done:
-            self._limited, trainer.should_stop = True, False  # which would validate at once
+            self.limited, trainer.should_stop = True, False  # which would validate at once
         fetcher = trainer.fit_loop._data_fetcher
         assert fetcher is not None
         # The trainer cannot resume in the middle of these.
-        busy = loop._should_accumulate() or (loop._should_check_val_fx(fetcher) and not self._limited)
-        if busy or not (self._due or self.asked or self._limited):
+        busy = loop._should_accumulate() or (loop._should_check_val_fx(fetcher) and not self.limited)
+        if busy or not (self._due or self.asked or self.limited):
             return
         self._guard.settle(trainer, pl_module)
         self._saving = True
@@ -92,7 +86,7 @@ class StepCheckpoints(Checkpoint):
             self._saving = self._due = False
         if self.asked:
             raise KeyboardInterrupt
-        if self._limited:
+        if self.limited:
             raise StopIteration
 
     def on_validation_batch_end(self, trainer: Trainer, *_: Any) -> None:
@@ -108,7 +102,7 @@ class StepCheckpoints(Checkpoint):
             KeyboardInterrupt: the training was asked to stop.
         """
         self._due = False
-        trainer.should_stop |= self._limited
+        trainer.should_stop |= self.limited
         if self.asked and trainer.current_epoch + 1 < (trainer.max_epochs or 0):
             raise KeyboardInterrupt
 
@@ -138,6 +132,35 @@ class StepCheckpoints(Checkpoint):
                 f"those of {trainer.world_size}: resume with trainer.devices={len(sums)}"
             )
         self._sums = sums[trainer.global_rank]
+
+
+class Limits(Callback):
+    """Let max_steps, max_time and callbacks end a training within an epoch; the first of all callbacks.
+
+    Args:
+        steps: writes the checkpoint there.
+    """
+
+    def __init__(self, steps: StepCheckpoints) -> None:
+        self._steps, self._max_steps = steps, -1
+
+    def on_fit_start(self, trainer: Trainer, pl_module: LightningModule) -> None:
+        """Hide max_steps while the loops are restored: with it, Lightning would begin a finished epoch again."""
+        loop = trainer.fit_loop.epoch_loop
+        self._max_steps, loop.max_steps = loop.max_steps, -1
+
+    def on_train_start(self, trainer: Trainer, pl_module: LightningModule) -> None:
+        """Restore max_steps."""
+        trainer.fit_loop.epoch_loop.max_steps = self._max_steps
+
+    def on_train_epoch_end(self, trainer: Trainer, pl_module: LightningModule) -> None:
+        """Let nobody take a part of an epoch for a whole one.
+
+        Raises:
+            StopIteration: the training ends within the epoch; Lightning then writes no checkpoint of the epoch.
+        """
+        if self._steps.limited and not trainer.fit_loop.epoch_loop._num_ready_batches_reached():
+            raise StopIteration
 
 
 def first_interrupt_asks(checkpoints: StepCheckpoints) -> AbstractContextManager[Any]:

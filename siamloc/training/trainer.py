@@ -28,7 +28,7 @@ from siamloc.training.guard import FiniteGuard
 from siamloc.training.loggers import check_loggers, listed, loggers_of
 from siamloc.training.pace import Pace
 from siamloc.training.settings import Training
-from siamloc.training.stopping import StepCheckpoints
+from siamloc.training.stopping import Limits, StepCheckpoints
 
 TRAINER: Mapping[str, Any] = {"accelerator": "auto", "devices": 1, "log_every_n_steps": 10, "logger": "tensorboard"}
 """Default arguments of `lightning.Trainer` in `fit`."""
@@ -75,7 +75,7 @@ def run_trainer(run: Run, settings: Training, further: Mapping[str, Any] | None,
         "max_epochs": settings.epochs,
         "default_root_dir": run.folder,
         "logger": loggers,
-        "callbacks": [*callbacks, *checkpoint_callbacks(run.checkpoints, monitor), steps],
+        "callbacks": [Limits(steps), *callbacks, *checkpoint_callbacks(run.checkpoints, monitor), steps],
         "plugins": [*plugins, AtomicCheckpoints()],
         "num_sanity_val_steps": 0,
         "limit_val_batches": 1.0 if monitor else 0,
@@ -91,9 +91,11 @@ def run_trainer(run: Run, settings: Training, further: Mapping[str, Any] | None,
 def recorded(trainer: Trainer, further: Mapping[str, Any] | None) -> dict[str, Any]:
     """Return the trainer's settings, besides the number of batches, that determine the steps and what they learn."""
     keys = "accumulate_grad_batches", "limit_train_batches", "max_steps"
-    clipping = {key: (further or {}).get(key) for key in ("gradient_clip_val", "gradient_clip_algorithm")}
-    steps = {key: getattr(trainer, key) for key in keys}
-    return {"precision": precision_of(further), "processes": trainer.world_size, **steps, **clipping}
+    steps, given = {key: getattr(trainer, key) for key in keys}, further or {}
+    clipping = {"gradient_clip_val": given.get("gradient_clip_val")}
+    clipping["gradient_clip_algorithm"] = given.get("gradient_clip_algorithm") or "norm"
+    precision = "auto" if precision_of(given) == "auto" else str(trainer.precision)
+    return {"precision": precision, "processes": trainer.world_size, **steps, **clipping}
 
 
 def check_trainer(further: Mapping[str, Any] | None) -> Trainer:

@@ -232,7 +232,7 @@ def test_poses_from_before_a_robot_knows_one_are_left_out(tmp_path, caplog):
     assert "2 of 4 poses" in caplog.text
 
 
-@pytest.mark.parametrize("mark", ["", "# "])
+@pytest.mark.parametrize("mark", ["", "# ", "\ufeff# "])
 @pytest.mark.parametrize("separator", [",", " "])
 @pytest.mark.parametrize(("names", "order"), [("qx qy qz qw", [0, 1, 2, 3]), ("q_w q_x q_y q_z", [3, 0, 1, 2])])
 def test_the_names_of_the_columns_say_the_order(tmp_path, names, order, separator, mark):

@@ -23,6 +23,7 @@ from tests.siamloc.training.conftest import SETTINGS, Small
 
 ensure_torchvision()
 from lightning.pytorch import Callback  # noqa: E402
+from lightning.pytorch.callbacks import EarlyStopping  # noqa: E402
 
 STEPS = 6
 CASES = {
@@ -146,6 +147,22 @@ def test_a_training_goes_on_where_a_limit_of_the_trainer_ended_it(
     assert progress(siamloc.training.Run(tmp_path / "cut")) == kept
     longer = {"max_steps": 10 * STEPS} if limits else {}
     same(whole, train("cut", "pairs", gathered=gathered, limits=longer, resume=True))
+
+
+def test_callbacks_that_judge_validations_see_no_epoch_that_a_limit_ended(train, tmp_path):
+    train("cut", "pairs", Limit(), EarlyStopping("val/loss"))
+    assert progress(siamloc.training.Run(tmp_path / "cut")) == (0, STEPS // 2 + 1)
+
+
+class StopAtValidation(Callback):
+    def on_validation_end(self, trainer, *_):
+        trainer.should_stop = True
+
+
+def test_a_stop_at_a_validation_within_an_epoch_keeps_its_figures(train, tmp_path):
+    run = train("cut", "pairs", StopAtValidation(), limits={"val_check_interval": 0.5})
+    assert (run.checkpoints / "last.ckpt").is_file()
+    assert run.curves()["step"].tolist() == [STEPS // 2]
 
 
 def test_sigterm_before_the_first_step_ends_the_training_at_once(train, monkeypatch):
