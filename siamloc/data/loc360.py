@@ -12,7 +12,8 @@ import numpy as np
 from foundation.settings import shortened
 from siamloc.data.frames import TILT, FrameTable, placed
 from siamloc.data.image_files import image_files
-from siamloc.data.trajectory import Array, Axes, Trajectory, text_rows
+from siamloc.data.text_rows import text_rows
+from siamloc.data.trajectory import Array, Axes, Trajectory
 from siamloc.errors import DataError, Policy, hint
 
 _PARTS = {"mapping": "mapping", "query_360": "query"}

@@ -13,7 +13,8 @@ from siamloc.data.frames import BAGS, ODOMETRY, TILT, FrameTable, advice, in_cap
 from siamloc.data.image_files import image_files
 from siamloc.data.names import lighting_in
 from siamloc.data.picture_times import taken_at
-from siamloc.data.trajectory import Array, Axes, Form, Order, Trajectory, headed, is_number, read_trajectory, seconds
+from siamloc.data.text_rows import headed, is_number
+from siamloc.data.trajectory import Array, Axes, Form, Order, Trajectory, read_trajectory, seconds
 from siamloc.data.trajectory_checks import doubts
 from siamloc.errors import DataError, Policy, logger
 

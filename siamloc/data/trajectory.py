@@ -7,12 +7,9 @@ maybe more columns. Planar: `time x y heading`, in rad.
 
 from __future__ import annotations
 
-import csv
 import re
 from collections.abc import Sequence
-from contextlib import suppress
 from dataclasses import dataclass
-from datetime import datetime
 from pathlib import Path
 from typing import Literal, get_args
 
@@ -22,6 +19,7 @@ from numpy.typing import NDArray
 from foundation.calls import typed
 from foundation.files import read_text
 from foundation.settings import Positive, shortened
+from siamloc.data.text_rows import headed, is_number, name_words
 from siamloc.errors import DataError, leave_out, logger, say_once
 
 Array = NDArray[np.float64]
@@ -53,9 +51,6 @@ _NO_GAP = 1e9  # s
 _HEADING = {"theta", "th", "yaw", "heading", "phi", "psi", "angle"}  # words in the name of a column
 _OTHER_UNITS = {"mm", "cm", "km", "ft", "feet", "deg", "degree", "degrees"}
 _COLUMNS = {"tum": 8, "kitti": 12, "euroc": 8, "planar": 4}
-_DATED = re.compile(  # 2011-09-26 13:02:25.964, maybe with a time zone
-    r"(\d{4}-\d\d-\d\d)[ T](\d\d:\d\d:\d\d)(\.\d+)?(Z|[+-]\d\d:?\d\d)?(?=[\s,;\"]|$)"
-)
 
 
 @dataclass(frozen=True, eq=False)
@@ -298,10 +293,10 @@ def read_trajectory(file: str | Path, form: Form | None = None, order: Order | N
             f"{path} has {numbers.shape[1]} numbers on a line, and a trajectory in {form} form has {_COLUMNS[form]}: "
             "give form=tum, kitti, euroc or planar (time, x, y, heading)"
         )
-    if other := next((name for name in names[1 : _COLUMNS[form]] if _OTHER_UNITS & _words(name)), None):
+    if other := next((name for name in names[1 : _COLUMNS[form]] if _OTHER_UNITS & name_words(name)), None):
         raise DataError(f"{path} has the column {other!r}: convert it to m or rad, and name it without the unit")
     if form == "planar":
-        if names and not _HEADING & _words(names[3]):
+        if names and not _HEADING & name_words(names[3]):
             raise DataError(
                 f"{path} has the column {names[3]!r} where a trajectory in planar form has the heading: name it theta, "
                 "yaw or heading if it is one, in rad, or give quaternions"
@@ -356,54 +351,6 @@ def seconds(times: Array, source: str, span: float | None = None) -> Array:
     return times * factor
 
 
-def text_rows(path: Path) -> list[tuple[int, list[str]]]:
-    """Return the line number and the words of each line of a text file that is neither empty nor a comment.
-
-    Spaces, commas or semicolons separate words, which may be quoted. A date with a time of day becomes a
-    number of seconds since 1970, as in UTC where it has no time zone.
-
-    Raises:
-        DataError: the file cannot be read, or is empty.
-    """
-    try:
-        text = read_text(path).removeprefix("\ufeff")
-        lines = (_DATED.sub(_since_1970, text) if ":" in text else text).splitlines()
-        rows = [(number, _split(line)) for number, line in enumerate(lines, 1)]
-    except (OSError, ValueError, csv.Error) as error:
-        raise DataError(f"{path} cannot be read: {getattr(error, 'strerror', None) or error}") from error
-    rows = [(number, words) for number, words in rows if words and not words[0].startswith("#")]
-    if not rows:
-        raise DataError(f"{path} is empty: expected a line for each entry")
-    return rows
-
-
-def _split(line: str) -> list[str]:
-    mark = next((mark for mark in ";," if mark in line), " ")
-    if mark == " " and '"' not in line:
-        return line.split()  # fast
-    (words,) = csv.reader([line.replace("\t", " ").strip()], delimiter=mark, skipinitialspace=True)
-    return [word.strip() for word in words if word.strip()]
-
-
-def headed(path: Path) -> tuple[list[str], list[tuple[int, list[str]]]]:
-    """Return the names of the columns, in a line without numbers or in a comment before the first row, and the rows."""
-    rows = text_rows(path)
-    first, second = (words[0][0].isdigit() or any(map(is_number, words)) for _, words in (rows * 2)[:2])
-    if second > first:
-        return rows[0][1], rows[1:]
-    above = [line for line in read_text(path).removeprefix("\ufeff").splitlines()[: rows[0][0] - 1] if line[:1] == "#"]
-    for names in reversed([_split(line.lstrip("#")) for line in above]):
-        if len(names) == len(rows[0][1]) > 1 and any(word.endswith("x") for word in _words(names[1].lower())):
-            return names, rows
-    return [], rows
-
-
-def _since_1970(dated: re.Match[str]) -> str:
-    zone = datetime.strptime(dated[4] or "Z", "%z").tzinfo
-    time = datetime.fromisoformat(f"{dated[1]} {dated[2]}").replace(tzinfo=zone)
-    return f"{time.timestamp():.0f}{dated[3] or ''}"
-
-
 def read_numbers(path: Path) -> tuple[Array, list[str], bool]:
     """Return the numbers of a file (n, columns), the names of the columns, and whether commas separate them.
 
@@ -424,18 +371,6 @@ def read_numbers(path: Path) -> tuple[Array, list[str], bool]:
         raise DataError(f"{path} has the columns {', '.join(names)}: expected the time, x and y first")
     numbers = np.array([words for _, words in rows], dtype=np.float64)
     return numbers, names if len(names) == width else [], "," in lines[rows[0][0] - 1]
-
-
-def _words(name: str) -> set[str]:
-    return set(re.findall("[a-z]+", name))
-
-
-def is_number(word: str) -> bool:
-    """Return whether a word is a number."""
-    with suppress(ValueError):
-        float(word)
-        return True
-    return False
 
 
 def _of_matrices(matrices: Array, path: Path) -> Array:
