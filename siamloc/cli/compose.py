@@ -56,12 +56,13 @@ def run(command: str, words: list[str]) -> None:
     import hydra
 
     _register(kind, words)
-    failed: list[tuple[Exception, Sweep]] = []
+    failed, not_run = list[tuple[Exception, Sweep]](), 0
     process = os.getpid()
 
     def job(config: DictConfig) -> None:
+        nonlocal not_run
         if failed:  # an earlier job of the sweep
-            failed.append(failed[0])
+            not_run += 1
             return
         sys.argv = arguments  # used by the trainer to start further processes
         sweep = _sweep_of_the_job()
@@ -88,9 +89,7 @@ def run(command: str, words: list[str]) -> None:
         problem = _explained(first, given, kind)
         if sweep.words and isinstance(problem, SiamlocError):
             where = " ".join(f"{key}={word}" for key, word in sweep.words.items())
-            raise SiamlocError(
-                f"{problem} (at {where}, which ended the sweep; jobs not run: {len(failed) - 1})"
-            ) from problem
+            raise SiamlocError(f"{problem} (at {where}, which ended the sweep; jobs not run: {not_run})") from problem
         raise problem
 
 

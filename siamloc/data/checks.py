@@ -21,10 +21,10 @@ from siamloc.data.pairs import diameter
 from siamloc.data.panorama import OmnidirectionalCamera, PanoramaView, seen
 from siamloc.data.photo_sphere import stated
 from siamloc.data.picture_checks import drive_faults
+from siamloc.data.picture_times import NO_DRIVE
 from siamloc.data.trajectory_checks import other_unit
 
 _SHORTEST, _LONGEST = 1e-3, 20.0  # m, usual steps between two images of a robot indoors
-_NO_PAUSE = 1e9  # s, 30 years: times so far apart are in different units
 _PROBED = 32  # images of a data set that are opened for their size
 _FITS, _FAILS = 0.9, 0.7  # how well headings follow the direction of travel, from 0 (not at all) to 1
 _PANORAMIC = 1.8  # times as wide as high: the least of whole pictures of a 360-degree camera
@@ -240,7 +240,7 @@ def _drives(frames: FrameTable) -> Iterator[str]:
         if len(gaps) > 10 and gaps.max() > max(20 * np.median(gaps), 10.0):
             at = int(gaps.argmax()) + 1
             advice = "a filter over time should start again there. Give it its own sequence."
-            if gaps.max() > _NO_PAUSE > np.median(gaps):
+            if gaps.max() > NO_DRIVE > np.median(gaps):
                 advice = "these are times in different units. Give all in seconds."
             yield (
                 f"{drive} pauses for {gaps.max():.0f} s before {own.path[at]}, where frames usually are "
@@ -248,8 +248,8 @@ def _drives(frames: FrameTable) -> Iterator[str]:
             )
         if len(moves) > 10 and frames.unit == "m":
             passed = np.diff(known.time)
-            drives = (steps > usual / 20) & (passed < 20 * np.median(passed))
-            if said := other_unit(drive, float(steps[drives].sum()), float(passed[drives].sum())):
+            moving = (steps > usual / 20) & (passed < 20 * np.median(passed))
+            if said := other_unit(drive, float(steps[moving].sum()), float(passed[moving].sum())):
                 yield f"{said}."
         same = int((gaps == 0).sum())
         if same:

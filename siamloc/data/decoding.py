@@ -5,9 +5,10 @@ from __future__ import annotations
 import dataclasses
 import sys
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
+from itertools import islice
 from pathlib import Path
 from typing import Any, cast
 
@@ -161,13 +162,7 @@ class Preprocessing:
         camera = self.camera
         if self.size is not None or (camera is not None and ":" in _name(type(camera))):  # one's own is told each size
             return self
-        sizes, left = Counter[tuple[int, ...]](), _SIZED
-        for path in (*spread(paths, _SIZED), *paths):
-            if left <= 0 and sizes:
-                break
-            left -= 1
-            with suppress(UnreadableImageError, DataError):
-                sizes[dataclasses.replace(self, bits=16)._read(path).shape[:2]] += 1
+        sizes = Counter(self._sizes(spread(paths, _SIZED))) or Counter(islice(self._sizes(paths), 1))
         if not sizes:
             return self
         rows, columns = sizes.most_common(1)[0][0]
@@ -175,6 +170,13 @@ class Preprocessing:
             if camera is None or in_pixels(camera, self.view, (rows, columns)):
                 return dataclasses.replace(self, size=(rows, columns))
         return self
+
+    def _sizes(self, paths: Iterable[str | Path]) -> Iterator[tuple[int, ...]]:
+        """Yield the rows and columns of the pictures that can be read."""
+        light = dataclasses.replace(self, bits=16)  # which need not be counted
+        for path in paths:
+            with suppress(UnreadableImageError, DataError):
+                yield light._read(path).shape[:2]
 
     def panorama(
         self, path: str | Path, tilt: NDArray[np.float64] | Sequence[float] | None = None

@@ -21,7 +21,7 @@ _DATE = re.compile(  # 20260512_101523, 20260512_101523123, 2026-05-12 at 10.15.
 _COUNTER = 1e8, 1e4  # whole numbers below it, in smaller steps, count images and are no times
 _A_SECOND = 30  # pictures of one second, at most
 _QUARTER = 900  # s; time zones differ by whole quarters of an hour
-_NO_DRIVE = 1e9  # s, 30 years: times so far apart are in different units
+NO_DRIVE = 1e9  # s, 30 years: times so far apart are in different units
 _PICTURE_TAGS, _TAKEN, _FRACTION, _ZONE = 0x8769, 0x9003, 0x9291, 0x9011  # of EXIF
 
 
@@ -72,7 +72,7 @@ def _check_alike(files: Sequence[Path], stamps: Array) -> None:
     one, other = int(stamps.argmin()), int(stamps.argmax())
     if any(dated) and not all(dated):
         one, other = dated.index(True), dated.index(False)
-    elif stamps[other] - stamps[one] < _NO_DRIVE:
+    elif stamps[other] - stamps[one] < NO_DRIVE:
         return
     raise DataError(
         f"{files[0].parent}: names such as {files[one].name} and {files[other].name} hold times of different kinds: "

@@ -60,8 +60,8 @@ def evaluate_absolute(
         by: {label: len(rows) for label, rows in rows_by_label(columns[by]).items()} for by in ("lighting", "room")
     }
     aside = list(implausible_offsets(known, frames, found.indices[:, 0]))
-    named = known.building[found.indices[:, 0]], frames.building
-    if elsewhere := int(((named[0] != named[1]) & (named[0] != "") & (named[1] != "")).sum()):
+    matched, own = known.building[found.indices[:, 0]], frames.building
+    if elsewhere := int(((matched != own) & (matched != "") & (own != "")).sum()):
         aside.append(f"{elsewhere} of {len(frames)} queries are matched in another building than theirs.")
     return Result(
         name="absolute",

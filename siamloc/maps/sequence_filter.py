@@ -111,14 +111,16 @@ class SequenceFilter:
             )
         move = motion_or_none(motion)
         self._check.step(move, self.motion.xy[apart.argmin()])
-        length = None if move is None else float(np.hypot(*move[:2]))
+        length, new = None, 1.0
+        if move is not None:
+            length = float(np.hypot(*move[:2]))
+            new = min(length / (self.motion.step or 1.0) + abs(float(move[2])) + _STANDING, 1.0)
         moved = self.motion.predict(self.belief, length)
         # The most likely frame has likelihood 1, so the sums cannot vanish.
         log_likelihood = (apart.min() - apart) / self.temperature
         likelihood = np.exp(log_likelihood)
-        new, agrees = 1.0, moved @ likelihood > _AGREES * (likelihood @ likelihood) / likelihood.sum()
-        if self._begun and move is not None and agrees:
-            new = min(math.hypot(*move[:2]) / (self.motion.step or 1.0) + abs(float(move[2])) + _STANDING, 1.0)
+        agrees = moved @ likelihood > _AGREES * (likelihood @ likelihood) / likelihood.sum()
+        new = new if self._begun and agrees else 1.0
         self._begun = True
         kidnapping = new * self.kidnapping
         belief = ((1 - kidnapping) * moved + kidnapping / len(apart)) * np.exp(new * log_likelihood)

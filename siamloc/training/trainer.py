@@ -91,11 +91,14 @@ def run_trainer(run: Run, settings: Training, further: Mapping[str, Any] | None,
 def recorded(trainer: Trainer, further: Mapping[str, Any] | None) -> dict[str, Any]:
     """Return the trainer's settings, besides the number of batches, that determine the steps and what they learn."""
     keys = "accumulate_grad_batches", "limit_train_batches", "max_steps"
-    steps, given = {key: getattr(trainer, key) for key in keys}, further or {}
-    clipping = {"gradient_clip_val": given.get("gradient_clip_val")}
-    clipping["gradient_clip_algorithm"] = given.get("gradient_clip_algorithm") or "norm"
-    precision = "auto" if precision_of(given) == "auto" else str(trainer.precision)
-    return {"precision": precision, "processes": trainer.world_size, **steps, **clipping}
+    given = further or {}
+    return {
+        "precision": "auto" if precision_of(given) == "auto" else str(trainer.precision),
+        "processes": trainer.world_size,
+        **{key: getattr(trainer, key) for key in keys},
+        "gradient_clip_val": given.get("gradient_clip_val"),
+        "gradient_clip_algorithm": given.get("gradient_clip_algorithm") or "norm",
+    }
 
 
 def check_trainer(further: Mapping[str, Any] | None) -> Trainer:
