@@ -62,6 +62,7 @@ class Effect(ABC):
 
     Attributes:
         name: the name used in configurations.
+        moves: whether it moves what the image shows, so that masks and boxes of the image no longer fit.
         ranges: ranges that the parameters are drawn from, by name.
         options: settings of the effect apart from ranges.
         circular: whether the columns wrap around.
@@ -83,6 +84,7 @@ class Effect(ABC):
     """
 
     name: ClassVar[str]
+    moves: ClassVar[bool] = False
     RANGES: ClassVar[Mapping[str, Range]] = {}
     OPTIONS: ClassVar[Mapping[str, Any]] = {}
 

@@ -33,6 +33,7 @@ class Rotate(Effect):
     """
 
     name = "rotate"
+    moves = True
     RANGES: ClassVar[Mapping[str, Range]] = {"degrees": Range(10, 350, minimum=-360, maximum=360)}
 
     def spans(self, height: int, width: int) -> dict[str, Range]:
@@ -48,6 +49,10 @@ class Rotate(Effect):
     def complete(self, params: Params, count: int, height: int, width: int) -> Params:
         """Add the parameter `heading`, in rad, that follows from the shift."""
         return {**params, "heading": wrapped(params["shift"] * (2 * pi / width))}
+
+    def active(self, params: Mapping[str, Tensor]) -> NDArray[np.bool_]:
+        """Return which frames (B,) are turned."""
+        return (params["shift"] != 0).numpy()
 
     def limits(self, height: int, width: int) -> dict[str, Range]:
         """Return the limits of `shift` and `heading`: none."""

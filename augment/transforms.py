@@ -27,10 +27,10 @@ class Augment(v2.Transform):
 
     Images are tensors (..., 3, H, W), uint8, or floating point in [0, 1], `tv_tensors.Image` or `tv_tensors.Video`,
     or RGB images of Pillow; type, shape and dtype stay the same. A sample may be nested, as for all transforms of
-    torchvision; all images in it, such as the two of a stereo camera, get the same parameters. A rotation refuses
-    masks, boxes and key points, which may lie across the seam. Everything else in a sample stays as it is, as do plain
-    tensors after the first image. To repeat a draw, keep the parameters: call
-    `make_params([picture])` once, and `transform(picture, params)` as often as needed.
+    torchvision; all images in it, such as the two of a stereo camera, get the same parameters. Effects that move the
+    image, such as `rotate` and `view`, refuse masks, boxes and key points. Everything else in a sample stays as it is,
+    as do plain tensors after the first image. To repeat a draw, keep the parameters: call `make_params([picture])`
+    once, and `transform(picture, params)` as often as needed.
 
     Draws depend only on `seed` and the number of earlier calls, not on torch's global generator. A copy draws what
     the original would. In a worker of a DataLoader, the worker's seed is mixed in, so that workers and epochs differ;
@@ -99,8 +99,9 @@ class Augment(v2.Transform):
         generator = seeded(self.seed, call, *([] if worker is None else [worker.seed]))
         params = self.effect.draw(generator, torch.empty(count, 3, height, width, device="meta"))
         marks = [type(item).__name__ for item in flat_inputs if not _is_picture(item)]
-        if marks and "heading" in params and params["heading"].any():
-            raise AugmentError(f"a rotation cannot move {marks[0]}, which may lie across the seam: leave it out")
+        moving = [one.name for one, _, changed in self.effect.parts(params) if one.moves and changed.any()]
+        if marks and moving:
+            raise AugmentError(f"{moving[0]} moves the image but cannot move {marks[0]} with it: leave one of them out")
         return params
 
     def transform(self, inpt: Any, params: Params) -> Any:

@@ -32,6 +32,7 @@ class View(Effect):
     """
 
     name = "view"
+    moves = True
     RANGES: ClassVar[Mapping[str, Range]] = {
         "across": Range(-0.2, 0.2, minimum=-1, maximum=1, neutral=0),
         "down": Range(-0.08, 0.08, minimum=-1, maximum=1, neutral=0),

@@ -126,11 +126,17 @@ def test_a_sample_of_pictures_and_other_things():
     assert build("darken")(left, pose)[1] is pose
 
 
-def test_what_cannot_be_turned():
+@pytest.mark.parametrize("effect", ["rotate", "view"])
+def test_what_cannot_be_moved_with_the_picture(effect):
     picture = tv_tensors.Image(panoramas(1)[0])
     box = tv_tensors.BoundingBoxes([[1, 1, 4, 4]], format="XYXY", canvas_size=(24, 64))
-    with pytest.raises(augment.AugmentError, match="a rotation cannot move BoundingBoxes, which may lie across"):
-        build("rotate")(picture, box)
+    in_policy = Augment(augment.Policy({"all_of": [{"effect": "blur"}, {"effect": effect}]}))
+    for moving in (build(effect), in_policy):
+        with pytest.raises(augment.AugmentError, match=f"{effect} moves the image but cannot move BoundingBoxes"):
+            moving(picture, box)
+    still = augment.effect("rotate", circular=False), augment.Policy({"effect": effect, "probability": 0})
+    for one in still:
+        assert Augment(one)(picture, box)[1] is box
 
 
 @pytest.mark.parametrize(
