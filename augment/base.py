@@ -391,7 +391,8 @@ def check_batch(batch: Tensor) -> None:
         return
     low, high = (float(value) for value in batch.detach().aminmax())
     if not 0 <= low <= high <= 1:  # NaN lies nowhere
-        raise AugmentError(f"a float batch lies in [0, 1], got values from {low:g} to {high:g}: divide levels by 255")
+        remedy = "divide levels by 255" if high > 2 else "clamp it" if low <= high else "it has NaN"
+        raise AugmentError(f"a float batch lies in [0, 1], got values from {low:.7g} to {high:.7g}: {remedy}")
 
 
 def beside(values: Tensor, batch: Tensor) -> Tensor:
