@@ -31,14 +31,16 @@ _FOLDER = Path(__file__).parent
 _ROOTS = ("all_of", "one_of", "effect", "policy")
 
 
-def policy(name: str | Path, *, circular: bool | None = None, rotate: float | None = None) -> Policy:
+def policy(
+    name: str | Path | Mapping[str, Any], *, circular: bool | None = None, rotate: float | None = None
+) -> Policy:
     """Return a policy by its name, or from a YAML file.
 
     Args:
         name: "none" (every image stays as it is), "thesis" (the combinations of [T] 5.3.2), "lighting" (everything that
             light and exposure do indoors, without changes of geometry), "strong" (lighting, optics, motion, noise and
-            occlusion together), "any_light" (lighting, and another time of day: lamps, windows, rooms behind doors), or
-            a file that ends in .yaml or .yml.
+            occlusion together), "any_light" (lighting, and another time of day: lamps, windows, rooms behind doors),
+            a file that ends in .yaml or .yml, or plain values as `policy_from_config` takes them.
         circular: False for cameras whose columns do not wrap around; nothing is rotated then. If None, the setting of
             the file, or else True.
         rotate: probability of the rotation among the outermost steps; a rotation is added at the end if there is none.
@@ -57,6 +59,8 @@ def policy(name: str | Path, *, circular: bool | None = None, rotate: float | No
 strong, any_light, or a .yaml file
     """
     changes = {key: value for key, value in (("circular", circular), ("rotate", rotate)) if value is not None}
+    if isinstance(name, Mapping):
+        return policy_from_config({**name, **changes})
     if name in POLICIES:
         return policy_from_config({"name": name, **_read(_FOLDER / f"{name}.yaml"), **changes})
     path = Path(str(name))

@@ -124,6 +124,7 @@ def test_a_policy_can_be_stored_as_plain_values(path):
     again = augment.policy_from_config(stored)
     assert (again.name, again.circular, again.config) == (path.stem, False, stored)
     assert torch.equal(policy(batch, generator()), again(batch, generator()))
+    assert augment.policy(stored, circular=True).circular
 
 
 def test_rotate_sets_the_probability_of_the_rotation_that_is_there():
