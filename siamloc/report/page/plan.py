@@ -101,6 +101,7 @@ class Plan:
             "digits": digits,
             "along": self.along,
             "truth": self.truth,
+            "finer": self.estimate is not None,
             "around": None if self.occupancy is None else self.occupancy.around(xy).T.round(digits).tolist(),
             "classes": error_classes(queries["error"]),
             "lightings": lightings,

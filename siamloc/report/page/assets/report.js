@@ -464,7 +464,8 @@
     drawSelected(s, ink, halo, fill) {
       const { context, data } = this;
       const a = this.place(this.x[s], this.y[s]), b = this.place(this.ex[s], this.ey[s]);
-      const near = data.query.nearest[s], n = this.place(this.mx[near], this.my[near]);
+      const frame = (i) => this.place(this.mx[i], this.my[i]);
+      const n = frame(data.query.nearest[s]), m = data.finer ? frame(data.query.match[s]) : b;
       context.strokeStyle = halo;
       this.arrow(a, b, 6);
       context.strokeStyle = ink;
@@ -476,7 +477,7 @@
       context.beginPath();
       context.arc(...a, 6.5, 0, 2 * Math.PI);
       context.stroke();
-      context.strokeRect(b[0] - 5, b[1] - 5, 10, 10);
+      context.strokeRect(m[0] - 5, m[1] - 5, 10, 10);
       context.beginPath();
       [[0, -8], [8, 0], [0, 8], [-8, 0]].forEach(([dx, dy], k) => context[k ? "lineTo" : "moveTo"](n[0] + dx, n[1] + dy));
       context.closePath();
@@ -488,8 +489,10 @@
         this.text(words, x + 11 * room(x), y + down, ink, halo);
       };
       label("query", a, -8);
-      if (Math.hypot(a[0] - b[0], a[1] - b[1]) > 26) label("match", b, 4);
-      if (Math.hypot(a[0] - n[0], a[1] - n[1]) > 26) label("nearest", n, 16);
+      const apart = ([x, y]) => Math.hypot(a[0] - x, a[1] - y) > 26;
+      if (data.finer && apart(b)) label("estimate", b, -8);
+      if (apart(m)) label("match", m, 4);
+      if (apart(n)) label("nearest", n, 16);
     }
   }
 

@@ -14,7 +14,7 @@ import pytest
 from siamloc.report.page.write import write_report
 from siamloc.results import read_rows
 from tests.siamloc.evaluation import scenes
-from tests.siamloc.report import pages
+from tests.siamloc.report import pages, rich
 from tests.siamloc.report.browser import CHROMIUM, DRIVER, Browser
 
 pytestmark = [
@@ -241,6 +241,22 @@ def test_several_runs_and_frames_on_a_line(run: Path, browser: Browser, tmp_path
     both = browser.run("return [...document.querySelectorAll('.stage canvas')].map((c) => c.dataset.lighting)")
     assert both == ["night", "all"], "each plan has its own switch"
     assert browser.complaints() == []
+
+
+def test_a_refined_pose_is_the_estimate_and_its_map_frame_the_match(browser: Browser, tmp_path: Path) -> None:
+    run = rich.write_refined(tmp_path / "run")
+    browser.open(write_report([run], tmp_path / "refined.html"))
+    browser.wait(_READY)
+    browser.run("""
+        window.words = {};
+        const prototype = CanvasRenderingContext2D.prototype, write = prototype.fillText;
+        prototype.fillText = function (words, x, y) { window.words[words] = [x, y]; write.call(this, words, x, y); };
+    """)
+    browser.key(".stage canvas", "0")
+    estimate, match = (browser.run(f"return window.words.{word}[0]") for word in ("estimate", "match"))
+    columns, at = queries(run), float(state(browser)["at"].split()[0]) + 11
+    share = (columns["est_x"][0] - columns["x"][0]) / (columns["refined_est_x"][0] - columns["x"][0])
+    assert (match - at) / (estimate - at) == pytest.approx(share, rel=0.01)
 
 
 def test_figures_keep_their_text_inside_and_apart(page: Browser) -> None:
