@@ -24,7 +24,7 @@ class Report(Job):
     Writes a page that opens from disk, without a network connection: tables, a floor plan with every error and the
     images behind it, error curves, the worst queries, confusion matrix, training curves, configuration.
 
-        run=FOLDER       the run; the newest one if not given. For the folder of a sweep, its runs side by side
+        run=FOLDER       the run; the newest one if not given. For a folder of runs or evaluations, all side by side
         runs=[a,b,c]     several runs side by side; also sweeps and single evaluations
         out=FILE         output file; report.html in the run's folder if not given
         plan=map.yaml    the building, from a map server, to draw behind floor plans

@@ -131,7 +131,7 @@ class RunFiles:
         evaluations: at least one.
         curves: columns of `metrics.csv`; None if nothing was trained.
         settings: settings of the training; None if nothing was trained.
-        survey: what the run says of the survey of its frames; None if they were not surveyed in it.
+        survey: what is said of the survey of its frames; None if they were not surveyed, or their survey is gone.
     """
 
     title: str
@@ -145,17 +145,32 @@ def gather(folders: Sequence[str | Path]) -> list[RunFiles]:
     """Read the result files of runs.
 
     Args:
-        folders: folders of runs, of sweeps (which stand for their runs), or of evaluations; duplicates count once.
+        folders: folders of runs, of sweeps (which stand for their runs), or of evaluations, one or several in a folder;
+            duplicates count once.
 
     Raises:
         ConfigError: no folders, or one that is missing or holds no evaluation.
         FormatError: incomplete files.
     """
-    named = [one for folder in folders for one in ([run.folder for run in runs_in(folder)] or [Path(folder)])]
+    named = [one for folder in map(Path, folders) for one in _members(folder)]
     chosen = list({real_path(folder): folder for folder in named}.values())
     if not chosen:
         raise ConfigError("a report needs at least one run: name it with run=FOLDER, or several with runs=[A,B]")
     return [_gather(folder, title) for folder, title in zip(chosen, _titles(chosen), strict=True)]
+
+
+def _members(folder: Path) -> list[Path]:
+    """Return the runs of a sweep, or the evaluations in a folder that is no run, or else the folder itself."""
+    if runs := runs_in(folder):
+        return [run.folder for run in runs]
+    alone = run_with(real_path(folder)) or _results(folder, folder / "evaluation")
+    return [folder] if alone else sorted((path.parent for path in _results(folder, folder)), key=by_numbers) or [folder]
+
+
+def _results(folder: Path, above: Path) -> list[Path]:
+    """Return `results.json` of a folder, or else those below another one: in sweeps, they are one level deeper."""
+    own = folder / "results.json"
+    return [own] if own.is_file() else [*above.glob("*/results.json"), *above.glob("*/*/results.json")]
 
 
 def _gather(folder: Path, title: str) -> RunFiles:
@@ -163,20 +178,20 @@ def _gather(folder: Path, title: str) -> RunFiles:
         raise ConfigError(f"there is no folder {folder}: name the folder of a run")
     within = run_with(real_path(folder))
     run, top = (Run(folder), folder / "evaluation") if within is None else (within, folder)
-    single = (folder / "results.json").is_file()
-    # The evaluations of a sweep are one level deeper.
-    found = [folder / "results.json"] if single else [*top.glob("*/results.json"), *top.glob("*/*/results.json")]
-    if not found:
+    if not (found := _results(folder, top)):
         raise ConfigError(f"{folder} holds no evaluation: measure it first with `siamloc evaluate run={folder}`")
     folders = sorted((path.parent for path in found), key=lambda path: (path.name != "network", by_numbers(path)))
-    survey = read_survey(run.folder)
-    evaluations = [_evaluation(one, survey is not None) for one in folders]
+    own = read_survey(run.folder)
+    evaluations = [_evaluation(one, own is not None) for one in folders]
+    # The survey of a walk is in its run; one by `siamloc survey` is where the manifest of its frames is.
+    manifests = [Path((one.results["config"].get("data") or {}).get("manifest") or "") for one in evaluations]
+    other = (read_survey(manifest.parent) for manifest in manifests if manifest.name == "surveyed.csv")
     return RunFiles(
         title,
         tuple(sorted(evaluations, key=lambda one: (*_KINDS, one.kind).index(one.kind))),
         run.curves() if run.metrics.is_file() else None,
         run.settings if run.record.is_file() else None,
-        survey,
+        own or next(filter(None, other), None),
     )
 
 

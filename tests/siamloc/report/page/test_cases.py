@@ -130,6 +130,13 @@ def test_several_runs_are_compared_first(run: Path, tmp_path: Path) -> None:
     assert len(sheets["images"]) == 2
 
 
+def test_a_folder_of_evaluations_stands_for_them(run: Path, tmp_path: Path) -> None:
+    for name in ("night10", "night2"):
+        shutil.copytree(run / "evaluation" / "network", tmp_path / "results" / name)
+    links = report(tmp_path, tmp_path / "results").one("table", class_="comparison").all("a")
+    assert [link.text for link in links] == ["night2 · network", "night10 · network"]
+
+
 def test_runs_that_cannot_be_compared_are_marked(tmp_path: Path) -> None:
     runs = [pages.write_run(tmp_path / name, n=n) for name, n in (("a", 20), ("b", 21))]
     assert notes(report(tmp_path, *runs).one("section", class_="compared")) == (

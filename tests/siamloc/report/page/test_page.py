@@ -181,6 +181,19 @@ def test_the_page_of_a_surveyed_run_says_so(tmp_path: Path) -> None:
         pages.report(folder)
 
 
+def test_a_survey_is_found_with_the_manifest_of_its_frames(tmp_path: Path) -> None:
+    run, survey = pages.write_run(tmp_path / "run"), tmp_path / "survey"
+    results = read_results(run / "evaluation" / "network")
+    for manifest, shown in ((survey / "surveyed.csv", 1), (survey / "other.csv", 0)):
+        config = {**results["config"], "data": {"manifest": str(manifest)}}
+        write_json(run / "evaluation" / "network" / "results.json", {**results, "config": config})
+        write_json(survey / "survey.json", {"notes": [], "summary": None, "torn": 2})
+        pages.draw(str(survey / "survey.png"), 7)
+        page = pages.report(run)
+        assert len(page.all("section", class_="survey")) == shown
+        assert page.one("header").text.count("the survey is torn in 2 places") == shown
+
+
 def test_poses_with_deviations_are_called_surveyed(tmp_path: Path) -> None:
     known, queries = (scenes.frames(seed, 20) for seed in (1, 2))
     queries = queries.with_columns(deviation=np.full(20, 0.1))
