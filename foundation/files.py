@@ -309,8 +309,12 @@ def read_text(path: str | Path, most: int = 64_000_000) -> str:
         raise ValueError(f"it is not text in UTF-8 (at byte {error.start}): save it as UTF-8") from error
 
 
-def read_json(path: str | Path) -> Any:
+def read_json(path: str | Path, remedy: str = "write it again") -> Any:
     """Read a JSON file.
+
+    Args:
+        path: the file.
+        remedy: what to do if it is cut short, for the error.
 
     Raises:
         FormatError: the file is missing, cut short, or not JSON.
@@ -325,7 +329,7 @@ def read_json(path: str | Path) -> Any:
     except OSError as error:
         raise FormatError(f"{path} cannot be read ({error.strerror})") from error
     except ValueError as error:
-        raise FormatError(f"{path} is incomplete or invalid JSON ({error}): write it again") from error
+        raise FormatError(f"{path} is incomplete or invalid JSON ({error}): {remedy}") from error
 
 
 def parsed_json(text: str) -> Any:

@@ -116,7 +116,7 @@ def read_results(folder: str | Path) -> dict[str, Any]:
         FormatError: the file is missing, cut short, something else, or of another version.
     """
     path = Path(folder) / "results.json"
-    results = read_json(path)
+    results = read_json(path, "evaluate again")
     schema = results.get("schema") if isinstance(results, dict) else None
     if not isinstance(schema, dict) or schema.get("name") != _SCHEMA:
         raise FormatError(f"{path} is not a siamloc result file: give the folder that `siamloc evaluate` wrote")

@@ -244,7 +244,7 @@ def shorten_the_map(run: Path) -> None:
         (lambda run: (run / "evaluation/network/results.json").unlink(), ConfigError, "`siamloc evaluate run="),
         (lambda run: write(run / "metrics.csv", "epoch\nx\n"), FormatError, "training curves"),
         (lambda run: write(run / "evaluation/network/queries.csv", "x\n1\n"), FormatError, "evaluate again"),
-        (lambda run: write(run / "evaluation/network/results.json", "{"), FormatError, "incomplete or invalid JSON"),
+        (lambda run: write(run / "evaluation/network/results.json", "{"), FormatError, "invalid JSON.*evaluate again"),
         (shorten_the_map, FormatError, "names map frames that map.csv lacks"),
     ],
     ids=["no evaluation", "damaged curves", "damaged table", "damaged results", "matches outside the map"],
