@@ -21,8 +21,9 @@ from foundation.calls import typed
 from foundation.files import csv_text, real_path, storage_errors, write_json, write_text
 from foundation.locks import alone
 from foundation.settings import Count, Seed, Thousand, as_words
+from siamloc.data.cold import ODOMETRY_FILE
 from siamloc.data.decoding import Preprocessing
-from siamloc.data.frames import FrameTable
+from siamloc.data.frames import ODOMETRY, FrameTable
 from siamloc.data.image_files import UnreadableImageError
 from siamloc.data.manifest import COLUMNS
 from siamloc.data.moves import wrapped
@@ -152,7 +153,7 @@ def expand(
     made = ~np.isin(frames.path, [str(source) for source, _ in done.failed])
     if not made.any():
         raise DataError(f"none of the {len(frames)} images could be read, the first: {done.failed[0][1]}")
-    write_lists(kind, frames.take(made), [pictures[row] for row in np.flatnonzero(made)], folder, theta[made])
+    write_lists(kind, frames.take(made), [pictures[row] for row in np.flatnonzero(made)], folder, turns[made])
     reasons = tuple(reason for _, reason in done.failed)
     return Expanded(folder, kind, int(made.sum()), depth, done.written, done.kept, reasons)
 
@@ -214,20 +215,22 @@ def turned_headings(theta: NDArray[np.float64], turns: NDArray[np.float64]) -> N
 
 
 def write_lists(
-    kind: str, frames: FrameTable, pictures: list[list[Path]], folder: Path, theta: NDArray[np.float64]
+    kind: str, frames: FrameTable, pictures: list[list[Path]], folder: Path, turns: NDArray[np.float64]
 ) -> None:
-    """Write the files that a reader needs next to the images: COLD's lists of rooms, or the manifest.
+    """Write the files that a reader needs next to the images: COLD's lists of rooms and odometry, or the manifest.
 
     Args:
         kind: "cold", "folder" (which needs nothing) or "manifest".
         frames: the n frames whose images were made.
         pictures: image files of each frame (n, depth).
         folder: folder of the expanded data set.
-        theta: heading of each image (n, depth), rad.
+        turns: what each image adds to the heading of its frame (n, depth), rad.
 
     Raises:
         StorageError: the disk cannot be written to.
     """
+    theta, wheels = (turned_headings(angles, turns).tolist() for angles in (frames.theta, frames.odom_theta))
+    places = frames.odometry[:, :2]
     if kind == "cold":
         for rows in frames.rows_by("sequence").values():
             sequence = pictures[rows[0]][0].parents[1]
@@ -236,10 +239,16 @@ def write_lists(
             lines = [f"{picture.name} {frames.room[row]}\n" for row in rows for picture in pictures[row]]
             if any(frames.room[rows].tolist()):
                 write_text(sequence / "localization" / "places.lst", "".join(lines))
+            if np.isfinite(places[rows]).any():
+                own = [
+                    (picture.name, *places[row], angle)
+                    for row in rows
+                    for picture, angle in zip(pictures[row], wheels[row], strict=True)
+                ]
+                write_text(sequence / "localization" / ODOMETRY_FILE, csv_text([("image", *ODOMETRY), *own]))
     elif kind == "manifest":
         table: list[Sequence[Any]] = [COLUMNS]
-        wheels = turned_headings(frames.odom_theta, theta - frames.theta[:, None])
-        for frame, row, *angles in zip(frames, pictures, theta.tolist(), wheels.tolist(), strict=True):
+        for frame, row, *angles in zip(frames, pictures, theta, wheels, strict=True):
             for picture, angle, wheel in zip(row, *angles, strict=True):
                 values = {**frame, "theta": angle, "odom_theta": wheel, "image": picture.relative_to(folder).as_posix()}
                 table.append([values[column] for column in COLUMNS])

@@ -30,13 +30,13 @@ def expanded(kind, frames, root, folder, turns=TURNS):
     for path in (path for row in files for path in row):
         path.parent.mkdir(parents=True, exist_ok=True)
         path.touch()
-    write_lists(kind, frames, files, folder, theta)
+    write_lists(kind, frames, files, folder, turns)
     return files
 
 
 @pytest.mark.parametrize("root", ["/cold", "/cold/freiburg", "/cold/freiburg/part_a/seq2_cloudy3"])
 def test_an_expanded_cold_data_set_reads_as_the_frames_with_turned_headings(tmp_path, root):
-    frames = cold_frames()
+    frames = cold_frames().with_columns(odom_x=[1.0, math.nan, 3.0], odom_y=[0.0] * 3, odom_theta=[2.0, 0.0, -1.0])
     files = expanded("cold", frames, root, tmp_path)
     kept = turned_headings(np.array([4.0, math.nan, 3.0]), TURNS)
     assert kept[0, 0] == 4.0, "a heading that is not turned stays as it was written"
@@ -48,6 +48,8 @@ def test_an_expanded_cold_data_set_reads_as_the_frames_with_turned_headings(tmp_
     angles = [0.25, 0.75, -1.0, -4.0 + 2 * math.pi, 3.0, 6.0 - 2 * math.pi]
     np.testing.assert_allclose(found.theta, angles, atol=1e-6)
     assert found.path.tolist() == [str(path) for row in files for path in row]
+    assert np.array_equal(found.odom_x, np.repeat(frames.odom_x, 2), equal_nan=True)
+    np.testing.assert_allclose(found.odom_theta, [2.0, 2.5, 0.0, -3.0, -1.0, 2.0], atol=1e-6)
 
 
 def test_a_folder_whose_name_would_rename_the_sequence_is_refused(tmp_path):
@@ -78,6 +80,9 @@ def test_an_expanded_manifest_reads_as_the_frames(tmp_path):
     assert np.array_equal(found.theta.reshape(-1, 3)[:, 0], frames.theta)
     assert np.array_equal(found.odometry[::3], frames.odometry)
     np.testing.assert_allclose(np.exp(1j * found.odom_theta), np.exp(1j * (found.theta - 0.5)))
+    expanded("manifest", frames.with_columns(theta=[math.nan] * len(frames)), table.parent, tmp_path / "out", turns)
+    unknown = data.read("manifest", manifest=tmp_path / "out/manifest.csv")
+    assert np.array_equal(unknown.odom_theta, found.odom_theta), "wheels without true headings"
 
 
 def test_images_beside_the_manifests_folder_are_gathered_in_it(tmp_path):
