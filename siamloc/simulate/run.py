@@ -27,7 +27,7 @@ Hour = Annotated[float, Rule("an hour from 0 to 24", lambda value: 0 <= value <=
 #: Hours between which the sun is up on every day that a run may have.
 DAY = (7, 17)
 _START = {"cloudy": 11.0, "night": 22.0, "sunny": 10.0}
-_EPOCH = 1152860400.0
+_EPOCH = 1152860400.0  # midnight of the first day, by a clock seven hours behind UTC
 _DAYS = 30  # of a month
 _KEEP_OFF = 0.42
 _HALF_ROBOT, _CAMERA = 0.2, 0.12  # metres
@@ -356,7 +356,7 @@ def _standing_people(building: Building, track: Track, rng: Rng) -> list[Item]:
 
 
 def _walkers(building: Building, track: Track, rng: Rng) -> tuple[Walker, ...]:
-    """Let people walk through the longest room while the robot drives, on the side that the robot leaves free."""
+    """Let people walk along the walls of the longest room while the robot drives, whatever stands there."""
     room = max(building.rooms.values(), key=lambda r: max(r.x[1] - r.x[0], r.y[1] - r.y[0]))
     inner = room.inner(0.45)
     wall = SIDES["north" if inner.x[1] - inner.x[0] > inner.y[1] - inner.y[0] else "east"]
