@@ -100,6 +100,7 @@ class Preview(DataJob):
         elif self.data.where:
             paths = self.data.read().path.tolist()
         panoramas = self.preprocessing.panoramas(paths, self.count) if paths else simulate.panoramas(self.count)
+        count = len(panoramas)
         write_picture(self.out, augment.preview(torch.from_numpy(panoramas)))
-        say(f"{self.out}: {len(augment.EFFECTS)} effects on {len(panoramas)} panoramas")
+        say(f"{self.out}: {len(augment.EFFECTS)} effects on {count} panorama{'s' * (count > 1)}")
         return Path(self.out)

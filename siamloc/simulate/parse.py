@@ -138,7 +138,7 @@ def read_building_file(path: FilePath, seed: int) -> Building:
     try:
         content = yaml.load(read_text(path), _Loader)
     except OSError as error:
-        raise DataError(f"the building file {path} cannot be read: {error}") from error
+        raise DataError(f"the building file {path} cannot be read: {error.strerror or error}") from error
     except (yaml.YAMLError, ValueError, RecursionError) as error:
         raise DataError(not_yaml(path, error)) from error
     return parse_building(content, seed, str(path))

@@ -84,6 +84,6 @@ def test_a_preview_of_data_and_of_files(manifest, tmp_path, capsys):
     assert cv2.imread(str(tmp_path / "a" / "sheet.png")).shape[1] > 1000
     image = data.read("manifest", manifest=manifest).path[0]
     done("augment", "preview", f"images=[{image}]", size, f"out={tmp_path / 'sheet.jpg'}")
-    assert f"{len(augment.EFFECTS)} effects on 1 panoramas" in capsys.readouterr().out
+    assert f"{len(augment.EFFECTS)} effects on 1 panorama\n" in capsys.readouterr().out
     for shown, out, says in ((manifest, "sheet.png", " cannot be shown: "), (image, "sheet.txt", "must be a picture")):
         assert says in refused(capsys, "augment", "preview", f"images=[{shown}]", f"out={tmp_path / out}")
