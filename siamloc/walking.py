@@ -139,7 +139,7 @@ def walk(
         check_counted(Run(folder).bundle, None)
     if not writes_camera(folder / "frames", settings.unwrap):
         Preprocessing.checked(PRETRAINED_SIZE, settings.unwrap)  # before the long work
-    frames = extract(file, folder / "frames", settings=settings.recording)
+    frames = extract(file, folder / "frames", second=settings.unwrap.get("second"), settings=settings.recording)
     given = Preprocessing.checked(PRETRAINED_SIZE, settings.unwrap)
     wheels = "with" if np.isfinite(frames.odometry).any() else "without"
     say(f"recording: {len(frames)} pictures of {file} (recording.rate=), {wheels} odometry (recording.odometry=)")
@@ -167,8 +167,9 @@ def walk(
     if wheels == "without" and isinstance(given.camera, AutoRing) and isinstance(ring, HyperbolicMirror | PolarRing):
         mirrored = "mirrored" if ring.mirrored else "not mirrored"
         say(f"direction: the robot is taken to drive ahead, and the picture to be {mirrored} (unwrap.mirrored=)")
-    if settings.unwrap.get("level") is None and camera.elevations is not None and not np.isfinite(frames.tilt).any():
-        tilt = np.degrees(np.median(np.hypot(*camera.tilts(frames.path.tolist(), _LOOKED_AT).T)))
+    open_ = settings.unwrap.get("level") is None and camera.elevations is not None
+    if open_ and not np.isfinite(frames.tilt).any() and len(tilts := camera.tilts(frames.path.tolist(), _LOOKED_AT)):
+        tilt = np.degrees(np.median(np.hypot(*tilts.T)))
         camera = replace(camera, level=bool(tilt > _SWAYS))
         how = "levelled by upright edges" if camera.level else "taken as they are"
         say(f"level: pictures are tilted by {tilt:.1f} degrees in the median, and {how} (unwrap.level=)")

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping
-from contextlib import AbstractContextManager, nullcontext
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager, nullcontext, suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, ClassVar
@@ -129,11 +129,12 @@ class Pictures:
 
     Attributes:
         taken: times in s (n,), NaN if unknown.
+        second: how the names of second pictures differ, which go with the first; see `DualFisheyeCamera`.
     """
 
-    def __init__(self, path: Path, times: Path | None = None) -> None:
-        self.path = path
-        files, self.taken = images_of(path, times)
+    def __init__(self, path: Path, times: Path | None = None, second: Sequence[str] | None = None) -> None:
+        self.path, self.second = path, second
+        files, self.taken = images_of(path, times, second=second)
         kind, taken = "pictures", self.taken
         if not np.isfinite(taken).all():
             kind = "pictures without times (give times=FILE, or they count as a second apart)"
@@ -145,7 +146,8 @@ class Pictures:
     def images(self, topic: str, clock: Clock) -> Iterator[tuple[int, Path, str]]:
         """Yield the time in ns, the file, and its name as an ending, of each picture."""
         for time, file in self._files:
-            yield round(time * 1e9), file, "_" + re.sub(r"[^\w.+-]", "_", file.name)
+            plain = re.sub(r"[^\w.+-]", "_", file.name)
+            yield round(time * 1e9), file, "_" + (plain if self.second is None else file.name)
 
 
 @typed
@@ -171,7 +173,14 @@ def contents(file: str | Path, times: str | Path | None = None) -> Contents:
 
 
 @takes(Extraction)
-def extract(file: str | Path, out: str | Path, *, settings: Extraction = OF_FIELDS, **fields: Any) -> FrameTable:
+def extract(
+    file: str | Path,
+    out: str | Path,
+    *,
+    second: Sequence[str] | None = None,
+    settings: Extraction = OF_FIELDS,
+    **fields: Any,
+) -> FrameTable:
     """Write the images of a recording into a folder, named by their times in ns, and their manifest, `frames.csv`.
 
     The pictures of a folder keep their names after the times. Images that are there already are not written
@@ -180,6 +189,8 @@ def extract(file: str | Path, out: str | Path, *, settings: Extraction = OF_FIEL
     Args:
         file: the recording; see `contents`.
         out: the folder.
+        second: how the names of second pictures in a folder differ, as in `DualFisheyeCamera`: they are written next to
+            the first ones, and are no frames of their own.
         settings: an `Extraction`.
 
     Returns:
@@ -198,7 +209,7 @@ def extract(file: str | Path, out: str | Path, *, settings: Extraction = OF_FIEL
     if sources["images"] == "none":
         raise DataError(f"{path} holds no images; its topics: {', '.join(found.topics) or 'none'}")
     settings = replace(settings, poses=sources["poses"])
-    with _opened(path, settings.times) as recording:
+    with _opened(path, settings.times, second) as recording:
         given = {what: _trajectory(recording, what, sources[what], settings) for what in SOURCES[1:]}
         about = _identity(path, sources["images"])
         if (folder / _KEPT).is_file() and read_json(folder / _KEPT) != about:
@@ -232,11 +243,13 @@ def writes_camera(folder: Path, unwrap: Mapping[str, Any]) -> bool:
     return file.name == CALIBRATION and not file.exists() and real_path(file) == real_path(folder / CALIBRATION)
 
 
-def _opened(path: Path, times: str | Path | None = None) -> AbstractContextManager[Bag | Film | Pictures]:
+def _opened(
+    path: Path, times: str | Path | None = None, second: Sequence[str] | None = None
+) -> AbstractContextManager[Bag | Film | Pictures]:
     if not path.exists():
         raise DataError(f"there is no recording {path}")
     if times is not None and path.is_dir() and not (path / "metadata.yaml").is_file():
-        return nullcontext(Pictures(path, Path(times).expanduser()))
+        return nullcontext(Pictures(path, Path(times).expanduser(), second))
     if times is not None:
         raise ConfigError(f"{path} has times of its own: recording.times is for a folder of pictures")
     if path.suffix.lower() in VIDEOS:
@@ -244,7 +257,7 @@ def _opened(path: Path, times: str | Path | None = None) -> AbstractContextManag
     if path.suffix.lower() in BAGS or (path / "metadata.yaml").is_file():
         return Bag(path)
     if path.is_dir():
-        return nullcontext(Pictures(path))
+        return nullcontext(Pictures(path, second=second))
     known = ", ".join((*BAGS, *VIDEOS))
     raise DataError(
         f"{path} is no recording: expected a file {known}, a folder of pictures, or the folder of a ROS 2 bag"
@@ -292,6 +305,12 @@ def _write_images(
             continue
         file = folder / f"{time:019d}{ending}"
         there = file.is_file()
+        if isinstance(recording, Pictures) and recording.second is not None and isinstance(image, Path):
+            own, other = recording.second
+            beside, copy = (one.with_name(one.name.replace(own, other)) for one in (image, file))
+            with suppress(FileNotFoundError, PermissionError):  # then `PanoramaLibrary` leaves the first one out
+                if beside != image and not copy.is_file():
+                    write_bytes(copy, beside.read_bytes())
         if isinstance(image, (Path, bytes)) and not there:
             name = image if isinstance(image, Path) else f"the image at {time / 1e9:.3f} s"
             try:

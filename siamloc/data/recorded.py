@@ -143,17 +143,23 @@ def _in_order(count: int, trajectory: Trajectory, axes: Axes) -> Array:
     return trajectory.tilted(axes)
 
 
-def images_of(folder: Path, times: Path | None = None, span: float | None = None) -> tuple[list[Path], Array]:
+def images_of(
+    folder: Path, times: Path | None = None, span: float | None = None, second: Sequence[str] | None = None
+) -> tuple[list[Path], Array]:
     """Return the images of a folder and the times at which they were taken, in s; NaN if unknown.
 
     Args:
         folder: the folder.
         times: list of the times; see `read_recorded`.
         span: as for `siamloc.data.trajectory.seconds`.
+        second: how the names of second pictures differ, which are left out; see `DualFisheyeCamera`.
     """
     if not folder.is_dir():
         raise DataError(f"{folder} is not a folder of images")
     files = image_files(folder)
+    if second is not None:
+        others = {other for file in files if (other := file.name.replace(second[0], second[1])) != file.name}
+        files = [file for file in files if file.name not in others]
     if not files:
         inside = sorted(path.name for path in folder.iterdir())
         if bag := next((name for name in inside if name.lower().endswith(BAGS)), None):

@@ -97,7 +97,8 @@ class Prepare(DataJob):
                 words = as_words({f"recording.{key}": value for key, value in chosen.items()})
                 say(f"next: siamloc prepare {shlex.quote(str(self.recording.file))} {words}")
                 return found
-            extract(self.recording.file, self.recording.out, settings=self.recording)
+            second = self.unwrap.get("second")
+            extract(self.recording.file, self.recording.out, second=second, settings=self.recording)
         frames = self.data.read()
         say(summary(frames))
         images = self.data.library(frames, self.unwrap)

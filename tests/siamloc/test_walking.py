@@ -111,6 +111,17 @@ def test_a_short_way_is_refused(mini, tmp_path):
         siamloc.walk(pictures, tmp_path / "robot", spacing=0.25)
 
 
+def test_pictures_without_their_second_ones_are_not_judged(tmp_path):
+    pictures, said = tmp_path / "monday", []
+    pictures.mkdir()
+    for number in range(4):
+        cv2.imwrite(str(pictures / f"front_{number}.png"), np.zeros((80, 80, 3), np.uint8))
+    lenses = {"kind": "dual_fisheye", "second": ["front", "back"]}
+    with pytest.raises(DataError, match=r"none of the 4 images can be read, .*its second picture .* does not exist"):
+        siamloc.walk(pictures, tmp_path / "robot", say=said.append, unwrap=lenses)
+    assert not any(line.startswith("level: ") for line in said)
+
+
 def test_a_ring_does_not_show_its_direction(mini, tmp_path, monkeypatch):
     pictures, said = pictures_of(mini[0].take(range(3)), tmp_path / "monday"), []
     ring = siamloc.data.PolarRing(centre=(255.5, 63.5), inner=10, outer=60, forward=90)

@@ -682,6 +682,18 @@ def test_pictures_without_times_in_their_names_are_taken_a_second_apart(tmp_path
         siamloc.data.extract(film(tmp_path / "monday.avi"), tmp_path / "film", times="times.txt")
 
 
+@pytest.mark.parametrize(("name", "parts"), [("lens{}{}.png", ("_00_", "_10_")), ("{} {}.5.png", ("front", "my back"))])
+def test_the_second_pictures_of_two_lenses_go_with_the_first(tmp_path, name, parts):
+    pictures = written(tmp_path / "monday", [name.format(part, number) for number in (7, 8) for part in parts])
+    siamloc.data.extract(pictures, tmp_path / "out")
+    two = siamloc.data.DualFisheyeCamera(second=parts)
+    frames = siamloc.data.extract(pictures, tmp_path / "out", second=two.second)
+    assert np.diff(frames.time).tolist() == [1.0]
+    for path, pair in zip(frames.path.tolist(), (PICTURES[:2], PICTURES[2:4]), strict=True):
+        both = siamloc.data.Preprocessing.checked((8, 32), two).files(path)
+        np.testing.assert_array_equal([cv2.imread(str(one)) for one in both], pair)
+
+
 def test_a_rate_takes_at_most_so_many_pictures_per_second(tmp_path):
     names = [f"{time}.png" for time in (100.0, 100.3, 100.5, 100.8, 102.0)]
     frames = siamloc.data.extract(written(tmp_path / "monday", names), tmp_path / "out", rate=2.0)
